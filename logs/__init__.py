@@ -1,0 +1,1 @@
+"""What a log holds, and how it is read and written. Knows nothing of SLAM."""

@@ -1,0 +1,1 @@
+"""One file for each family of encodings: messages of a log -> records."""

@@ -1,0 +1,50 @@
+"""The border of one pass over a log: raw messages in, records out, with a count of what was not fit to be one."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+
+from logs.decoders.decode import decode
+from logs.decoders.registry import kinds_of
+from logs.errors import InvalidRecordError
+from logs.messages import Record
+from logs.selection import Selection
+from logs.topics import RawMessage
+
+_log = logging.getLogger(__name__)
+
+
+class RecordDecoder:
+    """Decodes the messages of the topics in ``selection``.
+
+    ``counters``: ``invalid_messages``, ``undecodable`` (messages of a selected topic whose schema does not fit),
+    ``dropped_objects``, ``ignored_covariances``, ``ignored_sizes``.
+    """
+
+    def __init__(self, selection: Selection) -> None:
+        self._selection = selection
+        self._told: set[tuple[str, str]] = set()
+        self.counters: Counter[str] = Counter()
+
+    def records(self, raw: RawMessage) -> tuple[Record, ...]:
+        """The records of ``raw``: none where its topic is not selected or the message is unfit.
+
+        Unfit messages are counted, and told in the log once for each topic and reason.
+        """
+        wanted = self._selection.kinds.get(raw.topic, ())
+        if not wanted:
+            return ()
+        possible = [kind for kind in wanted if kind in kinds_of(raw.channel)]
+        if not possible:
+            self.counters["undecodable"] += 1
+            return ()
+        try:
+            found = [decode(raw, kind, self.counters) for kind in possible]
+        except InvalidRecordError as error:
+            self.counters["invalid_messages"] += 1
+            if (raw.topic, error.reason) not in self._told:
+                self._told.add((raw.topic, error.reason))
+                _log.warning("%s; more of the same on this topic is only counted", error)
+            return ()
+        return found[0] if len(found) == 1 else tuple(record for some in found for record in some)

@@ -1,0 +1,71 @@
+"""Schema name and encoding -> decoder, and the kinds of records that it can give. Nothing heavy is imported here."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Protocol
+
+from logs.messages import Record
+from logs.topics import Channel, RawMessage, RecordKind
+
+
+class Decoder(Protocol):
+    """Gives the records of one message for the part that its topic plays.
+
+    Raises:
+        Refusal: values that no record may have.
+    """
+
+    def __call__(self, raw: RawMessage, kind: RecordKind, counters: Counter[str]) -> tuple[Record, ...]:
+        """The records of ``raw``; ``counters`` counts what was left out of records that are otherwise good."""
+        ...
+
+
+_POSE = (RecordKind.ODOMETRY, RecordKind.GROUND_TRUTH)
+_FRAMES = (RecordKind.TRANSFORMS, RecordKind.ODOMETRY)
+
+_KINDS: dict[str, dict[str, tuple[RecordKind, ...]]] = {
+    "protobuf": {
+        "foxglove.Odometry": _POSE,
+        "foxglove.PoseInFrame": (*_POSE, RecordKind.SLAM_POSE),
+        "foxglove.FrameTransform": _FRAMES,
+        "foxglove.FrameTransforms": _FRAMES,
+        "foxglove.SceneUpdate": (RecordKind.DETECTIONS,),
+        "dslam.ObjectDetections": (RecordKind.DETECTIONS,),
+        "dslam.DetectionTruth": (RecordKind.DETECTION_TRUTH,),
+        "dslam.DetectionAssociations": (RecordKind.ASSOCIATIONS,),
+        "dslam.ObjectMap": (RecordKind.OBJECT_MAP, RecordKind.OBJECT_TRUTH),
+        "dslam.Trajectory": (RecordKind.TRAJECTORY,),
+        "dslam.FactorGraph": (RecordKind.FACTOR_GRAPH,),
+        "dslam.LoopClosure": (RecordKind.LOOP_CLOSURES,),
+        "dslam.Relocalization": (RecordKind.RELOCALIZATIONS,),
+        "dslam.Status": (RecordKind.STATUS,),
+    },
+    "cdr": {
+        "nav_msgs/msg/Odometry": _POSE,
+        "geometry_msgs/msg/PoseStamped": _POSE,
+        "geometry_msgs/msg/PoseWithCovarianceStamped": _POSE,
+        "tf2_msgs/msg/TFMessage": _FRAMES,
+        "vision_msgs/msg/Detection3DArray": (RecordKind.DETECTIONS,),
+    },
+}
+
+
+def kinds_of(channel: Channel) -> tuple[RecordKind, ...]:
+    """What the messages of ``channel`` can be decoded to; () for a schema or an encoding that is not known."""
+    if channel.message_encoding == "cdr" and (channel.schema is None or channel.schema.encoding != "ros2msg"):
+        return ()  # definitions in IDL cannot be read
+    return _KINDS.get(channel.message_encoding, {}).get(channel.schema_name, ())
+
+
+def decoder_for(channel: Channel) -> Decoder | None:
+    """The decoder of ``channel``, or None for a schema or an encoding that is not known."""
+    if not kinds_of(channel):
+        return None
+    if channel.message_encoding == "cdr":
+        from logs.decoders import ros2
+
+        return ros2.decode
+    from logs.decoders import protobuf
+
+    return protobuf.decode

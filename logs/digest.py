@@ -1,0 +1,21 @@
+"""SHA-256 of files, to name in an output what it was made from."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+
+from logs.errors import UnreadableLogError
+
+
+def file_sha256(path: str | os.PathLike[str]) -> str:
+    """Hexadecimal SHA-256 of the file at ``path``, read in pieces.
+
+    Raises:
+        UnreadableLogError: the file cannot be read.
+    """
+    try:
+        with open(path, "rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise UnreadableLogError(f"cannot read {os.fspath(path)}: {error.strerror}; check the path") from error

@@ -1,0 +1,243 @@
+"""The records a log holds: what comes out of the reader and goes into the writer.
+
+Every record is frozen, holds plain NumPy arrays and strings, and knows neither MCAP nor SLAM. Common conventions:
+
+* ``stamp_ns``: integer nanoseconds, the time of the measurement (not the time at which it was logged).
+* ``T_a_b``: ``(4, 4)`` float64 homogeneous transform, ``p_a = T_a_b @ p_b``, metres.
+* Pose covariances: ``(6, 6)`` float64 in GTSAM's order (rotation x y z [rad], then translation x y z [m]),
+  in the tangent space of the right-hand frame (body). Decoders reorder those that come in the ROS order.
+* ``(N, ...)`` arrays may have N = 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Odometry:
+    """Pose of the body in the smooth, drifting ``odom`` frame."""
+
+    stamp_ns: int
+    T_odom_body: FloatArray
+    frame_id: str = "odom"
+    child_frame_id: str = "base_link"
+    covariance: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectDetections:
+    """Objects seen in one sensor frame: ``positions`` (N, 3) metres in ``frame_id``, a label and a score in [0, 1] each.
+
+    ``covariances`` (N, 3, 3) m^2 and ``sizes`` (N, 3) m are None where the detector gives none.
+    """
+
+    stamp_ns: int
+    frame_id: str
+    positions: FloatArray
+    labels: tuple[str, ...]
+    scores: FloatArray
+    covariances: FloatArray | None = None
+    sizes: FloatArray | None = None
+    track_ids: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Transform:
+    """Pose of frame ``child_frame_id`` in frame ``parent_frame_id``."""
+
+    stamp_ns: int
+    parent_frame_id: str
+    child_frame_id: str
+    T_parent_child: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroundTruthPose:
+    """True pose of the body. The estimator never reads it."""
+
+    stamp_ns: int
+    T_world_body: FloatArray
+    frame_id: str = "world"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DetectionTruth:
+    """True object id of each detection of the ObjectDetections message with the same stamp; "" for a false positive."""
+
+    stamp_ns: int
+    object_ids: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectMapRecord:
+    """All landmarks of an object map at one time, or, on a truth topic, the true objects.
+
+    positions (N, 3) m in ``frame_id``; covariances (N, 3, 3) m^2; class_probabilities (N, C) over ``vocabulary``
+    (rows sum to 1); states: "tentative" | "confirmed" | "retired"; reasons: why it has that state, "" if plain;
+    observation_counts (N,); first_seen_ns, last_seen_ns (N,).
+    """
+
+    stamp_ns: int
+    frame_id: str
+    vocabulary: tuple[str, ...]
+    ids: tuple[str, ...]
+    positions: FloatArray
+    covariances: FloatArray
+    class_probabilities: FloatArray
+    states: tuple[str, ...]
+    reasons: tuple[str, ...]
+    observation_counts: IntArray
+    first_seen_ns: IntArray
+    last_seen_ns: IntArray
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The most probable class of each object; ties go to the class that comes first in the vocabulary."""
+        if not self.vocabulary:
+            return ()
+        return tuple(self.vocabulary[i] for i in np.argmax(self.class_probabilities, axis=1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DetectionAssociations:
+    """Landmark id to which each detection of the ObjectDetections message with the same stamp was assigned; "" for none.
+
+    ``created`` (N,) bool: the landmark was made from this very detection, so nothing was associated yet.
+    """
+
+    stamp_ns: int
+    landmark_ids: tuple[str, ...]
+    created: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlamPose:
+    """Estimated pose as it was known at that time. ``T_map_odom`` ties the odometry frame to the map.
+
+    Read back from a log, ``T_map_odom`` is None: there it stands apart, as a Transform on ``/tf``.
+    """
+
+    stamp_ns: int
+    T_map_body: FloatArray
+    T_map_odom: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrajectoryRecord:
+    """The final trajectory, one pose for each odometry message: stamps_ns (N,), T_map_body (N, 4, 4)."""
+
+    stamp_ns: int
+    frame_id: str
+    stamps_ns: IntArray
+    T_map_body: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FactorGraphRecord:
+    """The optimised graph: keyframes, the edges between them, and the observations of landmarks from them.
+
+    keyframe_ids (K,), keyframe_stamps_ns (K,), T_map_body (K, 4, 4).
+    edge_keyframe_ids (E, 2) as (from, to) with edge_transforms (E, 4, 4) = T_from_to, edge_covariances (E, 6, 6),
+    edge_kinds: "odometry" | "closure".
+    observation_keyframe_ids (O,), observation_landmark_ids, observation_positions (O, 3) m in the body frame of the
+    keyframe, observation_covariances (O, 3, 3) m^2.
+    """
+
+    stamp_ns: int
+    keyframe_ids: IntArray
+    keyframe_stamps_ns: IntArray
+    T_map_body: FloatArray
+    edge_keyframe_ids: IntArray
+    edge_transforms: FloatArray
+    edge_covariances: FloatArray
+    edge_kinds: tuple[str, ...]
+    observation_keyframe_ids: IntArray
+    observation_landmark_ids: tuple[str, ...]
+    observation_positions: FloatArray
+    observation_covariances: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopClosureRecord:
+    """One loop-closure candidate and its verdict, accepted or not. ``T_reference_query`` is None before registration.
+
+    ``stage`` names where the verdict fell ("retrieval", "registration", "consistency", "accepted"), ``reason`` says why.
+    """
+
+    stamp_ns: int
+    query_keyframe_id: int
+    reference_keyframe_id: int
+    accepted: bool
+    stage: str
+    reason: str
+    retrieval_distance: float
+    inlier_count: int = 0
+    inlier_fraction: float = 0.0
+    score: float = 0.0
+    T_reference_query: FloatArray | None = None
+    covariance: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RelocalizationRecord:
+    """One attempt to find the robot in a map. ``T_map_body`` is None where there was no fix."""
+
+    stamp_ns: int
+    success: bool
+    reason: str
+    T_map_body: FloatArray | None = None
+    covariance: FloatArray | None = None
+    inlier_count: int = 0
+    score: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StatusRecord:
+    """State of the system and why it is in it; ``counters`` count what was done and what was dropped since the start."""
+
+    stamp_ns: int
+    state: str
+    level: str
+    message: str
+    counters: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneMarkers:
+    """A picture of the map for a viewer: shapes of one class share a colour and a text.
+
+    positions (N, 3) m in ``frame_id``, labels (N,), ids (N,); lines (M, 2, 3) m with line_colors (M, 4) in [0, 1].
+    """
+
+    stamp_ns: int
+    frame_id: str
+    positions: FloatArray
+    labels: tuple[str, ...]
+    ids: tuple[str, ...]
+    lines: FloatArray
+    line_colors: FloatArray
+
+
+Record = (
+    Odometry
+    | ObjectDetections
+    | Transform
+    | GroundTruthPose
+    | DetectionTruth
+    | ObjectMapRecord
+    | DetectionAssociations
+    | SlamPose
+    | TrajectoryRecord
+    | FactorGraphRecord
+    | LoopClosureRecord
+    | RelocalizationRecord
+    | StatusRecord
+    | SceneMarkers
+)

@@ -1,0 +1,1 @@
+"""Our own message definitions, and the modules that are generated from them."""

@@ -1,0 +1,178 @@
+"""Which topic of a log plays which part."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+
+from logs.errors import TopicSelectionError
+from logs.topics import RecordKind, TopicInfo
+
+GROUND_TRUTH_TOPIC = "/ground_truth"
+DETECTION_TRUTH_TOPIC = "/ground_truth/detections"
+OBJECT_TRUTH_TOPIC = "/ground_truth/objects"
+OUTPUT_PREFIX = "/slam/"
+
+NEEDED_FOR_MAPPING = (RecordKind.ODOMETRY, RecordKind.DETECTIONS)
+
+_DEFAULT_TOPICS = {
+    RecordKind.GROUND_TRUTH: GROUND_TRUTH_TOPIC,
+    RecordKind.DETECTION_TRUTH: DETECTION_TRUTH_TOPIC,
+    RecordKind.OBJECT_TRUTH: OBJECT_TRUTH_TOPIC,
+}
+
+# Strongest first: a topic that calls itself odometry is one, a bare pose may come from anywhere; likewise a message
+# made for detections, and a picture that may show anything.
+_SCHEMAS = {
+    RecordKind.ODOMETRY: (
+        ("nav_msgs/msg/Odometry", "foxglove.Odometry"),
+        ("foxglove.PoseInFrame", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"),
+    ),
+    RecordKind.DETECTIONS: (
+        ("dslam.ObjectDetections", "vision_msgs/msg/Detection3DArray"),
+        ("foxglove.SceneUpdate",),
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """The kinds of records to read from each topic; a topic may play several parts."""
+
+    kinds: Mapping[str, tuple[RecordKind, ...]] = field(default_factory=dict)
+
+    @staticmethod
+    def of(topics: Mapping[str, str]) -> Selection:
+        """From topic -> kind, for example ``{"/slam/closures": "loop_closures"}``."""
+        return Selection({topic: (RecordKind(kind),) for topic, kind in topics.items()})
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """The selected topics, sorted."""
+        return tuple(sorted(self.kinds))
+
+    def topics_of(self, kind: str) -> tuple[str, ...]:
+        """The topics that play the part ``kind``, sorted; () for none."""
+        return tuple(topic for topic in self.topics if kind in self.kinds[topic])
+
+
+def select_topics(
+    topics: Iterable[TopicInfo],
+    overrides: Mapping[str, str] | None = None,
+    *,
+    needed: Collection[str] = NEEDED_FOR_MAPPING,
+) -> Selection:
+    """Choose the input topics for mapping: odometry, detections, transforms, and the truths where they are.
+
+    Odometry and detections are the one topic of the strongest schema that is there: odometry messages, else poses, and
+    frames of ``/tf`` only when asked for; detection messages, else scenes. Empty topics and those under
+    ``/ground_truth`` and ``/slam/`` are never chosen for either, unless asked for.
+
+    Args:
+        topics: what the log holds.
+        overrides: kind -> topic, which replaces the choice for that kind.
+        needed: kinds without which the log is of no use.
+
+    Raises:
+        TopicSelectionError: a needed kind has no topic, or several that are equally good; or an override names a kind
+            that does not exist, or a topic that is not there or does not decode to it.
+    """
+    there = sorted(topics, key=lambda info: info.topic)
+    chosen: dict[RecordKind, list[str]] = {}
+    for name, topic in (overrides or {}).items():
+        kind = _kind(name)
+        chosen[kind] = [_overridden(there, kind, topic)]
+    for kind in _SCHEMAS:
+        if kind not in chosen:
+            chosen[kind] = _only_one(there, kind, _candidates(there, kind), is_needed=kind in needed)
+    for kind, topic in _DEFAULT_TOPICS.items():
+        chosen.setdefault(kind, [info.topic for info in there if info.topic == topic and kind in info.kinds])
+    chosen.setdefault(RecordKind.TRANSFORMS, [info.topic for info in there if RecordKind.TRANSFORMS in info.kinds])
+    for kind in map(RecordKind, needed):
+        if not chosen.get(kind):
+            raise _nothing_fits(there, kind)
+    kinds: dict[str, tuple[RecordKind, ...]] = {}
+    for kind in RecordKind:
+        for topic in chosen.get(kind, []):
+            kinds[topic] = (*kinds.get(topic, ()), kind)
+    return Selection(kinds)
+
+
+def select_all(topics: Iterable[TopicInfo]) -> Selection:
+    """Every topic that decodes to anything, in the part that its name and schema suggest: to read any log as it is."""
+    kinds: dict[str, tuple[RecordKind, ...]] = {}
+    for info in topics:
+        if info.kinds:
+            kinds.setdefault(info.topic, (_likely_kind(info),))
+    return Selection(kinds)
+
+
+def _likely_kind(info: TopicInfo) -> RecordKind:
+    if _is_truth(info.topic):
+        for kind in (RecordKind.GROUND_TRUTH, RecordKind.OBJECT_TRUTH):
+            if kind in info.kinds:
+                return kind
+    if info.topic.startswith(OUTPUT_PREFIX) and RecordKind.SLAM_POSE in info.kinds:
+        return RecordKind.SLAM_POSE
+    return info.kinds[0]
+
+
+def _is_truth(topic: str) -> bool:
+    return topic.startswith(GROUND_TRUTH_TOPIC)
+
+
+def _candidates(there: list[TopicInfo], kind: RecordKind) -> list[str]:
+    fitting = [
+        info
+        for info in there
+        if info.message_count and not _is_truth(info.topic) and not info.topic.startswith(OUTPUT_PREFIX)
+    ]
+    for schemas in _SCHEMAS[kind]:
+        strongest = sorted({info.topic for info in fitting if info.schema_name in schemas})
+        if strongest:
+            return strongest
+    return []
+
+
+def _only_one(there: list[TopicInfo], kind: RecordKind, fitting: list[str], *, is_needed: bool) -> list[str]:
+    if len(fitting) > 1 and is_needed:
+        raise TopicSelectionError(
+            f"{len(fitting)} topics could be the {kind}: {', '.join(fitting)}; choose one with "
+            f"--topic {kind}={fitting[0]}. {_listing(there)}"
+        )
+    return fitting if len(fitting) == 1 else []
+
+
+def _kind(name: str) -> RecordKind:
+    try:
+        return RecordKind(name)
+    except ValueError:
+        kinds = ", ".join(RecordKind)
+        raise TopicSelectionError(f"--topic {name}=...: there is no such part; the parts are {kinds}") from None
+
+
+def _overridden(there: list[TopicInfo], kind: RecordKind, topic: str) -> str:
+    of_topic = [info for info in there if info.topic == topic]
+    if not of_topic:
+        raise TopicSelectionError(f"--topic {kind}={topic}: the log has no such topic. {_listing(there)}")
+    if not any(kind in info.kinds for info in of_topic):
+        raise TopicSelectionError(
+            f"--topic {kind}={topic}: {of_topic[0].schema_name or 'a topic without a schema'} does not decode to "
+            f"{kind}. {_listing(there)}"
+        )
+    return topic
+
+
+def _nothing_fits(there: list[TopicInfo], kind: RecordKind) -> TopicSelectionError:
+    fitting = [info.topic for info in there if kind in info.kinds]
+    remedy = "record a topic with a schema that does, or convert the log"
+    if fitting:
+        remedy = f"if one of {', '.join(fitting)} is meant, say --topic {kind}={fitting[0]}"
+    return TopicSelectionError(f"no topic gives {kind}; {remedy}. {_listing(there)}")
+
+
+def _listing(there: list[TopicInfo]) -> str:
+    if not there:
+        return "The log has no topics."
+    lines = [f"{info.topic} ({info.schema_name or 'no schema'}, {info.message_count})" for info in there]
+    return "Topics of the log: " + ", ".join(lines)

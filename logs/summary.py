@@ -1,0 +1,200 @@
+"""What a log holds and what is wrong with it, from one pass over all of it."""
+
+from __future__ import annotations
+
+import os
+from array import array
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs import messages as m
+from logs.errors import TopicSelectionError
+from logs.reader import LogReader
+from logs.selection import Selection, select_all, select_topics
+from logs.topics import RawMessage, RecordKind, TopicInfo
+
+GAP_FACTOR = 5.0
+"""A pause is a gap when it is longer than this many median periods of its topic."""
+
+
+@dataclass(frozen=True, slots=True)
+class TopicSummary:
+    """One topic. Its times are the stamps of its records where it has any, but for frames, which share a topic, and
+    topics that do not decode, those at which it was logged. ``rate_hz`` is None below two messages.
+    """
+
+    topic: str
+    schema_name: str
+    encoding: str
+    kinds: tuple[RecordKind, ...]
+    message_count: int
+    rate_hz: float | None
+    gap_count: int
+    longest_gap_s: float
+    duplicate_stamps: int
+    out_of_order_stamps: int
+    frames: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ClosureCount:
+    """How many loop-closure candidates got their verdict at ``stage`` for ``reason``."""
+
+    stage: str
+    reason: str
+    accepted: bool
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class LogSummary:
+    """A log at a glance. ``selection`` is what a replay would use; None where it cannot, and ``obstacle`` says why.
+
+    ``class_counts`` counts detections, most frequent first; ``odometry_length_m`` is None without odometry.
+    ``counters`` are those of the reader.
+    """
+
+    path: str
+    size_bytes: int
+    start_ns: int
+    end_ns: int
+    topics: tuple[TopicSummary, ...]
+    class_counts: Mapping[str, int]
+    odometry_length_m: float | None
+    selection: Selection | None
+    obstacle: str
+    closures: tuple[ClosureCount, ...]
+    metadata: Mapping[str, Mapping[str, str]]
+    counters: Mapping[str, int]
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from the first message to the last."""
+        return (self.end_ns - self.start_ns) * 1e-9
+
+
+def summarize(path: str | os.PathLike[str], overrides: Mapping[str, str] | None = None) -> LogSummary:
+    """Read the whole log at ``path``; ``overrides`` (kind -> topic) as for :func:`logs.selection.select_topics`.
+
+    Raises:
+        UnreadableLogError: the file cannot be read or is no log.
+    """
+    with LogReader(path) as reader:
+        topics = reader.topics()
+        try:
+            selection, obstacle = select_topics(topics, overrides), ""
+        except TopicSelectionError as error:
+            selection, obstacle = None, str(error)
+        gathering = _Gathering(_odometry_topic(selection, topics))
+        everything = select_all(topics)
+        if selection is not None:
+            everything = Selection({**everything.kinds, **selection.kinds})
+        for item in reader.items(everything, copy=[info.topic for info in topics]):
+            gathering.add(item.raw, item.records)
+        return LogSummary(
+            path=str(path),
+            size_bytes=os.path.getsize(path),
+            start_ns=gathering.start_ns or 0,
+            end_ns=gathering.end_ns,
+            topics=tuple(gathering.topic_summary(info) for info in topics),
+            class_counts=dict(sorted(gathering.class_counts.items(), key=lambda pair: (-pair[1], pair[0]))),
+            odometry_length_m=gathering.odometry_length_m(),
+            selection=selection,
+            obstacle=obstacle,
+            closures=tuple(ClosureCount(*verdict, count) for verdict, count in sorted(gathering.verdicts.items())),
+            metadata=reader.metadata(),
+            counters=reader.counters,
+        )
+
+
+def _odometry_topic(selection: Selection | None, topics: list[TopicInfo]) -> str | None:
+    """The topic whose length is told: that of the replay, else the only one that says it is odometry."""
+    if selection is None:
+        try:
+            selection = select_topics(topics, needed=(RecordKind.ODOMETRY,))
+        except TopicSelectionError:
+            return None
+    return next(iter(selection.topics_of(RecordKind.ODOMETRY)), None)
+
+
+class _Gathering:
+    """What accumulates in the pass: eight bytes a message, and the positions of the odometry."""
+
+    def __init__(self, odometry_topic: str | None) -> None:
+        self.start_ns: int | None = None
+        self.end_ns = 0
+        self.class_counts: Counter[str] = Counter()
+        self.verdicts: Counter[tuple[str, str, bool]] = Counter()
+        self._odometry_topic = odometry_topic
+        self._odometry_xyz = array("d")
+        self._times_ns: dict[tuple[str, str], array[int]] = {}
+        self._counts: Counter[tuple[str, str]] = Counter()
+        self._frames: dict[tuple[str, str], set[str]] = {}
+
+    def add(self, raw: RawMessage, records: tuple[m.Record, ...]) -> None:
+        self.start_ns = raw.log_time_ns if self.start_ns is None else min(self.start_ns, raw.log_time_ns)
+        self.end_ns = max(self.end_ns, raw.log_time_ns)
+        key = (raw.topic, raw.channel.schema_name)
+        self._counts[key] += 1
+        if records and not isinstance(records[0], m.Transform):
+            self._times_ns.setdefault(key, array("q")).append(records[0].stamp_ns)
+        else:
+            self._times_ns.setdefault(key, array("q")).append(raw.log_time_ns)
+        frames = self._frames.setdefault(key, set())
+        for record in records:
+            self._add_record(raw.topic, record, frames)
+
+    def _add_record(self, topic: str, record: m.Record, frames: set[str]) -> None:
+        if isinstance(record, m.Odometry):
+            frames.update((record.frame_id, record.child_frame_id))
+            if topic == self._odometry_topic:
+                self._odometry_xyz.extend(record.T_odom_body[:3, 3].tolist())
+        elif isinstance(record, m.ObjectDetections):
+            frames.add(record.frame_id)
+            self.class_counts.update(record.labels)
+        elif isinstance(record, m.Transform):
+            frames.update((record.parent_frame_id, record.child_frame_id))
+        elif isinstance(record, m.LoopClosureRecord):
+            self.verdicts[record.stage, record.reason, record.accepted] += 1
+        elif isinstance(record, (m.GroundTruthPose, m.ObjectMapRecord, m.TrajectoryRecord)):
+            frames.add(record.frame_id)
+
+    def odometry_length_m(self) -> float | None:
+        if not self._odometry_xyz:
+            return None
+        xyz = np.frombuffer(self._odometry_xyz, dtype=np.float64).reshape(-1, 3)
+        return float(np.linalg.norm(np.diff(xyz, axis=0), axis=1).sum())
+
+    def topic_summary(self, info: TopicInfo) -> TopicSummary:
+        key = (info.topic, info.schema_name)
+        times_ns = np.array(self._times_ns.get(key, ()), dtype=np.int64)
+        gap_count, longest_gap_s = _gaps(times_ns)
+        span_ns = int(times_ns.max() - times_ns.min()) if len(times_ns) else 0
+        so_far = np.maximum.accumulate(times_ns)
+        return TopicSummary(
+            topic=info.topic,
+            schema_name=info.schema_name,
+            encoding=info.encoding,
+            kinds=info.kinds,
+            message_count=self._counts[key],
+            rate_hz=(len(times_ns) - 1) / (span_ns * 1e-9) if span_ns else None,
+            gap_count=gap_count,
+            longest_gap_s=longest_gap_s,
+            duplicate_stamps=len(times_ns) - len(np.unique(times_ns)),
+            out_of_order_stamps=int((times_ns[1:] < so_far[:-1]).sum()),
+            frames=tuple(sorted(self._frames.get(key, set()) - {""})),
+        )
+
+
+def _gaps(times_ns: NDArray[np.int64]) -> tuple[int, float]:
+    """Number of gaps and the longest pause in seconds, over the sorted times."""
+    if len(times_ns) < 2:
+        return 0, 0.0
+    periods_ns = np.diff(np.unique(times_ns))
+    if len(periods_ns) == 0:
+        return 0, 0.0
+    return int((periods_ns > GAP_FACTOR * np.median(periods_ns)).sum()), float(periods_ns.max() * 1e-9)

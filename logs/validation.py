@@ -1,0 +1,156 @@
+"""The border between what a file says and what a record may hold: finite numbers, rotations, usable covariances."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+QUATERNION_NORM_TOLERANCE = 1e-2
+"""A quaternion whose norm is off by at most this was rounded and is normalised; beyond it, it is no rotation."""
+
+ROTATION_TOLERANCE = 1e-6
+"""A rotation matrix with R^T R off by at most this was rounded and is made orthonormal; beyond it, it is refused."""
+
+_EXACT = 1e-12  # below this, a matrix keeps its bits: reading must not change what writing stored
+
+
+class Refusal(ValueError):  # noqa: N818  it names what happens to the message
+    """Values that no record may have. ``reason`` is one of a few fixed phrases to count by, ``detail`` the values."""
+
+    def __init__(self, reason: str, detail: str = "") -> None:
+        super().__init__(f"{reason} ({detail})" if detail else reason)
+        self.reason = reason
+
+
+def stamp_ns(seconds: int, nanoseconds: int, fallback_ns: int) -> int:
+    """Nanoseconds of a split time; ``fallback_ns`` (the log time) where the sender left it at zero.
+
+    Raises:
+        Refusal: a time before zero.
+    """
+    total = seconds * 1_000_000_000 + nanoseconds
+    if total < 0:
+        raise Refusal("negative time", f"{total} ns")
+    return total or fallback_ns
+
+
+def transform_from_quaternion(x: float, y: float, z: float, qx: float, qy: float, qz: float, qw: float) -> FloatArray:
+    """``(4, 4)`` transform of a position in metres and a quaternion, which is normalised.
+
+    Raises:
+        Refusal: NaN or Inf, or a norm further from 1 than ``QUATERNION_NORM_TOLERANCE``.
+    """
+    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+        raise Refusal("position is not finite", f"x={x}, y={y}, z={z}")
+    norm = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
+    # Written so that NaN fails it.
+    if not abs(norm - 1.0) <= QUATERNION_NORM_TOLERANCE:
+        raise Refusal("quaternion is no rotation", f"x={qx}, y={qy}, z={qz}, w={qw}, norm={norm}")
+    qx, qy, qz, qw = qx / norm, qy / norm, qz / norm, qw / norm
+    return np.array(
+        [
+            [1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy - qz * qw), 2.0 * (qx * qz + qy * qw), x],
+            [2.0 * (qx * qy + qz * qw), 1.0 - 2.0 * (qx * qx + qz * qz), 2.0 * (qy * qz - qx * qw), y],
+            [2.0 * (qx * qz - qy * qw), 2.0 * (qy * qz + qx * qw), 1.0 - 2.0 * (qx * qx + qy * qy), z],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+
+
+def quaternion_xyzw(T: FloatArray) -> tuple[float, float, float, float]:
+    """Unit quaternion (x, y, z, w), w >= 0, of the rotation of ``T`` (4, 4).
+
+    Shepperd's method: the largest of the four components is computed first, so that no division is by a small number.
+    """
+    (a, b, c, _), (d, e, f, _), (g, h, i, _), _ = T.tolist()
+    if a + e + i > 0.0:
+        q = (h - f, c - g, d - b, 1.0 + a + e + i)
+    elif a >= e and a >= i:
+        q = (1.0 + a - e - i, b + d, c + g, h - f)
+    elif e >= i:
+        q = (b + d, 1.0 - a + e - i, f + h, c - g)
+    else:
+        q = (c + g, f + h, 1.0 - a - e + i, d - b)
+    norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    if q[3] < 0.0:
+        norm = -norm
+    return q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm
+
+
+def matrix_rows(values: Sequence[float], count: int, width: int, what: str) -> FloatArray:
+    """``(count, width)`` float64 of a flat array.
+
+    Raises:
+        Refusal: another length.
+    """
+    if len(values) != count * width:
+        raise Refusal("lengths disagree", f"{what}: {len(values)} numbers for {count} x {width}")
+    return np.fromiter(values, dtype=np.float64, count=count * width).reshape(count, width)
+
+
+def transforms(values: Sequence[float], count: int, what: str) -> FloatArray:
+    """``(count, 4, 4)`` transforms of ``count`` x 12 numbers, the rows of the upper 3x4.
+
+    Raises:
+        Refusal: another length, NaN or Inf, or a rotation further from one than ``ROTATION_TOLERANCE``.
+    """
+    T = np.zeros((count, 4, 4))
+    T[:, :3, :] = matrix_rows(values, count, 12, what).reshape(count, 3, 4)
+    T[:, 3, 3] = 1.0
+    if not np.isfinite(T).all():
+        raise Refusal("transform is not finite", what)
+    R = T[:, :3, :3]
+    error = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    if (error > ROTATION_TOLERANCE).any() or (np.linalg.det(R) < 0.0).any():
+        raise Refusal("matrix is no rotation", f"{what}: R^T R off by {error.max():.2g}")
+    rounded = error > _EXACT
+    if rounded.any():
+        U, _, Vt = np.linalg.svd(R[rounded])
+        T[rounded, :3, :3] = U @ Vt
+    return T
+
+
+def usable_covariance(P: FloatArray, counters: Counter[str]) -> FloatArray | None:
+    """``P`` (n, n) or (N, n, n), symmetrised; None if all zero ("unknown"); None, counted, if not positive definite.
+
+    A singular or infinite covariance cannot weigh a measurement, but the measurement itself is still good.
+    """
+    if not P.any():
+        return None
+    if np.isfinite(P).all():
+        symmetric = 0.5 * (P + np.swapaxes(P, -1, -2))
+        try:
+            np.linalg.cholesky(symmetric)
+        except np.linalg.LinAlgError:
+            pass
+        else:
+            return symmetric
+    counters["ignored_covariances"] += 1
+    return None
+
+
+def covariance_to_body(P_parent: FloatArray, T_parent_body: FloatArray) -> FloatArray:
+    """From the ROS form, ``(6, 6)`` (x, y, z, rotations about x, y, z) in the parent frame, to the records' form.
+
+    The records' form is (rotation, translation) in the tangent space of the body: ``T Exp(xi)``. A small turn about the
+    parent's axes is R^T of it in the body, and a small shift likewise, so both blocks turn and change places.
+    """
+    return _swap_blocks(P_parent, T_parent_body[:3, :3].T)
+
+
+def covariance_to_parent(P_body: FloatArray, T_parent_body: FloatArray) -> FloatArray:
+    """The inverse of :func:`covariance_to_body`."""
+    return _swap_blocks(P_body, T_parent_body[:3, :3])
+
+
+def _swap_blocks(P: FloatArray, R: FloatArray) -> FloatArray:
+    A = np.zeros((6, 6))
+    A[:3, 3:] = R
+    A[3:, :3] = R
+    return A @ P @ A.T

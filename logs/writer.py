@@ -1,0 +1,226 @@
+"""Writes a log: records in, an MCAP file out that is either whole under its name, or partial under NAME.part."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO
+
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.message import Message
+from mcap.writer import CompressionType, Writer
+
+from logs.encoders import encode, encode_path
+from logs.errors import InvalidRecordError, UnwritableLogError
+from logs.messages import Record, TrajectoryRecord
+from logs.topics import RawMessage
+
+PARTIAL_SUFFIX = ".part"
+
+# A killed run loses at most the chunk in progress, so chunks are small; zstd still finds enough to compress in one.
+_CHUNK_BYTES = 256 * 1024
+_LAST_NS = 2**63 - 1
+_LIBRARY = "dslam"  # fixed: the library's own version must not change the bytes of a log
+
+
+class LogWriter:
+    """Writes records and raw messages to ``path``; a context manager.
+
+    Everything goes to ``path`` + ".part" and is renamed when the ``with`` block ends without an exception, so that
+    a file under its own name is always whole. After an exception the partial file stays, closed and readable. The same
+    calls give the same bytes: there is no wall clock, and ids count up in the order of first use.
+
+    Args:
+        path: the log to write.
+        overwrite: replace an existing file; otherwise it is an error.
+
+    Raises:
+        UnwritableLogError: by every method, when the file cannot be created, written or finished.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], *, overwrite: bool = True) -> None:
+        self.path = Path(path)
+        self.partial_path = self.path.with_name(self.path.name + PARTIAL_SUFFIX)
+        if self.path.is_dir():
+            raise UnwritableLogError(f"{self.path} is a folder; give the name of a file to write")
+        if not overwrite and self.path.exists():
+            raise UnwritableLogError(f"{self.path} exists already; remove it or choose another name")
+        self._stream = _OutputStream(self.partial_path)
+        self._writer = Writer(self._stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
+        self._writer.start(library=_LIBRARY)
+        self._schema_ids: dict[tuple[str, str, bytes], int] = {}
+        self._channel_ids: dict[tuple[object, ...], int] = {}
+        self._closed = False
+
+    def __enter__(self) -> LogWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abandon()
+
+    def write(self, topic: str, record: Record, log_time_ns: int | None = None) -> None:
+        """Write ``record`` on ``topic`` at ``log_time_ns``, by default the stamp of the record.
+
+        Raises:
+            TypeError: ``record`` is none of ``logs.messages``.
+            InvalidRecordError: a time that a log cannot hold.
+        """
+        message = encode(record)
+        self._write_message(topic, message, _checked(topic, record.stamp_ns, log_time_ns))
+
+    def write_path(self, topic: str, trajectory: TrajectoryRecord, log_time_ns: int | None = None) -> None:
+        """Write ``trajectory`` as foxglove.PosesInFrame, for viewers; :meth:`write` stores it complete."""
+        self._write_message(topic, encode_path(trajectory), _checked(topic, trajectory.stamp_ns, log_time_ns))
+
+    def write_raw(self, raw: RawMessage) -> None:
+        """Copy a message of another log unchanged: topic, schema, times, sequence number and bytes."""
+        channel = raw.channel
+        key = (channel.topic, channel.message_encoding, channel.schema, tuple(sorted(channel.metadata.items())))
+        channel_id = self._channel_ids.get(key)
+        if channel_id is None:
+            schema = channel.schema
+            schema_id = 0 if schema is None else self._schema_id(schema.name, schema.encoding, schema.data)
+            channel_id = self._writer.register_channel(
+                channel.topic, channel.message_encoding, schema_id, dict(sorted(channel.metadata.items()))
+            )
+            self._channel_ids[key] = channel_id
+        self._writer.add_message(channel_id, raw.log_time_ns, raw.data, raw.publish_time_ns, raw.sequence)
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Store key-value text under ``name``, keys in sorted order. Writing one name twice stores both."""
+        self._writer.add_metadata(name, dict(sorted(values.items())))
+
+    def flush(self) -> None:
+        """Hand everything written so far to the operating system, so that a kill after this loses none of it."""
+        self._writer.flush()  # type: ignore[no-untyped-call]
+
+    def close(self) -> None:
+        """Finish the file and give it its name. Closing twice does nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._stream.sync()
+        finally:
+            self._stream.close()
+        try:
+            os.replace(self.partial_path, self.path)
+            _sync_folder(self.path.parent)
+        except OSError as error:
+            raise UnwritableLogError(
+                f"{self.partial_path} is complete but cannot be renamed to {self.path}: {error.strerror}"
+            ) from error
+
+    def abandon(self) -> None:
+        """Close the partial file, readable as far as that is possible, and leave it under its partial name."""
+        if self._closed:
+            return
+        self._closed = True
+        # Whatever made the caller give up is the error to tell, not that the footer did not fit either.
+        with contextlib.suppress(UnwritableLogError):
+            self._writer.finish()  # type: ignore[no-untyped-call]
+        with contextlib.suppress(UnwritableLogError):
+            self._stream.close()
+
+    def _write_message(self, topic: str, message: Message, log_time_ns: int) -> None:
+        channel_id = self._channel_ids.get((topic, type(message)))
+        if channel_id is None:
+            descriptor = message.DESCRIPTOR
+            schema_id = self._schema_id(descriptor.full_name, "protobuf", _definition(descriptor.file))
+            channel_id = self._writer.register_channel(topic, "protobuf", schema_id)
+            self._channel_ids[topic, type(message)] = channel_id
+        self._writer.add_message(channel_id, log_time_ns, message.SerializeToString(deterministic=True), log_time_ns)
+
+    def _schema_id(self, name: str, encoding: str, data: bytes) -> int:
+        key = (name, encoding, data)
+        if key not in self._schema_ids:
+            self._schema_ids[key] = self._writer.register_schema(name, encoding, data)
+        return self._schema_ids[key]
+
+
+class _OutputStream:
+    """A file for the MCAP library: every failure becomes our error, and every write reaches the system at once."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._offset = 0
+        try:
+            self._file: BinaryIO = open(path, "wb")  # noqa: SIM115  closed by the writer
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def write(self, data: bytes) -> int:
+        try:
+            self._file.write(data)
+            # The library hands over whole chunks, so this is rare; without it a killed run would lose finished chunks.
+            self._file.flush()
+        except OSError as error:
+            raise self._unwritable(error) from error
+        self._offset += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        return self._offset
+
+    def flush(self) -> None:
+        pass
+
+    def sync(self) -> None:
+        try:
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def close(self) -> None:
+        try:
+            self._file.close()
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def _unwritable(self, error: OSError) -> UnwritableLogError:
+        return UnwritableLogError(
+            f"cannot write {self._path}: {error.strerror}; "
+            "check that the folder exists, that it may be written to, and that the disk has room"
+        )
+
+
+def _checked(topic: str, stamp_ns: int, log_time_ns: int | None) -> int:
+    """The log time to write at; ``log_time_ns`` or else the stamp."""
+    for time_ns in (stamp_ns, log_time_ns):
+        if time_ns is not None and not 0 <= time_ns <= _LAST_NS:
+            raise InvalidRecordError(f"{topic}: a log cannot hold the time {time_ns} ns; times count up from 0")
+    return int(stamp_ns if log_time_ns is None else log_time_ns)
+
+
+def _definition(file: Any) -> bytes:
+    """FileDescriptorSet of the file descriptor ``file``, dependencies first, in the order of their import."""
+    definition = FileDescriptorSet()
+    seen: set[str] = set()
+
+    def add(descriptor: Any) -> None:
+        if descriptor.name in seen:
+            return
+        seen.add(descriptor.name)
+        for dependency in descriptor.dependencies:
+            add(dependency)
+        descriptor.CopyToProto(definition.file.add())
+
+    add(file)
+    return definition.SerializeToString(deterministic=True)
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,31 @@
+"""What can go wrong in the estimator. One root; logs and descriptors have their own, because they know nothing of SLAM."""
+
+from __future__ import annotations
+
+
+class SlamError(Exception):
+    """Root of the estimator's errors; the message holds the values and the remedy."""
+
+
+class ConfigurationError(SlamError):
+    """A configuration key that does not exist or a value outside its range."""
+
+
+class GeometryError(SlamError):
+    """A transform that is none, or geometry too degenerate to answer."""
+
+
+class FactorGraphError(SlamError):
+    """The graph refuses a factor or cannot be solved; names the keyframe or landmark."""
+
+
+class InputDataError(SlamError):
+    """The log is readable, but what is in it cannot be mapped."""
+
+
+class EvaluationError(SlamError):
+    """Nothing can be computed from what is there; the message says what is missing."""
+
+
+class SimulationError(SlamError):
+    """A world or drive that cannot be simulated."""

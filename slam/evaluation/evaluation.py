@@ -1,0 +1,124 @@
+"""The result of an evaluation: one tree, and its JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+from slam.evaluation.association import AssociationQuality
+from slam.evaluation.landmarks import LandmarkQuality
+from slam.evaluation.protocol import Protocol
+from slam.evaluation.trajectory import ErrorStatistics, RelativeErrors, TrajectoryErrors
+
+
+@dataclass(frozen=True, slots=True)
+class ClosureCounts:
+    """Loop-closure candidates by where their verdict fell."""
+
+    candidate_count: int
+    accepted_count: int
+    stage_counts: Mapping[str, int]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evaluation:
+    """What could be measured of one output log; a part that could not is None, and ``missing`` says why by its name.
+
+    ``estimate`` is the final trajectory, ``odometry`` the input alone, ``online`` the poses as they were at their time.
+    """
+
+    protocol: Protocol
+    estimate: TrajectoryErrors | None = None
+    odometry: TrajectoryErrors | None = None
+    online: TrajectoryErrors | None = None
+    associations: AssociationQuality | None = None
+    landmarks: LandmarkQuality | None = None
+    closures: ClosureCounts | None = None
+    counters: Mapping[str, int] = field(default_factory=dict)
+    missing: Mapping[str, str] = field(default_factory=dict)
+
+    def to_json_dict(self) -> dict[str, Any]:
+        """Plain dicts, lists, strings and finite numbers. Every key is always there; what is undefined is None."""
+        return {
+            "trajectory": self._trajectory_dict(),
+            "associations": _association_dict(self.associations),
+            "landmarks": _landmark_dict(self.landmarks),
+            "closures": {
+                "candidate_count": self.closures.candidate_count if self.closures else None,
+                "accepted_count": self.closures.accepted_count if self.closures else None,
+                "stage_counts": dict(self.closures.stage_counts) if self.closures else {},
+            },
+            "counters": dict(self.counters),
+            "missing": dict(self.missing),
+            "protocol": {**_plain(asdict(self.protocol)), "rules": self.protocol.describe()},
+        }
+
+    def _trajectory_dict(self) -> dict[str, Any]:
+        head: dict[str, Any] = {}
+        for prefix, errors in (("", self.estimate), ("odometry_", self.odometry), ("online_", self.online)):
+            relative = errors.relative if errors else None
+            head[f"{prefix}ate_m"] = _finite(errors.absolute.rmse_m) if errors else None
+            head[f"{prefix}rpe_translation_percent"] = _finite(relative.translation_percent) if relative else None
+            head[f"{prefix}rpe_rotation_deg_per_100m"] = _finite(relative.rotation_deg_per_100m) if relative else None
+        return {
+            **head,
+            "estimate": _trajectory_errors_dict(self.estimate),
+            "odometry": _trajectory_errors_dict(self.odometry),
+            "online": _trajectory_errors_dict(self.online),
+        }
+
+
+def _trajectory_errors_dict(errors: TrajectoryErrors | None) -> dict[str, Any] | None:
+    if errors is None:
+        return None
+    plain = {f.name: getattr(errors, f.name) for f in fields(errors)}
+    for name in ("absolute", "relative", "short_relative", "alignment"):
+        del plain[name]
+    return {
+        "absolute": _plain(asdict(errors.absolute)),
+        "relative": _relative_dict(errors.relative),
+        "short_relative": _relative_dict(errors.short_relative),
+        "alignment": {
+            "kind": errors.alignment.kind,
+            "note": errors.alignment.note,
+            "T_world_map": errors.alignment.T_world_map.tolist(),
+        },
+        **_plain(plain),
+    }
+
+
+def _relative_dict(errors: RelativeErrors) -> dict[str, Any]:
+    return {**_plain(asdict(errors)), "rows": [_plain(asdict(row)) for row in errors.rows]}
+
+
+def _association_dict(quality: AssociationQuality | None) -> dict[str, Any]:
+    names = ["precision", "precision_without_false_positives", "recall"]
+    names += [f.name for f in fields(AssociationQuality)]
+    return {
+        name: _finite(getattr(quality, name)) if quality else None
+        for name in names
+        if name not in ("landmark_object_ids", "object_detection_counts")
+    }
+
+
+def _landmark_dict(quality: LandmarkQuality | None) -> dict[str, Any]:
+    result: dict[str, Any] = {}
+    for prefix, name in (("", "windowed"), ("horizontal_", "windowed_horizontal"), ("global_", "global_frame")):
+        statistics: ErrorStatistics | None = getattr(quality, name) if quality else None
+        result[f"{prefix}median_error_m"] = _finite(statistics.median_m) if statistics else None
+        result[f"{prefix}p95_error_m"] = _finite(statistics.p95_m) if statistics else None
+    names = ["class_accuracy", "precision", "recall"]
+    names += [f.name for f in fields(LandmarkQuality) if not f.name.startswith(("windowed", "global"))]
+    names.append("windowed_landmark_count")
+    return {**result, **{name: _finite(getattr(quality, name)) if quality else None for name in names}}
+
+
+def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: list(v) if isinstance(v, tuple) else _finite(v) for name, v in values.items()}
+
+
+def _finite(value: Any) -> Any:
+    """``value``, or None where it is a float that JSON cannot hold."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value

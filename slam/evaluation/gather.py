@@ -1,0 +1,183 @@
+"""From the records of a log to an evaluation."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+
+import numpy as np
+
+from logs.messages import LoopClosureRecord, ObjectMapRecord
+from slam.errors import EvaluationError
+from slam.evaluation.association import AssociationQuality, evaluate_associations, label_detections
+from slam.evaluation.evaluation import ClosureCounts, Evaluation
+from slam.evaluation.landmarks import (
+    CONFIRMED,
+    LandmarkQuality,
+    evaluate_landmarks,
+    match_by_detections,
+    match_by_position,
+)
+from slam.evaluation.protocol import Protocol
+from slam.evaluation.records import EvaluationRecords
+from slam.evaluation.synchronization import PoseSeries, clean_poses
+from slam.evaluation.trajectory import TrajectoryErrors, evaluate_trajectory
+from slam.geometry import FloatArray
+
+NO_TRUTH = "no ground truth: pass --reference LOG.mcap or record /ground_truth"
+MERGED_INTO = re.compile(r"^merged into (?P<kept>\S+)$")
+
+
+def evaluate(records: EvaluationRecords, protocol: Protocol | None = None) -> Evaluation:
+    """Measure all that the records allow; what they do not allow is absent, with its reason in ``missing``.
+
+    Raises:
+        EvaluationError: a pose is not finite.
+    """
+    return _Gathering(records, protocol or Protocol()).run()
+
+
+class _Gathering:
+    def __init__(self, records: EvaluationRecords, protocol: Protocol) -> None:
+        self._records = records
+        self._protocol = protocol
+        self._missing: dict[str, str] = {}
+        self._truth = _series([(r.stamp_ns, r.T_world_body) for r in records.true_poses])
+        self._odometry = _series([(r.stamp_ns, r.T_odom_body) for r in records.odometry])
+
+    def run(self) -> Evaluation:
+        records = self._records
+        final = records.trajectory
+        estimate = self._trajectory(
+            "trajectory",
+            clean_poses(final.stamps_ns, final.T_map_body) if final else _series([]),
+            "no final trajectory (/slam/trajectory_stamped): was the run finished?",
+        )
+        odometry = self._trajectory(
+            "odometry",
+            self._odometry,
+            "no odometry in the log, or several topics of it: choose one with --topic odometry=/topic",
+        )
+        online = self._trajectory(
+            "online", _series([(r.stamp_ns, r.T_map_body) for r in records.online_poses]), "no /slam/pose in the log"
+        )
+        associations = self._associations()
+        best = estimate or online
+        landmarks = self._landmarks(associations, best.alignment.T_world_map if best else None)
+        if not records.closures:
+            self._missing["closures"] = "no loop-closure candidate in the log"
+        if records.status is None:
+            self._missing["counters"] = "no status in the log (/slam/status)"
+        return Evaluation(
+            protocol=self._protocol,
+            estimate=estimate,
+            odometry=odometry,
+            online=online,
+            associations=associations,
+            landmarks=landmarks,
+            closures=_count_closures(records.closures) if records.closures else None,
+            counters=dict(records.status.counters) if records.status else {},
+            missing=self._missing,
+        )
+
+    def _trajectory(self, part: str, estimate: PoseSeries, absent: str) -> TrajectoryErrors | None:
+        if len(estimate.stamps_ns) == 0 or len(self._truth.stamps_ns) == 0:
+            self._missing[part] = absent if len(estimate.stamps_ns) == 0 else NO_TRUTH
+            return None
+        try:
+            return evaluate_trajectory(
+                estimate,
+                self._truth,
+                max_gap_s=self._protocol.max_truth_gap_s,
+                lengths_m=self._protocol.relative_lengths_m,
+                short_lengths_m=self._protocol.short_relative_lengths_m,
+                start_step=self._protocol.relative_start_step,
+            )
+        except EvaluationError as error:
+            self._missing[part] = str(error)
+            return None
+
+    def _associations(self) -> AssociationQuality | None:
+        records = self._records
+        path = next((p for p in (self._odometry, self._truth) if len(p.stamps_ns)), None)
+        if not records.associations or not records.detection_truths or path is None:
+            if not records.associations:
+                reason = "no associations in the log (/slam/associations)"
+            elif not records.detection_truths:
+                reason = "no truth of the detections: pass --reference LOG.mcap or record /ground_truth/detections"
+            else:
+                reason = "neither odometry nor ground truth, so travel between sightings is unknown"
+            self._missing["associations"] = reason
+            return None
+        object_map = records.object_map
+        confirmed = None
+        if object_map:
+            pairs = zip(object_map.ids, object_map.states, strict=True)
+            confirmed = [name for name, state in pairs if state == CONFIRMED]
+        try:
+            detections = label_detections(
+                records.associations, records.detection_truths, path, aliases=find_aliases(object_map)
+            )
+        except EvaluationError as error:
+            self._missing["associations"] = str(error)
+            return None
+        if detections.frame_count == 0:
+            self._missing["associations"] = (
+                f"none of {len(records.associations)} frames has the stamp of a truth: is the reference of this drive?"
+            )
+            return None
+        return evaluate_associations(detections, revisit_m=self._protocol.revisit_m, confirmed_landmark_ids=confirmed)
+
+    def _landmarks(
+        self, associations: AssociationQuality | None, T_world_map: FloatArray | None
+    ) -> LandmarkQuality | None:
+        map_est, map_gt = self._records.object_map, self._records.true_objects
+        if map_est is None or map_gt is None:
+            self._missing["landmarks"] = (
+                "no object map in the log (/slam/map)"
+                if map_est is None
+                else "no true objects: pass --reference LOG.mcap or record /ground_truth/objects"
+            )
+            return None
+        protocol = self._protocol
+        if associations is not None:
+            matches = match_by_detections(map_est, map_gt, associations.landmark_object_ids)
+        elif T_world_map is not None:
+            matches = match_by_position(map_est, map_gt, T_world_map, max_distance_m=protocol.match_distance_m)
+        else:
+            self._missing["landmarks"] = "neither a truth of the detections nor an aligned trajectory to match with"
+            return None
+        try:
+            return evaluate_landmarks(
+                map_est,
+                map_gt,
+                matches,
+                path_gt=self._truth,
+                T_world_map=T_world_map,
+                object_detection_counts=associations.object_detection_counts if associations else None,
+                window_m=protocol.window_m,
+                stride_m=protocol.window_stride_m,
+                least_landmarks=protocol.window_least_landmarks,
+                least_detections=protocol.least_detections,
+            )
+        except EvaluationError as error:
+            self._missing["landmarks"] = str(error)
+            return None
+
+
+def find_aliases(object_map: ObjectMapRecord | None) -> dict[str, str]:
+    """Id of each merged landmark -> id of the one it became, from the reasons of a map ("merged into ID")."""
+    if object_map is None:
+        return {}
+    matches = ((name, MERGED_INTO.match(why)) for name, why in zip(object_map.ids, object_map.reasons, strict=True))
+    return {name: match["kept"] for name, match in matches if match}
+
+
+def _series(stamped_poses: list[tuple[int, FloatArray]]) -> PoseSeries:
+    stamps_ns = np.array([stamp for stamp, _ in stamped_poses], dtype=np.int64)
+    return clean_poses(stamps_ns, np.array([T for _, T in stamped_poses], dtype=np.float64).reshape(-1, 4, 4))
+
+
+def _count_closures(closures: tuple[LoopClosureRecord, ...]) -> ClosureCounts:
+    stages = Counter(closure.stage for closure in closures)
+    return ClosureCounts(len(closures), sum(closure.accepted for closure in closures), dict(sorted(stages.items())))

@@ -1,0 +1,48 @@
+"""Where landmarks are relative to the robot: one small Kalman filter each, in the odometry frame.
+
+The odometry frame drifts as a whole but is smooth around the robot, so what the robot moved since it last saw a landmark
+is all that blurs their relative position. That blur is the noise of the odometry over that travel; the landmark's own
+filter is otherwise a static one. Nothing here depends on the optimised map, so a loop closure cannot break the tracking.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.config import OdometryConfig
+from slam.geometry import FloatArray
+
+
+def predict_covariances(
+    covariances: FloatArray, offsets: FloatArray, travel_since_m: FloatArray, config: OdometryConfig
+) -> FloatArray:
+    """Covariances (N, 3, 3) m^2 of landmarks relative to the robot after it moved on.
+
+    Args:
+        covariances: (N, 3, 3) m^2 when each was last seen.
+        offsets: (N, 3) m, from the robot to each landmark, odometry frame.
+        travel_since_m: (N,) travel since then.
+        config: noise of the odometry.
+
+    A rotation error e of the robot moves a landmark at offset r by e x r: covariance sigma^2 (|r|^2 I - r r^T).
+    """
+    translation_variance = config.translation_sigma**2 * travel_since_m
+    rotation_variance = config.rotation_sigma**2 * travel_since_m
+    range_squared = np.einsum("ni,ni->n", offsets, offsets)
+    isotropic = (translation_variance + rotation_variance * range_squared)[:, None, None] * np.eye(3)
+    along = rotation_variance[:, None, None] * offsets[:, :, None] * offsets[:, None, :]
+    return covariances + isotropic - along
+
+
+def update_positions(
+    positions: FloatArray, covariances: FloatArray, measured: FloatArray, measured_covariances: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Fuse positions (N, 3) m with measurements of them, covariances (N, 3, 3) m^2; returns both after the update.
+
+    The Kalman update for a position measured directly, in the symmetric form P R (P + R)^-1.
+    """
+    S = covariances + measured_covariances
+    gain = np.swapaxes(np.linalg.solve(S, covariances), -1, -2)
+    fused = positions + np.einsum("nij,nj->ni", gain, measured - positions)
+    fused_covariances = gain @ measured_covariances
+    return fused, 0.5 * (fused_covariances + np.swapaxes(fused_covariances, -1, -2))

@@ -1,0 +1,115 @@
+"""What a simulated drive is like: every number has its unit, range and meaning; unknown keys are refused."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from slam.errors import SimulationError
+
+
+class _Branch(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class DriveConfig(_Branch):
+    """How the body follows the tour."""
+
+    speed_mps: float = Field(default=8.0, gt=0, le=50, description="cruising speed [m/s]")
+    rate_hz: float = Field(default=10.0, gt=0, le=1000, description="scans and odometry messages a second [1/s]")
+    corner_smoothing_m: float = Field(
+        default=1.5, ge=0, le=20, description="sigma of the Gaussian along the tour that rounds its corners [m]"
+    )
+    max_yaw_rate_radps: float = Field(
+        default=0.8, gt=0, le=10, description="turning rate that bends are slowed down to [rad/s]"
+    )
+    max_lateral_acceleration_mps2: float = Field(
+        default=2.0, gt=0, le=50, description="bends are slowed down to it [m/s^2]"
+    )
+    max_acceleration_mps2: float = Field(
+        default=2.0, gt=0, le=50, description="limit on braking and speeding up [m/s^2]"
+    )
+
+
+class OdometryConfig(_Branch):
+    """How the odometry drifts; see ``slam.simulation.odometry`` for the exact model."""
+
+    scale_drift_percent: float = Field(
+        default=1.0, ge=0, le=50, description="rms error of the length of 100 m of path, per cent of it"
+    )
+    scale_correlation_m: float = Field(
+        default=20.0, ge=0, le=1000, description="path over which the scale error decays to 1/e; 0: white noise [m]"
+    )
+    heading_drift_deg_per_100m: float = Field(
+        default=0.5, ge=0, le=90, description="rms error of the heading gathered over 100 m of path [deg]"
+    )
+
+
+class SensorConfig(_Branch):
+    """What the object detector sees and how wrong it is."""
+
+    max_range_m: float = Field(default=30.0, gt=0, le=1000, description="objects beyond it are not seen [m]")
+    field_of_view_deg: float = Field(
+        default=360.0, gt=0, le=360, description="horizontal, centred on straight ahead [deg]"
+    )
+    occlusion: bool = Field(default=True, description="nearer objects hide what stands in their shadow")
+    occluder_radius_m: float = Field(
+        default=0.25, ge=0, le=10, description="radius of the shadow that an object casts [m]"
+    )
+    noise_base_m: float = Field(
+        default=0.1, ge=0, le=10, description="position noise per axis at range zero, 1 sigma [m]"
+    )
+    noise_per_m: float = Field(default=0.01, ge=0, le=1, description="growth of that noise with the range [m / m]")
+    dropout: float = Field(default=0.1, ge=0, le=1, description="probability that a visible object is missed in a scan")
+    false_positives_per_scan: float = Field(
+        default=0.5, ge=0, le=1000, description="mean number of invented objects a scan"
+    )
+    misclassification: float = Field(
+        default=0.1, ge=0, le=1, description="probability of a wrong label at max_range_m; linear in the range, 0 at 0"
+    )
+    covariances: bool = Field(default=True, description="detections carry the covariance of the noise model")
+
+
+class TrafficConfig(_Branch):
+    """Vehicles that drive along the tour to and fro, each with its own speed, on the right of its own direction."""
+
+    vehicles: int = Field(default=0, ge=0, le=1000, description="number of moving vehicles")
+    min_speed_mps: float = Field(default=3.0, gt=0, le=50, description="slowest vehicle [m/s]")
+    max_speed_mps: float = Field(default=12.0, gt=0, le=50, description="fastest vehicle [m/s]")
+    lane_offset_m: float = Field(
+        default=2.0, ge=0, le=20, description="distance from the tour to the vehicle's right [m]"
+    )
+    radius_m: float = Field(default=1.0, ge=0, le=10, description="radius of the shadow that a vehicle casts [m]")
+
+
+class KidnapConfig(_Branch):
+    """The robot is taken from one place of the tour to another while nothing is logged."""
+
+    from_m: float = Field(gt=0, description="metres along the tour at which it is taken")
+    to_m: float = Field(ge=0, description="metres along the tour at which it goes on, to the tour's end")
+    gap_s: float = Field(default=5.0, gt=0, le=86400, description="time without messages [s]")
+
+
+class SimulationConfig(_Branch):
+    """The whole simulated drive."""
+
+    drive: DriveConfig = DriveConfig()
+    odometry: OdometryConfig = OdometryConfig()
+    sensor: SensorConfig = SensorConfig()
+    traffic: TrafficConfig = TrafficConfig()
+    kidnap: KidnapConfig | None = Field(default=None, description="take the robot elsewhere once")
+
+
+def parse_kidnap(text: str, *, gap_s: float = 5.0) -> KidnapConfig:
+    """The kidnapping that ``text``, "FROM_M:TO_M", describes.
+
+    Raises:
+        SimulationError: the text is no such pair, or a number is out of range.
+    """
+    try:
+        from_m, to_m = (float(part) for part in text.split(":"))
+        return KidnapConfig(from_m=from_m, to_m=to_m, gap_s=gap_s)
+    except ValueError as error:  # pydantic's ValidationError is one
+        raise SimulationError(
+            f"kidnap {text!r}, gap {gap_s:g} s: expected FROM_M:TO_M, FROM_M > 0 and TO_M >= 0 metres along "
+            "the tour, and a gap above 0 s"
+        ) from error

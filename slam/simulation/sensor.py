@@ -1,0 +1,126 @@
+"""A detector of objects: what it sees, what it misses, what it invents, and how wrong it is about where and what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.geometry import FloatArray, IntArray
+from slam.simulation.config import SensorConfig
+
+
+@dataclass(frozen=True, slots=True)
+class SensorStreams:
+    """One generator for each cause of error, so that switching one off leaves the others' numbers as they are."""
+
+    position: np.random.Generator
+    dropout: np.random.Generator
+    label: np.random.Generator
+    score: np.random.Generator
+    false_positive: np.random.Generator
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scan:
+    """Detections of one scan, in the order of their bearing.
+
+    positions (N, 3) m, body frame; class_indices (N,) into the vocabulary; scores (N,); sigmas_m (N,): standard
+    deviation of the position noise, the same on each axis; sources (N,): row of the true object, -1: false positive.
+    """
+
+    positions: FloatArray
+    class_indices: IntArray
+    scores: FloatArray
+    sigmas_m: FloatArray
+    sources: IntArray
+
+
+def noise_sigma_m(range_m: FloatArray, config: SensorConfig) -> FloatArray:
+    """Standard deviation (N,) of the position noise on each axis at true ranges (N,), metres."""
+    return config.noise_base_m + config.noise_per_m * range_m
+
+
+def in_view(positions: FloatArray, config: SensorConfig) -> NDArray[np.bool_]:
+    """Which of the positions (N, 3), metres, body frame, are within range and within the field of view: (N,)."""
+    bearing = np.arctan2(positions[:, 1], positions[:, 0])
+    near = np.linalg.norm(positions, axis=1) <= config.max_range_m
+    return np.asarray(near & (np.abs(bearing) <= 0.5 * np.deg2rad(config.field_of_view_deg)))
+
+
+def unshadowed(positions: FloatArray, radii_m: FloatArray) -> NDArray[np.bool_]:
+    """Which of the positions (N, 3), metres, body frame, no other one hides: (N,).
+
+    Seen from above, an object of radius r at distance d > r hides the bearings within arcsin(r / d) of its own, from r
+    behind its centre on, so that a sign on a lamp post stays visible. What the sensor itself stands in hides nothing.
+    """
+    distance_m = np.hypot(positions[:, 0], positions[:, 1])
+    bearing = np.arctan2(positions[:, 1], positions[:, 0])
+    outside = distance_m > radii_m
+    half_angle = np.arcsin(np.divide(radii_m, distance_m, out=np.zeros_like(distance_m), where=outside))
+    # [i, j]: whether i hides j
+    apart = np.abs(np.mod(bearing[None, :] - bearing[:, None] + np.pi, 2.0 * np.pi) - np.pi)
+    behind = distance_m[None, :] > (distance_m + radii_m)[:, None]
+    hides = outside[:, None] & behind & (apart < half_angle[:, None])
+    return np.asarray(~np.any(hides, axis=0))
+
+
+def scan_objects(
+    positions: FloatArray,
+    class_indices: IntArray,
+    radii_m: FloatArray,
+    class_count: int,
+    config: SensorConfig,
+    streams: SensorStreams,
+) -> Scan:
+    """Detect the objects at ``positions`` (N, 3), metres, body frame, whose classes are ``class_indices`` (N,).
+
+    An object is seen if it is in view, unshadowed (by those in view, of radii ``radii_m`` (N,)) and not dropped. Its
+    position gets N(0, sigma^2) on each axis, sigma = ``noise_base_m`` + ``noise_per_m`` times the true range. With the
+    probability ``misclassification`` times range / ``max_range_m`` its label is one of the other classes, all alike.
+    The number of false positives is Poisson; they lie evenly over the area in view at z = 0 plus noise, with any class.
+    """
+    rows = np.flatnonzero(in_view(positions, config))
+    seen = positions[rows]
+    # Numbers are drawn for everything in view, so that neither shadows nor dropout shift another object's numbers.
+    normals = streams.position.standard_normal((len(rows), 3))
+    kept = streams.dropout.random(len(rows)) >= config.dropout
+    label_draw, other_draw = streams.label.random((2, len(rows)))
+    score_normals = streams.score.standard_normal(len(rows))
+    if config.occlusion:
+        kept &= unshadowed(seen, radii_m[rows])
+
+    range_m = np.linalg.norm(seen, axis=1)
+    sigmas_m = noise_sigma_m(range_m, config)
+    measured = seen + sigmas_m[:, None] * normals
+    wrong = label_draw < config.misclassification * range_m / config.max_range_m
+    classes = class_indices[rows]
+    if class_count > 1:
+        shift = 1 + np.minimum((other_draw * (class_count - 1)).astype(np.int64), class_count - 2)
+        classes = np.where(wrong, (classes + shift) % class_count, classes)
+    scores = 0.9 - 0.25 * range_m / config.max_range_m - 0.2 * wrong + 0.05 * score_normals
+
+    false = _false_positives(class_count, config, streams.false_positive)
+    all_measured = np.concatenate([measured[kept], false.positions])
+    order = np.argsort(np.arctan2(all_measured[:, 1], all_measured[:, 0]), kind="stable")
+    return Scan(
+        all_measured[order],
+        np.concatenate([classes[kept], false.class_indices])[order],
+        np.concatenate([scores[kept], false.scores])[order].clip(0.05, 1.0),
+        np.concatenate([sigmas_m[kept], false.sigmas_m])[order],
+        np.concatenate([rows[kept], false.sources])[order],
+    )
+
+
+def _false_positives(class_count: int, config: SensorConfig, rng: np.random.Generator) -> Scan:
+    count = int(rng.poisson(config.false_positives_per_scan))
+    range_m = config.max_range_m * np.sqrt(rng.random(count))
+    bearing = (rng.random(count) - 0.5) * np.deg2rad(config.field_of_view_deg)
+    sigmas_m = noise_sigma_m(range_m, config)
+    positions = np.stack(
+        [range_m * np.cos(bearing), range_m * np.sin(bearing), sigmas_m * rng.standard_normal(count)], axis=1
+    )
+    classes = rng.integers(class_count, size=count)
+    scores = rng.normal(0.45, 0.15, count)
+    return Scan(positions, classes, scores, sigmas_m, np.full(count, -1, dtype=np.int64))

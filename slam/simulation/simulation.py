@@ -1,0 +1,191 @@
+"""A drive through a world as the records of a log."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from logs.messages import (
+    DetectionTruth,
+    GroundTruthPose,
+    ObjectDetections,
+    ObjectMapRecord,
+    Odometry,
+)
+from logs.selection import DETECTION_TRUTH_TOPIC, GROUND_TRUTH_TOPIC, OBJECT_TRUTH_TOPIC
+from logs.writer import LogWriter
+from slam.errors import SimulationError
+from slam.geometry import FloatArray, IntArray, invert
+from slam.simulation import traffic
+from slam.simulation.config import SimulationConfig
+from slam.simulation.drive import START_NS, Drive, DrivePlan, plan_drive
+from slam.simulation.odometry import drifting_odometry
+from slam.simulation.sensor import Scan, SensorStreams, scan_objects
+from slam.simulation.world import World
+
+SimulatedRecord = Odometry | ObjectDetections | GroundTruthPose | DetectionTruth | ObjectMapRecord
+
+ODOMETRY_TOPIC = "/odom"
+DETECTIONS_TOPIC = "/detections"
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationSummary:
+    """What was written: messages a topic, detections in all, metres driven along the tour, first to last stamp."""
+
+    message_counts: dict[str, int]
+    detection_count: int
+    driven_m: float
+    duration_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Streams:
+    odometry: np.random.Generator
+    traffic: np.random.Generator
+    sensor: SensorStreams
+
+
+def simulate(world: World, config: SimulationConfig, *, seed: int) -> Iterator[tuple[str, int, SimulatedRecord]]:
+    """Drive the tour of ``world``: (topic, stamp_ns, record) in the order of time.
+
+    First the true objects (those that stand still) on /ground_truth/objects, frame "world"; then, for each scan,
+    odometry (which starts at the identity), detections in the body frame "base_link", the true pose, and the true id of
+    each detection. After a kidnapping the odometry starts at the identity again. The same world, configuration and seed
+    give the same records; each cause of error has its own random numbers.
+
+    Raises:
+        SimulationError: a negative seed, or a kidnapping outside the tour; raised at the call.
+    """
+    streams = _streams(seed)
+    plan = plan_drive(world.tour, config.drive)
+    return _records(world, config, plan, _drives(plan, config), streams)
+
+
+def write_simulation(path: Path, world: World, config: SimulationConfig, *, seed: int) -> SimulationSummary:
+    """Write ``simulate(...)`` to the log ``path``, with the metadata "simulation".
+
+    Raises:
+        SimulationError: as ``simulate``; nothing is written then.
+        UnwritableLogError: the log cannot be written.
+    """
+    streams = _streams(seed)
+    plan = plan_drive(world.tour, config.drive)
+    drives = _drives(plan, config)
+    counts: Counter[str] = Counter()
+    detection_count = 0
+    with LogWriter(path) as writer:
+        writer.add_metadata(
+            "simulation",
+            {
+                "world": world.name,
+                "world_sha256": world.sha256(),
+                "seed": str(seed),
+                "configuration": json.dumps(config.model_dump(mode="json"), sort_keys=True),
+            },
+        )
+        for topic, stamp_ns, record in _records(world, config, plan, drives, streams):
+            writer.write(topic, record, stamp_ns)
+            counts[topic] += 1
+            if isinstance(record, ObjectDetections):
+                detection_count += len(record.labels)
+    driven_m = sum(float(drive.tour_m[-1] - drive.tour_m[0]) for drive in drives)
+    duration_s = float(drives[-1].stamps_ns[-1] - drives[0].stamps_ns[0]) * 1e-9
+    return SimulationSummary(dict(counts), detection_count, driven_m, duration_s)
+
+
+def _streams(seed: int) -> _Streams:
+    if seed < 0:
+        raise SimulationError(f"seed {seed} is negative; give 0 or more")
+    # The order is part of what a seed means: new causes go to the end.
+    odometry, position, dropout, label, score, false_positive, vehicles = (
+        np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(7)
+    )
+    return _Streams(odometry, vehicles, SensorStreams(position, dropout, label, score, false_positive))
+
+
+def _drives(plan: DrivePlan, config: SimulationConfig) -> list[Drive]:
+    if config.kidnap is None:
+        return [plan.sample(0.0, plan.length_m)]
+    before = plan.sample(0.0, config.kidnap.from_m)
+    resume_ns = int(before.stamps_ns[-1]) + round(config.kidnap.gap_s * 1e9)
+    return [before, plan.sample(config.kidnap.to_m, plan.length_m, start_ns=resume_ns)]
+
+
+def _records(
+    world: World, config: SimulationConfig, plan: DrivePlan, drives: list[Drive], streams: _Streams
+) -> Iterator[tuple[str, int, SimulatedRecord]]:
+    moving_count = config.traffic.vehicles
+    vocabulary = tuple(sorted({*world.labels, *([traffic.LABEL] if moving_count else [])}))
+    labels = world.labels + (traffic.LABEL,) * moving_count
+    index = {label: i for i, label in enumerate(vocabulary)}
+    class_indices = np.array([index[label] for label in labels], dtype=np.int64)
+    radii_m = np.full(len(labels), config.sensor.occluder_radius_m)
+    radii_m[len(world.labels) :] = config.traffic.radius_m
+
+    yield OBJECT_TRUTH_TOPIC, START_NS, _object_truth(world)
+    stamps_ns = np.concatenate([drive.stamps_ns for drive in drives])
+    vehicles = traffic.drive_traffic(plan, (stamps_ns - START_NS) * 1e-9, config.traffic, rng=streams.traffic)
+    object_ids = world.object_ids + vehicles.ids
+    row = 0
+    for drive in drives:
+        T_odom_body = drifting_odometry(drive.T_world_body, config.odometry, rng=streams.odometry)
+        T_body_world = invert(drive.T_world_body)
+        for i, stamp_ns in enumerate(drive.stamps_ns.tolist()):
+            rows, positions_body = _nearby(
+                world.positions,
+                vehicles.positions[row],
+                drive.T_world_body[i],
+                T_body_world[i],
+                config.sensor.max_range_m,
+            )
+            scan = scan_objects(
+                positions_body, class_indices[rows], radii_m[rows], len(vocabulary), config.sensor, streams.sensor
+            )
+            true_ids = tuple("" if source < 0 else object_ids[rows[source]] for source in scan.sources.tolist())
+            yield ODOMETRY_TOPIC, stamp_ns, Odometry(stamp_ns, T_odom_body[i])
+            yield DETECTIONS_TOPIC, stamp_ns, _detections(stamp_ns, scan, vocabulary, config.sensor.covariances)
+            yield GROUND_TRUTH_TOPIC, stamp_ns, GroundTruthPose(stamp_ns, drive.T_world_body[i])
+            yield DETECTION_TRUTH_TOPIC, stamp_ns, DetectionTruth(stamp_ns, true_ids)
+            row += 1
+
+
+def _nearby(
+    objects: FloatArray, vehicles: FloatArray, T_world_body: FloatArray, T_body_world: FloatArray, range_m: float
+) -> tuple[IntArray, FloatArray]:
+    """Rows of what is in the square about the body (objects, then vehicles), and positions (N, 3) in the body frame."""
+    everything = np.concatenate([objects, vehicles])
+    offset = everything - T_world_body[:3, 3]
+    rows = np.flatnonzero(np.maximum(np.abs(offset[:, 0]), np.abs(offset[:, 1])) <= range_m)
+    return rows, offset[rows] @ T_body_world[:3, :3].T
+
+
+def _detections(stamp_ns: int, scan: Scan, vocabulary: tuple[str, ...], with_covariances: bool) -> ObjectDetections:
+    labels = tuple(vocabulary[k] for k in scan.class_indices.tolist())
+    covariances = scan.sigmas_m[:, None, None] ** 2 * np.eye(3) if with_covariances else None
+    return ObjectDetections(stamp_ns, "base_link", scan.positions, labels, scan.scores, covariances)
+
+
+def _object_truth(world: World) -> ObjectMapRecord:
+    count = len(world.object_ids)
+    vocabulary = world.vocabulary
+    class_indices = [vocabulary.index(label) for label in world.labels]
+    return ObjectMapRecord(
+        stamp_ns=START_NS,
+        frame_id="world",
+        vocabulary=vocabulary,
+        ids=world.object_ids,
+        positions=world.positions,
+        covariances=np.zeros((count, 3, 3)),
+        class_probabilities=np.eye(len(vocabulary))[class_indices],
+        states=("confirmed",) * count,
+        reasons=("",) * count,
+        observation_counts=np.zeros(count, dtype=np.int64),
+        first_seen_ns=np.full(count, START_NS, dtype=np.int64),
+        last_seen_ns=np.full(count, START_NS, dtype=np.int64),
+    )

@@ -1,0 +1,133 @@
+"""A generated town: irregular blocks, streets with furniture in rows, parks, and a tour with revisits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from slam.errors import SimulationError
+from slam.geometry import FloatArray
+from slam.simulation.street_furniture import Furniture, furnish_crossing, furnish_park, furnish_street
+from slam.simulation.world import World
+
+COLUMNS, ROWS = 5, 4
+"""Crossings east-west and north-south, before the town is turned."""
+BLOCK_M = (65.0, 130.0)
+CROSSING_SHIFT_M = 5.0
+CLOSED_STREETS = 2
+
+SHORTEST_TOUR_M, LONGEST_TOUR_M = 1500.0, 2000.0
+REVISITED_STREETS = (2, 5)
+"""Least and greatest number of streets driven again in the same direction; the same for the opposite one."""
+TOUR_ATTEMPTS = 20_000
+
+Crossing = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Streets:
+    """Crossings with their places (2,) m, and those next to each in a fixed order."""
+
+    places: dict[Crossing, FloatArray]
+    neighbours: dict[Crossing, tuple[Crossing, ...]]
+
+    def edges(self) -> list[tuple[Crossing, Crossing]]:
+        return [(a, b) for a in self.places for b in self.neighbours[a] if a < b]
+
+    def length_m(self, a: Crossing, b: Crossing) -> float:
+        return float(np.linalg.norm(self.places[b] - self.places[a]))
+
+
+def generate_street_grid(*, rng: np.random.Generator, name: str = "street-grid") -> World:
+    """A made-up town of 4 x 3 blocks and a tour of 1.5 to 2 km through it; world frame, metres, z = 0.
+
+    Blocks are 65 to 130 m wide, crossings are shifted, two streets are closed, and the whole is turned by any angle.
+    Trees and lamps stand in rows along the kerbs, with spacings of their own and gaps; the rest is scattered in
+    frequencies as in mapped cities; traffic signals stand at the corners of crossings; one or two blocks are parks.
+    The tour follows the centre lines in steps of about 1 m, never turns round on the spot, and drives at least two
+    streets again in the same direction and two in the opposite one.
+
+    Raises:
+        SimulationError: no such tour was found; another seed gives another town.
+    """
+    streets = _lay_streets(rng)
+    tour = _draw_tour(streets, rng)
+    furniture = Furniture()
+    for a, b in streets.edges():
+        furnish_street(furniture, streets.places[a], streets.places[b], rng=rng)
+    for crossing, place in streets.places.items():
+        arms = [streets.places[other] - place for other in streets.neighbours[crossing]]
+        furnish_crossing(furniture, place, arms, rng=rng)
+    parks = {(int(rng.integers(COLUMNS - 1)), int(rng.integers(ROWS - 1))) for _ in range(2)}
+    for column, row in sorted(parks):
+        corners = [(column, row), (column + 1, row), (column + 1, row + 1), (column, row + 1)]
+        furnish_park(furniture, np.stack([streets.places[corner] for corner in corners]), rng=rng)
+    return furniture.world(name, _points_along([streets.places[crossing] for crossing in tour]))
+
+
+def _lay_streets(rng: np.random.Generator) -> _Streets:
+    x = np.append(0.0, np.cumsum(rng.uniform(*BLOCK_M, COLUMNS - 1)))
+    y = np.append(0.0, np.cumsum(rng.uniform(*BLOCK_M, ROWS - 1)))
+    angle = rng.uniform(-np.pi, np.pi)
+    R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    crossings = [(column, row) for column in range(COLUMNS) for row in range(ROWS)]
+    places = {
+        (column, row): R @ (np.array([x[column], y[row]]) + rng.normal(0.0, CROSSING_SHIFT_M, 2).clip(-10.0, 10.0))
+        for column, row in crossings
+    }
+    # Only streets between two inner crossings are closed, so that every crossing keeps two arms or more.
+    inner = [(c, r) for c, r in crossings if 0 < c < COLUMNS - 1 and 0 < r < ROWS - 1]
+    closable = [((c, r), (c + 1, r)) for c, r in inner if (c + 1, r) in inner]
+    chosen = rng.choice(len(closable), CLOSED_STREETS, replace=False).tolist()
+    closed = [closable[i] for i in chosen]
+    neighbours = {
+        (c, r): tuple(
+            other
+            for other in ((c - 1, r), (c, r - 1), (c, r + 1), (c + 1, r))
+            if other in places and ((c, r), other) not in closed and (other, (c, r)) not in closed
+        )
+        for c, r in crossings
+    }
+    return _Streets(places, neighbours)
+
+
+def _draw_tour(streets: _Streets, rng: np.random.Generator) -> list[Crossing]:
+    """Walk at random, never straight back, until a walk revisits as many streets as it should."""
+    crossings = list(streets.places)
+    for _ in range(TOUR_ATTEMPTS):
+        tour = [crossings[int(rng.integers(len(crossings)))]]
+        target_m, length_m = rng.uniform(SHORTEST_TOUR_M, LONGEST_TOUR_M), 0.0
+        while True:
+            onward = [other for other in streets.neighbours[tour[-1]] if len(tour) < 2 or other != tour[-2]]
+            following = onward[int(rng.integers(len(onward)))]
+            length_m += streets.length_m(tour[-1], following)
+            if length_m > target_m:
+                break
+            tour.append(following)
+        same, opposite = _revisits(tour)
+        least, most = REVISITED_STREETS
+        driven_m = sum(streets.length_m(a, b) for a, b in pairwise(tour))
+        if driven_m >= SHORTEST_TOUR_M and least <= same <= most and least <= opposite <= most:
+            return tour
+    raise SimulationError(f"no tour with enough revisits among {TOUR_ATTEMPTS}; take another seed")
+
+
+def _revisits(tour: list[Crossing]) -> tuple[int, int]:
+    """How many streets of the tour had been driven before in the same direction, and how many in the opposite one."""
+    same = opposite = 0
+    driven: set[tuple[Crossing, Crossing]] = set()
+    for a, b in pairwise(tour):
+        same += (a, b) in driven
+        opposite += (b, a) in driven
+        driven.add((a, b))
+    return same, opposite
+
+
+def _points_along(corners: list[FloatArray]) -> FloatArray:
+    pieces = []
+    for start, end in pairwise(corners):
+        count = max(1, round(float(np.linalg.norm(end - start))))
+        pieces.append(start + (end - start) * (np.arange(count) / count)[:, None])
+    return np.concatenate([*pieces, corners[-1][None]])

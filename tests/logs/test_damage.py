@@ -1,0 +1,191 @@
+"""Whatever is wrong with a file: a prefix of its records and a count, or one clear error, and nothing else."""
+
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from mcap.writer import CompressionType, IndexType, Writer
+
+from logs import blocks
+from logs import messages as m
+from logs.errors import LogError, UnreadableLogError
+from logs.reader import LogReader
+from logs.selection import Selection, select_all
+from logs.writer import LogWriter
+from tests.logs.examples import random_detections, random_transform
+
+COUNT = 4000
+ODOMETRY = Selection.of({"/odom": "odometry"})
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    path = tmp_path_factory.mktemp("damage") / "log.mcap"
+    rng = np.random.default_rng(11)
+    with LogWriter(path) as writer:
+        for i in range(COUNT):
+            writer.write("/odom", m.Odometry(i + 1, random_transform(rng)))
+            if i % 100 == 0:
+                writer.write("/detections", random_detections(rng, 5, stamp_ns=i + 1))
+        writer.add_metadata("configuration", {"a": "1"})
+    return path.read_bytes()
+
+
+def stamps(path, selection=ODOMETRY):
+    with LogReader(path) as reader:
+        found = [entry.record.stamp_ns for entry in reader.records(selection)]
+        return found, reader.counters
+
+
+def chunk_offsets(data, tmp_path):
+    path = tmp_path / "for_offsets.mcap"
+    path.write_bytes(data)
+    with open(path, "rb") as stream:
+        return [block for block in blocks.walk(stream, len(data)).blocks if block.is_chunk]
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_truncated_log_gives_a_prefix_of_its_records(whole, tmp_path, seed):
+    cut = int(np.random.default_rng(seed).integers(0, len(whole)))
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(whole[:cut])
+    found, counters = stamps(path)
+    assert found == list(range(1, len(found) + 1))
+    assert counters["truncated"] == 1
+    assert len(found) > 0 or cut < 300_000
+
+
+@pytest.mark.parametrize("cut", [*range(0, 64, 5), 8, 9, -1, -8, -9, -30, -200])
+def test_cuts_at_the_ends(whole, tmp_path, cut):
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(whole[:cut])
+    if 0 <= cut < len(blocks.MAGIC):
+        with pytest.raises(UnreadableLogError, match=r"cut\.mcap"):
+            LogReader(path)
+        return
+    found, _ = stamps(path)
+    assert len(found) == (COUNT if cut < 0 else 0)
+
+
+def test_a_log_without_its_summary_is_read_whole(whole, tmp_path):
+    path = tmp_path / "log.mcap"
+    path.write_bytes(whole[: whole.rindex(struct.pack("<BQ", blocks.DATA_END, 4))])
+    with LogReader(path) as reader:
+        assert [info.message_count for info in reader.topics()] == [COUNT // 100, COUNT]
+        assert reader.metadata() == {"configuration": {"a": "1"}}
+        assert len(list(reader.records(ODOMETRY))) == COUNT
+        assert reader.counters == {"truncated": 1}
+
+
+def test_a_bad_signature_at_the_end_does_not_matter(whole, tmp_path):
+    path = tmp_path / "log.mcap"
+    path.write_bytes(whole[:-8] + b"\0" * 8)
+    assert len(stamps(path)[0]) == COUNT
+
+
+@pytest.mark.parametrize("with_summary", [True, False])
+def test_a_chunk_with_a_bad_checksum_is_left_out_and_counted(whole, tmp_path, with_summary):
+    chunk = chunk_offsets(whole, tmp_path)[1]
+    damaged = bytearray(whole)
+    damaged[chunk.offset + 33] ^= 0xFF  # in the stored checksum: 9 bytes of header, two times, the size
+    path = tmp_path / "log.mcap"
+    path.write_bytes(damaged if with_summary else damaged[:-100])
+    found, counters = stamps(path)
+    assert 0 < len(found) < COUNT
+    assert found == sorted(set(range(1, COUNT + 1)) - set(range(chunk.start_ns, chunk.end_ns + 1)))
+    assert counters["lost_chunks"] == 1
+    assert counters["lost_bytes"] >= chunk.length
+
+
+def test_garbage_in_the_middle_never_escapes_as_another_error(whole, tmp_path):
+    rng = np.random.default_rng(12)
+    path = tmp_path / "log.mcap"
+    for _ in range(60):
+        damaged = bytearray(whole)
+        for _ in range(int(rng.integers(1, 20))):
+            damaged[int(rng.integers(8, len(damaged)))] = int(rng.integers(0, 256))
+        if rng.random() < 0.5:
+            start = int(rng.integers(8, len(damaged) - 5000))
+            damaged[start : start + 4000] = rng.bytes(4000)
+        path.write_bytes(damaged)
+        try:
+            with LogReader(path) as reader:
+                for _ in reader.records(select_all(reader.topics())):
+                    pass
+                reader.metadata()
+        except LogError:
+            pass
+
+
+def test_a_summary_with_a_bad_checksum_is_not_believed(whole, tmp_path):
+    damaged = bytearray(whole)
+    damaged[whole.rindex(b"/odom")] ^= 0x01
+    path = tmp_path / "log.mcap"
+    path.write_bytes(damaged)
+    assert len(stamps(path)[0]) == COUNT
+
+
+@pytest.mark.parametrize("index_types", [IndexType.ALL, IndexType.NONE])
+@pytest.mark.parametrize("compression", [CompressionType.LZ4, CompressionType.NONE])
+@pytest.mark.parametrize("use_chunking", [True, False])
+def test_other_layouts_are_read_alike(whole, tmp_path, index_types, compression, use_chunking):
+    (tmp_path / "in.mcap").write_bytes(whole)
+    path = tmp_path / "out.mcap"
+    with LogReader(tmp_path / "in.mcap") as reader, open(path, "wb") as stream:
+        writer = Writer(stream, compression=compression, index_types=index_types, use_chunking=use_chunking)
+        writer.start()
+        channels = {}
+        for raw in reader.messages():
+            if raw.topic not in channels:
+                schema = raw.channel.schema
+                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[raw.topic] = writer.register_channel(raw.topic, "protobuf", schema_id)
+            writer.add_message(channels[raw.topic], raw.log_time_ns, raw.data, raw.publish_time_ns)
+        writer.finish()
+    assert stamps(path) == (list(range(1, COUNT + 1)), {})
+    cut = path.read_bytes()[: path.stat().st_size // 2]
+    path.write_bytes(cut)
+    found, counters = stamps(path)
+    assert found == list(range(1, len(found) + 1))
+    assert counters["truncated"] == 1
+    assert use_chunking or len(found) > COUNT // 3
+
+
+def test_an_empty_file(tmp_path):
+    path = tmp_path / "empty.mcap"
+    path.touch()
+    with pytest.raises(UnreadableLogError, match=r"empty\.mcap is empty"):
+        LogReader(path)
+
+
+def test_not_an_mcap(tmp_path):
+    path = tmp_path / "text.mcap"
+    path.write_text("x,y,z\n1,2,3\n")
+    with pytest.raises(UnreadableLogError, match=r"text\.mcap is no MCAP"):
+        LogReader(path)
+
+
+@pytest.mark.parametrize("name", ["missing.mcap", "."])
+def test_no_file(tmp_path, name):
+    with pytest.raises(UnreadableLogError, match="cannot read"):
+        LogReader(tmp_path / name)
+
+
+def test_a_log_without_messages(tmp_path):
+    with LogWriter(tmp_path / "log.mcap"):
+        pass
+    with LogReader(tmp_path / "log.mcap") as reader:
+        assert reader.topics() == []
+        assert list(reader.messages()) == []
+        assert reader.counters == {}
+
+
+def test_the_checksum_of_chunks_is_what_this_file_assumes(whole, tmp_path):
+    import zstandard
+
+    chunk = chunk_offsets(whole, tmp_path)[0]
+    content = whole[chunk.offset + 9 : chunk.offset + chunk.length]
+    size, checksum = struct.unpack_from("<QI", content, 16)
+    data = zstandard.decompress(content[16 + 12 + 4 + 4 + 8 :])
+    assert (len(data), zlib.crc32(data)) == (size, checksum)

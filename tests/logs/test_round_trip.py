@@ -1,0 +1,210 @@
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from logs import messages as m
+from logs.reader import LogReader
+from logs.selection import Selection, select_all
+from logs.writer import LogWriter
+from tests.logs.examples import assert_same_record, every_kind, random_detections, random_transform
+
+
+def write(path, entries):
+    with LogWriter(path) as writer:
+        for topic, record in entries:
+            writer.write(topic, record)
+
+
+def read(path, selection=None):
+    with LogReader(path) as reader:
+        entries = list(reader.records(select_all(reader.topics()) if selection is None else selection))
+        assert reader.counters == {}
+    return entries
+
+
+def test_every_kind_of_record_comes_back(tmp_path):
+    examples = every_kind(np.random.default_rng(1))
+    write(tmp_path / "log.mcap", [(topic, record) for topic, _, record in examples])
+    selection = Selection.of({topic: kind for topic, kind, _ in examples})
+    entries = read(tmp_path / "log.mcap", selection)
+    assert len(entries) == len(examples)
+    for entry, (topic, _, record) in zip(entries, examples, strict=True):
+        assert (entry.topic, entry.log_time_ns) == (topic, record.stamp_ns)
+        assert_same_record(entry.record, record)
+
+
+def test_what_map_logs_hold_comes_back_bit_by_bit(tmp_path):
+    exact = {"object_map", "factor_graph", "trajectory", "detections"}
+    examples = [example for example in every_kind(np.random.default_rng(2)) if example[1] in exact]
+    write(tmp_path / "log.mcap", [(topic, record) for topic, _, record in examples])
+    for entry, (_, _, record) in zip(read(tmp_path / "log.mcap"), examples, strict=True):
+        assert_same_record(entry.record, record, tolerance=0.0)
+
+
+def test_the_parts_of_topics_follow_from_their_names(tmp_path):
+    examples = every_kind(np.random.default_rng(3))
+    write(tmp_path / "log.mcap", [(topic, record) for topic, _, record in examples])
+    with LogReader(tmp_path / "log.mcap") as reader:
+        assert select_all(reader.topics()) == Selection.of({topic: kind for topic, kind, _ in examples})
+
+
+def test_empty_records_come_back(tmp_path):
+    rng = np.random.default_rng(4)
+    record = random_detections(rng, 0, full=False, stamp_ns=5)
+    empty_map = m.ObjectMapRecord(
+        stamp_ns=6,
+        frame_id="map",
+        vocabulary=(),
+        ids=(),
+        positions=np.zeros((0, 3)),
+        covariances=np.zeros((0, 3, 3)),
+        class_probabilities=np.zeros((0, 0)),
+        states=(),
+        reasons=(),
+        observation_counts=np.zeros(0, dtype=np.int64),
+        first_seen_ns=np.zeros(0, dtype=np.int64),
+        last_seen_ns=np.zeros(0, dtype=np.int64),
+    )
+    empty_path = m.TrajectoryRecord(7, "map", np.zeros(0, dtype=np.int64), np.zeros((0, 4, 4)))
+    write(tmp_path / "log.mcap", [("/d", record), ("/m", empty_map), ("/t", empty_path)])
+    for entry, expected in zip(read(tmp_path / "log.mcap"), [record, empty_map, empty_path], strict=True):
+        assert_same_record(entry.record, expected, tolerance=0.0)
+
+
+def test_five_thousand_detections_in_one_message(tmp_path):
+    record = random_detections(np.random.default_rng(5), 5000)
+    write(tmp_path / "log.mcap", [("/detections", record)])
+    assert_same_record(read(tmp_path / "log.mcap")[0].record, record, tolerance=0.0)
+
+
+def test_scene_markers_can_be_read_as_detections(tmp_path):
+    markers = m.SceneMarkers(
+        stamp_ns=9,
+        frame_id="map",
+        positions=np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]),
+        labels=("tree", "pole"),
+        ids=("L1", "L2"),
+        lines=np.arange(12.0).reshape(2, 2, 3),
+        line_colors=np.full((2, 4), 0.5),
+    )
+    write(tmp_path / "log.mcap", [("/slam/landmarks", markers)])
+    (entry,) = read(tmp_path / "log.mcap")
+    assert entry.record.labels == ("tree", "pole")
+    assert entry.record.track_ids == ("L1", "L2")
+    assert (entry.record.frame_id, entry.record.stamp_ns) == ("map", 9)
+    np.testing.assert_array_equal(entry.record.positions, markers.positions)
+
+
+def test_a_path_for_viewers_has_all_poses(tmp_path):
+    from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+
+    rng = np.random.default_rng(6)
+    trajectory = m.TrajectoryRecord(3, "map", np.arange(4), np.stack([random_transform(rng) for _ in range(4)]))
+    with LogWriter(tmp_path / "log.mcap") as writer:
+        writer.write_path("/slam/trajectory", trajectory)
+    with LogReader(tmp_path / "log.mcap") as reader:
+        (raw,) = reader.messages()
+    message = PosesInFrame.FromString(raw.data)
+    assert raw.channel.schema_name == "foxglove.PosesInFrame"
+    assert [p.position.x for p in message.poses] == trajectory.T_map_body[:, 0, 3].tolist()
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    stamp_ns=st.integers(1, 2**62),
+    frame=st.text(min_size=1, max_size=8),
+    near_identity=st.booleans(),
+)
+def test_any_odometry_comes_back(seed, stamp_ns, frame, near_identity):
+    rng = np.random.default_rng(seed)
+    T = random_transform(rng)
+    if near_identity:
+        T[:3, :3] = np.eye(3)
+    record = m.Odometry(stamp_ns, T, frame, frame + "/body")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "log.mcap"
+        write(path, [("/odom", record)])
+        assert_same_record(read(path)[0].record, record, tolerance=1e-13)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_half_turns_come_back(tmp_path, axis):
+    T = np.diag([-1.0, -1.0, -1.0, 1.0])
+    T[axis, axis] = 1.0
+    write(tmp_path / "log.mcap", [("/odom", m.Odometry(1, T))])
+    np.testing.assert_allclose(read(tmp_path / "log.mcap")[0].record.T_odom_body, T, atol=1e-15)
+
+
+def test_records_come_in_the_order_of_log_time_across_chunks(tmp_path):
+    rng = np.random.default_rng(7)
+    times = rng.permutation(6000)
+    with LogWriter(tmp_path / "log.mcap") as writer:
+        for time in times.tolist():
+            writer.write("/odom", m.Odometry(1_000_000 + time, np.eye(4)), log_time_ns=time)
+    with LogReader(tmp_path / "log.mcap") as reader:
+        assert len(reader._blocks) > 1
+        entries = list(reader.records(Selection.of({"/odom": "odometry"})))
+    assert [entry.log_time_ns for entry in entries] == list(range(6000))
+    assert [entry.record.stamp_ns for entry in entries] == list(range(1_000_000, 1_006_000))
+
+
+def test_messages_of_one_time_keep_the_order_of_the_file(tmp_path):
+    with LogWriter(tmp_path / "log.mcap") as writer:
+        for i in range(5000):
+            writer.write("/odom", m.Odometry(i + 1, np.eye(4)), log_time_ns=7)
+    stamps = [entry.record.stamp_ns for entry in read(tmp_path / "log.mcap")]
+    assert stamps == list(range(1, 5001))
+
+
+def test_one_pass_decodes_and_copies(tmp_path):
+    rng = np.random.default_rng(8)
+    examples = every_kind(rng)
+    write(tmp_path / "in.mcap", [(topic, record) for topic, _, record in examples])
+    copied = {"/ground_truth", "/odom"}
+    with LogReader(tmp_path / "in.mcap") as reader, LogWriter(tmp_path / "out.mcap") as writer:
+        seen = []
+        for item in reader.items(Selection.of({"/odom": "odometry", "/detections": "detections"}), copy=copied):
+            seen.append((item.raw.topic, len(item.records)))
+            if item.raw.topic in copied:
+                writer.write_raw(item.raw)
+    assert seen == [("/odom", 1)] * 2 + [("/detections", 1)] * 2 + [("/ground_truth", 0)]
+    with LogReader(tmp_path / "in.mcap") as before, LogReader(tmp_path / "out.mcap") as after:
+        for a, b in zip(before.messages(copied), after.messages(), strict=True):
+            assert (a.topic, a.log_time_ns, a.publish_time_ns, a.data) == (
+                b.topic,
+                b.log_time_ns,
+                b.publish_time_ns,
+                b.data,
+            )
+            assert a.channel.schema.data == b.channel.schema.data
+
+
+def test_metadata_and_digest(tmp_path):
+    import hashlib
+
+    with LogWriter(tmp_path / "log.mcap") as writer:
+        writer.add_metadata("configuration", {"b": "2", "a": "ünïcode"})
+        writer.write("/odom", m.Odometry(1, np.eye(4)))
+    with LogReader(tmp_path / "log.mcap") as reader:
+        assert reader.metadata() == {"configuration": {"a": "ünïcode", "b": "2"}}
+        assert reader.attachments() == {}
+        assert reader.sha256() == hashlib.sha256((tmp_path / "log.mcap").read_bytes()).hexdigest()
+
+
+def test_topics_tell_counts_times_and_kinds(tmp_path):
+    with LogWriter(tmp_path / "log.mcap") as writer:
+        for i in range(5000):
+            writer.write("/odom", m.Odometry(i + 1, np.eye(4)))
+        writer.write("/late", m.Odometry(9, np.eye(4)), log_time_ns=123)
+    with LogReader(tmp_path / "log.mcap") as reader:
+        late, odom = reader.topics()
+    assert (late.topic, late.message_count, late.first_log_time_ns, late.last_log_time_ns) == ("/late", 1, 123, 123)
+    assert (odom.message_count, odom.first_log_time_ns, odom.last_log_time_ns) == (5000, 1, 5000)
+    assert odom.schema_name == "foxglove.Odometry"
+    assert "odometry" in odom.kinds
+    assert "ground_truth" in odom.kinds

@@ -1,0 +1,70 @@
+import numpy as np
+import pytest
+
+from logs import messages as m
+from logs.summary import summarize
+from logs.writer import LogWriter
+
+SECOND = 1_000_000_000
+
+
+def odometry(stamp_ns, x):
+    T = np.eye(4)
+    T[0, 3] = x
+    return m.Odometry(stamp_ns, T)
+
+
+def detections(stamp_ns, *labels):
+    count = len(labels)
+    return m.ObjectDetections(stamp_ns, "lidar", np.zeros((count, 3)), labels, np.ones(count))
+
+
+@pytest.fixture
+def log(tmp_path):
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as writer:
+        log_time = 0
+        for second in [0, 1, 2, 3, 3, 2, 4, 30, 31]:
+            log_time += SECOND
+            writer.write("/odom", odometry(SECOND * (second + 1), float(second)), log_time)
+        writer.write("/detections", detections(SECOND, "tree", "pole", "tree"))
+        writer.write("/detections", detections(2 * SECOND))
+        for _ in range(2):
+            writer.write("/slam/closures", m.LoopClosureRecord(SECOND, 1, 0, False, "registration", "few inliers", 0.1))
+        writer.write("/slam/closures", m.LoopClosureRecord(SECOND, 2, 0, True, "accepted", "", 0.1))
+        writer.add_metadata("version", {"dslam": "0"})
+    return path
+
+
+def test_a_summary_tells_what_is_there_and_what_is_odd(log):
+    summary = summarize(log)
+    by_topic = {topic.topic: topic for topic in summary.topics}
+    odom = by_topic["/odom"]
+    assert (odom.message_count, odom.duplicate_stamps, odom.out_of_order_stamps) == (9, 2, 1)
+    assert (odom.gap_count, odom.longest_gap_s) == (1, 26.0)
+    assert odom.rate_hz == pytest.approx(8 / 31)
+    assert odom.frames == ("base_link", "odom")
+    assert by_topic["/detections"].frames == ("lidar",)
+    assert list(summary.class_counts.items()) == [("tree", 2), ("pole", 1)]
+    assert summary.odometry_length_m == pytest.approx(3 + 0 + 1 + 2 + 26 + 1)
+    assert summary.duration_s == 8.0
+    assert summary.selection.topics_of("detections") == ("/detections",)
+    assert summary.obstacle == ""
+    assert [(c.stage, c.reason, c.accepted, c.count) for c in summary.closures] == [
+        ("accepted", "", True, 1),
+        ("registration", "few inliers", False, 2),
+    ]
+    assert summary.metadata == {"version": {"dslam": "0"}}
+    assert summary.counters == {}
+
+
+def test_a_summary_of_a_log_without_messages(tmp_path):
+    with LogWriter(tmp_path / "log.mcap"):
+        pass
+    summary = summarize(tmp_path / "log.mcap")
+    assert (summary.topics, summary.duration_s, summary.odometry_length_m) == ((), 0.0, None)
+    assert "The log has no topics" in summary.obstacle
+
+
+def test_overrides_are_what_would_be_used(log):
+    assert "does not decode to odometry" in summarize(log, {"odometry": "/detections"}).obstacle

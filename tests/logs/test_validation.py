@@ -1,0 +1,199 @@
+import logging
+import math
+from collections import Counter
+
+import gtsam
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry as FoxgloveOdometry
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from logs import messages as m
+from logs import validation
+from logs.decoders.decode import decode
+from logs.errors import InvalidRecordError
+from logs.reader import LogReader
+from logs.schemas import dslam_pb2 as pb
+from logs.selection import Selection
+from logs.topics import Channel, RawMessage, Schema
+from logs.writer import LogWriter
+from tests.logs.examples import random_covariance, random_transform
+
+
+def raw(message, topic="/topic", log_time_ns=77):
+    schema = Schema(1, message.DESCRIPTOR.full_name, "protobuf", b"")
+    return RawMessage(Channel(1, topic, "protobuf", schema), log_time_ns, log_time_ns, 0, message.SerializeToString())
+
+
+def pose(x=0.0, qx=0.0, qy=0.0, qz=0.0, qw=1.0):
+    message = PoseInFrame(frame_id="odom")
+    message.pose.position.x = x
+    q = message.pose.orientation
+    q.x, q.y, q.z, q.w = qx, qy, qz, qw
+    return raw(message)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("field", ["x", "qx", "qw"])
+def test_numbers_that_are_not_finite_are_refused(bad, field):
+    with pytest.raises(InvalidRecordError, match=r"/topic at 77 ns: ") as caught:
+        decode(pose(**{field: bad}), "odometry")
+    assert caught.value.reason in ("position is not finite", "quaternion is no rotation")
+
+
+@pytest.mark.parametrize("qw", [0.0, 0.5, 1.02, 0.98, 1e200])
+def test_quaternions_that_are_none_are_refused(qw):
+    with pytest.raises(InvalidRecordError, match="quaternion is no rotation"):
+        decode(pose(qw=qw), "odometry")
+
+
+@given(
+    st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1),
+    st.floats(0.991, 1.009),
+)
+def test_rounded_quaternions_are_normalised(q, scale):
+    q = np.array(q) / np.linalg.norm(q) * scale
+    (record,) = decode(pose(qx=q[0], qy=q[1], qz=q[2], qw=q[3]), "odometry")
+    R = record.T_odom_body[:3, :3]
+    np.testing.assert_allclose(R, Rotation.from_quat(q).as_matrix(), atol=1e-14)
+    np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-15 * 4)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_quaternions_of_any_rotation(seed):
+    T = random_transform(np.random.default_rng(seed))
+    expected = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)
+    np.testing.assert_allclose(validation.quaternion_xyzw(T), expected, atol=1e-14)
+
+
+def test_covariances_change_order_and_frame():
+    """Against the definition: perturb the pose as ROS means it, look at it as GTSAM does."""
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        T = random_transform(rng)
+        P_parent = random_covariance(rng, 6)
+        pose_mean = gtsam.Pose3(T)
+
+        def tangent(step, T=T, pose_mean=pose_mean):
+            moved = np.eye(4)
+            moved[:3, :3] = Rotation.from_rotvec(step[3:]).as_matrix() @ T[:3, :3]  # about the parent's axes
+            moved[:3, 3] = T[:3, 3] + step[:3]
+            return pose_mean.localCoordinates(gtsam.Pose3(moved))
+
+        J = np.stack([(tangent(h) - tangent(-h)) / 2e-5 for h in np.eye(6) * 1e-5], axis=1)
+        np.testing.assert_allclose(validation.covariance_to_body(P_parent, T), J @ P_parent @ J.T, rtol=1e-6, atol=1e-6)
+        back = validation.covariance_to_parent(validation.covariance_to_body(P_parent, T), T)
+        np.testing.assert_allclose(back, P_parent, atol=1e-12)
+
+
+def odometry_with_covariance(P):
+    message = FoxgloveOdometry(frame_id="odom", body_frame_id="base", pose_covariance=np.ravel(P).tolist())
+    message.pose.orientation.w = 1.0
+    counters = Counter()
+    (record,) = decode(raw(message), "odometry", counters)
+    return record.covariance, dict(counters)
+
+
+def test_an_unknown_covariance_is_none():
+    assert odometry_with_covariance(np.zeros((6, 6))) == (None, {})
+    assert odometry_with_covariance([]) == (None, {})
+
+
+@pytest.mark.parametrize(
+    "P", [np.diag([1.0, 1, 1, 1, 1, 0]), -np.eye(6), np.full((6, 6), np.nan), np.diag([np.inf] * 6)]
+)
+def test_an_unusable_covariance_is_none_and_counted(P):
+    assert odometry_with_covariance(P) == (None, {"ignored_covariances": 1})
+
+
+def test_a_covariance_of_another_size_is_refused():
+    with pytest.raises(InvalidRecordError, match="lengths disagree"):
+        odometry_with_covariance(np.eye(3))
+
+
+def test_objects_without_a_position_are_dropped_and_counted():
+    message = pb.ObjectDetections(
+        stamp_ns=1,
+        frame_id="lidar",
+        positions=[0, 0, 0, math.nan, 0, 0, 1, 1, math.inf, 2, 2, 2],
+        labels=["a", "b", "c", "d"],
+        scores=[0.5, 0.5, 0.5, 7.0],
+        covariances=np.tile(np.eye(3), (4, 1, 1)).ravel().tolist(),
+        sizes=np.arange(12.0),
+        track_ids=["1", "2", "3", "4"],
+    )
+    counters = Counter()
+    (record,) = decode(raw(message), "detections", counters)
+    assert counters == {"dropped_objects": 2}
+    assert (record.labels, record.track_ids) == (("a", "d"), ("1", "4"))
+    np.testing.assert_array_equal(record.positions, [[0, 0, 0], [2, 2, 2]])
+    np.testing.assert_array_equal(record.scores, [0.5, 1.0])
+    np.testing.assert_array_equal(record.sizes, [[0, 1, 2], [9, 10, 11]])
+    assert record.covariances.shape == (2, 3, 3)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"labels": ["a", "b", "c"]},
+        {"positions": [0.0] * 11},
+        {"scores": [1.0]},
+        {"covariances": [1.0]},
+        {"sizes": [1.0]},
+        {"track_ids": ["1"]},
+    ],
+)
+def test_detections_whose_lengths_disagree_are_refused(change):
+    fields = {"positions": [0.0] * 12, "labels": ["a"] * 4, "scores": [1.0] * 4, **change}
+    with pytest.raises(InvalidRecordError, match="lengths disagree"):
+        decode(raw(pb.ObjectDetections(stamp_ns=1, **fields)), "detections")
+
+
+def test_a_stored_matrix_that_is_no_rotation_is_refused():
+    message = pb.Trajectory(stamp_ns=1, stamps_ns=[1], map_body=[2.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0])
+    with pytest.raises(InvalidRecordError, match="no rotation"):
+        decode(raw(message), "trajectory")
+    mirrored = pb.Trajectory(stamp_ns=1, stamps_ns=[1], map_body=[-1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0])
+    with pytest.raises(InvalidRecordError, match="no rotation"):
+        decode(raw(mirrored), "trajectory")
+
+
+def test_a_rounded_stored_matrix_is_made_orthonormal():
+    T = random_transform(np.random.default_rng(5))
+    message = pb.Trajectory(stamp_ns=1, stamps_ns=[1], map_body=T[:3].astype(np.float32).ravel().tolist())
+    (record,) = decode(raw(message), "trajectory")
+    R = record.T_map_body[0, :3, :3]
+    np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-14)
+
+
+def test_bytes_that_are_no_message_are_refused():
+    good = pose()
+    bad = RawMessage(good.channel, 5, 5, 0, b"\xff\xff\xff")
+    with pytest.raises(InvalidRecordError, match="bytes do not decode"):
+        decode(bad, "odometry")
+
+
+def test_the_reader_counts_invalid_messages_and_tells_each_reason_once(tmp_path, caplog):
+    with LogWriter(tmp_path / "log.mcap") as writer:
+        for i in range(10):
+            T = np.eye(4)
+            T[0, 3] = math.nan if i % 2 else 1.0
+            writer.write("/odom", m.Odometry(i + 1, T))
+    with LogReader(tmp_path / "log.mcap") as reader, caplog.at_level(logging.WARNING):
+        for _ in range(2):
+            found = [entry.record.stamp_ns for entry in reader.records(Selection.of({"/odom": "odometry"}))]
+            assert found == [1, 3, 5, 7, 9]
+            assert reader.counters == {"invalid_messages": 5}
+    assert len(caplog.records) == 2
+    assert "/odom at 2 ns: position is not finite" in caplog.text
+
+
+def test_a_topic_that_cannot_be_what_it_was_chosen_for_is_counted(tmp_path):
+    with LogWriter(tmp_path / "log.mcap") as writer:
+        writer.write("/odom", m.Odometry(1, np.eye(4)))
+    with LogReader(tmp_path / "log.mcap") as reader:
+        assert list(reader.records(Selection.of({"/odom": "detections"}))) == []
+        assert reader.counters == {"undecodable": 1}

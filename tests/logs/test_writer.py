@@ -1,0 +1,174 @@
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+
+from logs import messages as m
+from logs.errors import InvalidRecordError, UnwritableLogError
+from logs.reader import LogReader
+from logs.selection import Selection
+from logs.writer import LogWriter
+from tests.logs.examples import every_kind
+
+ODOMETRY = Selection.of({"/odom": "odometry"})
+
+
+def write_everything(path):
+    with LogWriter(path) as writer:
+        writer.add_metadata("configuration", {"b": "2", "a": "1"})
+        for topic, _, record in every_kind(np.random.default_rng(1)):
+            writer.write(topic, record)
+        for i in range(3000):
+            counters = {f"counter {j}": j for j in range(20)}
+            writer.write("/slam/status", m.StatusRecord(100 + i, "mapping", "info", "", counters))
+
+
+def test_the_same_records_give_the_same_bytes(tmp_path):
+    write_everything(tmp_path / "a.mcap")
+    write_everything(tmp_path / "b.mcap")
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+def test_the_same_bytes_in_another_process(tmp_path):
+    write_everything(tmp_path / "a.mcap")
+    program = f"from tests.logs.test_writer import write_everything; write_everything({str(tmp_path / 'b.mcap')!r})"
+    environment = {**os.environ, "PYTHONHASHSEED": "123", "TZ": "Asia/Tokyo"}
+    subprocess.run([sys.executable, "-c", program], check=True, env=environment)
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+def test_counters_given_in_another_order_give_the_same_bytes(tmp_path):
+    for name, counters in (("a", {"x": 1, "y": 2}), ("b", {"y": 2, "x": 1})):
+        with LogWriter(tmp_path / name) as writer:
+            writer.write("/status", m.StatusRecord(1, "", "", "", counters))
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_the_final_name_appears_only_when_the_log_is_whole(tmp_path):
+    path, partial = tmp_path / "log.mcap", tmp_path / "log.mcap.part"
+    with LogWriter(path) as writer:
+        writer.write("/odom", m.Odometry(1, np.eye(4)))
+        assert partial.exists()
+        assert not path.exists()
+    assert path.exists()
+    assert not partial.exists()
+
+
+def test_an_exception_leaves_a_readable_partial_log(tmp_path):
+    def stop_half_way():
+        with LogWriter(tmp_path / "log.mcap") as writer:
+            writer.write("/odom", m.Odometry(1, np.eye(4)))
+            raise RuntimeError("stop")
+
+    with pytest.raises(RuntimeError, match="stop"):
+        stop_half_way()
+    assert not (tmp_path / "log.mcap").exists()
+    with LogReader(tmp_path / "log.mcap.part") as reader:
+        assert len(list(reader.records(ODOMETRY))) == 1
+
+
+def test_an_existing_log_stays_until_the_new_one_is_whole(tmp_path):
+    path = tmp_path / "log.mcap"
+    path.write_bytes(b"old")
+    with pytest.raises(RuntimeError), LogWriter(path):
+        raise RuntimeError
+    assert path.read_bytes() == b"old"
+    with pytest.raises(UnwritableLogError, match="exists already"):
+        LogWriter(path, overwrite=False)
+    with LogWriter(path):
+        pass
+    assert path.read_bytes() != b"old"
+
+
+def test_a_killed_run_leaves_a_readable_partial_log(tmp_path):
+    program = textwrap.dedent(
+        f"""
+        import os, signal
+        import numpy as np
+        from logs.messages import Odometry
+        from logs.writer import LogWriter
+        writer = LogWriter({str(tmp_path / "log.mcap")!r})
+        for i in range(5000):
+            writer.write("/odom", Odometry(i + 1, np.eye(4)))
+        os.kill(os.getpid(), signal.SIGKILL)
+        """
+    )
+    assert subprocess.run([sys.executable, "-c", program]).returncode == -signal.SIGKILL
+    assert not (tmp_path / "log.mcap").exists()
+    with LogReader(tmp_path / "log.mcap.part") as reader:
+        found = [entry.record.stamp_ns for entry in reader.records(ODOMETRY)]
+        assert reader.counters == {"truncated": 1}
+    assert 2500 < len(found) < 5000
+    assert found == list(range(1, len(found) + 1))
+
+
+def test_flush_hands_over_what_was_written(tmp_path):
+    with LogWriter(tmp_path / "log.mcap") as writer:
+        writer.write("/odom", m.Odometry(1, np.eye(4)))
+        writer.flush()
+        with LogReader(tmp_path / "log.mcap.part") as reader:
+            assert len(list(reader.records(ODOMETRY))) == 1
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no /dev/full")
+def test_a_full_disk_is_one_clear_error(tmp_path):
+    (tmp_path / "log.mcap.part").symlink_to("/dev/full")
+    with pytest.raises(UnwritableLogError, match=r"log\.mcap\.part.*No space left"), LogWriter(tmp_path / "log.mcap"):
+        pass
+    assert not (tmp_path / "log.mcap").exists()
+
+
+def test_a_disk_that_fills_up_is_one_clear_error(tmp_path, monkeypatch):
+    class Full:
+        def __init__(self, file):
+            self.close = file.close
+
+        def write(self, data):
+            raise OSError(28, "No space left on device")
+
+    def write_a_lot():
+        with LogWriter(tmp_path / "log.mcap") as writer:
+            monkeypatch.setattr(writer._stream, "_file", Full(writer._stream._file))
+            for i in range(10_000):
+                writer.write("/odom", m.Odometry(i + 1, np.eye(4)))
+
+    with pytest.raises(UnwritableLogError, match="No space left"):
+        write_a_lot()
+    assert not (tmp_path / "log.mcap").exists()
+    assert (tmp_path / "log.mcap.part").exists()
+
+
+def test_paths_that_cannot_be_written(tmp_path):
+    with pytest.raises(UnwritableLogError, match="No such file"):
+        LogWriter(tmp_path / "no folder" / "log.mcap")
+    with pytest.raises(UnwritableLogError, match="is a folder"):
+        LogWriter(tmp_path)
+    (tmp_path / "file").touch()
+    with pytest.raises(UnwritableLogError, match="Not a directory"):
+        LogWriter(tmp_path / "file" / "log.mcap")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_no_permission(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(UnwritableLogError, match="Permission denied"):
+        LogWriter(tmp_path / "log.mcap")
+
+
+def test_what_is_no_record_is_refused(tmp_path):
+    with LogWriter(tmp_path / "log.mcap") as writer, pytest.raises(TypeError, match="dict"):
+        writer.write("/odom", {"x": 1})
+
+
+@pytest.mark.parametrize("time_ns", [-1, 2**63])
+def test_a_time_that_no_log_can_hold_is_refused_at_once(tmp_path, time_ns):
+    with LogWriter(tmp_path / "log.mcap") as writer:
+        with pytest.raises(InvalidRecordError, match=rf"/odom.*{time_ns} ns"):
+            writer.write("/odom", m.Odometry(time_ns, np.eye(4)))
+        writer.write("/odom", m.Odometry(1, np.eye(4)))
+    with LogReader(tmp_path / "log.mcap") as reader:
+        assert len(list(reader.records(ODOMETRY))) == 1

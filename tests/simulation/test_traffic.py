@@ -1,0 +1,48 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.simulation.config import DriveConfig, TrafficConfig
+from slam.simulation.drive import plan_drive
+from slam.simulation.traffic import drive_traffic
+
+PLAN = plan_drive(np.array([[0.0, 0.0], [0.0, 300.0]]), DriveConfig())
+AT_S = np.arange(0.0, 100.0, 0.5)
+
+
+def test_no_vehicle_gives_no_row() -> None:
+    traffic = drive_traffic(PLAN, AT_S, TrafficConfig(), rng=np.random.default_rng(0))
+    assert traffic.ids == ()
+    assert traffic.positions.shape == (200, 0, 3)
+
+
+@pytest.mark.parametrize("heading_rad", [0.0, 1.0, np.pi / 2])
+def test_vehicles_keep_right_and_to_their_own_steady_speed_and_turn_round_at_the_ends(heading_rad: float) -> None:
+    ahead = np.array([np.cos(heading_rad), np.sin(heading_rad)])
+    right = np.array([ahead[1], -ahead[0]])
+    plan = plan_drive(np.stack([np.zeros(2), 300.0 * ahead]), DriveConfig())
+    config = TrafficConfig(vehicles=20, min_speed_mps=4.0, max_speed_mps=9.0, lane_offset_m=2.5)
+    traffic = drive_traffic(plan, AT_S, config, rng=np.random.default_rng(0))
+    assert traffic.ids[0] == "moving-0"
+    x, y = traffic.positions[..., :2] @ right, traffic.positions[..., :2] @ ahead
+    assert y.min() >= -1e-9
+    assert y.max() <= 300.0 + 1e-9
+    velocity = np.diff(y, axis=0) / 0.5
+    steady = np.sign(x[1:]) == np.sign(x[:-1])  # not turning round in that interval
+    # Driving back, its right is the other side of the tour.
+    np.testing.assert_allclose(x, 2.5 * np.sign(x), atol=1e-9)
+    np.testing.assert_array_equal(np.sign(velocity)[steady], np.sign(x[1:])[steady])
+    for k in range(20):
+        speeds = np.abs(velocity[:, k][steady[:, k]])
+        assert 4.0 <= speeds[0] <= 9.0
+        np.testing.assert_allclose(speeds, speeds[0], atol=1e-9)
+    assert not steady.all()
+    assert len(set(velocity[0].tolist())) == 20
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_same_seed_same_traffic(seed: int) -> None:
+    config = TrafficConfig(vehicles=3)
+    first, again = (drive_traffic(PLAN, AT_S, config, rng=np.random.default_rng(seed)) for _ in range(2))
+    np.testing.assert_array_equal(first.positions, again.positions)
