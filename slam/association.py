@@ -20,6 +20,7 @@ from scipy.special import chdtri
 from slam.config import AssociationConfig
 from slam.geometry import FloatArray, IntArray
 
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Assignment:
     """``landmark_rows`` (D,) int64: the row of each detection's landmark, -1 where it has none."""

@@ -17,6 +17,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
+from logs.messages import FactorGraphRecord
 from slam.config import FactorGraphConfig
 from slam.errors import FactorGraphError
 from slam.geometry import FloatArray, IntArray, apply
@@ -117,7 +118,9 @@ class FactorGraph:
         """Tie two keyframes together; returns the factor's number."""
         what = f"edge {edge.from_keyframe} -> {edge.to_keyframe}"
         pose = _checked_pose(edge.T_from_to, what)
-        noise = gtsam.noiseModel.Gaussian.Covariance(_checked_covariance(edge.covariance, 6, what))
+        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(
+            _checked_covariance(edge.covariance, 6, what)
+        )
         if edge.kind == "closure":
             noise = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(1.0), noise)
         return self._add(edge, gtsam.BetweenFactorPose3(X(edge.from_keyframe), X(edge.to_keyframe), pose, noise))
@@ -218,6 +221,27 @@ class FactorGraph:
         values = self._estimate()
         return np.array([values.atPoint3(L(int(i))) for i in landmarks]).reshape(-1, 3)
 
+    def to_record(self, stamp_ns: int, keyframe_stamps_ns: IntArray) -> FactorGraphRecord:
+        """The whole graph at its current estimate, as it goes into a log."""
+        edges = [factor for factor in self.factors.values() if isinstance(factor, Edge)]
+        observations = [factor for factor in self.factors.values() if isinstance(factor, Observation)]
+        return FactorGraphRecord(
+            stamp_ns=stamp_ns,
+            keyframe_ids=self.keyframes,
+            keyframe_stamps_ns=keyframe_stamps_ns,
+            T_map_body=self.poses(),
+            edge_keyframe_ids=np.array([(e.from_keyframe, e.to_keyframe) for e in edges], dtype=np.int64).reshape(
+                -1, 2
+            ),
+            edge_transforms=np.array([e.T_from_to for e in edges]).reshape(-1, 4, 4),
+            edge_covariances=np.array([e.covariance for e in edges]).reshape(-1, 6, 6),
+            edge_kinds=tuple(e.kind for e in edges),
+            observation_keyframe_ids=np.array([o.keyframe for o in observations], dtype=np.int64),
+            observation_landmark_ids=tuple(str(o.landmark) for o in observations),
+            observation_positions=np.array([o.position for o in observations]).reshape(-1, 3),
+            observation_covariances=np.array([o.redundancy * o.covariance for o in observations]).reshape(-1, 3, 3),
+        )
+
     def _estimate(self) -> gtsam.Values:
         """All variables; iSAM2 computes the ones that nobody asks for only here."""
         if self._values is None:
@@ -250,7 +274,9 @@ class FactorGraph:
         bearing = gtsam.Unit3(observation.position)
         # Error of bearing and range to first order: the tangent plane over the range, and the line of sight.
         J = np.vstack([bearing.basis().T / range_m, observation.position / range_m])
-        noise = gtsam.noiseModel.Gaussian.Covariance(observation.redundancy * (J @ covariance @ J.T))
+        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(
+            observation.redundancy * (J @ covariance @ J.T)
+        )
         kernel = self._kernel(observation.redundancy)
         if kernel is not None:
             noise = gtsam.noiseModel.Robust.Create(kernel, noise)
@@ -270,10 +296,14 @@ class FactorGraph:
 
 def _robust_kernel(config: FactorGraphConfig, redundancy: float) -> gtsam.noiseModel.mEstimator.Base | None:
     """The kernel of observations: its width is meant in sigmas of one observation, before redundancy widens them."""
-    kernels = {"cauchy": gtsam.noiseModel.mEstimator.Cauchy, "huber": gtsam.noiseModel.mEstimator.Huber}
-    if config.observation_kernel == "none":
-        return None
-    return kernels[config.observation_kernel].Create(config.observation_kernel_width / np.sqrt(redundancy))
+    width = config.observation_kernel_width / np.sqrt(redundancy)
+    match config.observation_kernel:
+        case "cauchy":
+            return gtsam.noiseModel.mEstimator.Cauchy.Create(width)
+        case "huber":
+            return gtsam.noiseModel.mEstimator.Huber.Create(width)
+        case _:
+            return None
 
 
 def _checked_pose(T: FloatArray, what: str) -> gtsam.Pose3:

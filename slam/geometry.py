@@ -59,7 +59,7 @@ def rotation_angle_rad(T: FloatArray) -> FloatArray:
 
 def yaw_rad(T: FloatArray) -> FloatArray:
     """Heading (...) of the x axis about z, in (-pi, pi], of transforms (..., 4, 4)."""
-    return np.arctan2(T[..., 1, 0], T[..., 0, 0])
+    return np.asarray(np.arctan2(T[..., 1, 0], T[..., 0, 0]))
 
 
 def travelled_m(T_world_body: FloatArray) -> FloatArray:

@@ -31,7 +31,7 @@ def predict_covariances(
     range_squared = np.einsum("ni,ni->n", offsets, offsets)
     isotropic = (translation_variance + rotation_variance * range_squared)[:, None, None] * np.eye(3)
     along = rotation_variance[:, None, None] * offsets[:, :, None] * offsets[:, None, :]
-    return covariances + isotropic - along
+    return np.asarray(covariances + isotropic - along)
 
 
 def update_positions(

@@ -12,18 +12,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.messages import DetectionAssociations, ObjectDetections
+from logs.messages import DetectionAssociations
 from slam.association import associate
 from slam.config import Config
 from slam.factor_graph import Edge, FactorGraph, Observation
-from slam.geometry import FloatArray, IntArray, apply, invert, rotation_angle_rad
+from slam.geometry import FloatArray, IntArray, apply, rotation_angle_rad
 from slam.landmark_filter import predict_covariances, update_positions
 from slam.object_map import LandmarkState, ObjectMap, RetirementReason
 from slam.odometry_track import OdometryPose, relative, step_covariance
+from slam.scan import Scan
 from slam.sightings import Sightings
 
 # A break in the odometry ties nothing together, but the graph must stay connected until a closure does it.
-BREAK_SIGMA = 1e3
+BREAK_SIGMA_RAD = np.pi
+BREAK_SIGMA_M = 1e3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,16 +34,6 @@ class Keyframe:
 
     id: int
     odometry: OdometryPose
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Scan:
-    """Detections of one message in the body frame: positions (N, 3) m, covariances (N, 3, 3) m^2, labels (N,) indices."""
-
-    positions: FloatArray
-    covariances: FloatArray
-    labels: IntArray
-    used: NDArray[np.bool_]
 
 
 class Mapper:
@@ -74,39 +66,44 @@ class Mapper:
             self._graph.update()
         return keyframe
 
-    def add_detections(self, detections: ObjectDetections, scan: Scan, pose: OdometryPose) -> DetectionAssociations:
+    def add_scan(self, scan: Scan, pose: OdometryPose) -> DetectionAssociations:
         """Associate one scan, taken at ``pose``, with the landmarks around, and bring them up to date."""
         self._scan_count += 1
         positions = apply(pose.T_odom_body, scan.positions)
         R = pose.T_odom_body[:3, :3]
         covariances = R @ scan.covariances @ R.T
+        labels = self._map.label_indices(scan.labels)
         self._forget(pose.travel_m)
-        rows = self._associate(positions, covariances, scan.labels, pose)
+        rows = self._associate(positions, covariances, labels, scan, pose)
         known = rows >= 0
-        self._update(rows[known], positions[known], covariances[known], scan.labels[known], detections, pose)
+        self._update(rows[known], positions[known], covariances[known], labels[known], scan, pose)
         rows[~known] = self._map.add(
-            positions[~known], covariances[~known], scan.labels[~known],
-            stamp_ns=detections.stamp_ns, scan=self._scan_count, travel_m=pose.travel_m,
-        )  # fmt: skip
+            positions[~known],
+            covariances[~known],
+            labels[~known],
+            stamp_ns=scan.stamp_ns,
+            scan=self._scan_count,
+            travel_m=pose.travel_m,
+        )
         self._active = np.concatenate([self._active, rows[~known]])
         T_keyframe_body = relative(self.keyframes[-1].odometry.T_odom_body, pose.T_odom_body)
-        R_keyframe_body = T_keyframe_body[:3, :3]
+        R = T_keyframe_body[:3, :3]
         self._sightings.add(
-            rows, apply(T_keyframe_body, scan.positions), R_keyframe_body @ scan.covariances @ R_keyframe_body.T
+            rows,
+            apply(T_keyframe_body, scan.positions),
+            R @ scan.covariances @ R.T,
+            have_own_covariances=scan.has_own_covariances,
         )
         self._age(rows[known])
-        return _associations(detections, scan, rows, ~known)
+        return _associations(scan, rows, ~known)
 
     def close_keyframe(self) -> None:
-        """Hand what was seen since the last keyframe to the graph."""
-        observations = self._sightings.observations(
-            self.keyframes[-1].id, self._config.detection.common_sigma_m, self._config.detection.redundancy
-        )
+        """Hand what was seen since the last keyframe to the graph; tentative landmarks are held back until confirmed."""
+        observations = self._sightings.observations(self.keyframes[-1].id, self._config.detection)
         self._sightings = Sightings()
         states = self._map.rows["state"]
         for observation in observations:
-            if states[observation.landmark] != LandmarkState.RETIRED:
-                self._held_back[observation.landmark].append(observation)
+            self._held_back[observation.landmark].append(observation)
         for row in sorted(self._held_back):
             if states[row] == LandmarkState.CONFIRMED:
                 self._graph.add_observations(self._held_back.pop(row))
@@ -128,26 +125,26 @@ class Mapper:
         travel_m = keyframe.odometry.travel_m - previous.odometry.travel_m
         covariance = step_covariance(T_previous_keyframe, travel_m, self._config.odometry)
         if keyframe.odometry.segment != previous.odometry.segment:
-            covariance = BREAK_SIGMA**2 * np.eye(6)
+            covariance = np.diag(np.repeat([BREAK_SIGMA_RAD**2, BREAK_SIGMA_M**2], 3))
         return Edge(previous.id, keyframe.id, T_previous_keyframe, covariance, "odometry")
 
     def _associate(
-        self, positions: FloatArray, covariances: FloatArray, labels: IntArray, pose: OdometryPose
+        self, positions: FloatArray, covariances: FloatArray, labels: IntArray, scan: Scan, pose: OdometryPose
     ) -> IntArray:
+        """The row (N,) of each detection's landmark, -1 for none."""
+        if len(self._active) == 0:
+            return np.full(len(positions), -1, dtype=np.int64)
         landmarks = self._map.rows[self._active]
         offsets = landmarks["position_odom"] - pose.T_odom_body[:3, 3]
         travel_since = pose.travel_m - landmarks["last_seen_travel_m"]
-        predicted = predict_covariances(
-            landmarks["covariance_odom"], offsets, travel_since, self._config.odometry
-        )
-        predicted += self._config.detection.common_sigma_m**2 * np.eye(3)
+        predicted = predict_covariances(landmarks["covariance_odom"], offsets, travel_since, self._config.odometry)
+        if not scan.has_own_covariances:
+            predicted += self._config.detection.common_sigma_m**2 * np.eye(3)
         beliefs = self._map.beliefs(self._active)
         assignment = associate(
             positions, covariances, labels, landmarks["position_odom"], predicted, beliefs, self._config.association
         )
-        return np.where(assignment.matched, self._active[assignment.landmark_rows], -1) if len(self._active) else (
-            assignment.landmark_rows
-        )
+        return np.where(assignment.matched, self._active[assignment.landmark_rows], -1)
 
     def _update(
         self,
@@ -155,9 +152,10 @@ class Mapper:
         positions: FloatArray,
         covariances: FloatArray,
         labels: IntArray,
-        detections: ObjectDetections,
+        scan: Scan,
         pose: OdometryPose,
     ) -> None:
+        """Move the landmarks ``rows`` (N,) to where they are now seen, and count the sightings."""
         landmarks = self._map.rows
         offsets = landmarks["position_odom"][rows] - pose.T_odom_body[:3, 3]
         travel_since = pose.travel_m - landmarks["last_seen_travel_m"][rows]
@@ -168,7 +166,7 @@ class Mapper:
         landmarks["position_odom"][rows] = fused
         landmarks["covariance_odom"][rows] = fused_covariances
         self._map.record_sightings(
-            rows, positions, labels, stamp_ns=detections.stamp_ns, scan=self._scan_count, travel_m=pose.travel_m
+            rows, positions, labels, stamp_ns=scan.stamp_ns, scan=self._scan_count, travel_m=pose.travel_m
         )
 
     def _age(self, seen: IntArray) -> None:
@@ -176,7 +174,9 @@ class Mapper:
         limits = self._config.landmark
         landmarks = self._map.rows
         speeds = np.linalg.norm(self._map.velocities(seen), axis=1)
-        too_fast = speeds > limits.moving_speed_mps + 2.0 * self._map.speed_sigmas(seen, self._config.detection.base_sigma_m)
+        too_fast = speeds > limits.moving_speed_mps + 2.0 * self._map.speed_sigmas(
+            seen, self._config.detection.base_sigma_m
+        )
         seconds = (landmarks["last_seen_ns"][seen] - landmarks["first_seen_ns"][seen]) * 1e-9
         moving = too_fast & (speeds * seconds > limits.moving_distance_m)
         self._retire(seen[moving], RetirementReason.MOVING)
@@ -209,12 +209,11 @@ class Mapper:
             self._graph.remove_landmark(row)
 
 
-def _associations(
-    detections: ObjectDetections, scan: Scan, rows: IntArray, created: NDArray[np.bool_]
-) -> DetectionAssociations:
+def _associations(scan: Scan, rows: IntArray, created: NDArray[np.bool_]) -> DetectionAssociations:
     """One entry for each detection of the message, used or not."""
-    landmark_ids = np.full(len(detections.labels), "", dtype=object)
-    landmark_ids[scan.used] = [str(row) for row in rows]
-    created_of_all = np.zeros(len(detections.labels), dtype=np.bool_)
+    landmark_ids = [""] * len(scan.used)
+    created_of_all = np.zeros(len(scan.used), dtype=np.bool_)
     created_of_all[scan.used] = created
-    return DetectionAssociations(detections.stamp_ns, tuple(landmark_ids), created_of_all)
+    for place, row in zip(np.flatnonzero(scan.used), rows, strict=True):
+        landmark_ids[place] = str(row)
+    return DetectionAssociations(scan.stamp_ns, tuple(landmark_ids), created_of_all)

@@ -158,7 +158,9 @@ class ObjectMap:
     def velocities(self, rows: IntArray) -> FloatArray:
         """Velocity (N, 3) m/s in the odometry frame: least-squares line through all sightings; 0 where time stood still."""
         landmarks = self.rows[rows]
-        slope = landmarks["sum_tp"] - landmarks["sum_t"][:, None] * landmarks["sum_p"] / landmarks["observations"][:, None]
+        slope = (
+            landmarks["sum_tp"] - landmarks["sum_t"][:, None] * landmarks["sum_p"] / landmarks["observations"][:, None]
+        )
         return np.asarray(slope / self._time_spreads(rows)[:, None])
 
     def speed_sigmas(self, rows: IntArray, position_sigma_m: float) -> FloatArray:
@@ -168,7 +170,7 @@ class ObjectMap:
     def _time_spreads(self, rows: IntArray) -> FloatArray:
         """Sum of squared deviations (N,) s^2 of the times of the sightings from their mean, at least (1 ms)^2."""
         landmarks = self.rows[rows]
-        return np.maximum(landmarks["sum_tt"] - landmarks["sum_t"] ** 2 / landmarks["observations"], 1e-6)
+        return np.asarray(np.maximum(landmarks["sum_tt"] - landmarks["sum_t"] ** 2 / landmarks["observations"], 1e-6))
 
     def confirm(self, rows: IntArray) -> None:
         """Make tentative landmarks confirmed ones."""
@@ -198,11 +200,7 @@ class ObjectMap:
     def to_record(self, stamp_ns: int) -> ObjectMapRecord:
         """All landmarks in the map frame, as they go into a log; those that never were confirmed are left out."""
         kept = np.array(
-            [
-                row
-                for row in range(self._size)
-                if self._reasons.get(row) != RetirementReason.NOT_CONFIRMED
-            ],
+            [row for row in range(self._size) if self._reasons.get(row) != RetirementReason.NOT_CONFIRMED],
             dtype=np.int64,
         )
         landmarks = self.rows[kept]

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from slam.config import DetectionConfig
 from slam.factor_graph import Observation
 from slam.geometry import FloatArray, IntArray
-
 
 
 class Sightings:
@@ -21,9 +21,16 @@ class Sightings:
         self._place: dict[int, int] = {}
         self._information = np.zeros((16, 3, 3))
         self._weighted = np.zeros((16, 3))
+        self._have_own_covariances = True
 
-    def add(self, rows: IntArray, positions: FloatArray, covariances: FloatArray) -> None:
-        """Add sightings of landmarks ``rows`` (N,), none twice: (N, 3) m in the keyframe's frame, (N, 3, 3) m^2."""
+    def add(
+        self, rows: IntArray, positions: FloatArray, covariances: FloatArray, *, have_own_covariances: bool
+    ) -> None:
+        """Add sightings of landmarks ``rows`` (N,), none twice: (N, 3) m in the keyframe's frame, (N, 3, 3) m^2.
+
+        ``have_own_covariances``: the detector gave them, so they are taken at its word.
+        """
+        self._have_own_covariances &= have_own_covariances
         places = np.array([self._place.setdefault(row, len(self._place)) for row in rows.tolist()], dtype=np.int64)
         while len(self._place) > len(self._information):
             self._information = np.concatenate([self._information, np.zeros_like(self._information)])
@@ -32,12 +39,20 @@ class Sightings:
         self._information[places] += information
         self._weighted[places] += np.einsum("nij,nj->ni", information, positions)
 
-    def observations(self, keyframe: int, common_sigma_m: float, redundancy: float) -> list[Observation]:
-        """One observation a landmark; ``common_sigma_m`` is the error that its sightings share and no average removes."""
+    def observations(self, keyframe: int, config: DetectionConfig) -> list[Observation]:
+        """One observation a landmark.
+
+        Where the detector gave no covariances, nobody knows how its errors are correlated: then the configured error
+        that all sightings share, which no average removes, is added, and the configured redundancy applies.
+        """
         count = len(self._place)
         covariances = np.linalg.inv(self._information[:count])
         means = np.einsum("nij,nj->ni", covariances, self._weighted[:count])
-        covariances = covariances + common_sigma_m**2 * np.eye(3)
+        redundancy = 1.0
+        if not self._have_own_covariances:
+            covariances = covariances + config.common_sigma_m**2 * np.eye(3)
+            redundancy = config.redundancy
         return [
-            Observation(keyframe, row, means[place], covariances[place], redundancy) for row, place in self._place.items()
+            Observation(keyframe, row, means[place], covariances[place], redundancy)
+            for row, place in self._place.items()
         ]

@@ -1,0 +1,133 @@
+"""Replay: reader -> Slam -> writer, in one pass over the log."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from logs.errors import TopicSelectionError
+from logs.messages import (
+    DetectionAssociations,
+    Record,
+    SlamPose,
+    StatusRecord,
+    Transform,
+)
+from logs.reader import LogReader
+from logs.selection import Selection, select_topics
+from logs.topics import RecordKind
+from logs.writer import LogWriter
+from slam.config import Config
+from slam.system import FinalMap, Slam
+
+_TOPICS: Mapping[type[Record], str] = {
+    SlamPose: "/slam/pose",
+    Transform: "/tf",
+    DetectionAssociations: "/slam/associations",
+    StatusRecord: "/slam/status",
+}
+_MAPPED = (RecordKind.ODOMETRY, RecordKind.DETECTIONS, RecordKind.TRANSFORMS)
+# The estimator never sees these; they are copied as they are, so that the output can be evaluated on its own.
+_COPIED = (RecordKind.ODOMETRY, RecordKind.GROUND_TRUTH, RecordKind.DETECTION_TRUTH, RecordKind.OBJECT_TRUTH)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReplaySummary:
+    """How a replay went. Times are of this machine and go into no output log.
+
+    ``longest_stall_s``: the longest time that one message took; ``solver_s``: time inside GTSAM.
+    """
+
+    counters: dict[str, int]
+    log_s: float
+    wall_s: float
+    solver_s: float
+    longest_stall_s: float
+    final_status: str
+
+
+def replay(
+    source: Path,
+    output: Path,
+    config: Config,
+    *,
+    topics: Mapping[str, str] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> ReplaySummary:
+    """Map the log ``source`` into the log ``output``.
+
+    Args:
+        source: any log with odometry and detections.
+        output: replaced if it is there; written as NAME.part and renamed when finished.
+        config: the effective configuration, which is written into the output.
+        topics: kind -> topic, where the log leaves a choice.
+        progress: called with the fraction done, in [0, 1].
+
+    Raises:
+        LogError: the input cannot be read or the output cannot be written.
+        SlamError: the input cannot be mapped.
+    """
+    started = time.perf_counter()
+    with LogReader(source) as reader:
+        if output.exists() and output.samefile(source):
+            raise TopicSelectionError(f"{output} is the input; give another path for the output")
+        selection = select_topics(reader.topics(), topics)
+        copied = sorted({topic for kind in _COPIED for topic in selection.topics_of(kind)})
+        mapped = Selection({topic: kinds for topic, kinds in selection.kinds.items() if set(kinds) & set(_MAPPED)})
+        first_ns, last_ns = _span(reader, mapped)
+        slam = Slam(config)
+        longest_stall_s = 0.0
+        with LogWriter(output) as writer:
+            writer.add_metadata("dslam", _provenance(reader, config, selection))
+            for item in reader.items(mapped, copy=copied):
+                if item.raw.topic in copied:
+                    writer.write_raw(item.raw)
+                before = time.perf_counter()
+                for record in item.records:
+                    for update in slam.process(record):
+                        writer.write(_TOPICS[type(update)], update)
+                longest_stall_s = max(longest_stall_s, time.perf_counter() - before)
+                if progress is not None:
+                    progress((item.raw.log_time_ns - first_ns) / max(last_ns - first_ns, 1))
+            slam.counters.update(reader.counters)
+            final = slam.finish()
+            _write_final(writer, final)
+    return ReplaySummary(
+        counters=dict(final.status.counters),
+        log_s=(last_ns - first_ns) * 1e-9,
+        wall_s=time.perf_counter() - started,
+        solver_s=slam.solver_seconds,
+        longest_stall_s=longest_stall_s,
+        final_status=final.status.message,
+    )
+
+
+def _write_final(writer: LogWriter, final: FinalMap) -> None:
+    writer.write("/slam/trajectory_stamped", final.trajectory)
+    writer.write_path("/slam/trajectory", final.trajectory)
+    writer.write("/slam/map", final.object_map)
+    writer.write("/slam/graph", final.graph)
+    writer.write("/slam/landmarks", final.markers)
+    writer.write("/slam/status", final.status)
+
+
+def _provenance(reader: LogReader, config: Config, selection: Selection) -> dict[str, str]:
+    """What made this log: enough to make it again."""
+    return {
+        "version": version("descriptellation-slam"),
+        "configuration": config.model_dump_json(),
+        "input_sha256": reader.sha256(),
+        "topics": json.dumps({topic: list(kinds) for topic, kinds in sorted(selection.kinds.items())}),
+    }
+
+
+def _span(reader: LogReader, selection: Selection) -> tuple[int, int]:
+    """First and last log time [ns] of the selected topics."""
+    infos = [info for info in reader.topics() if info.topic in selection.topics]
+    first = [info.first_log_time_ns for info in infos if info.first_log_time_ns is not None]
+    last = [info.last_log_time_ns for info in infos if info.last_log_time_ns is not None]
+    return min(first, default=0), max(last, default=0)

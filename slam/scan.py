@@ -1,0 +1,77 @@
+"""One message of detections, made ready for mapping: in the body frame, with covariances, without what is not wanted."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.messages import ObjectDetections, Transform
+from slam.config import DetectionConfig
+from slam.geometry import FloatArray, apply, invert
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scan:
+    """Detections in the body frame: positions (N, 3) m, covariances (N, 3, 3) m^2, labels (N,).
+
+    ``used`` (M,) says which of the message's M detections these are. ``has_own_covariances``: they came with the message.
+    """
+
+    stamp_ns: int
+    positions: FloatArray
+    covariances: FloatArray
+    labels: tuple[str, ...]
+    used: NDArray[np.bool_]
+    has_own_covariances: bool
+
+
+def make_scan(detections: ObjectDetections, T_body_sensor: FloatArray, config: DetectionConfig) -> Scan:
+    """The detections of one message that pass the limits on score and range, in the body frame.
+
+    Covariances are the message's own, else (base_sigma_m + sigma_per_m * range)^2 in each coordinate.
+    """
+    ranges = np.linalg.norm(detections.positions, axis=1)
+    used = (detections.scores >= config.min_score) & (ranges <= config.max_range_m)
+    if detections.covariances is not None:
+        covariances = detections.covariances[used]
+    else:
+        sigmas = config.base_sigma_m + config.sigma_per_m * ranges[used]
+        covariances = sigmas[:, None, None] ** 2 * np.eye(3)
+    R = T_body_sensor[:3, :3]
+    return Scan(
+        stamp_ns=detections.stamp_ns,
+        positions=apply(T_body_sensor, detections.positions[used]),
+        covariances=R @ covariances @ R.T,
+        labels=tuple(label for label, is_used in zip(detections.labels, used, strict=True) if is_used),
+        used=used,
+        has_own_covariances=detections.covariances is not None,
+    )
+
+
+class SensorFrames:
+    """Where the sensors sit on the body, from the transforms of the log."""
+
+    def __init__(self) -> None:
+        self._T_parent_child: dict[tuple[str, str], FloatArray] = {}
+
+    def add(self, transform: Transform) -> None:
+        """Take note of a transform; a later one between the same frames replaces it."""
+        self._T_parent_child[transform.parent_frame_id, transform.child_frame_id] = transform.T_parent_child
+
+    def find(self, body_frame: str, sensor_frame: str) -> FloatArray | None:
+        """``T_body_sensor`` (4, 4) along the shortest chain of transforms; None if nothing connects the two."""
+        reached: dict[str, FloatArray] = {body_frame: np.eye(4)}
+        frames = deque([body_frame])
+        while frames and sensor_frame not in reached:
+            frame = frames.popleft()
+            for (parent, child), T_parent_child in self._T_parent_child.items():
+                if parent == frame and child not in reached:
+                    reached[child] = reached[frame] @ T_parent_child
+                    frames.append(child)
+                elif child == frame and parent not in reached:
+                    reached[parent] = reached[frame] @ invert(T_parent_child)
+                    frames.append(parent)
+        return reached.get(sensor_frame)

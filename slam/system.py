@@ -1,0 +1,245 @@
+"""The whole system: records go in, what became known goes out.
+
+``Slam.process`` is where to begin reading.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter, deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.messages import (
+    FactorGraphRecord,
+    ObjectDetections,
+    ObjectMapRecord,
+    Odometry,
+    Record,
+    SceneMarkers,
+    SlamPose,
+    StatusRecord,
+    TrajectoryRecord,
+    Transform,
+)
+from slam.config import Config
+from slam.errors import InputDataError
+from slam.factor_graph import FactorGraph
+from slam.geometry import FloatArray, apply, invert
+from slam.mapper import Mapper
+from slam.object_map import LandmarkState, ObjectMap
+from slam.odometry_track import OdometryPose, OdometryTrack
+from slam.scan import SensorFrames, make_scan
+from slam.trajectory import bend_odometry
+
+logger = logging.getLogger(__name__)
+
+MAP_FRAME = "map"
+STATE_MAPPING = "MAPPING"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FinalMap:
+    """What a drive leaves behind."""
+
+    trajectory: TrajectoryRecord
+    object_map: ObjectMapRecord
+    graph: FactorGraphRecord
+    markers: SceneMarkers
+    status: StatusRecord
+
+
+class Slam:
+    """Maps a drive, record by record. The same records and configuration give the same results."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._track = OdometryTrack(config.odometry)
+        self._frames = SensorFrames()
+        self._object_map = ObjectMap(config.association)
+        self._graph = FactorGraph(config.factor_graph)
+        self._mapper = Mapper(config, self._object_map, self._graph)
+        self._waiting: deque[ObjectDetections] = deque()
+        self._last_scan_ns = -1
+        self._body_frame = ""
+        self._odom_frame = ""
+        self._frames_missing: set[str] = set()
+        self._poses: list[OdometryPose] = []
+        self._T_map_odom = np.eye(4)
+        self.counters: Counter[str] = Counter()
+
+    @property
+    def solver_seconds(self) -> float:
+        """Time spent inside GTSAM so far."""
+        return self._graph.solver_seconds
+
+    def process(self, record: Record) -> list[Record]:
+        """Take in the next record in the order of the log; returns what it made known."""
+        if isinstance(record, Transform):
+            self._frames.add(record)
+        elif isinstance(record, ObjectDetections):
+            self._waiting.append(record)
+        elif isinstance(record, Odometry):
+            return self._follow(record)
+        return self._map_waiting_scans()
+
+    def finish(self) -> FinalMap:
+        """Close the last keyframe, optimise everything at once and hand out the result.
+
+        Raises:
+            InputDataError: there was nothing to map.
+        """
+        if not self._mapper.keyframes:
+            raise InputDataError(
+                "no odometry message was usable, so there is nothing to map; see 'dslam info' of the log"
+            )
+        if self._frames_missing and not self.counters["detections_used"]:
+            raise InputDataError(
+                f"no transform leads from {', '.join(sorted(self._frames_missing))} to {self._body_frame}, the frame of "
+                "the odometry's body, so no detection could be placed; record /tf_static, or say "
+                "--set detection.assume_body_frame=true if the detections are in the body frame"
+            )
+        self.counters["detections_without_odometry"] += len(self._waiting)
+        self._mapper.close_keyframe()
+        optimization = self._graph.optimize()
+        self.counters["batch_iterations"] = optimization.iterations
+        message = "optimised" if optimization.converged else (
+            f"the final optimisation did not converge in {optimization.iterations} iterations"
+        )  # fmt: skip
+        return FinalMap(
+            trajectory=self._trajectory(),
+            object_map=self._map_record(),
+            graph=self._graph_record(),
+            markers=self._markers(),
+            status=self._status(message, level="info" if optimization.converged else "warning"),
+        )
+
+    def _follow(self, odometry: Odometry) -> list[Record]:
+        previous = self._track.latest
+        pose = self._track.add(odometry)
+        if pose is None:
+            same = previous is not None and odometry.stamp_ns == previous.stamp_ns
+            self.counters["odometry_duplicated" if same else "odometry_out_of_order"] += 1
+            return []
+        self._body_frame, self._odom_frame = odometry.child_frame_id, odometry.frame_id
+        self.counters["odometry_used"] += 1
+        updates = self._map_waiting_scans(before_ns=pose.stamp_ns)
+        self._poses.append(pose)
+        keyframe = self._mapper.add_odometry(pose)
+        if keyframe is not None:
+            updates += self._keyframe_updates(pose, breaks=previous is not None and previous.segment != pose.segment)
+        T_map_body = self._T_map_odom @ pose.T_odom_body
+        updates.append(SlamPose(pose.stamp_ns, T_map_body, self._T_map_odom))
+        return updates + self._map_waiting_scans()
+
+    def _keyframe_updates(self, pose: OdometryPose, *, breaks: bool) -> list[Record]:
+        keyframe = self._mapper.keyframes[-1]
+        self._T_map_odom = self._graph.pose(keyframe.id) @ invert(pose.T_odom_body)
+        updates: list[Record] = [Transform(pose.stamp_ns, MAP_FRAME, self._odom_frame, self._T_map_odom)]
+        self.counters["keyframes"] += 1
+        if len(self._mapper.keyframes) == 1:
+            updates.append(self._status("first odometry", level="info"))
+        if breaks:
+            self.counters["odometry_breaks"] += 1
+            updates.append(
+                self._status("the odometry jumped or fell silent: landmarks in view are let go", level="warning")
+            )
+        return updates
+
+    def _map_waiting_scans(self, before_ns: int | None = None) -> list[Record]:
+        """Map the scans that the odometry has caught up with; ``before_ns`` keeps those at or after it waiting."""
+        updates: list[Record] = []
+        latest = self._track.latest
+        while self._waiting and latest is not None:
+            stamp_ns = self._waiting[0].stamp_ns
+            if stamp_ns > latest.stamp_ns or (before_ns is not None and stamp_ns >= before_ns):
+                break
+            updates += self._map_scan(self._waiting.popleft())
+        return updates
+
+    def _map_scan(self, detections: ObjectDetections) -> list[Record]:
+        if detections.stamp_ns <= self._last_scan_ns:
+            same = detections.stamp_ns == self._last_scan_ns
+            self.counters["detections_duplicated" if same else "detections_out_of_order"] += 1
+            return []
+        pose = self._track.at(detections.stamp_ns)
+        if pose is None or not self._mapper.keyframes:
+            self.counters["detections_without_odometry"] += 1
+            return []
+        T_body_sensor = self._sensor_pose(detections.frame_id, pose)
+        if T_body_sensor is None:
+            self.counters["detections_without_transform"] += 1
+            return []
+        self._last_scan_ns = detections.stamp_ns
+        scan = make_scan(detections, T_body_sensor, self._config.detection)
+        self.counters["detections_used"] += 1
+        self.counters["objects_used"] += len(scan.positions)
+        self.counters["objects_left_out"] += len(detections.positions) - len(scan.positions)
+        return [self._mapper.add_scan(scan, pose)]
+
+    def _sensor_pose(self, frame: str, pose: OdometryPose) -> FloatArray | None:
+        """``T_body_sensor`` for detections in ``frame``; None where the log does not tell it."""
+        if frame in ("", self._body_frame) or self._config.detection.assume_body_frame:
+            return np.eye(4)
+        if frame == self._odom_frame:
+            return invert(pose.T_odom_body)
+        T_body_sensor = self._frames.find(self._body_frame, frame)
+        if T_body_sensor is None and frame not in self._frames_missing:
+            self._frames_missing.add(frame)
+            logger.warning(
+                "no transform from %s to %s yet: detections in that frame are dropped", frame, self._body_frame
+            )
+        return T_body_sensor
+
+    def _trajectory(self) -> TrajectoryRecord:
+        stamps_ns = np.array([pose.stamp_ns for pose in self._poses], dtype=np.int64)
+        keyframe_stamps_ns = [keyframe.odometry.stamp_ns for keyframe in self._mapper.keyframes]
+        T_map_body = bend_odometry(
+            stamps_ns,
+            np.stack([pose.T_odom_body for pose in self._poses]),
+            np.searchsorted(stamps_ns, keyframe_stamps_ns),
+            self._graph.poses(),
+            np.array([pose.segment for pose in self._poses]),
+        )
+        return TrajectoryRecord(self._now_ns, MAP_FRAME, stamps_ns, T_map_body)
+
+    def _map_record(self) -> ObjectMapRecord:
+        landmarks = self._object_map.rows
+        # What never got into the graph has no place in the map but where the odometry puts it.
+        landmarks["position_map"] = apply(self._T_map_odom, landmarks["position_odom"])
+        landmarks["covariance_map"] = landmarks["covariance_odom"]
+        in_graph = self._graph.landmarks
+        landmarks["position_map"][in_graph] = self._graph.landmark_positions(in_graph)
+        landmarks["covariance_map"][in_graph] = self._graph.landmark_covariances(in_graph)
+        return self._object_map.to_record(self._now_ns)
+
+    def _graph_record(self) -> FactorGraphRecord:
+        keyframe_stamps_ns = np.array(
+            [keyframe.odometry.stamp_ns for keyframe in self._mapper.keyframes], dtype=np.int64
+        )
+        return self._graph.to_record(self._now_ns, keyframe_stamps_ns)
+
+    def _markers(self) -> SceneMarkers:
+        confirmed = self._object_map.in_state(LandmarkState.CONFIRMED)
+        classes = self._object_map.beliefs(confirmed).argmax(axis=1) if len(confirmed) else []
+        return SceneMarkers(
+            stamp_ns=self._now_ns,
+            frame_id=MAP_FRAME,
+            positions=self._object_map.rows["position_map"][confirmed],
+            labels=tuple(self._object_map.vocabulary[index] for index in classes),
+            ids=tuple(str(row) for row in confirmed),
+            lines=np.zeros((0, 2, 3)),
+            line_colors=np.zeros((0, 4)),
+        )
+
+    def _status(self, message: str, *, level: str) -> StatusRecord:
+        states = self._object_map.rows["state"]
+        counters = {key: int(value) for key, value in sorted(self.counters.items())}
+        counters |= {f"landmarks_{state.name.lower()}": int(np.sum(states == state)) for state in LandmarkState}
+        return StatusRecord(self._now_ns, STATE_MAPPING, level, message, counters)
+
+    @property
+    def _now_ns(self) -> int:
+        latest = self._track.latest
+        return latest.stamp_ns if latest is not None else 0
