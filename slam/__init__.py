@@ -1,0 +1,1 @@
+"""The estimator: odometry and detections become a trajectory and an object map."""

@@ -5,7 +5,12 @@ Each component receives only its own branch. The effective tree is written into 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 from pydantic import BaseModel, ConfigDict, Field
+
+from slam.config_tree import load_tree
 
 
 class _Branch(BaseModel):
@@ -26,11 +31,16 @@ class OdometryConfig(_Branch):
     """Noise of the odometry as a random walk: variances grow in proportion to the travel."""
 
     translation_sigma: float = Field(
-        default=0.02, gt=0, description="translation noise after 1 m of travel [m / sqrt(m)]"
+        default=0.05, gt=0, description="translation noise after 1 m of travel [m / sqrt(m)]"
     )
-    rotation_sigma: float = Field(default=0.001, gt=0, description="rotation noise after 1 m of travel [rad / sqrt(m)]")
+    yaw_sigma: float = Field(default=0.001, gt=0, description="heading noise after 1 m of travel [rad / sqrt(m)]")
+    tilt_sigma: float = Field(
+        default=0.0003,
+        gt=0,
+        description="roll and pitch noise after 1 m of travel, which gravity holds [rad / sqrt(m)]",
+    )
     min_translation_sigma_m: float = Field(default=0.002, gt=0, description="least translation noise of a step [m]")
-    min_rotation_sigma_rad: float = Field(default=0.0002, gt=0, description="least rotation noise of a step [rad]")
+    min_rotation_sigma_rad: float = Field(default=0.0001, gt=0, description="least rotation noise of a step [rad]")
     max_speed_mps: float = Field(
         default=60.0, gt=0, description="a faster step is a jump, and ties nothing together [m/s]"
     )
@@ -47,12 +57,12 @@ class DetectionConfig(_Branch):
     )
     sigma_per_m: float = Field(default=0.01, ge=0, description="growth of that noise with the range [m / m]")
     common_sigma_m: float = Field(
-        default=0.1,
+        default=0.4,
         ge=0,
         description="error that the sightings of one object from one keyframe share, e.g. of a centroid [m]",
     )
     redundancy: float = Field(
-        default=100.0, ge=1, description="observations that carry the information of one where the message has no covariance: "
+        default=500.0, ge=1, description="observations that carry the information of one where the message has no covariance: "
         "errors of centroids are shared by the objects in view and by the keyframes of a pass"
     )  # fmt: skip
     min_score: float = Field(default=0.0, ge=0, le=1, description="detections below this score are left out")
@@ -128,3 +138,12 @@ class Config(_Branch):
     association: AssociationConfig = AssociationConfig()
     landmark: LandmarkConfig = LandmarkConfig()
     factor_graph: FactorGraphConfig = FactorGraphConfig()
+
+
+def load_config(path: Path | None = None, overrides: Sequence[str] = ()) -> Config:
+    """The effective configuration: defaults, then the TOML file, then ``overrides`` like "keyframe.distance_m=1.5".
+
+    Raises:
+        ConfigurationError: a file that cannot be read, an unknown key, or a value that is not allowed.
+    """
+    return load_tree(Config, path, overrides)

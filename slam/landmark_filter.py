@@ -24,14 +24,16 @@ def predict_covariances(
         travel_since_m: (N,) travel since then.
         config: noise of the odometry.
 
-    A rotation error e of the robot moves a landmark at offset r by e x r: covariance sigma^2 (|r|^2 I - r r^T).
+    A rotation error e of the robot moves a landmark at offset r by e x r, so a covariance Q of e becomes [r] Q [r]^T.
     """
     translation_variance = config.translation_sigma**2 * travel_since_m
-    rotation_variance = config.rotation_sigma**2 * travel_since_m
-    range_squared = np.einsum("ni,ni->n", offsets, offsets)
-    isotropic = (translation_variance + rotation_variance * range_squared)[:, None, None] * np.eye(3)
-    along = rotation_variance[:, None, None] * offsets[:, :, None] * offsets[:, None, :]
-    return np.asarray(covariances + isotropic - along)
+    rotation_variances = np.array([config.tilt_sigma, config.tilt_sigma, config.yaw_sigma]) ** 2
+    cross = np.zeros_like(covariances)
+    for axis, (first, second) in enumerate(((1, 2), (2, 0), (0, 1))):
+        cross[:, second, first] = offsets[:, axis]
+        cross[:, first, second] = -offsets[:, axis]
+    turned = (cross * rotation_variances) @ np.swapaxes(cross, -1, -2) * travel_since_m[:, None, None]
+    return np.asarray(covariances + translation_variance[:, None, None] * np.eye(3) + turned)
 
 
 def update_positions(

@@ -74,9 +74,11 @@ def step_covariance(T_from_to: FloatArray, travel_m: float, config: OdometryConf
     length_m = max(travel_m, float(np.linalg.norm(T_from_to[:3, 3])))
     # A turn on the spot is no travel and yet not free of error: 0.1 rad count as a metre.
     length_m += 10.0 * float(rotation_angle_rad(T_from_to)) if length_m < 0.5 else 0.0
-    rotation = max(config.min_rotation_sigma_rad, config.rotation_sigma * np.sqrt(length_m))
-    translation = max(config.min_translation_sigma_m, config.translation_sigma * np.sqrt(length_m))
-    return np.diag(np.repeat([rotation**2, translation**2], 3))
+    root = np.sqrt(length_m)
+    tilt = max(config.min_rotation_sigma_rad, config.tilt_sigma * root)
+    yaw = max(config.min_rotation_sigma_rad, config.yaw_sigma * root)
+    translation = max(config.min_translation_sigma_m, config.translation_sigma * root)
+    return np.diag(np.array([tilt, tilt, yaw, translation, translation, translation]) ** 2)
 
 
 def relative(T_odom_from: FloatArray, T_odom_to: FloatArray) -> FloatArray:

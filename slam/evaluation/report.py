@@ -55,8 +55,8 @@ def render(evaluation: Evaluation, *, with_rules: bool = True) -> list[Renderabl
 
 
 def _absolute_table(columns: Sequence[tuple[str, TrajectoryErrors]]) -> Table:
-    table = Table(title="Absolute trajectory error", title_justify="left")
-    for heading in ("", "RMSE m", "mean m", "median m", "max m", "poses", "without truth", "path m", "aligned by"):
+    table = _table("Absolute trajectory error")
+    for heading in ("", "RMSE m", "mean m", "median m", "max m", "poses", "without\ntruth", "path m", "aligned by"):
         table.add_column(heading, justify="left" if heading in ("", "aligned by") else "right")
     kinds = {"se3": "SE(3)", "yaw_translation": "yaw + translation"}
     for name, errors in columns:
@@ -70,18 +70,18 @@ def _absolute_table(columns: Sequence[tuple[str, TrajectoryErrors]]) -> Table:
 
 
 def _relative_table(columns: Sequence[tuple[str, TrajectoryErrors]]) -> Table:
-    table = Table(title="Relative error over stretches of path", title_justify="left")
-    for heading in ("length m", "stretches", *(f"{name} {unit}" for name, _ in columns for unit in ("%", "deg/100 m"))):
+    table = _table("Relative error over stretches of path")
+    for heading in ("length m", "count", *(f"{name}\n{unit}" for name, _ in columns for unit in ("%", "deg/100 m"))):
         table.add_column(heading, justify="right")
     first = columns[0][1]
     every = [(*errors.short_relative.rows, *errors.relative.rows) for _, errors in columns]
-    short_count = len(first.short_relative.rows)
     for index, head in enumerate(every[0]):
+        if not any(rows[index].stretch_count for rows in every):
+            continue
         cells = []
         for rows in every:
             cells += [_number(rows[index].translation_percent), _number(rows[index].rotation_deg_per_100m)]
-        is_last = index in (short_count - 1, len(every[0]) - 1)
-        table.add_row(f"{head.length_m:g}", str(head.stretch_count), *cells, end_section=is_last)
+        table.add_row(f"{head.length_m:g}", str(head.stretch_count), *cells)
     cells = []
     for _, errors in columns:
         cells += [_number(errors.relative.translation_percent), _number(errors.relative.rotation_deg_per_100m)]
@@ -134,12 +134,26 @@ def _landmark_table(quality: LandmarkQuality) -> Table:
 
 
 def _pairs_table(title: str, rows: dict[str, str]) -> Table:
-    table = Table(title=title, title_justify="left", show_header=False)
-    table.add_column(no_wrap=True)
+    table = _table(title, show_header=False)
+    table.add_column(no_wrap=True, style="cyan")
     table.add_column()
     for name, value in rows.items():
         table.add_row(name, value)
     return table
+
+
+def _table(title: str, *, show_header: bool = True) -> Table:
+    """Without lines, so that it fits 80 columns and can be pasted anywhere."""
+    return Table(
+        title=f"\n{title}",
+        title_justify="left",
+        title_style="bold",
+        header_style="cyan",
+        box=None,
+        pad_edge=False,
+        padding=(0, 2, 0, 0),
+        show_header=show_header,
+    )
 
 
 def _error(statistics: ErrorStatistics | None) -> str:

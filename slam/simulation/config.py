@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 from pydantic import BaseModel, ConfigDict, Field
 
+from slam.config_tree import load_tree
 from slam.errors import SimulationError
 
 
@@ -97,6 +101,15 @@ class SimulationConfig(_Branch):
     sensor: SensorConfig = SensorConfig()
     traffic: TrafficConfig = TrafficConfig()
     kidnap: KidnapConfig | None = Field(default=None, description="take the robot elsewhere once")
+
+
+def load_simulation_config(path: Path | None = None, overrides: Sequence[str] = ()) -> SimulationConfig:
+    """Defaults, then the TOML file, then ``overrides`` like "sensor.dropout=0.3".
+
+    Raises:
+        ConfigurationError: a file that cannot be read, an unknown key, or a value that is not allowed.
+    """
+    return load_tree(SimulationConfig, path, overrides)
 
 
 def parse_kidnap(text: str, *, gap_s: float = 5.0) -> KidnapConfig:

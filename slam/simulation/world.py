@@ -6,7 +6,7 @@ import csv
 import hashlib
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +63,20 @@ class World:
     def tour_length_m(self) -> float:
         """Length of the poly-line, metres."""
         return float(np.linalg.norm(np.diff(self.tour, axis=0), axis=1).sum())
+
+    def shortened(self, length_m: float) -> World:
+        """The same world with the first ``length_m`` metres of the tour; the whole tour if it is no longer than that.
+
+        Raises:
+            SimulationError: ``length_m`` is not a positive length.
+        """
+        if not length_m > 0.0:
+            raise SimulationError(f"length {length_m:g} m: a tour needs a length above 0 m")
+        along_m = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(self.tour, axis=0), axis=1)))
+        if length_m >= along_m[-1]:
+            return self
+        end = [np.interp(length_m, along_m, self.tour[:, axis]) for axis in (0, 1)]
+        return replace(self, tour=np.vstack([self.tour[along_m < length_m], end]))
 
     def sha256(self) -> str:
         """Digest over ids, labels, positions and tour: the same world has the same, wherever it comes from."""
