@@ -1,9 +1,9 @@
 """Which detection is which landmark: gated optimal assignment on the relative covariance.
 
-Each pair is scored by the likelihood that the detection is that landmark (position and label together) and each detection
-also by the likelihood that it is none of them, a new object or a false positive. The assignment that maximises the
-product over the scan is found by shortest augmenting paths (Jonker and Volgenant 1987) on the sparse matrix of pairs that
-pass the gate, so a scan of thousands of detections costs no more than its neighbourhoods.
+Each pair is scored by the likelihood that the detection is that landmark (position and label together), and each
+detection also by the likelihood that it is none of them, a new object or a false positive. The assignment that
+maximises the product over the scan is found by shortest augmenting paths (Jonker and Volgenant 1987) on the sparse
+matrix of pairs that pass the gate, so a scan of thousands of detections costs no more than its neighbourhoods.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def _near_pairs(
     landmark_covariances: FloatArray,
     gate: float,
 ) -> tuple[IntArray, IntArray]:
-    """Pairs (detection, landmark) that can pass the gate, by the largest variances of all; a superset of those that do."""
+    """Pairs (detection, landmark) that can pass the gate by the largest variances: a superset of those that do."""
     largest = np.trace(covariances, axis1=1, axis2=2).max() + np.trace(landmark_covariances, axis1=1, axis2=2).max()
     radius = np.sqrt(gate * largest)
     pairs = cKDTree(positions).sparse_distance_matrix(cKDTree(landmark_positions), radius, output_type="ndarray")

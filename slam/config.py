@@ -62,9 +62,11 @@ class DetectionConfig(_Branch):
         description="error that the sightings of one object from one keyframe share, e.g. of a centroid [m]",
     )
     redundancy: float = Field(
-        default=500.0, ge=1, description="observations that carry the information of one where the message has no covariance: "
-        "errors of centroids are shared by the objects in view and by the keyframes of a pass"
-    )  # fmt: skip
+        default=500.0,
+        ge=1,
+        description="observations that carry the information of one, where the message has no covariance: "
+        "errors of centroids are shared by the objects in view and by the keyframes of a pass",
+    )
     min_score: float = Field(default=0.0, ge=0, le=1, description="detections below this score are left out")
     max_range_m: float = Field(default=80.0, gt=0, description="detections farther away are left out [m]")
 
@@ -102,12 +104,20 @@ class LandmarkConfig(_Branch):
     confirm_fraction: float = Field(
         default=0.25, ge=0, le=1, description="least share of the scans since its first sighting in which it was seen"
     )
+    confirm_age_s: float = Field(
+        default=1.0,
+        ge=0,
+        description="least time from its first to its last sighting: what drives by is gone by then [s]",
+    )
     give_up_distance_m: float = Field(
         default=15.0, gt=0, description="a tentative landmark unseen for that travel retires [m]"
     )
     give_up_scans: int = Field(default=20, ge=1, description="... or for that many scans")
     moving_speed_mps: float = Field(default=1.0, gt=0, description="an object at least this fast is moving [m/s]")
     moving_distance_m: float = Field(default=2.5, gt=0, description="... if it also went at least this far [m]")
+    moving_acceleration_mps2: float = Field(
+        default=3.0, gt=0, description="how much a moving object may change its speed [m/s^2]"
+    )
 
 
 class FactorGraphConfig(_Branch):

@@ -28,7 +28,7 @@ _TYPE_NAMES = {float: "a number", int: "a whole number", bool: "true or false", 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One value of a tree: its dotted key, what it means, what is allowed, and what it is."""
+    """One value of a tree by its dotted key; ``default`` is the value itself where there is none."""
 
     key: str
     value: object
@@ -67,7 +67,7 @@ def settings_of(tree: BaseModel, prefix: str = "") -> Iterator[Setting]:
             yield from settings_of(value, f"{prefix}{name}.")
         elif _branch_of(field) is None:
             meaning = " ".join((field.description or "").split())
-            default = field.get_default(call_default_factory=False)
+            default = value if field.is_required() else field.get_default()
             yield Setting(f"{prefix}{name}", value, default, _allowed(field), meaning)
 
 
@@ -96,7 +96,7 @@ def to_toml(tree: BaseModel) -> str:
             branch = head
         changed = "" if setting.value == setting.default else f"; default {_toml_value(setting.default)}"
         lines += [f"# {setting.meaning} ({setting.allowed}{changed})", f"{name} = {_toml_value(setting.value)}"]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines).lstrip("\n") + "\n"
 
 
 def _leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, object]]:

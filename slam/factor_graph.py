@@ -1,17 +1,16 @@
-"""The factor graph: poses of keyframes, points of landmarks, and what ties them together. The only importer of gtsam.
+"""The factor graph: poses of keyframes, points of landmarks, and what ties them together.
 
-Everything that enters is checked here, since GTSAM takes a rotation that is none without a word, and what it throws is
-translated into which keyframe or landmark it is about. Noise in GTSAM's order: rotation, then translation.
+With ``factors`` the only importer of gtsam; what GTSAM throws is told as which keyframe or landmark it is about.
 """
 
 from __future__ import annotations
 
+import logging
 import re
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import cache, partial
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -20,38 +19,21 @@ from gtsam.symbol_shorthand import L, X
 from logs.messages import FactorGraphRecord
 from slam.config import FactorGraphConfig
 from slam.errors import FactorGraphError
+from slam.factors import (
+    MIN_RANGE_M,
+    Anchor,
+    Edge,
+    Observation,
+    bearing_range_factor,
+    between_factor,
+    checked_pose,
+    prior_factor,
+)
 from slam.geometry import FloatArray, IntArray, apply
 
-PRIOR_SIGMA = 1e-4
-# Nearer than this a bearing says nothing: the object is on top of the sensor.
-MIN_RANGE_M = 0.3
-ORTHONORMAL_TOLERANCE = 1e-6
+logger = logging.getLogger(__name__)
+
 MAX_BATCH_ITERATIONS = 50
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Edge:
-    """A between-factor: ``T_from_to`` (4, 4) with its covariance (6, 6); ``kind`` is "odometry" or "closure"."""
-
-    from_keyframe: int
-    to_keyframe: int
-    T_from_to: FloatArray
-    covariance: FloatArray
-    kind: str
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Observation:
-    """A landmark seen from a keyframe: ``position`` (3,) m in the keyframe's body frame, covariance (3, 3) m^2.
-
-    ``redundancy``: how many such observations carry the information of one, because they share their errors.
-    """
-
-    keyframe: int
-    landmark: int
-    position: FloatArray
-    covariance: FloatArray
-    redundancy: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,21 +55,18 @@ class FactorGraph:
 
     def __init__(self, config: FactorGraphConfig) -> None:
         self._config = config
-        parameters = gtsam.ISAM2Params()
-        parameters.setRelinearizeThreshold(config.relinearize_threshold)
-        parameters.relinearizeSkip = config.relinearize_skip
-        self._isam = gtsam.ISAM2(parameters)
+        self._isam = self._new_isam("CHOLESKY")
         self._values: gtsam.Values | None = None
-        self._kernel = cache(partial(_robust_kernel, config))
         self._pending: list[int] = []
         self._pending_factors = gtsam.NonlinearFactorGraph()
         self._pending_values = gtsam.Values()
         self._removed_slots: list[int] = []
+        self._leaving: set[int] = set()
         self._slots: dict[int, int] = {}
         self._landmark_factors: dict[int, list[int]] = {}
         self._keyframes: list[int] = []
         self._next_factor = 0
-        self.factors: dict[int, Edge | Observation] = {}
+        self.factors: dict[int, Edge | Observation | Anchor] = {}
         self.solver_seconds = 0.0
 
     @property
@@ -102,28 +81,23 @@ class FactorGraph:
 
     def add_first_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
         """Fix the map frame: a prior on the first keyframe."""
-        pose = _checked_pose(T_map_body, f"keyframe {keyframe}")
-        self._insert_keyframe(keyframe, pose)
-        noise = gtsam.noiseModel.Isotropic.Sigma(6, PRIOR_SIGMA)
-        self._pending_factors.add(gtsam.PriorFactorPose3(X(keyframe), pose, noise))
-        self._pending.append(-1)
+        self._insert_keyframe(keyframe, T_map_body)
+        self._add(Anchor(keyframe, T_map_body))
 
     def add_next_keyframe(self, edge: Edge) -> None:
         """Add the keyframe ``edge.to_keyframe``, placed from ``edge.from_keyframe`` by the edge."""
-        T_map_to = self.pose(edge.from_keyframe) @ edge.T_from_to
-        self._insert_keyframe(edge.to_keyframe, _checked_pose(T_map_to, f"keyframe {edge.to_keyframe}"))
-        self.add_edge(edge)
+        factor = between_factor(edge)
+        self._insert_keyframe(edge.to_keyframe, self.pose(edge.from_keyframe) @ edge.T_from_to)
+        self._add(edge, factor)
 
     def add_edge(self, edge: Edge) -> int:
         """Tie two keyframes together; returns the factor's number."""
-        what = f"edge {edge.from_keyframe} -> {edge.to_keyframe}"
-        pose = _checked_pose(edge.T_from_to, what)
-        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(
-            _checked_covariance(edge.covariance, 6, what)
-        )
-        if edge.kind == "closure":
-            noise = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(1.0), noise)
-        return self._add(edge, gtsam.BetweenFactorPose3(X(edge.from_keyframe), X(edge.to_keyframe), pose, noise))
+        for keyframe in (edge.from_keyframe, edge.to_keyframe):
+            if not self._has_keyframe(keyframe):
+                raise FactorGraphError(
+                    f"edge {edge.from_keyframe} -> {edge.to_keyframe}: keyframe {keyframe} is not in the graph"
+                )
+        return self._add(edge)
 
     def add_observations(self, observations: Sequence[Observation]) -> int:
         """Tie landmarks to the keyframes that saw them; returns how many were used.
@@ -133,30 +107,32 @@ class FactorGraph:
         """
         used = 0
         for observation in observations:
-            range_m = float(np.linalg.norm(observation.position))
-            if range_m < MIN_RANGE_M:
+            if np.linalg.norm(observation.position) < MIN_RANGE_M:
                 continue
+            T_map_body = self.pose(observation.keyframe)
+            factor = bearing_range_factor(observation, self._config)
             landmark = observation.landmark
             if landmark not in self._landmark_factors:
-                position = apply(self.pose(observation.keyframe), observation.position[None])[0]
-                self._pending_values.insert(L(landmark), position)
+                if landmark in self._leaving:
+                    self.update()
+                self._pending_values.insert(L(landmark), apply(T_map_body, observation.position[None])[0])
                 self._landmark_factors[landmark] = []
-            factor = self._bearing_range_factor(observation, range_m)
             self._landmark_factors[landmark].append(self._add(observation, factor))
             used += 1
         return used
 
     def remove_factor(self, number: int) -> None:
         """Take a factor out again; a landmark without observations leaves the graph with its last one."""
-        factor = self.factors.pop(number)
         if number not in self._slots:
             self.update()
+        factor = self.factors.pop(number)
         self._removed_slots.append(self._slots.pop(number))
         if isinstance(factor, Observation):
             remaining = self._landmark_factors[factor.landmark]
             remaining.remove(number)
             if not remaining:
                 del self._landmark_factors[factor.landmark]
+                self._leaving.add(factor.landmark)
 
     def remove_landmark(self, landmark: int) -> None:
         """Take a landmark and all its observations out of the graph; nothing happens if it is not in it."""
@@ -168,22 +144,25 @@ class FactorGraph:
         numbers = list(self._landmark_factors.get(dropped, ()))
         moved = [self.factors[number] for number in numbers]
         self.remove_landmark(dropped)
-        self.add_observations(
-            [Observation(o.keyframe, kept, o.position, o.covariance) for o in moved if isinstance(o, Observation)]
-        )
+        self.add_observations([replace(o, landmark=kept) for o in moved if isinstance(o, Observation)])
 
     def update(self) -> None:
         """Bring the incremental estimate up to date with all that was added and removed."""
         if not self._pending and not self._removed_slots:
             return
         with self._solver("the incremental update"):
-            result = self._isam.update(self._pending_factors, self._pending_values, self._removed_slots)
+            try:
+                result = self._isam.update(self._pending_factors, self._pending_values, self._removed_slots)
+                numbers = self._pending
+            except RuntimeError as error:
+                logger.info("the incremental update failed (%s); solving afresh by QR", _first_line(error))
+                numbers = list(self.factors)
+                result = self._start_over(numbers)
             self._values = None
-        for number, slot in zip(self._pending, result.getNewFactorsIndices(), strict=True):
-            if number >= 0:
-                self._slots[number] = slot
-        self._pending.clear()
-        self._removed_slots.clear()
+        self._slots.update(zip(numbers, result.getNewFactorsIndices(), strict=True))
+        self._pending = []
+        self._removed_slots = []
+        self._leaving.clear()
         self._pending_factors = gtsam.NonlinearFactorGraph()
         self._pending_values = gtsam.Values()
 
@@ -206,6 +185,8 @@ class FactorGraph:
         key = X(keyframe)
         if self._pending_values.exists(key):
             return np.asarray(self._pending_values.atPose3(key).matrix())
+        if not self._isam.valueExists(key):
+            raise FactorGraphError(f"keyframe {keyframe} is not in the graph")
         if self._values is not None:
             return np.asarray(self._values.atPose3(key).matrix())
         with self._solver(f"the estimate of keyframe {keyframe}"):
@@ -256,31 +237,56 @@ class FactorGraph:
             covariances = [marginals.marginalCovariance(L(int(i))) for i in landmarks]
         return np.array(covariances).reshape(-1, 3, 3)
 
-    def _insert_keyframe(self, keyframe: int, pose: gtsam.Pose3) -> None:
+    def _new_isam(self, factorization: str) -> gtsam.ISAM2:
+        parameters = gtsam.ISAM2Params()
+        parameters.setRelinearizeThreshold(self._config.relinearize_threshold)
+        parameters.relinearizeSkip = self._config.relinearize_skip
+        parameters.setFactorization(factorization)
+        return gtsam.ISAM2(parameters)
+
+    def _start_over(self, numbers: list[int]) -> gtsam.ISAM2Result:
+        """Put all factors into a fresh iSAM2 that eliminates by QR: slower than Cholesky, but it bears the poor
+        conditioning of, say, a very sure odometry beside landmarks that the robust kernel has all but switched off.
+        """
+        # The failed update has taken the new variables in already.
+        point = self._isam.getLinearizationPoint()
+        values = gtsam.Values()
+        for keyframe in self._keyframes:
+            values.insert(X(keyframe), point.atPose3(X(keyframe)))
+        for landmark in self._landmark_factors:
+            values.insert(L(landmark), point.atPoint3(L(landmark)))
+        graph = gtsam.NonlinearFactorGraph()
+        for number in numbers:
+            graph.add(self._factor(self.factors[number]))
+        self._isam = self._new_isam("QR")
+        return self._isam.update(graph, values)
+
+    def _has_keyframe(self, keyframe: int) -> bool:
+        return self._pending_values.exists(X(keyframe)) or self._isam.valueExists(X(keyframe))
+
+    def _insert_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
+        pose = checked_pose(T_map_body, f"keyframe {keyframe}")
+        if self._has_keyframe(keyframe):
+            raise FactorGraphError(f"keyframe {keyframe} is in the graph already")
         self._pending_values.insert(X(keyframe), pose)
         self._keyframes.append(keyframe)
 
-    def _add(self, record: Edge | Observation, factor: gtsam.NonlinearFactor) -> int:
+    def _add(self, record: Edge | Observation | Anchor, factor: gtsam.NonlinearFactor | None = None) -> int:
         number = self._next_factor
+        self._pending_factors.add(factor if factor is not None else self._factor(record))
         self._next_factor += 1
         self.factors[number] = record
-        self._pending_factors.add(factor)
         self._pending.append(number)
         return number
 
-    def _bearing_range_factor(self, observation: Observation, range_m: float) -> gtsam.NonlinearFactor:
-        what = f"observation of landmark {observation.landmark} from keyframe {observation.keyframe}"
-        covariance = _checked_covariance(observation.covariance, 3, what)
-        bearing = gtsam.Unit3(observation.position)
-        # Error of bearing and range to first order: the tangent plane over the range, and the line of sight.
-        J = np.vstack([bearing.basis().T / range_m, observation.position / range_m])
-        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(
-            observation.redundancy * (J @ covariance @ J.T)
-        )
-        kernel = self._kernel(observation.redundancy)
-        if kernel is not None:
-            noise = gtsam.noiseModel.Robust.Create(kernel, noise)
-        return gtsam.BearingRangeFactor3D(X(observation.keyframe), L(observation.landmark), bearing, range_m, noise)
+    def _factor(self, record: Edge | Observation | Anchor) -> gtsam.NonlinearFactor:
+        match record:
+            case Edge():
+                return between_factor(record)
+            case Observation():
+                return bearing_range_factor(record, self._config)
+            case Anchor():
+                return prior_factor(record)
 
     @contextmanager
     def _solver(self, doing: str) -> Iterator[None]:
@@ -292,33 +298,6 @@ class FactorGraph:
             raise FactorGraphError(f"{doing} failed{_variable_in(str(error))}: {_first_line(error)}") from error
         finally:
             self.solver_seconds += time.perf_counter() - started
-
-
-def _robust_kernel(config: FactorGraphConfig, redundancy: float) -> gtsam.noiseModel.mEstimator.Base | None:
-    """The kernel of observations: its width is meant in sigmas of one observation, before redundancy widens them."""
-    width = config.observation_kernel_width / np.sqrt(redundancy)
-    match config.observation_kernel:
-        case "cauchy":
-            return gtsam.noiseModel.mEstimator.Cauchy.Create(width)
-        case "huber":
-            return gtsam.noiseModel.mEstimator.Huber.Create(width)
-        case _:
-            return None
-
-
-def _checked_pose(T: FloatArray, what: str) -> gtsam.Pose3:
-    R = T[:3, :3]
-    if not np.all(np.isfinite(T)) or np.abs(R @ R.T - np.eye(3)).max() > ORTHONORMAL_TOLERANCE or np.linalg.det(R) < 0:
-        raise FactorGraphError(f"{what}: not a rigid transform: {np.array2string(T, precision=4)}")
-    return gtsam.Pose3(T)
-
-
-def _checked_covariance(covariance: FloatArray, size: int, what: str) -> FloatArray:
-    if covariance.shape != (size, size) or not np.all(np.isfinite(covariance)):
-        raise FactorGraphError(f"{what}: the covariance must be a finite {size} x {size} matrix")
-    if np.linalg.eigvalsh(covariance)[0] <= 0.0:
-        raise FactorGraphError(f"{what}: the covariance is not positive definite")
-    return covariance
 
 
 def _variable_in(message: str) -> str:

@@ -54,7 +54,7 @@ def rotation_angle_rad(T: FloatArray) -> FloatArray:
         [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1
     )
     cosine = 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0)
-    return np.arctan2(np.linalg.norm(axis_sine, axis=-1), cosine)
+    return np.asarray(np.arctan2(np.linalg.norm(axis_sine, axis=-1), cosine))
 
 
 def yaw_rad(T: FloatArray) -> FloatArray:

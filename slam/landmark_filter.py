@@ -1,8 +1,9 @@
 """Where landmarks are relative to the robot: one small Kalman filter each, in the odometry frame.
 
-The odometry frame drifts as a whole but is smooth around the robot, so what the robot moved since it last saw a landmark
-is all that blurs their relative position. That blur is the noise of the odometry over that travel; the landmark's own
-filter is otherwise a static one. Nothing here depends on the optimised map, so a loop closure cannot break the tracking.
+The odometry frame drifts as a whole but is smooth around the robot, so what the robot moved since it last saw a
+landmark is all that blurs their relative position. That blur is the noise of the odometry over that travel; the
+landmark's own filter is otherwise a static one. Nothing here depends on the optimised map, so a loop closure cannot
+break the tracking.
 """
 
 from __future__ import annotations

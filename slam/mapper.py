@@ -1,7 +1,7 @@
 """From odometry and detections to keyframes, landmarks and factors.
 
-Each scan is associated with the landmarks around the robot (odometry frame); each keyframe hands what was seen since the
-last one to the factor graph (map frame).
+Each scan is associated with the landmarks around the robot (odometry frame); each keyframe hands what was seen since
+the last one to the factor graph (map frame).
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.messages import DetectionAssociations
-from slam.association import associate
+from slam.association import Assignment, associate
 from slam.config import Config
-from slam.factor_graph import Edge, FactorGraph, Observation
-from slam.geometry import FloatArray, IntArray, apply, rotation_angle_rad
+from slam.factor_graph import FactorGraph
+from slam.factors import Edge, Observation
+from slam.geometry import FloatArray, IntArray, rotation_angle_rad
 from slam.landmark_filter import predict_covariances, update_positions
 from slam.object_map import LandmarkState, ObjectMap, RetirementReason
 from slam.odometry_track import OdometryPose, relative, step_covariance
@@ -26,6 +27,8 @@ from slam.sightings import Sightings
 # A break in the odometry ties nothing together, but the graph must stay connected until a closure does it.
 BREAK_SIGMA_RAD = np.pi
 BREAK_SIGMA_M = 1e3
+# Least time over which a moving object is given to change its speed: 10 Hz scans leave it none, its noise does.
+MIN_SWERVE_S = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,6 +37,14 @@ class Keyframe:
 
     id: int
     odometry: OdometryPose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """Where landmarks should be seen: positions (A, 3) m, covariances (A, 3, 3) m^2 relative to the robot."""
+
+    positions: FloatArray
+    covariances: FloatArray
 
 
 class Mapper:
@@ -69,36 +80,33 @@ class Mapper:
     def add_scan(self, scan: Scan, pose: OdometryPose) -> DetectionAssociations:
         """Associate one scan, taken at ``pose``, with the landmarks around, and bring them up to date."""
         self._scan_count += 1
-        positions = apply(pose.T_odom_body, scan.positions)
-        R = pose.T_odom_body[:3, :3]
-        covariances = R @ scan.covariances @ R.T
-        labels = self._map.label_indices(scan.labels)
         self._forget(pose.travel_m)
-        rows = self._associate(positions, covariances, labels, scan, pose)
-        known = rows >= 0
-        self._update(rows[known], positions[known], covariances[known], labels[known], scan, pose)
+        T_keyframe_body = relative(self.keyframes[-1].odometry.T_odom_body, pose.T_odom_body)
+        in_odom, in_keyframe = scan.seen_from(pose.T_odom_body), scan.seen_from(T_keyframe_body)
+        labels = self._map.label_indices(scan.labels)
+        predicted = self._predict(scan, pose)
+        assignment = self._associate(in_odom, labels, predicted)
+        known = assignment.matched
+        rows = np.full(len(known), -1, dtype=np.int64)
+        rows[known] = self._active[assignment.landmark_rows[known]]
+        self._update(assignment, predicted, in_odom, labels, pose)
         rows[~known] = self._map.add(
-            positions[~known],
-            covariances[~known],
+            in_odom.positions[~known],
+            in_odom.covariances[~known],
             labels[~known],
             stamp_ns=scan.stamp_ns,
             scan=self._scan_count,
             travel_m=pose.travel_m,
         )
         self._active = np.concatenate([self._active, rows[~known]])
-        T_keyframe_body = relative(self.keyframes[-1].odometry.T_odom_body, pose.T_odom_body)
-        R = T_keyframe_body[:3, :3]
         self._sightings.add(
-            rows,
-            apply(T_keyframe_body, scan.positions),
-            R @ scan.covariances @ R.T,
-            have_own_covariances=scan.has_own_covariances,
+            rows, in_keyframe.positions, in_keyframe.covariances, have_own_covariances=scan.has_own_covariances
         )
-        self._age(rows[known])
+        self._age(rows[known], in_odom.covariances[known])
         return _associations(scan, rows, ~known)
 
     def close_keyframe(self) -> None:
-        """Hand what was seen since the last keyframe to the graph; tentative landmarks are held back until confirmed."""
+        """Hand what was seen since the last keyframe to the graph; tentative landmarks are held back."""
         observations = self._sightings.observations(self.keyframes[-1].id, self._config.detection)
         self._sightings = Sightings()
         states = self._map.rows["state"]
@@ -128,82 +136,99 @@ class Mapper:
             covariance = np.diag(np.repeat([BREAK_SIGMA_RAD**2, BREAK_SIGMA_M**2], 3))
         return Edge(previous.id, keyframe.id, T_previous_keyframe, covariance, "odometry")
 
-    def _associate(
-        self, positions: FloatArray, covariances: FloatArray, labels: IntArray, scan: Scan, pose: OdometryPose
-    ) -> IntArray:
-        """The row (N,) of each detection's landmark, -1 for none."""
-        if len(self._active) == 0:
-            return np.full(len(positions), -1, dtype=np.int64)
+    def _predict(self, scan: Scan, pose: OdometryPose) -> Prediction:
+        """Where the active landmarks should be now; those that seem to move go on moving."""
         landmarks = self._map.rows[self._active]
-        offsets = landmarks["position_odom"] - pose.T_odom_body[:3, 3]
-        travel_since = pose.travel_m - landmarks["last_seen_travel_m"]
-        predicted = predict_covariances(landmarks["covariance_odom"], offsets, travel_since, self._config.odometry)
-        if not scan.has_own_covariances:
-            predicted += self._config.detection.common_sigma_m**2 * np.eye(3)
-        beliefs = self._map.beliefs(self._active)
-        assignment = associate(
-            positions, covariances, labels, landmarks["position_odom"], predicted, beliefs, self._config.association
+        seconds = (scan.stamp_ns - landmarks["last_seen_ns"]) * 1e-9
+        positions = landmarks["position_odom"] + seconds[:, None] * landmarks["velocity_odom"]
+        covariances = predict_covariances(
+            landmarks["covariance_odom"],
+            positions - pose.T_odom_body[:3, 3],
+            pose.travel_m - landmarks["last_seen_travel_m"],
+            self._config.odometry,
         )
-        return np.where(assignment.matched, self._active[assignment.landmark_rows], -1)
+        moves = np.any(landmarks["velocity_odom"] != 0.0, axis=1)
+        swerve_m = moves * self._config.landmark.moving_acceleration_mps2 * seconds * np.maximum(seconds, MIN_SWERVE_S)
+        return Prediction(positions, covariances + (swerve_m**2)[:, None, None] * np.eye(3))
+
+    def _associate(self, scan: Scan, labels: IntArray, predicted: Prediction) -> Assignment:
+        """Assign the detections of a scan, in the odometry frame, to places in the active landmarks."""
+        covariances = predicted.covariances
+        if not scan.has_own_covariances:
+            covariances = covariances + self._config.detection.common_sigma_m**2 * np.eye(3)
+        return associate(
+            scan.positions,
+            scan.covariances,
+            labels,
+            predicted.positions,
+            covariances,
+            self._map.beliefs(self._active),
+            self._config.association,
+        )
 
     def _update(
-        self,
-        rows: IntArray,
-        positions: FloatArray,
-        covariances: FloatArray,
-        labels: IntArray,
-        scan: Scan,
-        pose: OdometryPose,
+        self, assignment: Assignment, predicted: Prediction, scan: Scan, labels: IntArray, pose: OdometryPose
     ) -> None:
-        """Move the landmarks ``rows`` (N,) to where they are now seen, and count the sightings."""
+        """Move the landmarks that were seen to where they are seen, and count the sightings."""
+        known = assignment.matched
+        places = assignment.landmark_rows[known]
+        rows = self._active[places]
         landmarks = self._map.rows
-        offsets = landmarks["position_odom"][rows] - pose.T_odom_body[:3, 3]
-        travel_since = pose.travel_m - landmarks["last_seen_travel_m"][rows]
-        predicted = predict_covariances(
-            landmarks["covariance_odom"][rows], offsets, travel_since, self._config.odometry
+        landmarks["position_odom"][rows], landmarks["covariance_odom"][rows] = update_positions(
+            predicted.positions[places],
+            predicted.covariances[places],
+            scan.positions[known],
+            scan.covariances[known],
         )
-        fused, fused_covariances = update_positions(landmarks["position_odom"][rows], predicted, positions, covariances)
-        landmarks["position_odom"][rows] = fused
-        landmarks["covariance_odom"][rows] = fused_covariances
         self._map.record_sightings(
-            rows, positions, labels, stamp_ns=scan.stamp_ns, scan=self._scan_count, travel_m=pose.travel_m
+            rows,
+            scan.positions[known],
+            labels[known],
+            stamp_ns=scan.stamp_ns,
+            scan=self._scan_count,
+            travel_m=pose.travel_m,
         )
 
-    def _age(self, seen: IntArray) -> None:
-        """Confirm what was seen often enough, retire what moves and what was seen too seldom."""
+    def _age(self, seen: IntArray, covariances: FloatArray) -> None:
+        """Confirm what was seen often and long enough, and tell what moves.
+
+        What is faster than its noise explains is followed at its speed: a landmark that only seemed to move slows down
+        again as sightings gather, a vehicle goes far enough to be told.
+        """
         limits = self._config.landmark
         landmarks = self._map.rows
-        speeds = np.linalg.norm(self._map.velocities(seen), axis=1)
-        too_fast = speeds > limits.moving_speed_mps + 2.0 * self._map.speed_sigmas(
-            seen, self._config.detection.base_sigma_m
-        )
+        velocities = self._map.velocities(seen)
+        speeds = np.linalg.norm(velocities, axis=1)
+        sigmas = np.sqrt(np.trace(covariances, axis1=1, axis2=2) / 3.0)
+        too_fast = speeds > limits.moving_speed_mps + 2.0 * self._map.speed_sigmas(seen, sigmas)
         seconds = (landmarks["last_seen_ns"][seen] - landmarks["first_seen_ns"][seen]) * 1e-9
         moving = too_fast & (speeds * seconds > limits.moving_distance_m)
+        confirmed = landmarks["state"][seen] == LandmarkState.CONFIRMED
+        followed = (too_fast & ~confirmed) | (landmarks["state"][seen] == LandmarkState.RETIRED)
+        landmarks["velocity_odom"][seen] = np.where((followed | moving)[:, None], velocities, 0.0)
         self._retire(seen[moving], RetirementReason.MOVING)
 
         tentative = landmarks["state"][seen] == LandmarkState.TENTATIVE
         enough = landmarks["observations"][seen] >= limits.confirm_observations
         scans = self._scan_count - landmarks["first_scan"][seen] + 1
         steady = landmarks["observations"][seen] >= limits.confirm_fraction * scans
-        self._map.confirm(seen[tentative & enough & steady & ~too_fast])
+        self._map.confirm(seen[tentative & enough & steady & ~too_fast & (seconds >= limits.confirm_age_s)])
 
     def _forget(self, travel_m: float) -> None:
-        """Let go of landmarks that were not seen for long; tentative ones end there."""
+        """Let go of landmarks that were not seen for long; tentative and moving ones soon."""
         limits = self._config.landmark
         landmarks = self._map.rows[self._active]
         unseen_m = travel_m - landmarks["last_seen_travel_m"]
         unseen_scans = self._scan_count - landmarks["last_scan"]
+        lost = (unseen_m > limits.give_up_distance_m) | (unseen_scans > limits.give_up_scans)
+        given_up = lost & (landmarks["state"] != LandmarkState.CONFIRMED)
         tentative = landmarks["state"] == LandmarkState.TENTATIVE
-        given_up = tentative & ((unseen_m > limits.give_up_distance_m) | (unseen_scans > limits.give_up_scans))
-        ended = self._active[given_up]
-        self._active = self._active[unseen_m <= self._config.association.forget_distance_m]
-        self._retire(ended, RetirementReason.NOT_CONFIRMED)
+        self._retire(self._active[given_up & tentative], RetirementReason.NOT_CONFIRMED)
+        self._active = self._active[~given_up & (unseen_m <= self._config.association.forget_distance_m)]
 
     def _retire(self, rows: IntArray, reason: RetirementReason) -> None:
-        if len(rows) == 0:
-            return
+        """End the life of landmarks; the graph forgets them."""
         self._map.retire(rows, reason)
-        self._active = self._active[~np.isin(self._active, rows)]
         for row in rows.tolist():
             self._held_back.pop(row, None)
             self._graph.remove_landmark(row)

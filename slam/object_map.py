@@ -1,7 +1,7 @@
 """The object map: every landmark with its place, its class and its life, as arrays with one row a landmark.
 
-A landmark's row is its id for good. Its life: ``TENTATIVE`` from its first sighting; ``CONFIRMED`` once it was seen often
-enough; ``RETIRED`` with a reason when it turns out to be no landmark, or to be another one.
+A landmark's row is its id for good. Its life: ``TENTATIVE`` from its first sighting; ``CONFIRMED`` once it was seen
+often enough; ``RETIRED`` with a reason when it turns out to be no landmark, or to be another one.
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ LANDMARK = np.dtype(
         # Where it is relative to the robot: a filter in the odometry frame, which is smooth around the robot.
         ("position_odom", np.float64, 3),
         ("covariance_odom", np.float64, (3, 3)),
+        ("velocity_odom", np.float64, 3),  # zero unless it seems to move
         # Where it is in the optimised map.
         ("position_map", np.float64, 3),
         ("covariance_map", np.float64, (3, 3)),
@@ -156,16 +157,16 @@ class ObjectMap:
         self._label_counts[rows, labels] += 1.0
 
     def velocities(self, rows: IntArray) -> FloatArray:
-        """Velocity (N, 3) m/s in the odometry frame: least-squares line through all sightings; 0 where time stood still."""
+        """Velocity (N, 3) m/s in the odometry frame: the least-squares line through all sightings."""
         landmarks = self.rows[rows]
         slope = (
             landmarks["sum_tp"] - landmarks["sum_t"][:, None] * landmarks["sum_p"] / landmarks["observations"][:, None]
         )
         return np.asarray(slope / self._time_spreads(rows)[:, None])
 
-    def speed_sigmas(self, rows: IntArray, position_sigma_m: float) -> FloatArray:
-        """Standard deviation (N,) m/s of each coordinate of the velocity, for that noise of a sighting."""
-        return np.asarray(position_sigma_m / np.sqrt(self._time_spreads(rows)))
+    def speed_sigmas(self, rows: IntArray, position_sigmas_m: FloatArray) -> FloatArray:
+        """Standard deviation (N,) m/s of each coordinate of the velocity, for that noise (N,) m of a sighting."""
+        return np.asarray(position_sigmas_m / np.sqrt(self._time_spreads(rows)))
 
     def _time_spreads(self, rows: IntArray) -> FloatArray:
         """Sum of squared deviations (N,) s^2 of the times of the sightings from their mean, at least (1 ms)^2."""

@@ -1,9 +1,9 @@
-"""One message of detections, made ready for mapping: in the body frame, with covariances, without what is not wanted."""
+"""One message of detections, made ready for mapping: in the body frame, with covariances, without the unwanted."""
 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,9 @@ from slam.geometry import FloatArray, apply, invert
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scan:
-    """Detections in the body frame: positions (N, 3) m, covariances (N, 3, 3) m^2, labels (N,).
+    """Detections in one frame, at first the body's: positions (N, 3) m, covariances (N, 3, 3) m^2, labels (N,).
 
-    ``used`` (M,) says which of the message's M detections these are. ``has_own_covariances``: they came with the message.
+    ``used`` (M,) says which of the message's M detections these are; ``has_own_covariances``: the message gave them.
     """
 
     stamp_ns: int
@@ -26,6 +26,11 @@ class Scan:
     labels: tuple[str, ...]
     used: NDArray[np.bool_]
     has_own_covariances: bool
+
+    def seen_from(self, T_frame_body: FloatArray) -> Scan:
+        """The same scan with its positions and covariances in another frame."""
+        R = T_frame_body[:3, :3]
+        return replace(self, positions=apply(T_frame_body, self.positions), covariances=R @ self.covariances @ R.T)
 
 
 def make_scan(detections: ObjectDetections, T_body_sensor: FloatArray, config: DetectionConfig) -> Scan:
@@ -40,15 +45,15 @@ def make_scan(detections: ObjectDetections, T_body_sensor: FloatArray, config: D
     else:
         sigmas = config.base_sigma_m + config.sigma_per_m * ranges[used]
         covariances = sigmas[:, None, None] ** 2 * np.eye(3)
-    R = T_body_sensor[:3, :3]
-    return Scan(
+    scan = Scan(
         stamp_ns=detections.stamp_ns,
-        positions=apply(T_body_sensor, detections.positions[used]),
-        covariances=R @ covariances @ R.T,
+        positions=detections.positions[used],
+        covariances=covariances,
         labels=tuple(label for label, is_used in zip(detections.labels, used, strict=True) if is_used),
         used=used,
         has_own_covariances=detections.covariances is not None,
     )
+    return scan.seen_from(T_body_sensor)
 
 
 class SensorFrames:

@@ -1,8 +1,8 @@
 """Sightings of landmarks between two keyframes, summed up into one observation a landmark.
 
-Over the two metres between keyframes the odometry is far better than a detection, so all sightings of a landmark in that
-stretch are carried into the keyframe's frame and averaged by their information: the graph gets one factor where the
-sensor gave five to twenty, at no loss.
+Over the two metres between keyframes the odometry is far better than a detection, so all sightings of a landmark in
+that stretch are carried into the keyframe's frame and averaged by their information: the graph gets one factor where
+the sensor gave five to twenty, at no loss.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from slam.config import DetectionConfig
-from slam.factor_graph import Observation
+from slam.factors import Observation
 from slam.geometry import FloatArray, IntArray
 
 

@@ -96,8 +96,8 @@ class Slam:
             )
         if self._frames_missing and not self.counters["detections_used"]:
             raise InputDataError(
-                f"no transform leads from {', '.join(sorted(self._frames_missing))} to {self._body_frame}, the frame of "
-                "the odometry's body, so no detection could be placed; record /tf_static, or say "
+                f"no transform leads from {', '.join(sorted(self._frames_missing))} to {self._body_frame}, the body "
+                "frame of the odometry, so no detection could be placed; record /tf_static, or say "
                 "--set detection.assume_body_frame=true if the detections are in the body frame"
             )
         self.counters["detections_without_odometry"] += len(self._waiting)

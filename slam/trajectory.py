@@ -17,9 +17,9 @@ def bend_odometry(
 ) -> FloatArray:
     """Poses ``T_map_body`` (N, 4, 4) of all odometry poses.
 
-    Each pose is predicted from the keyframe before it and from the one after it, and is blended between the two by time,
-    so that it meets both keyframes and has no step at either. Behind the last keyframe, and where the odometry breaks
-    before the next one, the one before it alone decides.
+    Each pose is predicted from the keyframe before it and from the one after it, and is blended between the two by
+    time, so that it meets both keyframes and has no step at either. Behind the last keyframe, and where the odometry
+    breaks before the next one, the one before it alone decides.
 
     Args:
         stamps_ns: (N,) strictly increasing.
