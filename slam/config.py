@@ -115,6 +115,7 @@ class LandmarkConfig(_Branch):
     give_up_scans: int = Field(default=20, ge=1, description="... or for that many scans")
     moving_speed_mps: float = Field(default=1.0, gt=0, description="an object at least this fast is moving [m/s]")
     moving_distance_m: float = Field(default=2.5, gt=0, description="... if it also went at least this far [m]")
+    moving_observations: int = Field(default=5, ge=3, description="... and was seen at least that often")
     moving_acceleration_mps2: float = Field(
         default=3.0, gt=0, description="how much a moving object may change its speed [m/s^2]"
     )

@@ -29,6 +29,8 @@ BREAK_SIGMA_RAD = np.pi
 BREAK_SIGMA_M = 1e3
 # Least time over which a moving object is given to change its speed: 10 Hz scans leave it none, its noise does.
 MIN_SWERVE_S = 0.5
+# A speed is above its limit only if it is by that many of its standard deviations.
+MOVING_SIGMAS = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,18 +202,21 @@ class Mapper:
         velocities = self._map.velocities(seen)
         speeds = np.linalg.norm(velocities, axis=1)
         sigmas = np.sqrt(np.trace(covariances, axis1=1, axis2=2) / 3.0)
-        too_fast = speeds > limits.moving_speed_mps + 2.0 * self._map.speed_sigmas(seen, sigmas)
+        too_fast = speeds > limits.moving_speed_mps + MOVING_SIGMAS * self._map.speed_sigmas(seen, sigmas)
+        observations = landmarks["observations"][seen]
         seconds = (landmarks["last_seen_ns"][seen] - landmarks["first_seen_ns"][seen]) * 1e-9
-        moving = too_fast & (speeds * seconds > limits.moving_distance_m)
-        confirmed = landmarks["state"][seen] == LandmarkState.CONFIRMED
-        followed = (too_fast & ~confirmed) | (landmarks["state"][seen] == LandmarkState.RETIRED)
+        far = speeds * seconds > limits.moving_distance_m
+        moving = too_fast & far & (observations >= limits.moving_observations)
+        followed = too_fast & (landmarks["state"][seen] != LandmarkState.CONFIRMED) & (observations >= 3)
         landmarks["velocity_odom"][seen] = np.where((followed | moving)[:, None], velocities, 0.0)
+        stopped = (landmarks["state"][seen] == LandmarkState.RETIRED) & ~too_fast
+        self._active = self._active[~np.isin(self._active, seen[stopped])]
         self._retire(seen[moving], RetirementReason.MOVING)
 
         tentative = landmarks["state"][seen] == LandmarkState.TENTATIVE
-        enough = landmarks["observations"][seen] >= limits.confirm_observations
+        enough = observations >= limits.confirm_observations
         scans = self._scan_count - landmarks["first_scan"][seen] + 1
-        steady = landmarks["observations"][seen] >= limits.confirm_fraction * scans
+        steady = observations >= limits.confirm_fraction * scans
         self._map.confirm(seen[tentative & enough & steady & ~too_fast & (seconds >= limits.confirm_age_s)])
 
     def _forget(self, travel_m: float) -> None:
