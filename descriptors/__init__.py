@@ -1,0 +1,1 @@
+"""Descriptors: a constellation of labelled objects becomes a vector."""

@@ -33,7 +33,7 @@ class Odometry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectDetections:
-    """Objects seen in one sensor frame: ``positions`` (N, 3) metres in ``frame_id``, a label and a score in [0, 1] each.
+    """Objects seen in one sensor frame: ``positions`` (N, 3) m in ``frame_id``, a label and a score in [0, 1] each.
 
     ``covariances`` (N, 3, 3) m^2 and ``sizes`` (N, 3) m are None where the detector gives none.
     """
@@ -107,7 +107,7 @@ class ObjectMapRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectionAssociations:
-    """Landmark id to which each detection of the ObjectDetections message with the same stamp was assigned; "" for none.
+    """Landmark id to which each detection of the ObjectDetections with the same stamp was assigned; "" for none.
 
     ``created`` (N,) bool: the landmark was made from this very detection, so nothing was associated yet.
     """
@@ -168,7 +168,7 @@ class FactorGraphRecord:
 class LoopClosureRecord:
     """One loop-closure candidate and its verdict, accepted or not. ``T_reference_query`` is None before registration.
 
-    ``stage`` names where the verdict fell ("retrieval", "registration", "consistency", "accepted"), ``reason`` says why.
+    ``stage``: where the verdict fell ("retrieval", "registration", "consistency", "accepted"); ``reason``: why.
     """
 
     stamp_ns: int
@@ -200,7 +200,7 @@ class RelocalizationRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StatusRecord:
-    """State of the system and why it is in it; ``counters`` count what was done and what was dropped since the start."""
+    """State of the system and why it is in it; ``counters``: what was done and what was dropped since the start."""
 
     stamp_ns: int
     state: str

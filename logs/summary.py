@@ -55,7 +55,7 @@ class LogSummary:
     """A log at a glance. ``selection`` is what a replay would use; None where it cannot, and ``obstacle`` says why.
 
     ``class_counts`` counts detections, most frequent first; ``odometry_length_m`` is None without odometry.
-    ``counters`` are those of the reader.
+    ``counters`` are those of the reader, ``status`` is the last one in the log.
     """
 
     path: str
@@ -70,6 +70,7 @@ class LogSummary:
     closures: tuple[ClosureCount, ...]
     metadata: Mapping[str, Mapping[str, str]]
     counters: Mapping[str, int]
+    status: m.StatusRecord | None
 
     @property
     def duration_s(self) -> float:
@@ -108,6 +109,7 @@ def summarize(path: str | os.PathLike[str], overrides: Mapping[str, str] | None 
             closures=tuple(ClosureCount(*verdict, count) for verdict, count in sorted(gathering.verdicts.items())),
             metadata=reader.metadata(),
             counters=reader.counters,
+            status=gathering.status,
         )
 
 
@@ -129,6 +131,7 @@ class _Gathering:
         self.end_ns = 0
         self.class_counts: Counter[str] = Counter()
         self.verdicts: Counter[tuple[str, str, bool]] = Counter()
+        self.status: m.StatusRecord | None = None
         self._odometry_topic = odometry_topic
         self._odometry_xyz = array("d")
         self._times_ns: dict[tuple[str, str], array[int]] = {}
@@ -160,6 +163,8 @@ class _Gathering:
             frames.update((record.parent_frame_id, record.child_frame_id))
         elif isinstance(record, m.LoopClosureRecord):
             self.verdicts[record.stage, record.reason, record.accepted] += 1
+        elif isinstance(record, m.StatusRecord):
+            self.status = record
         elif isinstance(record, (m.GroundTruthPose, m.ObjectMapRecord, m.TrajectoryRecord)):
             frames.add(record.frame_id)
 

@@ -26,6 +26,11 @@ _LAST_NS = 2**63 - 1
 _LIBRARY = "dslam"  # fixed: the library's own version must not change the bytes of a log
 
 
+def partial_path(path: Path) -> Path:
+    """Where the log ``path`` is written until it is finished."""
+    return path.with_name(path.name + PARTIAL_SUFFIX)
+
+
 class LogWriter:
     """Writes records and raw messages to ``path``; a context manager.
 
@@ -43,7 +48,7 @@ class LogWriter:
 
     def __init__(self, path: str | os.PathLike[str], *, overwrite: bool = True) -> None:
         self.path = Path(path)
-        self.partial_path = self.path.with_name(self.path.name + PARTIAL_SUFFIX)
+        self.partial_path = partial_path(self.path)
         if self.path.is_dir():
             raise UnwritableLogError(f"{self.path} is a folder; give the name of a file to write")
         if not overwrite and self.path.exists():

@@ -23,7 +23,7 @@ class KeyframeConfig(_Branch):
     distance_m: float = Field(default=2.0, gt=0, description="travel since the last keyframe [m]")
     angle_deg: float = Field(default=20.0, gt=0, le=180, description="rotation since the last keyframe [deg]")
     interval_s: float = Field(
-        default=5.0, gt=0, description="time since the last keyframe, if the body moved at all [s]"
+        default=5.0, gt=0, description="time since the last keyframe, if the body moved since [s]"
     )
 
 
@@ -43,6 +43,9 @@ class OdometryConfig(_Branch):
     min_rotation_sigma_rad: float = Field(default=0.0001, gt=0, description="least rotation noise of a step [rad]")
     max_speed_mps: float = Field(
         default=60.0, gt=0, description="a faster step is a jump, and ties nothing together [m/s]"
+    )
+    max_acceleration_mps2: float = Field(
+        default=5.0, gt=0, description="a step that would need more than that is a jump, too [m/s^2]"
     )
     max_gap_s: float = Field(
         default=20.0, gt=0, description="a longer silence is a break: landmarks in view are let go [s]"
@@ -102,7 +105,7 @@ class LandmarkConfig(_Branch):
 
     confirm_observations: int = Field(default=4, ge=1, description="sightings that confirm a landmark")
     confirm_fraction: float = Field(
-        default=0.25, ge=0, le=1, description="least share of the scans since its first sighting in which it was seen"
+        default=0.4, ge=0, le=1, description="least share of the scans since its first sighting in which it was seen"
     )
     confirm_age_s: float = Field(
         default=1.0,

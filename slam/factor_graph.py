@@ -193,12 +193,15 @@ class FactorGraph:
             return np.asarray(self._isam.calculateEstimatePose3(key).matrix())
 
     def poses(self) -> FloatArray:
-        """``T_map_body`` (K, 4, 4) of all keyframes, in the order of ``keyframes``, after an update."""
+        """``T_map_body`` (K, 4, 4) of all keyframes, in the order of ``keyframes``."""
+        self.update()
         values = self._estimate()
         return np.array([values.atPose3(X(keyframe)).matrix() for keyframe in self._keyframes]).reshape(-1, 4, 4)
 
     def landmark_positions(self, landmarks: IntArray) -> FloatArray:
-        """Positions (N, 3) m in the map of landmarks that are in the graph, after an update."""
+        """Positions (N, 3) m in the map of landmarks that are in the graph."""
+        self.update()
+        self._check_landmarks(landmarks)
         values = self._estimate()
         return np.array([values.atPoint3(L(int(i))) for i in landmarks]).reshape(-1, 3)
 
@@ -232,6 +235,8 @@ class FactorGraph:
 
     def landmark_covariances(self, landmarks: IntArray) -> FloatArray:
         """Marginal covariances (N, 3, 3) m^2 in the map frame, at the current estimate."""
+        self.update()
+        self._check_landmarks(landmarks)
         with self._solver("the marginal covariances"):
             marginals = gtsam.Marginals(self._isam.getFactorsUnsafe(), self._estimate())
             covariances = [marginals.marginalCovariance(L(int(i))) for i in landmarks]
@@ -260,6 +265,11 @@ class FactorGraph:
             graph.add(self._factor(self.factors[number]))
         self._isam = self._new_isam("QR")
         return self._isam.update(graph, values)
+
+    def _check_landmarks(self, landmarks: IntArray) -> None:
+        for landmark in landmarks.tolist():
+            if landmark not in self._landmark_factors:
+                raise FactorGraphError(f"landmark {landmark} is not in the graph")
 
     def _has_keyframe(self, keyframe: int) -> bool:
         return self._pending_values.exists(X(keyframe)) or self._isam.valueExists(X(keyframe))

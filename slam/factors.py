@@ -16,7 +16,8 @@ from slam.config import FactorGraphConfig
 from slam.errors import FactorGraphError
 from slam.geometry import FloatArray
 
-PRIOR_SIGMA = 1e-4
+PRIOR_SIGMA_RAD = 1e-4
+PRIOR_SIGMA_M = 1e-3
 # Nearer than this a bearing says nothing: the object is on top of the sensor.
 MIN_RANGE_M = 0.3
 ORTHONORMAL_TOLERANCE = 1e-6
@@ -57,7 +58,7 @@ class Observation:
 
 def prior_factor(anchor: Anchor) -> gtsam.NonlinearFactor:
     """The GTSAM factor of an anchor."""
-    noise = gtsam.noiseModel.Isotropic.Sigma(6, PRIOR_SIGMA)
+    noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([PRIOR_SIGMA_RAD, PRIOR_SIGMA_M], 3))
     return gtsam.PriorFactorPose3(
         X(anchor.keyframe), checked_pose(anchor.T_map_body, f"keyframe {anchor.keyframe}"), noise
     )
@@ -78,14 +79,20 @@ def bearing_range_factor(observation: Observation, config: FactorGraphConfig) ->
     """The GTSAM factor of an observation, which is at least ``MIN_RANGE_M`` away."""
     what = f"observation of landmark {observation.landmark} from keyframe {observation.keyframe}"
     covariance = _checked_covariance(observation.covariance, 3, what)
+    if not np.all(np.isfinite(observation.position)):
+        raise FactorGraphError(f"{what}: the position {observation.position} is not finite")
     range_m = float(np.linalg.norm(observation.position))
-    bearing = gtsam.Unit3(observation.position)
-    # Error of bearing and range to first order: the tangent plane over the range, and the line of sight.
-    J = np.vstack([bearing.basis().T / range_m, observation.position / range_m])
-    noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(observation.redundancy * (J @ covariance @ J.T))
+    sight = observation.position / range_m
+    range_variance = float(sight @ covariance @ sight)
+    # GTSAM spans the tangent plane of the bearing by axes that jump where the smallest coordinate changes, straight
+    # ahead for one. So the two bearing errors get one variance, the mean across the line of sight, and no axes.
+    bearing_variance = (float(np.trace(covariance)) - range_variance) / (2.0 * range_m**2)
+    variances = observation.redundancy * np.array([bearing_variance, bearing_variance, range_variance])
+    noise: gtsam.noiseModel.Base = gtsam.noiseModel.Diagonal.Variances(variances)
     kernel = _robust_kernel(config, observation.redundancy)
     if kernel is not None:
         noise = gtsam.noiseModel.Robust.Create(kernel, noise)
+    bearing = gtsam.Unit3(observation.position)
     return gtsam.BearingRangeFactor3D(X(observation.keyframe), L(observation.landmark), bearing, range_m, noise)
 
 

@@ -25,8 +25,11 @@ from slam.scan import Scan
 from slam.sightings import Sightings
 
 # A break in the odometry ties nothing together, but the graph must stay connected until a closure does it.
-BREAK_SIGMA_RAD = np.pi
-BREAK_SIGMA_M = 1e3
+BREAK_SIGMA_RAD = 1.0
+BREAK_SIGMA_M = 100.0
+# Less than that is standing still.
+MOVED_M = 0.1
+MOVED_RAD = 0.02
 # Least time over which a moving object is given to change its speed: 10 Hz scans leave it none, its noise does.
 MIN_SWERVE_S = 0.5
 # A speed is above its limit only if it is by that many of its standard deviations.
@@ -104,7 +107,7 @@ class Mapper:
         self._sightings.add(
             rows, in_keyframe.positions, in_keyframe.covariances, have_own_covariances=scan.has_own_covariances
         )
-        self._age(rows[known], in_odom.covariances[known])
+        self._age(rows, in_odom.covariances)
         return _associations(scan, rows, ~known)
 
     def close_keyframe(self) -> None:
@@ -123,11 +126,13 @@ class Mapper:
     def _keyframe_due(self, pose: OdometryPose) -> bool:
         last = self.keyframes[-1].odometry
         limits = self._config.keyframe
+        turn_rad = float(rotation_angle_rad(relative(last.T_odom_body, pose.T_odom_body)))
+        has_moved = pose.travel_m - last.travel_m >= MOVED_M or turn_rad >= MOVED_RAD
         return bool(
             pose.segment != last.segment
             or pose.travel_m - last.travel_m >= limits.distance_m
-            or pose.stamp_ns - last.stamp_ns >= limits.interval_s * 1e9
-            or rotation_angle_rad(relative(last.T_odom_body, pose.T_odom_body)) >= np.deg2rad(limits.angle_deg)
+            or turn_rad >= np.deg2rad(limits.angle_deg)
+            or (pose.stamp_ns - last.stamp_ns >= limits.interval_s * 1e9 and has_moved)
         )
 
     def _odometry_edge(self, previous: Keyframe, keyframe: Keyframe) -> Edge:

@@ -183,14 +183,43 @@ class ObjectMap:
         self._reasons.update(dict.fromkeys(rows.tolist(), reason.value))
 
     def merge(self, kept: int, dropped: int) -> None:
-        """Make ``dropped`` a former name of ``kept``: its sightings and labels are added to those of ``kept``."""
+        """Make ``dropped`` a former name of ``kept``: its sightings and labels are added to those of ``kept``.
+
+        Both go by their current names; nothing happens if these are one.
+        """
+        kept, dropped = self.current(kept), self.current(dropped)
+        if kept == dropped:
+            return
         landmarks = self.rows
+        first_ns = min(landmarks["first_seen_ns"][kept], landmarks["first_seen_ns"][dropped])
+        origin = landmarks["first_position_odom"][kept].copy()
+        for row in (kept, dropped):
+            self._move_origin(row, first_ns, origin)
+        for field in ("observations", "sum_t", "sum_tt", "sum_p", "sum_tp"):
+            landmarks[field][kept] += landmarks[field][dropped]
+        for field in ("last_scan", "last_seen_ns", "last_seen_travel_m"):
+            landmarks[field][kept] = max(landmarks[field][kept], landmarks[field][dropped])
+        landmarks["first_scan"][kept] = min(landmarks["first_scan"][kept], landmarks["first_scan"][dropped])
         self._label_counts[kept] += self._label_counts[dropped]
-        landmarks["observations"][kept] += landmarks["observations"][dropped]
-        for field, choose in (("first_seen_ns", min), ("last_seen_ns", max)):
-            landmarks[field][kept] = choose(landmarks[field][kept], landmarks[field][dropped])
         self.retire(np.array([dropped]), RetirementReason.MERGED)
         self._merged_into[dropped] = kept
+
+    def _move_origin(self, row: int, first_ns: int, position: FloatArray) -> None:
+        """Make the sums of a landmark relative to another time and place."""
+        landmark = self.rows[row : row + 1]
+        count = landmark["observations"]
+        seconds = (landmark["first_seen_ns"] - first_ns) * 1e-9
+        offset = landmark["first_position_odom"] - position
+        landmark["sum_tp"] += (
+            seconds[:, None] * landmark["sum_p"]
+            + offset * landmark["sum_t"][:, None]
+            + (count * seconds)[:, None] * offset
+        )
+        landmark["sum_tt"] += 2.0 * seconds * landmark["sum_t"] + count * seconds**2
+        landmark["sum_t"] += count * seconds
+        landmark["sum_p"] += count[:, None] * offset
+        landmark["first_seen_ns"] = first_ns
+        landmark["first_position_odom"] = position
 
     def current(self, row: int) -> int:
         """The row that a landmark goes by now, after merges."""

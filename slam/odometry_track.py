@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass
+from collections import Counter, deque
+from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -12,45 +13,68 @@ from slam.config import OdometryConfig
 from slam.geometry import FloatArray, interpolate, invert, rotation_angle_rad
 
 # Scans wait for the odometry message that follows them; older ones than this many messages have lost their pose.
-HISTORY = 600
+HISTORY = 6000
+# The speed before a step is the greatest of that many steps, because a single one is noisy.
+RECENT_STEPS = 10
+# Odometry may be that far off from one message to the next without being called broken.
+JUMP_SLACK_M = 2.0
+# How many metres of travel a turn counts for in the noise of the heading.
+METRES_PER_RADIAN = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OdometryPose:
-    """One pose on the track; ``travel_m`` is the path length up to it, ``segment`` counts the breaks before it."""
+    """One pose on the track; ``travel_m`` is the path length up to it, ``segment`` counts the breaks before it,
+    ``speed_mps`` is the speed of the step that led to it,
+    the greatest possible where that is not known.
+    """
 
     stamp_ns: int
     T_odom_body: FloatArray
     travel_m: float
     segment: int
+    speed_mps: float
 
 
 class OdometryTrack:
-    """The recent past of the odometry, for poses at the times of scans."""
+    """The recent past of the odometry, for poses at the times of scans.
 
-    def __init__(self, config: OdometryConfig) -> None:
+    ``counters`` is where it counts the messages that it cannot use.
+    """
+
+    def __init__(self, config: OdometryConfig, counters: Counter[str] | None = None) -> None:
         self._config = config
         self._poses: deque[OdometryPose] = deque(maxlen=HISTORY)
+        self._doubtful: Odometry | None = None
+        self._counters = counters if counters is not None else Counter[str]()
 
     @property
     def latest(self) -> OdometryPose | None:
         """The last pose; None before the first."""
         return self._poses[-1] if self._poses else None
 
-    def add(self, odometry: Odometry) -> OdometryPose | None:
-        """Append a message; None if its stamp is not later than the last one's, which leaves the track as it was."""
+    def add(self, odometry: Odometry) -> list[OdometryPose]:
+        """Take in a message; returns the poses that it adds to the track, mostly one.
+
+        A message whose stamp is not later than the last one's adds none. One that comes after a silence of more than
+        ``max_gap_s`` may have a wrong stamp: it is put off until the next message, which confirms or refutes it.
+        """
+        doubtful, self._doubtful = self._doubtful, None
+        added = []
+        if doubtful is not None:
+            if odometry.stamp_ns > doubtful.stamp_ns:
+                added.append(self._append(doubtful))
+            else:
+                self._counters["odometry_out_of_order"] += 1
         last = self.latest
-        if last is None:
-            pose = OdometryPose(odometry.stamp_ns, odometry.T_odom_body, 0.0, 0)
-        elif odometry.stamp_ns <= last.stamp_ns:
-            return None
-        elif self._breaks(last, odometry):
-            pose = OdometryPose(odometry.stamp_ns, odometry.T_odom_body, last.travel_m, last.segment + 1)
+        if last is not None and odometry.stamp_ns <= last.stamp_ns:
+            same = odometry.stamp_ns == last.stamp_ns
+            self._counters["odometry_duplicated" if same else "odometry_out_of_order"] += 1
+        elif last is not None and odometry.stamp_ns - last.stamp_ns > self._config.max_gap_s * 1e9:
+            self._doubtful = odometry
         else:
-            step_m = float(np.linalg.norm(odometry.T_odom_body[:3, 3] - last.T_odom_body[:3, 3]))
-            pose = OdometryPose(odometry.stamp_ns, odometry.T_odom_body, last.travel_m + step_m, last.segment)
-        self._poses.append(pose)
-        return pose
+            added.append(self._append(odometry))
+        return added
 
     def at(self, stamp_ns: int) -> OdometryPose | None:
         """The pose at a time, between the two messages around it; None where the track has none or breaks there."""
@@ -63,21 +87,39 @@ class OdometryTrack:
             after = pose
         return None
 
-    def _breaks(self, last: OdometryPose, odometry: Odometry) -> bool:
-        seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9
-        step_m = float(np.linalg.norm(odometry.T_odom_body[:3, 3] - last.T_odom_body[:3, 3]))
-        return seconds > self._config.max_gap_s or step_m > self._config.max_speed_mps * max(seconds, 0.1)
+    def _append(self, odometry: Odometry) -> OdometryPose:
+        last = self.latest
+        if last is None:
+            pose = OdometryPose(odometry.stamp_ns, odometry.T_odom_body, 0.0, 0, self._config.max_speed_mps)
+        else:
+            seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9
+            step_m = float(np.linalg.norm(odometry.T_odom_body[:3, 3] - last.T_odom_body[:3, 3]))
+            breaks = seconds > self._config.max_gap_s or step_m > self._farthest_step_m(seconds)
+            pose = OdometryPose(
+                odometry.stamp_ns,
+                odometry.T_odom_body,
+                travel_m=last.travel_m + (0.0 if breaks else step_m),
+                segment=last.segment + breaks,
+                speed_mps=self._config.max_speed_mps if breaks else step_m / seconds,
+            )
+        self._poses.append(pose)
+        return pose
+
+    def _farthest_step_m(self, seconds: float) -> float:
+        """How far the body can have come since the last pose; farther is a jump of the odometry."""
+        speed_mps = max(pose.speed_mps for pose in islice(reversed(self._poses), RECENT_STEPS))
+        reachable_mps = speed_mps + self._config.max_acceleration_mps2 * seconds
+        return min(reachable_mps, self._config.max_speed_mps) * seconds + JUMP_SLACK_M
 
 
 def step_covariance(T_from_to: FloatArray, travel_m: float, config: OdometryConfig) -> FloatArray:
     """Covariance (6, 6) of a step of the odometry, rotation first, for its travel (at least its straight length)."""
     length_m = max(travel_m, float(np.linalg.norm(T_from_to[:3, 3])))
-    # A turn on the spot is no travel and yet not free of error: 0.1 rad count as a metre.
-    length_m += 10.0 * float(rotation_angle_rad(T_from_to)) if length_m < 0.5 else 0.0
-    root = np.sqrt(length_m)
-    tilt = max(config.min_rotation_sigma_rad, config.tilt_sigma * root)
-    yaw = max(config.min_rotation_sigma_rad, config.yaw_sigma * root)
-    translation = max(config.min_translation_sigma_m, config.translation_sigma * root)
+    # A turn is not free of error either, not even on the spot.
+    turn_root = np.sqrt(length_m + METRES_PER_RADIAN * float(rotation_angle_rad(T_from_to)))
+    tilt = max(config.min_rotation_sigma_rad, config.tilt_sigma * turn_root)
+    yaw = max(config.min_rotation_sigma_rad, config.yaw_sigma * turn_root)
+    translation = max(config.min_translation_sigma_m, config.translation_sigma * np.sqrt(length_m))
     return np.diag(np.array([tilt, tilt, yaw, translation, translation, translation]) ** 2)
 
 
@@ -90,4 +132,5 @@ def _between(before: OdometryPose, after: OdometryPose, stamp_ns: int) -> Odomet
     stamps = np.array([before.stamp_ns, after.stamp_ns])
     T = interpolate(stamps, np.stack([before.T_odom_body, after.T_odom_body]), np.array([stamp_ns]))[0]
     fraction = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
-    return OdometryPose(stamp_ns, T, before.travel_m + fraction * (after.travel_m - before.travel_m), before.segment)
+    travel_m = before.travel_m + fraction * (after.travel_m - before.travel_m)
+    return replace(after, stamp_ns=stamp_ns, T_odom_body=T, travel_m=travel_m)

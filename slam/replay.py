@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from logs.errors import TopicSelectionError
+from logs.errors import UnwritableLogError
 from logs.messages import (
     DetectionAssociations,
     Record,
@@ -20,7 +20,7 @@ from logs.messages import (
 from logs.reader import LogReader
 from logs.selection import Selection, select_topics
 from logs.topics import RecordKind
-from logs.writer import LogWriter
+from logs.writer import LogWriter, partial_path
 from slam.config import Config
 from slam.system import FinalMap, Slam
 
@@ -73,8 +73,9 @@ def replay(
     """
     started = time.perf_counter()
     with LogReader(source) as reader:
-        if output.exists() and output.samefile(source):
-            raise TopicSelectionError(f"{output} is the input; give another path for the output")
+        for path in (output, partial_path(output)):
+            if path.exists() and path.samefile(source):
+                raise UnwritableLogError(f"writing {output} would overwrite the input {source}; give another output")
         selection = select_topics(reader.topics(), topics)
         copied = sorted({topic for kind in _COPIED for topic in selection.topics_of(kind)})
         mapped = Selection({topic: kinds for topic, kinds in selection.kinds.items() if set(kinds) & set(_MAPPED)})
@@ -92,7 +93,8 @@ def replay(
                         writer.write(_TOPICS[type(update)], update)
                 longest_stall_s = max(longest_stall_s, time.perf_counter() - before)
                 if progress is not None:
-                    progress((item.raw.log_time_ns - first_ns) / max(last_ns - first_ns, 1))
+                    done = (item.raw.log_time_ns - first_ns) / max(last_ns - first_ns, 1)
+                    progress(min(max(done, 0.0), 1.0))
             slam.counters.update(reader.counters)
             final = slam.finish()
             _write_final(writer, final)

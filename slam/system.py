@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
+import heapq
 import logging
-from collections import Counter, deque
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +25,7 @@ from logs.messages import (
     Transform,
 )
 from slam.config import Config
-from slam.errors import InputDataError
+from slam.errors import FactorGraphError, InputDataError
 from slam.factor_graph import FactorGraph
 from slam.geometry import FloatArray, apply, invert
 from slam.mapper import Mapper
@@ -55,19 +56,20 @@ class Slam:
 
     def __init__(self, config: Config) -> None:
         self._config = config
-        self._track = OdometryTrack(config.odometry)
+        self.counters: Counter[str] = Counter()
+        self._track = OdometryTrack(config.odometry, self.counters)
         self._frames = SensorFrames()
         self._object_map = ObjectMap(config.association)
         self._graph = FactorGraph(config.factor_graph)
         self._mapper = Mapper(config, self._object_map, self._graph)
-        self._waiting: deque[ObjectDetections] = deque()
+        self._waiting: list[tuple[int, int, ObjectDetections]] = []
+        self._arrivals = 0
         self._last_scan_ns = -1
         self._body_frame = ""
         self._odom_frame = ""
         self._frames_missing: set[str] = set()
         self._poses: list[OdometryPose] = []
         self._T_map_odom = np.eye(4)
-        self.counters: Counter[str] = Counter()
 
     @property
     def solver_seconds(self) -> float:
@@ -79,7 +81,9 @@ class Slam:
         if isinstance(record, Transform):
             self._frames.add(record)
         elif isinstance(record, ObjectDetections):
-            self._waiting.append(record)
+            # In the order of their stamps, so that a single stamp from the future holds up nothing.
+            heapq.heappush(self._waiting, (record.stamp_ns, self._arrivals, record))
+            self._arrivals += 1
         elif isinstance(record, Odometry):
             return self._follow(record)
         return self._map_waiting_scans()
@@ -116,21 +120,19 @@ class Slam:
         )
 
     def _follow(self, odometry: Odometry) -> list[Record]:
-        previous = self._track.latest
-        pose = self._track.add(odometry)
-        if pose is None:
-            same = previous is not None and odometry.stamp_ns == previous.stamp_ns
-            self.counters["odometry_duplicated" if same else "odometry_out_of_order"] += 1
-            return []
+        updates: list[Record] = []
         self._body_frame, self._odom_frame = odometry.child_frame_id, odometry.frame_id
-        self.counters["odometry_used"] += 1
-        updates = self._map_waiting_scans(before_ns=pose.stamp_ns)
-        self._poses.append(pose)
-        keyframe = self._mapper.add_odometry(pose)
-        if keyframe is not None:
-            updates += self._keyframe_updates(pose, breaks=previous is not None and previous.segment != pose.segment)
-        T_map_body = self._T_map_odom @ pose.T_odom_body
-        updates.append(SlamPose(pose.stamp_ns, T_map_body, self._T_map_odom))
+        previous = self._track.latest
+        for pose in self._track.add(odometry):
+            self.counters["odometry_used"] += 1
+            # Scans from before this pose belong to the keyframe before it, also where the odometry breaks in between.
+            updates += self._map_waiting_scans(before_ns=pose.stamp_ns)
+            self._poses.append(pose)
+            if self._mapper.add_odometry(pose) is not None:
+                breaks = previous is not None and previous.segment != pose.segment
+                updates += self._keyframe_updates(pose, breaks=breaks)
+            updates.append(SlamPose(pose.stamp_ns, self._T_map_odom @ pose.T_odom_body, self._T_map_odom))
+            previous = pose
         return updates + self._map_waiting_scans()
 
     def _keyframe_updates(self, pose: OdometryPose, *, breaks: bool) -> list[Record]:
@@ -152,10 +154,10 @@ class Slam:
         updates: list[Record] = []
         latest = self._track.latest
         while self._waiting and latest is not None:
-            stamp_ns = self._waiting[0].stamp_ns
+            stamp_ns = self._waiting[0][0]
             if stamp_ns > latest.stamp_ns or (before_ns is not None and stamp_ns >= before_ns):
                 break
-            updates += self._map_scan(self._waiting.popleft())
+            updates += self._map_scan(heapq.heappop(self._waiting)[2])
         return updates
 
     def _map_scan(self, detections: ObjectDetections) -> list[Record]:
@@ -164,7 +166,8 @@ class Slam:
             self.counters["detections_duplicated" if same else "detections_out_of_order"] += 1
             return []
         pose = self._track.at(detections.stamp_ns)
-        if pose is None or not self._mapper.keyframes:
+        # A scan from before a break says nothing about where the keyframes after it are.
+        if pose is None or not self._mapper.keyframes or pose.segment != self._mapper.keyframes[-1].odometry.segment:
             self.counters["detections_without_odometry"] += 1
             return []
         T_body_sensor = self._sensor_pose(detections.frame_id, pose)
@@ -211,7 +214,12 @@ class Slam:
         landmarks["covariance_map"] = landmarks["covariance_odom"]
         in_graph = self._graph.landmarks
         landmarks["position_map"][in_graph] = self._graph.landmark_positions(in_graph)
-        landmarks["covariance_map"][in_graph] = self._graph.landmark_covariances(in_graph)
+        try:
+            landmarks["covariance_map"][in_graph] = self._graph.landmark_covariances(in_graph)
+        except FactorGraphError as error:
+            # The map is worth having without them; what stands there then is the covariance relative to the robot.
+            logger.warning("the map has local covariances only: %s", error)
+            self.counters["covariances_missing"] = len(in_graph)
         return self._object_map.to_record(self._now_ns)
 
     def _graph_record(self) -> FactorGraphRecord:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import multiprocessing
 import resource
+import signal
 import statistics
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing.connection import Connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from logs.errors import LogError
 from slam.config import Config
+from slam.errors import SlamError
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +48,8 @@ class ReplayBenchmark:
 
 def benchmark_replay(log: Path, config: Config, *, runs: int) -> ReplayBenchmark:
     """Replay ``log`` ``runs`` times, each in a fresh process, into a temporary folder."""
-    measured = list(_runs(log, config, runs))
+    with TemporaryDirectory() as folder:
+        measured = list(_runs(log, Path(folder) / "output.mcap", config, runs))
     wall_s = statistics.median(run.wall_s for run in measured)
     solver_share = statistics.median(run.solver_s / run.wall_s for run in measured)
     return ReplayBenchmark(
@@ -63,19 +67,39 @@ def benchmark_replay(log: Path, config: Config, *, runs: int) -> ReplayBenchmark
     )
 
 
-def _runs(log: Path, config: Config, runs: int) -> Iterator[ReplayRun]:
+def _runs(log: Path, output: Path, config: Config, runs: int) -> Iterator[ReplayRun]:
     context = multiprocessing.get_context("spawn")
     for _ in range(runs):
-        with ProcessPoolExecutor(1, mp_context=context) as pool:
-            yield pool.submit(_measure, log, config).result()
+        receiver, sender = context.Pipe(duplex=False)
+        process = context.Process(target=_measure, args=(sender, log, output, config), daemon=True)
+        process.start()
+        sender.close()
+        try:
+            outcome = receiver.recv()
+        except EOFError as error:
+            process.join()
+            raise SlamError(
+                f"the replay of {log} ended without a result (exit code {process.exitcode}); was the memory enough?"
+            ) from error
+        finally:
+            process.terminate()
+            process.join()
+        if not isinstance(outcome, ReplayRun):
+            raise outcome
+        yield outcome
 
 
-def _measure(log: Path, config: Config) -> ReplayRun:
+def _measure(sender: Connection, log: Path, output: Path, config: Config) -> None:
+    """Replay, and send a ReplayRun or the error."""
     from slam.replay import replay
 
-    with TemporaryDirectory() as folder:
-        summary = replay(log, Path(folder) / "output.mcap", config)
-    return ReplayRun(summary.log_s, summary.wall_s, summary.solver_s, summary.longest_stall_s, _peak_memory_bytes())
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends this process
+    try:
+        done = replay(log, output, config)
+    except (LogError, SlamError) as error:
+        sender.send(error)
+    else:
+        sender.send(ReplayRun(done.log_s, done.wall_s, done.solver_s, done.longest_stall_s, _peak_memory_bytes()))
 
 
 def _peak_memory_bytes() -> int:

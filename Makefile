@@ -1,0 +1,60 @@
+# Two commands on a fresh machine: `make demo` and `make test`. Each makes .venv first if it is not there.
+
+PYTHON ?= python3
+BIN := .venv/bin
+INSTALLED := .venv/.installed
+PROTOC := build/protoc/bin/python
+
+.PHONY: help demo test lint schemas clean
+
+help:
+	@echo 'make demo     simulate a drive, map it, evaluate it; leaves out/demo*.mcap and out/demo.png'
+	@echo 'make test     lint, types and all tests'
+	@echo 'make lint     only ruff and mypy'
+	@echo 'make schemas  generate the Python modules of logs/schemas/*.proto again'
+	@echo 'make clean    remove what the others made, .venv included'
+	@echo 'PYTHON=/path/to/python chooses the interpreter (3.11 or newer).'
+
+$(INSTALLED): pyproject.toml constraints.txt
+	@command -v $(PYTHON) >/dev/null || { \
+	  echo 'missing: $(PYTHON); install Python 3.11 or newer, or say make PYTHON=/path/to/python'; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "too old: $$($(PYTHON) --version); Python 3.11 or newer is needed: make PYTHON=/path/to/python"; exit 1; }
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || { \
+	  echo 'missing: the venv module of $(PYTHON); on Debian and Ubuntu: sudo apt install python3-venv'; exit 1; }
+	@echo 'installing into .venv (once) ...'
+	@$(PYTHON) -m venv .venv
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+demo: $(INSTALLED)
+	@mkdir -p out
+	$(BIN)/dslam simulate out/demo.mcap --seed 1
+	@echo
+	$(BIN)/dslam replay out/demo.mcap -o out/demo_map.mcap
+	@echo
+	$(BIN)/dslam evaluate out/demo_map.mcap --picture out/demo.png
+	@echo
+	@echo 'the drive:   out/demo.mcap'
+	@echo 'its map:     out/demo_map.mcap  (open it in Foxglove, or: $(BIN)/dslam info out/demo_map.mcap)'
+	@echo 'from above:  out/demo.png'
+
+lint: $(INSTALLED)
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+
+test: lint
+	$(BIN)/pytest
+
+# Its own environment: the generated code must stay readable by the oldest protobuf that pyproject.toml allows.
+schemas: | $(PROTOC)
+	cd logs/schemas && ../../$(PROTOC) -m grpc_tools.protoc -I. --python_out=. --pyi_out=. dslam.proto
+
+$(PROTOC):
+	$(PYTHON) -m venv build/protoc
+	build/protoc/bin/pip install --quiet grpcio-tools==1.72.1
+
+clean:
+	rm -rf .venv build out .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -prune -exec rm -rf {} +

@@ -1,0 +1,82 @@
+"""The import rules of the packages, read from the source."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+OURS = ("descriptors", "logs", "slam", "tools")
+HEAVY = ("numpy", "scipy", "gtsam", "matplotlib", "pydantic", "mcap", "google.protobuf", "rich.progress")
+
+
+def sources(*folders: str) -> list[Path]:
+    return [path for folder in folders for path in sorted((ROOT / folder).rglob("*.py")) if "_pb2" not in path.name]
+
+
+def imports(path: Path) -> Iterator[str]:
+    """Full names of all modules that a file imports, wherever in it."""
+    package = path.relative_to(ROOT).parent.parts
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (name.name for name in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = ".".join(package[: len(package) - node.level + 1]) + "." if node.level else ""
+            module = f"{base}{node.module or ''}".strip(".")
+            yield module
+            yield from (f"{module}.{name.name}" for name in node.names)
+
+
+def importers_of(module: str, *folders: str) -> set[str]:
+    return {
+        path.relative_to(ROOT).as_posix()
+        for path in sources(*folders)
+        if any(name == module or name.startswith(f"{module}.") for name in imports(path))
+    }
+
+
+def test_every_package_is_looked_at() -> None:
+    assert all(sources(package) for package in OURS)
+
+
+@pytest.mark.parametrize(
+    ("package", "forbidden"),
+    [(low, high) for low in ("descriptors", "logs") for high in OURS if low != high] + [("slam", "tools")],
+)
+def test_arrows_point_down(package: str, forbidden: str) -> None:
+    assert importers_of(forbidden, package) == set()
+
+
+def test_packages_do_not_import_tests() -> None:
+    assert importers_of("tests", *OURS) == set()
+
+
+def test_only_reader_and_writer_import_mcap() -> None:
+    assert importers_of("mcap", *OURS) == {"logs/reader.py", "logs/writer.py"}
+
+
+def test_only_the_factor_graph_imports_gtsam() -> None:
+    assert importers_of("gtsam", *OURS) <= {"slam/factor_graph.py", "slam/factors.py"}
+
+
+def test_metrics_neither_read_files_nor_plot() -> None:
+    assert importers_of("matplotlib", "slam/evaluation") == set()
+    assert importers_of("logs.reader", "slam/evaluation") == {"slam/evaluation/records.py"}
+
+
+def test_libraries_print_nothing_and_do_not_exit() -> None:
+    for path in sources("descriptors", "logs", "slam"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        calls = {n.func.id for n in ast.walk(tree) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
+        assert calls.isdisjoint({"print", "exit", "quit"}), path
+
+
+def test_the_command_line_starts_light() -> None:
+    code = f"import sys, tools.cli; print([m for m in {HEAVY!r} if m in sys.modules])"
+    result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"

@@ -1,0 +1,25 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.tools.runs import SAMPLE, Result, Run
+from tools import cli
+
+
+@pytest.fixture
+def dslam(capsys: pytest.CaptureFixture[str]) -> Run:
+    def run(*arguments: object) -> Result:
+        code = cli.run([str(argument) for argument in arguments])
+        return Result(code, *capsys.readouterr())
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def mapped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sample, replayed once."""
+    output = tmp_path_factory.mktemp("mapped") / "map.mcap"
+    assert cli.run(["replay", str(SAMPLE), "-o", str(output)]) == 0
+    return output

@@ -1,0 +1,136 @@
+"""What the commands do when all is well, and requirements."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.tools.runs import SAMPLE, Run, assert_refused, write_log
+
+
+class TestJson:
+    def test_each_prints_one_object(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
+        for arguments in (
+            ("simulate", tmp_path / "a.mcap", "--length", 20),
+            ("import", "victoria-park", tmp_path / "b.mcap"),
+            ("info", SAMPLE),
+            ("info", mapped),
+            ("replay", SAMPLE, "-o", tmp_path / "c.mcap"),
+            ("evaluate", mapped),
+            ("config",),
+            ("config", "--simulation"),
+        ):
+            result = dslam(*arguments, "--json")
+            assert result.code == 0, result.err
+            assert result.err == ""
+            assert isinstance(json.loads(result.out), dict)
+
+    def test_replay_tells_what_it_did(self, dslam: Run, tmp_path: Path) -> None:
+        told = json.loads(dslam("replay", SAMPLE, "-o", tmp_path / "c.mcap", "--json").out)
+        assert told["counters"]["odometry_used"] == 164
+        assert told["counters"]["landmarks_confirmed"] > 20
+
+    def test_evaluation_goes_to_a_file_too(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
+        first, second = tmp_path / "first.json", tmp_path / "second.json"
+        assert dslam("evaluate", mapped, "--json", first).code == 0
+        assert dslam("evaluate", mapped, "--json-file", second).code == 0
+        assert json.loads(dslam("evaluate", "--json", mapped).out) == json.loads(first.read_text())
+        assert first.read_text() == second.read_text()
+
+
+class TestRequirements:
+    def test_met(self, dslam: Run, mapped: Path) -> None:
+        bars = ("--require", "trajectory.ate_m<=1.0", "--require", "landmarks.precision>=0.5")
+        assert dslam("evaluate", mapped, *bars).code == 0
+
+    @pytest.mark.parametrize(
+        ("bar", "told"),
+        [
+            ("trajectory.ate_m<=0.000001", "trajectory.ate_m is"),
+            ("trajectory.ate<=1", "did you mean trajectory.ate_m?"),
+            ("trajectory.rpe_translation_percent<=1", "undefined"),
+        ],
+    )
+    def test_not_met(self, dslam: Run, mapped: Path, bar: str, told: str) -> None:
+        result = dslam("evaluate", mapped, "--require", bar)
+        assert result.code == 1
+        assert "Absolute trajectory error" in result.out
+        assert result.err.count("\n") == 1
+        assert told in result.err
+
+    def test_malformed(self, dslam: Run, mapped: Path) -> None:
+        assert_refused(dslam("evaluate", mapped, "--require", "trajectory.ate_m=4"), "expected for example")
+
+
+class TestFromEndToEnd:
+    def test_simulate_replay_evaluate_export(self, dslam: Run, tmp_path: Path) -> None:
+        drive, output, picture = tmp_path / "drive.mcap", tmp_path / "map.mcap", tmp_path / "map.png"
+        made = dslam("simulate", drive, "--seed", 2, "--length", 100, "--set", "sensor.dropout=0.2", "--moving", 1)
+        assert made.code == 0
+        assert "street-grid (seed 2)" in made.out
+        replayed = dslam("replay", drive, "-o", output, "--picture", picture, "--set", "keyframe.distance_m=3")
+        assert replayed.code == 0
+        assert replayed.err == ""  # no progress where there is no terminal
+        assert "confirmed" in replayed.out
+        assert picture.read_bytes().startswith(b"\x89PNG")
+        evaluated = dslam("evaluate", output, "--require", "trajectory.ate_m<=1.0", "--rules")
+        assert evaluated.code == 0
+        assert "Rules" in evaluated.out
+        tum, kitti, g2o = (tmp_path / name for name in ("tum.txt", "kitti.txt", "graph.g2o"))
+        assert dslam("export", output, "--tum", tum, "--kitti", kitti, "--g2o", g2o).code == 0
+        assert np.loadtxt(tum).shape[1] == 8
+        assert np.loadtxt(kitti).shape[1] == 12
+        assert "VERTEX_TRACKXYZ" in g2o.read_text()
+        assert not list(tmp_path.glob("*.part"))
+
+    def test_the_same_seed_gives_the_same_bytes(self, dslam: Run, tmp_path: Path) -> None:
+        for name in ("a", "b"):
+            assert dslam("simulate", tmp_path / f"{name}.mcap", "--length", 30, "--seed", 5).code == 0
+            assert dslam("replay", tmp_path / f"{name}.mcap", "-o", tmp_path / f"{name}_map.mcap").code == 0
+        assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+        assert (tmp_path / "a_map.mcap").read_bytes() == (tmp_path / "b_map.mcap").read_bytes()
+
+    def test_info_of_an_input(self, dslam: Run) -> None:
+        result = dslam("info", SAMPLE)
+        assert result.code == 0
+        for text in ("/odom as odometry", "/detections as detections", "foxglove.Odometry", "tree", "base_link"):
+            assert text in result.out
+
+    def test_info_of_an_output(self, dslam: Run, tmp_path: Path) -> None:
+        output = tmp_path / "map.mcap"
+        assert dslam("replay", SAMPLE, "-o", output, "--set", "seed=7").code == 0
+        result = dslam("info", output, "--closures")
+        for text in ("defaults, but seed=7", "dslam: version", "landmarks_confirmed", "map of another log"):
+            assert text in result.out
+        assert "no loop-closure candidate" in result.out
+
+    def test_info_says_why_a_replay_cannot_be(self, dslam: Run, tmp_path: Path) -> None:
+        log = write_log(tmp_path / "log.mcap", detections=())
+        result = dslam("info", log)
+        assert result.code == 0
+        assert "no topic gives detections" in result.out
+
+    def test_truth_of_another_log(self, dslam: Run, mapped: Path) -> None:
+        with_reference = dslam("evaluate", mapped, "--reference", SAMPLE, "--json")
+        assert json.loads(with_reference.out) == json.loads(dslam("evaluate", mapped, "--json").out)
+
+    def test_configuration_goes_round(self, dslam: Run, tmp_path: Path) -> None:
+        path = tmp_path / "mine.toml"
+        printed = dslam("config", "--set", "keyframe.distance_m=1.5", "--toml").out
+        assert "distance_m = 1.5" in printed
+        path.write_text(printed)
+        assert json.loads(dslam("config", "--config", path, "--json").out)["keyframe"]["distance_m"] == 1.5
+        assert_refused(dslam("config", "--json", "--toml"), "exclude")
+
+    def test_benchmark(self, dslam: Run) -> None:
+        result = dslam("benchmark", "replay", SAMPLE, "--runs", 2, "--json")
+        assert result.code == 0, result.err
+        (measured,) = json.loads(result.out)["logs"]
+        assert measured["runs"] == 2
+        assert measured["wall_min_s"] <= measured["wall_s"] <= measured["wall_max_s"]
+        assert 0.0 < measured["solver_share"] < 1.0
+        assert measured["peak_memory_bytes"] > 10**7
+        assert_refused(dslam("benchmark", "replay", "none.mcap"), "none.mcap")

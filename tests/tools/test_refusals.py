@@ -1,0 +1,119 @@
+"""What the command line refuses: one line on standard error, exit code 2, nothing written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from logs.messages import ObjectDetections, Odometry
+from logs.writer import LogWriter
+from tests.tools.runs import SAMPLE, Run, assert_refused, write_log
+
+
+class TestRefusals:
+    @pytest.mark.parametrize("command", ["info", "replay", "evaluate", "export"])
+    def test_input_that_is_no_log(self, dslam: Run, tmp_path: Path, command: str) -> None:
+        more = {"replay": ["-o", tmp_path / "out.mcap"], "export": ["--tum", tmp_path / "out.txt"]}.get(command, [])
+        empty, text = tmp_path / "empty.mcap", tmp_path / "text.mcap"
+        empty.touch()
+        text.write_text("no log, but long enough to have a signature")
+        assert_refused(dslam(command, tmp_path / "none.mcap", *more), "none.mcap", "No such file")
+        assert_refused(dslam(command, empty, *more), "empty.mcap", "is empty")
+        assert_refused(dslam(command, text, *more), "text.mcap", "no MCAP")
+        assert_refused(dslam(command, tmp_path, *more), "directory")
+        assert not list(tmp_path.glob("out*"))
+
+    @pytest.mark.parametrize("missing", ["odometry", "detections"])
+    def test_topic_that_is_missing(self, dslam: Run, tmp_path: Path, missing: str) -> None:
+        log = write_log(tmp_path / "log.mcap", **{missing: ()})
+        there = "/objects" if missing == "odometry" else "/odom"
+        assert_refused(dslam("replay", log, "-o", tmp_path / "out.mcap"), f"no topic gives {missing}", there)
+
+    def test_several_topics_that_fit(self, dslam: Run, tmp_path: Path) -> None:
+        log = write_log(tmp_path / "log.mcap", odometry=("/visual", "/wheels"))
+        output = tmp_path / "out.mcap"
+        assert_refused(dslam("replay", log, "-o", output), "/visual, /wheels", "--topic odometry=/visual")
+        assert dslam("replay", log, "-o", output, "--topic", "odometry=/wheels").code == 0
+        assert_refused(dslam("replay", log, "-o", output, "--topic", "odometry=/none"), "/none", "/wheels")
+        assert_refused(dslam("replay", log, "-o", output, "--topic", "speed=/wheels"), "no such part")
+        assert_refused(dslam("replay", log, "-o", output, "--topic", "/wheels"), "KIND=/TOPIC")
+
+    def test_settings(self, dslam: Run, tmp_path: Path) -> None:
+        replay = ("replay", SAMPLE, "-o", tmp_path / "out.mcap")
+        assert_refused(dslam(*replay, "--set", "keyframe.distance=2"), "did you mean keyframe.distance_m?")
+        assert_refused(dslam(*replay, "--set", "keyframe.distance_m=-2"), "keyframe.distance_m=-2", "> 0")
+        assert_refused(dslam(*replay, "--config", tmp_path / "none.toml"), "none.toml")
+        assert_refused(dslam("simulate", tmp_path / "out.mcap", "--set", "sensor.dropout=2"), ">= 0 and <= 1")
+        assert_refused(dslam("simulate", tmp_path / "out.mcap", "--speed", "-1"), "drive.speed_mps")
+        assert not list(tmp_path.iterdir())
+
+    def test_output_that_cannot_be(self, dslam: Run, tmp_path: Path) -> None:
+        nowhere = tmp_path / "none" / "out.mcap"
+        assert_refused(dslam("replay", SAMPLE, "-o", nowhere), "no folder")
+        assert_refused(dslam("replay", SAMPLE, "-o", tmp_path), "is a folder")
+        assert_refused(dslam("replay", SAMPLE, "-o", tmp_path / "a.mcap", "--picture", nowhere), "no folder")
+        assert_refused(dslam("simulate", nowhere), "no folder")
+        assert_refused(dslam("import", "victoria-park", nowhere), "no folder")
+        assert not list(tmp_path.iterdir())
+
+    def test_output_that_is_the_input(self, dslam: Run, tmp_path: Path) -> None:
+        log = write_log(tmp_path / "log.mcap")
+        before = log.read_bytes()
+        (tmp_path / "link.mcap").symlink_to(log)
+        assert_refused(dslam("replay", log, "-o", log), "is the input")
+        assert_refused(dslam("replay", log, "-o", tmp_path / "link.mcap"), "is the input")
+        assert_refused(dslam("export", log, "--tum", log), "is the input")
+        assert_refused(dslam("evaluate", log, "--picture", log), "is the input")
+        assert log.read_bytes() == before
+
+    @pytest.mark.parametrize("kidnap", ["100", "a:b", "-1:5", "5:", "nan:5", "1e9:5", "5:1e9"])
+    def test_kidnapping_that_cannot_be(self, dslam: Run, tmp_path: Path, kidnap: str) -> None:
+        assert_refused(dslam("simulate", tmp_path / "out.mcap", "--length", 50, f"--kidnap={kidnap}"))
+        assert not list(tmp_path.iterdir())
+
+    def test_simulation_that_cannot_be(self, dslam: Run, tmp_path: Path) -> None:
+        output = tmp_path / "out.mcap"
+        assert_refused(dslam("simulate", output, "--seed", -1), "negative")
+        assert_refused(dslam("simulate", output, "--length", 0), "above 0 m")
+        assert_refused(dslam("simulate", output, "--objects", "objects.csv"), "--trajectory")
+        assert_refused(dslam("simulate", output, "--objects", "a.csv", "--trajectory", "b.csv"), "a.csv")
+
+    def test_import_without_its_files(self, dslam: Run, tmp_path: Path) -> None:
+        assert_refused(dslam("import", "victoria-park", tmp_path / "out.mcap", "--file", tmp_path / "none"), "none")
+        files = ("--detections", "a.tar", "--odometry", "b.txt", "--calib", "c.txt", "--times", "d.txt")
+        assert_refused(dslam("import", "kitti-objects", tmp_path / "out.mcap", *files), "b.txt")
+
+    def test_log_without_an_estimate(self, dslam: Run, tmp_path: Path) -> None:
+        assert_refused(dslam("evaluate", SAMPLE), "no estimate", "dslam replay")
+        assert_refused(dslam("export", SAMPLE, "--tum", tmp_path / "out.txt"), "no final trajectory")
+        assert_refused(dslam("export", SAMPLE), "--tum")
+
+    def test_no_detection_can_be_placed(self, dslam: Run, tmp_path: Path) -> None:
+        log = tmp_path / "log.mcap"
+        with LogWriter(log) as writer:
+            for stamp_ns in range(0, 10**9, 10**8):
+                writer.write("/odom", Odometry(stamp_ns, np.eye(4)))
+                record = ObjectDetections(stamp_ns, "lidar", np.array([[5.0, 0.0, 0.0]]), ("tree",), np.ones(1))
+                writer.write("/objects", record)
+        assert_refused(dslam("replay", log, "-o", tmp_path / "out.mcap"), "lidar", "/tf_static")
+        assert not (tmp_path / "out.mcap").exists()
+
+    def test_an_error_that_nobody_expected(self, dslam: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+        def fail(*_: object) -> None:
+            raise ZeroDivisionError("one\nof ours")
+
+        monkeypatch.setattr("logs.summary.summarize", fail)
+        assert_refused(dslam("info", SAMPLE), "ZeroDivisionError: one of ours", "--debug", code=70)
+        result = dslam("info", SAMPLE, "--debug")
+        assert result.code == 70
+        assert "Traceback" in result.err
+        assert "report" in result.err.splitlines()[-1]
+
+    def test_interruption(self, dslam: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+        def interrupt(*_: object) -> None:
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr("logs.summary.summarize", interrupt)
+        assert_refused(dslam("info", SAMPLE), "interrupted", code=130)

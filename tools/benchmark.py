@@ -1,0 +1,91 @@
+"""dslam benchmark."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tools.arguments import ConfigFile, Json, Settings
+
+if TYPE_CHECKING:
+    from slam.benchmarks.replay import ReplayBenchmark
+
+app = typer.Typer(help="Measure speed and memory.", no_args_is_help=True)
+
+
+@app.callback()
+def _benchmark() -> None:
+    """Measure speed and memory."""
+
+
+@app.command()
+def replay(
+    logs: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[LOG.mcap]...", help="Logs to replay; without any a simulated drive."),
+    ] = None,
+    config_file: ConfigFile = None,
+    settings: Settings = None,
+    runs: Annotated[int, typer.Option(min=1, help="Runs of each log, each in a fresh process.")] = 1,
+    json: Json = False,
+) -> None:
+    """Replay logs and tell time, the share of it inside GTSAM, the longest stall and the memory.
+
+    Example: dslam benchmark replay drive.mcap --runs 5
+    """
+    from dataclasses import asdict
+
+    from slam.benchmarks.replay import benchmark_replay
+    from slam.config import load_config
+    from tools import console
+
+    config = load_config(config_file, settings or ())
+    with _logs(logs or []) as paths:
+        results = [benchmark_replay(path, config, runs=runs) for path in paths]
+    if json:
+        console.show_json({"logs": [asdict(result) for result in results]})
+    else:
+        _show(results)
+
+
+@contextmanager
+def _logs(paths: list[Path]) -> Iterator[list[Path]]:
+    if paths:
+        yield paths
+        return
+    from tempfile import TemporaryDirectory
+
+    import numpy as np
+
+    from slam.simulation.config import SimulationConfig
+    from slam.simulation.simulation import write_simulation
+    from slam.simulation.street_grid import generate_street_grid
+
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "simulated.mcap"
+        write_simulation(path, generate_street_grid(rng=np.random.default_rng(0)), SimulationConfig(), seed=0)
+        yield [path]
+
+
+def _show(results: list[ReplayBenchmark]) -> None:
+    from tools import console
+
+    headings = ("log s", "wall s", "x real time", "GTSAM", "own", "stall ms", "MB")
+    table = console.grid({"log": False, **dict.fromkeys(headings, True)})
+    for r in results:
+        wall = f"{r.wall_s:.2f}" if r.runs == 1 else f"{r.wall_s:.2f} ({r.wall_min_s:.2f}-{r.wall_max_s:.2f})"
+        table.add_row(
+            Path(r.log).name,
+            f"{r.log_s:.0f}",
+            wall,
+            f"{r.x_real_time:.1f}",
+            f"{100 * r.solver_share:.0f} %",
+            f"{100 * r.own_share:.0f} %",
+            f"{1e3 * r.longest_stall_s:.0f}",
+            f"{r.peak_memory_bytes / 1e6:.0f}",
+        )
+    console.show(table)

@@ -1,0 +1,114 @@
+"""``dslam``: the command line. Commands parse, call one library function and print; only here are errors caught."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from tools import benchmark, config, evaluate, export, import_logs, info, replay, simulate
+
+BAD_INPUT = 2
+INTERNAL_ERROR = 70
+INTERRUPTED = 130
+
+_ANYWHERE = ("--debug", "--verbose", "-v")
+
+app = typer.Typer(
+    name="dslam",
+    help="Semantic SLAM: a log of odometry and object detections becomes a trajectory and an object map.",
+    epilog="--verbose and --debug may also stand after the command. Exit codes: 0 done, 1 a required bar was not met, "
+    "2 bad input.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command()(simulate.simulate)
+app.add_typer(import_logs.app, name="import")
+app.command()(info.info)
+app.command()(replay.replay)
+app.command()(evaluate.evaluate)
+app.command()(export.export)
+app.command()(config.config)
+app.add_typer(benchmark.app, name="benchmark")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"dslam {version('descriptellation-slam')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _global_options(
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log what is done to standard error.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Log every detail, and show tracebacks.")] = False,
+    _version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    if verbose or debug:
+        level = logging.DEBUG if debug else logging.INFO
+        logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+        for package in ("slam", "logs", "descriptors", "tools"):
+            logging.getLogger(package).setLevel(level)
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command line and return its exit code; whatever goes wrong is one line on standard error."""
+    debug = "--debug" in arguments
+    moved = [argument for argument in arguments if argument in _ANYWHERE]
+    rest = evaluate.expand_json_file([argument for argument in arguments if argument not in _ANYWHERE])
+    try:
+        code = app(args=[*moved, *rest], prog_name="dslam", standalone_mode=False)
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        code = INTERRUPTED
+    except typer.TyperException as error:
+        message = error.format_message().rstrip(".")
+        if not message:  # no command was given, and the help has been printed
+            return BAD_INPUT
+        context = getattr(error, "ctx", None)
+        return _fail(f"{message}; see '{context.command_path if context else 'dslam'} --help'", BAD_INPUT)
+    except Exception as error:
+        if debug:
+            traceback.print_exc()
+        if _is_expected(error):
+            return _fail(str(error), BAD_INPUT)
+        what = f"{type(error).__name__}: {error}"
+        remedy = "please report it with the traceback above" if debug else "please report it with the output of --debug"
+        return _fail(f"this should not happen: {what}; {remedy}", INTERNAL_ERROR)
+    if code == INTERRUPTED:  # Typer makes it of a KeyboardInterrupt
+        return _fail("interrupted", INTERRUPTED)
+    return code if isinstance(code, int) else 0
+
+
+def main() -> None:
+    """Entry point of ``dslam``."""
+    if hasattr(signal, "SIGPIPE"):
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `dslam info LOG | head` ends quietly
+    sys.exit(run(sys.argv[1:]))
+
+
+def _is_expected(error: Exception) -> bool:
+    from logs.errors import LogError
+    from slam.errors import SlamError
+
+    return isinstance(error, (LogError, SlamError, OSError))
+
+
+def _fail(message: str, code: int) -> int:
+    print(f"dslam: {' '.join(message.split())}", file=sys.stderr)
+    return code
+
+
+if __name__ == "__main__":
+    main()

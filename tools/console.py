@@ -1,0 +1,76 @@
+"""What goes to the terminal: results to standard output, progress to standard error."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from io import StringIO
+from typing import Any
+
+from rich.console import Console, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+PIPE_WIDTH = 120
+
+
+def show(*parts: RenderableType) -> None:
+    """Print texts and tables to standard output; in a pipe as plain lines of a fixed width."""
+    if sys.stdout.isatty():
+        _print(Console(highlight=False), parts)
+        return
+    buffer = StringIO()
+    _print(Console(file=buffer, width=PIPE_WIDTH, highlight=False, color_system=None), parts)
+    sys.stdout.write("".join(f"{line.rstrip()}\n" for line in buffer.getvalue().splitlines()))
+
+
+def _print(out: Console, parts: Sequence[RenderableType]) -> None:
+    for part in parts:
+        out.print(Text(part) if isinstance(part, str) else part)
+
+
+def show_json(value: Mapping[str, Any]) -> None:
+    """Print exactly one JSON object."""
+    sys.stdout.write(json.dumps(value, indent=2, allow_nan=False) + "\n")
+
+
+def pairs(rows: Mapping[str, str], title: str | None = None) -> Table:
+    """Names and values below one another, without lines."""
+    table = Table(title=title, title_justify="left", title_style="bold", show_header=False, box=None, pad_edge=False)
+    table.add_column(no_wrap=True, style="cyan")
+    table.add_column(overflow="fold")
+    for name, value in rows.items():
+        table.add_row(name, value)
+    return table
+
+
+def grid(columns: Mapping[str, bool], title: str | None = None) -> Table:
+    """A table without lines; ``columns`` tells for each heading whether it is a column of numbers."""
+    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False, header_style="cyan")
+    for heading, is_number in columns.items():
+        table.add_column(heading, justify="right" if is_number else "left", overflow="fold")
+    return table
+
+
+@contextmanager
+def progress_bar(doing: str, finishing: str) -> Iterator[Callable[[float], None] | None]:
+    """A callback for the fraction done that moves a bar on a terminal; None where there is none."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(doing, total=1.0)
+        shown = 0.0
+
+        def move(fraction: float) -> None:
+            nonlocal shown
+            if fraction - shown >= 0.002 or fraction >= 1.0 > shown:
+                shown = fraction
+                progress.update(task, completed=fraction, description=doing if fraction < 1.0 else finishing)
+
+        yield move

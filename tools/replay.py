@@ -1,0 +1,84 @@
+"""dslam replay."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tools.arguments import ConfigFile, InputLog, Json, Picture, Settings, Topics, check_outputs, parse_topics
+
+if TYPE_CHECKING:
+    from slam.replay import ReplaySummary
+
+# Everything else that is counted was used, or is a number of landmarks.
+_USED = ("odometry_used", "detections_used", "objects_used", "keyframes", "batch_iterations")
+_LANDMARK_STATES = ("confirmed", "tentative", "retired")
+
+
+def replay(
+    source: InputLog,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.mcap", help="The log to write.")],
+    config_file: ConfigFile = None,
+    settings: Settings = None,
+    topics: Topics = None,
+    json: Json = False,
+    picture: Picture = None,
+) -> None:
+    """Map a log: odometry and detections in, trajectory and object map out.
+
+    Example: dslam replay drive.mcap -o map.mcap --set keyframe.distance_m=1.5
+    """
+    chosen = parse_topics(topics)
+    check_outputs([output, picture], [source, config_file])
+    from slam.config import load_config
+    from slam.replay import replay as replay_log
+    from tools import console
+
+    config = load_config(config_file, settings or ())
+    with console.progress_bar("mapping", "optimising everything at once") as progress:
+        summary = replay_log(source, output, config, topics=chosen, progress=progress)
+    if picture is not None:
+        _draw(output, picture)
+    if json:
+        console.show_json({"output": str(output), **asdict(summary), "x_real_time": _x_real_time(summary)})
+    else:
+        _show(output, picture, summary)
+
+
+def _draw(output: Path, picture: Path) -> None:
+    from slam.evaluation.gather import evaluate
+    from slam.evaluation.picture import compose_picture
+    from slam.evaluation.records import read_records
+    from slam.pictures import draw_map
+
+    records = read_records(output)
+    draw_map(picture, compose_picture(records, evaluate(records), title=output.stem))
+
+
+def _show(output: Path, picture: Path | None, summary: ReplaySummary) -> None:
+    from tools import console
+
+    counters = summary.counters
+    landmarks = [f"{counters.get(f'landmarks_{state}', 0)} {state}" for state in _LANDMARK_STATES]
+    noted = [f"{name.replace('_', ' ')} {count}" for name, count in counters.items()
+             if count and not name.startswith("landmarks_") and name not in _USED]  # fmt: skip
+    x_real_time = _x_real_time(summary)
+    speed = f", {x_real_time:.1f} x real time" if x_real_time else ""
+    rows = {
+        "log": f"{summary.log_s:.1f} s, mapped in {summary.wall_s:.1f} s{speed}",
+        "used": f"{counters.get('odometry_used', 0)} odometry messages, {counters.get('detections_used', 0)} scans "
+        f"with {counters.get('objects_used', 0)} objects",
+        "keyframes": str(counters.get("keyframes", 0)),
+        "landmarks": ", ".join(landmarks),
+        "warnings": ", ".join(noted) or "none",
+        "final status": summary.final_status,
+        "written": str(output) + (f", {picture}" if picture else ""),
+    }
+    console.show(console.pairs(rows))
+
+
+def _x_real_time(summary: ReplaySummary) -> float | None:
+    return summary.log_s / summary.wall_s if summary.wall_s > 0.0 else None
