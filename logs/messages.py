@@ -214,6 +214,7 @@ class SceneMarkers:
     """A picture of the map for a viewer: shapes of one class share a colour and a text.
 
     positions (N, 3) m in ``frame_id``, labels (N,), ids (N,); lines (M, 2, 3) m with line_colors (M, 4) in [0, 1].
+    ``replaces``: it takes the place of all that was shown before, else it is added to that.
     """
 
     stamp_ns: int
@@ -223,6 +224,7 @@ class SceneMarkers:
     ids: tuple[str, ...]
     lines: FloatArray
     line_colors: FloatArray
+    replaces: bool = True
 
 
 Record = (

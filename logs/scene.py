@@ -30,10 +30,11 @@ def class_color(label: str) -> tuple[float, float, float, float]:
 
 
 def encode_markers(markers: SceneMarkers) -> Message:
-    """``markers`` as one update that replaces the whole picture: objects with shape and text, then the lines."""
+    """``markers`` as one update of the picture: objects with shape and text, then the lines."""
     seconds, nanos = divmod(int(markers.stamp_ns), 1_000_000_000)
     now = Timestamp(seconds=seconds, nanos=nanos)
-    update = SceneUpdate(deletions=[SceneEntityDeletion(timestamp=now, type=SceneEntityDeletion.ALL)])
+    everything = SceneEntityDeletion(timestamp=now, type=SceneEntityDeletion.ALL)
+    update = SceneUpdate(deletions=[everything] if markers.replaces else [])
     colors = {label: Color(**dict(zip("rgba", class_color(label), strict=True))) for label in markers.labels}
     for (x, y, z), label, object_id in zip(markers.positions.tolist(), markers.labels, markers.ids, strict=True):
         entity = update.entities.add(timestamp=now, frame_id=markers.frame_id, id=object_id)

@@ -62,6 +62,7 @@ class Mapper:
         self._active = np.zeros(0, dtype=np.int64)
         self._sightings = Sightings()
         self._held_back: defaultdict[int, list[Observation]] = defaultdict(list)
+        self._newly_confirmed: list[int] = []
         self._scan_count = 0
         self.keyframes: list[Keyframe] = []
 
@@ -76,7 +77,7 @@ class Mapper:
             self.close_keyframe()
             self._graph.add_next_keyframe(self._odometry_edge(self.keyframes[-1], keyframe))
             if pose.segment != self.keyframes[-1].odometry.segment:
-                self._active = self._active[:0]
+                self._let_go(np.ones(len(self._active), dtype=np.bool_))
         self.keyframes.append(keyframe)
         if keyframe.id % self._config.factor_graph.update_keyframes == 0:
             self._graph.update()
@@ -109,6 +110,11 @@ class Mapper:
         )
         self._age(rows, in_odom.covariances)
         return _associations(scan, rows, ~known)
+
+    def take_confirmed(self) -> IntArray:
+        """Rows of the landmarks that were confirmed since the last call."""
+        taken, self._newly_confirmed = self._newly_confirmed, []
+        return np.array(taken, dtype=np.int64)
 
     def close_keyframe(self) -> None:
         """Hand what was seen since the last keyframe to the graph; tentative landmarks are held back."""
@@ -222,7 +228,9 @@ class Mapper:
         enough = observations >= limits.confirm_observations
         scans = self._scan_count - landmarks["first_scan"][seen] + 1
         steady = observations >= limits.confirm_fraction * scans
-        self._map.confirm(seen[tentative & enough & steady & ~too_fast & (seconds >= limits.confirm_age_s)])
+        confirmed = seen[tentative & enough & steady & ~too_fast & (seconds >= limits.confirm_age_s)]
+        self._map.confirm(confirmed)
+        self._newly_confirmed += confirmed.tolist()
 
     def _forget(self, travel_m: float) -> None:
         """Let go of landmarks that were not seen for long; tentative and moving ones soon."""
@@ -232,9 +240,14 @@ class Mapper:
         unseen_scans = self._scan_count - landmarks["last_scan"]
         lost = (unseen_m > limits.give_up_distance_m) | (unseen_scans > limits.give_up_scans)
         given_up = lost & (landmarks["state"] != LandmarkState.CONFIRMED)
-        tentative = landmarks["state"] == LandmarkState.TENTATIVE
-        self._retire(self._active[given_up & tentative], RetirementReason.NOT_CONFIRMED)
-        self._active = self._active[~given_up & (unseen_m <= self._config.association.forget_distance_m)]
+        self._let_go(given_up | (unseen_m > self._config.association.forget_distance_m))
+
+    def _let_go(self, gone: NDArray[np.bool_]) -> None:
+        """Follow the active landmarks that are ``gone`` (A,) no longer; the life of tentative ones ends."""
+        rows = self._active[gone]
+        tentative = self._map.rows["state"][rows] == LandmarkState.TENTATIVE
+        self._retire(rows[tentative], RetirementReason.NOT_CONFIRMED)
+        self._active = self._active[~gone]
 
     def _retire(self, rows: IntArray, reason: RetirementReason) -> None:
         """End the life of landmarks; the graph forgets them."""

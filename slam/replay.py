@@ -13,6 +13,7 @@ from logs.errors import UnwritableLogError
 from logs.messages import (
     DetectionAssociations,
     Record,
+    SceneMarkers,
     SlamPose,
     StatusRecord,
     Transform,
@@ -29,6 +30,7 @@ _TOPICS: Mapping[type[Record], str] = {
     Transform: "/tf",
     DetectionAssociations: "/slam/associations",
     StatusRecord: "/slam/status",
+    SceneMarkers: "/slam/landmarks",
 }
 _MAPPED = (RecordKind.ODOMETRY, RecordKind.DETECTIONS, RecordKind.TRANSFORMS)
 # The estimator never sees these; they are copied as they are, so that the output can be evaluated on its own.

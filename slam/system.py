@@ -27,7 +27,7 @@ from logs.messages import (
 from slam.config import Config
 from slam.errors import FactorGraphError, InputDataError
 from slam.factor_graph import FactorGraph
-from slam.geometry import FloatArray, apply, invert
+from slam.geometry import FloatArray, IntArray, apply, invert
 from slam.mapper import Mapper
 from slam.object_map import LandmarkState, ObjectMap
 from slam.odometry_track import OdometryPose, OdometryTrack
@@ -111,11 +111,13 @@ class Slam:
         message = "optimised" if optimization.converged else (
             f"the final optimisation did not converge in {optimization.iterations} iterations"
         )  # fmt: skip
+        object_map = self._map_record()
+        confirmed = self._object_map.in_state(LandmarkState.CONFIRMED)
         return FinalMap(
             trajectory=self._trajectory(),
-            object_map=self._map_record(),
+            object_map=object_map,
             graph=self._graph_record(),
-            markers=self._markers(),
+            markers=self._markers(confirmed, self._object_map.rows["position_map"][confirmed], replaces=True),
             status=self._status(message, level="info" if optimization.converged else "warning"),
         )
 
@@ -140,6 +142,10 @@ class Slam:
         self._T_map_odom = self._graph.pose(keyframe.id) @ invert(pose.T_odom_body)
         updates: list[Record] = [Transform(pose.stamp_ns, MAP_FRAME, self._odom_frame, self._T_map_odom)]
         self.counters["keyframes"] += 1
+        confirmed = self._mapper.take_confirmed()
+        if len(confirmed):
+            positions = apply(self._T_map_odom, self._object_map.rows["position_odom"][confirmed])
+            updates.append(self._markers(confirmed, positions, replaces=False))
         if len(self._mapper.keyframes) == 1:
             updates.append(self._status("first odometry", level="info"))
         if breaks:
@@ -228,17 +234,17 @@ class Slam:
         )
         return self._graph.to_record(self._now_ns, keyframe_stamps_ns)
 
-    def _markers(self) -> SceneMarkers:
-        confirmed = self._object_map.in_state(LandmarkState.CONFIRMED)
-        classes = self._object_map.beliefs(confirmed).argmax(axis=1) if len(confirmed) else []
+    def _markers(self, rows: IntArray, positions: FloatArray, *, replaces: bool) -> SceneMarkers:
+        classes = self._object_map.beliefs(rows).argmax(axis=1) if len(rows) else []
         return SceneMarkers(
             stamp_ns=self._now_ns,
             frame_id=MAP_FRAME,
-            positions=self._object_map.rows["position_map"][confirmed],
+            positions=positions,
             labels=tuple(self._object_map.vocabulary[index] for index in classes),
-            ids=tuple(str(row) for row in confirmed),
+            ids=tuple(str(row) for row in rows),
             lines=np.zeros((0, 2, 3)),
             line_colors=np.zeros((0, 4)),
+            replaces=replaces,
         )
 
     def _status(self, message: str, *, level: str) -> StatusRecord:

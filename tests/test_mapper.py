@@ -231,6 +231,7 @@ def test_a_jump_of_the_odometry_lets_go_of_the_landmarks_in_view():
     bench.drive(10)
     keyframe = bench.move(1.0, 5000.0)
     assert keyframe is not None
+    assert LandmarkState.TENTATIVE not in bench.states()
     assert bench.see(1.0, OBJECTS + np.array([5000.0, 0, 0])).created.all()
     bench.graph.update()
     last = bench.graph.to_record(0, np.zeros(len(bench.mapper.keyframes), dtype=np.int64)).edge_covariances[-1]
