@@ -213,7 +213,8 @@ class Mapper:
         velocities = self._map.velocities(seen)
         speeds = np.linalg.norm(velocities, axis=1)
         sigmas = np.sqrt(np.trace(covariances, axis1=1, axis2=2) / 3.0)
-        too_fast = speeds > limits.moving_speed_mps + MOVING_SIGMAS * self._map.speed_sigmas(seen, sigmas)
+        noise_mps = MOVING_SIGMAS * self._map.speed_sigmas(seen, sigmas)
+        too_fast = speeds > np.maximum(limits.moving_speed_mps, noise_mps)
         observations = landmarks["observations"][seen]
         seconds = (landmarks["last_seen_ns"][seen] - landmarks["first_seen_ns"][seen]) * 1e-9
         far = speeds * seconds > limits.moving_distance_m
@@ -228,7 +229,9 @@ class Mapper:
         enough = observations >= limits.confirm_observations
         scans = self._scan_count - landmarks["first_scan"][seen] + 1
         steady = observations >= limits.confirm_fraction * scans
-        confirmed = seen[tentative & enough & steady & ~too_fast & (seconds >= limits.confirm_age_s)]
+        confirmed = seen[
+            tentative & enough & steady & (speeds <= limits.moving_speed_mps) & (seconds >= limits.confirm_age_s)
+        ]
         self._map.confirm(confirmed)
         self._newly_confirmed += confirmed.tolist()
 
