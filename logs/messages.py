@@ -35,7 +35,8 @@ class Odometry:
 class ObjectDetections:
     """Objects seen in one sensor frame: ``positions`` (N, 3) m in ``frame_id``, a label and a score in [0, 1] each.
 
-    ``covariances`` (N, 3, 3) m^2 and ``sizes`` (N, 3) m are None where the detector gives none.
+    ``covariances`` (N, 3, 3) m^2 and ``sizes`` (N, 3) m are None where the detector gives none; a covariance of
+    zeros is unknown.
     """
 
     stamp_ns: int

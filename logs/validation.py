@@ -17,6 +17,8 @@ QUATERNION_NORM_TOLERANCE = 1e-2
 ROTATION_TOLERANCE = 1e-6
 """A rotation matrix with R^T R off by at most this was rounded and is made orthonormal; beyond it, it is refused."""
 
+# A covariance whose smallest eigenvalue is that little of its largest entry is singular to double precision.
+_SINGULAR = 1e-14
 _EXACT = 1e-12  # below this, a matrix keeps its bits: reading must not change what writing stored
 
 
@@ -117,22 +119,24 @@ def transforms(values: Sequence[float], count: int, what: str) -> FloatArray:
 
 
 def usable_covariance(P: FloatArray, counters: Counter[str]) -> FloatArray | None:
-    """``P`` (n, n) or (N, n, n), symmetrised; None if all zero ("unknown"); None, counted, if not positive definite.
+    """``P`` (n, n), symmetrised; None if all zero ("unknown"); None, counted, if not positive definite.
 
     A singular or infinite covariance cannot weigh a measurement, but the measurement itself is still good.
     """
-    if not P.any():
-        return None
-    if np.isfinite(P).all():
-        symmetric = 0.5 * (P + np.swapaxes(P, -1, -2))
-        try:
-            np.linalg.cholesky(symmetric)
-        except np.linalg.LinAlgError:
-            pass
-        else:
-            return symmetric
-    counters["ignored_covariances"] += 1
-    return None
+    usable = usable_covariances(P[None], counters)[0]
+    return usable if usable.any() else None
+
+
+def usable_covariances(P: FloatArray, counters: Counter[str]) -> FloatArray:
+    """``P`` (N, n, n), symmetrised; all zero ("unknown") where one is not positive definite, and counted."""
+    finite = np.asarray(np.isfinite(P).all(axis=(1, 2)))
+    symmetric = np.where(finite[:, None, None], 0.5 * (P + np.swapaxes(P, -1, -2)), 0.0)
+    known = P.any(axis=(1, 2))
+    largest = np.abs(symmetric).max(axis=(1, 2), initial=0.0)
+    good = known & finite & (np.linalg.eigvalsh(symmetric)[:, 0] > _SINGULAR * largest)
+    if (known & ~good).any():
+        counters["ignored_covariances"] += int((known & ~good).sum())
+    return np.where(good[:, None, None], symmetric, 0.0)
 
 
 def covariance_to_body(P_parent: FloatArray, T_parent_body: FloatArray) -> FloatArray:

@@ -70,6 +70,7 @@ class DetectionConfig(_Branch):
         description="observations that carry the information of one, where the message has no covariance: "
         "errors of centroids are shared by the objects in view and by the keyframes of a pass",
     )
+    min_sigma_m: float = Field(default=0.01, ge=0, description="added to the message's own covariances [m]")
     min_score: float = Field(default=0.0, ge=0, le=1, description="detections below this score are left out")
     max_range_m: float = Field(default=80.0, gt=0, description="detections farther away are left out [m]")
 
@@ -96,7 +97,7 @@ class AssociationConfig(_Branch):
         description="new objects and false positives a scan and cubic metre [1/m^3]; higher: fewer matches",
     )
     forget_distance_m: float = Field(
-        default=120.0, gt=0, description="landmarks unseen for that much travel are left to loop closing [m]"
+        default=120.0, gt=0, description="landmarks unseen for that much travel are met again as new ones [m]"
     )
 
 
@@ -115,8 +116,10 @@ class LandmarkConfig(_Branch):
     give_up_distance_m: float = Field(
         default=15.0, gt=0, description="a tentative landmark unseen for that travel retires [m]"
     )
-    give_up_scans: int = Field(default=20, ge=1, description="... or for that many scans")
-    moving_speed_mps: float = Field(default=1.0, gt=0, description="an object at least this fast is moving [m/s]")
+    give_up_scans: int = Field(default=20, ge=1, description="... or for more than that many scans")
+    moving_speed_mps: float = Field(
+        default=1.0, gt=0, description="what is faster, and faster than its noise explains, moves [m/s]"
+    )
     moving_distance_m: float = Field(default=2.5, gt=0, description="... if it also went at least this far [m]")
     moving_observations: int = Field(default=5, ge=3, description="... and was seen at least that often")
     moving_acceleration_mps2: float = Field(
@@ -145,7 +148,6 @@ class FactorGraphConfig(_Branch):
 class Config(_Branch):
     """Everything that can be set."""
 
-    seed: int = Field(default=0, ge=0, description="seed of every random choice")
     keyframe: KeyframeConfig = KeyframeConfig()
     odometry: OdometryConfig = OdometryConfig()
     detection: DetectionConfig = DetectionConfig()

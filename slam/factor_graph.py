@@ -234,12 +234,12 @@ class FactorGraph:
         return self._values
 
     def landmark_covariances(self, landmarks: IntArray) -> FloatArray:
-        """Marginal covariances (N, 3, 3) m^2 in the map frame, at the current estimate."""
+        """Marginal covariances (N, 3, 3) m^2 in the map frame, at the point where iSAM2 last linearised."""
         self.update()
         self._check_landmarks(landmarks)
         with self._solver("the marginal covariances"):
-            marginals = gtsam.Marginals(self._isam.getFactorsUnsafe(), self._estimate())
-            covariances = [marginals.marginalCovariance(L(int(i))) for i in landmarks]
+            # From the tree that iSAM2 keeps: gtsam.Marginals factors anew, by Cholesky only, and fails behind a break.
+            covariances = [self._isam.marginalCovariance(L(int(i))) for i in landmarks]
         return np.array(covariances).reshape(-1, 3, 3)
 
     def _new_isam(self, factorization: str) -> gtsam.ISAM2:

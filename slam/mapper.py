@@ -63,6 +63,8 @@ class Mapper:
         self._sightings = Sightings()
         self._held_back: defaultdict[int, list[Observation]] = defaultdict(list)
         self._newly_confirmed: list[int] = []
+        self._message_count = 0
+        self._sensors: set[str] = set()
         self._scan_count = 0
         self.keyframes: list[Keyframe] = []
 
@@ -85,7 +87,7 @@ class Mapper:
 
     def add_scan(self, scan: Scan, pose: OdometryPose) -> DetectionAssociations:
         """Associate one scan, taken at ``pose``, with the landmarks around, and bring them up to date."""
-        self._scan_count += 1
+        self._count_scan(scan.sensor)
         self._forget(pose.travel_m)
         T_keyframe_body = relative(self.keyframes[-1].odometry.T_odom_body, pose.T_odom_body)
         in_odom, in_keyframe = scan.seen_from(pose.T_odom_body), scan.seen_from(T_keyframe_body)
@@ -105,9 +107,7 @@ class Mapper:
             travel_m=pose.travel_m,
         )
         self._active = np.concatenate([self._active, rows[~known]])
-        self._sightings.add(
-            rows, in_keyframe.positions, in_keyframe.covariances, have_own_covariances=scan.has_own_covariances
-        )
+        self._sightings.add(rows, in_keyframe)
         self._age(rows, in_odom.covariances)
         return _associations(scan, rows, ~known)
 
@@ -128,6 +128,12 @@ class Mapper:
                 self._graph.add_observations(self._held_back.pop(row))
             elif states[row] == LandmarkState.RETIRED:
                 del self._held_back[row]
+
+    def _count_scan(self, sensor: str) -> None:
+        """Several sensors share the view: a scan is counted when each has given one."""
+        self._message_count += 1
+        self._sensors.add(sensor)
+        self._scan_count = self._message_count // len(self._sensors)
 
     def _keyframe_due(self, pose: OdometryPose) -> bool:
         last = self.keyframes[-1].odometry
@@ -166,15 +172,13 @@ class Mapper:
 
     def _associate(self, scan: Scan, labels: IntArray, predicted: Prediction) -> Assignment:
         """Assign the detections of a scan, in the odometry frame, to places in the active landmarks."""
-        covariances = predicted.covariances
-        if not scan.has_own_covariances:
-            covariances = covariances + self._config.detection.common_sigma_m**2 * np.eye(3)
+        common_variances = np.where(scan.has_own_covariance, 0.0, self._config.detection.common_sigma_m**2)
         return associate(
             scan.positions,
-            scan.covariances,
+            scan.covariances + common_variances[:, None, None] * np.eye(3),
             labels,
             predicted.positions,
-            covariances,
+            predicted.covariances,
             self._map.beliefs(self._active),
             self._config.association,
         )

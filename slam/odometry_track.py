@@ -18,6 +18,8 @@ HISTORY = 6000
 RECENT_STEPS = 10
 # Odometry may be that far off from one message to the next without being called broken.
 JUMP_SLACK_M = 2.0
+# Travel is counted in steps of at least that length.
+JITTER_M = 0.05
 # How many metres of travel a turn counts for in the noise of the heading.
 METRES_PER_RADIAN = 10.0
 
@@ -46,6 +48,7 @@ class OdometryTrack:
         self._config = config
         self._poses: deque[OdometryPose] = deque(maxlen=HISTORY)
         self._doubtful: Odometry | None = None
+        self._counted_xyz_m = np.zeros(3)
         self._counters = counters if counters is not None else Counter[str]()
 
     @property
@@ -56,25 +59,32 @@ class OdometryTrack:
     def add(self, odometry: Odometry) -> list[OdometryPose]:
         """Take in a message; returns the poses that it adds to the track, mostly one.
 
-        A message whose stamp is not later than the last one's adds none. One that comes after a silence of more than
-        ``max_gap_s`` may have a wrong stamp: it is put off until the next message, which confirms or refutes it.
+        A message whose stamp is not later than the last one's adds none. The first message, and one that comes after a
+        silence of more than ``max_gap_s``, may have a wrong stamp: it is put off until the next message, which confirms
+        or refutes it.
         """
-        doubtful, self._doubtful = self._doubtful, None
         added = []
+        doubtful, self._doubtful = self._doubtful, None
         if doubtful is not None:
             if odometry.stamp_ns > doubtful.stamp_ns:
                 added.append(self._append(doubtful))
             else:
-                self._counters["odometry_out_of_order"] += 1
+                self._reject(odometry.stamp_ns == doubtful.stamp_ns)
         last = self.latest
-        if last is not None and odometry.stamp_ns <= last.stamp_ns:
-            same = odometry.stamp_ns == last.stamp_ns
-            self._counters["odometry_duplicated" if same else "odometry_out_of_order"] += 1
-        elif last is not None and odometry.stamp_ns - last.stamp_ns > self._config.max_gap_s * 1e9:
+        if last is None:
+            self._doubtful = odometry
+        elif odometry.stamp_ns <= last.stamp_ns:
+            self._reject(odometry.stamp_ns == last.stamp_ns)
+        elif odometry.stamp_ns - last.stamp_ns > self._config.max_gap_s * 1e9:
             self._doubtful = odometry
         else:
             added.append(self._append(odometry))
         return added
+
+    def finish(self) -> list[OdometryPose]:
+        """Add the message that was put off, if there is one: nothing refutes it any more."""
+        doubtful, self._doubtful = self._doubtful, None
+        return [] if doubtful is None else [self._append(doubtful)]
 
     def at(self, stamp_ns: int) -> OdometryPose | None:
         """The pose at a time, between the two messages around it; None where the track has none or breaks there."""
@@ -87,18 +97,27 @@ class OdometryTrack:
             after = pose
         return None
 
+    def _reject(self, is_duplicate: bool) -> None:
+        self._counters["odometry_duplicated" if is_duplicate else "odometry_out_of_order"] += 1
+
     def _append(self, odometry: Odometry) -> OdometryPose:
         last = self.latest
+        xyz_m = odometry.T_odom_body[:3, 3]
         if last is None:
             pose = OdometryPose(odometry.stamp_ns, odometry.T_odom_body, 0.0, 0, self._config.max_speed_mps)
+            self._counted_xyz_m = xyz_m
         else:
             seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9
-            step_m = float(np.linalg.norm(odometry.T_odom_body[:3, 3] - last.T_odom_body[:3, 3]))
+            step_m = float(np.linalg.norm(xyz_m - last.T_odom_body[:3, 3]))
             breaks = seconds > self._config.max_gap_s or step_m > self._farthest_step_m(seconds)
+            # The jitter of a standing body is no travel.
+            counted_m = float(np.linalg.norm(xyz_m - self._counted_xyz_m))
+            if breaks or counted_m >= JITTER_M:
+                self._counted_xyz_m = xyz_m
             pose = OdometryPose(
                 odometry.stamp_ns,
                 odometry.T_odom_body,
-                travel_m=last.travel_m + (0.0 if breaks else step_m),
+                travel_m=last.travel_m + (counted_m if counted_m >= JITTER_M and not breaks else 0.0),
                 segment=last.segment + breaks,
                 speed_mps=self._config.max_speed_mps if breaks else step_m / seconds,
             )

@@ -79,7 +79,8 @@ def replay(
             if path.exists() and path.samefile(source):
                 raise UnwritableLogError(f"writing {output} would overwrite the input {source}; give another output")
         selection = select_topics(reader.topics(), topics)
-        copied = sorted({topic for kind in _COPIED for topic in selection.topics_of(kind)})
+        copied = {topic for kind in _COPIED for topic in selection.topics_of(kind)}
+        copied |= set(selection.topics_of(RecordKind.TRANSFORMS)) - {_TOPICS[Transform]}
         mapped = Selection({topic: kinds for topic, kinds in selection.kinds.items() if set(kinds) & set(_MAPPED)})
         first_ns, last_ns = _span(reader, mapped)
         slam = Slam(config)
@@ -92,14 +93,15 @@ def replay(
                 before = time.perf_counter()
                 for record in item.records:
                     for update in slam.process(record):
-                        writer.write(_TOPICS[type(update)], update)
+                        # Everything is logged on the clock of the input, whatever its stamps are.
+                        writer.write(_TOPICS[type(update)], update, item.raw.log_time_ns)
                 longest_stall_s = max(longest_stall_s, time.perf_counter() - before)
                 if progress is not None:
                     done = (item.raw.log_time_ns - first_ns) / max(last_ns - first_ns, 1)
                     progress(min(max(done, 0.0), 1.0))
             slam.counters.update(reader.counters)
             final = slam.finish()
-            _write_final(writer, final)
+            _write_final(writer, final, last_ns)
     return ReplaySummary(
         counters=dict(final.status.counters),
         log_s=(last_ns - first_ns) * 1e-9,
@@ -110,13 +112,13 @@ def replay(
     )
 
 
-def _write_final(writer: LogWriter, final: FinalMap) -> None:
-    writer.write("/slam/trajectory_stamped", final.trajectory)
-    writer.write_path("/slam/trajectory", final.trajectory)
-    writer.write("/slam/map", final.object_map)
-    writer.write("/slam/graph", final.graph)
-    writer.write("/slam/landmarks", final.markers)
-    writer.write("/slam/status", final.status)
+def _write_final(writer: LogWriter, final: FinalMap, log_time_ns: int) -> None:
+    writer.write("/slam/trajectory_stamped", final.trajectory, log_time_ns)
+    writer.write_path("/slam/trajectory", final.trajectory, log_time_ns)
+    writer.write("/slam/map", final.object_map, log_time_ns)
+    writer.write("/slam/graph", final.graph, log_time_ns)
+    writer.write("/slam/landmarks", final.markers, log_time_ns)
+    writer.write("/slam/status", final.status, log_time_ns)
 
 
 def _provenance(reader: LogReader, config: Config, selection: Selection) -> dict[str, str]:

@@ -17,15 +17,17 @@ from slam.geometry import FloatArray, apply, invert
 class Scan:
     """Detections in one frame, at first the body's: positions (N, 3) m, covariances (N, 3, 3) m^2, labels (N,).
 
-    ``used`` (M,) says which of the message's M detections these are; ``has_own_covariances``: the message gave them.
+    ``used`` (M,) says which of the message's M detections these are; ``has_own_covariance`` (N,): the message gave it.
+    ``sensor`` is the frame that the message named.
     """
 
     stamp_ns: int
+    sensor: str
     positions: FloatArray
     covariances: FloatArray
     labels: tuple[str, ...]
     used: NDArray[np.bool_]
-    has_own_covariances: bool
+    has_own_covariance: NDArray[np.bool_]
 
     def seen_from(self, T_frame_body: FloatArray) -> Scan:
         """The same scan with its positions and covariances in another frame."""
@@ -36,24 +38,31 @@ class Scan:
 def make_scan(detections: ObjectDetections, T_body_sensor: FloatArray, config: DetectionConfig) -> Scan:
     """The detections of one message that pass the limits on score and range, in the body frame.
 
-    Covariances are the message's own, else (base_sigma_m + sigma_per_m * range)^2 in each coordinate.
+    Covariances are the message's own, else (base_sigma_m + sigma_per_m * range)^2 in each coordinate; the range is
+    taken from the body, since the frame of the message may be one that does not move with the sensor.
     """
-    ranges = np.linalg.norm(detections.positions, axis=1)
+    positions = apply(T_body_sensor, detections.positions)
+    ranges = np.linalg.norm(positions, axis=1)
     used = (detections.scores >= config.min_score) & (ranges <= config.max_range_m)
+    sigmas = config.base_sigma_m + config.sigma_per_m * ranges[used]
+    covariances = sigmas[:, None, None] ** 2 * np.eye(3)
+    has_own_covariance = np.zeros(len(covariances), dtype=np.bool_)
     if detections.covariances is not None:
-        covariances = detections.covariances[used]
-    else:
-        sigmas = config.base_sigma_m + config.sigma_per_m * ranges[used]
-        covariances = sigmas[:, None, None] ** 2 * np.eye(3)
-    scan = Scan(
+        R = T_body_sensor[:3, :3]
+        own = detections.covariances[used]
+        has_own_covariance = np.any(own != 0.0, axis=(1, 2))
+        # No detector is right to the millimetre; what claims it would outweigh everything else.
+        own = R @ own @ R.T + config.min_sigma_m**2 * np.eye(3)
+        covariances = np.where(has_own_covariance[:, None, None], own, covariances)
+    return Scan(
         stamp_ns=detections.stamp_ns,
-        positions=detections.positions[used],
+        sensor=detections.frame_id,
+        positions=positions[used],
         covariances=covariances,
         labels=tuple(label for label, is_used in zip(detections.labels, used, strict=True) if is_used),
         used=used,
-        has_own_covariances=detections.covariances is not None,
+        has_own_covariance=has_own_covariance,
     )
-    return scan.seen_from(T_body_sensor)
 
 
 class SensorFrames:

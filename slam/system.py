@@ -65,6 +65,7 @@ class Slam:
         self._waiting: list[tuple[int, int, ObjectDetections]] = []
         self._arrivals = 0
         self._last_scan_ns = -1
+        self._last_scan_frames: set[str] = set()
         self._body_frame = ""
         self._odom_frame = ""
         self._frames_missing: set[str] = set()
@@ -94,6 +95,9 @@ class Slam:
         Raises:
             InputDataError: there was nothing to map.
         """
+        for pose in self._track.finish():
+            self._step(pose)
+        self._map_waiting_scans()
         if not self._mapper.keyframes:
             raise InputDataError(
                 "no odometry message was usable, so there is nothing to map; see 'dslam info' of the log"
@@ -111,31 +115,37 @@ class Slam:
         message = "optimised" if optimization.converged else (
             f"the final optimisation did not converge in {optimization.iterations} iterations"
         )  # fmt: skip
+        unused = self.counters["odometry_out_of_order"] + self.counters["odometry_duplicated"]
+        if unused > self.counters["odometry_used"]:
+            message += "; most odometry messages were unusable: their stamps do not increase"
         object_map = self._map_record()
+        is_well = optimization.converged and unused <= self.counters["odometry_used"]
+        level = "info" if is_well and not self.counters["covariances_missing"] else "warning"
         confirmed = self._object_map.in_state(LandmarkState.CONFIRMED)
         return FinalMap(
             trajectory=self._trajectory(),
             object_map=object_map,
             graph=self._graph_record(),
             markers=self._markers(confirmed, self._object_map.rows["position_map"][confirmed], replaces=True),
-            status=self._status(message, level="info" if optimization.converged else "warning"),
+            status=self._status(message, level=level),
         )
 
     def _follow(self, odometry: Odometry) -> list[Record]:
-        updates: list[Record] = []
         self._body_frame, self._odom_frame = odometry.child_frame_id, odometry.frame_id
-        previous = self._track.latest
-        for pose in self._track.add(odometry):
-            self.counters["odometry_used"] += 1
-            # Scans from before this pose belong to the keyframe before it, also where the odometry breaks in between.
-            updates += self._map_waiting_scans(before_ns=pose.stamp_ns)
-            self._poses.append(pose)
-            if self._mapper.add_odometry(pose) is not None:
-                breaks = previous is not None and previous.segment != pose.segment
-                updates += self._keyframe_updates(pose, breaks=breaks)
-            updates.append(SlamPose(pose.stamp_ns, self._T_map_odom @ pose.T_odom_body, self._T_map_odom))
-            previous = pose
+        updates = [update for pose in self._track.add(odometry) for update in self._step(pose)]
         return updates + self._map_waiting_scans()
+
+    def _step(self, pose: OdometryPose) -> list[Record]:
+        # Scans from before this pose belong to the keyframe before it, also where the odometry breaks in between.
+        updates = self._map_waiting_scans(before_ns=pose.stamp_ns)
+        breaks = bool(self._poses) and self._poses[-1].segment != pose.segment
+        self.counters["odometry_used"] += 1
+        self._poses.append(pose)
+        if self._mapper.add_odometry(pose) is not None:
+            updates += self._keyframe_updates(pose, breaks=breaks)
+        updates.append(Transform(pose.stamp_ns, self._odom_frame, self._body_frame, pose.T_odom_body))
+        updates.append(SlamPose(pose.stamp_ns, self._T_map_odom @ pose.T_odom_body, self._T_map_odom))
+        return updates
 
     def _keyframe_updates(self, pose: OdometryPose, *, breaks: bool) -> list[Record]:
         keyframe = self._mapper.keyframes[-1]
@@ -167,9 +177,11 @@ class Slam:
         return updates
 
     def _map_scan(self, detections: ObjectDetections) -> list[Record]:
-        if detections.stamp_ns <= self._last_scan_ns:
-            same = detections.stamp_ns == self._last_scan_ns
-            self.counters["detections_duplicated" if same else "detections_out_of_order"] += 1
+        if detections.stamp_ns < self._last_scan_ns:
+            self.counters["detections_out_of_order"] += 1
+            return []
+        if detections.stamp_ns == self._last_scan_ns and detections.frame_id in self._last_scan_frames:
+            self.counters["detections_duplicated"] += 1
             return []
         pose = self._track.at(detections.stamp_ns)
         # A scan from before a break says nothing about where the keyframes after it are.
@@ -180,6 +192,9 @@ class Slam:
         if T_body_sensor is None:
             self.counters["detections_without_transform"] += 1
             return []
+        if detections.stamp_ns > self._last_scan_ns:
+            self._last_scan_frames.clear()
+        self._last_scan_frames.add(detections.frame_id)
         self._last_scan_ns = detections.stamp_ns
         scan = make_scan(detections, T_body_sensor, self._config.detection)
         self.counters["detections_used"] += 1
@@ -215,9 +230,11 @@ class Slam:
 
     def _map_record(self) -> ObjectMapRecord:
         landmarks = self._object_map.rows
-        # What never got into the graph has no place in the map but where the odometry puts it.
-        landmarks["position_map"] = apply(self._T_map_odom, landmarks["position_odom"])
-        landmarks["covariance_map"] = landmarks["covariance_odom"]
+        # What never got into the graph has no place in the map but where the odometry put it when it was last seen.
+        T_map_odom = self._T_map_odom_at(landmarks["last_seen_ns"])
+        R = T_map_odom[:, :3, :3]
+        landmarks["position_map"] = np.einsum("nij,nj->ni", R, landmarks["position_odom"]) + T_map_odom[:, :3, 3]
+        landmarks["covariance_map"] = R @ landmarks["covariance_odom"] @ np.swapaxes(R, 1, 2)
         in_graph = self._graph.landmarks
         landmarks["position_map"][in_graph] = self._graph.landmark_positions(in_graph)
         try:
@@ -227,6 +244,14 @@ class Slam:
             logger.warning("the map has local covariances only: %s", error)
             self.counters["covariances_missing"] = len(in_graph)
         return self._object_map.to_record(self._now_ns)
+
+    def _T_map_odom_at(self, stamps_ns: IntArray) -> FloatArray:
+        """``T_map_odom`` (N, 4, 4) of the last keyframes before the stamps (N,)."""
+        keyframes = self._mapper.keyframes
+        T_odom_body = np.stack([keyframe.odometry.T_odom_body for keyframe in keyframes])
+        keyframe_stamps_ns = [keyframe.odometry.stamp_ns for keyframe in keyframes]
+        before = np.maximum(np.searchsorted(keyframe_stamps_ns, stamps_ns, side="right") - 1, 0)
+        return np.asarray((self._graph.poses() @ invert(T_odom_body))[before])
 
     def _graph_record(self) -> FactorGraphRecord:
         keyframe_stamps_ns = np.array(

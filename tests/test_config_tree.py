@@ -9,7 +9,7 @@ from slam.config_tree import changes, settings_of, to_toml
 from slam.errors import ConfigurationError
 from slam.simulation.config import SimulationConfig, load_simulation_config
 
-OVERRIDES = ("keyframe.distance_m=1.5", "factor_graph.observation_kernel=huber", "seed=3")
+OVERRIDES = ("keyframe.distance_m=1.5", "factor_graph.observation_kernel=huber", "landmark.confirm_observations=3")
 
 
 def written(folder: Path, text: str) -> Path:
@@ -52,7 +52,11 @@ def test_every_setting_has_a_meaning() -> None:
 def test_changes_names_what_is_not_the_default() -> None:
     assert changes(Config(), Config().model_dump_json()) == []
     changed = changes(Config(), load_config(None, OVERRIDES).model_dump_json())
-    assert changed == ["seed=3", "keyframe.distance_m=1.5", 'factor_graph.observation_kernel="huber"']
+    assert changed == [
+        "keyframe.distance_m=1.5",
+        "landmark.confirm_observations=3",
+        'factor_graph.observation_kernel="huber"',
+    ]
     assert changes(Config(), "no json") == ["unreadable"]
 
 
@@ -68,7 +72,7 @@ def test_changes_names_what_is_not_the_default() -> None:
         ("keyframe.distance_m=true", "a number > 0"),
         ("keyframe.distance_m=nan", "a number > 0"),
         ("keyframe.angle_deg=181", "a number > 0 and <= 180"),
-        ("seed=1.5", "a whole number >= 0"),
+        ("landmark.confirm_observations=1.5", "a whole number >= 1"),
         ("factor_graph.observation_kernel=tukey", "one of none, huber, cauchy"),
         ("keyframe=2", "keyframe is a branch"),
         ("seed", "expected key=value"),
@@ -94,7 +98,7 @@ def test_refusals_name_flag_and_remedy(override: str, told: str) -> None:
         ("keyframe = 3\n", "keyframe is a branch"),
         ("[keyframe]\nangle_deg = 200\n", "a number > 0 and <= 180"),
         ("seed = \n", "is no TOML"),
-        ("seed = 2026-01-01\n", "a whole number >= 0"),
+        ("[landmark]\nconfirm_observations = 2026-01-01\n", "a whole number >= 1"),
     ],
 )
 def test_refusals_name_the_file(tmp_path: Path, text: str, told: str) -> None:

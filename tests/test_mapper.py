@@ -30,7 +30,8 @@ class Bench:
 
     def move(self, seconds: float, x: float = 0.0, *, yaw: float = 0.0) -> Keyframe | None:
         T = transform_from_xyz_yaw(np.array([x, 0.0, 0.0]), yaw)
-        (pose,) = self.track.add(Odometry(round(seconds * 1e9), T))
+        odometry = Odometry(round(seconds * 1e9), T)
+        (pose,) = self.track.add(odometry) or self.track.finish()
         assert pose is not None
         return self.mapper.add_odometry(pose)
 
@@ -43,7 +44,7 @@ class Bench:
         positions = apply(invert(pose.T_odom_body), np.asarray(objects, dtype=float).reshape(-1, 3))
         covariances = np.tile(sigma_m**2 * np.eye(3), (count, 1, 1))
         used = np.ones(count, dtype=np.bool_)
-        return self.mapper.add_scan(Scan(pose.stamp_ns, positions, covariances, labels, used, True), pose)
+        return self.mapper.add_scan(Scan(pose.stamp_ns, "lidar", positions, covariances, labels, used, used), pose)
 
     def drive(self, scans: int, *, start: int = 0, step_m: float = 0.5, **seen) -> list[DetectionAssociations]:
         """Ten scans a second, ``step_m`` apart."""
@@ -243,7 +244,8 @@ def test_every_detection_of_the_message_has_its_place_in_the_associations():
     bench.move(0.0)
     pose = bench.track.latest
     used = np.array([False, True, True, False])
-    scan = Scan(0, OBJECTS[1:3], np.tile(0.04 * np.eye(3), (2, 1, 1)), LABELS[1:3], used, True)
+    own = np.ones(2, dtype=np.bool_)
+    scan = Scan(0, "lidar", OBJECTS[1:3], np.tile(0.04 * np.eye(3), (2, 1, 1)), LABELS[1:3], used, own)
     associations = bench.mapper.add_scan(scan, pose)
     assert associations.landmark_ids == ("", "0", "1", "")
     assert associations.created.tolist() == [False, True, True, False]

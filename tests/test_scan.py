@@ -34,15 +34,15 @@ def test_without_covariances_the_noise_grows_with_the_range():
         detections([[0, 0, 0], [0, 30, 40]]), np.eye(4), DetectionConfig(base_sigma_m=0.2, sigma_per_m=0.01)
     )
     np.testing.assert_allclose(scan.covariances, [0.2**2 * np.eye(3), 0.7**2 * np.eye(3)])
-    assert not scan.has_own_covariances
+    assert not scan.has_own_covariance.any()
 
 
 def test_positions_and_covariances_turn_into_the_body_frame():
     rng = np.random.default_rng(0)
     T_body_sensor = random_transform(rng)
     message = random_detections(rng, 6)
-    scan = make_scan(message, T_body_sensor, DetectionConfig())
-    assert scan.has_own_covariances
+    scan = make_scan(message, T_body_sensor, DetectionConfig(min_sigma_m=0.0))
+    assert scan.has_own_covariance.all()
     np.testing.assert_allclose(scan.positions, apply(T_body_sensor, message.positions))
     for turned, own in zip(scan.covariances, message.covariances, strict=True):
         step = np.linalg.cholesky(own)
@@ -50,9 +50,25 @@ def test_positions_and_covariances_turn_into_the_body_frame():
         np.testing.assert_allclose(turned, ends.T @ ends, atol=1e-12)
 
 
-def test_the_range_is_counted_from_the_sensor():
-    T_body_sensor = make_transform(np.eye(3), np.array([100.0, 0, 0]))
-    assert make_scan(detections([[5, 0, 0]]), T_body_sensor, DetectionConfig()).used.tolist() == [True]
+def test_the_range_is_counted_from_the_body_wherever_the_frame_of_the_message_is():
+    T_body_odom = make_transform(np.eye(3), np.array([-1000.0, 0, 0]))
+    scan = make_scan(detections([[1020, 0, 0], [5, 0, 0]]), T_body_odom, DetectionConfig())
+    assert scan.used.tolist() == [True, False]
+    np.testing.assert_allclose(
+        scan.covariances, make_scan(detections([[20, 0, 0]]), np.eye(4), DetectionConfig()).covariances
+    )
+
+
+def test_one_unknown_covariance_leaves_the_others_as_they_are():
+    own = np.stack([0.3**2 * np.eye(3), np.zeros((3, 3))])
+    scan = make_scan(detections([[10, 0, 0], [10, 0, 0]], covariances=own), np.eye(4), DetectionConfig(min_sigma_m=0.0))
+    assert scan.has_own_covariance.tolist() == [True, False]
+    np.testing.assert_allclose(scan.covariances, [0.3**2 * np.eye(3), 0.3**2 * np.eye(3)])
+
+
+def test_no_detector_is_right_to_less_than_the_floor():
+    scan = make_scan(detections([[10, 0, 0]], covariances=1e-18 * np.eye(3)[None]), np.eye(4), DetectionConfig())
+    assert np.sqrt(scan.covariances[0, 0, 0]) == pytest.approx(DetectionConfig().min_sigma_m)
 
 
 @pytest.mark.parametrize("covariances", [None, np.zeros((0, 3, 3))])

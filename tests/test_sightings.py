@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from slam.config import DetectionConfig
-from slam.sightings import Sightings
+from slam.scan import Scan
+from slam.sightings import MAX_SIGHTINGS, Sightings
 from tests.logs.examples import random_covariance
 
 CONFIG = DetectionConfig(common_sigma_m=0.3, redundancy=25.0)
@@ -26,7 +27,11 @@ def random_sightings(rng, landmarks: int = 5, scans: int = 8):
 def summed(scans, *, own: bool = True):
     sightings = Sightings()
     for rows, positions, covariances in scans:
-        sightings.add(rows, positions, covariances, have_own_covariances=own)
+        flags = np.full(len(rows), own)
+        scan = Scan(
+            0, "lidar", positions, covariances, ("tree",) * len(rows), np.ones(len(rows), dtype=np.bool_), flags
+        )
+        sightings.add(rows, scan)
     return {observation.landmark: observation for observation in sightings.observations(7, CONFIG)}
 
 
@@ -67,9 +72,9 @@ def test_without_covariances_of_its_own_the_error_that_all_share_is_added():
 def test_no_average_gets_better_than_what_all_sightings_share():
     one = (np.array([0]), np.zeros((1, 3)), 0.5**2 * np.eye(3)[None])
     (observation,) = summed([one] * 10_000, own=False).values()
-    assert np.sqrt(observation.covariance[0, 0]) == pytest.approx(0.3, rel=1e-3)
+    assert np.sqrt(observation.covariance[0, 0]) == pytest.approx(np.hypot(0.3, 0.5 / np.sqrt(MAX_SIGHTINGS)))
     (own,) = summed([one] * 10_000).values()
-    assert np.sqrt(own.covariance[0, 0]) == pytest.approx(0.005, rel=1e-3)
+    assert np.sqrt(own.covariance[0, 0]) == pytest.approx(0.5 / np.sqrt(MAX_SIGHTINGS), rel=1e-3)
 
 
 def test_nothing_seen_gives_no_observation():

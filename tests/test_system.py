@@ -297,7 +297,9 @@ def test_there_is_a_pose_for_every_odometry_message_and_it_agrees_with_the_frame
     assert [pose.stamp_ns for pose in poses] == [o.stamp_ns for o in odometry]
     for pose, o in zip(poses, odometry, strict=True):
         np.testing.assert_allclose(pose.T_map_body, pose.T_map_odom @ o.T_odom_body, atol=1e-12)
-    frames = [update for update in updates if isinstance(update, Transform)]
+    frames = [update for update in updates if isinstance(update, Transform) and update.parent_frame_id == "map"]
+    steps_told = [update for update in updates if isinstance(update, Transform) and update.parent_frame_id == "odom"]
+    assert [step.stamp_ns for step in steps_told] == [o.stamp_ns for o in odometry]
     assert len(frames) == slam.counters["keyframes"]
     assert {(frame.parent_frame_id, frame.child_frame_id) for frame in frames} == {("map", "odom")}
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from logs.messages import GroundTruthPose, ObjectDetections, Odometry, Record, SlamPose, Transform
 from logs.topics import RecordKind
-from logs.validation import FloatArray, Refusal, covariance_to_body, usable_covariance
+from logs.validation import FloatArray, Refusal, covariance_to_body, usable_covariance, usable_covariances
 
 UNKNOWN_LABEL = "unknown"
 """Class of an object whose detector gave it none."""
@@ -77,9 +77,8 @@ class DetectionList:
         self._track_ids.append(track_id)
 
     def record(self, counters: Counter[str]) -> ObjectDetections:
-        """The record; covariances, sizes and track ids only where every object has them."""
+        """The record; sizes and track ids only where every object has them."""
         count = len(self._labels)
-        covariances = [c for c in self._covariances if c is not None]
         sizes = [s for s in self._sizes if s is not None]
         return detections_record(
             self._stamp_ns,
@@ -87,7 +86,7 @@ class DetectionList:
             np.array(self._positions, dtype=np.float64).reshape(count, 3),
             tuple(self._labels),
             np.array(self._scores, dtype=np.float64),
-            np.array(covariances) if covariances and len(covariances) == count else None,
+            np.array([np.zeros((3, 3)) if c is None else c for c in self._covariances]).reshape(count, 3, 3),
             np.array(sizes, dtype=np.float64) if sizes and len(sizes) == count else None,
             tuple(self._track_ids) if any(self._track_ids) else None,
             counters,
@@ -107,8 +106,8 @@ def detections_record(
 ) -> ObjectDetections:
     """The record of N detections, without those whose position or score is NaN or Inf ("dropped_objects").
 
-    Scores are clipped to [0, 1], covariances that cannot weigh a measurement become None ("ignored_covariances"), and
-    so do sizes that are not finite ("ignored_sizes").
+    Scores are clipped to [0, 1]. Covariances that cannot weigh a measurement become zero, which means unknown
+    ("ignored_covariances"), and None where none is known; sizes become None if one is not finite ("ignored_sizes").
     """
     good = np.isfinite(positions).all(axis=1) & np.isfinite(scores)
     if not good.all():
@@ -119,7 +118,8 @@ def detections_record(
         sizes = None if sizes is None else sizes[good]
         track_ids = None if track_ids is None else tuple(t for t, keep in zip(track_ids, good, strict=True) if keep)
     if covariances is not None and len(covariances):
-        covariances = usable_covariance(covariances, counters)
+        covariances = usable_covariances(covariances, counters)
+        covariances = covariances if covariances.any() else None
     if sizes is not None and not np.isfinite(sizes).all():
         counters["ignored_sizes"] += 1
         sizes = None

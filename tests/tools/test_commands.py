@@ -101,9 +101,14 @@ class TestFromEndToEnd:
 
     def test_info_of_an_output(self, dslam: Run, tmp_path: Path) -> None:
         output = tmp_path / "map.mcap"
-        assert dslam("replay", SAMPLE, "-o", output, "--set", "seed=7").code == 0
+        assert dslam("replay", SAMPLE, "-o", output, "--set", "landmark.confirm_observations=7").code == 0
         result = dslam("info", output, "--closures")
-        for text in ("defaults, but seed=7", "dslam: version", "landmarks_confirmed", "map of another log"):
+        for text in (
+            "defaults, but landmark.confirm_observations=7",
+            "dslam: version",
+            "landmarks_confirmed",
+            "map of another log",
+        ):
             assert text in result.out
         assert "no loop-closure candidate" in result.out
 
