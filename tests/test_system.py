@@ -286,6 +286,38 @@ def test_one_odometry_message_with_a_stamp_from_the_future_costs_only_itself(exa
     assert counters["odometry_used"] >= 79
 
 
+def test_a_first_odometry_message_from_the_future_costs_only_itself(exact_drive):
+    def postdate(i: int, odometry: Odometry) -> Odometry:
+        return replace(odometry, stamp_ns=odometry.stamp_ns + 3600 * 10**9) if i == 0 else odometry
+
+    counters = finished(change(keep_until(exact_drive, 8.0), Odometry, postdate)).status.counters
+    assert counters["odometry_used"] == 79
+    assert counters["odometry_out_of_order"] == 1
+
+
+def test_two_sensors_that_see_at_the_same_time_are_both_used(exact_drive):
+    """The left half of each scan comes from one sensor, the right half from another, at the same stamp."""
+    entries = keep_until(exact_drive, 8.0)
+    halves: list[Entry] = []
+    for topic, stamp_ns, record in entries:
+        if not isinstance(record, ObjectDetections):
+            halves.append((topic, stamp_ns, record))
+            continue
+        left = record.positions[:, 1] > 0.0
+        for sensor, chosen in (("left", left), ("right", ~left)):
+            labels = tuple(label for label, is_chosen in zip(record.labels, chosen, strict=True) if is_chosen)
+            half = replace(
+                record, frame_id=sensor, positions=record.positions[chosen], labels=labels,
+                scores=record.scores[chosen], covariances=None, sizes=None, track_ids=None,
+            )  # fmt: skip
+            halves.append((topic, stamp_ns, half))
+    both = Config.model_validate({"detection": {"assume_body_frame": True}})
+    whole, split = finished(entries, both), finished(halves, both)
+    assert split.status.counters["objects_used"] == whole.status.counters["objects_used"]
+    assert "detections_duplicated" not in split.status.counters
+    assert split.status.counters["landmarks_confirmed"] >= 0.95 * whole.status.counters["landmarks_confirmed"]
+
+
 # What it says meanwhile
 
 
@@ -315,6 +347,8 @@ def test_a_kidnapping_is_told_and_both_parts_are_mapped(config):
     assert [status.level for status in told] == ["info", "warning"]
     final = slam.finish()
     assert final.status.counters["odometry_breaks"] == 1
+    assert "covariances_missing" not in final.status.counters
+    assert np.linalg.eigvalsh(final.object_map.covariances)[:, 0].min() > 0.0
     assert len(final.trajectory.stamps_ns) == len(odometry_of(entries))
     assert np.isfinite(final.trajectory.T_map_body).all()
 
