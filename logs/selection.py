@@ -87,7 +87,8 @@ def select_topics(
             chosen[kind] = _only_one(there, kind, _candidates(there, kind), is_needed=kind in needed)
     for kind, topic in _DEFAULT_TOPICS.items():
         chosen.setdefault(kind, [info.topic for info in there if info.topic == topic and kind in info.kinds])
-    chosen.setdefault(RecordKind.TRANSFORMS, [info.topic for info in there if RecordKind.TRANSFORMS in info.kinds])
+    inputs = [info for info in there if not _is_truth(info.topic) and not info.topic.startswith(OUTPUT_PREFIX)]
+    chosen.setdefault(RecordKind.TRANSFORMS, [info.topic for info in inputs if RecordKind.TRANSFORMS in info.kinds])
     for kind in map(RecordKind, needed):
         if not chosen.get(kind):
             raise _nothing_fits(there, kind)
@@ -164,7 +165,11 @@ def _overridden(there: list[TopicInfo], kind: RecordKind, topic: str) -> str:
 
 
 def _nothing_fits(there: list[TopicInfo], kind: RecordKind) -> TopicSelectionError:
-    fitting = [info.topic for info in there if kind in info.kinds]
+    fitting = [
+        info.topic
+        for info in there
+        if kind in info.kinds and not _is_truth(info.topic) and not info.topic.startswith(OUTPUT_PREFIX)
+    ]
     remedy = "record a topic with a schema that does, or convert the log"
     if fitting:
         remedy = f"if one of {', '.join(fitting)} is meant, say --topic {kind}={fitting[0]}"

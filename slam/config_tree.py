@@ -214,7 +214,8 @@ def _bad_value(
 ) -> ConfigurationError:
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"] if isinstance(part, str))
-    where = _FLAG if any(f == key or key.startswith(f"{f}.") or f.startswith(f"{key}.") for f in flagged) else str(path)
+    is_flagged = any(f == key or key.startswith(f"{f}.") or f.startswith(f"{key.rpartition('.')[0]}.") for f in flagged)
+    where = _FLAG if is_flagged or path is None else str(path)
     field: FieldInfo | None = None
     branch: type[BaseModel] | None = model
     value: Any = data

@@ -44,12 +44,13 @@ def parse_topics(pairs: Sequence[str] | None) -> dict[str, str]:
 
 
 def check_outputs(outputs: Sequence[Path | None], inputs: Sequence[Path | None] = ()) -> None:
-    """Refuse an output that is an input, or whose folder is missing, before any work is done for it."""
+    """Refuse an output that is an input or another output, or whose folder is missing, before any work is done."""
     from logs.errors import UnwritableLogError
 
-    for output in outputs:
-        if output is None:
-            continue
+    named = [output for output in outputs if output is not None]
+    for output in named:
+        if sum(output.resolve() == other.resolve() for other in named) > 1:
+            raise UnwritableLogError(f"{output} is given for two outputs; give each a path of its own")
         if output.is_dir():
             raise UnwritableLogError(f"{output} is a folder; give the name of a file to write")
         if not output.parent.is_dir():

@@ -21,6 +21,7 @@ from logs.messages import (
 from logs.reader import LogReader
 from logs.selection import OUTPUT_PREFIX, Selection, select_all, select_topics
 from logs.topics import RecordKind
+from slam.errors import EvaluationError
 
 _ESTIMATED_KINDS = frozenset(
     {
@@ -53,7 +54,16 @@ class EvaluationRecords:
     status: StatusRecord | None = None
 
     def with_truth_of(self, reference: EvaluationRecords) -> EvaluationRecords:
-        """These records with the truth of another log, kind by kind where that log has it."""
+        """These records with the truth of another log, kind by kind where that log has it.
+
+        Raises:
+            EvaluationError: the other log has no truth at all.
+        """
+        if not (reference.true_poses or reference.detection_truths or reference.true_objects):
+            raise EvaluationError(
+                "the reference holds no truth: no pose on /ground_truth, no topic /ground_truth/detections or "
+                "/ground_truth/objects; name the one that holds it by --topic ground_truth=/name"
+            )
         return replace(
             self,
             true_poses=reference.true_poses or self.true_poses,
@@ -124,6 +134,7 @@ def read_records(
     Raises:
         UnreadableLogError: a file is missing or no log.
         TopicSelectionError: ``topics`` names a kind or a topic that does not exist.
+        EvaluationError: the reference holds no truth.
     """
     found = _read(path, None if reference else topics)
     return found.with_truth_of(_read(reference, topics)) if reference else found

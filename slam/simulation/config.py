@@ -85,12 +85,15 @@ class TrafficConfig(_Branch):
     radius_m: float = Field(default=1.0, ge=0, le=10, description="radius of the shadow that a vehicle casts [m]")
 
 
+DEFAULT_GAP_S = 5.0
+
+
 class KidnapConfig(_Branch):
     """The robot is taken from one place of the tour to another while nothing is logged."""
 
     from_m: float = Field(gt=0, description="metres along the tour at which it is taken")
     to_m: float = Field(ge=0, description="metres along the tour at which it goes on, to the tour's end")
-    gap_s: float = Field(default=5.0, gt=0, le=86400, description="time without messages [s]")
+    gap_s: float = Field(default=DEFAULT_GAP_S, gt=0, le=86400, description="time without messages [s]")
 
 
 class SimulationConfig(_Branch):
@@ -112,7 +115,7 @@ def load_simulation_config(path: Path | None = None, overrides: Sequence[str] = 
     return load_tree(SimulationConfig, path, overrides)
 
 
-def parse_kidnap(text: str, *, gap_s: float = 5.0) -> KidnapConfig:
+def parse_kidnap(text: str, *, gap_s: float = DEFAULT_GAP_S) -> KidnapConfig:
     """The kidnapping that ``text``, "FROM_M:TO_M", describes.
 
     Raises:

@@ -3,7 +3,7 @@ import pytest
 from logs.decoders.registry import kinds_of
 from logs.errors import TopicSelectionError
 from logs.selection import Selection, select_topics
-from logs.topics import Channel, Schema, TopicInfo
+from logs.topics import Channel, RecordKind, Schema, TopicInfo
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 POSE = "foxglove.PoseInFrame"
@@ -117,3 +117,20 @@ def test_overrides_that_do_not_fit(overrides, complaint):
 def test_definitions_in_idl_cannot_be_read():
     channel = Channel(1, "/odom", "cdr", Schema(1, ODOMETRY, "ros2idl", b""))
     assert kinds_of(channel) == ()
+
+
+def test_transforms_of_the_truth_are_not_read():
+    there = [
+        TopicInfo(topic, "foxglove.FrameTransform", "protobuf", 5, (RecordKind.TRANSFORMS,), 0, 1)
+        for topic in ("/ground_truth/tf", "/slam/tf", "/tf_static")
+    ]
+    assert select_topics(there, needed=()).topics_of("transforms") == ("/tf_static",)
+
+
+def test_a_hint_never_names_the_truth_or_an_output():
+    poses = ("/ground_truth", "/slam/pose", "/tf")
+    there = [
+        TopicInfo(topic, "foxglove.FrameTransform", "protobuf", 5, (RecordKind.ODOMETRY,), 0, 1) for topic in poses
+    ]
+    with pytest.raises(TopicSelectionError, match="if one of /tf is meant"):
+        select_topics(there)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -117,3 +118,27 @@ class TestRefusals:
 
         monkeypatch.setattr("logs.summary.summarize", interrupt)
         assert_refused(dslam("info", SAMPLE), "interrupted", code=130)
+
+
+class TestOutputs:
+    def test_two_outputs_are_not_one_file(self, dslam: Run, tmp_path: Path) -> None:
+        both = tmp_path / "both.mcap"
+        result = dslam("replay", SAMPLE, "-o", both, "--picture", both)
+        assert result.code == 2
+        assert "two outputs" in result.err
+        assert not both.exists()
+
+    def test_a_reference_without_truth_is_refused(self, dslam: Run, tmp_path: Path) -> None:
+        output, reference = tmp_path / "map.mcap", write_log(tmp_path / "reference.mcap")
+        assert dslam("replay", SAMPLE, "-o", output).code == 0
+        result = dslam("evaluate", output, "--reference", reference)
+        assert result.code == 2
+        assert "the reference holds no truth" in result.err
+
+    def test_a_kidnapping_keeps_the_gap_that_is_set(self, dslam: Run, tmp_path: Path) -> None:
+        settings = tmp_path / "gap.toml"
+        settings.write_text("[kidnap]\nfrom_m = 1.0\nto_m = 2.0\ngap_s = 60.0\n")
+        log = tmp_path / "log.mcap"
+        result = dslam("simulate", log, "--length", 80, "--kidnap", "30:50", "--config", settings)
+        assert result.code == 0
+        assert json.loads(dslam("info", log, "--json").out)["duration_s"] > 60.0
