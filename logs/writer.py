@@ -70,6 +70,8 @@ class LogWriter:
             self.close()
         else:
             self.abandon()
+            if error is not None:
+                error.add_note(f"what was written until then is left in {self.partial_path}")
 
     def write(self, topic: str, record: Record, log_time_ns: int | None = None) -> None:
         """Write ``record`` on ``topic`` at ``log_time_ns``, by default the stamp of the record.

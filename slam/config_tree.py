@@ -223,9 +223,11 @@ def _bad_value(
         field = branch.model_fields.get(part) if branch else None
         branch = _branch_of(field) if field else None
         value = value.get(part) if isinstance(value, dict) else value
+    if field is not None and first["type"] == "missing":
+        return ConfigurationError(f"{where}: {key} is missing; it is {_allowed(field)}: {field.description}")
     if branch is not None:
         return ConfigurationError(f"{where}: {key} is a branch; set one of its keys: {', '.join(branch.model_fields)}")
-    if field is None or first["type"] == "missing":
+    if field is None:
         return ConfigurationError(f"{where}: {key or 'configuration'}: {first['msg']}")
     shown = value if isinstance(value, float) and not math.isfinite(value) else json.dumps(value, default=str)
     return ConfigurationError(f"{where}: {key}={shown} is not allowed; it is {_allowed(field)}: {field.description}")

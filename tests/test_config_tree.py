@@ -118,3 +118,12 @@ def test_a_bad_flag_over_a_good_file_blames_the_flag(tmp_path: Path) -> None:
     path = written(tmp_path, "[keyframe]\nangle_deg = 20\n")
     with pytest.raises(ConfigurationError, match=r"^--set"):
         load_config(path, ["keyframe.angle_deg=400"])
+
+
+def test_what_is_missing_is_told_with_who_began_the_branch(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"^--set: kidnap\.from_m is missing; it is a number > 0"):
+        load_simulation_config(None, ["kidnap.gap_s=30"])
+    path = written(tmp_path, "[kidnap]\ngap_s = 30\n")
+    with pytest.raises(ConfigurationError) as caught:
+        load_simulation_config(path, ["sensor.dropout=0.1"])
+    assert str(caught.value).startswith(f"{path}: kidnap.from_m is missing")

@@ -44,16 +44,24 @@ def parse_topics(pairs: Sequence[str] | None) -> dict[str, str]:
 
 
 def check_outputs(outputs: Sequence[Path | None], inputs: Sequence[Path | None] = ()) -> None:
-    """Refuse an output that is an input or another output, or whose folder is missing, before any work is done."""
+    """Refuse an output that is an input or another output, or whose folder is missing, before any work is done.
+
+    Outputs are written as NAME.part first, which is therefore taken too.
+    """
     from logs.errors import UnwritableLogError
+    from logs.writer import partial_path
 
     named = [output for output in outputs if output is not None]
+    taken: set[Path] = set()
     for output in named:
-        if sum(output.resolve() == other.resolve() for other in named) > 1:
-            raise UnwritableLogError(f"{output} is given for two outputs; give each a path of its own")
+        paths = {output.resolve(), partial_path(output).resolve()}
+        if paths & taken:
+            raise UnwritableLogError(f"{output} is given for two outputs (or NAME and NAME.part); give other paths")
+        taken |= paths
         if output.is_dir():
             raise UnwritableLogError(f"{output} is a folder; give the name of a file to write")
         if not output.parent.is_dir():
             raise UnwritableLogError(f"cannot write {output}: there is no folder {output.parent}; make it first")
-        if any(path is not None and path.exists() and output.exists() and output.samefile(path) for path in inputs):
-            raise UnwritableLogError(f"{output} is the input; give another path for the output")
+        for written in (output, partial_path(output)):
+            if any(path and path.exists() and written.exists() and written.samefile(path) for path in inputs):
+                raise UnwritableLogError(f"{written} is the input; give another path for the output")

@@ -82,7 +82,7 @@ def run(arguments: Sequence[str]) -> int:
         if debug:
             traceback.print_exc()
         if _is_expected(error):
-            return _fail(str(error), BAD_INPUT)
+            return _fail("; ".join([str(error), *getattr(error, "__notes__", ())]), BAD_INPUT)
         what = f"{type(error).__name__}: {error}"
         remedy = "please report it with the traceback above" if debug else "please report it with the output of --debug"
         return _fail(f"this should not happen: {what}; {remedy}", INTERNAL_ERROR)

@@ -28,7 +28,8 @@ def show(*parts: RenderableType) -> None:
 
 def _print(out: Console, parts: Sequence[RenderableType]) -> None:
     for part in parts:
-        out.print(Text(part) if isinstance(part, str) else part)
+        # What a narrow terminal cannot hold it wraps; cropping would lose numbers.
+        out.print(Text(part) if isinstance(part, str) else part, crop=False)
 
 
 def show_json(value: Mapping[str, Any]) -> None:

@@ -41,17 +41,15 @@ def simulate(
     check_outputs([output], [objects, trajectory, config_file])
     import numpy as np
 
-    from slam.simulation.config import DEFAULT_GAP_S, load_simulation_config, parse_kidnap
+    from slam.simulation.config import kidnap_overrides, load_simulation_config
     from slam.simulation.simulation import write_simulation
     from slam.simulation.street_grid import generate_street_grid
     from slam.simulation.world import load_world
 
     flags = [f"drive.speed_mps={speed}"] if speed is not None else []
     flags += [f"traffic.vehicles={moving}"] if moving is not None else []
+    flags += kidnap_overrides(kidnap) if kidnap is not None else []
     config = load_simulation_config(config_file, [*(settings or ()), *flags])
-    if kidnap is not None:
-        gap_s = config.kidnap.gap_s if config.kidnap is not None else DEFAULT_GAP_S
-        config = config.model_copy(update={"kidnap": parse_kidnap(kidnap, gap_s=gap_s)})
     if seed < 0:
         raise typer.BadParameter(f"{seed} is negative; give 0 or more.", param_hint="--seed")
     if objects is not None and trajectory is not None:

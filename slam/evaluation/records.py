@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -20,7 +21,7 @@ from logs.messages import (
 )
 from logs.reader import LogReader
 from logs.selection import OUTPUT_PREFIX, Selection, select_all, select_topics
-from logs.topics import RecordKind
+from logs.topics import RecordKind, TopicInfo
 from slam.errors import EvaluationError
 
 _ESTIMATED_KINDS = frozenset(
@@ -129,7 +130,7 @@ def read_records(
         path: log with the topics under ``/slam/``, and with copies of odometry and truth if it was recorded so.
         reference: log whose truth replaces that of ``path``, kind by kind.
         topics: record kind -> topic, where odometry or truth are not where they usually are; they apply to the
-            reference if there is one, else to the output.
+            reference if there is one, else to the output. Before them stands what the replay used.
 
     Raises:
         UnreadableLogError: a file is missing or no log.
@@ -143,7 +144,8 @@ def read_records(
 def _read(path: str | os.PathLike[str], topics: Mapping[str, str] | None) -> EvaluationRecords:
     with LogReader(path) as reader:
         there = reader.topics()
-        inputs = select_topics(there, topics, needed=()).kinds
+        used = _topics_used(reader.metadata().get("dslam", {}).get("topics", ""), there)
+        inputs = select_topics(there, {**used, **(topics or {})}, needed=()).kinds
         outputs = select_all(info for info in there if info.topic.startswith(OUTPUT_PREFIX)).kinds
         wanted = {
             topic: kept
@@ -152,3 +154,19 @@ def _read(path: str | os.PathLike[str], topics: Mapping[str, str] | None) -> Eva
             if (kept := tuple(part for part in parts if part in kinds))
         }
         return collect_records((entry.topic, entry.record) for entry in reader.records(Selection(wanted)))
+
+
+def _topics_used(recorded: str, there: Iterable[TopicInfo]) -> dict[str, str]:
+    """Kind -> topic from the JSON, topic -> kinds, that a replay recorded; what the log does not hold is left out."""
+    try:
+        kinds_of_topic = json.loads(recorded)
+    except ValueError:
+        return {}
+    if not isinstance(kinds_of_topic, dict):
+        return {}
+    used: dict[str, str] = {}
+    for info in there:
+        kinds = kinds_of_topic.get(info.topic)
+        if isinstance(kinds, list):
+            used |= {kind: info.topic for kind in info.kinds if kind in _INPUT_KINDS and kind in kinds}
+    return used

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from rich.cells import cell_len
 from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -66,6 +67,7 @@ def _absolute_table(columns: Sequence[tuple[str, TrajectoryErrors]]) -> Table:
         table.add_row(
             name, *numbers, str(errors.pose_count), without, f"{errors.length_m:.1f}", kinds[errors.alignment.kind]
         )
+    _keep_cells_whole(table)
     return table
 
 
@@ -88,6 +90,7 @@ def _relative_table(columns: Sequence[tuple[str, TrajectoryErrors]]) -> Table:
     nominal = [row.length_m for row in first.relative.rows]
     span = f"{min(nominal):g}–{max(nominal):g}" if nominal else UNDEFINED
     table.add_row(span, str(first.relative.stretch_count), *cells, style="bold")
+    _keep_cells_whole(table)
     return table
 
 
@@ -135,11 +138,18 @@ def _landmark_table(quality: LandmarkQuality) -> Table:
 
 def _pairs_table(title: str, rows: dict[str, str]) -> Table:
     table = _table(title, show_header=False)
-    table.add_column(no_wrap=True, style="cyan")
-    table.add_column()
+    table.add_column(style="cyan")
+    table.add_column(min_width=max((cell_len(word) for value in rows.values() for word in value.split()), default=1))
     for name, value in rows.items():
         table.add_row(name, value)
     return table
+
+
+def _keep_cells_whole(table: Table) -> None:
+    """A number that loses digits is another number: no column is narrower than its cells, only headings are folded."""
+    for column in table.columns:
+        column.overflow = "fold"
+        column.min_width = max((cell_len(str(cell)) for cell in column.cells), default=1)
 
 
 def _table(title: str, *, show_header: bool = True) -> Table:

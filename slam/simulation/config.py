@@ -85,15 +85,12 @@ class TrafficConfig(_Branch):
     radius_m: float = Field(default=1.0, ge=0, le=10, description="radius of the shadow that a vehicle casts [m]")
 
 
-DEFAULT_GAP_S = 5.0
-
-
 class KidnapConfig(_Branch):
     """The robot is taken from one place of the tour to another while nothing is logged."""
 
     from_m: float = Field(gt=0, description="metres along the tour at which it is taken")
     to_m: float = Field(ge=0, description="metres along the tour at which it goes on, to the tour's end")
-    gap_s: float = Field(default=DEFAULT_GAP_S, gt=0, le=86400, description="time without messages [s]")
+    gap_s: float = Field(default=5.0, gt=0, le=86400, description="time without messages [s]")
 
 
 class SimulationConfig(_Branch):
@@ -115,17 +112,17 @@ def load_simulation_config(path: Path | None = None, overrides: Sequence[str] = 
     return load_tree(SimulationConfig, path, overrides)
 
 
-def parse_kidnap(text: str, *, gap_s: float = DEFAULT_GAP_S) -> KidnapConfig:
-    """The kidnapping that ``text``, "FROM_M:TO_M", describes.
+def kidnap_overrides(text: str) -> list[str]:
+    """The overrides for ``load_simulation_config`` that ``text``, "FROM_M:TO_M", stands for.
 
     Raises:
         SimulationError: the text is no such pair, or a number is out of range.
     """
     try:
         from_m, to_m = (float(part) for part in text.split(":"))
-        return KidnapConfig(from_m=from_m, to_m=to_m, gap_s=gap_s)
+        KidnapConfig(from_m=from_m, to_m=to_m)
     except ValueError as error:  # pydantic's ValidationError is one
         raise SimulationError(
-            f"kidnap {text!r}, gap {gap_s:g} s: expected FROM_M:TO_M, FROM_M > 0 and TO_M >= 0 metres along "
-            "the tour, and a gap above 0 s"
+            f"kidnap {text!r}: expected FROM_M:TO_M, FROM_M > 0 and TO_M >= 0 metres along the tour"
         ) from error
+    return [f"kidnap.from_m={from_m!r}", f"kidnap.to_m={to_m!r}"]

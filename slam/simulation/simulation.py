@@ -33,6 +33,8 @@ SimulatedRecord = Odometry | ObjectDetections | GroundTruthPose | DetectionTruth
 ODOMETRY_TOPIC = "/odom"
 DETECTIONS_TOPIC = "/detections"
 
+SHORTEST_TOUR_M = 2.0
+
 
 @dataclass(frozen=True, slots=True)
 class SimulationSummary:
@@ -60,7 +62,7 @@ def simulate(world: World, config: SimulationConfig, *, seed: int) -> Iterator[t
     give the same records; each cause of error has its own random numbers.
 
     Raises:
-        SimulationError: a negative seed, or a kidnapping outside the tour; raised at the call.
+        SimulationError: a negative seed, a kidnapping outside the tour, or a tour too short; raised at the call.
     """
     streams = _streams(seed)
     plan = plan_drive(world.tour, config.drive)
@@ -111,10 +113,18 @@ def _streams(seed: int) -> _Streams:
 
 def _drives(plan: DrivePlan, config: SimulationConfig) -> list[Drive]:
     if config.kidnap is None:
-        return [plan.sample(0.0, plan.length_m)]
-    before = plan.sample(0.0, config.kidnap.from_m)
-    resume_ns = int(before.stamps_ns[-1]) + round(config.kidnap.gap_s * 1e9)
-    return [before, plan.sample(config.kidnap.to_m, plan.length_m, start_ns=resume_ns)]
+        drives = [plan.sample(0.0, plan.length_m)]
+    else:
+        before = plan.sample(0.0, config.kidnap.from_m)
+        resume_ns = int(before.stamps_ns[-1]) + round(config.kidnap.gap_s * 1e9)
+        drives = [before, plan.sample(config.kidnap.to_m, plan.length_m, start_ns=resume_ns)]
+    fewest = min(len(drive.stamps_ns) for drive in drives)
+    if plan.length_m < SHORTEST_TOUR_M or fewest < 2:
+        raise SimulationError(
+            f"a tour of {plan.length_m:g} m whose shortest stretch has {fewest} scans is too short; give it at least "
+            f"{SHORTEST_TOUR_M:g} m, and two scans before and after a kidnapping (drive.rate_hz scans a second)"
+        )
+    return drives
 
 
 def _records(

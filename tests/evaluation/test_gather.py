@@ -229,3 +229,12 @@ def test_the_picture_is_in_the_map_frame() -> None:
     assert picture.ate_m == pytest.approx(0.0, abs=1e-9)
     bare = compose_picture(EvaluationRecords(), evaluate(EvaluationRecords()))
     assert len(bare.estimate) == len(bare.truth) == len(bare.closures) == 0
+
+
+@pytest.mark.parametrize("recorded", ["no json", "[]", '{"/odom": null}', '{"/gone": ["odometry"]}', '{"/odom": 3}'])
+def test_a_record_of_topics_that_is_none_is_passed_over(tmp_path: Path, recorded: str) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as writer:
+        writer.add_metadata("dslam", {"topics": recorded})
+        writer.write("/odom", Odometry(0, np.eye(4)))
+    assert len(read_records(path).odometry) == 1

@@ -15,7 +15,7 @@ from logs.reader import LogReader
 from logs.selection import select_topics
 from slam.errors import SimulationError
 from slam.geometry import apply, invert
-from slam.simulation.config import KidnapConfig, SimulationConfig, parse_kidnap
+from slam.simulation.config import SimulationConfig, kidnap_overrides
 from slam.simulation.drive import START_NS
 from slam.simulation.simulation import simulate, write_simulation
 from slam.simulation.world import World
@@ -161,10 +161,28 @@ def test_kidnapping_outside_the_tour_is_refused_at_the_call(street: World, kidna
 
 
 def test_kidnapping_as_text() -> None:
-    assert parse_kidnap("12.5:300", gap_s=2.0) == KidnapConfig(from_m=12.5, to_m=300.0, gap_s=2.0)
+    assert kidnap_overrides("12.5:300") == ["kidnap.from_m=12.5", "kidnap.to_m=300.0"]
     for text in ("12", "1:2:3", "a:b", "0:5", "5:-1", "nan:1", ""):
         with pytest.raises(SimulationError, match="FROM_M:TO_M"):
-            parse_kidnap(text)
+            kidnap_overrides(text)
+
+
+@pytest.mark.parametrize(
+    ("length_m", "branches"),
+    [
+        (1.0, {}),
+        (200.0, {"drive": {"rate_hz": 0.01}}),
+        (200.0, {"kidnap": {"from_m": 0.01, "to_m": 50}}),
+        (200.0, {"kidnap": {"from_m": 100, "to_m": 199.99}}),
+    ],
+)
+def test_a_drive_too_short_to_map_is_refused(tmp_path: Path, length_m: float, branches: dict[str, Any]) -> None:
+    world, config = straight_street().shortened(length_m), _config(**branches)
+    with pytest.raises(SimulationError, match="too short"):
+        simulate(world, config, seed=0)
+    with pytest.raises(SimulationError, match="too short"):
+        write_simulation(tmp_path / "log.mcap", world, config, seed=0)
+    assert not list(tmp_path.iterdir())
 
 
 def test_moving_vehicles_are_detected_under_their_own_ids(street: World) -> None:

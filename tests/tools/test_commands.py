@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from logs.messages import Odometry, Transform
+from logs.reader import LogReader
+from logs.selection import select_all
+from logs.writer import LogWriter
 from tests.tools.runs import SAMPLE, Run, assert_refused, write_log
+from tools import console
 
 
 class TestJson:
@@ -117,6 +123,31 @@ class TestFromEndToEnd:
         result = dslam("info", log)
         assert result.code == 0
         assert "no topic gives detections" in result.out
+
+    def test_odometry_is_taken_from_where_the_replay_took_it(self, dslam: Run, tmp_path: Path) -> None:
+        log, output = tmp_path / "log.mcap", tmp_path / "map.mcap"
+        with LogReader(SAMPLE) as reader, LogWriter(log) as writer:
+            for entry in reader.records(select_all(info for info in reader.topics() if info.topic != "/tf")):
+                writer.write(entry.topic, entry.record, entry.log_time_ns)
+                if isinstance(entry.record, Odometry):
+                    T_odom_body = entry.record.T_odom_body
+                    writer.write("/tf", Transform(entry.record.stamp_ns, "odom", "base_link", T_odom_body))
+                    writer.write("/wheels", entry.record, entry.log_time_ns)
+        assert dslam("replay", log, "-o", output, "--topic", "odometry=/tf").code == 0
+        told = json.loads(dslam("evaluate", output, "--json").out)
+        assert "odometry" not in told["missing"]
+        named = json.loads(dslam("evaluate", output, "--json", "--topic", "odometry=/tf").out)
+        assert told["trajectory"]["odometry_ate_m"] == named["trajectory"]["odometry_ate_m"] > 0.0
+
+    @pytest.mark.parametrize("width", [20, 40])
+    def test_a_narrow_terminal_loses_no_digit(
+        self, dslam: Run, mapped: Path, monkeypatch: pytest.MonkeyPatch, width: int
+    ) -> None:
+        wide = dslam("evaluate", mapped).out
+        monkeypatch.setattr(console, "PIPE_WIDTH", width)
+        narrow = dslam("evaluate", mapped).out
+        numbers = re.compile(r"\d+\.\d+(?!\S)")
+        assert sorted(numbers.findall(narrow)) == sorted(numbers.findall(wide))
 
     def test_truth_of_another_log(self, dslam: Run, mapped: Path) -> None:
         with_reference = dslam("evaluate", mapped, "--reference", SAMPLE, "--json")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from logs.messages import ObjectDetections, Odometry
+from logs.reader import LogReader
 from logs.writer import LogWriter
 from tests.tools.runs import SAMPLE, Run, assert_refused, write_log
 
@@ -78,6 +79,7 @@ class TestRefusals:
         output = tmp_path / "out.mcap"
         assert_refused(dslam("simulate", output, "--seed", -1), "negative")
         assert_refused(dslam("simulate", output, "--length", 0), "above 0 m")
+        assert_refused(dslam("simulate", output, "--length", 1), "too short")
         assert_refused(dslam("simulate", output, "--objects", "objects.csv"), "--trajectory")
         assert_refused(dslam("simulate", output, "--objects", "a.csv", "--trajectory", "b.csv"), "a.csv")
 
@@ -128,6 +130,33 @@ class TestOutputs:
         assert "two outputs" in result.err
         assert not both.exists()
 
+    @pytest.mark.parametrize("second", ["a.txt", "./a.txt", "link.txt", "a.txt.part"])
+    def test_nor_are_a_name_and_its_partial_name(self, dslam: Run, mapped: Path, tmp_path: Path, second: str) -> None:
+        (tmp_path / "link.txt").symlink_to(tmp_path / "a.txt")
+        names = (tmp_path / "a.txt", f"{tmp_path}/{second}")
+        for first, other in (names, names[::-1]):
+            assert_refused(dslam("export", mapped, "--tum", first, "--kitti", other), "two outputs")
+            assert_refused(dslam("evaluate", mapped, "--json-file", first, "--picture", other), "two outputs")
+        assert not (tmp_path / "a.txt").exists()
+
+    def test_an_input_under_the_partial_name_of_the_output_is_kept(
+        self, dslam: Run, mapped: Path, tmp_path: Path
+    ) -> None:
+        log = tmp_path / "a.txt.part"
+        log.write_bytes(mapped.read_bytes())
+        assert_refused(dslam("export", log, "--tum", tmp_path / "a.txt"), "is the input")
+        assert log.read_bytes() == mapped.read_bytes()
+
+    def test_what_a_refused_replay_left_is_named(self, dslam: Run, tmp_path: Path) -> None:
+        log = tmp_path / "log.mcap"
+        with LogWriter(log) as writer:
+            writer.write("/odom", Odometry(0, np.eye(4)))
+            record = ObjectDetections(0, "lidar", np.array([[5.0, 0.0, 0.0]]), ("tree",), np.ones(1))
+            writer.write("/objects", record)
+        left = tmp_path / "out.mcap.part"
+        assert_refused(dslam("replay", log, "-o", tmp_path / "out.mcap"), "lidar", f"is left in {left}")
+        assert left.exists()
+
     def test_a_reference_without_truth_is_refused(self, dslam: Run, tmp_path: Path) -> None:
         output, reference = tmp_path / "map.mcap", write_log(tmp_path / "reference.mcap")
         assert dslam("replay", SAMPLE, "-o", output).code == 0
@@ -142,3 +171,13 @@ class TestOutputs:
         result = dslam("simulate", log, "--length", 80, "--kidnap", "30:50", "--config", settings)
         assert result.code == 0
         assert json.loads(dslam("info", log, "--json").out)["duration_s"] > 60.0
+
+    def test_a_kidnapping_joins_what_is_set(self, dslam: Run, tmp_path: Path) -> None:
+        log = tmp_path / "log.mcap"
+        simulate = ("simulate", log, "--length", 80, "--set", "kidnap.gap_s=30")
+        assert_refused(dslam(*simulate), "--set: kidnap.from_m is missing")
+        result = dslam(*simulate, "--set", "kidnap.from_m=10", "--kidnap", "30:50")
+        assert result.code == 0, result.err
+        with LogReader(log) as reader:
+            configuration = json.loads(reader.metadata()["simulation"]["configuration"])
+        assert configuration["kidnap"] == {"from_m": 30.0, "to_m": 50.0, "gap_s": 30.0}
