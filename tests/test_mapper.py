@@ -207,6 +207,10 @@ def test_a_vehicle_that_can_be_followed_retires_because_it_moves():
     assert bench.graph.landmarks.tolist() == [0, 1, 2, 3]
 
 
+def test_a_vehicle_is_followed_at_its_speed_and_stays_one_and_the_same():
+    assert len(drive_past_a_vehicle(8.0, 40, sigma_m=0.3).map) == 5
+
+
 def test_what_turns_out_to_move_only_later_leaves_the_graph_again():
     """It creeps at 0.9 m/s, below the limit, and then goes at 1.6 m/s."""
     bench = Bench()
