@@ -175,6 +175,8 @@ def _loop_closure(r: m.LoopClosureRecord) -> Message:
         score=float(r.score),
         reference_query=_transforms(r.T_reference_query),
         covariance=_flat(r.covariance),
+        reference_stamp_ns=int(r.reference_stamp_ns),
+        inserted=bool(r.inserted),
     )
 
 

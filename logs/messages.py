@@ -169,7 +169,10 @@ class FactorGraphRecord:
 class LoopClosureRecord:
     """One loop-closure candidate and its verdict, accepted or not. ``T_reference_query`` is None before registration.
 
-    ``stage``: where the verdict fell ("retrieval", "registration", "consistency", "accepted"); ``reason``: why.
+    ``stage``: where the verdict fell ("retrieval", "registration", "acceptance", "consistency", "back_end",
+    "accepted"); ``reason``: why. ``stamp_ns`` is that of the query keyframe. A later record about the same two
+    keyframes replaces an earlier one. ``inserted``: the closure is a factor of the graph; an accepted one that repeats
+    what another says already is none.
     """
 
     stamp_ns: int
@@ -184,6 +187,8 @@ class LoopClosureRecord:
     score: float = 0.0
     T_reference_query: FloatArray | None = None
     covariance: FloatArray | None = None
+    reference_stamp_ns: int = 0
+    inserted: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

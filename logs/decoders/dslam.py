@@ -147,6 +147,8 @@ def _loop_closure(r: Any, kind: RecordKind, log_time_ns: int, counters: Counter[
             score=r.score,
             T_reference_query=_optional_transform(r.reference_query, "reference_query"),
             covariance=_optional_covariance(r.covariance, counters),
+            reference_stamp_ns=r.reference_stamp_ns,
+            inserted=r.inserted,
         ),
     )
 

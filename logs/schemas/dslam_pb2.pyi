@@ -113,7 +113,7 @@ class FactorGraph(_message.Message):
     def __init__(self, stamp_ns: _Optional[int] = ..., keyframe_ids: _Optional[_Iterable[int]] = ..., keyframe_stamps_ns: _Optional[_Iterable[int]] = ..., map_body: _Optional[_Iterable[float]] = ..., edge_keyframe_ids: _Optional[_Iterable[int]] = ..., edge_from_to: _Optional[_Iterable[float]] = ..., edge_covariances: _Optional[_Iterable[float]] = ..., edge_kinds: _Optional[_Iterable[str]] = ..., observation_keyframe_ids: _Optional[_Iterable[int]] = ..., observation_landmark_ids: _Optional[_Iterable[str]] = ..., observation_positions: _Optional[_Iterable[float]] = ..., observation_covariances: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class LoopClosure(_message.Message):
-    __slots__ = ("stamp_ns", "query_keyframe_id", "reference_keyframe_id", "accepted", "stage", "reason", "retrieval_distance", "inlier_count", "inlier_fraction", "score", "reference_query", "covariance")
+    __slots__ = ("stamp_ns", "query_keyframe_id", "reference_keyframe_id", "accepted", "stage", "reason", "retrieval_distance", "inlier_count", "inlier_fraction", "score", "reference_query", "covariance", "reference_stamp_ns", "inserted")
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     QUERY_KEYFRAME_ID_FIELD_NUMBER: _ClassVar[int]
     REFERENCE_KEYFRAME_ID_FIELD_NUMBER: _ClassVar[int]
@@ -126,6 +126,8 @@ class LoopClosure(_message.Message):
     SCORE_FIELD_NUMBER: _ClassVar[int]
     REFERENCE_QUERY_FIELD_NUMBER: _ClassVar[int]
     COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    REFERENCE_STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    INSERTED_FIELD_NUMBER: _ClassVar[int]
     stamp_ns: int
     query_keyframe_id: int
     reference_keyframe_id: int
@@ -138,7 +140,9 @@ class LoopClosure(_message.Message):
     score: float
     reference_query: _containers.RepeatedScalarFieldContainer[float]
     covariance: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, stamp_ns: _Optional[int] = ..., query_keyframe_id: _Optional[int] = ..., reference_keyframe_id: _Optional[int] = ..., accepted: bool = ..., stage: _Optional[str] = ..., reason: _Optional[str] = ..., retrieval_distance: _Optional[float] = ..., inlier_count: _Optional[int] = ..., inlier_fraction: _Optional[float] = ..., score: _Optional[float] = ..., reference_query: _Optional[_Iterable[float]] = ..., covariance: _Optional[_Iterable[float]] = ...) -> None: ...
+    reference_stamp_ns: int
+    inserted: bool
+    def __init__(self, stamp_ns: _Optional[int] = ..., query_keyframe_id: _Optional[int] = ..., reference_keyframe_id: _Optional[int] = ..., accepted: bool = ..., stage: _Optional[str] = ..., reason: _Optional[str] = ..., retrieval_distance: _Optional[float] = ..., inlier_count: _Optional[int] = ..., inlier_fraction: _Optional[float] = ..., score: _Optional[float] = ..., reference_query: _Optional[_Iterable[float]] = ..., covariance: _Optional[_Iterable[float]] = ..., reference_stamp_ns: _Optional[int] = ..., inserted: bool = ...) -> None: ...
 
 class Relocalization(_message.Message):
     __slots__ = ("stamp_ns", "success", "reason", "map_body", "covariance", "inlier_count", "score")

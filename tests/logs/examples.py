@@ -93,7 +93,20 @@ def every_kind(rng):
             "/slam/closures",
             "loop_closures",
             m.LoopClosureRecord(
-                22, 7, 3, True, "accepted", "", 0.1, 9, 0.9, 1.5, random_transform(rng), random_covariance(rng, 6)
+                stamp_ns=22,
+                query_keyframe_id=7,
+                reference_keyframe_id=3,
+                accepted=True,
+                stage="accepted",
+                reason="",
+                retrieval_distance=0.1,
+                inlier_count=9,
+                inlier_fraction=0.9,
+                score=1.5,
+                T_reference_query=random_transform(rng),
+                covariance=random_covariance(rng, 6),
+                reference_stamp_ns=11,
+                inserted=True,
             ),
         ),
         (
