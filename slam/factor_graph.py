@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import re
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
@@ -63,7 +63,9 @@ class FactorGraph:
         self._removed_slots: list[int] = []
         self._leaving: set[int] = set()
         self._slots: dict[int, int] = {}
-        self._landmark_factors: dict[int, list[int]] = {}
+        self._landmark_factors: dict[int, list[int]] = {}  # by the landmark that was seen
+        self._variables: dict[int, list[int]] = {}  # landmarks in the graph by the variable that they share
+        self._merged_into: dict[int, int] = {}
         self._keyframes: list[int] = []
         self._next_factor = 0
         self.factors: dict[int, Edge | Observation | Anchor] = {}
@@ -76,8 +78,8 @@ class FactorGraph:
 
     @property
     def landmarks(self) -> IntArray:
-        """Ids (L,) of the landmarks that have an observation, ascending."""
-        return np.array(sorted(key for key, factors in self._landmark_factors.items() if factors), dtype=np.int64)
+        """Ids (L,) of the landmarks that have a variable of their own, ascending; merged ones go by the kept one's."""
+        return np.array(sorted(self._variables), dtype=np.int64)
 
     def add_first_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
         """Fix the map frame: a prior on the first keyframe."""
@@ -110,14 +112,9 @@ class FactorGraph:
             if np.linalg.norm(observation.position) < MIN_RANGE_M:
                 continue
             T_map_body = self.pose(observation.keyframe)
-            factor = bearing_range_factor(observation, self._config)
-            landmark = observation.landmark
-            if landmark not in self._landmark_factors:
-                if landmark in self._leaving:
-                    self.update()
-                self._pending_values.insert(L(landmark), apply(T_map_body, observation.position[None])[0])
-                self._landmark_factors[landmark] = []
-            self._landmark_factors[landmark].append(self._add(observation, factor))
+            factor = bearing_range_factor(self._named(observation), self._config)
+            self._enter(observation.landmark, apply(T_map_body, observation.position[None])[0])
+            self._landmark_factors[observation.landmark].append(self._add(observation, factor))
             used += 1
         return used
 
@@ -131,8 +128,7 @@ class FactorGraph:
             remaining = self._landmark_factors[factor.landmark]
             remaining.remove(number)
             if not remaining:
-                del self._landmark_factors[factor.landmark]
-                self._leaving.add(factor.landmark)
+                self._leave(factor.landmark)
 
     def remove_landmark(self, landmark: int) -> None:
         """Take a landmark and all its observations out of the graph; nothing happens if it is not in it."""
@@ -140,11 +136,58 @@ class FactorGraph:
             self.remove_factor(number)
 
     def merge_landmarks(self, kept: int, dropped: int) -> None:
-        """Make two landmarks one: what saw ``dropped`` has seen ``kept``."""
-        numbers = list(self._landmark_factors.get(dropped, ()))
-        moved = [self.factors[number] for number in numbers]
-        self.remove_landmark(dropped)
-        self.add_observations([replace(o, landmark=kept) for o in moved if isinstance(o, Observation)])
+        """Make two landmarks one: what sees ``dropped``, now or later, sees ``kept``.
+
+        Both go by their own names, that is, neither has been merged into another.
+        """
+        self._move(dropped, lambda: self._merged_into.update({dropped: kept}))
+
+    def split_landmark(self, dropped: int) -> None:
+        """Undo ``merge_landmarks``: ``dropped`` stands for itself again, with all that had been merged into it."""
+        self._move(dropped, lambda: self._merged_into.pop(dropped, None))
+
+    def _move(self, landmark: int, rename: Callable[[], object]) -> None:
+        """Take the observations of a landmark, and of those merged into it, along to its new variable."""
+        moved = [each for each in (landmark, *self._merged_into) if landmark in self._names(each)]
+        observations = [
+            self.factors[number] for each in dict.fromkeys(moved) for number in self._landmark_factors.get(each, ())
+        ]
+        for each in moved:
+            self.remove_landmark(each)
+        rename()
+        self.add_observations([o for o in observations if isinstance(o, Observation)])
+
+    def _names(self, landmark: int) -> list[int]:
+        """The landmark, what it was merged into, and so on; the last one is the variable in the graph."""
+        names = [landmark]
+        while names[-1] in self._merged_into:
+            names.append(self._merged_into[names[-1]])
+        return names
+
+    def _named(self, observation: Observation) -> Observation:
+        """The observation under the name that its landmark has in the graph."""
+        return replace(observation, landmark=self._names(observation.landmark)[-1])
+
+    def _enter(self, landmark: int, position_map: FloatArray) -> None:
+        """Give a landmark a variable, where it has none."""
+        if landmark in self._landmark_factors:
+            return
+        variable = self._names(landmark)[-1]
+        if variable not in self._variables:
+            if variable in self._leaving:
+                self.update()
+            self._pending_values.insert(L(variable), position_map)
+            self._variables[variable] = []
+        self._variables[variable].append(landmark)
+        self._landmark_factors[landmark] = []
+
+    def _leave(self, landmark: int) -> None:
+        del self._landmark_factors[landmark]
+        variable = self._names(landmark)[-1]
+        self._variables[variable].remove(landmark)
+        if not self._variables[variable]:
+            del self._variables[variable]
+            self._leaving.add(variable)
 
     def update(self) -> None:
         """Bring the incremental estimate up to date with all that was added and removed."""
@@ -221,7 +264,7 @@ class FactorGraph:
             edge_covariances=np.array([e.covariance for e in edges]).reshape(-1, 6, 6),
             edge_kinds=tuple(e.kind for e in edges),
             observation_keyframe_ids=np.array([o.keyframe for o in observations], dtype=np.int64),
-            observation_landmark_ids=tuple(str(o.landmark) for o in observations),
+            observation_landmark_ids=tuple(str(self._names(o.landmark)[-1]) for o in observations),
             observation_positions=np.array([o.position for o in observations]).reshape(-1, 3),
             observation_covariances=np.array([o.redundancy * o.covariance for o in observations]).reshape(-1, 3, 3),
         )
@@ -258,8 +301,8 @@ class FactorGraph:
         values = gtsam.Values()
         for keyframe in self._keyframes:
             values.insert(X(keyframe), point.atPose3(X(keyframe)))
-        for landmark in self._landmark_factors:
-            values.insert(L(landmark), point.atPoint3(L(landmark)))
+        for variable in self._variables:
+            values.insert(L(variable), point.atPoint3(L(variable)))
         graph = gtsam.NonlinearFactorGraph()
         for number in numbers:
             graph.add(self._factor(self.factors[number]))
@@ -268,7 +311,7 @@ class FactorGraph:
 
     def _check_landmarks(self, landmarks: IntArray) -> None:
         for landmark in landmarks.tolist():
-            if landmark not in self._landmark_factors:
+            if landmark not in self._variables:
                 raise FactorGraphError(f"landmark {landmark} is not in the graph")
 
     def _has_keyframe(self, keyframe: int) -> bool:
@@ -294,7 +337,7 @@ class FactorGraph:
             case Edge():
                 return between_factor(record)
             case Observation():
-                return bearing_range_factor(record, self._config)
+                return bearing_range_factor(self._named(record), self._config)
             case Anchor():
                 return prior_factor(record)
 

@@ -6,6 +6,7 @@ often enough; ``RETIRED`` with a reason when it turns out to be no landmark, or 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
 import numpy as np
@@ -58,6 +59,16 @@ LANDMARK = np.dtype(
 )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sightings:
+    """Sums over the sightings of each landmark, one row a landmark."""
+
+    observations: IntArray
+    first_seen_ns: IntArray
+    last_seen_ns: IntArray
+    label_counts: FloatArray
+
+
 class ObjectMap:
     """Landmarks and the vocabulary of their classes."""
 
@@ -94,20 +105,31 @@ class ObjectMap:
         return np.array([self._label_index[label] for label in labels], dtype=np.int64)
 
     def in_state(self, state: LandmarkState) -> IntArray:
-        """Rows in that state, ascending."""
-        return np.flatnonzero(self.rows["state"] == state)
+        """Rows in that state, ascending; those that became another landmark are left out."""
+        in_state = self.rows["state"] == state
+        in_state[list(self._merged_into)] = False
+        return np.flatnonzero(in_state)
+
+    def classes(self, rows: IntArray) -> IntArray:
+        """The most probable class (N,) of each landmark."""
+        if not self._label_index:
+            return np.zeros(len(rows), dtype=np.int64)
+        return np.asarray(self._label_counts[rows, : len(self._label_index)].argmax(axis=1))
 
     def beliefs(self, rows: IntArray) -> FloatArray:
         """Class probabilities (N, C): the posterior of even priors and independent labels of the configured accuracy.
 
         With accuracy p and C classes a label multiplies the odds of its class by p (C - 1) / (1 - p).
         """
+        return self._beliefs(self._label_counts[rows])
+
+    def _beliefs(self, label_counts: FloatArray) -> FloatArray:
         classes = len(self._label_index)
         if classes < 2:
-            return np.ones((len(rows), classes))
+            return np.ones((len(label_counts), classes))
         accuracy = self._config.label_accuracy
         odds = np.log(accuracy * (classes - 1) / (1.0 - accuracy))
-        logits = self._label_counts[rows, :classes] * odds
+        logits = label_counts[:, :classes] * odds
         weights = np.exp(logits - logits.max(axis=1, keepdims=True))
         return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
@@ -182,44 +204,22 @@ class ObjectMap:
         self.rows["state"][rows] = LandmarkState.RETIRED
         self._reasons.update(dict.fromkeys(rows.tolist(), reason.value))
 
-    def merge(self, kept: int, dropped: int) -> None:
-        """Make ``dropped`` a former name of ``kept``: its sightings and labels are added to those of ``kept``.
+    def merge(self, kept: int, dropped: int) -> int | None:
+        """Make ``dropped`` another name of ``kept``: in the map they are one landmark from now on.
 
-        Both go by their current names; nothing happens if these are one.
+        Returns the row that lost its name, for ``split``; None if the two were one already. Each goes on being followed
+        by its own row, because around the robot the odometry tells the two passes apart; their sightings are added up
+        when the map is handed out.
         """
         kept, dropped = self.current(kept), self.current(dropped)
         if kept == dropped:
-            return
-        landmarks = self.rows
-        first_ns = min(landmarks["first_seen_ns"][kept], landmarks["first_seen_ns"][dropped])
-        origin = landmarks["first_position_odom"][kept].copy()
-        for row in (kept, dropped):
-            self._move_origin(row, first_ns, origin)
-        for field in ("observations", "sum_t", "sum_tt", "sum_p", "sum_tp"):
-            landmarks[field][kept] += landmarks[field][dropped]
-        for field in ("last_scan", "last_seen_ns", "last_seen_travel_m"):
-            landmarks[field][kept] = max(landmarks[field][kept], landmarks[field][dropped])
-        landmarks["first_scan"][kept] = min(landmarks["first_scan"][kept], landmarks["first_scan"][dropped])
-        self._label_counts[kept] += self._label_counts[dropped]
-        self.retire(np.array([dropped]), RetirementReason.MERGED)
+            return None
         self._merged_into[dropped] = kept
+        return dropped
 
-    def _move_origin(self, row: int, first_ns: int, position: FloatArray) -> None:
-        """Make the sums of a landmark relative to another time and place."""
-        landmark = self.rows[row : row + 1]
-        count = landmark["observations"]
-        seconds = (landmark["first_seen_ns"] - first_ns) * 1e-9
-        offset = landmark["first_position_odom"] - position
-        landmark["sum_tp"] += (
-            seconds[:, None] * landmark["sum_p"]
-            + offset * landmark["sum_t"][:, None]
-            + (count * seconds)[:, None] * offset
-        )
-        landmark["sum_tt"] += 2.0 * seconds * landmark["sum_t"] + count * seconds**2
-        landmark["sum_t"] += count * seconds
-        landmark["sum_p"] += count[:, None] * offset
-        landmark["first_seen_ns"] = first_ns
-        landmark["first_position_odom"] = position
+    def split(self, dropped: int) -> None:
+        """Undo the merge by which ``dropped`` lost its name."""
+        self._merged_into.pop(dropped, None)
 
     def current(self, row: int) -> int:
         """The row that a landmark goes by now, after merges."""
@@ -234,6 +234,7 @@ class ObjectMap:
             dtype=np.int64,
         )
         landmarks = self.rows[kept]
+        whole = self._with_merged()
         return ObjectMapRecord(
             stamp_ns=stamp_ns,
             frame_id="map",
@@ -241,13 +242,33 @@ class ObjectMap:
             ids=tuple(str(row) for row in kept),
             positions=landmarks["position_map"].copy(),
             covariances=landmarks["covariance_map"].copy(),
-            class_probabilities=self.beliefs(kept),
-            states=tuple(LandmarkState(state).name.lower() for state in landmarks["state"]),
+            class_probabilities=self._beliefs(whole.label_counts[kept]),
+            states=tuple(self._state(int(row)).name.lower() for row in kept),
             reasons=tuple(self._reason(int(row)) for row in kept),
-            observation_counts=landmarks["observations"].copy(),
-            first_seen_ns=landmarks["first_seen_ns"].copy(),
-            last_seen_ns=landmarks["last_seen_ns"].copy(),
+            observation_counts=whole.observations[kept],
+            first_seen_ns=whole.first_seen_ns[kept],
+            last_seen_ns=whole.last_seen_ns[kept],
         )
+
+    def _with_merged(self) -> _Sightings:
+        """What each landmark and all that were merged into it have seen of it."""
+        landmarks = self.rows
+        whole = _Sightings(
+            landmarks["observations"].copy(),
+            landmarks["first_seen_ns"].copy(),
+            landmarks["last_seen_ns"].copy(),
+            self._label_counts[: self._size].copy(),
+        )
+        for row in self._merged_into:
+            kept = self.current(row)
+            whole.observations[kept] += landmarks["observations"][row]
+            whole.first_seen_ns[kept] = min(whole.first_seen_ns[kept], landmarks["first_seen_ns"][row])
+            whole.last_seen_ns[kept] = max(whole.last_seen_ns[kept], landmarks["last_seen_ns"][row])
+            whole.label_counts[kept] += self._label_counts[row]
+        return whole
+
+    def _state(self, row: int) -> LandmarkState:
+        return LandmarkState.RETIRED if row in self._merged_into else LandmarkState(self.rows["state"][row])
 
     def _reason(self, row: int) -> str:
         if row in self._merged_into:

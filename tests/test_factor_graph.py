@@ -501,3 +501,21 @@ def test_a_keyframe_added_twice_is_an_error_of_ours():
     with pytest.raises(FactorGraphError, match="keyframe 5"):
         graph.add_next_keyframe(edge(4, 5, np.eye(4)))
     assert graph.keyframes.tolist() == list(range(KEYFRAMES))
+
+
+def test_a_split_undoes_a_chain_of_merges():
+    observations = sightings()
+    split = [replace(o, landmark=99) if o.landmark == OFTEN_SEEN and o.keyframe % 2 else o for o in observations]
+    graph, untouched = build(noisy_edges(), split), build(noisy_edges(), split)
+    graph.merge_landmarks(99, OFTEN_SEEN)
+    other = next(o.landmark for o in observations if o.landmark != OFTEN_SEEN)
+    graph.merge_landmarks(other, 99)
+    graph.update()
+    assert {99, OFTEN_SEEN}.isdisjoint(graph.landmarks.tolist())
+    graph.split_landmark(99)
+    assert OFTEN_SEEN not in graph.landmarks.tolist()
+    graph.split_landmark(OFTEN_SEEN)
+    assert graph.landmarks.tolist() == untouched.landmarks.tolist()
+    graph.optimize()
+    untouched.optimize()
+    assert_same_estimate(graph, untouched, atol=1e-4)

@@ -114,32 +114,34 @@ def test_what_was_seen_once_stands_still():
     assert new_map().velocities(np.array([0])).tolist() == [[0.0, 0.0, 0.0]]
 
 
-def test_a_merge_adds_sightings_and_labels_and_leaves_a_forwarding_address():
+def test_merged_landmarks_are_one_in_the_map_and_two_around_the_robot():
     object_map = new_map(count=3)
     see(object_map, 0, label=1, seconds=1.0)
     see(object_map, 1, label=0, seconds=7.0)
-    object_map.merge(0, 1)
-    assert object_map.rows["observations"][0] == 4
-    assert object_map.rows["last_seen_ns"][0] == 7 * SECOND_NS
-    together = new_map()
-    for label in (1, 0, 0):
-        see(together, 0, label)
-    np.testing.assert_allclose(object_map.beliefs(np.array([0])), together.beliefs(np.array([0])))
-    object_map.merge(2, 0)
+    assert object_map.merge(0, 1) == 1
+    assert object_map.rows["observations"].tolist() == [2, 2, 1]
+    assert object_map.merge(2, 1) == 0
+    assert object_map.merge(0, 2) is None
     assert [object_map.current(row) for row in range(3)] == [2, 2, 2]
+    assert object_map.in_state(LandmarkState.TENTATIVE).tolist() == [2]
     record = object_map.to_record(0)
     assert record.states == ("retired", "retired", "tentative")
     assert record.reasons == ("merged into 2", "merged into 2", "")
+    assert record.observation_counts.tolist() == [2, 2, 5]
+    assert record.last_seen_ns[2] == 7 * SECOND_NS
+    together = new_map(count=1)
+    for label in (0, 1, 0, 0):
+        see(together, 0, label)
+    np.testing.assert_allclose(record.class_probabilities[2, :2], together.beliefs(np.array([0]))[0, :2], rtol=1e-6)
 
 
-def test_two_landmarks_with_the_same_sightings_move_as_one_when_merged():
-    object_map = new_map(count=2)
-    t = np.arange(1.0, 6.0)
-    for row in (0, 1):
-        line_of_sightings(object_map, row, t, t[:, None] * [0.3, 0.0, 0.0] + [0.5, 0.0, 0.0])
-    before = object_map.velocities(np.array([0]))
-    object_map.merge(0, 1)
-    np.testing.assert_allclose(object_map.velocities(np.array([0])), before, atol=1e-9)
+def test_a_split_undoes_a_merge():
+    object_map = new_map(count=3)
+    see(object_map, 1, label=0, seconds=7.0)
+    before = object_map.to_record(0)
+    lost = object_map.merge(0, 1)
+    object_map.split(lost)
+    assert_same_record(object_map.to_record(0), before)
 
 
 def test_a_map_goes_into_a_log_and_comes_back(tmp_path):

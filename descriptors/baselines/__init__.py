@@ -1,0 +1,1 @@
+"""Handcrafted descriptors from the literature, to compare with."""

@@ -1,0 +1,26 @@
+"""A fixed vector for each class name, so that descriptors have one length whatever the vocabulary."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def class_vectors(names: Sequence[str], length: int) -> NDArray[np.float32]:
+    """Unit vectors (C, length) at random directions that depend on the name alone.
+
+    Almost orthogonal, so a sum of them stands for the counts of the classes (random indexing); a class keeps its vector
+    when the vocabulary grows, and in every other map.
+    """
+    return np.stack([_class_vector(name, length) for name in names]) if names else np.zeros((0, length), np.float32)
+
+
+@lru_cache(maxsize=4096)
+def _class_vector(name: str, length: int) -> NDArray[np.float32]:
+    seed = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
+    vector = np.random.default_rng(seed).normal(size=length)
+    return np.asarray(vector / np.linalg.norm(vector), dtype=np.float32)

@@ -1,0 +1,82 @@
+"""Constellations: an object and its neighbours, many of them in one batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from descriptors.errors import DescriptorError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Constellations:
+    """B constellations in compressed rows: neighbours ``offsets[i]`` to ``offsets[i + 1]`` are those of the i-th.
+
+    ``positions`` (P, 3) m: neighbours relative to their centre, axes gravity-aligned, the centre itself left out.
+    ``labels`` (P,) and ``centre_labels`` (B,): places in ``vocabulary``. ``offsets`` (B + 1,).
+    """
+
+    positions: NDArray[np.float64]
+    labels: NDArray[np.int64]
+    centre_labels: NDArray[np.int64]
+    offsets: NDArray[np.int64]
+    vocabulary: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.centre_labels)
+
+    @property
+    def owners(self) -> NDArray[np.int64]:
+        """Which constellation (P,) each neighbour belongs to."""
+        return np.repeat(np.arange(len(self)), np.diff(self.offsets))
+
+
+def gather_constellations(
+    positions: NDArray[np.float64],
+    labels: NDArray[np.int64],
+    vocabulary: Sequence[str],
+    *,
+    radius_m: float,
+    centres: NDArray[np.int64] | None = None,
+) -> Constellations:
+    """The constellation around each object: all others within ``radius_m`` of horizontal distance.
+
+    Horizontal, because ground and kerbs move heights more than places. This is the paper's constellation extraction
+    (Descriptellation, Section III-A), its visual range being ``radius_m``.
+
+    Args:
+        positions: (N, 3) m, gravity-aligned.
+        labels: (N,) places in ``vocabulary``.
+        centres: which objects (B,) to describe; all by default.
+
+    Raises:
+        DescriptorError: positions that are not finite, or labels that the vocabulary lacks.
+    """
+    if not np.all(np.isfinite(positions)):
+        bad = int(np.flatnonzero(~np.isfinite(positions).all(axis=1))[0])
+        raise DescriptorError(f"object {bad} is at {positions[bad]}, which is no position")
+    if len(labels) and (labels.min() < 0 or labels.max() >= len(vocabulary)):
+        raise DescriptorError(f"labels {labels.min()} to {labels.max()} of a vocabulary of {len(vocabulary)} classes")
+    chosen = np.arange(len(positions)) if centres is None else centres
+    if len(chosen) == 0:
+        empty = np.zeros(0, dtype=np.int64)
+        return Constellations(np.zeros((0, 3)), empty, empty, np.zeros(1, dtype=np.int64), tuple(vocabulary))
+    tree = cKDTree(positions[:, :2])
+    found = tree.query_ball_point(positions[chosen, :2], radius_m, return_sorted=True)
+    counts = np.array([len(near) for near in found])
+    owners = np.repeat(np.arange(len(chosen)), counts)
+    neighbours = np.concatenate([np.asarray(near, dtype=np.int64) for near in found])
+    others = neighbours != chosen[owners]
+    owners, neighbours = owners[others], neighbours[others]
+    offsets = np.concatenate([[0], np.cumsum(np.bincount(owners, minlength=len(chosen)))])
+    return Constellations(
+        positions[neighbours] - positions[chosen[owners]],
+        labels[neighbours],
+        labels[chosen],
+        offsets,
+        tuple(vocabulary),
+    )

@@ -1,0 +1,76 @@
+"""Nearest neighbours in descriptor space."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """Pairs (query, entry) with their Euclidean distance, all (C,), query by query, the nearest first."""
+
+    queries: NDArray[np.int64]
+    entries: NDArray[np.int64]
+    distances: NDArray[np.float32]
+
+
+class DescriptorIndex:
+    """Grows by rows; an entry's row is its number. Exhaustive search: one matrix product a query batch."""
+
+    def __init__(self, length: int) -> None:
+        self._vectors = np.zeros((256, length), dtype=np.float32)
+        self._squares = np.zeros(256, dtype=np.float32)
+        self._labels = np.zeros(256, dtype=np.int64)
+        self._size = 0
+
+    def __len__(self) -> int:
+        return self._size
+
+    def add(self, vectors: NDArray[np.float32], labels: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Add entries (N, length) of the classes (N,); returns their numbers (N,)."""
+        end = self._size + len(vectors)
+        if end > len(self._vectors):
+            capacity = max(end, 2 * len(self._vectors))
+            self._vectors = _grown(self._vectors, capacity)
+            self._squares = _grown(self._squares, capacity)
+            self._labels = _grown(self._labels, capacity)
+        added = np.arange(self._size, end)
+        self._vectors[added] = vectors
+        self._squares[added] = np.einsum("ij,ij->i", vectors, vectors)
+        self._labels[added] = labels
+        self._size = end
+        return added
+
+    def search(
+        self, vectors: NDArray[np.float32], labels: NDArray[np.int64], k: int, allowed: NDArray[np.bool_]
+    ) -> Matches:
+        """Up to ``k`` nearest entries of its own class for each query (Q, length) among the ``allowed`` (size,) ones.
+
+        Ties go to the lower number.
+        """
+        entries = np.flatnonzero(allowed)
+        if len(entries) == 0 or len(vectors) == 0:
+            empty = np.zeros(0, dtype=np.int64)
+            return Matches(empty, empty, np.zeros(0, dtype=np.float32))
+        squares = self._squares[entries] - 2.0 * (vectors @ self._vectors[entries].T)
+        squares[labels[:, None] != self._labels[entries]] = np.inf
+        k = min(k, len(entries))
+        nearest = np.argpartition(squares, k - 1, axis=1)[:, :k]
+        nearest.sort(axis=1)
+        order = np.argsort(np.take_along_axis(squares, nearest, axis=1), axis=1, kind="stable")
+        nearest = np.take_along_axis(nearest, order, axis=1)
+        found = np.take_along_axis(squares, nearest, axis=1)
+        queries, places = np.nonzero(np.isfinite(found))
+        own = np.einsum("ij,ij->i", vectors, vectors)
+        distances = np.sqrt(np.maximum(found[queries, places] + own[queries], 0.0))
+        return Matches(queries, entries[nearest[queries, places]], distances)
+
+
+def _grown(array: NDArray[Any], capacity: int) -> NDArray[Any]:
+    grown = np.zeros((capacity, *array.shape[1:]), dtype=array.dtype)
+    grown[: len(array)] = array
+    return grown
