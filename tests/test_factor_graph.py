@@ -504,15 +504,16 @@ def test_a_keyframe_added_twice_is_an_error_of_ours():
 
 
 def test_a_split_undoes_a_chain_of_merges():
-    observations = sightings()
-    split = [replace(o, landmark=99) if o.landmark == OFTEN_SEEN and o.keyframe % 2 else o for o in observations]
+    parts = {0: OFTEN_SEEN, 1: 98, 2: 99}
+    split = [replace(o, landmark=parts[o.keyframe % 3]) if o.landmark == OFTEN_SEEN else o for o in sightings()]
+    assert {98, 99, OFTEN_SEEN} <= {o.landmark for o in split}
     graph, untouched = build(noisy_edges(), split), build(noisy_edges(), split)
     graph.merge_landmarks(99, OFTEN_SEEN)
-    other = next(o.landmark for o in observations if o.landmark != OFTEN_SEEN)
-    graph.merge_landmarks(other, 99)
+    graph.merge_landmarks(98, 99)
     graph.update()
     assert {99, OFTEN_SEEN}.isdisjoint(graph.landmarks.tolist())
     graph.split_landmark(99)
+    assert 99 in graph.landmarks.tolist()
     assert OFTEN_SEEN not in graph.landmarks.tolist()
     graph.split_landmark(OFTEN_SEEN)
     assert graph.landmarks.tolist() == untouched.landmarks.tolist()
