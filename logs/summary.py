@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
 from array import array
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from logs import messages as m
+from logs.closures import find_final_verdicts, rank_stage
 from logs.errors import TopicSelectionError
 from logs.reader import LogReader
 from logs.selection import Selection, select_all, select_topics
@@ -19,6 +21,8 @@ from logs.topics import RawMessage, RecordKind, TopicInfo
 
 GAP_FACTOR = 5.0
 """A pause is a gap when it is longer than this many median periods of its topic."""
+
+_NUMBER = re.compile(r"(?:(?<!\w)-)?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +46,7 @@ class TopicSummary:
 
 @dataclass(frozen=True, slots=True)
 class ClosureCount:
-    """How many loop-closure candidates got their verdict at ``stage`` for ``reason``."""
+    """How many loop-closure candidates got their final verdict at ``stage`` for ``reason``, whose numbers are #."""
 
     stage: str
     reason: str
@@ -55,7 +59,8 @@ class LogSummary:
     """A log at a glance. ``selection`` is what a replay would use; None where it cannot, and ``obstacle`` says why.
 
     ``class_counts`` counts detections, most frequent first; ``odometry_length_m`` is None without odometry.
-    ``counters`` are those of the reader, ``status`` is the last one in the log.
+    ``closure_candidates`` are the final verdicts by query stamp, ``closures`` counts them. ``first_stamp_ns`` is the
+    earliest of odometry and poses. ``counters`` are those of the reader, ``status`` is the last one in the log.
     """
 
     path: str
@@ -68,6 +73,8 @@ class LogSummary:
     selection: Selection | None
     obstacle: str
     closures: tuple[ClosureCount, ...]
+    closure_candidates: tuple[m.LoopClosureRecord, ...]
+    first_stamp_ns: int | None
     metadata: Mapping[str, Mapping[str, str]]
     counters: Mapping[str, int]
     status: m.StatusRecord | None
@@ -96,6 +103,7 @@ def summarize(path: str | os.PathLike[str], overrides: Mapping[str, str] | None 
             everything = Selection({**everything.kinds, **selection.kinds})
         for item in reader.items(everything, copy=[info.topic for info in topics]):
             gathering.add(item.raw, item.records)
+        candidates = find_final_verdicts(gathering.closures)
         return LogSummary(
             path=str(path),
             size_bytes=os.path.getsize(path),
@@ -106,11 +114,20 @@ def summarize(path: str | os.PathLike[str], overrides: Mapping[str, str] | None 
             odometry_length_m=gathering.odometry_length_m(),
             selection=selection,
             obstacle=obstacle,
-            closures=tuple(ClosureCount(*verdict, count) for verdict, count in sorted(gathering.verdicts.items())),
+            closures=_count_closures(candidates),
+            closure_candidates=candidates,
+            first_stamp_ns=gathering.first_stamp_ns,
             metadata=reader.metadata(),
             counters=reader.counters,
             status=gathering.status,
         )
+
+
+def _count_closures(candidates: Iterable[m.LoopClosureRecord]) -> tuple[ClosureCount, ...]:
+    """By the order of the stages, the most frequent reason first."""
+    counts = Counter((c.stage, _NUMBER.sub("#", c.reason), c.accepted) for c in candidates)
+    found = [ClosureCount(*verdict, count) for verdict, count in counts.items()]
+    return tuple(sorted(found, key=lambda c: (rank_stage(c.stage), c.stage, not c.accepted, -c.count, c.reason)))
 
 
 def _odometry_topic(selection: Selection | None, topics: list[TopicInfo]) -> str | None:
@@ -130,7 +147,8 @@ class _Gathering:
         self.start_ns: int | None = None
         self.end_ns = 0
         self.class_counts: Counter[str] = Counter()
-        self.verdicts: Counter[tuple[str, str, bool]] = Counter()
+        self.closures: list[m.LoopClosureRecord] = []
+        self.first_stamp_ns: int | None = None
         self.status: m.StatusRecord | None = None
         self._odometry_topic = odometry_topic
         self._odometry_xyz = array("d")
@@ -152,6 +170,9 @@ class _Gathering:
             self._add_record(raw.topic, record, frames)
 
     def _add_record(self, topic: str, record: m.Record, frames: set[str]) -> None:
+        if isinstance(record, (m.Odometry, m.SlamPose)):
+            first = self.first_stamp_ns
+            self.first_stamp_ns = record.stamp_ns if first is None else min(first, record.stamp_ns)
         if isinstance(record, m.Odometry):
             frames.update((record.frame_id, record.child_frame_id))
             if topic == self._odometry_topic:
@@ -162,7 +183,7 @@ class _Gathering:
         elif isinstance(record, m.Transform):
             frames.update((record.parent_frame_id, record.child_frame_id))
         elif isinstance(record, m.LoopClosureRecord):
-            self.verdicts[record.stage, record.reason, record.accepted] += 1
+            self.closures.append(record)
         elif isinstance(record, m.StatusRecord):
             self.status = record
         elif isinstance(record, (m.GroundTruthPose, m.ObjectMapRecord, m.TrajectoryRecord)):

@@ -23,7 +23,8 @@ _LineStyle = Literal["-"] | tuple[float, tuple[float, float]]
 
 LEGEND_CLASSES = 12
 OTHER = "other"
-_ESTIMATE, _ODOMETRY, _TRUTH, _CLOSURE, _INK, _GRID = "#0b5cad", "#d97706", "#111827", "#d6249f", "#1f2937", "#e5e7eb"
+_ESTIMATE, _ODOMETRY, _TRUTH, _INK, _GRID = "#0b5cad", "#d97706", "#111827", "#1f2937", "#e5e7eb"
+_CLOSURE, _TRUE_CLOSURE, _FALSE_CLOSURE, _MISSED = "#d6249f", "#14b8a6", "#ff0000", "#7c3aed"
 # None of the classes has the colour of a path.
 _CLASS_COLORS = (
     *("#2e9e5b", "#d64545", "#8456c4", "#8c6239", "#17a2b8", "#c9a50a"),
@@ -36,12 +37,18 @@ def _nowhere() -> FloatArray:
     return np.zeros((0, 3))
 
 
+def _no_line() -> FloatArray:
+    return np.zeros((0, 2, 3))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MapPicture:
     """What to draw, all in metres and in one frame (the map, into which the caller has aligned the others).
 
     estimate, odometry, truth (N, 3) positions along the path, N may be 0; landmarks (L, 3) with ``labels`` (L,);
-    closures (C, 2, 3) ends of accepted loop closures; errors of estimate and odometry where they are known.
+    closures, true_closures, false_closures (C, 2, 3) ends of accepted loop closures of which nobody knows whether they
+    are right, that are, that are not; missed_revisits (M, 3) where a closure was possible and not made; errors of
+    estimate and odometry where they are known.
     """
 
     estimate: FloatArray
@@ -49,7 +56,10 @@ class MapPicture:
     truth: FloatArray = field(default_factory=_nowhere)
     landmarks: FloatArray = field(default_factory=_nowhere)
     labels: tuple[str, ...] = ()
-    closures: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 3)))
+    closures: FloatArray = field(default_factory=_no_line)
+    true_closures: FloatArray = field(default_factory=_no_line)
+    false_closures: FloatArray = field(default_factory=_no_line)
+    missed_revisits: FloatArray = field(default_factory=_nowhere)
     title: str = "Object map"
     ate_m: float | None = None
     odometry_ate_m: float | None = None
@@ -159,11 +169,7 @@ def _draw_paths(axes: Axes, picture: MapPicture) -> list[Line2D]:
             x, y = positions[:, :2].T
             axes.plot(x, y, color=color, linewidth=width, linestyle=style, zorder=zorder)
             handles.append(Line2D([], [], color=color, linewidth=width, linestyle=style, label=name))
-    if len(picture.closures):
-        lines = LineCollection(list(picture.closures[:, :, :2]), colors=_CLOSURE, linewidths=1.6, zorder=5.0)
-        axes.add_collection(lines, autolim=False)
-        name = f"loop closures ({len(picture.closures)})"
-        handles.append(Line2D([], [], color=_CLOSURE, linewidth=1.6, label=name))
+    handles += _draw_closures(axes, picture)
     shown = next(
         (positions for positions in (picture.estimate, picture.truth, picture.odometry) if len(positions)), None
     )
@@ -174,6 +180,27 @@ def _draw_paths(axes: Axes, picture: MapPicture) -> list[Line2D]:
             mark.set_zorder(6.0)
             axes.add_line(mark)
             handles.append(_marker(marker, color, 13.0, name))
+    return handles
+
+
+def _draw_closures(axes: Axes, picture: MapPicture) -> list[Line2D]:
+    """Draw closures, the false ones above all, and missed revisits, and return the legend's entries."""
+    handles = []
+    if len(picture.missed_revisits):
+        x, y = picture.missed_revisits[:, :2].T
+        axes.scatter(x, y, s=30.0, marker="o", facecolors="white", edgecolors=_MISSED, linewidths=1.4, zorder=4.8)
+        mark = _marker("o", "white", 7.0, f"missed revisits ({len(picture.missed_revisits)})")
+        mark.set(markeredgecolor=_MISSED, markeredgewidth=1.4)
+        handles.append(mark)
+    for lines, name, color, width, zorder in (
+        (picture.closures, "loop closures", _CLOSURE, 1.6, 5.0),
+        (picture.true_closures, "true loop closures", _TRUE_CLOSURE, 1.6, 5.0),
+        (picture.false_closures, "false loop closures", _FALSE_CLOSURE, 4.0, 7.0),
+    ):
+        if len(lines):
+            collection = LineCollection(list(lines[:, :, :2]), colors=color, linewidths=width, zorder=zorder)
+            axes.add_collection(collection, autolim=False)
+            handles.append(Line2D([], [], color=color, linewidth=width, label=f"{name} ({len(lines)})"))
     return handles
 
 

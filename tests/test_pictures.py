@@ -24,6 +24,9 @@ def full_picture() -> MapPicture:
         landmarks=path[::2] + rng.uniform(-9, 9, (150, 3)),
         labels=tuple(f"class {i}" for i in rng.integers(0, 20, 150)),
         closures=np.stack([path[:3], path[-3:]], axis=1),
+        true_closures=np.stack([path[3:9], path[-9:-3]], axis=1),
+        false_closures=np.stack([path[9:10], path[-99:-98]], axis=1),
+        missed_revisits=path[-30:-10],
         ate_m=0.5,
         odometry_ate_m=3.0,
     )
@@ -37,6 +40,22 @@ def test_a_full_picture_has_the_asked_width_and_the_same_bytes_each_time(tmp_pat
     pixels = imread(tmp_path / "a.png")
     assert pixels.shape[1] == 800
     assert pixels[..., :3].std() > 0.05
+
+
+def test_false_closures_are_red_and_cannot_be_overlooked(tmp_path: Path) -> None:
+    path = straight_path(100)[:, :3, 3]
+    ends = np.array([[[10.0, 20.0, 0.0], [90.0, -20.0, 0.0]]])
+    pictures = {
+        "true": MapPicture(path, true_closures=ends),
+        "false": MapPicture(path, false_closures=ends),
+    }
+    red = {}
+    for name, picture in pictures.items():
+        draw_map(tmp_path / f"{name}.png", picture, width_px=800)
+        pixels = imread(tmp_path / f"{name}.png")[..., :3]
+        red[name] = int(((pixels[..., 0] > 0.95) & (pixels[..., 1:].max(axis=-1) < 0.05)).sum())
+    assert red["true"] < 10
+    assert red["false"] > 500
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -12,21 +14,33 @@ from tools.arguments import InputLog, Json, Topics, parse_topics
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from logs.messages import LoopClosureRecord
     from logs.summary import LogSummary, TopicSummary
 
 _MOST_CLASSES = 12
 _LONGEST_VALUE = 300
+_MOST_CANDIDATES = 40
+_MOST_REASONS = 30
 
 
 def info(
     log: InputLog,
     json: Json = False,
-    closures: Annotated[bool, typer.Option("--closures", help="Loop-closure candidates by verdict.")] = False,
+    closures: Annotated[bool, typer.Option("--closures", help="Loop-closure candidates and their verdicts.")] = False,
+    keyframe: Annotated[
+        int | None,
+        typer.Option(metavar="ID", help="Only the candidates of this query keyframe; implies --closures.", min=0),
+    ] = None,
+    every: Annotated[
+        bool, typer.Option("--all", help=f"List all candidates, not only {_MOST_CANDIDATES}; implies --closures.")
+    ] = False,
     topics: Topics = None,
 ) -> None:
     """Tell what a log holds, and what a replay would use of it or why it cannot.
 
     Example: dslam info drive.mcap --topic odometry=/wheel_odometry
+
+    Why was a loop not closed? dslam info map.mcap --closures, then --keyframe 812
     """
     from logs.summary import summarize
 
@@ -34,23 +48,55 @@ def info(
     summary = summarize(log, chosen)
     from tools import console
 
+    wanted = closures or every or keyframe is not None
+    candidates = [c for c in summary.closure_candidates if keyframe in (None, c.query_keyframe_id)]
     if json:
-        console.show_json(_plain(summary))
-    else:
-        _show(summary, closures=closures)
+        listed = {"closure_candidates": [_plain_candidate(summary, c) for c in candidates]} if wanted else {}
+        console.show_json({**_plain(summary), **listed})
+        return
+    if keyframe is None:
+        _show(summary)
+    if wanted:
+        _show_closures(summary, candidates, keyframe, most=len(candidates) if every else _MOST_CANDIDATES)
 
 
 def _plain(summary: LogSummary) -> dict[str, Any]:
-    plain = asdict(summary)
+    plain = asdict(replace(summary, closure_candidates=()))
+    del plain["closure_candidates"]
     plain["selection"] = None if summary.selection is None else _selected(summary)
     return {**plain, "duration_s": summary.duration_s}
+
+
+def _plain_candidate(summary: LogSummary, candidate: LoopClosureRecord) -> dict[str, Any]:
+    T = candidate.T_reference_query
+    numbers = {name: getattr(candidate, name) for name in ("retrieval_distance", "inlier_fraction", "score")}
+    return {
+        "time_s": _time_s(summary, candidate),
+        "stamp_ns": candidate.stamp_ns,
+        "query_keyframe_id": candidate.query_keyframe_id,
+        "reference_keyframe_id": candidate.reference_keyframe_id,
+        "reference_stamp_ns": candidate.reference_stamp_ns,
+        "accepted": candidate.accepted,
+        "inserted": candidate.inserted,
+        "stage": candidate.stage,
+        "reason": candidate.reason,
+        "inlier_count": candidate.inlier_count,
+        **{name: value if isfinite(value) else None for name, value in numbers.items()},
+        "T_reference_query": None if T is None else T.tolist(),
+    }
+
+
+def _time_s(summary: LogSummary, candidate: LoopClosureRecord) -> float:
+    """Seconds from the start of the drive to the query keyframe, on the clock of the measurements."""
+    first_ns = summary.first_stamp_ns
+    return (candidate.stamp_ns - (summary.closure_candidates[0].stamp_ns if first_ns is None else first_ns)) * 1e-9
 
 
 def _selected(summary: LogSummary) -> dict[str, list[str]]:
     return {topic: list(kinds) for topic, kinds in summary.selection.kinds.items()} if summary.selection else {}
 
 
-def _show(summary: LogSummary, *, closures: bool) -> None:
+def _show(summary: LogSummary) -> None:
     from tools import console
 
     head = f"{summary.path}: {summary.duration_s:.1f} s, {summary.size_bytes / 1e6:.2f} MB"
@@ -77,8 +123,24 @@ def _show(summary: LogSummary, *, closures: bool) -> None:
     for name, values in summary.metadata.items():
         rows |= {f"{name}: {key}": _shortened(name, key, value) for key, value in values.items()}
     console.show(console.pairs(rows))
-    if closures:
-        console.show("", _closure_table(summary) if summary.closures else "no loop-closure candidate in the log")
+
+
+def _show_closures(
+    summary: LogSummary, candidates: Sequence[LoopClosureRecord], keyframe: int | None, *, most: int
+) -> None:
+    from tools import console
+
+    if not summary.closure_candidates:
+        console.show("", "no loop-closure candidate in the log")
+        return
+    if not candidates:
+        console.show(f"keyframe {keyframe} is the query of no loop-closure candidate: it was compared with no other")
+        return
+    if keyframe is None:
+        console.show("", _closure_table(summary), "")
+    console.show(_candidate_table(summary, candidates[:most]))
+    if len(candidates) > most:
+        console.show(f"and {len(candidates) - most} more: --all lists them, --keyframe ID those of one query keyframe")
 
 
 def _obstacle(summary: LogSummary) -> str:
@@ -123,9 +185,41 @@ def _faults(topic: TopicSummary) -> str:
 
 
 def _closure_table(summary: LogSummary) -> Table:
+    from rich.markup import escape
+
     from tools import console
 
     table = console.grid({"verdict": False, "stage": False, "reason": False, "candidates": True}, "Loop closures")
-    for count in summary.closures:
-        table.add_row("accepted" if count.accepted else "rejected", count.stage, count.reason, str(count.count))
+    shown = summary.closures[:_MOST_REASONS]
+    for count in shown:
+        table.add_row(_verdict(accepted=count.accepted), count.stage, escape(count.reason), str(count.count))
+    if rest := summary.closures[_MOST_REASONS:]:
+        table.add_row("", "", f"{len(rest)} other reasons (--json)", str(sum(count.count for count in rest)))
     return table
+
+
+def _candidate_table(summary: LogSummary, candidates: Sequence[LoopClosureRecord]) -> Table:
+    from rich.markup import escape
+
+    from tools import console
+
+    numbers = dict.fromkeys(("time s", "query", "reference", "score", "inliers"), True)
+    table = console.grid({**numbers, "verdict": False, "stage": False, "reason": False}, "Candidates by query keyframe")
+    for column in table.columns[:-1]:
+        column.no_wrap = True
+    for candidate in candidates:
+        table.add_row(
+            f"{_time_s(summary, candidate):.1f}",
+            str(candidate.query_keyframe_id),
+            str(candidate.reference_keyframe_id),
+            f"{candidate.score:.3g}",
+            str(candidate.inlier_count),
+            _verdict(accepted=candidate.accepted),
+            candidate.stage,
+            escape(candidate.reason),
+        )
+    return table
+
+
+def _verdict(*, accepted: bool) -> str:
+    return "accepted" if accepted else "rejected"

@@ -8,18 +8,11 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from slam.evaluation.association import AssociationQuality
+from slam.evaluation.closures import ClosureQuality
 from slam.evaluation.landmarks import LandmarkQuality
 from slam.evaluation.protocol import Protocol
+from slam.evaluation.revisits import DIRECTIONS
 from slam.evaluation.trajectory import ErrorStatistics, RelativeErrors, TrajectoryErrors
-
-
-@dataclass(frozen=True, slots=True)
-class ClosureCounts:
-    """Loop-closure candidates by where their verdict fell."""
-
-    candidate_count: int
-    accepted_count: int
-    stage_counts: Mapping[str, int]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +28,7 @@ class Evaluation:
     online: TrajectoryErrors | None = None
     associations: AssociationQuality | None = None
     landmarks: LandmarkQuality | None = None
-    closures: ClosureCounts | None = None
+    closures: ClosureQuality | None = None
     counters: Mapping[str, int] = field(default_factory=dict)
     missing: Mapping[str, str] = field(default_factory=dict)
 
@@ -45,11 +38,7 @@ class Evaluation:
             "trajectory": self._trajectory_dict(),
             "associations": _association_dict(self.associations),
             "landmarks": _landmark_dict(self.landmarks),
-            "closures": {
-                "candidate_count": self.closures.candidate_count if self.closures else None,
-                "accepted_count": self.closures.accepted_count if self.closures else None,
-                "stage_counts": dict(self.closures.stage_counts) if self.closures else {},
-            },
+            "closures": _closure_dict(self.closures),
             "counters": dict(self.counters),
             "missing": dict(self.missing),
             "protocol": {**_plain(asdict(self.protocol)), "rules": self.protocol.describe()},
@@ -113,6 +102,33 @@ def _landmark_dict(quality: LandmarkQuality | None) -> dict[str, Any]:
     names += [f.name for f in fields(LandmarkQuality) if not f.name.startswith(("windowed", "global"))]
     names.append("windowed_landmark_count")
     return {**result, **{name: _finite(getattr(quality, name)) if quality else None for name in names}}
+
+
+def _closure_dict(quality: ClosureQuality | None) -> dict[str, Any]:
+    revisits = quality.revisits if quality else None
+    errors = quality.errors if quality else None
+    sweep = revisits.sweep if revisits else None
+    names = ("candidate", "accepted", "inserted", "true", "false", "undecided")
+    return {
+        **{f"{name}_count": getattr(quality, f"{name}_count") if quality else None for name in names},
+        "precision": quality.precision if quality else None,
+        "recall": revisits.recall if revisits else None,
+        **{f"recall_{name}": revisits.recall_of(name) if revisits else None for name in DIRECTIONS},
+        "revisit_count": revisits.revisit_count if revisits else None,
+        **{f"revisit_count_{name}": revisits.revisit_counts[name] if revisits else None for name in DIRECTIONS},
+        "median_translation_error_m": errors.median_translation_m if errors else None,
+        "p95_translation_error_m": errors.p95_translation_m if errors else None,
+        "median_rotation_error_deg": errors.median_rotation_deg if errors else None,
+        "p95_rotation_error_deg": errors.p95_rotation_deg if errors else None,
+        "within_revisit_spread_m": errors.within_revisit_spread_m if errors else None,
+        "average_precision": sweep.average_precision if sweep else None,
+        "f1_max": sweep.f1_max if sweep else None,
+        "recall_at_full_precision": sweep.recall_at_full_precision if sweep else None,
+        "missed_by_stage": dict(revisits.missed_by_stage) if revisits else {},
+        "missed_at_place_count": revisits.missed_at_place_count if revisits else None,
+        "missed_without_candidate_count": revisits.missed_without_candidate_count if revisits else None,
+        "stage_counts": quality.stage_counts if quality else {},
+    }
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:

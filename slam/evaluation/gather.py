@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 
 import numpy as np
 
-from logs.messages import LoopClosureRecord, ObjectMapRecord
+from logs.messages import ObjectMapRecord
 from slam.errors import EvaluationError
 from slam.evaluation.association import AssociationQuality, evaluate_associations, label_detections
-from slam.evaluation.evaluation import ClosureCounts, Evaluation
+from slam.evaluation.closures import ClosureQuality, evaluate_closures
+from slam.evaluation.evaluation import Evaluation
 from slam.evaluation.landmarks import (
     CONFIRMED,
     LandmarkQuality,
@@ -64,8 +64,7 @@ class _Gathering:
         associations = self._associations()
         best = estimate or online
         landmarks = self._landmarks(associations, best.alignment.T_world_map if best else None)
-        if not records.closures:
-            self._missing["closures"] = "no loop-closure candidate in the log"
+        closures = self._closures()
         if records.status is None:
             self._missing["counters"] = "no status in the log (/slam/status)"
         return Evaluation(
@@ -75,7 +74,7 @@ class _Gathering:
             online=online,
             associations=associations,
             landmarks=landmarks,
-            closures=_count_closures(records.closures) if records.closures else None,
+            closures=closures,
             counters=dict(records.status.counters) if records.status else {},
             missing=self._missing,
         )
@@ -164,6 +163,24 @@ class _Gathering:
             self._missing["landmarks"] = str(error)
             return None
 
+    def _closures(self) -> ClosureQuality | None:
+        graph, candidates = self._records.graph, self._records.closures
+        nothing = np.zeros(0, dtype=np.int64)
+        if not candidates and (graph is None or len(self._truth.stamps_ns) == 0):
+            self._missing["closures"] = "no loop-closure candidate in the log"
+            return None
+        if len(self._truth.stamps_ns) == 0:
+            self._missing["closures"] = NO_TRUTH
+        elif graph is None:
+            self._missing["closures"] = "no keyframes in the log (/slam/graph), so revisits are unknown"
+        return evaluate_closures(
+            candidates,
+            graph.keyframe_ids if graph else nothing,
+            graph.keyframe_stamps_ns if graph else nothing,
+            self._truth,
+            self._protocol,
+        )
+
 
 def find_aliases(object_map: ObjectMapRecord | None) -> dict[str, str]:
     """Id of each merged landmark -> id of the one it became, from the reasons of a map ("merged into ID")."""
@@ -176,8 +193,3 @@ def find_aliases(object_map: ObjectMapRecord | None) -> dict[str, str]:
 def _series(stamped_poses: list[tuple[int, FloatArray]]) -> PoseSeries:
     stamps_ns = np.array([stamp for stamp, _ in stamped_poses], dtype=np.int64)
     return clean_poses(stamps_ns, np.array([T for _, T in stamped_poses], dtype=np.float64).reshape(-1, 4, 4))
-
-
-def _count_closures(closures: tuple[LoopClosureRecord, ...]) -> ClosureCounts:
-    stages = Counter(closure.stage for closure in closures)
-    return ClosureCounts(len(closures), sum(closure.accepted for closure in closures), dict(sorted(stages.items())))

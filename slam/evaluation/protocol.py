@@ -8,13 +8,17 @@ from slam.errors import EvaluationError
 from slam.evaluation.alignment import STRAIGHT_LINE_RATIO
 from slam.evaluation.trajectory import KITTI_LENGTHS_M, KITTI_START_STEP
 
+SPACING_TOLERANCE = 0.05
+"""Part of the query spacing by which keyframes may be closer: those placed every 2 m must not be thinned by half."""
+
 
 @dataclass(frozen=True, slots=True)
 class Protocol:
     """Thresholds, with KITTI's values for the relative errors; units are in the names.
 
     Raises:
-        EvaluationError: a threshold is not positive, or windows of fewer than three landmarks are asked for.
+        EvaluationError: a threshold is not positive, windows of fewer than three landmarks are asked for, or the
+            headings that count as the same and as opposite overlap.
     """
 
     max_truth_gap_s: float = 1.5
@@ -27,12 +31,24 @@ class Protocol:
     window_least_landmarks: int = 3
     match_distance_m: float = 2.0
     least_detections: int = 5
+    closure_translation_m: float = 4.0
+    closure_rotation_deg: float = 10.0
+    query_spacing_m: float = 2.0
+    revisit_distance_m: float = 5.0
+    same_heading_deg: float = 45.0
+    opposite_heading_deg: float = 135.0
+    closure_run_gap_m: float = 10.0
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
             values = value if isinstance(value, tuple) else (value,)
             if not all(number > 0 for number in values):
                 raise EvaluationError(f"{name} = {value} of the evaluation protocol must be positive")
+        if not self.same_heading_deg <= self.opposite_heading_deg <= 180.0:
+            raise EvaluationError(
+                f"same_heading_deg = {self.same_heading_deg} and opposite_heading_deg = {self.opposite_heading_deg} of "
+                "the evaluation protocol must not exceed one another and 180"
+            )
         if self.window_least_landmarks < 3:
             raise EvaluationError(
                 f"window_least_landmarks = {self.window_least_landmarks}: fewer than 3 landmarks leave no residual"
@@ -68,4 +84,31 @@ class Protocol:
             "landmark_recall": f"True objects detected at least {self.least_detections} times that a confirmed "
             "landmark shows.",
             "class_accuracy": "Confirmed landmarks whose most probable class is that of their object.",
+            **self._describe_closures(),
+        }
+
+    def _describe_closures(self) -> dict[str, str]:
+        least_m = (1.0 - SPACING_TOLERANCE) * self.query_spacing_m
+        return {
+            "closure_verdict": "Of several records about the same two keyframes the last one counts.",
+            "closure_true": f"The transform is within {self.closure_translation_m:g} m and "
+            f"{self.closure_rotation_deg:g} deg (whole angle of rotation) of the true relative pose; undecided where "
+            "it or the truth at one of the two stamps is missing.",
+            "closure_precision": "True among the accepted closures that are decided, of whatever keyframe.",
+            "query_keyframes": f"Keyframes with truth, the first and then each at least {least_m:g} m of true travel "
+            f"after the one before ({self.query_spacing_m:g} m less {100.0 * SPACING_TOLERANCE:g} %).",
+            "revisit": f"A query keyframe within {self.revisit_distance_m:g} m (between true positions, 3-D) of any "
+            f"keyframe at least {self.revisit_m:g} m of true travel before. The angle between the forward axes of it "
+            f"and the nearest such keyframe makes it same (up to {self.same_heading_deg:g} deg), opposite (beyond "
+            f"{self.opposite_heading_deg:g} deg) or crossing.",
+            "closure_recall": "Revisits with at least one accepted true closure of that very keyframe; one of a "
+            "neighbour that was thinned out does not count for it.",
+            "closure_missed": "Where a revisit was missed: the farthest stage that a true candidate of it reached.",
+            "closure_error": "Accepted true closures, in the place and in the whole angle of the query keyframe.",
+            "within_revisit_spread": f"Accepted true closures less than {self.closure_run_gap_m:g} m of true travel "
+            "apart form a run; the median, over runs of at least two, of the standard deviation of the error vectors "
+            "(world frame) about their mean.",
+            "closure_score": "The best-scoring decided candidate of each query keyframe, accepted from a threshold on; "
+            "equal scores together, and of equal best ones of a keyframe a false one. Average precision is the sum of "
+            "(R_n - R_(n-1)) P_n as in scikit-learn, with recall over all revisits.",
         }

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from logs.messages import (
     DetectionAssociations,
     DetectionTruth,
+    FactorGraphRecord,
     GroundTruthPose,
     LoopClosureRecord,
     ObjectMapRecord,
@@ -27,6 +28,7 @@ from slam.errors import EvaluationError
 _ESTIMATED_KINDS = frozenset(
     {
         RecordKind.ASSOCIATIONS,
+        RecordKind.FACTOR_GRAPH,
         RecordKind.LOOP_CLOSURES,
         RecordKind.OBJECT_MAP,
         RecordKind.SLAM_POSE,
@@ -52,6 +54,7 @@ class EvaluationRecords:
     object_map: ObjectMapRecord | None = None
     true_objects: ObjectMapRecord | None = None
     closures: tuple[LoopClosureRecord, ...] = ()
+    graph: FactorGraphRecord | None = None
     status: StatusRecord | None = None
 
     def with_truth_of(self, reference: EvaluationRecords) -> EvaluationRecords:
@@ -97,6 +100,8 @@ def collect_records(records: Iterable[tuple[str, Record]]) -> EvaluationRecords:
                 detection_truths.append(record)
             case LoopClosureRecord():
                 closures.append(record)
+            case FactorGraphRecord():
+                found = replace(found, graph=record)
             case ObjectMapRecord() if topic.startswith(OUTPUT_PREFIX):
                 found = replace(found, object_map=record)
             case ObjectMapRecord():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from rich.cells import cell_len
 from rich.console import RenderableType
@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from slam.evaluation.association import AssociationQuality
+from slam.evaluation.closures import NO_TRUE_CANDIDATE, ClosureErrors, ClosureQuality, RevisitQuality
 from slam.evaluation.evaluation import Evaluation
 from slam.evaluation.landmarks import LandmarkQuality
 from slam.evaluation.trajectory import ErrorStatistics, TrajectoryErrors
@@ -42,11 +43,7 @@ def render(evaluation: Evaluation, *, with_rules: bool = True) -> list[Renderabl
     if evaluation.landmarks is not None:
         parts.append(_landmark_table(evaluation.landmarks))
     if evaluation.closures is not None:
-        stages = {f"  {stage}": str(count) for stage, count in evaluation.closures.stage_counts.items()}
-        rows = {"candidates": str(evaluation.closures.candidate_count), **stages}
-        parts.append(
-            _pairs_table("Loop closures", {**rows, "accepted in all": str(evaluation.closures.accepted_count)})
-        )
+        parts.append(_closure_table(evaluation.closures))
     if evaluation.counters:
         parts.append(_pairs_table("Counters", {name: str(value) for name, value in evaluation.counters.items()}))
     parts += [Text.assemble((f"{part}: ", "bold"), reason) for part, reason in evaluation.missing.items()]
@@ -134,6 +131,66 @@ def _landmark_table(quality: LandmarkQuality) -> Table:
             "recall": _fraction(quality.recall, quality.recalled_object_count, quality.recallable_object_count),
         },
     )
+
+
+def _closure_table(quality: ClosureQuality) -> Table:
+    rows = {
+        "candidates, accepted, in the graph": f"{quality.candidate_count}, {quality.accepted_count}, "
+        f"{quality.inserted_count}",
+        "verdict by stage": _counts(quality.stage_counts),
+    }
+    if quality.true_count is not None and quality.false_count is not None:
+        precision = _fraction(quality.precision, quality.true_count, quality.true_count + quality.false_count)
+        rows["precision"] = precision + (f", {quality.undecided_count} undecided" if quality.undecided_count else "")
+    if quality.revisits is not None:
+        rows["recall"] = _recall(quality.revisits)
+        rows["missed revisits by stage"] = _missed(quality.revisits)
+    if quality.errors is not None:
+        rows["error of the true ones"] = _closure_error(quality.errors)
+    if quality.revisits is not None and quality.revisits.sweep is not None and quality.candidate_count:
+        sweep = quality.revisits.sweep
+        rows["by a threshold on the score"] = (
+            f"average precision {sweep.average_precision:.3f}, largest F1 {sweep.f1_max:.3f}, "
+            f"recall at full precision {sweep.recall_at_full_precision:.3f}"
+        )
+    return _pairs_table("Loop closures", rows)
+
+
+def _recall(revisits: RevisitQuality) -> str:
+    if not revisits.revisit_count:
+        return f"{UNDEFINED} (no revisit)"
+    directions = ", ".join(
+        f"{name} {UNDEFINED}"
+        if (recall := revisits.recall_of(name)) is None
+        else f"{name} {100.0 * recall:.2f} % of {count}"
+        for name, count in revisits.revisit_counts.items()
+    )
+    share = f"{100.0 * revisits.recalled_count / revisits.revisit_count:.2f} %"
+    return f"{share} ({revisits.recalled_count} of {revisits.revisit_count} revisits; {directions})"
+
+
+def _missed(revisits: RevisitQuality) -> str:
+    texts = []
+    for stage, count in revisits.missed_by_stage.items():
+        detail = (
+            f" ({revisits.missed_without_candidate_count} without any candidate, {revisits.missed_at_place_count} with "
+            "the right place)"
+        )
+        texts.append(f"{stage} {count}{detail if stage == NO_TRUE_CANDIDATE else ''}")
+    return ", ".join(texts) or "none"
+
+
+def _closure_error(errors: ClosureErrors) -> str:
+    spread = errors.within_revisit_spread_m
+    return (
+        f"median {errors.median_translation_m:.3f} m, {errors.median_rotation_deg:.3f} deg; "
+        f"95 % {errors.p95_translation_m:.3f} m, {errors.p95_rotation_deg:.3f} deg; "
+        f"spread within a revisit {UNDEFINED if spread is None else f'{spread:.3f} m'}"
+    )
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in counts.items()) or "none"
 
 
 def _pairs_table(title: str, rows: dict[str, str]) -> Table:

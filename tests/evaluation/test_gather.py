@@ -1,13 +1,10 @@
 from __future__ import annotations
 
-import io
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from logs.messages import (
     GroundTruthPose,
@@ -21,15 +18,14 @@ from logs.messages import (
 )
 from logs.writer import LogWriter
 from slam.errors import EvaluationError
-from slam.evaluation.evaluation import Evaluation
 from slam.evaluation.gather import evaluate, find_aliases
 from slam.evaluation.picture import compose_picture
 from slam.evaluation.protocol import Protocol
 from slam.evaluation.records import EvaluationRecords, collect_records, read_records
-from slam.evaluation.report import render
 from slam.geometry import apply, invert, transform_from_xyz_yaw
 from tests.evaluation.drives import stamps, winding_path
 from tests.evaluation.maps import frames, object_map
+from tests.evaluation.results import at_json, graph, printed
 
 COUNT = 400
 T_WORLD_MAP = transform_from_xyz_yaw(np.array([20.0, 30.0, 1.0]), 0.7)
@@ -67,24 +63,16 @@ def made_log() -> list[tuple[str, Record]]:
     log.append(("/slam/map", object_map(names, in_map, ("tree",) * 10, first_seen_ns=first)))
     log.append(("/slam/trajectory_stamped", TrajectoryRecord(at[-1], "map", stamps(COUNT), T_map_body)))
     T_reference_query = invert(T_map_body[10]) @ T_map_body[300]
-    log.append(
-        (
-            "/slam/loop_closures",
-            LoopClosureRecord(at[300], 9, 1, True, "accepted", "", 0.1, 9, 0.9, 1.0, T_reference_query),
-        )
-    )
-    log.append(("/slam/loop_closures", LoopClosureRecord(at[301], 9, 1, False, "retrieval", "too far", 0.9)))
+    right = LoopClosureRecord(at[300], 150, 5, True, "accepted", "", 0.1, 9, 0.9, 1.0, T_reference_query, None, at[10])
+    wrong = replace(right, T_reference_query=np.eye(4), reference_keyframe_id=10, reference_stamp_ns=at[20])
+    log.append(("/slam/closures", replace(right, accepted=False, stage="consistency", reason="waits for others")))
+    log.append(("/slam/closures", wrong))
+    log.append(("/slam/closures", replace(right, inserted=True)))
+    log.append(("/slam/closures", LoopClosureRecord(at[302], 151, 5, False, "retrieval", "too far", 0.9)))
+    log.append(("/slam/graph", graph(stamps(COUNT)[::2], T_map_body[::2])))
     log.append(("/slam/status", StatusRecord(at[0], "mapping", "info", "", {"keyframes": 1})))
     log.append(("/slam/status", StatusRecord(at[-1], "done", "info", "", {"keyframes": 200})))
     return log
-
-
-def at_json(evaluation: Evaluation, path: str) -> object:
-    value: object = json.loads(json.dumps(evaluation.to_json_dict(), allow_nan=False))
-    for key in path.split("."):
-        assert isinstance(value, dict)
-        value = value[key]
-    return value
 
 
 def test_all_parts_of_a_complete_log() -> None:
@@ -104,7 +92,12 @@ def test_all_parts_of_a_complete_log() -> None:
     assert at_json(result, "landmarks.class_accuracy") == 9 / 10
     assert at_json(result, "landmarks.precision") == 1.0
     assert at_json(result, "landmarks.recall") is None  # no object was detected five times
-    assert at_json(result, "closures.stage_counts") == {"accepted": 1, "retrieval": 1}
+    assert at_json(result, "closures.stage_counts") == {"retrieval": 1, "accepted": 2}
+    assert at_json(result, "closures.candidate_count") == 3
+    assert at_json(result, "closures.inserted_count") == 1
+    assert at_json(result, "closures.precision") == 0.5
+    assert at_json(result, "closures.revisit_count") == 0
+    assert at_json(result, "closures.recall") is None
     assert at_json(result, "counters.keyframes") == 200
     assert at_json(result, "protocol.revisit_m") == 100.0
 
@@ -126,7 +119,9 @@ def test_without_truth_everything_is_null_and_says_why() -> None:
     result = evaluate(collect_records(log))
     for path in ("trajectory.ate_m", "associations.precision", "landmarks.median_error_m", "landmarks.confirmed_count"):
         assert at_json(result, path) is None
-    assert set(result.missing) == {"trajectory", "odometry", "online", "associations", "landmarks"}
+    assert set(result.missing) == {"trajectory", "odometry", "online", "associations", "landmarks", "closures"}
+    assert at_json(result, "closures.accepted_count") == 2
+    assert at_json(result, "closures.precision") is None
     assert "--reference" in result.missing["trajectory"]
 
 
@@ -208,10 +203,7 @@ def test_from_a_file_and_a_reference(tmp_path: Path) -> None:
 @pytest.mark.parametrize("records", [EvaluationRecords(), collect_records(made_log())])
 def test_the_report_can_be_printed(records: EvaluationRecords) -> None:
     result = evaluate(records)
-    console = Console(width=160, record=True, file=io.StringIO())
-    for part in render(result):
-        console.print(part)
-    text = console.export_text()
+    text = printed(result)
     assert "nan" not in text.lower().split()
     for reason in result.missing.values():
         assert reason[:40] in text
@@ -224,7 +216,9 @@ def test_the_picture_is_in_the_map_frame() -> None:
     picture = compose_picture(records, evaluate(records))
     np.testing.assert_allclose(picture.truth, picture.estimate, atol=1e-9)
     np.testing.assert_allclose(picture.odometry[0], picture.estimate[0], atol=1e-9)
-    np.testing.assert_allclose(picture.closures[0], picture.estimate[[300, 10]], atol=1e-9)
+    np.testing.assert_allclose(picture.true_closures, [picture.estimate[[300, 10]]], atol=1e-9)
+    np.testing.assert_allclose(picture.false_closures, [picture.estimate[[300, 20]]], atol=1e-9)
+    assert len(picture.closures) == len(picture.missed_revisits) == 0
     assert len(picture.labels) == len(picture.landmarks) == 10
     assert picture.ate_m == pytest.approx(0.0, abs=1e-9)
     bare = compose_picture(EvaluationRecords(), evaluate(EvaluationRecords()))

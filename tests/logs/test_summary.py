@@ -29,9 +29,19 @@ def log(tmp_path):
             writer.write("/odom", odometry(SECOND * (second + 1), float(second)), log_time)
         writer.write("/detections", detections(SECOND, "tree", "pole", "tree"))
         writer.write("/detections", detections(2 * SECOND))
-        for _ in range(2):
-            writer.write("/slam/closures", m.LoopClosureRecord(SECOND, 1, 0, False, "registration", "few inliers", 0.1))
-        writer.write("/slam/closures", m.LoopClosureRecord(SECOND, 2, 0, True, "accepted", "", 0.1))
+        for query, reference, stage, reason in [
+            (4, 0, "acceptance", "waits for others"),
+            (2, 0, "accepted", ""),
+            (3, 1, "registration", "3 inliers of 1.5e-3"),
+            (3, 2, "registration", "-12 inliers of 7"),
+            (1, 0, "registration", "4 inliers of 20.5"),
+            (2, 1, "registration", "no rotation"),
+            (4, 0, "back_end", "thrown out"),
+        ]:
+            writer.write(
+                "/slam/closures",
+                m.LoopClosureRecord(query * SECOND, query, reference, stage == "accepted", stage, reason, 0.1),
+            )
         writer.add_metadata("version", {"dslam": "0"})
     return path
 
@@ -51,9 +61,15 @@ def test_a_summary_tells_what_is_there_and_what_is_odd(log):
     assert summary.selection.topics_of("detections") == ("/detections",)
     assert summary.obstacle == ""
     assert [(c.stage, c.reason, c.accepted, c.count) for c in summary.closures] == [
+        ("registration", "# inliers of #", False, 3),
+        ("registration", "no rotation", False, 1),
+        ("back_end", "thrown out", False, 1),
         ("accepted", "", True, 1),
-        ("registration", "few inliers", False, 2),
     ]
+    pairs = [(c.query_keyframe_id, c.reference_keyframe_id) for c in summary.closure_candidates]
+    assert pairs == [(1, 0), (2, 0), (2, 1), (3, 1), (3, 2), (4, 0)]
+    assert summary.closure_candidates[-1].reason == "thrown out"
+    assert summary.first_stamp_ns == SECOND
     assert summary.metadata == {"version": {"dslam": "0"}}
     assert summary.counters == {}
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs.messages import Odometry, Transform
+from logs.messages import LoopClosureRecord, Odometry, Transform
 from logs.reader import LogReader
 from logs.selection import select_all
 from logs.writer import LogWriter
@@ -117,6 +117,32 @@ class TestFromEndToEnd:
         ):
             assert text in result.out
         assert "no loop-closure candidate" in result.out
+
+    def test_info_lists_loop_closures(self, dslam: Run, tmp_path: Path) -> None:
+        log = tmp_path / "log.mcap"
+        with LogWriter(log) as writer:
+            writer.write("/odom", Odometry(10**18, np.eye(4)), 10**18)
+            for query in range(60):
+                stage = "accepted" if query == 50 else "registration"
+                record = LoopClosureRecord(
+                    10**18 + query * 10**9, query, 0, query == 50, stage, f"{query} of [tree] agree", 0.1, score=np.inf
+                )
+                writer.write("/slam/closures", record, 10**18)
+        result = dslam("info", log, "--closures")
+        assert "# of [tree] agree" in result.out
+        assert "39.0     39" in result.out
+        assert " 40.0     40" not in result.out
+        assert "and 20 more" in result.out
+        assert dslam("info", log, "--all").out.count("registration  ") == 59 + 1
+        one = dslam("info", log, "--keyframe", 50)
+        assert "50 of [tree] agree" in one.out
+        assert len(one.out.splitlines()) == 3
+        assert "keyframe 60 is the query of no loop-closure candidate" in dslam("info", log, "--keyframe", 60).out
+        assert "closure_candidates" not in json.loads(dslam("info", log, "--json").out)
+        every = json.loads(dslam("info", log, "--json", "--closures").out)["closure_candidates"]
+        assert [candidate["query_keyframe_id"] for candidate in every] == list(range(60))
+        assert (every[50]["time_s"], every[50]["accepted"], every[50]["score"]) == (50.0, True, None)
+        assert len(json.loads(dslam("info", log, "--json", "--keyframe", 3).out)["closure_candidates"]) == 1
 
     def test_info_says_why_a_replay_cannot_be(self, dslam: Run, tmp_path: Path) -> None:
         log = write_log(tmp_path / "log.mcap", detections=())

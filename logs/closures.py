@@ -1,0 +1,27 @@
+"""What a log finally says of each loop-closure candidate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from logs.messages import LoopClosureRecord
+
+STAGES = ("retrieval", "registration", "acceptance", "consistency", "back_end", "accepted")
+"""Where a verdict falls, in the order in which a candidate comes there."""
+
+
+def find_final_verdicts(records: Iterable[LoopClosureRecord]) -> tuple[LoopClosureRecord, ...]:
+    """The last record about each two keyframes, by query stamp, then query and reference id.
+
+    Args:
+        records: in the order of the log.
+    """
+    last = {(record.query_keyframe_id, record.reference_keyframe_id): record for record in records}
+    return tuple(
+        sorted(last.values(), key=lambda r: (r.stamp_ns, r.query_keyframe_id, r.reference_keyframe_id)),
+    )
+
+
+def rank_stage(stage: str) -> int:
+    """Place of a stage in :data:`STAGES`; one that is not known comes before all."""
+    return STAGES.index(stage) if stage in STAGES else -1
