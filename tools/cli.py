@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from tools import benchmark, config, evaluate, export, import_logs, info, replay, simulate
+from tools import benchmark, config, degrade, evaluate, export, import_logs, info, replay, simulate
 
 BAD_INPUT = 2
 INTERNAL_ERROR = 70
@@ -30,6 +30,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command()(simulate.simulate)
+app.command()(degrade.degrade)
 app.add_typer(import_logs.app, name="import")
 app.command()(info.info)
 app.command()(replay.replay)

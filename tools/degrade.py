@@ -1,0 +1,141 @@
+"""dslam degrade."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tools.arguments import InputLog, Json, Topics, check_outputs, parse_topics
+
+if TYPE_CHECKING:
+    from slam.simulation.degraded_log import DegradationSummary
+
+_VIEW = "What the sensor sees"
+_DETECTOR = "How well it detects"
+_DRIVE = "Odometry and time"
+
+
+def degrade(
+    source: InputLog,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.mcap", help="The log to write.")],
+    field_of_view: Annotated[
+        float | None,
+        typer.Option(metavar="DEG", help="Angle of view about straight ahead, up to 360.", rich_help_panel=_VIEW),
+    ] = None,
+    max_range: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Horizontal distance beyond which nothing is seen.", rich_help_panel=_VIEW),
+    ] = None,
+    keep_label: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Keep only objects of that class. Repeatable.", rich_help_panel=_VIEW),
+    ] = None,
+    drop_label: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Take out objects of that class. Repeatable.", rich_help_panel=_VIEW),
+    ] = None,
+    dropout: Annotated[
+        float | None,
+        typer.Option(metavar="P", help="Probability that a detection is lost.", rich_help_panel=_DETECTOR),
+    ] = None,
+    label_confusion: Annotated[
+        float | None,
+        typer.Option(
+            metavar="P", help="Probability that it gets another of the log's labels.", rich_help_panel=_DETECTOR
+        ),
+    ] = None,
+    position_noise: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Noise of the position on each axis, 1 sigma.", rich_help_panel=_DETECTOR),
+    ] = None,
+    false_positives: Annotated[
+        float | None,
+        typer.Option(metavar="N", help="Mean number of invented objects a scan.", rich_help_panel=_DETECTOR),
+    ] = None,
+    odometry_translation_noise: Annotated[
+        float | None,
+        typer.Option(metavar="M/SQRT(M)", help="On each axis, after 1 m of travel.", rich_help_panel=_DRIVE),
+    ] = None,
+    odometry_yaw_noise: Annotated[
+        float | None,
+        typer.Option(metavar="RAD/SQRT(M)", help="Of the heading, after 1 m of travel.", rich_help_panel=_DRIVE),
+    ] = None,
+    time_offset: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Added to the detections' stamps, may be negative.", rich_help_panel=_DRIVE),
+    ] = None,
+    is_reversed: Annotated[
+        bool, typer.Option("--reversed", help="Play the drive backwards, in reverse gear.", rich_help_panel=_DRIVE)
+    ] = False,
+    seed: Annotated[int, typer.Option(help="Seed of all that is random.")] = 0,
+    topics: Topics = None,
+    json: Json = False,
+) -> None:
+    """Make a log harder to map: detections lost, wrong or invented, odometry that drifts more, a drive backwards.
+
+    Whatever the order of the options: the drive is reversed and times are
+    shifted, then come view and labels, dropout, confusion, noise, and false
+    positives, which lie where most detections in view do and have their heights
+    and labels. Each has random numbers of its own. The truth stays as it is. At
+    least one option has to be given, if only --dropout 0.
+
+    Example: dslam degrade drive.mcap -o harder.mcap --dropout 0.3 --position-noise 0.2
+    """
+    options: dict[str, object] = {
+        "field_of_view_deg": field_of_view,
+        "max_range_m": max_range,
+        "keep_labels": tuple(keep_label) if keep_label else None,
+        "drop_labels": tuple(drop_label) if drop_label else None,
+        "dropout": dropout,
+        "label_confusion": label_confusion,
+        "position_noise_m": position_noise,
+        "false_positives": false_positives,
+        "odometry_translation_noise": odometry_translation_noise,
+        "odometry_yaw_noise": odometry_yaw_noise,
+        "time_offset_s": time_offset,
+        "reversed": is_reversed or None,
+    }
+    given = {name: value for name, value in options.items() if value is not None}
+    if not given:
+        raise typer.BadParameter("nothing to do; say how to degrade the log, for example by --dropout 0.3")
+    chosen = parse_topics(topics)
+    check_outputs([output], [source])
+    from slam.simulation.degradation import make_degradation
+    from slam.simulation.degraded_log import write_degraded
+    from tools import console
+
+    config = make_degradation(given)
+    with console.progress_bar("degrading", "finishing") as progress:
+        summary = write_degraded(source, output, config, seed=seed, topics=chosen, progress=progress)
+    if json:
+        console.show_json(
+            {
+                "output": str(output),
+                "seed": seed,
+                "options": config.in_effect(),
+                **summary.counts,
+                "message_counts": summary.message_counts,
+                "left_out": summary.left_out,
+            }
+        )
+    else:
+        _show(output, seed, summary)
+
+
+def _show(output: Path, seed: int, summary: DegradationSummary) -> None:
+    from tools import console
+
+    counts = summary.counts
+    lost = {"out of view": "out_of_view", "of an unwanted class": "unwanted_label", "dropped out": "dropped_out"}
+    told = [f"{counts[name]} {how}" for how, name in lost.items() if counts[name]]
+    rows = {
+        "kept": f"{counts['kept']} of {counts['detections']} detections",
+        "lost": ", ".join(told) or "none",
+        "relabelled": str(counts["relabelled"]),
+        "false positives": str(counts["false_positives"]),
+        "warnings": ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in summary.left_out.items()) or "none",
+        "written": f"{output} (seed {seed})",
+    }
+    console.show(console.pairs(rows))
