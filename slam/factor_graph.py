@@ -30,6 +30,7 @@ from slam.factors import (
     prior_factor,
 )
 from slam.geometry import FloatArray, IntArray, apply
+from slam.marginals import landmark_marginals
 
 logger = logging.getLogger(__name__)
 
@@ -277,13 +278,18 @@ class FactorGraph:
         return self._values
 
     def landmark_covariances(self, landmarks: IntArray) -> FloatArray:
-        """Marginal covariances (N, 3, 3) m^2 in the map frame, at the point where iSAM2 last linearised."""
+        """Marginal covariances (N, 3, 3) m^2 in the map frame, at the current estimate."""
         self.update()
         self._check_landmarks(landmarks)
+        if len(landmarks) == 0:
+            return np.zeros((0, 3, 3))
+        values = self._estimate()
         with self._solver("the marginal covariances"):
-            # From the tree that iSAM2 keeps: gtsam.Marginals factors anew, by Cholesky only, and fails behind a break.
-            covariances = [self._isam.marginalCovariance(L(int(i))) for i in landmarks]
-        return np.array(covariances).reshape(-1, 3, 3)
+            try:
+                return landmark_marginals(self._isam.getFactorsUnsafe(), values, landmarks)
+            except np.linalg.LinAlgError as error:
+                logger.info("the marginals come one by one from the incremental solver: %s", error)
+                return np.array([self._isam.marginalCovariance(L(int(i))) for i in landmarks])
 
     def _new_isam(self, factorization: str) -> gtsam.ISAM2:
         parameters = gtsam.ISAM2Params()
