@@ -67,9 +67,9 @@ def gather_constellations(
         return Constellations(np.zeros((0, 3)), empty, empty, np.zeros(1, dtype=np.int64), tuple(vocabulary))
     tree = cKDTree(positions[:, :2])
     found = tree.query_ball_point(positions[chosen, :2], radius_m, return_sorted=True)
-    counts = np.array([len(near) for near in found])
-    owners = np.repeat(np.arange(len(chosen)), counts)
-    neighbours = np.concatenate([np.asarray(near, dtype=np.int64) for near in found])
+    around = [np.asarray(near, dtype=np.int64) for near in found]
+    owners = np.repeat(np.arange(len(chosen)), [len(near) for near in around])
+    neighbours = np.concatenate(around)
     others = neighbours != chosen[owners]
     owners, neighbours = owners[others], neighbours[others]
     offsets = np.concatenate([[0], np.cumsum(np.bincount(owners, minlength=len(chosen)))])

@@ -52,13 +52,14 @@ class DescriptorIndex:
 
         Ties go to the lower number.
         """
-        entries = np.flatnonzero(allowed)
-        if len(entries) == 0 or len(vectors) == 0:
+        if not np.any(allowed) or len(vectors) == 0:
             empty = np.zeros(0, dtype=np.int64)
             return Matches(empty, empty, np.zeros(0, dtype=np.float32))
-        squares = self._squares[entries] - 2.0 * (vectors @ self._vectors[entries].T)
-        squares[labels[:, None] != self._labels[entries]] = np.inf
-        k = min(k, len(entries))
+        squares = vectors @ self._vectors[: self._size].T
+        squares *= -2.0
+        squares += self._squares[: self._size]
+        squares[(labels[:, None] != self._labels[: self._size]) | ~allowed] = np.inf
+        k = min(k, self._size)
         nearest = np.argpartition(squares, k - 1, axis=1)[:, :k]
         nearest.sort(axis=1)
         order = np.argsort(np.take_along_axis(squares, nearest, axis=1), axis=1, kind="stable")
@@ -67,7 +68,7 @@ class DescriptorIndex:
         queries, places = np.nonzero(np.isfinite(found))
         own = np.einsum("ij,ij->i", vectors, vectors)
         distances = np.sqrt(np.maximum(found[queries, places] + own[queries], 0.0))
-        return Matches(queries, entries[nearest[queries, places]], distances)
+        return Matches(queries, nearest[queries, places], distances)
 
 
 def _grown(array: NDArray[Any], capacity: int) -> NDArray[Any]:

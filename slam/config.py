@@ -145,6 +145,122 @@ class FactorGraphConfig(_Branch):
     update_keyframes: int = Field(default=1, ge=1, description="keyframes between two updates of iSAM2")
 
 
+class SubmapConfig(_Branch):
+    """The landmarks of the last stretch of travel, as they are set beside those of an earlier one."""
+
+    travel_m: float = Field(default=50.0, gt=0, description="landmarks seen within that much travel make a submap [m]")
+    landmark_sigma_m: float = Field(
+        default=0.35, gt=0, description="how far one pass may put a landmark from where another pass puts it [m]"
+    )
+    sigma_per_m: float = Field(
+        default=0.01, ge=0, description="growth of that error with the distance from the keyframe [m / m]"
+    )
+
+
+class EvidenceConfig(_Branch):
+    """What speaks for a place and what for accident; see slam/evidence.py."""
+
+    persistence: float = Field(
+        default=0.7, gt=0, lt=1, description="probability that an object seen on one pass is in the map of another"
+    )
+    covered_m: float = Field(
+        default=25.0, gt=0, description="an object is expected where the other pass saw any this near [m]"
+    )
+    around_m: float = Field(default=5.0, gt=0, description="radius within which like objects are counted [m]")
+    row_length_m: float = Field(
+        default=12.0, gt=0, description="like objects are also counted that far along the direction of travel [m]"
+    )
+    row_sigma_m: float = Field(default=0.7, gt=0, description="... and about that far across it [m]")
+
+
+class LoopClosureConfig(_Branch):
+    """Which places are taken for one, and what is made of it."""
+
+    enabled: bool = Field(default=True, description="close loops")
+    descriptor: str = Field(
+        default="ring_histogram", description="descriptor of constellations: ring_histogram, onion_histogram or random"
+    )
+    min_travel_m: float = Field(
+        default=100.0, gt=0, description="places left behind less travel ago are no loop to close [m]"
+    )
+    settle_travel_m: float = Field(
+        default=60.0, gt=0, description="a landmark unseen for that travel is entered into the index of places [m]"
+    )
+    neighbours: int = Field(default=6, ge=1, description="nearest descriptors looked up for each object")
+    places: int = Field(default=4, ge=1, description="places that are verified for each keyframe")
+    min_objects: int = Field(default=4, ge=2, description="objects that must be seen again at the least")
+    threshold_nats: float = Field(
+        default=20.0, description="evidence from which a closure is believed on its own [nats]"
+    )
+    margin_nats: float = Field(
+        default=5.0, ge=0, description="... if no other place comes that near to it in evidence [nats]"
+    )
+    waiting_nats: float = Field(
+        default=10.0, description="evidence from which a candidate waits for another that agrees [nats]"
+    )
+    supported_nats: float = Field(
+        default=6.0, description="evidence that suffices next to a closure that is believed already [nats]"
+    )
+    max_doubt_nats: float = Field(
+        default=15.0, ge=0, description="most that the odometry can say against a candidate [nats]"
+    )
+    odometry_inflation: float = Field(
+        default=3.0, gt=0, description="factor on the odometry's sigmas when it is asked about a candidate"
+    )
+    follow_travel_m: float = Field(
+        default=50.0, ge=0, description="travel over which a closure predicts those before and after it [m]"
+    )
+    insert_travel_m: float = Field(
+        default=20.0, ge=0, description="one closure in that much travel becomes a factor; the others say the same [m]"
+    )
+    base_sigma_m: float = Field(
+        default=0.2, gt=0, description="translation error of a closure that its inliers share [m]"
+    )
+    base_sigma_deg: float = Field(default=0.3, gt=0, description="heading error of a closure that they share [deg]")
+    tilt_sigma_deg: float = Field(default=1.0, gt=0, description="error of gravity between two passes [deg]")
+
+
+class RegistrationConfig(_Branch):
+    """Where one constellation of objects lies in another."""
+
+    gate_sigma: float = Field(
+        default=3.0, gt=0, description="residuals and differences of lengths beyond that many sigmas are no match"
+    )
+    height_sigma_m: float = Field(
+        default=0.3, ge=0, description="noise of heights beyond that of the position, e.g. of objects seen in part [m]"
+    )
+    tilt_sigma_rad: float = Field(
+        default=0.005, gt=0, description="how well gravity holds roll and pitch of the two frames together [rad]"
+    )
+    min_baseline_m: float = Field(
+        default=3.0, gt=0, description="least horizontal distance of two objects that propose a heading [m]"
+    )
+    min_inliers: int = Field(default=3, ge=2, description="least pairs of objects that support a pose")
+    hypotheses: int = Field(default=64, ge=1, description="poses with most votes that are scored")
+    confidence: float = Field(
+        default=0.9999,
+        gt=0,
+        lt=1,
+        description="voting ends once a pose with more support would have been met with this probability",
+    )
+    max_pairs: int = Field(default=20_000_000, ge=1, description="... or after that many pairs of correspondences")
+    search_radius_m: float = Field(
+        default=3.0, gt=0, description="refinement from an approximate pose looks that far for partners at first [m]"
+    )
+    max_iterations: int = Field(default=8, ge=1, description="rounds of association and least squares")
+    distinct_m: float = Field(
+        default=2.0, gt=0, description="poses nearer to a better one in position, at the centre of the objects, [m] ..."
+    )
+    distinct_deg: float = Field(default=10.0, gt=0, le=180, description="... and in heading are the same pose [deg]")
+    six_dof: bool = Field(
+        default=False, description="estimate roll and pitch, too, instead of taking both frames as level"
+    )
+    estimate_scale: bool = Field(
+        default=False, description="estimate a scale of the query, for ranges that are measured too long or too short"
+    )
+    scale_sigma: float = Field(default=0.05, gt=0, lt=1, description="how far that scale is from 1")
+
+
 class Config(_Branch):
     """Everything that can be set."""
 
@@ -154,6 +270,10 @@ class Config(_Branch):
     association: AssociationConfig = AssociationConfig()
     landmark: LandmarkConfig = LandmarkConfig()
     factor_graph: FactorGraphConfig = FactorGraphConfig()
+    submap: SubmapConfig = SubmapConfig()
+    evidence: EvidenceConfig = EvidenceConfig()
+    loop_closure: LoopClosureConfig = LoopClosureConfig()
+    registration: RegistrationConfig = RegistrationConfig()
 
 
 def load_config(path: Path | None = None, overrides: Sequence[str] = ()) -> Config:

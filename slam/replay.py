@@ -12,6 +12,7 @@ from pathlib import Path
 from logs.errors import UnwritableLogError
 from logs.messages import (
     DetectionAssociations,
+    LoopClosureRecord,
     Record,
     SceneMarkers,
     SlamPose,
@@ -31,6 +32,7 @@ _TOPICS: Mapping[type[Record], str] = {
     DetectionAssociations: "/slam/associations",
     StatusRecord: "/slam/status",
     SceneMarkers: "/slam/landmarks",
+    LoopClosureRecord: "/slam/closures",
 }
 _MAPPED = (RecordKind.ODOMETRY, RecordKind.DETECTIONS, RecordKind.TRANSFORMS)
 # The estimator never sees these; they are copied as they are, so that the output can be evaluated on its own.

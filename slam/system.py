@@ -28,6 +28,7 @@ from slam.config import Config
 from slam.errors import FactorGraphError, InputDataError
 from slam.factor_graph import FactorGraph
 from slam.geometry import FloatArray, IntArray, apply, invert
+from slam.loop_closure import LoopCloser
 from slam.mapper import Mapper
 from slam.object_map import LandmarkState, ObjectMap
 from slam.odometry_track import OdometryPose, OdometryTrack
@@ -62,6 +63,7 @@ class Slam:
         self._object_map = ObjectMap(config.association)
         self._graph = FactorGraph(config.factor_graph)
         self._mapper = Mapper(config, self._object_map, self._graph)
+        self._closer = LoopCloser(config, self._object_map, self._graph, self._mapper.keyframes)
         self._waiting: list[tuple[int, int, ObjectDetections]] = []
         self._arrivals = 0
         self._last_scan_ns = -1
@@ -149,9 +151,12 @@ class Slam:
 
     def _keyframe_updates(self, pose: OdometryPose, *, breaks: bool) -> list[Record]:
         keyframe = self._mapper.keyframes[-1]
+        closures = self._closer.close(keyframe) if self._config.loop_closure.enabled else []
         self._T_map_odom = self._graph.pose(keyframe.id) @ invert(pose.T_odom_body)
-        updates: list[Record] = [Transform(pose.stamp_ns, MAP_FRAME, self._odom_frame, self._T_map_odom)]
+        updates: list[Record] = [Transform(pose.stamp_ns, MAP_FRAME, self._odom_frame, self._T_map_odom), *closures]
         self.counters["keyframes"] += 1
+        self.counters["closures_accepted"] += sum(closure.accepted for closure in closures)
+        self.counters["closures_inserted"] += sum(closure.inserted for closure in closures)
         confirmed = self._mapper.take_confirmed()
         if len(confirmed):
             positions = apply(self._T_map_odom, self._object_map.rows["position_odom"][confirmed])
@@ -273,9 +278,10 @@ class Slam:
         )
 
     def _status(self, message: str, *, level: str) -> StatusRecord:
-        states = self._object_map.rows["state"]
         counters = {key: int(value) for key, value in sorted(self.counters.items())}
-        counters |= {f"landmarks_{state.name.lower()}": int(np.sum(states == state)) for state in LandmarkState}
+        counters |= {
+            f"landmarks_{state.name.lower()}": len(self._object_map.in_state(state)) for state in LandmarkState
+        }
         return StatusRecord(self._now_ns, STATE_MAPPING, level, message, counters)
 
     @property

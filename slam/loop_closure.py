@@ -1,0 +1,165 @@
+"""Loop closing: from a keyframe to the closures that are believed, with a verdict on every candidate.
+
+``LoopCloser.close`` is where to begin reading.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Sequence
+
+from logs.messages import LoopClosureRecord
+from slam.candidate import Candidate, Stage
+from slam.closed_loops import ClosedLoops
+from slam.config import Config
+from slam.consistency import agree, distinct, joint_score_nats
+from slam.factor_graph import FactorGraph
+from slam.geometry import FloatArray, invert
+from slam.keyframe_track import KeyframeTrack
+from slam.mapper import Keyframe
+from slam.matching import PlaceFinder
+from slam.object_map import ObjectMap
+from slam.submap import gravity_frame, recent_submap
+from slam.verification import Query, Verifier
+
+logger = logging.getLogger(__name__)
+
+
+class LoopCloser:
+    """Finds, judges and inserts loop closures, keyframe by keyframe."""
+
+    def __init__(
+        self, config: Config, object_map: ObjectMap, graph: FactorGraph, keyframes: Sequence[Keyframe]
+    ) -> None:
+        self._submap_config = config.submap
+        self._limits = config.loop_closure
+        self._map = object_map
+        self._keyframes = keyframes
+        self._track = KeyframeTrack(config.odometry)
+        self._finder = PlaceFinder(config.loop_closure, config.submap, config.registration, object_map)
+        self._verifier = Verifier(config, self._finder, self._track, graph, keyframes)
+        self._loops = ClosedLoops(object_map, graph)
+        self._recent: deque[Query] = deque()
+        self._waiting: deque[Candidate] = deque()
+        self._leader: Candidate | None = None
+        self._closed: set[int] = set()
+
+    def close(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
+        """Look for loops at the newest keyframe; returns every candidate with its verdict, revised ones included."""
+        self._track.add(keyframe.odometry)
+        self._finder.settle(keyframe.odometry.travel_m)
+        query = self._take_query(keyframe)
+        if self._verifier.latest_m(query) <= 0.0:
+            return []
+        # 1. Next to a closure that is believed the place is known, and only to be verified.
+        followed = self._follow(query)
+        if followed is not None:
+            return [self._believe(followed, f"follows the closure of keyframe {followed.leader}")]
+        # 2. Elsewhere descriptors propose places.
+        if len(query.submap) < self._limits.min_objects:
+            return [query.refusal(Stage.RETRIEVAL, f"only {len(query.submap)} objects in view")]
+        places = self._finder.find(query.submap, before_m=self._verifier.latest_m(query), seed=keyframe.id)
+        if not places:
+            return [query.refusal(Stage.RETRIEVAL, "no descriptors that agree on a place")]
+        # 3. Each place is registered and weighed, and the best one judged.
+        verified = [self._verifier.verify(query, place) for place in places]
+        refused = [each for each in verified if isinstance(each, LoopClosureRecord)]
+        candidates = distinct([each for each in verified if isinstance(each, Candidate)])
+        return refused + self._judge(candidates)
+
+    def _take_query(self, keyframe: Keyframe) -> Query:
+        submap = recent_submap(self._map, keyframe.odometry, self._submap_config)
+        query = Query(keyframe, submap, gravity_frame(keyframe.odometry.T_odom_body))
+        oldest_m = query.travel_m - self._limits.follow_travel_m
+        self._recent.append(query)
+        while self._recent[0].travel_m < oldest_m:
+            self._recent.popleft()
+        while self._waiting and self._waiting[0].travel_m < oldest_m:
+            self._waiting.popleft()
+        return query
+
+    def _follow(self, query: Query) -> Candidate | None:
+        """The closure that the last one predicts; None where it cannot be verified."""
+        if self._leader is None or query.travel_m - self._leader.travel_m > self._limits.follow_travel_m:
+            return None
+        return self._supported(self._leader, query)
+
+    def _supported(self, leader: Candidate, query: Query) -> Candidate | None:
+        """The closure that one nearby predicts for a query, if the query's own objects bear it out."""
+        place = self._verifier.predict(leader, query)
+        if place is None:
+            return None
+        candidate = self._verifier.verify(query, place, leader=leader.query)
+        if not isinstance(candidate, Candidate) or not agree(candidate.T_odom_query, place.T_odom_query):
+            return None
+        return candidate if candidate.evidence_nats >= self._limits.supported_nats else None
+
+    def _judge(self, candidates: list[Candidate]) -> list[LoopClosureRecord]:
+        """Verdicts on the candidates of one query, best first."""
+        if not candidates:
+            return []
+        best, others = candidates[0], candidates[1:]
+        verdicts = [each.record(Stage.ACCEPTANCE, "another place is likelier") for each in others]
+        rival_nats = max((each.score_nats for each in others), default=0.0)
+        if best.score_nats >= self._limits.threshold_nats:
+            if best.score_nats - rival_nats >= self._limits.margin_nats:
+                return [*verdicts, *self._believe_first(best, "")]
+            reason = f"another place is as likely: {best.score_nats:.1f} against {rival_nats:.1f} nats"
+            return [*verdicts, best.record(Stage.ACCEPTANCE, reason)]
+        return verdicts + self._wait(best)
+
+    def _wait(self, candidate: Candidate) -> list[LoopClosureRecord]:
+        """Verdict on a candidate that is not enough by itself: an earlier one may agree with it."""
+        said = f"evidence {candidate.evidence_nats:.1f}, doubt {candidate.doubt_nats:.1f}"
+        threshold = self._limits.threshold_nats
+        if candidate.score_nats < self._limits.waiting_nats:
+            stage = Stage.ACCEPTANCE if candidate.evidence_nats < self._limits.waiting_nats else Stage.CONSISTENCY
+            return [candidate.record(stage, f"{said}: below {self._limits.waiting_nats:g} nats")]
+        for earlier in reversed(self._waiting):
+            T_odom_query = self._carried(earlier, candidate)
+            together = joint_score_nats(earlier, candidate)
+            if agree(T_odom_query, candidate.T_odom_query) and together >= threshold:
+                first = self._believe(earlier, f"agrees with that of keyframe {candidate.query}: {together:.1f} nats")
+                reason = f"agrees with that of keyframe {earlier.query}: {together:.1f} nats"
+                return [first, *self._believe_first(candidate, reason)]
+        self._waiting.append(candidate)
+        return [candidate.record(Stage.CONSISTENCY, f"{said}: waits for another that agrees, {threshold:g} in all")]
+
+    def _carried(self, earlier: Candidate, later: Candidate) -> FloatArray:
+        """``T_odom_query`` (4, 4) of a later candidate's query, as the earlier one has it."""
+        before = self._keyframes[earlier.query].odometry.T_odom_body
+        after = self._keyframes[later.query].odometry.T_odom_body
+        return earlier.T_odom_query @ invert(gravity_frame(before)) @ gravity_frame(after)
+
+    def _believe_first(self, candidate: Candidate, reason: str) -> list[LoopClosureRecord]:
+        """Believe a closure that descriptors found, and those of the keyframes before it that it bears out."""
+        logger.info(
+            "closed a loop: keyframe %d is at keyframe %d (%.1f nats)",
+            candidate.query,
+            candidate.reference,
+            candidate.score_nats,
+        )
+        verdicts = [self._believe(candidate, reason)]
+        leader = candidate
+        for query in reversed(self._recent):
+            if query.keyframe.id >= candidate.query or query.keyframe.id in self._closed:
+                continue
+            earlier = self._supported(leader, query)
+            if earlier is not None:
+                verdicts.append(self._believe(earlier, f"leads to the closure of keyframe {leader.query}"))
+                leader = earlier
+        self._leader = candidate
+        return verdicts
+
+    def _believe(self, candidate: Candidate, reason: str) -> LoopClosureRecord:
+        """Accept a closure; it becomes a factor unless one nearby says the same."""
+        nearest = self._loops.nearest(candidate.travel_m)
+        is_new = nearest is None or (
+            abs(nearest.candidate.travel_m - candidate.travel_m) >= self._limits.insert_travel_m
+        )
+        if is_new:
+            self._loops.insert(candidate)
+        self._closed.add(candidate.query)
+        self._leader = candidate
+        return candidate.record(Stage.ACCEPTED, reason, inserted=is_new)

@@ -1,0 +1,136 @@
+"""Places that a submap may be: by the descriptors of its objects, grouped by what pose they agree on.
+
+Landmarks that the robot has left behind are settled: each gets the descriptor of its constellation, for the index.
+Each object of a query is matched with its nearest descriptors; matches that agree on a pose are a place. So a few right
+matches at one place outweigh many accidental ones that are scattered over the map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from descriptors.constellation import gather_constellations
+from descriptors.descriptor import make_descriptor
+from descriptors.index import DescriptorIndex
+from slam.config import LoopClosureConfig, RegistrationConfig, SubmapConfig
+from slam.geometry import FloatArray
+from slam.object_map import LandmarkState, ObjectMap
+from slam.registration import register
+from slam.submap import Submap, placed_submap
+
+# Landmarks that were last seen within that travel of each other belong to one pass along a street.
+PASS_TRAVEL_M = 110.0
+# How far around a place landmarks are of use.
+PLACE_RADIUS_M = 90.0
+# Landmarks are entered into the index at most that often.
+SETTLE_EVERY_M = 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """Where a query may be: ``T_odom_query`` (4, 4), as the pass around ``travel_m`` saw the odometry frame.
+
+    ``retrieval_distance``: mean distance of the agreeing matches in descriptor space.
+    """
+
+    T_odom_query: FloatArray
+    travel_m: float
+    retrieval_distance: float
+
+
+class PlaceFinder:
+    """The index of settled landmarks."""
+
+    def __init__(
+        self,
+        config: LoopClosureConfig,
+        submap_config: SubmapConfig,
+        registration_config: RegistrationConfig,
+        object_map: ObjectMap,
+    ) -> None:
+        self._config = config
+        self._submap_config = submap_config
+        self._registration_config = registration_config
+        self._map = object_map
+        self._descriptor = make_descriptor(config.descriptor)
+        self._index = DescriptorIndex(self._descriptor.length)
+        self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
+        self._settled_m = 0.0
+
+    def settle(self, travel_m: float) -> None:
+        """Enter the landmarks that were left behind."""
+        if travel_m - self._settled_m < SETTLE_EVERY_M:
+            return
+        self._settled_m = travel_m
+        landmarks = self._map.rows
+        confirmed = landmarks["state"] == LandmarkState.CONFIRMED
+        behind = confirmed & (landmarks["last_seen_travel_m"] < travel_m - self._config.settle_travel_m)
+        behind[self._rows] = False
+        new = np.flatnonzero(behind)
+        if not len(new):
+            return
+        earliest_m = landmarks["last_seen_travel_m"][new].min() - PASS_TRAVEL_M
+        around = np.flatnonzero(confirmed & (landmarks["last_seen_travel_m"] > earliest_m))
+        constellations = gather_constellations(
+            landmarks["position_odom"][around],
+            self._map.classes(around),
+            self._map.vocabulary,
+            radius_m=self._descriptor.radius_m,
+            centres=np.searchsorted(around, new),
+        )
+        self._index.add(self._descriptor.describe(constellations), constellations.centre_labels)
+        self._rows = np.concatenate([self._rows, new])
+
+    def find(self, query: Submap, *, before_m: float, seed: int) -> list[Place]:
+        """The likeliest places of a query, given in its gravity frame, among what was last seen before that travel."""
+        landmarks = self._map.rows
+        usable = (landmarks["last_seen_travel_m"] < before_m) & (landmarks["state"] == LandmarkState.CONFIRMED)
+        constellations = gather_constellations(
+            query.positions, query.labels, self._map.vocabulary, radius_m=self._descriptor.radius_m
+        )
+        matches = self._index.search(
+            self._descriptor.describe(constellations),
+            query.labels,
+            self._config.neighbours,
+            usable[self._rows],
+        )
+        if not len(matches.queries):
+            return []
+        entries, references = np.unique(matches.entries, return_inverse=True)
+        reference = placed_submap(self._map, self._rows[entries], np.zeros(3), self._submap_config)
+        correspondences = np.column_stack([matches.queries, references])
+        registrations = register(
+            query.positions,
+            reference.positions,
+            correspondences,
+            self._registration_config,
+            query_sigmas=query.sigmas,
+            reference_sigmas=np.full(len(reference), self._submap_config.landmark_sigma_m),
+            rng=np.random.default_rng(seed),
+            count=self._config.places,
+        )
+        travels_m = landmarks["last_seen_travel_m"][reference.rows]
+        return [
+            Place(
+                registration.T_reference_query,
+                float(np.median(travels_m[registration.pairs[:, 1]])),
+                float(matches.distances[registration.inliers].mean()),
+            )
+            for registration in registrations
+            if registration.T_reference_query is not None
+        ]
+
+    def surroundings(self, place: Place, *, before_m: float) -> Submap:
+        """The landmarks around a place as its pass saw them, in the odometry frame."""
+        landmarks = self._map.rows
+        centre = place.T_odom_query[:3, 3]
+        offsets = landmarks["position_odom"][:, :2] - centre[:2]
+        rows = np.flatnonzero(
+            (np.abs(landmarks["last_seen_travel_m"] - place.travel_m) < PASS_TRAVEL_M)
+            & (landmarks["last_seen_travel_m"] < before_m)
+            & (landmarks["state"] == LandmarkState.CONFIRMED)
+            & (np.einsum("ij,ij->i", offsets, offsets) < PLACE_RADIUS_M**2)
+        )
+        return placed_submap(self._map, rows, centre, self._submap_config)
