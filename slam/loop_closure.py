@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from logs.messages import LoopClosureRecord
 from slam.candidate import Candidate, Stage
 from slam.closed_loops import ClosedLoops
+from slam.closure_judgement import judge_closures
 from slam.config import Config
 from slam.consistency import agree, distinct, joint_score_nats
 from slam.factor_graph import FactorGraph
@@ -39,6 +40,7 @@ class LoopCloser:
         self._track = KeyframeTrack(config.odometry)
         self._finder = PlaceFinder(config.loop_closure, config.submap, config.registration, object_map)
         self._verifier = Verifier(config, self._finder, self._track, graph, keyframes)
+        self._graph = graph
         self._loops = ClosedLoops(object_map, graph)
         self._recent: deque[Query] = deque()
         self._waiting: deque[Candidate] = deque()
@@ -67,6 +69,28 @@ class LoopCloser:
         refused = [each for each in verified if isinstance(each, LoopClosureRecord)]
         candidates = distinct([each for each in verified if isinstance(each, Candidate)])
         return refused + self._judge(candidates)
+
+    def finish(self) -> tuple[list[LoopClosureRecord], str]:
+        """Take out the closures that all factors together contradict; returns their new verdicts and a message.
+
+        Those across a break of the odometry are left: nothing but closures says where its two sides are.
+        """
+        loops = {loop.factor: loop for loop in self._loops.loops if not self._crosses_break(loop.candidate)}
+        if not loops:
+            return [], ""
+        graph = self._graph
+        judgement = judge_closures(graph.factors, list(loops), graph.keyframes, graph.poses())
+        verdicts = []
+        for factor, loop in loops.items():
+            if not judgement.kept[factor]:
+                self._loops.withdraw(loop)
+                reason = f"taken out again: weight {judgement.weights[factor]:.2g} among all factors"
+                verdicts.append(loop.candidate.record(Stage.BACK_END, reason))
+        return verdicts, judgement.message
+
+    def _crosses_break(self, candidate: Candidate) -> bool:
+        reference, query = self._keyframes[candidate.reference], self._keyframes[candidate.query]
+        return reference.odometry.segment != query.odometry.segment
 
     def _take_query(self, keyframe: Keyframe) -> Query:
         submap = recent_submap(self._map, keyframe.odometry, self._submap_config)

@@ -119,6 +119,8 @@ def _write_final(writer: LogWriter, final: FinalMap, log_time_ns: int) -> None:
     writer.write_path("/slam/trajectory", final.trajectory, log_time_ns)
     writer.write("/slam/map", final.object_map, log_time_ns)
     writer.write("/slam/graph", final.graph, log_time_ns)
+    for closure in final.closures:
+        writer.write("/slam/closures", closure, log_time_ns)
     writer.write("/slam/landmarks", final.markers, log_time_ns)
     writer.write("/slam/status", final.status, log_time_ns)
 

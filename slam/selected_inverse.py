@@ -69,7 +69,7 @@ def _elimination_tree(lower: sparse.csc_array) -> tuple[list[IntArray], list[lis
 
     The rows of a column are rows of its parent's; where the factorisation left out a zero they are put back.
     """
-    starts, indices = lower.indptr, lower.indices
+    starts, indices = lower.indptr, lower.indices.astype(np.int64)
     fronts = [indices[starts[j] : starts[j + 1]] for j in range(len(starts) - 1)]
     children: list[list[int]] = [[] for _ in fronts]
     roots = list[int]()

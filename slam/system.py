@@ -14,6 +14,7 @@ import numpy as np
 
 from logs.messages import (
     FactorGraphRecord,
+    LoopClosureRecord,
     ObjectDetections,
     ObjectMapRecord,
     Odometry,
@@ -43,11 +44,12 @@ STATE_MAPPING = "MAPPING"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FinalMap:
-    """What a drive leaves behind."""
+    """What a drive leaves behind. ``closures``: those whose verdict changed at the very end."""
 
     trajectory: TrajectoryRecord
     object_map: ObjectMapRecord
     graph: FactorGraphRecord
+    closures: tuple[LoopClosureRecord, ...]
     markers: SceneMarkers
     status: StatusRecord
 
@@ -112,22 +114,27 @@ class Slam:
             )
         self.counters["detections_without_odometry"] += len(self._waiting)
         self._mapper.close_keyframe()
+        withdrawn, complaint = self._closer.finish()
         optimization = self._graph.optimize()
         self.counters["batch_iterations"] = optimization.iterations
         message = "optimised" if optimization.converged else (
             f"the final optimisation did not converge in {optimization.iterations} iterations"
         )  # fmt: skip
+        if complaint:
+            message += f"; closures: {complaint}"
         unused = self.counters["odometry_out_of_order"] + self.counters["odometry_duplicated"]
         if unused > self.counters["odometry_used"]:
             message += "; most odometry messages were unusable: their stamps do not increase"
         object_map = self._map_record()
-        is_well = optimization.converged and unused <= self.counters["odometry_used"]
+        self.counters["closures_withdrawn"] = len(withdrawn)
+        is_well = optimization.converged and not complaint and unused <= self.counters["odometry_used"]
         level = "info" if is_well and not self.counters["covariances_missing"] else "warning"
         confirmed = self._object_map.in_state(LandmarkState.CONFIRMED)
         return FinalMap(
             trajectory=self._trajectory(),
             object_map=object_map,
             graph=self._graph_record(),
+            closures=tuple(withdrawn),
             markers=self._markers(confirmed, self._object_map.rows["position_map"][confirmed], replaces=True),
             status=self._status(message, level=level),
         )
