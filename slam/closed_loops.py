@@ -3,27 +3,31 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from slam.candidate import Candidate
 from slam.factor_graph import FactorGraph
+from slam.mapper import Keyframe
 from slam.matching import PASS_TRAVEL_M
 from slam.object_map import LandmarkState, ObjectMap
+from slam.sessions import Sessions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosedLoop:
-    """A closure with the number of its factor and the landmarks that lost their names by it."""
+    """A closure with the number of its factor, and the landmarks that it merged: what was kept, what lost its name."""
 
     candidate: Candidate
     factor: int
-    merged: tuple[int, ...]
+    merged: tuple[tuple[int, int], ...]
 
 
 class ClosedLoops:
     """Inserts closures and takes them out."""
 
-    def __init__(self, object_map: ObjectMap, graph: FactorGraph) -> None:
+    def __init__(self, object_map: ObjectMap, graph: FactorGraph, keyframes: Sequence[Keyframe]) -> None:
+        self._sessions = Sessions(keyframes)
         self._map = object_map
         self._graph = graph
         self._namesakes: defaultdict[int, list[int]] = defaultdict(list)
@@ -34,21 +38,26 @@ class ClosedLoops:
         return min(self.loops, key=lambda loop: abs(loop.candidate.travel_m - travel_m), default=None)
 
     def insert(self, candidate: Candidate) -> None:
-        """Tie the two keyframes together and make one of the landmarks that meet."""
-        factor = self._graph.add_edge(candidate.edge())
+        """Tie the two keyframes together and make one of the landmarks that meet.
+
+        Where only a break of the odometry tied them before, one side is moved to the other as a whole first.
+        """
+        moved = self._sessions.join(candidate.reference, candidate.query)
+        edge = candidate.edge()
+        factor = self._graph.add_joining_edge(edge, moved) if len(moved) else self._graph.add_edge(edge)
         merged = [self._merge(int(query), int(reference)) for query, reference in candidate.pairs]
-        self.loops.append(ClosedLoop(candidate, factor, tuple(row for row in merged if row is not None)))
+        self.loops.append(ClosedLoop(candidate, factor, tuple(pair for pair in merged if pair is not None)))
 
     def withdraw(self, loop: ClosedLoop) -> None:
         """Take a closure out of the graph again, and let its landmarks be two."""
         self._graph.remove_factor(loop.factor)
-        for row in reversed(loop.merged):
-            self._namesakes[self._map.current(row)].remove(row)
-            self._map.split(row)
-            self._graph.split_landmark(row)
+        for kept, dropped in reversed(loop.merged):
+            self._namesakes[kept].remove(dropped)
+            self._map.split(dropped)
+            self._graph.split_landmark(dropped)
         self.loops.remove(loop)
 
-    def _merge(self, query: int, reference: int) -> int | None:
+    def _merge(self, query: int, reference: int) -> tuple[int, int] | None:
         """Merge the landmark of the query into that of the reference; None where that is done or would be wrong."""
         kept = self._map.current(reference)
         landmarks = self._map.rows
@@ -62,8 +71,7 @@ class ClosedLoops:
         ]
         if same_pass or landmarks["state"][kept] != LandmarkState.CONFIRMED:
             return None
-        dropped = self._map.merge(kept, query)
-        if dropped is not None:
-            self._graph.merge_landmarks(kept, dropped)
-            self._namesakes[kept].append(dropped)
-        return dropped
+        self._map.merge(kept, query)
+        self._graph.merge_landmarks(kept, query)
+        self._namesakes[kept].append(query)
+        return kept, query

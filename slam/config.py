@@ -214,9 +214,9 @@ class LoopClosureConfig(_Branch):
         default=20.0, ge=0, description="one closure in that much travel becomes a factor; the others say the same [m]"
     )
     base_sigma_m: float = Field(
-        default=0.2, gt=0, description="translation error of a closure that its inliers share [m]"
+        default=0.3, gt=0, description="translation error of a closure that its inliers share [m]"
     )
-    base_sigma_deg: float = Field(default=0.3, gt=0, description="heading error of a closure that they share [deg]")
+    base_sigma_deg: float = Field(default=0.8, gt=0, description="heading error of a closure that they share [deg]")
     tilt_sigma_deg: float = Field(default=1.0, gt=0, description="error of gravity between two passes [deg]")
 
 

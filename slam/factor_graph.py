@@ -29,7 +29,7 @@ from slam.factors import (
     checked_pose,
     prior_factor,
 )
-from slam.geometry import FloatArray, IntArray, apply
+from slam.geometry import FloatArray, IntArray, apply, invert
 from slam.marginals import landmark_marginals
 
 logger = logging.getLogger(__name__)
@@ -101,6 +101,43 @@ class FactorGraph:
                     f"edge {edge.from_keyframe} -> {edge.to_keyframe}: keyframe {keyframe} is not in the graph"
                 )
         return self._add(edge)
+
+    def add_joining_edge(self, edge: Edge, moved: IntArray) -> int:
+        """Tie two stretches together that only a break of the odometry tied: the keyframes ``moved`` (K,), with one end
+        of the edge, and the landmarks that only they saw are first moved as a whole to where the edge puts them.
+
+        No solver would find there: to its robust kernel the edge would be as wrong as any.
+        """
+        number = self.add_edge(edge)
+        self.update()
+        T_from, T_to = self.pose(edge.from_keyframe), self.pose(edge.to_keyframe)
+        if edge.to_keyframe in moved:
+            T_shift = T_from @ edge.T_from_to @ invert(T_to)
+        else:
+            T_shift = T_to @ invert(edge.T_from_to) @ invert(T_from)
+        with self._solver("the joining of two sessions"):
+            values = self._moved(set(moved.tolist()), T_shift)
+            numbers = list(self.factors)
+            result = self._start_over(numbers, values, "CHOLESKY")
+        self._values = None
+        self._slots = dict(zip(numbers, result.getNewFactorsIndices(), strict=True))
+        return number
+
+    def _moved(self, keyframes: set[int], T_shift: FloatArray) -> gtsam.Values:
+        """The estimate with some keyframes, and the landmarks that no other saw, moved by ``T_shift`` (4, 4)."""
+        stays = {
+            self._names(factor.landmark)[-1]
+            for factor in self.factors.values()
+            if isinstance(factor, Observation) and factor.keyframe not in keyframes
+        }
+        estimate, values, shift = self._estimate(), gtsam.Values(), gtsam.Pose3(T_shift)
+        for keyframe in self._keyframes:
+            pose = estimate.atPose3(X(keyframe))
+            values.insert(X(keyframe), shift.compose(pose) if keyframe in keyframes else pose)
+        for variable in self._variables:
+            point = estimate.atPoint3(L(variable))
+            values.insert(L(variable), point if variable in stays else shift.transformFrom(point))
+        return values
 
     def add_observations(self, observations: Sequence[Observation]) -> int:
         """Tie landmarks to the keyframes that saw them; returns how many were used.
@@ -201,7 +238,8 @@ class FactorGraph:
             except RuntimeError as error:
                 logger.info("the incremental update failed (%s); solving afresh by QR", _first_line(error))
                 numbers = list(self.factors)
-                result = self._start_over(numbers)
+                # The failed update has taken the new variables in already.
+                result = self._start_over(numbers, self._isam.getLinearizationPoint(), "QR")
             self._values = None
         self._slots.update(zip(numbers, result.getNewFactorsIndices(), strict=True))
         self._pending = []
@@ -298,22 +336,22 @@ class FactorGraph:
         parameters.setFactorization(factorization)
         return gtsam.ISAM2(parameters)
 
-    def _start_over(self, numbers: list[int]) -> gtsam.ISAM2Result:
-        """Put all factors into a fresh iSAM2 that eliminates by QR: slower than Cholesky, but it bears the poor
-        conditioning of, say, a very sure odometry beside landmarks that the robust kernel has all but switched off.
+    def _start_over(self, numbers: list[int], values: gtsam.Values, factorization: str) -> gtsam.ISAM2Result:
+        """Put all factors into a fresh iSAM2.
+
+        One that eliminates by QR is slower than Cholesky, but it bears the poor conditioning of, say, a very sure
+        odometry beside landmarks that the robust kernel has all but switched off.
         """
-        # The failed update has taken the new variables in already.
-        point = self._isam.getLinearizationPoint()
-        values = gtsam.Values()
+        kept = gtsam.Values()
         for keyframe in self._keyframes:
-            values.insert(X(keyframe), point.atPose3(X(keyframe)))
+            kept.insert(X(keyframe), values.atPose3(X(keyframe)))
         for variable in self._variables:
-            values.insert(L(variable), point.atPoint3(L(variable)))
+            kept.insert(L(variable), values.atPoint3(L(variable)))
         graph = gtsam.NonlinearFactorGraph()
         for number in numbers:
             graph.add(self._factor(self.factors[number]))
-        self._isam = self._new_isam("QR")
-        return self._isam.update(graph, values)
+        self._isam = self._new_isam(factorization)
+        return self._isam.update(graph, kept)
 
     def _check_landmarks(self, landmarks: IntArray) -> None:
         for landmark in landmarks.tolist():

@@ -41,7 +41,7 @@ class LoopCloser:
         self._finder = PlaceFinder(config.loop_closure, config.submap, config.registration, object_map)
         self._verifier = Verifier(config, self._finder, self._track, graph, keyframes)
         self._graph = graph
-        self._loops = ClosedLoops(object_map, graph)
+        self._loops = ClosedLoops(object_map, graph, keyframes)
         self._recent: deque[Query] = deque()
         self._waiting: deque[Candidate] = deque()
         self._leader: Candidate | None = None

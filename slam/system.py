@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import heapq
 import logging
+import time
 from collections import Counter
 from dataclasses import dataclass
 
@@ -30,7 +31,7 @@ from slam.errors import FactorGraphError, InputDataError
 from slam.factor_graph import FactorGraph
 from slam.geometry import FloatArray, IntArray, apply, invert
 from slam.loop_closure import LoopCloser
-from slam.mapper import Mapper
+from slam.mapper import Keyframe, Mapper
 from slam.object_map import LandmarkState, ObjectMap
 from slam.odometry_track import OdometryPose, OdometryTrack
 from slam.scan import SensorFrames, make_scan
@@ -75,6 +76,8 @@ class Slam:
         self._frames_missing: set[str] = set()
         self._poses: list[OdometryPose] = []
         self._T_map_odom = np.eye(4)
+        self.closing_seconds: list[float] = []
+        """Time that looking for loops took, keyframe by keyframe."""
 
     @property
     def solver_seconds(self) -> float:
@@ -158,7 +161,7 @@ class Slam:
 
     def _keyframe_updates(self, pose: OdometryPose, *, breaks: bool) -> list[Record]:
         keyframe = self._mapper.keyframes[-1]
-        closures = self._closer.close(keyframe) if self._config.loop_closure.enabled else []
+        closures = self._close_loops(keyframe)
         self._T_map_odom = self._graph.pose(keyframe.id) @ invert(pose.T_odom_body)
         updates: list[Record] = [Transform(pose.stamp_ns, MAP_FRAME, self._odom_frame, self._T_map_odom), *closures]
         self.counters["keyframes"] += 1
@@ -176,6 +179,14 @@ class Slam:
                 self._status("the odometry jumped or fell silent: landmarks in view are let go", level="warning")
             )
         return updates
+
+    def _close_loops(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
+        if not self._config.loop_closure.enabled:
+            return []
+        started = time.perf_counter()
+        closures = self._closer.close(keyframe)
+        self.closing_seconds.append(time.perf_counter() - started)
+        return closures
 
     def _map_waiting_scans(self, before_ns: int | None = None) -> list[Record]:
         """Map the scans that the odometry has caught up with; ``before_ns`` keeps those at or after it waiting."""

@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tools import benchmark_closures
 from tools.arguments import ConfigFile, Json, Settings
 
 if TYPE_CHECKING:
+    from slam.benchmarks.registration import RegistrationBenchmark
     from slam.benchmarks.replay import ReplayBenchmark
 
 app = typer.Typer(help="Measure speed and memory.", no_args_is_help=True)
+app.command()(benchmark_closures.closures)
 
 
 @app.callback()
@@ -52,6 +55,28 @@ def replay(
         _show(results)
 
 
+@app.command()
+def registration(
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the problems.")] = 0,
+    trials: Annotated[int, typer.Option(min=1, help="Problems of each kind; a quarter of them for 5000.")] = 20,
+    json: Json = False,
+) -> None:
+    """Register constellations from correspondences most of which are false, beside Open3D and KISS-Matcher.
+
+    Example: dslam benchmark registration --trials 5
+    """
+    from dataclasses import asdict
+
+    from slam.benchmarks.registration import benchmark_registration
+    from tools import console
+
+    result = benchmark_registration(seed=seed, trials=trials)
+    if json:
+        console.show_json(asdict(result))
+    else:
+        _show_registration(result)
+
+
 @contextmanager
 def _logs(paths: list[Path]) -> Iterator[list[Path]]:
     if paths:
@@ -74,7 +99,7 @@ def _logs(paths: list[Path]) -> Iterator[list[Path]]:
 def _show(results: list[ReplayBenchmark]) -> None:
     from tools import console
 
-    headings = ("log s", "wall s", "x real time", "GTSAM", "own", "stall ms", "MB")
+    headings = ("log s", "wall s", "x real time", "GTSAM", "own", "stall ms", "closing ms", "MB")
     table = console.grid({"log": False, **dict.fromkeys(headings, True)})
     for r in results:
         wall = f"{r.wall_s:.2f}" if r.runs == 1 else f"{r.wall_s:.2f} ({r.wall_min_s:.2f}-{r.wall_max_s:.2f})"
@@ -86,6 +111,30 @@ def _show(results: list[ReplayBenchmark]) -> None:
             f"{100 * r.solver_share:.0f} %",
             f"{100 * r.own_share:.0f} %",
             f"{1e3 * r.longest_stall_s:.0f}",
+            f"{1e3 * r.closing_median_s:.1f}",
             f"{r.peak_memory_bytes / 1e6:.0f}",
         )
     console.show(table)
+
+
+def _show_registration(result: RegistrationBenchmark) -> None:
+    from tools import console
+
+    headings = ("pairs", "false", "true", "success", "error m", "deg", "ms", "fastest")
+    table = console.grid({"method": False, **dict.fromkeys(headings, True)})
+    for c in result.cells:
+        table.add_row(
+            c.method,
+            str(c.correspondences),
+            f"{100 * c.false_share:.0f} %",
+            str(c.true_correspondences),
+            f"{100 * c.success:.0f} %",
+            "-" if c.median_error_m is None else f"{c.median_error_m:.2f}",
+            "-" if c.median_error_deg is None else f"{c.median_error_deg:.2f}",
+            f"{c.median_ms:.2f}",
+            f"{c.fastest_ms:.2f}",
+        )
+    for name, why in result.missing.items():
+        table.add_row(f"{name}: not measured, {why}", *[""] * len(headings))
+    console.show(table)
+    console.show("Fewer than 3 true correspondences determine nothing that chance does not.")

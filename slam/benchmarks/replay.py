@@ -20,12 +20,15 @@ from slam.errors import SlamError
 
 @dataclass(frozen=True, slots=True)
 class ReplayRun:
-    """One replay in a process of its own; ``solver_s`` is the time inside GTSAM."""
+    """One replay in a process of its own; ``solver_s`` is the time inside GTSAM, ``closing_median_s``
+    what looking for loops takes at a keyframe.
+    """
 
     log_s: float
     wall_s: float
     solver_s: float
     longest_stall_s: float
+    closing_median_s: float
     peak_memory_bytes: int
 
 
@@ -43,6 +46,7 @@ class ReplayBenchmark:
     solver_share: float
     own_share: float
     longest_stall_s: float
+    closing_median_s: float
     peak_memory_bytes: int
 
 
@@ -63,6 +67,7 @@ def benchmark_replay(log: Path, config: Config, *, runs: int) -> ReplayBenchmark
         solver_share=solver_share,
         own_share=1.0 - solver_share,
         longest_stall_s=statistics.median(run.longest_stall_s for run in measured),
+        closing_median_s=statistics.median(run.closing_median_s for run in measured),
         peak_memory_bytes=max(run.peak_memory_bytes for run in measured),
     )
 
@@ -99,7 +104,8 @@ def _measure(sender: Connection, log: Path, output: Path, config: Config) -> Non
     except (LogError, SlamError) as error:
         sender.send(error)
     else:
-        sender.send(ReplayRun(done.log_s, done.wall_s, done.solver_s, done.longest_stall_s, _peak_memory_bytes()))
+        times = (done.log_s, done.wall_s, done.solver_s, done.longest_stall_s, done.closing_median_s)
+        sender.send(ReplayRun(*times, _peak_memory_bytes()))
 
 
 def _peak_memory_bytes() -> int:
