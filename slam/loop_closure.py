@@ -9,6 +9,8 @@ import logging
 from collections import deque
 from collections.abc import Sequence
 
+import numpy as np
+
 from logs.messages import LoopClosureRecord
 from slam.candidate import Candidate, Stage
 from slam.closed_loops import ClosedLoops
@@ -16,7 +18,7 @@ from slam.closure_judgement import judge_closures
 from slam.config import Config
 from slam.consistency import agree, distinct, joint_score_nats
 from slam.factor_graph import FactorGraph
-from slam.geometry import FloatArray, invert
+from slam.geometry import FloatArray, IntArray, invert
 from slam.keyframe_track import KeyframeTrack
 from slam.mapper import Keyframe
 from slam.matching import PlaceFinder
@@ -45,7 +47,12 @@ class LoopCloser:
         self._recent: deque[Query] = deque()
         self._waiting: deque[Candidate] = deque()
         self._leader: Candidate | None = None
-        self._closed: set[int] = set()
+        self._closed: dict[int, int] = {}
+
+    @property
+    def closed(self) -> IntArray:
+        """Query and reference keyframe (C, 2) of the closures that are believed."""
+        return np.array(list(self._closed.items()), dtype=np.int64).reshape(-1, 2)
 
     def close(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
         """Look for loops at the newest keyframe; returns every candidate with its verdict, revised ones included."""
@@ -84,6 +91,7 @@ class LoopCloser:
         for factor, loop in loops.items():
             if not judgement.kept[factor]:
                 self._loops.withdraw(loop)
+                self._closed.pop(loop.candidate.query, None)
                 reason = f"taken out again: weight {judgement.weights[factor]:.2g} among all factors"
                 verdicts.append(loop.candidate.record(Stage.BACK_END, reason))
         return verdicts, judgement.message
@@ -184,6 +192,6 @@ class LoopCloser:
         )
         if is_new:
             self._loops.insert(candidate)
-        self._closed.add(candidate.query)
+        self._closed[candidate.query] = candidate.reference
         self._leader = candidate
         return candidate.record(Stage.ACCEPTED, reason, inserted=is_new)

@@ -127,6 +127,7 @@ def _write_final(writer: LogWriter, final: FinalMap, log_time_ns: int) -> None:
     for closure in final.closures:
         writer.write("/slam/closures", closure, log_time_ns)
     writer.write("/slam/landmarks", final.markers, log_time_ns)
+    writer.write("/slam/closure_lines", final.closure_lines, log_time_ns)
     writer.write("/slam/status", final.status, log_time_ns)
 
 

@@ -41,6 +41,7 @@ logger = logging.getLogger(__name__)
 
 MAP_FRAME = "map"
 STATE_MAPPING = "MAPPING"
+CLOSURE_COLOR = np.array([0.84, 0.15, 0.79, 0.9])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +52,7 @@ class FinalMap:
     object_map: ObjectMapRecord
     graph: FactorGraphRecord
     closures: tuple[LoopClosureRecord, ...]
+    closure_lines: SceneMarkers
     markers: SceneMarkers
     status: StatusRecord
 
@@ -138,6 +140,7 @@ class Slam:
             object_map=object_map,
             graph=self._graph_record(),
             closures=tuple(withdrawn),
+            closure_lines=self._closure_lines(),
             markers=self._markers(confirmed, self._object_map.rows["position_map"][confirmed], replaces=True),
             status=self._status(message, level=level),
         )
@@ -293,6 +296,21 @@ class Slam:
             lines=np.zeros((0, 2, 3)),
             line_colors=np.zeros((0, 4)),
             replaces=replaces,
+        )
+
+    def _closure_lines(self) -> SceneMarkers:
+        """A line between the two keyframes of each closure that is believed."""
+        positions = self._graph.poses()[:, :3, 3]
+        lines = positions[self._closer.closed]
+        return SceneMarkers(
+            stamp_ns=self._now_ns,
+            frame_id=MAP_FRAME,
+            positions=np.zeros((0, 3)),
+            labels=(),
+            ids=(),
+            lines=lines,
+            line_colors=np.tile(CLOSURE_COLOR, (len(lines), 1)),
+            replaces=True,
         )
 
     def _status(self, message: str, *, level: str) -> StatusRecord:

@@ -64,7 +64,7 @@ def _show(output: Path, picture: Path | None, summary: ReplaySummary) -> None:
     counters = summary.counters
     landmarks = [f"{counters.get(f'landmarks_{state}', 0)} {state}" for state in _LANDMARK_STATES]
     noted = [f"{name.replace('_', ' ')} {count}" for name, count in counters.items()
-             if count and not name.startswith("landmarks_") and name not in _USED]  # fmt: skip
+             if count and not name.startswith(("landmarks_", "closures_")) and name not in _USED]  # fmt: skip
     x_real_time = _x_real_time(summary)
     speed = f", {x_real_time:.1f} x real time" if x_real_time else ""
     rows = {
@@ -73,6 +73,8 @@ def _show(output: Path, picture: Path | None, summary: ReplaySummary) -> None:
         f"with {counters.get('objects_used', 0)} objects",
         "keyframes": str(counters.get("keyframes", 0)),
         "landmarks": ", ".join(landmarks),
+        "loops": f"closed at {counters.get('closures_accepted', 0)} keyframes, "
+        f"by {counters.get('closures_inserted', 0)} factors; {counters.get('closures_withdrawn', 0)} taken out again",
         "warnings": ", ".join(noted) or "none",
         "final status": summary.final_status,
         "written": str(output) + (f", {picture}" if picture else ""),
