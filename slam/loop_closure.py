@@ -133,7 +133,8 @@ class LoopCloser:
             return []
         best, others = candidates[0], candidates[1:]
         verdicts = [each.record(Stage.ACCEPTANCE, "another place is likelier") for each in others]
-        rival_nats = max((each.score_nats for each in others), default=0.0)
+        rivals = [each for each in others if not self._verifier.can_both_hold(best, each)]
+        rival_nats = max((each.score_nats for each in rivals), default=0.0)
         if best.score_nats >= self._limits.threshold_nats:
             if best.score_nats - rival_nats >= self._limits.margin_nats:
                 return [*verdicts, *self._believe_first(best, "")]

@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from logs.errors import UnwritableLogError
 from logs.messages import (
@@ -91,7 +92,8 @@ def replay(
         first_ns, last_ns = _span(reader, mapped)
         slam = Slam(config)
         longest_stall_s = 0.0
-        with LogWriter(output) as writer:
+        # One thread: the products are small, and threads would add them up in another order on another machine.
+        with threadpool_limits(1, user_api="blas"), LogWriter(output) as writer:
             writer.add_metadata("dslam", _provenance(reader, config, selection))
             for item in reader.items(mapped, copy=copied):
                 if item.raw.topic in copied:

@@ -23,6 +23,8 @@ from slam.submap import Submap, gravity_frame
 # A place this far from where the earlier pass drove is not one that it can tell much about.
 MAX_REFERENCE_M = 20.0
 NOWHERE = -1
+# Two candidates are told apart beyond three standard deviations of the odometry between their references.
+COMPATIBLE_NATS = 4.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,11 +104,20 @@ class Verifier:
         reference = self._nearest(registration.T_reference_query, place.travel_m, query)
         if reference is None:
             return query.refusal(Stage.REGISTRATION, f"no earlier keyframe within {MAX_REFERENCE_M:g} m of the place")
-        least = self._config.loop_closure.min_objects
+        limits = self._config.loop_closure
+        least = limits.min_objects if leader == NOWHERE else limits.supported_objects
         if len(registration.pairs) < least:
             reason = f"{len(registration.pairs)} objects meet, fewer than {least}"
             return query.refusal(Stage.REGISTRATION, reason, reference)
         return self._candidate(query, place, surroundings, registration, reference, leader)
+
+    def can_both_hold(self, a: Candidate, b: Candidate) -> bool:
+        """Whether two candidates of one query are the same place, which two passes saw and the odometry has apart."""
+        first, second = sorted((a, b), key=lambda candidate: candidate.reference)
+        T_implied = first.T_reference_query @ invert(second.T_reference_query)
+        T_predicted = invert(self._graph.pose(first.reference)) @ self._graph.pose(second.reference)
+        sigmas = self._track.drift_sigmas(first.reference, second.reference)
+        return doubt_nats(T_predicted, T_implied, sigmas, self._config.loop_closure) < COMPATIBLE_NATS
 
     def _candidate(
         self,
