@@ -5,20 +5,15 @@ Every file is written beside its name as ``NAME.part`` and renamed when it is co
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from logs.errors import UnwritableLogError
 from logs.messages import FactorGraphRecord, ObjectMapRecord, TrajectoryRecord
 from slam.errors import InputDataError
+from slam.g2o import TRANSLATION_FIRST, format_numbers, quaternions, write_lines
 from slam.geometry import FloatArray
-
-_G2O_ORDER = np.array([3, 4, 5, 0, 1, 2])
-"""Rows of a pose covariance (rotation first) in g2o's order (translation first)."""
 
 
 def write_tum(path: str | Path, trajectory: TrajectoryRecord) -> None:
@@ -31,9 +26,9 @@ def write_tum(path: str | Path, trajectory: TrajectoryRecord) -> None:
         UnwritableLogError: the file cannot be written.
     """
     poses = _checked_poses(trajectory.T_map_body, trajectory.stamps_ns)
-    rows = np.hstack([poses[:, :3, 3], _quaternions(poses)])
-    lines = (f"{_seconds(int(t))} {_numbers(row)}" for t, row in zip(trajectory.stamps_ns, rows, strict=True))
-    _write(path, lines)
+    rows = np.hstack([poses[:, :3, 3], quaternions(poses)])
+    lines = (f"{_seconds(int(t))} {format_numbers(row)}" for t, row in zip(trajectory.stamps_ns, rows, strict=True))
+    write_lines(path, lines)
 
 
 def write_kitti(path: str | Path, trajectory: TrajectoryRecord) -> None:
@@ -48,7 +43,7 @@ def write_kitti(path: str | Path, trajectory: TrajectoryRecord) -> None:
         UnwritableLogError: the file cannot be written.
     """
     poses = _checked_poses(trajectory.T_map_body, trajectory.stamps_ns)
-    _write(path, (_numbers(T[:3].ravel()) for T in poses))
+    write_lines(path, (format_numbers(T[:3].ravel()) for T in poses))
 
 
 def write_g2o(path: str | Path, graph: FactorGraphRecord, object_map: ObjectMapRecord | None = None) -> None:
@@ -89,7 +84,7 @@ def write_g2o(path: str | Path, graph: FactorGraphRecord, object_map: ObjectMapR
     unknown = sorted(set(named) - row_of.keys())
     if unknown:
         raise InputDataError(f"edges or observations name keyframe {unknown[0]}, which the graph does not hold")
-    _write(path, _g2o_lines(graph, poses, row_of, object_map))
+    write_lines(path, _g2o_lines(graph, poses, row_of, object_map))
 
 
 def _g2o_lines(
@@ -100,23 +95,24 @@ def _g2o_lines(
     vertex_of = {name: first_vertex + index for index, name in enumerate(landmark_ids)}
     positions = _landmark_positions(graph, poses, row_of, landmark_ids, object_map)
     edges = _checked_poses(graph.edge_transforms, graph.edge_keyframe_ids)
-    edge_information = _invert(graph.edge_covariances, "edge")[:, _G2O_ORDER[:, None], _G2O_ORDER]
+    edge_information = _invert(graph.edge_covariances, "edge")[:, TRANSLATION_FIRST[:, None], TRANSLATION_FIRST]
     observation_information = _invert(graph.observation_covariances, "observation")
 
     if landmark_ids:
         yield "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1"
-    for keyframe, xyz, quaternion in zip(graph.keyframe_ids, poses[:, :3, 3], _quaternions(poses), strict=True):
-        yield f"VERTEX_SE3:QUAT {keyframe} {_numbers(xyz)} {_numbers(quaternion)}"
+    for keyframe, xyz, quaternion in zip(graph.keyframe_ids, poses[:, :3, 3], quaternions(poses), strict=True):
+        yield f"VERTEX_SE3:QUAT {keyframe} {format_numbers(xyz)} {format_numbers(quaternion)}"
     if len(poses):
         yield f"FIX {graph.keyframe_ids[0]}"
     for name, xyz in zip(landmark_ids, positions, strict=True):
         yield f"# landmark {vertex_of[name]} is {name!a}"
-        yield f"VERTEX_TRACKXYZ {vertex_of[name]} {_numbers(xyz)}"
+        yield f"VERTEX_TRACKXYZ {vertex_of[name]} {format_numbers(xyz)}"
     upper = np.triu_indices(6)
     for (start, end), T, quaternion, information in zip(
-        graph.edge_keyframe_ids, edges, _quaternions(edges), edge_information, strict=True
+        graph.edge_keyframe_ids, edges, quaternions(edges), edge_information, strict=True
     ):
-        yield f"EDGE_SE3:QUAT {start} {end} {_numbers(T[:3, 3])} {_numbers(quaternion)} {_numbers(information[upper])}"
+        numbers = np.concatenate([T[:3, 3], quaternion, information[upper]])
+        yield f"EDGE_SE3:QUAT {start} {end} {format_numbers(numbers)}"
     upper = np.triu_indices(3)
     for keyframe, name, xyz, information in zip(
         graph.observation_keyframe_ids,
@@ -126,7 +122,7 @@ def _g2o_lines(
         strict=True,
     ):
         vertex = vertex_of[name]
-        yield f"EDGE_SE3_TRACKXYZ {keyframe} {vertex} 0 {_numbers(xyz)} {_numbers(information[upper])}"
+        yield f"EDGE_SE3_TRACKXYZ {keyframe} {vertex} 0 {format_numbers(xyz)} {format_numbers(information[upper])}"
 
 
 def _landmark_positions(
@@ -171,26 +167,6 @@ def _invert(covariances: FloatArray, name: str) -> FloatArray:
     return np.asarray(np.linalg.inv(covariances))
 
 
-def _quaternions(poses: FloatArray) -> FloatArray:
-    """(N, 4) x y z w; N = 0 gives (0, 4)."""
-    return Rotation.from_matrix(poses[:, :3, :3]).as_quat() if len(poses) else np.zeros((0, 4))
-
-
 def _seconds(stamp_ns: int) -> str:
     whole, rest = divmod(abs(stamp_ns), 1_000_000_000)
     return f"{'-' if stamp_ns < 0 else ''}{whole}.{rest:09d}"
-
-
-def _numbers(values: FloatArray) -> str:
-    return " ".join(map(repr, values.tolist()))
-
-
-def _write(path: str | Path, lines: Iterable[str]) -> None:
-    target = Path(path)
-    text = "".join(f"{line}\n" for line in lines)  # Before the file is opened: a graph that is refused leaves no file.
-    part = target.with_name(target.name + ".part")
-    try:
-        part.write_text(text, encoding="ascii", newline="\n")
-        os.replace(part, target)
-    except OSError as error:
-        raise UnwritableLogError(f"cannot write {target}: {error.strerror or error}") from error

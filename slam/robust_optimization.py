@@ -23,18 +23,24 @@ MAX_ITERATIONS = 100
 MAX_ROUNDS = 20
 KERNEL_WIDTH = 1.0
 """Width of the Cauchy kernel in standard deviations of the whole, whitened error."""
+WIDER = (10.0, 5.0, 2.0)
+"""Widths by which the kernel is narrowed where many closures are in dispute."""
+CLEAR_SHARE = 0.8
+"""If that share of the closures in force is kept, nothing is in dispute."""
 LEAST_WEIGHT = 1e-4
 """A closure whose weight is less is taken out: with this width one that is a hundred standard deviations off."""
 KEPT_WEIGHT = 0.02
 """A closure whose weight is at least that counts as kept: one within seven standard deviations."""
 LEAST_AGREEMENT = 1.0 / 6.0
 """At least that share of the closures that fit all other factors must be kept, or all of them are rejected."""
+LEAST_SHARE = 0.05
+"""At least that share of all closures must be kept: among hundreds of false ones a few fit anything."""
 INFLATION = 3.0
 """How many times the standard deviations of all other factors may be too small before a closure does not fit them."""
 FIT_QUANTILE = {3: 16.27, 6: 22.46}
 """99.9 % of the chi-squared distribution by its degrees of freedom."""
 MAX_SAMPLED = 60
-"""So many of the closures that were not kept stand for all of them where it is asked how many fit the others."""
+"""So many closures stand for all of them where it is asked how many fit all other factors."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,9 +80,10 @@ def optimize_robustly(
     therefore those of almost no weight are taken out and the rest is solved again, until none is left to take out. It
     begins at the solution without closures, so that the initial values hardly matter.
 
-    False closures that fit all other factors, e.g. wrong by one house, come in many versions that do not fit one
-    another. If the kept ones are a small share of such closures, they agree by chance, and all are rejected: better the
-    drift of the odometry than a false loop.
+    False closures that fit all other factors, e.g. wrong by one house, are in dispute with the true ones, and which
+    side a narrow kernel takes depends on where it begins. Where there are many, it begins wide and becomes narrow
+    (graduated non-convexity, Yang et al. 2020). If few of those that fit all other factors are kept in the end, these
+    agree by chance, and all are rejected: better the drift of the odometry than a false loop.
 
     Args:
         graph: all factors; closures with plain Gaussian noise, others as they are, with kernels of their own or
@@ -96,6 +103,9 @@ def optimize_robustly(
         return solver.finish(alone, nothing, "")
     values, in_force = solver.solve_and_reject(alone)
     kept = in_force & (solver.weights(values) >= KEPT_WEIGHT)
+    if 0 < np.count_nonzero(kept) < CLEAR_SHARE * np.count_nonzero(in_force):
+        values = solver.solve_narrowing(in_force, alone)
+        kept = in_force & (solver.weights(values) >= KEPT_WEIGHT)
     if solver.agree(kept, alone):
         return solver.finish(values, in_force, "")
     many = f"only {np.count_nonzero(kept)}" if kept.any() else "none"
@@ -110,7 +120,6 @@ class _Solver:
     ) -> None:
         self._indices = [int(index) for index in closures]
         self._plain = [_closure(graph, index) for index in self._indices]
-        self._robust = [_with_kernel(factor) for factor in self._plain]
         self._others = graph.clone()
         for index in self._indices:
             self._others.remove(index)
@@ -119,11 +128,11 @@ class _Solver:
         self._iterations = 0
         self._shortfalls: list[str] = []
 
-    def solve(self, in_force: BoolArray, start: gtsam.Values, what: str) -> gtsam.Values:
+    def solve(self, in_force: BoolArray, start: gtsam.Values, what: str, width: float = KERNEL_WIDTH) -> gtsam.Values:
         """The least cost of all other factors and the closures in force (C,), near ``start``."""
         parameters = gtsam.LevenbergMarquardtParams()
         parameters.setMaxIterations(self._max_iterations)
-        graph = self._graph(in_force)
+        graph = self._graph(in_force, width)
         optimizer = gtsam.LevenbergMarquardtOptimizer(graph, start, parameters)
         values = optimizer.optimize()
         self._iterations += optimizer.iterations()
@@ -147,22 +156,35 @@ class _Solver:
         self._shortfalls.append(f"closures were still being taken out after {MAX_ROUNDS} rounds")
         return self.solve(in_force, values, "the last round of the rejection"), in_force
 
+    def solve_narrowing(self, in_force: BoolArray, start: gtsam.Values) -> gtsam.Values:
+        """Solve with the closures in force (C,) under a wide kernel, then under narrower and narrower ones."""
+        values = start
+        for width in (*WIDER, KERNEL_WIDTH):
+            values = self.solve(in_force, values, f"the solution with a kernel of width {width:g}", width)
+        return values
+
     def agree(self, kept: BoolArray, alone: gtsam.Values) -> bool:
-        """Whether the kept closures (C,) are more than chance would make of those that fit ``alone``, the solution
-        without closures.
+        """Whether the kept closures (C,) are more than chance.
+
+        A large share of all is, a tiny one is not; in between they must fit ``alone``, the solution without closures,
+        and be a large share of all that do.
         """
-        if not kept.any() or np.mean(kept) >= LEAST_AGREEMENT:
-            return bool(kept.any())
+        share = float(np.mean(kept))
+        if share < LEAST_SHARE or share >= LEAST_AGREEMENT:
+            return share >= LEAST_SHARE
         try:
             marginals = gtsam.Marginals(self._others, alone)
-            sampled = np.flatnonzero(~kept)
-            sampled = sampled[np.linspace(0, len(sampled) - 1, min(len(sampled), MAX_SAMPLED)).astype(np.int64)]
-            fitting = float(np.mean([_fits(self._plain[row], alone, marginals) for row in sampled]))
+            support, contradiction = (self._count_fitting(rows, alone, marginals) for rows in (kept, ~kept))
         except RuntimeError as error:
             logger.info("no covariance without closures (%s); they are not tested against it", error)
             return True
-        kept_count = np.count_nonzero(kept)
-        return bool(kept_count >= LEAST_AGREEMENT * (kept_count + fitting * np.count_nonzero(~kept)))
+        return bool(support >= 0.5 * np.count_nonzero(kept) and support >= LEAST_AGREEMENT * (support + contradiction))
+
+    def _count_fitting(self, which: BoolArray, alone: gtsam.Values, marginals: gtsam.Marginals) -> float:
+        """About how many of some closures (C,) fit all other factors; a sample stands for many."""
+        rows = np.flatnonzero(which)
+        sampled = rows[np.linspace(0, len(rows) - 1, min(len(rows), MAX_SAMPLED)).astype(np.int64)]
+        return len(rows) * float(np.mean([_fits(self._plain[row], alone, marginals) for row in sampled]))
 
     def finish(self, values: gtsam.Values, in_force: BoolArray, note: str) -> RobustSolution:
         """What there is to tell about a solution."""
@@ -182,10 +204,10 @@ class _Solver:
         chi_squared = np.array([2.0 * factor.error(values) for factor in self._plain], dtype=np.float64)
         return np.asarray(1.0 / (1.0 + chi_squared / KERNEL_WIDTH**2))
 
-    def _graph(self, in_force: BoolArray) -> gtsam.NonlinearFactorGraph:
+    def _graph(self, in_force: BoolArray, width: float = KERNEL_WIDTH) -> gtsam.NonlinearFactorGraph:
         graph = self._others.clone()
         for row in np.flatnonzero(in_force):
-            graph.replace(self._indices[row], self._robust[row])
+            graph.replace(self._indices[row], _with_kernel(self._plain[row], width))
         return graph
 
 
@@ -209,8 +231,8 @@ def _closure(graph: gtsam.NonlinearFactorGraph, index: int) -> gtsam.NoiseModelF
     return factor
 
 
-def _with_kernel(factor: gtsam.NoiseModelFactor) -> gtsam.NoiseModelFactor:
-    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(KERNEL_WIDTH)
+def _with_kernel(factor: gtsam.NoiseModelFactor, width: float) -> gtsam.NoiseModelFactor:
+    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(width)
     return factor.cloneWithNewNoiseModel(gtsam.noiseModel.Robust.Create(kernel, factor.noiseModel()))
 
 

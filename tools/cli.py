@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from tools import benchmark, config, degrade, evaluate, export, import_logs, info, replay, simulate
+from tools import benchmark, config, degrade, evaluate, export, import_logs, info, optimize, replay, simulate
 
 BAD_INPUT = 2
 INTERNAL_ERROR = 70
@@ -36,6 +36,7 @@ app.command()(info.info)
 app.command()(replay.replay)
 app.command()(evaluate.evaluate)
 app.command()(export.export)
+app.command()(optimize.optimize)
 app.command()(config.config)
 app.add_typer(benchmark.app, name="benchmark")
 
