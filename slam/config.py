@@ -197,7 +197,7 @@ class LoopClosureConfig(_Branch):
         default=5.0, ge=0, description="... if no other place comes that near to it in evidence [nats]"
     )
     waiting_nats: float = Field(
-        default=10.0, description="evidence from which a candidate waits for another that agrees [nats]"
+        default=10.0, description="evidence from which a candidate waits for others that agree [nats]"
     )
     supported_nats: float = Field(
         default=6.0, description="evidence that suffices next to a closure that is believed already [nats]"

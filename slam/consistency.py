@@ -54,9 +54,11 @@ def doubt_nats(
     return min(0.5 * float((off_m / sigma_m) ** 2 + (off_rad / sigma_rad) ** 2), config.max_doubt_nats)
 
 
-def joint_score_nats(a: Candidate, b: Candidate) -> float:
-    """Score of two candidates of different queries that agree: an object that both weigh counts once, by its mean."""
-    rows, places = np.unique(np.concatenate([a.rows, b.rows]), return_inverse=True)
-    sums = np.bincount(places, weights=np.concatenate([a.nats, b.nats]), minlength=len(rows))
-    counts = np.bincount(places, minlength=len(rows))
-    return float(np.sum(sums / np.maximum(counts, 1))) - max(a.doubt_nats, b.doubt_nats)
+def joint_score_nats(candidates: Sequence[Candidate]) -> float:
+    """Score of candidates (one at least) of different queries that agree: an object that several weigh counts once, by
+    the mean of what they say; the greatest doubt counts.
+    """
+    _, places = np.unique(np.concatenate([each.rows for each in candidates]), return_inverse=True)
+    sums = np.bincount(places, weights=np.concatenate([each.nats for each in candidates]))
+    evidence = float(np.sum(sums / np.maximum(np.bincount(places), 1)))
+    return evidence - max(each.doubt_nats for each in candidates)

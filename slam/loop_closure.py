@@ -143,21 +143,19 @@ class LoopCloser:
         return verdicts + self._wait(best)
 
     def _wait(self, candidate: Candidate) -> list[LoopClosureRecord]:
-        """Verdict on a candidate that is not enough by itself: an earlier one may agree with it."""
+        """Verdict on a candidate that is not enough by itself: earlier ones may agree with it."""
         said = f"evidence {candidate.evidence_nats:.1f}, doubt {candidate.doubt_nats:.1f}"
+        if candidate.evidence_nats < self._limits.waiting_nats:
+            return [candidate.record(Stage.ACCEPTANCE, f"{said}: below {self._limits.waiting_nats:g} nats")]
+        agreeing = [each for each in self._waiting if agree(self._carried(each, candidate), candidate.T_odom_query)]
+        together = joint_score_nats([*agreeing, candidate])
         threshold = self._limits.threshold_nats
-        if candidate.score_nats < self._limits.waiting_nats:
-            stage = Stage.ACCEPTANCE if candidate.evidence_nats < self._limits.waiting_nats else Stage.CONSISTENCY
-            return [candidate.record(stage, f"{said}: below {self._limits.waiting_nats:g} nats")]
-        for earlier in reversed(self._waiting):
-            T_odom_query = self._carried(earlier, candidate)
-            together = joint_score_nats(earlier, candidate)
-            if agree(T_odom_query, candidate.T_odom_query) and together >= threshold:
-                first = self._believe(earlier, f"agrees with that of keyframe {candidate.query}: {together:.1f} nats")
-                reason = f"agrees with that of keyframe {earlier.query}: {together:.1f} nats"
-                return [first, *self._believe_first(candidate, reason)]
-        self._waiting.append(candidate)
-        return [candidate.record(Stage.CONSISTENCY, f"{said}: waits for another that agrees, {threshold:g} in all")]
+        if together < threshold:
+            self._waiting.append(candidate)
+            reason = f"{said}: waits for others that agree, {together:.1f} of {threshold:g} nats so far"
+            return [candidate.record(Stage.CONSISTENCY, reason)]
+        reason = f"{together:.1f} nats together with those of {len(agreeing)} other keyframes"
+        return [*(self._believe(each, reason) for each in agreeing), *self._believe_first(candidate, reason)]
 
     def _carried(self, earlier: Candidate, later: Candidate) -> FloatArray:
         """``T_odom_query`` (4, 4) of a later candidate's query, as the earlier one has it."""

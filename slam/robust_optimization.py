@@ -81,9 +81,10 @@ def optimize_robustly(
     begins at the solution without closures, so that the initial values hardly matter.
 
     False closures that fit all other factors, e.g. wrong by one house, are in dispute with the true ones, and which
-    side a narrow kernel takes depends on where it begins. Where there are many, it begins wide and becomes narrow
-    (graduated non-convexity, Yang et al. 2020). If few of those that fit all other factors are kept in the end, these
-    agree by chance, and all are rejected: better the drift of the odometry than a false loop.
+    side a narrow kernel takes depends on where it begins. Where there are many, a kernel that begins wide and becomes
+    narrow is tried as well (graduated non-convexity, Yang et al. 2020), and the lower cost wins. If few of those that
+    fit all other factors are kept in the end, these agree by chance, and all are rejected: better the drift of the
+    odometry than a false loop.
 
     Args:
         graph: all factors; closures with plain Gaussian noise, others as they are, with kernels of their own or
@@ -104,7 +105,8 @@ def optimize_robustly(
     values, in_force = solver.solve_and_reject(alone)
     kept = in_force & (solver.weights(values) >= KEPT_WEIGHT)
     if 0 < np.count_nonzero(kept) < CLEAR_SHARE * np.count_nonzero(in_force):
-        values = solver.solve_narrowing(in_force, alone)
+        narrowed = solver.solve_narrowing(in_force, alone)
+        values = min(values, narrowed, key=lambda each: solver.cost(each, in_force))
         kept = in_force & (solver.weights(values) >= KEPT_WEIGHT)
     if solver.agree(kept, alone):
         return solver.finish(values, in_force, "")
@@ -163,6 +165,10 @@ class _Solver:
             values = self.solve(in_force, values, f"the solution with a kernel of width {width:g}", width)
         return values
 
+    def cost(self, values: gtsam.Values, in_force: BoolArray) -> float:
+        """Error of all other factors and, through their kernel, of the closures in force (C,)."""
+        return float(self._graph(in_force).error(values))
+
     def agree(self, kept: BoolArray, alone: gtsam.Values) -> bool:
         """Whether the kept closures (C,) are more than chance.
 
@@ -188,15 +194,14 @@ class _Solver:
 
     def finish(self, values: gtsam.Values, in_force: BoolArray, note: str) -> RobustSolution:
         """What there is to tell about a solution."""
-        graph = self._graph(in_force)
         return RobustSolution(
             values=values,
             weights=np.where(in_force, self.weights(values), 0.0),
             converged=not self._shortfalls,
             message="; ".join([*dict.fromkeys(self._shortfalls), *([note] if note else [])]),
             iterations=self._iterations,
-            error_before=float(graph.error(self._initial)),
-            error_after=float(graph.error(values)),
+            error_before=self.cost(self._initial, in_force),
+            error_after=self.cost(values, in_force),
         )
 
     def weights(self, values: gtsam.Values) -> FloatArray:
