@@ -48,11 +48,17 @@ class LoopCloser:
         self._waiting: deque[Candidate] = deque()
         self._leader: Candidate | None = None
         self._closed: dict[int, int] = {}
+        self._doubted: set[int] = set()
 
     @property
     def closed(self) -> IntArray:
         """Query and reference keyframe (C, 2) of the closures that are believed."""
         return np.array(list(self._closed.items()), dtype=np.int64).reshape(-1, 2)
+
+    @property
+    def doubted_count(self) -> int:
+        """Keyframes whose objects say that they are at a place, but the odometry's noise does not allow it."""
+        return len(self._doubted - self._closed.keys())
 
     def close(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
         """Look for loops at the newest keyframe; returns every candidate with its verdict, revised ones included."""
@@ -152,6 +158,8 @@ class LoopCloser:
         threshold = self._limits.threshold_nats
         if together < threshold:
             self._waiting.append(candidate)
+            if candidate.evidence_nats >= threshold:
+                self._doubted.add(candidate.query)
             reason = f"{said}: waits for others that agree, {together:.1f} of {threshold:g} nats so far"
             return [candidate.record(Stage.CONSISTENCY, reason)]
         reason = f"{together:.1f} nats together with those of {len(agreeing)} other keyframes"

@@ -132,6 +132,7 @@ class Slam:
             message += "; most odometry messages were unusable: their stamps do not increase"
         object_map = self._map_record()
         self.counters["closures_withdrawn"] = len(withdrawn)
+        self.counters["closures_doubted"] = self._closer.doubted_count
         is_well = optimization.converged and not complaint and unused <= self.counters["odometry_used"]
         level = "info" if is_well and not self.counters["covariances_missing"] else "warning"
         confirmed = self._object_map.in_state(LandmarkState.CONFIRMED)

@@ -74,12 +74,20 @@ def _show(output: Path, picture: Path | None, summary: ReplaySummary) -> None:
         "keyframes": str(counters.get("keyframes", 0)),
         "landmarks": ", ".join(landmarks),
         "loops": f"closed at {counters.get('closures_accepted', 0)} keyframes, "
-        f"by {counters.get('closures_inserted', 0)} factors; {counters.get('closures_withdrawn', 0)} taken out again",
+        f"by {counters.get('closures_inserted', 0)} factors; {counters.get('closures_withdrawn', 0)} taken out again"
+        + _doubted(counters.get("closures_doubted", 0)),
         "warnings": ", ".join(noted) or "none",
         "final status": summary.final_status,
         "written": str(output) + (f", {picture}" if picture else ""),
     }
     console.show(console.pairs(rows))
+
+
+def _doubted(count: int) -> str:
+    """Many of them mean that the odometry drifts more than the configuration says."""
+    if not count:
+        return ""
+    return f"; {count} more look like a loop, but odometry.yaw_sigma and translation_sigma do not allow it"
 
 
 def _x_real_time(summary: ReplaySummary) -> float | None:
