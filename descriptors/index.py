@@ -59,9 +59,7 @@ class DescriptorIndex:
         squares *= -2.0
         squares += self._squares[: self._size]
         squares[(labels[:, None] != self._labels[: self._size]) | ~allowed] = np.inf
-        k = min(k, self._size)
-        nearest = np.argpartition(squares, k - 1, axis=1)[:, :k]
-        nearest.sort(axis=1)
+        nearest = _smallest(squares, min(k, self._size))
         order = np.argsort(np.take_along_axis(squares, nearest, axis=1), axis=1, kind="stable")
         nearest = np.take_along_axis(nearest, order, axis=1)
         found = np.take_along_axis(squares, nearest, axis=1)
@@ -69,6 +67,15 @@ class DescriptorIndex:
         own = np.einsum("ij,ij->i", vectors, vectors)
         distances = np.sqrt(np.maximum(found[queries, places] + own[queries], 0.0))
         return Matches(queries, nearest[queries, places], distances)
+
+
+def _smallest(values: NDArray[np.float32], k: int) -> NDArray[np.int64]:
+    """Columns (Q, k), ascending, of the k smallest values of each row; of equal ones the first."""
+    bound = np.partition(values, k - 1, axis=1)[:, k - 1 : k]
+    below, equal = values < bound, values == bound
+    wanted = k - np.count_nonzero(below, axis=1, keepdims=True)
+    chosen = below | (equal & (np.cumsum(equal, axis=1) <= wanted))
+    return np.nonzero(chosen)[1].reshape(-1, k)
 
 
 def _grown(array: NDArray[Any], capacity: int) -> NDArray[Any]:

@@ -46,7 +46,7 @@ class RingHistogram:
         gather = sparse.csr_array(
             (np.ones(count), (cells, np.arange(count))), shape=(len(constellations) * classes, count)
         )
-        histogram = np.asarray(gather @ memberships).reshape(len(constellations), classes, -1)
+        histogram = np.asarray(gather @ memberships).reshape(len(constellations), classes, len(self._middles_m))
         vectors = class_vectors(constellations.vocabulary, self._class_length)
         described = np.einsum("bcr,cv->bvr", histogram, vectors, optimize=True)
-        return np.asarray(described.reshape(len(constellations), -1), dtype=np.float32)
+        return np.asarray(described.reshape(len(constellations), self.length), dtype=np.float32)

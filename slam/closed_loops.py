@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from slam.candidate import Candidate
 from slam.factor_graph import FactorGraph
@@ -45,17 +45,26 @@ class ClosedLoops:
         moved = self._sessions.join(candidate.reference, candidate.query)
         edge = candidate.edge()
         factor = self._graph.add_joining_edge(edge, moved) if len(moved) else self._graph.add_edge(edge)
-        merged = [self._merge(int(query), int(reference)) for query, reference in candidate.pairs]
-        self.loops.append(ClosedLoop(candidate, factor, tuple(pair for pair in merged if pair is not None)))
+        self.loops.append(ClosedLoop(candidate, factor, self._merge_all(candidate)))
 
-    def withdraw(self, loop: ClosedLoop) -> None:
-        """Take a closure out of the graph again, and let its landmarks be two."""
-        self._graph.remove_factor(loop.factor)
-        for kept, dropped in reversed(loop.merged):
-            self._namesakes[kept].remove(dropped)
-            self._map.split(dropped)
-            self._graph.split_landmark(dropped)
-        self.loops.remove(loop)
+    def withdraw(self, loops: Sequence[ClosedLoop]) -> None:
+        """Take closures out of the graph again, and let the landmarks be two that only they made one."""
+        gone = {loop.factor for loop in loops}
+        for factor in gone:
+            self._graph.remove_factor(factor)
+        # What a later closure merged may have gone by a name that an earlier one gave it: all merges are made anew.
+        for loop in reversed(self.loops):
+            for _, dropped in reversed(loop.merged):
+                self._map.split(dropped)
+                self._graph.split_landmark(dropped)
+        self._namesakes.clear()
+        self.loops = [
+            replace(loop, merged=self._merge_all(loop.candidate)) for loop in self.loops if loop.factor not in gone
+        ]
+
+    def _merge_all(self, candidate: Candidate) -> tuple[tuple[int, int], ...]:
+        merged = [self._merge(int(query), int(reference)) for query, reference in candidate.pairs]
+        return tuple(pair for pair in merged if pair is not None)
 
     def _merge(self, query: int, reference: int) -> tuple[int, int] | None:
         """Merge the landmark of the query into that of the reference; None where that is done or would be wrong."""

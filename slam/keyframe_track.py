@@ -42,10 +42,16 @@ class KeyframeTrack:
         row["sum_square"] = previous["sum_square"] + step_m * float(position[:2] @ position[:2])
         self._size += 1
 
-    def nearest(self, position_odom: FloatArray, *, from_m: float, to_m: float) -> tuple[int, float] | None:
-        """Id and distance [m] of the keyframe nearest to a place (3,) among those of that travel; None if none is."""
+    def nearest(
+        self, position_odom: FloatArray, *, segment: int, from_m: float, to_m: float
+    ) -> tuple[int, float] | None:
+        """Id and distance [m] of the keyframe nearest to a place (3,) among those of a segment of the odometry and of
+        that travel; None if none is.
+        """
         rows = self._rows[: self._size]
         first, last = np.searchsorted(rows["travel_m"], [from_m, to_m])
+        first = max(first, np.searchsorted(rows["segment"], segment))
+        last = min(last, np.searchsorted(rows["segment"], segment, side="right"))
         if first >= last:
             return None
         offsets = rows["position_odom"][first:last, :2] - position_odom[:2]

@@ -49,6 +49,8 @@ class LoopCloser:
         self._leader: Candidate | None = None
         self._closed: dict[int, int] = {}
         self._doubted: set[int] = set()
+        self._believed: list[tuple[Candidate, int]] = []
+        """With the query of the closure that became a factor, its own or the one that says the same."""
 
     @property
     def closed(self) -> IntArray:
@@ -81,7 +83,7 @@ class LoopCloser:
         verified = [self._verifier.verify(query, place) for place in places]
         refused = [each for each in verified if isinstance(each, LoopClosureRecord)]
         candidates = distinct([each for each in verified if isinstance(each, Candidate)])
-        return refused + self._judge(candidates)
+        return refused + self._judge(query, candidates)
 
     def finish(self) -> tuple[list[LoopClosureRecord], str]:
         """Take out the closures that all factors together contradict; returns their new verdicts and a message.
@@ -93,14 +95,16 @@ class LoopCloser:
             return [], ""
         graph = self._graph
         judgement = judge_closures(graph.factors, list(loops), graph.keyframes, graph.poses())
-        verdicts = []
-        for factor, loop in loops.items():
-            if not judgement.kept[factor]:
-                self._loops.withdraw(loop)
-                self._closed.pop(loop.candidate.query, None)
-                reason = f"taken out again: weight {judgement.weights[factor]:.2g} among all factors"
-                verdicts.append(loop.candidate.record(Stage.BACK_END, reason))
-        return verdicts, judgement.message
+        reasons = {
+            loop.candidate.query: f"taken out again: weight {judgement.weights[factor]:.2g} among all factors"
+            for factor, loop in loops.items()
+            if not judgement.kept[factor]
+        }
+        self._loops.withdraw([loop for loop in loops.values() if loop.candidate.query in reasons])
+        gone = [(each, reasons[factor]) for each, factor in self._believed if factor in reasons]
+        for candidate, _ in gone:
+            self._closed.pop(candidate.query, None)
+        return [candidate.record(Stage.BACK_END, reason) for candidate, reason in gone], judgement.message
 
     def _crosses_break(self, candidate: Candidate) -> bool:
         reference, query = self._keyframes[candidate.reference], self._keyframes[candidate.query]
@@ -133,7 +137,7 @@ class LoopCloser:
             return None
         return candidate if candidate.evidence_nats >= self._limits.supported_nats else None
 
-    def _judge(self, candidates: list[Candidate]) -> list[LoopClosureRecord]:
+    def _judge(self, query: Query, candidates: list[Candidate]) -> list[LoopClosureRecord]:
         """Verdicts on the candidates of one query, best first."""
         if not candidates:
             return []
@@ -141,14 +145,23 @@ class LoopCloser:
         verdicts = [each.record(Stage.ACCEPTANCE, "another place is likelier") for each in others]
         rivals = [each for each in others if not self._verifier.can_both_hold(best, each)]
         rival_nats = max((each.score_nats for each in rivals), default=0.0)
-        if best.score_nats >= self._limits.threshold_nats:
-            if best.score_nats - rival_nats >= self._limits.margin_nats:
-                return [*verdicts, *self._believe_first(best, "")]
-            reason = f"another place is as likely: {best.score_nats:.1f} against {rival_nats:.1f} nats"
-            return [*verdicts, best.record(Stage.ACCEPTANCE, reason)]
-        return verdicts + self._wait(best)
+        if best.score_nats < self._limits.threshold_nats:
+            return verdicts + self._wait(query, best)
+        ambiguity = self._ambiguity(query, best, rival_nats)
+        if ambiguity:
+            return [*verdicts, best.record(Stage.ACCEPTANCE, ambiguity)]
+        return [*verdicts, *self._believe_first(best, "")]
 
-    def _wait(self, candidate: Candidate) -> list[LoopClosureRecord]:
+    def _ambiguity(self, query: Query, candidate: Candidate, rival_nats: float) -> str:
+        """Why a candidate might as well be elsewhere; empty if it might not."""
+        if candidate.score_nats - rival_nats < self._limits.margin_nats:
+            return f"another place is as likely: {candidate.score_nats:.1f} against {rival_nats:.1f} nats"
+        slid_nats = self._verifier.rival_along_the_street(query, candidate)
+        if candidate.evidence_nats - slid_nats < self._limits.margin_nats:
+            return f"it fits as well further along: {candidate.evidence_nats:.1f} against {slid_nats:.1f} nats"
+        return ""
+
+    def _wait(self, query: Query, candidate: Candidate) -> list[LoopClosureRecord]:
         """Verdict on a candidate that is not enough by itself: earlier ones may agree with it."""
         said = f"evidence {candidate.evidence_nats:.1f}, doubt {candidate.doubt_nats:.1f}"
         if candidate.evidence_nats < self._limits.waiting_nats:
@@ -162,6 +175,10 @@ class LoopCloser:
                 self._doubted.add(candidate.query)
             reason = f"{said}: waits for others that agree, {together:.1f} of {threshold:g} nats so far"
             return [candidate.record(Stage.CONSISTENCY, reason)]
+        ambiguity = self._ambiguity(query, candidate, -np.inf)
+        if ambiguity:
+            return [candidate.record(Stage.ACCEPTANCE, ambiguity)]
+        self._waiting = deque(each for each in self._waiting if each not in agreeing)
         reason = f"{together:.1f} nats together with those of {len(agreeing)} other keyframes"
         return [*(self._believe(each, reason) for each in agreeing), *self._believe_first(candidate, reason)]
 
@@ -199,6 +216,7 @@ class LoopCloser:
         )
         if is_new:
             self._loops.insert(candidate)
+        self._believed.append((candidate, candidate.query if is_new or nearest is None else nearest.candidate.query))
         self._closed[candidate.query] = candidate.reference
         self._leader = candidate
         return candidate.record(Stage.ACCEPTED, reason, inserted=is_new)

@@ -105,6 +105,7 @@ class Mapper:
             stamp_ns=scan.stamp_ns,
             scan=self._scan_count,
             travel_m=pose.travel_m,
+            segment=pose.segment,
         )
         self._active = np.concatenate([self._active, rows[~known]])
         self._sightings.add(rows, in_keyframe)

@@ -10,12 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from descriptors.constellation import gather_constellations
 from descriptors.descriptor import make_descriptor
 from descriptors.index import DescriptorIndex
 from slam.config import LoopClosureConfig, RegistrationConfig, SubmapConfig
-from slam.geometry import FloatArray
+from slam.geometry import FloatArray, IntArray
 from slam.object_map import LandmarkState, ObjectMap
 from slam.registration import register
 from slam.submap import Submap, placed_submap
@@ -30,13 +31,15 @@ SETTLE_EVERY_M = 10.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
-    """Where a query may be: ``T_odom_query`` (4, 4), as the pass around ``travel_m`` saw the odometry frame.
+    """Where a query may be: ``T_odom_query`` (4, 4), as the pass around ``travel_m`` saw the odometry frame of a
+    ``segment``.
 
     ``retrieval_distance``: mean distance of the agreeing matches in descriptor space.
     """
 
     T_odom_query: FloatArray
     travel_m: float
+    segment: int
     retrieval_distance: float
 
 
@@ -68,17 +71,23 @@ class PlaceFinder:
         confirmed = landmarks["state"] == LandmarkState.CONFIRMED
         behind = confirmed & (landmarks["last_seen_travel_m"] < travel_m - self._config.settle_travel_m)
         behind[self._rows] = False
-        new = np.flatnonzero(behind)
-        if not len(new):
-            return
+        for segment in np.unique(landmarks["segment"][behind]):
+            self._enter(np.flatnonzero(behind & (landmarks["segment"] == segment)), int(segment))
+
+    def _enter(self, new: IntArray, segment: int) -> None:
+        landmarks = self._map.rows
         earliest_m = landmarks["last_seen_travel_m"][new].min() - PASS_TRAVEL_M
-        around = np.flatnonzero(confirmed & (landmarks["last_seen_travel_m"] > earliest_m))
+        around = np.flatnonzero(
+            (landmarks["state"] == LandmarkState.CONFIRMED)
+            & (landmarks["segment"] == segment)
+            & (landmarks["last_seen_travel_m"] > earliest_m)
+        )
         constellations = gather_constellations(
             landmarks["position_odom"][around],
             self._map.classes(around),
             self._map.vocabulary,
             radius_m=self._descriptor.radius_m,
-            centres=np.searchsorted(around, new),
+            centres=np.asarray(np.searchsorted(around, new)),
         )
         self._index.add(self._descriptor.describe(constellations), constellations.centre_labels)
         self._rows = np.concatenate([self._rows, new])
@@ -111,16 +120,19 @@ class PlaceFinder:
             rng=np.random.default_rng(seed),
             count=self._config.places,
         )
-        travels_m = landmarks["last_seen_travel_m"][reference.rows]
         return [
-            Place(
-                registration.T_reference_query,
-                float(np.median(travels_m[registration.pairs[:, 1]])),
-                float(matches.distances[registration.inliers].mean()),
-            )
-            for registration in registrations
-            if registration.T_reference_query is not None
+            self._place(found.T_reference_query, reference.rows[found.pairs[:, 1]], matches.distances[found.inliers])
+            for found in registrations
+            if found.T_reference_query is not None
         ]
+
+    def _place(self, T_odom_query: FloatArray, rows: IntArray, distances: NDArray[np.float32]) -> Place:
+        """The place of a pose on which matches with the landmarks ``rows`` (K,) agree."""
+        landmarks = self._map.rows[rows]
+        segments, counts = np.unique(landmarks["segment"], return_counts=True)
+        segment = int(segments[np.argmax(counts)])
+        travels_m = landmarks["last_seen_travel_m"][landmarks["segment"] == segment]
+        return Place(T_odom_query, float(np.median(travels_m)), segment, float(distances.mean()))
 
     def surroundings(self, place: Place, *, before_m: float) -> Submap:
         """The landmarks around a place as its pass saw them, in the odometry frame."""
@@ -130,6 +142,7 @@ class PlaceFinder:
         rows = np.flatnonzero(
             (np.abs(landmarks["last_seen_travel_m"] - place.travel_m) < PASS_TRAVEL_M)
             & (landmarks["last_seen_travel_m"] < before_m)
+            & (landmarks["segment"] == place.segment)
             & (landmarks["state"] == LandmarkState.CONFIRMED)
             & (np.einsum("ij,ij->i", offsets, offsets) < PLACE_RADIUS_M**2)
         )

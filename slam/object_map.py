@@ -42,6 +42,7 @@ LANDMARK = np.dtype(
         ("first_seen_ns", np.int64),
         ("last_seen_ns", np.int64),
         ("last_seen_travel_m", np.float64),
+        ("segment", np.int64),  # of the odometry: positions of one segment have nothing to do with those of another
         # Where it is relative to the robot: a filter in the odometry frame, which is smooth around the robot.
         ("position_odom", np.float64, 3),
         ("covariance_odom", np.float64, (3, 3)),
@@ -142,6 +143,7 @@ class ObjectMap:
         stamp_ns: int,
         scan: int,
         travel_m: float,
+        segment: int = 0,
     ) -> IntArray:
         """Make tentative landmarks of detections (N, 3) m with (N, 3, 3) m^2; returns their rows (N,)."""
         new = np.arange(self._size, self._size + len(positions_odom))
@@ -155,6 +157,7 @@ class ObjectMap:
         landmarks["first_seen_ns"][new] = stamp_ns
         landmarks["last_seen_ns"][new] = stamp_ns
         landmarks["last_seen_travel_m"][new] = travel_m
+        landmarks["segment"][new] = segment
         landmarks["position_odom"][new] = positions_odom
         landmarks["first_position_odom"][new] = positions_odom
         landmarks["covariance_odom"][new] = covariances_odom

@@ -39,7 +39,9 @@ def gravity_frame(T_odom_body: FloatArray) -> FloatArray:
 def recent_submap(object_map: ObjectMap, pose: OdometryPose, config: SubmapConfig) -> Submap:
     """The confirmed landmarks of the last stretch of travel, in the gravity frame of ``pose`` (the paper's QLSM)."""
     landmarks = object_map.rows
-    recent = landmarks["last_seen_travel_m"] > pose.travel_m - config.travel_m
+    recent = (landmarks["last_seen_travel_m"] > pose.travel_m - config.travel_m) & (
+        landmarks["segment"] == pose.segment
+    )
     rows = np.flatnonzero(recent & (landmarks["state"] == LandmarkState.CONFIRMED))
     positions = apply(invert(gravity_frame(pose.T_odom_body)), landmarks["position_odom"][rows])
     return _submap(object_map, rows, positions, np.zeros(3), config)

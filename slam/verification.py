@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from logs.messages import LoopClosureRecord
 from slam.candidate import Candidate, Stage
 from slam.config import Config
-from slam.consistency import doubt_nats
+from slam.consistency import agree, doubt_nats
 from slam.evidence import weigh
 from slam.factor_graph import FactorGraph
-from slam.geometry import FloatArray, invert
+from slam.geometry import FloatArray, apply, invert
 from slam.keyframe_track import KeyframeTrack
 from slam.mapper import Keyframe
 from slam.matching import PASS_TRAVEL_M, Place, PlaceFinder
@@ -25,6 +25,10 @@ MAX_REFERENCE_M = 20.0
 NOWHERE = -1
 # Two candidates are told apart beyond three standard deviations of the odometry between their references.
 COMPATIBLE_NATS = 4.5
+# How far a query is slid along the street to see whether it fits there as well, and which of that is looked at closely.
+SLIDES_M = np.concatenate([np.arange(-40.0, -3.0), np.arange(4.0, 41.0)])
+SLIDE_REACH_M = 1.5
+SLIDES_TRIED = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,12 +86,14 @@ class Verifier:
             return None
         T_leader_query = invert(gravity_frame(leading.T_odom_body)) @ query.T_odom_gravity
         T_odom_query = np.asarray(leader.T_odom_query @ T_leader_query)
-        reference = self._nearest(T_odom_query, self._keyframes[leader.reference].odometry.travel_m, query)
-        return Place(T_odom_query, reference.odometry.travel_m, 0.0) if reference else None
+        led_to = self._keyframes[leader.reference].odometry
+        place = Place(T_odom_query, led_to.travel_m, led_to.segment, 0.0)
+        reference = self._nearest(place, query)
+        return replace(place, travel_m=reference.odometry.travel_m) if reference else None
 
     def verify(self, query: Query, place: Place, *, leader: int = NOWHERE) -> Candidate | LoopClosureRecord:
         """The candidate for a place, or the verdict that it is none."""
-        reference = self._nearest(place.T_odom_query, place.travel_m, query)
+        reference = self._nearest(place, query)
         surroundings = self._finder.surroundings(place, before_m=self.latest_m(query))
         registration = refine(
             query.submap.positions,
@@ -101,7 +107,7 @@ class Verifier:
         )
         if registration.T_reference_query is None:
             return query.refusal(Stage.REGISTRATION, registration.reason, reference)
-        reference = self._nearest(registration.T_reference_query, place.travel_m, query)
+        reference = self._nearest(replace(place, T_odom_query=registration.T_reference_query), query)
         if reference is None:
             return query.refusal(Stage.REGISTRATION, f"no earlier keyframe within {MAX_REFERENCE_M:g} m of the place")
         limits = self._config.loop_closure
@@ -118,6 +124,30 @@ class Verifier:
         T_predicted = invert(self._graph.pose(first.reference)) @ self._graph.pose(second.reference)
         sigmas = self._track.drift_sigmas(first.reference, second.reference)
         return doubt_nats(T_predicted, T_implied, sigmas, self._config.loop_closure) < COMPATIBLE_NATS
+
+    def rival_along_the_street(self, query: Query, candidate: Candidate) -> float:
+        """Most evidence [nats] of the query where it is slid along its heading, since rows of objects repeat themselves.
+
+        Where its objects meet others after a slide, it is registered and weighed there like anywhere.
+        """
+        pose = self._keyframes[candidate.reference].odometry
+        place = Place(candidate.T_odom_query, pose.travel_m, pose.segment, 0.0)
+        surroundings = self._finder.surroundings(place, before_m=self.latest_m(query))
+        placed = apply(place.T_odom_query, query.submap.positions)
+        offsets = surroundings.positions[:, None, :2] - placed[None, :, :2]  # (M, N, 2)
+        same = surroundings.labels[:, None] == query.submap.labels
+        heading = place.T_odom_query[:2, 0]
+        shifts = offsets[None] - SLIDES_M[:, None, None, None] * heading  # (S, M, N, 2)
+        near = same & (np.einsum("smni,smni->smn", shifts, shifts) < SLIDE_REACH_M**2)
+        meeting = near.any(axis=1).sum(axis=1)
+        rivals = [0.0]
+        for slide in np.argsort(-meeting, kind="stable")[:SLIDES_TRIED]:
+            T_slid = place.T_odom_query.copy()
+            T_slid[:2, 3] += SLIDES_M[slide] * heading
+            slid = self.verify(query, replace(place, T_odom_query=T_slid))
+            if isinstance(slid, Candidate) and not agree(slid.T_odom_query, candidate.T_odom_query):
+                rivals.append(slid.evidence_nats)
+        return max(rivals)
 
     def _candidate(
         self,
@@ -163,11 +193,12 @@ class Verifier:
         tilt, yaw, shift = np.deg2rad(limits.tilt_sigma_deg), np.deg2rad(limits.base_sigma_deg), limits.base_sigma_m
         return np.asarray(registered + np.diag(np.array([tilt, tilt, yaw, shift, shift, shift]) ** 2))
 
-    def _nearest(self, T_odom_query: FloatArray, travel_m: float, query: Query) -> Keyframe | None:
-        """The keyframe of the pass around ``travel_m`` that came nearest to a place, if it came near."""
+    def _nearest(self, place: Place, query: Query) -> Keyframe | None:
+        """The keyframe of the place's pass that came nearest to it, if it came near."""
         found = self._track.nearest(
-            T_odom_query[:3, 3],
-            from_m=travel_m - PASS_TRAVEL_M,
-            to_m=min(travel_m + PASS_TRAVEL_M, self.latest_m(query)),
+            place.T_odom_query[:3, 3],
+            segment=place.segment,
+            from_m=place.travel_m - PASS_TRAVEL_M,
+            to_m=min(place.travel_m + PASS_TRAVEL_M, self.latest_m(query)),
         )
         return self._keyframes[found[0]] if found is not None and found[1] <= MAX_REFERENCE_M else None

@@ -37,4 +37,4 @@ class OnionHistogram:
         counts = np.bincount(cells, minlength=len(constellations) * self._shells * classes)
         histogram = counts.reshape(len(constellations), self._shells, classes).astype(np.float32)
         described = histogram @ class_vectors(constellations.vocabulary, self._class_length)
-        return np.asarray(described.reshape(len(constellations), -1), dtype=np.float32)
+        return np.asarray(described.reshape(len(constellations), self.length), dtype=np.float32)

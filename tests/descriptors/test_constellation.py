@@ -1,0 +1,97 @@
+"""Constellations: whoever is within the horizontal radius, relative to the centre, and nobody else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from descriptors.constellation import Constellations, gather_constellations
+from descriptors.errors import DescriptorError
+from tests.descriptors.constellations import VOCABULARY, scattered
+
+RADIUS_M = 15.0
+
+
+def neighbours_of(constellations: Constellations, i: int) -> list[tuple[float, ...]]:
+    """Label and relative position of each neighbour of the i-th centre, in a fixed order."""
+    own = slice(constellations.offsets[i], constellations.offsets[i + 1])
+    rows = np.column_stack([constellations.labels[own], constellations.positions[own]])
+    return sorted(tuple(row) for row in rows.tolist())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_neighbours_are_those_that_brute_force_finds(seed):
+    positions, labels = scattered(80, seed=seed)
+    found = gather_constellations(positions, labels, VOCABULARY, radius_m=RADIUS_M)
+    assert len(found) == 80
+    assert found.vocabulary == VOCABULARY
+    np.testing.assert_array_equal(found.centre_labels, labels)
+    for centre in range(80):
+        expected = [
+            (float(labels[other]), *(positions[other] - positions[centre]).tolist())
+            for other in range(80)
+            if other != centre and np.hypot(*(positions[other] - positions[centre])[:2]) <= RADIUS_M
+        ]
+        assert neighbours_of(found, centre) == sorted(expected)
+        assert np.count_nonzero(found.owners == centre) == len(expected)
+
+
+def test_chosen_centres_have_the_constellations_that_they_have_among_all():
+    positions, labels = scattered(50, seed=4)
+    everything = gather_constellations(positions, labels, VOCABULARY, radius_m=RADIUS_M)
+    centres = np.array([31, 4, 17])
+    chosen = gather_constellations(positions, labels, VOCABULARY, radius_m=RADIUS_M, centres=centres)
+    np.testing.assert_array_equal(chosen.centre_labels, labels[centres])
+    for i, centre in enumerate(centres.tolist()):
+        assert neighbours_of(chosen, i) == neighbours_of(everything, centre)
+
+
+def test_height_is_no_distance():
+    positions = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 50.0]])
+    found = gather_constellations(positions, np.array([0, 1]), VOCABULARY, radius_m=5.0)
+    assert neighbours_of(found, 0) == [(1.0, 3.0, 0.0, 50.0)]
+
+
+def test_one_object_has_no_neighbour():
+    found = gather_constellations(np.zeros((1, 3)), np.array([2]), VOCABULARY, radius_m=RADIUS_M)
+    assert len(found) == 1
+    assert found.positions.shape == (0, 3)
+    np.testing.assert_array_equal(found.offsets, [0, 0])
+
+
+def test_no_object_gives_no_constellation():
+    found = gather_constellations(np.zeros((0, 3)), np.zeros(0, dtype=np.int64), VOCABULARY, radius_m=RADIUS_M)
+    assert len(found) == 0
+    assert found.positions.shape == (0, 3)
+    np.testing.assert_array_equal(found.offsets, [0])
+
+
+def test_no_centre_among_objects_gives_no_constellation():
+    positions, labels = scattered(5, seed=0)
+    nobody = np.zeros(0, dtype=np.int64)
+    assert len(gather_constellations(positions, labels, VOCABULARY, radius_m=RADIUS_M, centres=nobody)) == 0
+
+
+def test_objects_at_one_place_are_neighbours_of_each_other_but_not_of_themselves():
+    positions = np.array([[1.0, 2.0, 0.0], [1.0, 2.0, 0.0], [50.0, 2.0, 0.0]])
+    found = gather_constellations(positions, np.array([0, 3, 1]), VOCABULARY, radius_m=RADIUS_M)
+    assert neighbours_of(found, 0) == [(3.0, 0.0, 0.0, 0.0)]
+    assert neighbours_of(found, 1) == [(0.0, 0.0, 0.0, 0.0)]
+    assert neighbours_of(found, 2) == []
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("axis", [0, 2])
+def test_positions_that_are_not_finite_are_refused(bad, axis):
+    positions, labels = scattered(5, seed=0)
+    positions[3, axis] = bad
+    with pytest.raises(DescriptorError, match="object 3"):
+        gather_constellations(positions, labels, VOCABULARY, radius_m=RADIUS_M)
+
+
+@pytest.mark.parametrize("bad", [-1, len(VOCABULARY)])
+def test_labels_outside_the_vocabulary_are_refused(bad):
+    positions, labels = scattered(5, seed=0)
+    labels[2] = bad
+    with pytest.raises(DescriptorError, match=f"vocabulary of {len(VOCABULARY)} classes"):
+        gather_constellations(positions, labels, VOCABULARY, radius_m=RADIUS_M)
