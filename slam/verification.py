@@ -126,7 +126,7 @@ class Verifier:
         return doubt_nats(T_predicted, T_implied, sigmas, self._config.loop_closure) < COMPATIBLE_NATS
 
     def rival_along_the_street(self, query: Query, candidate: Candidate) -> float:
-        """Most evidence [nats] of the query where it is slid along its heading, since rows of objects repeat themselves.
+        """Most evidence [nats] of the query where it is slid along its heading: rows of objects repeat themselves.
 
         Where its objects meet others after a slide, it is registered and weighed there like anywhere.
         """

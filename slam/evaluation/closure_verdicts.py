@@ -12,7 +12,7 @@ from logs.messages import LoopClosureRecord
 from slam.evaluation.protocol import Protocol
 from slam.evaluation.revisits import find_true_poses
 from slam.evaluation.synchronization import PoseSeries
-from slam.geometry import invert, rotation_angle_rad
+from slam.geometry import invert, rotation_angle_rad, yaw_rad
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -27,7 +27,8 @@ class JudgedClosures:
     (false where undecided); same_place (C,): the two keyframes are near each other, with or without a transform;
     reference_stamps_ns (C,): 0 where neither the candidate nor a keyframe tells it;
     errors_xyz (C, 3) metres, world frame: where the closure puts the query keyframe, less where it is;
-    rotation_errors_rad (C,); both 0 where undecided. travelled_m (C,): true path up to the query keyframe.
+    rotation_errors_rad (C,); planar_errors (C, 3): the same in the plane of the query's body, forward and left [m], and
+    about its z axis [rad]; all 0 where undecided. travelled_m (C,): true path up to the query keyframe.
     """
 
     candidates: tuple[LoopClosureRecord, ...]
@@ -38,6 +39,7 @@ class JudgedClosures:
     same_place: BoolArray
     errors_xyz: FloatArray
     rotation_errors_rad: FloatArray
+    planar_errors: FloatArray
     travelled_m: FloatArray
 
     @property
@@ -88,7 +90,9 @@ def judge_closures(
     decided = comparable & registered
     T_world_claimed = T_world_reference @ T_reference_query
     errors_xyz = np.where(decided[:, None], T_world_claimed[:, :3, 3] - T_world_query[:, :3, 3], 0.0)
-    rotation_errors = np.where(decided, rotation_angle_rad(invert(T_world_query) @ T_world_claimed), 0.0)
+    T_query_claimed = invert(T_world_query) @ T_world_claimed
+    rotation_errors = np.where(decided, rotation_angle_rad(T_query_claimed), 0.0)
+    planar_errors = np.column_stack([T_query_claimed[:, 0, 3], T_query_claimed[:, 1, 3], yaw_rad(T_query_claimed)])
     near = np.linalg.norm(errors_xyz, axis=1) <= protocol.closure_translation_m
     turned_alike = rotation_errors <= np.deg2rad(protocol.closure_rotation_deg)
     apart_m = np.linalg.norm(T_world_query[:, :3, 3] - T_world_reference[:, :3, 3], axis=1)
@@ -101,5 +105,6 @@ def judge_closures(
         same_place=comparable & (apart_m <= protocol.revisit_distance_m),
         errors_xyz=errors_xyz,
         rotation_errors_rad=rotation_errors,
+        planar_errors=np.where(decided[:, None], planar_errors, 0.0),
         travelled_m=truth.travelled_at_m(query_ns) if len(truth.stamps_ns) else np.zeros(count),
     )

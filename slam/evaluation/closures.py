@@ -25,7 +25,8 @@ NO_TRUE_CANDIDATE = "no true candidate"
 
 @dataclass(frozen=True, slots=True)
 class ClosureErrors:
-    """Errors of ``count`` >= 1 accepted true closures.
+    """Errors of ``count`` >= 1 accepted true closures. Planar ones are those in the plane of the body: some truths, that
+    of KITTI among them, drift in height.
 
     ``within_revisit_spread_m`` is the median over the runs of at least two closures, None where there is no such run.
     """
@@ -35,6 +36,8 @@ class ClosureErrors:
     p95_translation_m: float
     median_rotation_deg: float
     p95_rotation_deg: float
+    median_planar_m: float
+    median_heading_deg: float
     within_revisit_spread_m: float | None
 
 
@@ -215,6 +218,8 @@ def _summarize_errors(judged: JudgedClosures, protocol: Protocol) -> ClosureErro
         p95_translation_m=float(np.percentile(translations_m, 95.0)),
         median_rotation_deg=float(np.median(rotations_deg)),
         p95_rotation_deg=float(np.percentile(rotations_deg, 95.0)),
+        median_planar_m=float(np.median(np.hypot(*judged.planar_errors[rows, :2].T))),
+        median_heading_deg=float(np.rad2deg(np.median(np.abs(judged.planar_errors[rows, 2])))),
         within_revisit_spread_m=_measure_spread(
             judged.errors_xyz[rows], judged.travelled_m[rows], protocol.closure_run_gap_m
         ),

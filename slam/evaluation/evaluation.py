@@ -118,6 +118,8 @@ def _closure_dict(quality: ClosureQuality | None) -> dict[str, Any]:
         **{f"revisit_count_{name}": revisits.revisit_counts[name] if revisits else None for name in DIRECTIONS},
         "median_translation_error_m": errors.median_translation_m if errors else None,
         "p95_translation_error_m": errors.p95_translation_m if errors else None,
+        "median_planar_error_m": errors.median_planar_m if errors else None,
+        "median_heading_error_deg": errors.median_heading_deg if errors else None,
         "median_rotation_error_deg": errors.median_rotation_deg if errors else None,
         "p95_rotation_error_deg": errors.p95_rotation_deg if errors else None,
         "within_revisit_spread_m": errors.within_revisit_spread_m if errors else None,

@@ -184,6 +184,7 @@ def _closure_error(errors: ClosureErrors) -> str:
     spread = errors.within_revisit_spread_m
     return (
         f"median {errors.median_translation_m:.3f} m, {errors.median_rotation_deg:.3f} deg; "
+        f"in the plane {errors.median_planar_m:.3f} m, {errors.median_heading_deg:.3f} deg; "
         f"95 % {errors.p95_translation_m:.3f} m, {errors.p95_rotation_deg:.3f} deg; "
         f"spread within a revisit {UNDEFINED if spread is None else f'{spread:.3f} m'}"
     )

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from logs.closures import STAGES, find_final_verdicts
 from slam.evaluation.closures import NO_TRUE_CANDIDATE, evaluate_closures
@@ -234,6 +235,18 @@ def test_errors_and_their_spread_within_a_revisit() -> None:
     single = judge([closure(200, 40, truth=TRUTH, turn_rad=np.deg2rad(3.0))], TRUTH).errors
     assert single is not None
     assert single.p95_rotation_deg == pytest.approx(3.0)
+    assert single.median_heading_deg == pytest.approx(3.0)
+
+
+def test_errors_in_the_plane_leave_out_height_and_tilt() -> None:
+    record = closure(200, 40, truth=TRUTH)
+    off = make_transform(Rotation.from_euler("ZYX", [0.02, 0.05, -0.03]).as_matrix(), np.array([0.3, -0.4, 2.0]))
+    assert record.T_reference_query is not None
+    errors = judge([replace(record, T_reference_query=record.T_reference_query @ off)], TRUTH).errors
+    assert errors is not None
+    assert errors.median_planar_m == pytest.approx(0.5)
+    assert errors.median_heading_deg == pytest.approx(np.rad2deg(0.02))
+    assert errors.median_translation_m > 2.0
     assert single.within_revisit_spread_m is None
 
 
