@@ -236,6 +236,7 @@ def test_errors_and_their_spread_within_a_revisit() -> None:
     assert single is not None
     assert single.p95_rotation_deg == pytest.approx(3.0)
     assert single.median_heading_deg == pytest.approx(3.0)
+    assert single.within_revisit_spread_m is None
 
 
 def test_errors_in_the_plane_leave_out_height_and_tilt() -> None:
@@ -247,7 +248,6 @@ def test_errors_in_the_plane_leave_out_height_and_tilt() -> None:
     assert errors.median_planar_m == pytest.approx(0.5)
     assert errors.median_heading_deg == pytest.approx(np.rad2deg(0.02))
     assert errors.median_translation_m > 2.0
-    assert single.within_revisit_spread_m is None
 
 
 def test_the_score_of_rejected_candidates_counts_too() -> None:
