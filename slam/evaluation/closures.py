@@ -25,7 +25,7 @@ NO_TRUE_CANDIDATE = "no true candidate"
 
 @dataclass(frozen=True, slots=True)
 class ClosureErrors:
-    """Errors of ``count`` >= 1 accepted true closures. Planar ones are those in the plane of the body, since some truths
+    """Errors of ``count`` >= 1 accepted true closures. Planar ones are those in the plane of the body, for some truths
     drift in height, that of KITTI among them.
 
     ``within_revisit_spread_m`` is the median over the runs of at least two closures, None where there is no such run.
