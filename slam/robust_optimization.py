@@ -94,7 +94,7 @@ def optimize_robustly(
         max_iterations: of one solution by Levenberg-Marquardt, of which there are several.
 
     Raises:
-        FactorGraphError: an index is none of a factor between two variables with plain noise.
+        FactorGraphError: an index is none of a factor between two poses with plain noise.
         RuntimeError: GTSAM cannot solve the graph, e.g. because something hangs on closures only.
     """
     solver = _Solver(graph, initial, closures, max_iterations)
@@ -190,7 +190,9 @@ class _Solver:
         """About how many of some closures (C,) fit all other factors; a sample stands for many."""
         rows = np.flatnonzero(which)
         sampled = rows[np.linspace(0, len(rows) - 1, min(len(rows), MAX_SAMPLED)).astype(np.int64)]
-        return len(rows) * float(np.mean([_fits(self._plain[row], alone, marginals) for row in sampled]))
+        misfits = np.array([_misfit(self._plain[row], alone, marginals) for row in sampled])
+        gates = np.array([FIT_QUANTILE[self._plain[row].dim()] for row in sampled])
+        return len(rows) * float(np.mean(misfits < gates))
 
     def finish(self, values: gtsam.Values, in_force: BoolArray, note: str) -> RobustSolution:
         """What there is to tell about a solution."""
@@ -229,8 +231,8 @@ def _could_be_lower(
 
 def _closure(graph: gtsam.NonlinearFactorGraph, index: int) -> gtsam.NoiseModelFactor:
     factor = graph.at(index) if 0 <= index < graph.size() and graph.exists(index) else None
-    if not isinstance(factor, gtsam.NoiseModelFactor) or len(factor.keys()) != 2:
-        raise FactorGraphError(f"factor {index} is no closure between two variables")
+    if not isinstance(factor, gtsam.NoiseModelFactor) or len(factor.keys()) != 2 or factor.dim() not in FIT_QUANTILE:
+        raise FactorGraphError(f"factor {index} is no closure between two poses")
     if isinstance(factor.noiseModel(), gtsam.noiseModel.Robust):
         raise FactorGraphError(f"closure {index} has a kernel already; give it plain noise")
     return factor
@@ -241,14 +243,9 @@ def _with_kernel(factor: gtsam.NoiseModelFactor, width: float) -> gtsam.NoiseMod
     return factor.cloneWithNewNoiseModel(gtsam.noiseModel.Robust.Create(kernel, factor.noiseModel()))
 
 
-def _fits(closure: gtsam.NoiseModelFactor, alone: gtsam.Values, marginals: gtsam.Marginals) -> bool:
-    """Whether a closure is within what the other factors, inflated, and its own noise allow, to first order."""
+def _misfit(closure: gtsam.NoiseModelFactor, alone: gtsam.Values, marginals: gtsam.Marginals) -> float:
+    """Squared Mahalanobis distance, to first order, by the inflated other factors and the closure's own noise."""
     J, residual = closure.linearize(alone).jacobian()  # both whitened
-    keys = list(closure.keys())
-    covariance = marginals.jointMarginalCovariance(keys).fullMatrix()
-    if keys[0] > keys[1]:  # GTSAM puts the blocks in the order of the keys
-        first, second = np.split(J, 2, axis=1)
-        J = np.hstack([second, first])
+    covariance = marginals.jointMarginalCovariance(closure.keys()).fullMatrix()
     innovation = INFLATION**2 * J @ covariance @ J.T + np.eye(len(residual))
-    gate = FIT_QUANTILE.get(len(residual), 4.0 * len(residual))
-    return bool(residual @ np.linalg.solve(innovation, residual) < gate)
+    return float(residual @ np.linalg.solve(innovation, residual))
