@@ -33,8 +33,8 @@ KEPT_WEIGHT = 0.02
 """A closure whose weight is at least that counts as kept: one within seven standard deviations."""
 LEAST_AGREEMENT = 1.0 / 6.0
 """At least that share of the closures that fit all other factors must be kept, or all of them are rejected."""
-LEAST_SHARE = 0.05
-"""At least that share of all closures must be kept: among hundreds of false ones a few fit anything."""
+LEAST_SHARE = 0.1
+"""At least that share of all closures must be kept: of hundreds of false ones a stretch of street may fit by chance."""
 INFLATION = 3.0
 """How many times the standard deviations of all other factors may be too small before a closure does not fit them."""
 FIT_QUANTILE = {3: 16.27, 6: 22.46}

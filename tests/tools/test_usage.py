@@ -11,7 +11,8 @@ import pytest
 from tests.tools.runs import ROOT, SAMPLE, Run, assert_refused
 
 COMMANDS = (
-    *("simulate", "import kitti-objects", "import victoria-park", "info", "replay", "evaluate", "export", "config"),
+    *("simulate", "degrade", "import kitti-objects", "import victoria-park", "info", "replay", "evaluate"),
+    *("optimize", "export", "config", "benchmark registration", "benchmark closures"),
     "benchmark replay",
 )
 
