@@ -49,6 +49,8 @@ class ClosedLoops:
 
     def withdraw(self, loops: Sequence[ClosedLoop]) -> None:
         """Take closures out of the graph again, and let the landmarks be two that only they made one."""
+        if not loops:
+            return
         gone = {loop.factor for loop in loops}
         for factor in gone:
             self._graph.remove_factor(factor)
