@@ -51,7 +51,7 @@ class ClosedLoops:
         """Take closures out of the graph again, and let the landmarks be two that only they made one."""
         if not loops:
             return
-        gone = {loop.factor for loop in loops}
+        gone = [loop.factor for loop in loops]
         for factor in gone:
             self._graph.remove_factor(factor)
         # What a later closure merged may have gone by a name that an earlier one gave it: all merges are made anew.

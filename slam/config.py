@@ -187,7 +187,7 @@ class LoopClosureConfig(_Branch):
         default=60.0, gt=0, description="a landmark unseen for that travel is entered into the index of places [m]"
     )
     neighbours: int = Field(default=6, ge=1, description="nearest descriptors looked up for each object")
-    places: int = Field(default=4, ge=1, description="places that are verified for each keyframe")
+    places: int = Field(default=3, ge=1, description="places that are verified for each keyframe")
     min_objects: int = Field(default=4, ge=2, description="objects that must be seen again at the least")
     supported_objects: int = Field(default=3, ge=2, description="... or next to a closure that is believed already")
     threshold_nats: float = Field(
