@@ -101,10 +101,11 @@ def main() -> None:
 
 
 def _is_expected(error: Exception) -> bool:
+    from descriptors.errors import DescriptorError
     from logs.errors import LogError
     from slam.errors import SlamError
 
-    return isinstance(error, (LogError, SlamError, OSError))
+    return isinstance(error, (LogError, SlamError, DescriptorError, OSError))
 
 
 def _fail(message: str, code: int) -> int:

@@ -51,6 +51,12 @@ class TestRefusals:
         assert_refused(dslam("simulate", tmp_path / "out.mcap", "--speed", "-1"), "drive.speed_mps")
         assert not list(tmp_path.iterdir())
 
+    def test_a_descriptor_that_does_not_exist(self, dslam: Run, tmp_path: Path) -> None:
+        output = tmp_path / "out.mcap"
+        result = dslam("replay", SAMPLE, "-o", output, "--set", "loop_closure.descriptor=rings")
+        assert_refused(result, "rings", "ring_histogram")
+        assert not output.exists()
+
     def test_output_that_cannot_be(self, dslam: Run, tmp_path: Path) -> None:
         nowhere = tmp_path / "none" / "out.mcap"
         assert_refused(dslam("replay", SAMPLE, "-o", nowhere), "no folder")
