@@ -31,6 +31,8 @@ def judge_closures(
     closures: Sequence[int],
     keyframes: IntArray,
     T_map_body: FloatArray,
+    *,
+    odometry_inflation: float,
 ) -> Judgement:
     """Decide on the keyframes alone, robustly and from scratch.
 
@@ -42,6 +44,8 @@ def judge_closures(
         closures: numbers of those that are judged; other closures have no say.
         keyframes: ids (K,).
         T_map_body: (K, 4, 4), their estimates.
+        odometry_inflation: factor on the sigmas of the odometry, which may drift more than it was said to; when a
+            candidate is accepted the odometry is asked with the same one.
 
     Raises:
         FactorGraphError: the keyframes do not hang together without closures.
@@ -53,7 +57,7 @@ def judge_closures(
             case Anchor():
                 graph.add(prior_factor(factor))
             case Edge() if factor.kind != "closure":
-                graph.add(between_factor(factor))
+                graph.add(between_factor(replace(factor, covariance=odometry_inflation**2 * factor.covariance)))
             case Edge() if number in judged:
                 at[number] = graph.size()
                 graph.add(between_factor(replace(factor, kind="odometry")))

@@ -94,7 +94,13 @@ class LoopCloser:
         if not loops:
             return [], ""
         graph = self._graph
-        judgement = judge_closures(graph.factors, list(loops), graph.keyframes, graph.poses())
+        judgement = judge_closures(
+            graph.factors,
+            list(loops),
+            graph.keyframes,
+            graph.poses(),
+            odometry_inflation=self._limits.odometry_inflation,
+        )
         reasons = {
             loop.candidate.query: f"taken out again: weight {judgement.weights[factor]:.2g} among all factors"
             for factor, loop in loops.items()
