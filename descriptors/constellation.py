@@ -29,6 +29,15 @@ class Constellations:
     def __len__(self) -> int:
         return len(self.centre_labels)
 
+    def __getitem__(self, rows: NDArray[np.int64]) -> Constellations:
+        """Those of the given numbers (K,), in that order."""
+        counts = np.diff(self.offsets)[rows]
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        neighbours = np.arange(offsets[-1]) + np.repeat(self.offsets[rows] - offsets[:-1], counts)
+        return Constellations(
+            self.positions[neighbours], self.labels[neighbours], self.centre_labels[rows], offsets, self.vocabulary
+        )
+
     @property
     def owners(self) -> NDArray[np.int64]:
         """Which constellation (P,) each neighbour belongs to."""

@@ -1,18 +1,13 @@
-"""What a descriptor is, and which there are."""
+"""What a descriptor is."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptors.baselines.onion import OnionHistogram
 from descriptors.constellation import Constellations
-from descriptors.errors import DescriptorError
-from descriptors.random_vector import RandomVector
-from descriptors.ring_histogram import RingHistogram
 
 
 class Descriptor(Protocol):
@@ -24,34 +19,10 @@ class Descriptor(Protocol):
         ...
 
     @property
-    def length(self) -> int:
-        """How many numbers a vector has."""
-        ...
-
-    @property
     def radius_m(self) -> float:
         """How far neighbours count."""
         ...
 
     def describe(self, constellations: Constellations) -> NDArray[np.float32]:
-        """Vectors (B, length) of B constellations."""
+        """Vectors (B, D) of B constellations; D may depend on the size of the vocabulary alone."""
         ...
-
-
-_MAKERS: dict[str, Callable[[], Descriptor]] = {
-    "ring_histogram": RingHistogram,
-    "onion_histogram": OnionHistogram,
-    "random": RandomVector,
-}
-DESCRIPTOR_NAMES = tuple(_MAKERS)
-
-
-def make_descriptor(name: str) -> Descriptor:
-    """The descriptor of that name, with its default parameters.
-
-    Raises:
-        DescriptorError: there is none of that name.
-    """
-    if name not in _MAKERS:
-        raise DescriptorError(f"no descriptor {name!r}; there are {', '.join(_MAKERS)}")
-    return _MAKERS[name]()

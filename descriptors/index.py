@@ -1,12 +1,15 @@
-"""Nearest neighbours in descriptor space."""
+"""Which entries of an index a constellation may be: nearest neighbours in descriptor space, or the likeliest."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from descriptors.constellation import Constellations
+from descriptors.descriptor import Descriptor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -18,11 +21,33 @@ class Matches:
     distances: NDArray[np.float32]
 
 
-class DescriptorIndex:
-    """Grows by rows; an entry's row is its number. Exhaustive search: one matrix product a query batch."""
+class ConstellationIndex(Protocol):
+    """Entries are constellations, numbered from 0 in the order in which they were added."""
 
-    def __init__(self, length: int) -> None:
-        self._vectors = np.zeros((256, length), dtype=np.float32)
+    @property
+    def radius_m(self) -> float:
+        """How far neighbours count."""
+        ...
+
+    def __len__(self) -> int:
+        """How many entries there are."""
+        ...
+
+    def add(self, constellations: Constellations) -> NDArray[np.int64]:
+        """Add entries; returns their numbers (B,)."""
+        ...
+
+    def search(self, constellations: Constellations, k: int, allowed: NDArray[np.bool_]) -> Matches:
+        """Up to ``k`` entries of its own class for each query, the nearest first, among the ``allowed`` (size,)."""
+        ...
+
+
+class VectorIndex:
+    """Compares vectors by their Euclidean distance. Exhaustive search: one matrix product a query batch."""
+
+    def __init__(self, descriptor: Descriptor) -> None:
+        self._descriptor = descriptor
+        self._vectors = np.zeros((256, 0), dtype=np.float32)
         self._squares = np.zeros(256, dtype=np.float32)
         self._labels = np.zeros(256, dtype=np.int64)
         self._size = 0
@@ -30,9 +55,17 @@ class DescriptorIndex:
     def __len__(self) -> int:
         return self._size
 
-    def add(self, vectors: NDArray[np.float32], labels: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Add entries (N, length) of the classes (N,); returns their numbers (N,)."""
+    @property
+    def radius_m(self) -> float:
+        """How far neighbours count."""
+        return self._descriptor.radius_m
+
+    def add(self, constellations: Constellations) -> NDArray[np.int64]:
+        """Add entries; returns their numbers (B,)."""
+        vectors = self._descriptor.describe(constellations)
         end = self._size + len(vectors)
+        if self._size == 0:
+            self._vectors = np.zeros((len(self._vectors), vectors.shape[1]), dtype=np.float32)
         if end > len(self._vectors):
             capacity = max(end, 2 * len(self._vectors))
             self._vectors = _grown(self._vectors, capacity)
@@ -41,25 +74,24 @@ class DescriptorIndex:
         added = np.arange(self._size, end)
         self._vectors[added] = vectors
         self._squares[added] = np.einsum("ij,ij->i", vectors, vectors)
-        self._labels[added] = labels
+        self._labels[added] = constellations.centre_labels
         self._size = end
         return added
 
-    def search(
-        self, vectors: NDArray[np.float32], labels: NDArray[np.int64], k: int, allowed: NDArray[np.bool_]
-    ) -> Matches:
-        """Up to ``k`` nearest entries of its own class for each query (Q, length) among the ``allowed`` (size,) ones.
+    def search(self, constellations: Constellations, k: int, allowed: NDArray[np.bool_]) -> Matches:
+        """Up to ``k`` nearest entries of its own class for each query among the ``allowed`` (size,) ones.
 
         Ties go to the lower number.
         """
-        if not np.any(allowed) or len(vectors) == 0:
+        if not np.any(allowed) or len(constellations) == 0:
             empty = np.zeros(0, dtype=np.int64)
             return Matches(empty, empty, np.zeros(0, dtype=np.float32))
+        vectors, labels = self._descriptor.describe(constellations), constellations.centre_labels
         squares = vectors @ self._vectors[: self._size].T
         squares *= -2.0
         squares += self._squares[: self._size]
         squares[(labels[:, None] != self._labels[: self._size]) | ~allowed] = np.inf
-        nearest = _smallest(squares, min(k, self._size))
+        nearest = smallest(squares, min(k, self._size))
         order = np.argsort(np.take_along_axis(squares, nearest, axis=1), axis=1, kind="stable")
         nearest = np.take_along_axis(nearest, order, axis=1)
         found = np.take_along_axis(squares, nearest, axis=1)
@@ -69,7 +101,7 @@ class DescriptorIndex:
         return Matches(queries, nearest[queries, places], distances)
 
 
-def _smallest(values: NDArray[np.float32], k: int) -> NDArray[np.int64]:
+def smallest(values: NDArray[np.float32], k: int) -> NDArray[np.int64]:
     """Columns (Q, k), ascending, of the k smallest values of each row; of equal ones the first."""
     bound = np.partition(values, k - 1, axis=1)[:, k - 1 : k]
     below, equal = values < bound, values == bound

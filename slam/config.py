@@ -178,7 +178,8 @@ class LoopClosureConfig(_Branch):
 
     enabled: bool = Field(default=True, description="close loops")
     descriptor: str = Field(
-        default="ring_histogram", description="descriptor of constellations: ring_histogram, onion_histogram or random"
+        default="ring_likelihood",
+        description="descriptor of constellations: ring_likelihood, descriptellation, or one of the baselines",
     )
     min_travel_m: float = Field(
         default=100.0, gt=0, description="places left behind less travel ago are no loop to close [m]"

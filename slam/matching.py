@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptors.constellation import gather_constellations
-from descriptors.descriptor import make_descriptor
-from descriptors.index import DescriptorIndex
+from descriptors.registry import make_index
 from slam.config import LoopClosureConfig, RegistrationConfig, SubmapConfig
 from slam.geometry import FloatArray, IntArray
 from slam.object_map import LandmarkState, ObjectMap
@@ -57,8 +56,7 @@ class PlaceFinder:
         self._submap_config = submap_config
         self._registration_config = registration_config
         self._map = object_map
-        self._descriptor = make_descriptor(config.descriptor)
-        self._index = DescriptorIndex(self._descriptor.length)
+        self._index = make_index(config.descriptor)
         self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
         self._settled_m = 0.0
 
@@ -86,10 +84,10 @@ class PlaceFinder:
             landmarks["position_odom"][around],
             self._map.classes(around),
             self._map.vocabulary,
-            radius_m=self._descriptor.radius_m,
+            radius_m=self._index.radius_m,
             centres=np.asarray(np.searchsorted(around, new)),
         )
-        self._index.add(self._descriptor.describe(constellations), constellations.centre_labels)
+        self._index.add(constellations)
         self._rows = np.concatenate([self._rows, new])
 
     def find(self, query: Submap, *, before_m: float, seed: int) -> list[Place]:
@@ -97,14 +95,9 @@ class PlaceFinder:
         landmarks = self._map.rows
         usable = (landmarks["last_seen_travel_m"] < before_m) & (landmarks["state"] == LandmarkState.CONFIRMED)
         constellations = gather_constellations(
-            query.positions, query.labels, self._map.vocabulary, radius_m=self._descriptor.radius_m
+            query.positions, query.labels, self._map.vocabulary, radius_m=self._index.radius_m
         )
-        matches = self._index.search(
-            self._descriptor.describe(constellations),
-            query.labels,
-            self._config.neighbours,
-            usable[self._rows],
-        )
+        matches = self._index.search(constellations, self._config.neighbours, usable[self._rows])
         if not len(matches.queries):
             return []
         entries, references = np.unique(matches.entries, return_inverse=True)

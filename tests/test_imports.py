@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 OURS = ("descriptors", "logs", "slam", "tools")
-HEAVY = ("numpy", "scipy", "gtsam", "matplotlib", "pydantic", "mcap", "google.protobuf", "rich.progress")
+HEAVY = ("numpy", "scipy", "gtsam", "torch", "matplotlib", "pydantic", "mcap", "google.protobuf", "rich.progress")
 
 
 def sources(*folders: str) -> list[Path]:
@@ -87,3 +87,13 @@ def test_the_command_line_starts_light() -> None:
     code = f"import sys, tools.cli; print([m for m in {HEAVY!r} if m in sys.modules])"
     result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
+
+
+def test_handcrafted_descriptors_need_no_torch() -> None:
+    assert importers_of("torch", "slam", "tools", "logs") == set()
+    code = (
+        "import sys; from descriptors.registry import make_index; make_index('ring_likelihood'); "
+        "import slam.system; print('torch' in sys.modules)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "False"

@@ -9,20 +9,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools import benchmark_closures
+from tools import benchmark_closures, benchmark_descriptors
 from tools.arguments import ConfigFile, Json, Settings
 
 if TYPE_CHECKING:
     from slam.benchmarks.registration import RegistrationBenchmark
     from slam.benchmarks.replay import ReplayBenchmark
 
-app = typer.Typer(help="Measure speed and memory.", no_args_is_help=True)
+app = typer.Typer(help="Measure speed, memory and success.", no_args_is_help=True)
 app.command()(benchmark_closures.closures)
+app.command()(benchmark_descriptors.descriptors)
 
 
 @app.callback()
 def _benchmark() -> None:
-    """Measure speed and memory."""
+    """Measure speed, memory and success."""
 
 
 @app.command()

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from tools import benchmark, config, degrade, evaluate, export, import_logs, info, optimize, replay, simulate
+from tools import benchmark, config, degrade, evaluate, export, import_logs, info, optimize, replay, simulate, train
 
 BAD_INPUT = 2
 INTERNAL_ERROR = 70
@@ -38,6 +38,7 @@ app.command()(evaluate.evaluate)
 app.command()(export.export)
 app.command()(optimize.optimize)
 app.command()(config.config)
+app.command()(train.train)
 app.add_typer(benchmark.app, name="benchmark")
 
 

@@ -1,7 +1,6 @@
-"""The onion histogram: objects of each class in each of a few shells around an object.
+"""The onion descriptors: objects, or objects of each class, in each of a few shells around an object.
 
-A baseline of the Descriptellation paper (Section IV-B): shells of equal spacing, a histogram of semantic classes in
-each.
+Baselines of the Descriptellation paper (Section IV-C), with its three shells of 10 m.
 """
 
 from __future__ import annotations
@@ -13,28 +12,50 @@ from descriptors.class_vectors import class_vectors
 from descriptors.constellation import Constellations
 
 
+class Onion:
+    """Counts of objects in ``shells`` of equal width out to ``radius_m``, whatever their class."""
+
+    name = "onion"
+
+    def __init__(self, radius_m: float = 30.0, shells: int = 3) -> None:
+        self.radius_m = radius_m
+        self._shells = shells
+
+    def describe(self, constellations: Constellations) -> NDArray[np.float32]:
+        """Vectors (B, shells), from the inside out."""
+        cells = constellations.owners * self._shells + _shell(constellations, self.radius_m, self._shells)
+        counts = np.bincount(cells, minlength=len(constellations) * self._shells)
+        return counts.reshape(len(constellations), self._shells).astype(np.float32)
+
+
 class OnionHistogram:
     """``shells`` of equal width out to ``radius_m``; classes enter as fixed random vectors of ``class_length``."""
 
     name = "onion_histogram"
 
-    def __init__(self, radius_m: float = 30.0, shells: int = 10, class_length: int = 16) -> None:
+    def __init__(self, radius_m: float = 30.0, shells: int = 3, class_length: int = 64) -> None:
         self.radius_m = radius_m
         self._shells = shells
         self._class_length = class_length
 
-    @property
-    def length(self) -> int:
-        """How many numbers a vector has."""
-        return self._shells * self._class_length
-
     def describe(self, constellations: Constellations) -> NDArray[np.float32]:
-        """Vectors (B, length): the sums of the class vectors, shell by shell from the inside out."""
-        distances = np.hypot(constellations.positions[:, 0], constellations.positions[:, 1])
-        shells = np.minimum((distances / self.radius_m * self._shells).astype(np.int64), self._shells - 1)
-        classes = len(constellations.vocabulary)
-        cells = (constellations.owners * self._shells + shells) * classes + constellations.labels
-        counts = np.bincount(cells, minlength=len(constellations) * self._shells * classes)
-        histogram = counts.reshape(len(constellations), self._shells, classes).astype(np.float32)
-        described = histogram @ class_vectors(constellations.vocabulary, self._class_length)
-        return np.asarray(described.reshape(len(constellations), self.length), dtype=np.float32)
+        """Vectors (B, shells * class_length): the sums of the class vectors, shell by shell from the inside out."""
+        shells = _shell(constellations, self.radius_m, self._shells)
+        return count_classes(constellations, shells, self._shells, self._class_length)
+
+
+def count_classes(
+    constellations: Constellations, bins: NDArray[np.int64], count: int, class_length: int
+) -> NDArray[np.float32]:
+    """Sums (B, ``count`` * class_length) of the vectors of the neighbours' classes in each of the ``bins`` (P,)."""
+    classes = len(constellations.vocabulary)
+    cells = (constellations.owners * count + bins) * classes + constellations.labels
+    counts = np.bincount(cells, minlength=len(constellations) * count * classes)
+    histogram = counts.reshape(len(constellations), count, classes).astype(np.float32)
+    described = histogram @ class_vectors(constellations.vocabulary, class_length)
+    return np.asarray(described.reshape(len(constellations), count * class_length), dtype=np.float32)
+
+
+def _shell(constellations: Constellations, radius_m: float, shells: int) -> NDArray[np.int64]:
+    distances_m = np.hypot(constellations.positions[:, 0], constellations.positions[:, 1])
+    return np.minimum((distances_m / radius_m * shells).astype(np.int64), shells - 1)

@@ -1,0 +1,1 @@
+"""The paper's descriptor: network, training on simulated maps, weights that ship."""

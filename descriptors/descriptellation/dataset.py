@@ -1,0 +1,133 @@
+"""Constellations of simulated maps with several noisy observations of each, to train and to validate on.
+
+Xing et al., Descriptellation: Deep Learned Constellation Descriptors, Section III-E.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from descriptors.constellation import Constellations, gather_constellations
+from descriptors.descriptellation.augmentation import AugmentationRates, augment
+from descriptors.descriptellation.simulation import MapSimulation, simulate_map
+from descriptors.errors import DescriptorError
+from descriptors.padded import PaddedConstellations, pad_constellations
+
+_FRUITLESS_MAPS = 100
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetConfig:
+    """Sizes of a dataset; ``anchors`` and ``positives`` for each of them are the paper's, as is ``radius_m``.
+
+    The paper takes the anchors from a series of maps and does not say how many from each; ``anchors_per_map`` is ours.
+    So are ``min_objects`` and ``max_objects`` of an anchor, the centre counted: constellations outside are passed over.
+    A positive may have fewer or more.
+
+    Raises:
+        DescriptorError: a number that leaves nothing to train on.
+    """
+
+    anchors: int = 1000
+    positives: int = 9
+    radius_m: float = 30.0
+    anchors_per_map: int = 10
+    min_objects: int = 5
+    max_objects: int = 40
+
+    def __post_init__(self) -> None:
+        if min(self.anchors, self.anchors_per_map, self.min_objects) < 1 or self.positives < 0:
+            raise DescriptorError(
+                f"{self.anchors} anchors, {self.anchors_per_map} per map, with {self.positives} positives and "
+                f"{self.min_objects} objects at least; give 1 or more, of positives 0 or more"
+            )
+        if self.max_objects < self.min_objects:
+            raise DescriptorError(
+                f"constellations of {self.min_objects} to {self.max_objects} objects; raise max_objects"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConstellationDataset:
+    """B = anchors (1 + positives) constellations; those with one number in ``anchors`` (B,) show the same place.
+
+    They are next to each other: the anchor as it is, then its positives.
+    """
+
+    constellations: PaddedConstellations
+    anchors: NDArray[np.int64]
+
+
+def make_dataset(
+    simulation: MapSimulation, rates: AugmentationRates, config: DatasetConfig, *, seed: int
+) -> ConstellationDataset:
+    """Anchors of simulated maps with their positives, the same for the same ``seed``.
+
+    The paper's randomly sampled viewpoints are the random headings among the augmentations.
+
+    Raises:
+        DescriptorError: vocabularies that differ, or maps without constellations of the wanted size.
+    """
+    if simulation.vocabulary_size != rates.vocabulary_size:
+        raise DescriptorError(
+            f"maps with {simulation.vocabulary_size} classes and augmentations with {rates.vocabulary_size}; "
+            "give both the same vocabulary_size"
+        )
+    rng = np.random.default_rng(seed)
+    anchors = simulate_anchors(simulation, config, rng=rng)
+    numbers = np.arange(config.anchors)
+    positives = augment(anchors[np.repeat(numbers, config.positives)], rates, rng=rng)
+    owners = np.concatenate([numbers, np.repeat(numbers, config.positives)])
+    order = np.argsort(owners, kind="stable")
+    return ConstellationDataset(_stack([anchors, positives])[order], owners[order])
+
+
+def simulate_anchors(
+    simulation: MapSimulation, config: DatasetConfig, *, rng: np.random.Generator
+) -> PaddedConstellations:
+    """``config.anchors`` constellations of objects of simulated maps, as they are.
+
+    Raises:
+        DescriptorError: maps without constellations of the wanted size.
+    """
+    gathered: list[PaddedConstellations] = []
+    missing, fruitless = config.anchors, 0
+    while missing:
+        constellations = _gather_anchors(simulation, config, min(missing, config.anchors_per_map), rng=rng)
+        fruitless = 0 if len(constellations) else fruitless + 1
+        if fruitless == _FRUITLESS_MAPS:
+            raise DescriptorError(
+                f"{fruitless} maps in a row without a constellation of {config.min_objects} to {config.max_objects} "
+                f"objects within {config.radius_m} m; widen that range or change the simulation's density"
+            )
+        missing -= len(constellations)
+        gathered.append(pad_constellations(constellations))
+    return _stack(gathered)
+
+
+def _gather_anchors(
+    simulation: MapSimulation, config: DatasetConfig, at_most: int, *, rng: np.random.Generator
+) -> Constellations:
+    """Constellations of the wanted size from one map, drawn among all that it has."""
+    simulated = simulate_map(simulation, rng=rng)
+    vocabulary = [str(number) for number in range(simulation.vocabulary_size)]
+    constellations = gather_constellations(simulated.positions, simulated.labels, vocabulary, radius_m=config.radius_m)
+    sizes = np.diff(constellations.offsets) + 1
+    fitting = np.flatnonzero((sizes >= config.min_objects) & (sizes <= config.max_objects))
+    return constellations[rng.permutation(fitting)[:at_most]]
+
+
+def _stack(batches: Sequence[PaddedConstellations]) -> PaddedConstellations:
+    """All constellations of the batches in one, with the room of the largest."""
+    room = max(batch.present.shape[1] for batch in batches)
+    paddings = [((0, 0), (0, room - batch.present.shape[1])) for batch in batches]
+    each = list(zip(batches, paddings, strict=True))
+    return PaddedConstellations(
+        np.concatenate([np.pad(batch.positions, (*padding, (0, 0))) for batch, padding in each]),
+        np.concatenate([np.pad(batch.labels, padding) for batch, padding in each]),
+        np.concatenate([np.pad(batch.present, padding) for batch, padding in each]),
+    )

@@ -1,0 +1,228 @@
+"""Training of a descriptor network on simulated maps (Descriptellation, Sections III-E and III-F)."""
+
+from __future__ import annotations
+
+import csv
+import importlib.metadata
+import json
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from descriptors.architectures import Architecture, make_network
+from descriptors.descriptellation.augmentation import AugmentationRates
+from descriptors.descriptellation.dataset import ConstellationDataset, DatasetConfig, make_dataset
+from descriptors.descriptellation.losses import batch_triplet_loss
+from descriptors.descriptellation.network import DescriptellationArchitecture
+from descriptors.descriptellation.simulation import MapSimulation
+from descriptors.errors import DescriptorError
+from descriptors.inference import describe_padded, tensors
+from descriptors.padded import PaddedConstellations
+from descriptors.top_k import top_k_ratio
+from descriptors.weights import WeightsMetadata, save_weights
+
+CHECKPOINT = "checkpoint.pt"
+WEIGHTS = "weights.safetensors"
+CURVES = "curves.csv"
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingConfig:
+    """What is trained on what, by Adam with its usual decay rates (0.9, 0.999).
+
+    ``learning_rate`` is multiplied by ``decay`` every ``decay_epochs``, an interval that the paper leaves open.
+
+    A batch holds all views of ``anchors_per_batch`` constellations. ``margin`` of the triplet loss, for unit vectors.
+    ``top_k``: of the ratio by which the best epoch is chosen.
+    """
+
+    architecture: Architecture = field(default_factory=DescriptellationArchitecture)
+    simulation: MapSimulation = field(default_factory=MapSimulation)
+    augmentation: AugmentationRates = field(default_factory=AugmentationRates)
+    dataset: DatasetConfig = field(default_factory=DatasetConfig)
+    epochs: int = 100
+    anchors_per_batch: int = 16
+    learning_rate: float = 1e-3
+    decay: float = 0.7
+    decay_epochs: int = 10
+    margin: float = 0.3
+    top_k: int = 5
+    seed: int = 0
+
+    def as_json(self) -> dict[str, Any]:
+        """All of it, nested, as JSON holds it."""
+        return dict(json.loads(json.dumps(asdict(self))))
+
+
+@dataclass(frozen=True, slots=True)
+class Epoch:
+    """What an epoch achieved: losses, and the share of views with another view of theirs among the nearest."""
+
+    epoch: int
+    learning_rate: float
+    train_loss: float
+    validation_loss: float
+    train_top_k: float
+    validation_top_k: float
+    seconds: float
+
+
+def train_network(
+    config: TrainingConfig,
+    folder: Path,
+    *,
+    device: str = "cpu",
+    threads: int = 2,
+    on_epoch: Callable[[Epoch], None] = lambda epoch: None,
+) -> list[Epoch]:
+    """Train, or go on where an interrupted training of the same configuration stopped.
+
+    After every epoch the folder holds a checkpoint, the curves as CSV, and the weights of the best epoch so far. On a
+    CPU with the same number of threads the same configuration gives the same weights, interrupted or not.
+
+    Args:
+        config: what is trained on what.
+        folder: made if it does not exist.
+        device: as torch names it.
+        threads: of torch, on a CPU.
+        on_epoch: told of every epoch that ends.
+
+    Returns:
+        All epochs, those before an interruption too.
+
+    Raises:
+        DescriptorError: the folder holds the checkpoint of another configuration, or one that cannot be read.
+    """
+    torch.set_num_threads(threads)
+    torch.use_deterministic_algorithms(True)
+    folder.mkdir(parents=True, exist_ok=True)
+    run = _Run(config, device)
+    run.resume(folder / CHECKPOINT)
+    training = make_dataset(config.simulation, config.augmentation, config.dataset, seed=2 * config.seed)
+    validation = make_dataset(config.simulation, config.augmentation, config.dataset, seed=2 * config.seed + 1)
+    while len(run.epochs) < config.epochs:
+        epoch = run.next_epoch(training, validation)
+        if epoch.validation_top_k >= max(e.validation_top_k for e in run.epochs):
+            save_weights(folder / WEIGHTS, run.network, _metadata(config, epoch))
+        _write_curves(folder / CURVES, run.epochs)
+        run.save(folder / CHECKPOINT)
+        on_epoch(epoch)
+    return run.epochs
+
+
+class _Run:
+    """The state of a training between two epochs."""
+
+    def __init__(self, config: TrainingConfig, device: str) -> None:
+        torch.manual_seed(config.seed)
+        self._config = config
+        self._device = torch.device(device)
+        self.network: nn.Module = make_network(config.architecture).to(self._device)
+        self._optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
+        self.epochs: list[Epoch] = []
+
+    def next_epoch(self, training: ConstellationDataset, validation: ConstellationDataset) -> Epoch:
+        started = time.perf_counter()
+        number = len(self.epochs)
+        learning_rate = self._config.learning_rate * self._config.decay ** (number // self._config.decay_epochs)
+        for group in self._optimizer.param_groups:
+            group["lr"] = learning_rate
+        self.network.train()
+        losses = []
+        for rows in self._batches(training.anchors, number):
+            loss = self._loss(training.constellations[rows], training.anchors[rows])
+            self._optimizer.zero_grad(set_to_none=True)
+            loss.backward()  # type: ignore[no-untyped-call]
+            self._optimizer.step()
+            losses.append(float(loss.detach()))
+        self.network.eval()
+        described = self._describe(validation)
+        epoch = Epoch(
+            number + 1,
+            learning_rate,
+            float(np.mean(losses)),
+            self._mean_loss(described, validation),
+            top_k_ratio(self._describe(training), training.anchors, self._config.top_k),
+            top_k_ratio(described, validation.anchors, self._config.top_k),
+            time.perf_counter() - started,
+        )
+        self.epochs.append(epoch)
+        return epoch
+
+    def _batches(self, anchors: NDArray[np.int64], number: int) -> Iterator[NDArray[np.int64]]:
+        """Rows of whole anchors, shuffled anew for every epoch."""
+        rng = np.random.default_rng((self._config.seed, number))
+        rows = np.argsort(rng.permutation(int(anchors.max()) + 1)[anchors], kind="stable")
+        ends = np.flatnonzero(np.diff(anchors[rows])) + 1
+        groups = np.split(rows, ends)
+        for start in range(0, len(groups), self._config.anchors_per_batch):
+            yield np.concatenate(groups[start : start + self._config.anchors_per_batch])
+
+    def _loss(self, constellations: PaddedConstellations, anchors: NDArray[np.int64]) -> torch.Tensor:
+        vectors = self.network(*tensors(constellations, self._device))
+        return batch_triplet_loss(vectors, torch.as_tensor(anchors, device=self._device), self._config.margin)
+
+    def _describe(self, dataset: ConstellationDataset) -> NDArray[np.float32]:
+        return describe_padded(self.network, dataset.constellations, self._device)
+
+    def _mean_loss(self, vectors: NDArray[np.float32], dataset: ConstellationDataset) -> float:
+        """Of the batches that the first epoch would draw."""
+        losses = [
+            batch_triplet_loss(
+                torch.as_tensor(vectors[rows]), torch.as_tensor(dataset.anchors[rows]), self._config.margin
+            )
+            for rows in self._batches(dataset.anchors, 0)
+        ]
+        return float(torch.stack(losses).mean())
+
+    def save(self, path: Path) -> None:
+        """Write a checkpoint."""
+        part = path.with_name(path.name + ".part")
+        state = {
+            "config": json.dumps(self._config.as_json(), sort_keys=True),
+            "epochs": json.dumps([asdict(epoch) for epoch in self.epochs]),
+            "network": self.network.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+        }
+        torch.save(state, part)
+        os.replace(part, path)
+
+    def resume(self, path: Path) -> None:
+        """Go on from a checkpoint, if there is one."""
+        if not path.exists():
+            return
+        try:
+            state = torch.load(path, map_location=self._device, weights_only=True)
+            config, epochs = str(state["config"]), [Epoch(**epoch) for epoch in json.loads(state["epochs"])]
+        except Exception as error:  # what torch raises depends on where the file is broken
+            raise DescriptorError(f"{path}: cannot be read: {error}; delete it to start anew") from error
+        if config != json.dumps(self._config.as_json(), sort_keys=True):
+            raise DescriptorError(
+                f"{path}: of a training with another configuration; choose another folder, or delete it to start anew"
+            )
+        self.network.load_state_dict(state["network"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self.epochs = epochs
+
+
+def _metadata(config: TrainingConfig, epoch: Epoch) -> WeightsMetadata:
+    version = importlib.metadata.version("descriptellation-slam")
+    metrics = {key: value for key, value in asdict(epoch).items() if key != "seconds"}
+    return WeightsMetadata(training=config.as_json(), seed=config.seed, code_version=version, metrics=metrics)
+
+
+def _write_curves(path: Path, epochs: list[Epoch]) -> None:
+    part = path.with_name(path.name + ".part")
+    with part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=list(Epoch.__slots__))
+        writer.writeheader()
+        writer.writerows(asdict(epoch) for epoch in epochs)
+    os.replace(part, path)

@@ -1,0 +1,103 @@
+"""Which object of the map made what is seen: all of the same class, by the likelihood of the neighbours."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from descriptors.constellation import Constellations
+from descriptors.index import Matches, smallest
+from descriptors.ring_likelihood import CHUNK, RingLikelihood
+
+STEP_NATS = 1.0 / 32.0
+"""Entries are kept in bytes: an eighth of the memory, and of the time to add them up."""
+
+
+class LikelihoodIndex:
+    """Grows by rows; an entry's row is its number. The vocabulary may grow, too, at its end.
+
+    ``window_nats``: entries that are less likely than the best by more than that are no matches.
+    """
+
+    def __init__(self, descriptor: RingLikelihood, window_nats: float = 12.0) -> None:
+        self._descriptor = descriptor
+        self._window_nats = window_nats
+        self._shelves: dict[int, _Shelf] = {}  # by the class of the entries
+        self._size = 0
+
+    @property
+    def radius_m(self) -> float:
+        """How far neighbours count."""
+        return self._descriptor.radius_m
+
+    def __len__(self) -> int:
+        return self._size
+
+    def add(self, constellations: Constellations) -> NDArray[np.int64]:
+        """Add entries; returns their numbers (B,)."""
+        numbers = np.arange(self._size, self._size + len(constellations))
+        for start in range(0, len(constellations), CHUNK):
+            chunk = constellations[np.arange(start, min(start + CHUNK, len(constellations)))]
+            nats = self._descriptor.describe(chunk)
+            for label in np.unique(chunk.centre_labels):
+                rows = np.flatnonzero(chunk.centre_labels == label)
+                self._shelves.setdefault(int(label), _Shelf()).add(nats[rows], numbers[start + rows])
+        self._size += len(constellations)
+        return numbers
+
+    def search(self, constellations: Constellations, k: int, allowed: NDArray[np.bool_]) -> Matches:
+        """Up to ``k`` likeliest entries of its own class for each query among the ``allowed`` (size,) ones.
+
+        A match's distance is what it lacks to an entry whose neighbours stand exactly where they were seen, in nats.
+        Ties go to the lower number.
+        """
+        queries, entries = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+        lacking = [np.zeros(0, np.float32)]
+        for label, shelf in sorted(self._shelves.items()):
+            rows = np.flatnonzero(constellations.centre_labels == label)
+            columns = np.flatnonzero(allowed[shelf.numbers])
+            if len(rows) == 0 or len(columns) == 0:
+                continue
+            asking = constellations[rows]
+            nats = shelf.nats(self._descriptor.cells(asking), asking.offsets)[:, columns]
+            nearest = smallest(-nats, min(k, len(columns)))
+            nearest = np.take_along_axis(nearest, np.argsort(-np.take_along_axis(nats, nearest, 1), 1, "stable"), 1)
+            nats = np.take_along_axis(nats, nearest, axis=1)
+            places, ranks = np.nonzero(nats >= nats[:, :1] - self._window_nats)
+            queries.append(rows[places])
+            entries.append(shelf.numbers[columns[nearest[places, ranks]]])
+            lacking.append((self._descriptor.most_nats(asking)[:, None] - nats)[places, ranks])
+        found = np.concatenate(queries)
+        order = np.argsort(found, kind="stable")
+        distances = np.maximum(np.concatenate(lacking), 0.0).astype(np.float32)
+        return Matches(found[order], np.concatenate(entries)[order], distances[order])
+
+
+class _Shelf:
+    """Entries of one class: a column of bytes each, a row for each cell of the vectors."""
+
+    def __init__(self) -> None:
+        self._table = np.zeros((0, 64), dtype=np.uint8)
+        self.numbers = np.zeros(0, dtype=np.int64)
+
+    def add(self, nats: NDArray[np.float32], numbers: NDArray[np.int64]) -> None:
+        """Vectors (B, cells), no shorter than those before, under their numbers (B,)."""
+        start, end = len(self.numbers), len(self.numbers) + len(numbers)
+        cells, capacity = self._table.shape
+        if end > capacity or nats.shape[1] > cells:
+            grown = np.zeros((nats.shape[1], capacity if end <= capacity else max(end, 2 * capacity)), dtype=np.uint8)
+            grown[:cells, :start] = self._table[:, :start]
+            self._table = grown
+        self._table[:, start:end] = np.minimum(np.rint(nats / STEP_NATS), 255.0).T
+        self.numbers = np.concatenate([self.numbers, numbers])
+
+    def nats(self, cells: NDArray[np.int64], offsets: NDArray[np.int64]) -> NDArray[np.float32]:
+        """What the neighbours in ``cells``, those of a query between two ``offsets`` (Q + 1,), say for each entry."""
+        known = cells < len(self._table)  # a class that came later is nowhere near the older entries
+        rows = self._table[cells[known], : len(self.numbers)]
+        starts = np.concatenate([[0], np.cumsum(known)])[offsets]
+        total = np.zeros((len(offsets) - 1, len(self.numbers)), dtype=np.float32)
+        some = np.flatnonzero(np.diff(starts))
+        if len(some):
+            total[some] = np.add.reduceat(rows, starts[some], axis=0, dtype=np.uint32)
+        return total * np.float32(STEP_NATS)
