@@ -14,7 +14,7 @@ from descriptors.descriptor import Descriptor
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matches:
-    """Pairs (query, entry) with their Euclidean distance, all (C,), query by query, the nearest first."""
+    """Pairs (query, entry) with their distance, all (C,), query by query, the nearest first."""
 
     queries: NDArray[np.int64]
     entries: NDArray[np.int64]
@@ -91,7 +91,7 @@ class VectorIndex:
         squares *= -2.0
         squares += self._squares[: self._size]
         squares[(labels[:, None] != self._labels[: self._size]) | ~allowed] = np.inf
-        nearest = smallest(squares, min(k, self._size))
+        nearest = _smallest(squares, min(k, self._size))
         order = np.argsort(np.take_along_axis(squares, nearest, axis=1), axis=1, kind="stable")
         nearest = np.take_along_axis(nearest, order, axis=1)
         found = np.take_along_axis(squares, nearest, axis=1)
@@ -101,7 +101,7 @@ class VectorIndex:
         return Matches(queries, nearest[queries, places], distances)
 
 
-def smallest(values: NDArray[np.float32], k: int) -> NDArray[np.int64]:
+def _smallest(values: NDArray[np.float32], k: int) -> NDArray[np.int64]:
     """Columns (Q, k), ascending, of the k smallest values of each row; of equal ones the first."""
     bound = np.partition(values, k - 1, axis=1)[:, k - 1 : k]
     below, equal = values < bound, values == bound

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
 from descriptors.constellation import Constellations
-from descriptors.index import Matches, smallest
+from descriptors.index import Matches
 from descriptors.ring_likelihood import CHUNK, RingLikelihood
 
 STEP_NATS = 1.0 / 32.0
@@ -59,14 +61,12 @@ class LikelihoodIndex:
             if len(rows) == 0 or len(columns) == 0:
                 continue
             asking = constellations[rows]
-            nats = shelf.nats(self._descriptor.cells(asking), asking.offsets)[:, columns]
-            nearest = smallest(-nats, min(k, len(columns)))
-            nearest = np.take_along_axis(nearest, np.argsort(-np.take_along_axis(nats, nearest, 1), 1, "stable"), 1)
-            nats = np.take_along_axis(nats, nearest, axis=1)
-            places, ranks = np.nonzero(nats >= nats[:, :1] - self._window_nats)
+            steps = shelf.steps(self._descriptor.cells(asking), asking.offsets)
+            steps = steps if len(columns) == len(shelf.numbers) else steps[:, columns]
+            places, likely = _likeliest(steps, k, round(self._window_nats / STEP_NATS))
             queries.append(rows[places])
-            entries.append(shelf.numbers[columns[nearest[places, ranks]]])
-            lacking.append((self._descriptor.most_nats(asking)[:, None] - nats)[places, ranks])
+            entries.append(shelf.numbers[columns[likely]])
+            lacking.append(self._descriptor.most_nats(asking)[places] - steps[places, likely] * STEP_NATS)
         found = np.concatenate(queries)
         order = np.argsort(found, kind="stable")
         distances = np.maximum(np.concatenate(lacking), 0.0).astype(np.float32)
@@ -91,13 +91,25 @@ class _Shelf:
         self._table[:, start:end] = np.minimum(np.rint(nats / STEP_NATS), 255.0).T
         self.numbers = np.concatenate([self.numbers, numbers])
 
-    def nats(self, cells: NDArray[np.int64], offsets: NDArray[np.int64]) -> NDArray[np.float32]:
-        """What the neighbours in ``cells``, those of a query between two ``offsets`` (Q + 1,), say for each entry."""
+    def steps(self, cells: NDArray[np.int64], offsets: NDArray[np.int64]) -> NDArray[np.int32]:
+        """What the neighbours in ``cells``, those of a query between two ``offsets`` (Q + 1,), say for each entry.
+
+        (Q, M), in :data:`STEP_NATS`.
+        """
         known = cells < len(self._table)  # a class that came later is nowhere near the older entries
         rows = self._table[cells[known], : len(self.numbers)]
         starts = np.concatenate([[0], np.cumsum(known)])[offsets]
-        total = np.zeros((len(offsets) - 1, len(self.numbers)), dtype=np.float32)
-        some = np.flatnonzero(np.diff(starts))
-        if len(some):
-            total[some] = np.add.reduceat(rows, starts[some], axis=0, dtype=np.uint32)
-        return total * np.float32(STEP_NATS)
+        total = np.zeros((len(offsets) - 1, len(self.numbers)), dtype=np.int32)
+        for query, (start, end) in enumerate(pairwise(starts)):  # thirty times as fast as one reduceat
+            kind = np.uint16 if end - start <= 257 else np.uint32  # 257 bytes add up to less than 2^16
+            total[query] = rows[start:end].sum(axis=0, dtype=kind)
+        return total
+
+
+def _likeliest(steps: NDArray[np.int32], k: int, window: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Row and column, each (C,), of up to ``k`` largest values of each row within ``window`` of the largest one."""
+    rows, columns = np.nonzero(steps >= steps.max(axis=1, keepdims=True) - window)
+    order = np.lexsort((columns, -steps[rows, columns], rows))
+    rows, columns = rows[order], columns[order]
+    ranks = np.arange(len(rows)) - np.searchsorted(rows, rows)
+    return rows[ranks < k], columns[ranks < k]

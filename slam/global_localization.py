@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from descriptors.constellation import gather_constellations
 from descriptors.index import ConstellationIndex, Matches
@@ -52,6 +53,7 @@ class GlobalLocalizer:
         self._objects = objects
         self._index = index
         self._neighbours = neighbours
+        self._tree = cKDTree(objects.positions[:, :2])
         self._everywhere = np.ones(len(objects), dtype=bool)
         index.add(gather_constellations(objects.positions, objects.labels, objects.vocabulary, radius_m=index.radius_m))
 
@@ -125,5 +127,5 @@ class GlobalLocalizer:
 
     def _around(self, T_map_query: FloatArray, radius_m: float) -> NDArray[np.int64]:
         """Objects of the map that one of the poses (H, 4, 4) could see."""
-        offsets = self._objects.positions[None, :, :2] - T_map_query[:, None, :2, 3]
-        return np.flatnonzero((np.hypot(offsets[..., 0], offsets[..., 1]) < radius_m).any(axis=0))
+        found = self._tree.query_ball_point(T_map_query[:, :2, 3], radius_m)
+        return np.unique(np.concatenate([np.asarray(near, dtype=np.int64) for near in found]))

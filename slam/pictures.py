@@ -101,7 +101,7 @@ def draw_map(path_png: str | Path, picture: MapPicture, *, width_px: int = 1600)
         fontsize=13,
         color="#4b5563",
     )
-    _save(figure, Path(path_png))
+    save_figure(figure, Path(path_png))
 
 
 def group_classes(labels: tuple[str, ...], most: int = LEGEND_CLASSES) -> list[tuple[str, NDArray[np.int64]]]:
@@ -234,7 +234,12 @@ def _subtitle(picture: MapPicture) -> str:
     return "   ·   ".join(parts)
 
 
-def _save(figure: Figure, target: Path) -> None:
+def save_figure(figure: Figure, target: Path) -> None:
+    """Write a PNG, whole or not at all.
+
+    Raises:
+        UnwritableLogError: it cannot be written.
+    """
     part = target.with_name(target.name + ".part")
     try:
         with part.open("wb") as file:

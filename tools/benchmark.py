@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Measure speed, memory and success.", no_args_is_help=True)
 app.command()(benchmark_closures.closures)
 app.command()(benchmark_descriptors.descriptors)
+app.command("map-size")(benchmark_descriptors.map_size)
 
 
 @app.callback()

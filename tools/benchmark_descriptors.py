@@ -1,4 +1,4 @@
-"""dslam benchmark descriptors."""
+"""dslam benchmark descriptors, and map-size."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools.arguments import Json
+from tools.arguments import Json, Picture, check_outputs
 
 if TYPE_CHECKING:
     from slam.benchmarks.descriptors import Cell, DescriptorBenchmark
@@ -83,6 +83,71 @@ def descriptors(
         console.show(*_markdown(world.name, result))
     else:
         _show(world.name, result)
+
+
+def map_size(
+    objects: Annotated[Path, typer.Option(metavar="CSV", help="Objects of a map: x_m,y_m,z_m,class,id.")],
+    trajectory: Annotated[Path, typer.Option(metavar="CSV", help="Its first 500 m are driven: x_m,y_m.")],
+    descriptor: Annotated[
+        list[str] | None, typer.Option("--descriptor", metavar="NAME", help="Other ones to compare. Repeatable.")
+    ] = None,
+    size: Annotated[
+        list[int] | None, typer.Option("--size", metavar="N", min=1, help="Objects in the map. Repeatable.")
+    ] = None,
+    neighbours: Annotated[int, typer.Option(min=1, help="Candidates for each object that is seen.")] = 100,
+    queries: Annotated[int, typer.Option(min=1, help="For each scenario.")] = 100,
+    picture: Picture = None,
+    json: Json = False,
+) -> None:
+    """Localize the same queries in ever larger maps, with a descriptor and by exhaustive search.
+
+    Maps larger than the one given add altered copies of it. Sizes are 500 to 50,000 objects if none is said.
+
+    Example: dslam benchmark map-size --objects objects.csv --trajectory trajectory.csv --size 500 --size 2000
+    """
+    from dataclasses import asdict
+
+    from slam.benchmarks.descriptors import EXHAUSTIVE
+    from slam.benchmarks.map_size import SIZES, benchmark_map_size
+    from slam.benchmarks.map_size_picture import draw_map_size
+    from slam.simulation.world import load_world
+    from tools import console
+
+    check_outputs([picture], [objects, trajectory])
+    methods = descriptor or ["ring_likelihood", EXHAUSTIVE]
+    sizes = size or list(SIZES)
+    with console.progress_bar("localizing", "localizing") as move:
+
+        def report(done: int) -> None:
+            if move is not None:
+                move(done / (3 * len(methods) * len(sizes)))
+
+        cells = benchmark_map_size(
+            load_world(objects, trajectory),
+            methods,
+            sizes=sizes,
+            queries=queries,
+            neighbours=neighbours,
+            on_progress=report,
+        )
+    if picture is not None:
+        draw_map_size(picture, cells)
+    if json:
+        console.show_json({"cells": [asdict(cell) for cell in cells]})
+        return
+    headings = ("objects", "within 1 m %", "median ms", "p95 ms", "map s")
+    table = console.grid({"descriptor": False, "scenario": False, **dict.fromkeys(headings, True)})
+    for cell in cells:
+        table.add_row(
+            cell.method,
+            cell.scenario,
+            str(cell.objects),
+            f"{100 * cell.success:.0f}",
+            f"{cell.median_ms:.1f}",
+            f"{cell.p95_ms:.1f}",
+            f"{cell.build_s:.2f}",
+        )
+    console.show(table)
 
 
 def _row(cell: Cell) -> list[str]:

@@ -7,11 +7,11 @@ Descriptellation paper (Section IV-C) both are taken over the constellation of e
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
 
 from descriptors.baselines.onion import count_classes
 from descriptors.class_vectors import class_vectors
@@ -20,7 +20,7 @@ from descriptors.padded import pad_constellations
 
 BINS = 61
 BIN_M = 1.0
-CHUNK = 256
+CHUNK = 64
 """Constellations whose edges are counted at a time, which bounds the memory."""
 
 
@@ -54,25 +54,22 @@ class GosmatchGraph:
         vectors = _pair_vectors(constellations.vocabulary, self._pair_length)
         for start in range(0, len(constellations), CHUNK):
             rows = np.arange(start, min(start + CHUNK, len(constellations)))
-            for owners, bins, pairs in _edges(constellations[rows], len(constellations.vocabulary)):
-                cells, places = np.unique((owners * BINS + bins) * len(vectors) + pairs, return_counts=True)
-                sums = np.zeros((len(rows) * BINS, self._pair_length), dtype=np.float32)
-                np.add.at(sums, cells // len(vectors), vectors[cells % len(vectors)] * places[:, None])
-                described[rows] = sums.reshape(len(rows), -1)
+            owners, bins, pairs = _edges(constellations[rows])
+            edges = (np.ones(len(pairs), dtype=np.float32), (owners * BINS + bins, pairs))
+            counts = coo_array(edges, shape=(len(rows) * BINS, len(vectors))).tocsr()
+            described[rows] = (counts @ vectors).reshape(len(rows), -1)
         return described
 
 
-def _edges(
-    constellations: Constellations, classes: int
-) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]:
-    """Constellation, bin and pair of classes, each (E,), of every edge of a chunk, the centres' included."""
+def _edges(constellations: Constellations) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Constellation, bin and pair of classes, each (E,), of every edge, the centres' included."""
     padded = pad_constellations(constellations)
     plane = padded.positions[:, :, 0] + 1j * padded.positions[:, :, 1]
     first, second = np.triu_indices(plane.shape[1], k=1)
     owners, edges = np.nonzero(padded.present[:, first] & padded.present[:, second])
     lengths_m = np.abs(plane[owners, first[edges]] - plane[owners, second[edges]])
     labels = np.sort(np.stack([padded.labels[owners, first[edges]], padded.labels[owners, second[edges]]]), axis=0)
-    yield owners, _bin(lengths_m), labels[0] * classes + labels[1]
+    return owners, _bin(lengths_m), labels[0] * len(constellations.vocabulary) + labels[1]
 
 
 @lru_cache(maxsize=8)

@@ -93,12 +93,12 @@ def walk(joined: NDArray[np.bool_], draws: NDArray[np.float64]) -> NDArray[np.in
 
 
 def _sorted_by_distance(constellations: PaddedConstellations, codes: NDArray[np.uint64]) -> PaddedConstellations:
-    """The centre first, then the others by distance, by the name of their class where that is equal."""
+    """The centre first, then the others by distance, by the name of their class where that is equal to a millimetre."""
     distances_m = np.hypot(constellations.positions[..., 0], constellations.positions[..., 1])
-    # Rounded, or a turned copy would be listed in another order.
+    # Rounded, or a turned copy would be listed in another order; of one class, the order of the list must not decide.
     keys = np.where(constellations.present, np.round(distances_m, 3), np.inf)
     keys[:, 0] = -1.0
-    order = np.lexsort((codes[constellations.labels], keys), axis=1)
+    order = np.lexsort((distances_m, codes[constellations.labels], keys), axis=1)
     batch = np.arange(len(keys))[:, None]
     return PaddedConstellations(
         constellations.positions[batch, order],

@@ -61,14 +61,17 @@ class DescriptorBenchmark:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Answer:
+class Answer:
+    """What a method found for a query; its matches, if it has any; and the time for either part, in seconds."""
+
     registration: Registration
     matches: Matches | None
     match_s: float
     verify_s: float
 
 
-_Localizer = Callable[[LocalQuery, Scenario], _Answer]
+Localizer = Callable[[LocalQuery, Scenario], Answer]
+"""Finds a query, whose noise is that of the scenario."""
 
 
 def benchmark_descriptors(
@@ -108,7 +111,7 @@ def benchmark_descriptors(
     with threadpool_limits(limits=1):
         for method in methods:
             started = time.perf_counter()
-            localize = _make(method, objects, neighbours)
+            localize = make_localizer(method, objects, neighbours)
             build_s[method] = time.perf_counter() - started
             for scenario in SCENARIOS:
                 cell = _measure(method, localize, objects, scenario, drawn[scenario.name])
@@ -117,12 +120,13 @@ def benchmark_descriptors(
     return DescriptorBenchmark(len(objects), len(objects.vocabulary), queries, seeds, neighbours, tuple(cells), build_s)
 
 
-def _make(method: str, objects: LabelledMap, neighbours: int) -> _Localizer:
+def make_localizer(method: str, objects: LabelledMap, neighbours: int) -> Localizer:
+    """Take in a map for one method: a descriptor's name, or :data:`EXHAUSTIVE`."""
     if method == EXHAUSTIVE:
         return _exhaustive(objects)
     localizer = GlobalLocalizer(objects, make_index(method), neighbours=neighbours)
 
-    def localize(query: LocalQuery, scenario: Scenario) -> _Answer:
+    def localize(query: LocalQuery, scenario: Scenario) -> Answer:
         found = localizer.localize(
             query.positions,
             query.labels,
@@ -130,12 +134,12 @@ def _make(method: str, objects: LabelledMap, neighbours: int) -> _Localizer:
             query_sigmas=query_sigmas(query, scenario),
             map_sigma_m=MAP_SIGMA_M,
         )
-        return _Answer(found.registration, found.matches, found.match_s, found.verify_s)
+        return Answer(found.registration, found.matches, found.match_s, found.verify_s)
 
     return localize
 
 
-def _exhaustive(objects: LabelledMap) -> _Localizer:
+def _exhaustive(objects: LabelledMap) -> Localizer:
     sigmas = np.full(len(objects), MAP_SIGMA_M)
     searches = {
         noisy: ExhaustiveSearch(
@@ -147,12 +151,12 @@ def _exhaustive(objects: LabelledMap) -> _Localizer:
         for noisy in (False, True)
     }
 
-    def localize(query: LocalQuery, scenario: Scenario) -> _Answer:
+    def localize(query: LocalQuery, scenario: Scenario) -> Answer:
         started = time.perf_counter()
         found = searches[scenario.noisy].localize(
             query.positions, query.labels, query_sigmas=query_sigmas(query, scenario)
         )
-        return _Answer(found, None, 0.0, time.perf_counter() - started)
+        return Answer(found, None, 0.0, time.perf_counter() - started)
 
     return localize
 
@@ -169,14 +173,14 @@ def query_sigmas(query: LocalQuery, scenario: Scenario) -> FloatArray:
 
 
 def _measure(
-    method: str, localize: _Localizer, objects: LabelledMap, scenario: Scenario, drawn: list[list[LocalQuery]]
+    method: str, localize: Localizer, objects: LabelledMap, scenario: Scenario, drawn: list[list[LocalQuery]]
 ) -> Cell:
     answers = [[localize(query, scenario) for query in queries] for queries in drawn]
     success = [
-        np.mean([_hits(a.registration.T_reference_query, q) for a, q in zip(each, queries, strict=True)])
+        np.mean([hits(a.registration.T_reference_query, q) for a, q in zip(each, queries, strict=True)])
         for each, queries in zip(answers, drawn, strict=True)
     ]
-    ceiling = np.mean([_hits(fit_truth(objects, q, scenario), q) for queries in drawn for q in queries])
+    ceiling = np.mean([hits(fit_truth(objects, q, scenario), q) for queries in drawn for q in queries])
     flat = [(a, q) for each, queries in zip(answers, drawn, strict=True) for a, q in zip(each, queries, strict=True)]
     tops = [top_share(a.matches, q, TOP) for a, q in flat if a.matches is not None and len(q)]
     return Cell(
@@ -192,7 +196,8 @@ def _measure(
     )
 
 
-def _hits(T_map_query: FloatArray | None, query: LocalQuery) -> bool:
+def hits(T_map_query: FloatArray | None, query: LocalQuery) -> bool:
+    """Whether a pose (4, 4) is within 1 m of the query's."""
     if T_map_query is None:
         return False
     return bool(np.linalg.norm((T_map_query - query.T_map_query_gt)[:2, 3]) < SUCCESS_M)
