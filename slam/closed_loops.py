@@ -37,6 +37,10 @@ class ClosedLoops:
         """The closure whose query is nearest in travel."""
         return min(self.loops, key=lambda loop: abs(loop.candidate.travel_m - travel_m), default=None)
 
+    def are_joined(self, first: int, second: int) -> bool:
+        """Whether odometry or closures tie two keyframes together."""
+        return self._sessions.are_joined(first, second)
+
     def insert(self, candidate: Candidate) -> None:
         """Tie the two keyframes together and make one of the landmarks that meet.
 

@@ -23,6 +23,10 @@ class InputDataError(SlamError):
     """The log is readable, but what is in it cannot be mapped."""
 
 
+class SavedMapError(SlamError):
+    """A file that cannot be used as a map; says why, and how to make one."""
+
+
 class EvaluationError(SlamError):
     """Nothing can be computed from what is there; the message says what is missing."""
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
@@ -92,6 +92,35 @@ class FactorGraph:
         factor = between_factor(edge)
         self._insert_keyframe(edge.to_keyframe, self.pose(edge.from_keyframe) @ edge.T_from_to)
         self._add(edge, factor)
+
+    def restore(
+        self,
+        keyframes: Sequence[int],
+        T_map_body: FloatArray,
+        landmarks: Mapping[int, FloatArray],
+        edges: Sequence[Edge],
+        observations: Sequence[Observation],
+    ) -> None:
+        """Take in the optimised graph of an earlier drive, into an empty one.
+
+        Args:
+            keyframes: ids; the first one fixes the map frame.
+            T_map_body: (K, 4, 4), their estimates.
+            landmarks: estimates (3,) m by id.
+            edges: between those keyframes; without any, all keyframes stay where they are.
+            observations: of those landmarks from those keyframes.
+        """
+        self.add_first_keyframe(keyframes[0], T_map_body[0])
+        for keyframe, T in zip(keyframes[1:], T_map_body[1:], strict=True):
+            self._insert_keyframe(keyframe, T)
+            if not edges:
+                self._add(Anchor(keyframe, T))
+        for edge in edges:
+            self.add_edge(edge)
+        for observation in observations:
+            self._enter(observation.landmark, landmarks[observation.landmark])
+        self.add_observations(observations)
+        self.update()
 
     def add_edge(self, edge: Edge) -> int:
         """Tie two keyframes together; returns the factor's number."""

@@ -40,6 +40,8 @@ class LoopCloser:
         self._map = object_map
         self._keyframes = keyframes
         self._track = KeyframeTrack(config.odometry)
+        for keyframe in keyframes:  # of an earlier drive
+            self._track.add(keyframe.odometry)
         self._finder = PlaceFinder(config.loop_closure, config.submap, config.registration, object_map)
         self._verifier = Verifier(config, self._finder, self._track, graph, keyframes)
         self._graph = graph
@@ -62,12 +64,16 @@ class LoopCloser:
         """Keyframes whose objects say that they are at a place, but the odometry's noise does not allow it."""
         return len(self._doubted - self._closed.keys())
 
+    def knows_where(self, keyframe: Keyframe) -> bool:
+        """Whether odometry or closures tie a keyframe to the first one, and so to the map."""
+        return self._loops.are_joined(self._keyframes[0].id, keyframe.id)
+
     def close(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
         """Look for loops at the newest keyframe; returns every candidate with its verdict, revised ones included."""
         self._track.add(keyframe.odometry)
         self._finder.settle(keyframe.odometry.travel_m)
         query = self._take_query(keyframe)
-        if self._verifier.latest_m(query) <= 0.0:
+        if self._verifier.latest_m(query) <= self._keyframes[0].odometry.travel_m:
             return []
         # 1. Next to a closure that is believed the place is known, and only to be verified.
         followed = self._follow(query)

@@ -7,6 +7,7 @@ the last one to the factor graph (map frame).
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,7 +56,9 @@ class Prediction:
 class Mapper:
     """Builds the object map and the factor graph; ``keyframes`` are all keyframes so far."""
 
-    def __init__(self, config: Config, object_map: ObjectMap, graph: FactorGraph) -> None:
+    def __init__(
+        self, config: Config, object_map: ObjectMap, graph: FactorGraph, earlier: Sequence[Keyframe] = ()
+    ) -> None:
         self._config = config
         self._map = object_map
         self._graph = graph
@@ -66,7 +69,7 @@ class Mapper:
         self._message_count = 0
         self._sensors: set[str] = set()
         self._scan_count = 0
-        self.keyframes: list[Keyframe] = []
+        self.keyframes: list[Keyframe] = [*earlier]
 
     def add_odometry(self, pose: OdometryPose) -> Keyframe | None:
         """Follow the track to its newest pose; returns the keyframe if one was made there."""

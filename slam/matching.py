@@ -58,7 +58,7 @@ class PlaceFinder:
         self._map = object_map
         self._index = make_index(config.descriptor)
         self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
-        self._settled_m = 0.0
+        self._settled_m = -np.inf
 
     def settle(self, travel_m: float) -> None:
         """Enter the landmarks that were left behind."""

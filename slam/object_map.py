@@ -164,6 +164,35 @@ class ObjectMap:
         self._label_counts[new, labels] = 1.0
         return new
 
+    def restore(self, saved: ObjectMapRecord, *, travel_m: float) -> IntArray:
+        """Take in the landmarks of an earlier drive, as seen on segment 0 after ``travel_m``; returns their rows (N,).
+
+        What they are relative to the robot is what they are in the map.
+
+        Args:
+            saved: confirmed landmarks; their probabilities become as many sightings of a class as they had.
+        """
+        labels = self.label_indices(saved.vocabulary)
+        rows = self.add(
+            saved.positions,
+            saved.covariances,
+            np.zeros(len(saved.ids), np.int64),
+            stamp_ns=0,
+            scan=0,
+            travel_m=travel_m,
+        )
+        landmarks = self.rows
+        landmarks["state"][rows] = LandmarkState.CONFIRMED
+        landmarks["observations"][rows] = saved.observation_counts
+        landmarks["first_seen_ns"][rows] = saved.first_seen_ns
+        landmarks["last_seen_ns"][rows] = saved.last_seen_ns
+        landmarks["position_map"][rows] = saved.positions
+        landmarks["covariance_map"][rows] = saved.covariances
+        self._label_counts[rows] = 0.0
+        counts = saved.class_probabilities * saved.observation_counts[:, None]
+        self._label_counts[np.ix_(rows, labels)] = counts
+        return rows
+
     def record_sightings(
         self, rows: IntArray, measured_odom: FloatArray, labels: IntArray, *, stamp_ns: int, scan: int, travel_m: float
     ) -> None:

@@ -44,8 +44,9 @@ class OdometryTrack:
     ``counters`` is where it counts the messages that it cannot use.
     """
 
-    def __init__(self, config: OdometryConfig, counters: Counter[str] | None = None) -> None:
+    def __init__(self, config: OdometryConfig, counters: Counter[str] | None = None, *, first_segment: int = 0) -> None:
         self._config = config
+        self._first_segment = first_segment
         self._poses: deque[OdometryPose] = deque(maxlen=HISTORY)
         self._doubtful: Odometry | None = None
         self._counted_xyz_m = np.zeros(3)
@@ -104,7 +105,9 @@ class OdometryTrack:
         last = self.latest
         xyz_m = odometry.T_odom_body[:3, 3]
         if last is None:
-            pose = OdometryPose(odometry.stamp_ns, odometry.T_odom_body, 0.0, 0, self._config.max_speed_mps)
+            pose = OdometryPose(
+                odometry.stamp_ns, odometry.T_odom_body, 0.0, self._first_segment, self._config.max_speed_mps
+            )
             self._counted_xyz_m = xyz_m
         else:
             seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9

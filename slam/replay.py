@@ -27,6 +27,7 @@ from logs.selection import Selection, select_topics
 from logs.topics import RecordKind
 from logs.writer import LogWriter, partial_path
 from slam.config import Config
+from slam.saved_map import SavedMap, save_map
 from slam.system import FinalMap, Slam
 
 _TOPICS: Mapping[type[Record], str] = {
@@ -65,6 +66,8 @@ def replay(
     config: Config,
     *,
     topics: Mapping[str, str] | None = None,
+    earlier: SavedMap | None = None,
+    map_path: Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> ReplaySummary:
     """Map the log ``source`` into the log ``output``.
@@ -74,6 +77,8 @@ def replay(
         output: replaced if it is there; written as NAME.part and renamed when finished.
         config: the effective configuration, which is written into the output.
         topics: kind -> topic, where the log leaves a choice.
+        earlier: a map to find the robot in, and to go on from.
+        map_path: where to save the map, for later drives.
         progress: called with the fraction done, in [0, 1].
 
     Raises:
@@ -90,11 +95,12 @@ def replay(
         copied |= set(selection.topics_of(RecordKind.TRANSFORMS)) - {_TOPICS[Transform]}
         mapped = Selection({topic: kinds for topic, kinds in selection.kinds.items() if set(kinds) & set(_MAPPED)})
         first_ns, last_ns = _span(reader, mapped)
-        slam = Slam(config)
+        slam = Slam(config, earlier)
         longest_stall_s = 0.0
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output) as writer:
-            writer.add_metadata("dslam", _provenance(reader, config, selection))
+            provenance = _provenance(reader, config, selection)
+            writer.add_metadata("dslam", provenance)
             for item in reader.items(mapped, copy=copied):
                 if item.raw.topic in copied:
                     writer.write_raw(item.raw)
@@ -110,6 +116,8 @@ def replay(
             slam.counters.update(reader.counters)
             final = slam.finish()
             _write_final(writer, final, last_ns)
+        if map_path is not None:
+            save_map(map_path, final.object_map, final.graph, final.markers, provenance)
     return ReplaySummary(
         counters=dict(final.status.counters),
         log_s=(last_ns - first_ns) * 1e-9,

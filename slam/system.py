@@ -10,6 +10,7 @@ import logging
 import time
 from collections import Counter
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from logs.messages import (
     Transform,
 )
 from slam.config import Config
+from slam.earlier_session import restore
 from slam.errors import FactorGraphError, InputDataError
 from slam.factor_graph import FactorGraph
 from slam.geometry import FloatArray, IntArray, apply, invert
@@ -34,14 +36,23 @@ from slam.loop_closure import LoopCloser
 from slam.mapper import Keyframe, Mapper
 from slam.object_map import LandmarkState, ObjectMap
 from slam.odometry_track import OdometryPose, OdometryTrack
+from slam.saved_map import SavedMap
 from slam.scan import SensorFrames, make_scan
 from slam.trajectory import bend_odometry
 
 logger = logging.getLogger(__name__)
 
 MAP_FRAME = "map"
-STATE_MAPPING = "MAPPING"
 CLOSURE_COLOR = np.array([0.84, 0.15, 0.79, 0.9])
+
+
+class State(StrEnum):
+    """What the robot knows of where it is: in the map that it makes, in one that it was given, or nothing."""
+
+    MAPPING = "MAPPING"
+    TRACKING = "TRACKING"
+    LOST = "LOST"
+    RELOCALIZED = "RELOCALIZED"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,14 +71,17 @@ class FinalMap:
 class Slam:
     """Maps a drive, record by record. The same records and configuration give the same results."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, earlier: SavedMap | None = None, *, extend: bool = True) -> None:
+        """``earlier``: a map to find the robot in; ``extend``: improve it, too, instead of leaving it as it is."""
         self._config = config
         self.counters: Counter[str] = Counter()
-        self._track = OdometryTrack(config.odometry, self.counters)
+        self._track = OdometryTrack(config.odometry, self.counters, first_segment=int(earlier is not None))
         self._frames = SensorFrames()
         self._object_map = ObjectMap(config.association)
         self._graph = FactorGraph(config.factor_graph)
-        self._mapper = Mapper(config, self._object_map, self._graph)
+        known = restore(earlier, self._object_map, self._graph, fixed=not extend) if earlier is not None else []
+        self._first_keyframe = len(known)
+        self._mapper = Mapper(config, self._object_map, self._graph, known)
         self._closer = LoopCloser(config, self._object_map, self._graph, self._mapper.keyframes)
         self._waiting: list[tuple[int, int, ObjectDetections]] = []
         self._arrivals = 0
@@ -78,8 +92,14 @@ class Slam:
         self._frames_missing: set[str] = set()
         self._poses: list[OdometryPose] = []
         self._T_map_odom = np.eye(4)
+        self._state = State.MAPPING if earlier is None else State.LOST
         self.closing_seconds: list[float] = []
         """Time that looking for loops took, keyframe by keyframe."""
+
+    @property
+    def state(self) -> State:
+        """What the robot knows of where it is."""
+        return self._state
 
     @property
     def solver_seconds(self) -> float:
@@ -107,7 +127,7 @@ class Slam:
         for pose in self._track.finish():
             self._step(pose)
         self._map_waiting_scans()
-        if not self._mapper.keyframes:
+        if len(self._mapper.keyframes) == self._first_keyframe:
             raise InputDataError(
                 "no odometry message was usable, so there is nothing to map; see 'dslam info' of the log"
             )
@@ -160,14 +180,17 @@ class Slam:
         if self._mapper.add_odometry(pose) is not None:
             updates += self._keyframe_updates(pose, breaks=breaks)
         updates.append(Transform(pose.stamp_ns, self._odom_frame, self._body_frame, pose.T_odom_body))
-        updates.append(SlamPose(pose.stamp_ns, self._T_map_odom @ pose.T_odom_body, self._T_map_odom))
+        if self._state != State.LOST:
+            updates.append(SlamPose(pose.stamp_ns, self._T_map_odom @ pose.T_odom_body, self._T_map_odom))
         return updates
 
     def _keyframe_updates(self, pose: OdometryPose, *, breaks: bool) -> list[Record]:
         keyframe = self._mapper.keyframes[-1]
         closures = self._close_loops(keyframe)
         self._T_map_odom = self._graph.pose(keyframe.id) @ invert(pose.T_odom_body)
-        updates: list[Record] = [Transform(pose.stamp_ns, MAP_FRAME, self._odom_frame, self._T_map_odom), *closures]
+        updates: list[Record] = [*closures, *self._change_state(keyframe)]
+        if self._state != State.LOST:
+            updates.append(Transform(pose.stamp_ns, MAP_FRAME, self._odom_frame, self._T_map_odom))
         self.counters["keyframes"] += 1
         self.counters["closures_accepted"] += sum(closure.accepted for closure in closures)
         self.counters["closures_inserted"] += sum(closure.inserted for closure in closures)
@@ -175,7 +198,7 @@ class Slam:
         if len(confirmed):
             positions = apply(self._T_map_odom, self._object_map.rows["position_odom"][confirmed])
             updates.append(self._markers(confirmed, positions, replaces=False))
-        if len(self._mapper.keyframes) == 1:
+        if len(self._mapper.keyframes) == self._first_keyframe + 1:
             updates.append(self._status("first odometry", level="info"))
         if breaks:
             self.counters["odometry_breaks"] += 1
@@ -183,6 +206,19 @@ class Slam:
                 self._status("the odometry jumped or fell silent: landmarks in view are let go", level="warning")
             )
         return updates
+
+    def _change_state(self, keyframe: Keyframe) -> list[Record]:
+        """Lost or not, as odometry and closures tie the newest keyframe to the map or do not."""
+        if not self._closer.knows_where(keyframe):
+            self._state = State.LOST
+            return []
+        if self._state != State.LOST:
+            return []
+        self._state = State.RELOCALIZED
+        self.counters["relocalizations"] += 1
+        found = self._status("objects of the map were recognised: the robot knows where it is", level="info")
+        self._state = State.MAPPING if self._first_keyframe == 0 else State.TRACKING
+        return [found, self._status("goes on from there", level="info")]
 
     def _close_loops(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
         if not self._config.loop_closure.enabled:
@@ -245,12 +281,12 @@ class Slam:
 
     def _trajectory(self) -> TrajectoryRecord:
         stamps_ns = np.array([pose.stamp_ns for pose in self._poses], dtype=np.int64)
-        keyframe_stamps_ns = [keyframe.odometry.stamp_ns for keyframe in self._mapper.keyframes]
+        keyframe_stamps_ns = [keyframe.odometry.stamp_ns for keyframe in self._own_keyframes]
         T_map_body = bend_odometry(
             stamps_ns,
             np.stack([pose.T_odom_body for pose in self._poses]),
             np.searchsorted(stamps_ns, keyframe_stamps_ns),
-            self._graph.poses(),
+            self._graph.poses()[self._first_keyframe :],
             np.array([pose.segment for pose in self._poses]),
         )
         return TrajectoryRecord(self._now_ns, MAP_FRAME, stamps_ns, T_map_body)
@@ -274,11 +310,17 @@ class Slam:
 
     def _T_map_odom_at(self, stamps_ns: IntArray) -> FloatArray:
         """``T_map_odom`` (N, 4, 4) of the last keyframes before the stamps (N,)."""
-        keyframes = self._mapper.keyframes
+        keyframes = self._own_keyframes
         T_odom_body = np.stack([keyframe.odometry.T_odom_body for keyframe in keyframes])
         keyframe_stamps_ns = [keyframe.odometry.stamp_ns for keyframe in keyframes]
         before = np.maximum(np.searchsorted(keyframe_stamps_ns, stamps_ns, side="right") - 1, 0)
-        return np.asarray((self._graph.poses() @ invert(T_odom_body))[before])
+        T_map_body = self._graph.poses()[self._first_keyframe :]
+        return np.asarray((T_map_body @ invert(T_odom_body))[before])
+
+    @property
+    def _own_keyframes(self) -> list[Keyframe]:
+        """Those of this drive."""
+        return self._mapper.keyframes[self._first_keyframe :]
 
     def _graph_record(self) -> FactorGraphRecord:
         keyframe_stamps_ns = np.array(
@@ -319,7 +361,7 @@ class Slam:
         counters |= {
             f"landmarks_{state.name.lower()}": len(self._object_map.in_state(state)) for state in LandmarkState
         }
-        return StatusRecord(self._now_ns, STATE_MAPPING, level, message, counters)
+        return StatusRecord(self._now_ns, self._state.value, level, message, counters)
 
     @property
     def _now_ns(self) -> int:

@@ -24,6 +24,16 @@ def replay(
     config_file: ConfigFile = None,
     settings: Settings = None,
     topics: Topics = None,
+    map_log: Annotated[
+        Path | None,
+        typer.Option(
+            "--map", metavar="MAP.mcap", help="Find the robot in that map, and go on from it.", show_default=False
+        ),
+    ] = None,
+    save_map: Annotated[
+        Path | None,
+        typer.Option("--save-map", metavar="MAP.mcap", help="Save the map for later drives.", show_default=False),
+    ] = None,
     json: Json = False,
     picture: Picture = None,
 ) -> None:
@@ -32,14 +42,18 @@ def replay(
     Example: dslam replay drive.mcap -o map.mcap --set keyframe.distance_m=1.5
     """
     chosen = parse_topics(topics)
-    check_outputs([output, picture], [source, config_file])
+    check_outputs([output, picture, save_map], [source, config_file, map_log])
     from slam.config import load_config
     from slam.replay import replay as replay_log
+    from slam.saved_map import load_map
     from tools import console
 
     config = load_config(config_file, settings or ())
+    earlier = load_map(map_log) if map_log is not None else None
     with console.progress_bar("mapping", "optimising everything at once") as progress:
-        summary = replay_log(source, output, config, topics=chosen, progress=progress)
+        summary = replay_log(
+            source, output, config, topics=chosen, earlier=earlier, map_path=save_map, progress=progress
+        )
     if picture is not None:
         _draw(output, picture)
     if json:

@@ -1,0 +1,65 @@
+"""A saved map as the session before the first: to join it is what joins two sides of a break of the odometry."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.factor_graph import FactorGraph
+from slam.factors import Edge, Observation
+from slam.mapper import Keyframe
+from slam.object_map import ObjectMap
+from slam.odometry_track import OdometryPose
+from slam.saved_map import SavedMap
+
+TRAVEL_M = -10_000.0
+"""Of everything in the map. An optimised map has no passes: all of it is consistent, whenever it was seen."""
+SEGMENT = 0
+
+
+def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed: bool) -> list[Keyframe]:
+    """Put a saved map into an empty object map and an empty graph; returns its keyframes, numbered anew from 0.
+
+    Args:
+        saved: the map.
+        object_map: empty.
+        graph: empty.
+        fixed: keep the map as it is: its keyframes do not move, and nothing need be known of how they hang together.
+    """
+    rows = object_map.restore(saved.objects, travel_m=TRAVEL_M)
+    stamps_ns = saved.graph.keyframe_stamps_ns
+    keyframes = [
+        Keyframe(number, OdometryPose(int(stamps_ns[number]), T_map_body, TRAVEL_M, SEGMENT, np.inf))
+        for number, T_map_body in enumerate(saved.graph.T_map_body)
+    ]
+    if fixed:
+        graph.restore(range(len(keyframes)), saved.graph.T_map_body, {}, [], [])
+        return keyframes
+    row_of = dict(zip(saved.objects.ids, rows.tolist(), strict=True))
+    record = saved.graph
+    number_of = {int(keyframe): number for number, keyframe in enumerate(record.keyframe_ids)}
+    graph.restore(
+        list(number_of.values()),
+        record.T_map_body,
+        dict(zip(rows.tolist(), saved.objects.positions, strict=True)),
+        [
+            Edge(number_of[int(first)], number_of[int(second)], T_from_to, covariance, kind)
+            for (first, second), T_from_to, covariance, kind in zip(
+                record.edge_keyframe_ids,
+                record.edge_transforms,
+                record.edge_covariances,
+                record.edge_kinds,
+                strict=True,
+            )
+        ],
+        [
+            Observation(number_of[int(keyframe)], row_of[landmark], position, covariance)
+            for keyframe, landmark, position, covariance in zip(
+                record.observation_keyframe_ids,
+                record.observation_landmark_ids,
+                record.observation_positions,
+                record.observation_covariances,
+                strict=True,
+            )
+        ],
+    )
+    return keyframes
