@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from descriptors.architectures import check_labels
 from descriptors.constellation import Constellations
+from descriptors.errors import WeightsError
 from descriptors.inference import describe_padded
 from descriptors.padded import pad_constellations
 from descriptors.weights import load_weights
@@ -34,7 +35,13 @@ class LearnedDescriptor:
         self.name = str(self._network.architecture.name)  # type: ignore[union-attr]
         self.length = int(self._network.architecture.length)  # type: ignore[union-attr, arg-type]
         self.vocabulary_size = int(self._network.architecture.vocabulary_size)  # type: ignore[union-attr, arg-type]
-        self.radius_m = float(self.metadata.training["dataset"]["radius_m"])
+        try:
+            self.radius_m = float(self.metadata.training["dataset"]["radius_m"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise WeightsError(
+                f"{path}: its training configuration has no dataset.radius_m, so how far neighbours count is unknown; "
+                "train again"
+            ) from error
 
     @classmethod
     def shipped(cls, name: str) -> LearnedDescriptor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,7 +123,10 @@ class GlobalLocalizer:
             reference_sigmas=np.full(len(near), map_sigma_m),
         )
         best = max(refined, key=lambda answer: answer.score)
-        return best if best.found else found[0]
+        if not best.found:
+            return found[0]
+        pairs = np.column_stack([best.pairs[:, 0], near[best.pairs[:, 1]]])
+        return replace(best, pairs=pairs)
 
     def _around(self, T_map_query: FloatArray, radius_m: float) -> NDArray[np.int64]:
         """Objects of the map that one of the poses (H, 4, 4) could see."""

@@ -153,7 +153,7 @@ def map_size(
 def _row(cell: Cell) -> list[str]:
     return [
         f"{100 * cell.success:.1f} ± {100 * cell.deviation:.1f}",
-        f"{100 * cell.of_ceiling:.1f}",
+        "-" if cell.of_ceiling is None else f"{100 * cell.of_ceiling:.1f}",
         f"{100 * cell.ceiling:.1f}",
         "-" if cell.top_5 is None else f"{100 * cell.top_5:.1f}",
         f"{cell.match_ms:.1f}",

@@ -99,7 +99,8 @@ def train_network(
         All epochs, those before an interruption too.
 
     Raises:
-        DescriptorError: the folder holds the checkpoint of another configuration, or one that cannot be read.
+        DescriptorError: the device cannot be used, or the folder holds the checkpoint of another configuration, or one
+            that cannot be read.
     """
     torch.set_num_threads(threads)
     torch.use_deterministic_algorithms(True)
@@ -110,7 +111,7 @@ def train_network(
     validation = make_dataset(config.simulation, config.augmentation, config.dataset, seed=2 * config.seed + 1)
     while len(run.epochs) < config.epochs:
         epoch = run.next_epoch(training, validation)
-        if epoch.validation_top_k >= max(e.validation_top_k for e in run.epochs):
+        if epoch is max(run.epochs, key=lambda each: each.validation_top_k):  # of equals the first
             save_weights(folder / WEIGHTS, run.network, _metadata(config, epoch))
         _write_curves(folder / CURVES, run.epochs)
         run.save(folder / CHECKPOINT)
@@ -124,8 +125,11 @@ class _Run:
     def __init__(self, config: TrainingConfig, device: str) -> None:
         torch.manual_seed(config.seed)
         self._config = config
-        self._device = torch.device(device)
-        self.network: nn.Module = make_network(config.architecture).to(self._device)
+        try:
+            self._device = torch.device(device)
+            self.network: nn.Module = make_network(config.architecture).to(self._device)
+        except (RuntimeError, AssertionError) as error:
+            raise DescriptorError(f"device {device!r} cannot be used: {str(error).splitlines()[0]}") from error
         self._optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
         self.epochs: list[Epoch] = []
 

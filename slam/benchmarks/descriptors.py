@@ -32,8 +32,8 @@ class Cell:
     """One method in one scenario.
 
     ``success`` and ``deviation`` over the seeds: shares of the queries within 1 m. ``of_ceiling``: that success by the
-    one with true correspondences. ``top_5``: share of the objects seen whose counterpart is among their 5 nearest, None
-    for a search without descriptors. Times are medians of a query.
+    one with true correspondences, None if that is 0. ``top_5``: share of the objects seen whose counterpart is among
+    their 5 nearest, None for a search without descriptors. Times are medians of a query.
     """
 
     method: str
@@ -41,7 +41,7 @@ class Cell:
     success: float
     deviation: float
     ceiling: float
-    of_ceiling: float
+    of_ceiling: float | None
     top_5: float | None
     match_ms: float
     verify_ms: float
@@ -189,7 +189,7 @@ def _measure(
         success=float(np.mean(success)),
         deviation=float(np.std(success)),
         ceiling=float(ceiling),
-        of_ceiling=float(np.mean(success) / ceiling) if ceiling else float("nan"),
+        of_ceiling=float(np.mean(success) / ceiling) if ceiling else None,
         top_5=float(np.mean(tops)) if tops else None,
         match_ms=1e3 * float(np.median([a.match_s for a, _ in flat])),
         verify_ms=1e3 * float(np.median([a.verify_s for a, _ in flat])),

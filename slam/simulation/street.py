@@ -59,8 +59,9 @@ def _rows(rng: np.random.Generator) -> tuple[list[str], FloatArray, FloatArray]:
     labels: list[str] = []
     along: list[float] = []
     aside: list[float] = []
+    classes = list(ROWS)  # each has a row at least
     while len(labels) < ROW_SHARE * OBJECTS:
-        label = str(rng.choice(list(ROWS)))
+        label = classes.pop() if classes else str(rng.choice(list(ROWS)))
         start, lateral = rng.uniform(0.0, LENGTH_M), rng.choice([-1.0, 1.0]) * rng.uniform(KERB_M, KERB_M + 2.0)
         places = np.arange(start, min(start + rng.uniform(*ROW_M), LENGTH_M), ROWS[label])
         labels += [label] * len(places)

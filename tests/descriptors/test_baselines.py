@@ -1,0 +1,289 @@
+"""The handcrafted baselines count what loops over objects count, and ignore all that should not matter."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from descriptors.baselines.gosmatch import BINS, GosmatchGraph, GosmatchVertex
+from descriptors.baselines.onion import Onion, OnionHistogram
+from descriptors.baselines.random_walk import RandomWalk, neighbours_of, walk
+from descriptors.class_vectors import class_vectors
+from descriptors.constellation import Constellations, gather_constellations
+from descriptors.descriptor import Descriptor
+from descriptors.padded import pad_constellations
+from slam.geometry import FloatArray, IntArray, apply, transform_from_xyz_yaw
+from tests.descriptors.constellations import VOCABULARY, scattered
+
+LENGTHS = {
+    "onion": 3,
+    "onion_histogram": 3 * 64,
+    "random_walk": 512,
+    "gosmatch_vertex": BINS * 64,
+    "gosmatch_graph": BINS * 64,
+}
+BASELINES: tuple[Descriptor, ...] = (Onion(), OnionHistogram(), RandomWalk(), GosmatchVertex(), GosmatchGraph())
+every_baseline = pytest.mark.parametrize("descriptor", BASELINES, ids=lambda d: d.name)
+with_classes = pytest.mark.parametrize("descriptor", BASELINES[1:], ids=lambda d: d.name)
+
+
+def describe(
+    descriptor: Descriptor, positions: FloatArray, labels: IntArray, vocabulary: tuple[str, ...] = VOCABULARY
+) -> NDArray[np.float32]:
+    return descriptor.describe(gather_constellations(positions, labels, vocabulary, radius_m=descriptor.radius_m))
+
+
+def around(positions: FloatArray, centre: int, radius_m: float = 30.0) -> list[int]:
+    """All objects but the centre that are within the radius of it, the nearest first."""
+    apart_m = np.hypot(*(positions - positions[centre])[:, :2].T)
+    return [other for other in np.argsort(apart_m).tolist() if other != centre and apart_m[other] <= radius_m]
+
+
+def apart_m(positions: FloatArray, a: int, b: int) -> float:
+    return float(np.hypot(*(positions[a] - positions[b])[:2]))
+
+
+def test_onion_counts_the_objects_within_ten_twenty_and_thirty_metres():
+    positions, labels = scattered(70, seed=1)
+    expected = np.zeros((70, 3))
+    for centre in range(70):
+        for other in around(positions, centre):
+            expected[centre, int(apart_m(positions, centre, other) // 10.0)] += 1
+    np.testing.assert_array_equal(describe(Onion(), positions, labels), expected)
+
+
+@pytest.mark.parametrize(("descriptor", "bins", "width_m"), [(OnionHistogram(), 3, 10.0), (GosmatchVertex(), 61, 1.0)])
+def test_onion_histogram_and_gosmatch_vertex_sum_the_vectors_of_the_classes_by_distance(descriptor, bins, width_m):
+    positions, labels = scattered(70, seed=2)
+    vectors = class_vectors(VOCABULARY, 64)
+    expected = np.zeros((70, bins, 64))
+    for centre in range(70):
+        for other in around(positions, centre):
+            expected[centre, int(apart_m(positions, centre, other) // width_m)] += vectors[labels[other]]
+    np.testing.assert_allclose(describe(descriptor, positions, labels), expected.reshape(70, -1), atol=1e-5)
+
+
+def vector_of_pair(a: int, b: int) -> NDArray[np.float32]:
+    """What one edge adds to its bin (64,), seen on two objects that are half a metre apart."""
+    alone = describe(GosmatchGraph(), np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]]), np.array([a, b]))
+    return alone.reshape(2, BINS, 64)[0, 0]
+
+
+def test_gosmatch_graph_sums_the_vectors_of_the_pairs_of_classes_of_all_edges_by_their_length():
+    positions, labels = scattered(50, seed=3)
+    vectors = {(a, b): vector_of_pair(a, b) for a in range(4) for b in range(4)}
+    expected = np.zeros((50, BINS, 64))
+    for centre in range(50):
+        objects = [centre, *around(positions, centre)]
+        for i, first in enumerate(objects):
+            for second in objects[:i]:
+                edge = vectors[int(labels[first]), int(labels[second])]
+                expected[centre, int(apart_m(positions, first, second) // 1.0)] += edge
+    np.testing.assert_allclose(describe(GosmatchGraph(), positions, labels), expected.reshape(50, -1), atol=1e-4)
+
+
+def test_pairs_of_classes_have_unit_vectors_that_differ_unless_the_classes_are_the_same_two():
+    vectors = np.array([[vector_of_pair(a, b) for b in range(4)] for a in range(4)])
+    np.testing.assert_array_equal(vectors, vectors.transpose(1, 0, 2))
+    distinct = vectors[np.triu_indices(4)]
+    products = distinct @ distinct.T
+    np.testing.assert_allclose(np.diag(products), 1.0, atol=1e-5)
+    assert np.abs(products - np.diag(np.diag(products))).max() < 0.5
+
+
+def test_the_last_bin_takes_the_edges_that_are_longer_than_all_bins():
+    positions = np.array([[0.0, 0.0, 0.0], [200.0, 0.0, 0.0]])
+    for descriptor in (GosmatchVertex(radius_m=300.0), GosmatchGraph(radius_m=300.0)):
+        bins = describe(descriptor, positions, np.array([0, 1])).reshape(2, BINS, 64)
+        np.testing.assert_allclose(np.linalg.norm(bins, axis=2), np.eye(BINS)[[BINS - 1, BINS - 1]], atol=1e-5)
+
+
+def walks_by_loop(positions: FloatArray, objects: list[int], draws: FloatArray) -> list[tuple[int, ...]]:
+    """The objects on each walk from the first of them on: the others are the ways, the nearest to the first ahead."""
+    pairs = [(a, b) for i, a in enumerate(objects) for b in objects[:i]]
+    mean_m = np.mean([apart_m(positions, a, b) for a, b in pairs]) if pairs else 0.0
+    walks = []
+    for walker in range(draws.shape[1]):
+        visited = [objects[0]]
+        for draw in draws[:, walker]:
+            here = visited[-1]
+            ways = [o for o in objects if o != here and apart_m(positions, here, o) <= mean_m + 1e-6]
+            onward = [o for o in ways if len(visited) < 2 or o != visited[-2]] or ways
+            visited.append(onward[int(draw * len(onward))] if onward else here)
+        walks.append(tuple(visited))
+    return walks
+
+
+def test_vectors_of_random_walks_multiply_to_the_number_of_equal_walks():
+    positions, labels = scattered(40, seed=4)
+    # So long that no two of the sequences of four classes share a column.
+    descriptor = RandomWalk(length=1 << 18)
+    vectors = describe(descriptor, positions, labels)
+    draws = np.random.default_rng(0).random((3, 30))
+    walked = [walks_by_loop(positions, [centre, *around(positions, centre)], draws) for centre in range(40)]
+    counts = [Counter(tuple(labels[list(visited)].tolist()) for visited in walks) for walks in walked]
+    equal = [[sum(a[sequence] * b[sequence] for sequence in a) for b in counts] for a in counts]
+    assert len(set().union(*counts)) > 100
+    np.testing.assert_allclose(vectors @ vectors.T, equal, atol=1e-3)
+
+
+def test_sequences_of_classes_spread_over_the_columns_and_both_signs():
+    vocabulary = tuple(f"class {i}" for i in range(20))
+    rng = np.random.default_rng(5)
+    positions = np.column_stack([rng.uniform(0.0, 60.0, (60, 2)), np.zeros(60)])
+    vectors = describe(RandomWalk(), positions, rng.integers(20, size=60), vocabulary)
+    # About 1750 different walks: a good hash leaves exp(-1750 / 512) = 3 % of the columns empty.
+    assert np.mean(np.any(vectors != 0.0, axis=0)) > 0.9
+    assert 0.4 < np.mean(vectors[vectors != 0.0] > 0.0) < 0.6
+
+
+def random_graph(objects: int, *, seed: int, share: float) -> NDArray[np.bool_]:
+    upper = np.triu(np.random.default_rng(seed).random((6, objects, objects)) < share, k=1)
+    return np.asarray(upper | upper.transpose(0, 2, 1))
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.8])
+def test_walks_follow_edges_and_step_back_only_where_there_is_no_other_way(share):
+    joined = random_graph(12, seed=6, share=share)
+    visited = walk(joined, np.random.default_rng(7).random((5, 50)))
+    assert visited.shape == (6, 50, 6)
+    assert not visited[:, :, 0].any()
+    degrees = joined.sum(axis=2)
+    for graph in range(6):
+        for walked in visited[graph].tolist():
+            for here, there in pairwise(walked):
+                assert joined[graph, here, there] or (here == there and degrees[graph, here] == 0)
+            for before, here, there in zip(walked[:-2], walked[1:-1], walked[2:], strict=True):
+                assert before != there or degrees[graph, here] <= 1
+
+
+def test_walks_take_all_ways_equally_often():
+    triangle_with_tail = np.zeros((1, 4, 4), dtype=bool)
+    for a, b in ((0, 1), (0, 2), (0, 3), (1, 2)):
+        triangle_with_tail[0, a, b] = triangle_with_tail[0, b, a] = True
+    visited = walk(triangle_with_tail, np.random.default_rng(8).random((3, 6000)))[0]
+    shares = {walked: count / 6000 for walked, count in Counter(map(tuple, visited.tolist())).items()}
+    expected = {(0, 1, 2, 0): 1 / 3, (0, 2, 1, 0): 1 / 3, (0, 3, 0, 1): 1 / 6, (0, 3, 0, 2): 1 / 6}
+    assert shares == pytest.approx(expected, abs=0.03)
+
+
+def test_objects_no_farther_apart_than_the_mean_of_their_constellation_are_joined():
+    positions, labels = scattered(40, seed=9)
+    joined = neighbours_of(pad_constellations(gather_constellations(positions, labels, VOCABULARY, radius_m=15.0)))
+    for centre in range(40):
+        objects = [centre, *sorted(around(positions, centre, 15.0))]
+        matrix = np.array([[apart_m(positions, a, b) for b in objects] for a in objects])
+        mean_m = matrix.sum() / max(len(objects) * (len(objects) - 1), 1)
+        expected = np.zeros(joined.shape[1:], dtype=bool)
+        expected[: len(objects), : len(objects)] = (matrix <= mean_m) & ~np.eye(len(objects), dtype=bool)
+        # Of two objects, the mean distance is their own.
+        if len(objects) == 2:
+            expected[0, 1] = expected[1, 0] = True
+        np.testing.assert_array_equal(joined[centre], expected)
+
+
+@every_baseline
+def test_default_parameters_are_those_of_the_papers(descriptor):
+    assert descriptor.radius_m == 30.0
+    assert describe(descriptor, *scattered(20, seed=10)).shape == (20, LENGTHS[descriptor.name])
+
+
+@every_baseline
+@pytest.mark.parametrize("yaw_rad", [0.3, np.pi, -2.0])
+def test_yaw_and_translation_change_nothing(descriptor, yaw_rad):
+    positions, labels = scattered(60, seed=11)
+    moved = apply(transform_from_xyz_yaw(np.array([120.0, -75.0, 4.0]), yaw_rad), positions)
+    np.testing.assert_allclose(
+        describe(descriptor, moved, labels), describe(descriptor, positions, labels), rtol=1e-4, atol=1e-4
+    )
+
+
+@every_baseline
+def test_the_order_of_the_objects_changes_nothing(descriptor):
+    positions, labels = scattered(60, seed=12)
+    order = np.random.default_rng(0).permutation(60)
+    shuffled = describe(descriptor, positions[order], labels[order])
+    np.testing.assert_allclose(shuffled, describe(descriptor, positions, labels)[order], rtol=1e-4, atol=1e-4)
+
+
+def test_walks_do_not_depend_on_the_order_of_objects_of_one_class_that_are_almost_equally_far():
+    rng = np.random.default_rng(13)
+    angles = rng.uniform(0.0, 2.0 * np.pi, 30)
+    distances_m = 10.0 + 1e-5 * np.arange(30)
+    ring = np.column_stack([distances_m * np.cos(angles), distances_m * np.sin(angles), np.zeros(30)])
+    # The ring is of one class; the objects that tell its members apart are outside.
+    outside, outside_labels = scattered(20, seed=14, side_m=25.0)
+    positions = np.concatenate([np.zeros((1, 3)), ring, outside])
+    labels = np.concatenate([np.zeros(31, dtype=np.int64), outside_labels])
+    order = np.concatenate([[0], 1 + rng.permutation(50)])
+    first = describe(RandomWalk(), positions, labels)[0]
+    np.testing.assert_array_equal(describe(RandomWalk(), positions[order], labels[order])[0], first)
+
+
+@every_baseline
+def test_a_vocabulary_that_grows_or_is_sorted_otherwise_changes_nothing(descriptor):
+    positions, labels = scattered(60, seed=15)
+    before = describe(descriptor, positions, labels)
+    grown = ("arch", "bench", "fountain", "lamp", "sign", "tree", "wall")
+    places = np.array([grown.index(name) for name in VOCABULARY])
+    backwards = describe(descriptor, positions, len(VOCABULARY) - 1 - labels, VOCABULARY[::-1])
+    for after in (describe(descriptor, positions, places[labels], grown), backwards):
+        np.testing.assert_allclose(after, before, rtol=1e-4, atol=1e-4)
+
+
+@with_classes
+def test_classes_are_told_apart(descriptor):
+    positions, labels = scattered(40, seed=16)
+    before, after = describe(descriptor, positions, labels), describe(descriptor, positions, (labels + 1) % 4)
+    assert np.linalg.norm(after - before, axis=1).min() > 0.5 * np.linalg.norm(before, axis=1).min()
+
+
+def test_the_onion_sees_no_classes():
+    positions, labels = scattered(40, seed=16)
+    np.testing.assert_array_equal(describe(Onion(), positions, labels), describe(Onion(), positions, (labels + 1) % 4))
+
+
+@every_baseline
+def test_heights_change_nothing(descriptor):
+    positions, labels = scattered(40, seed=17)
+    lifted = positions + np.random.default_rng(18).uniform(0.0, 20.0, (40, 1)) * [0.0, 0.0, 1.0]
+    np.testing.assert_array_equal(describe(descriptor, lifted, labels), describe(descriptor, positions, labels))
+
+
+@every_baseline
+def test_a_constellation_has_one_descriptor_among_many_and_alone(descriptor):
+    positions, labels = scattered(600, seed=19, side_m=250.0)
+    constellations = gather_constellations(positions, labels, VOCABULARY, radius_m=descriptor.radius_m)
+    together = descriptor.describe(constellations)
+    for row in (0, 63, 64, 255, 256, 599):
+        alone = descriptor.describe(constellations[np.array([row])])
+        np.testing.assert_allclose(alone[0], together[row], rtol=1e-4, atol=1e-4)
+
+
+@every_baseline
+def test_lonely_objects_are_described_by_finite_vectors_even_beside_constellations(descriptor):
+    positions, labels = scattered(20, seed=20)
+    lonely = np.array([[500.0, 0.0, 0.0], [-500.0, 0.0, 0.0]])
+    alone = describe(descriptor, lonely, np.array([1, 1]))
+    beside = describe(descriptor, np.concatenate([lonely, positions]), np.concatenate([[1, 1], labels]))
+    assert alone.shape == (2, LENGTHS[descriptor.name])
+    assert alone.dtype == beside.dtype == np.float32
+    assert np.isfinite(beside).all()
+    np.testing.assert_array_equal(beside[:2], alone)
+    np.testing.assert_array_equal(alone[0], alone[1])
+    # A walk stays where there is no way, so that the class of a lonely object still shows.
+    assert np.abs(alone[0]).sum() == (30.0 if descriptor.name == "random_walk" else 0.0)
+
+
+@every_baseline
+@pytest.mark.parametrize("vocabulary", [VOCABULARY, ()])
+def test_no_constellation_gives_no_vector(descriptor, vocabulary):
+    nobody = np.zeros(0, dtype=np.int64)
+    none = Constellations(np.zeros((0, 3)), nobody, nobody, np.zeros(1, dtype=np.int64), vocabulary)
+    described = descriptor.describe(none)
+    assert described.shape == (0, LENGTHS[descriptor.name])
+    assert described.dtype == np.float32

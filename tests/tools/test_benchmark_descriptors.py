@@ -1,0 +1,107 @@
+"""dslam benchmark descriptors, as it is typed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.tools.runs import Result, Run, assert_refused
+
+SCENARIOS = ("self", "fewer objects", "added noise")
+MEASURES = {"success", "deviation", "ceiling", "of_ceiling", "top_5", "match_ms", "verify_ms"}
+
+
+def benchmark(dslam: Run, *arguments: object) -> Result:
+    return dslam("benchmark", "descriptors", "--queries", 5, "--seeds", 1, *arguments)
+
+
+def write_world(folder: Path) -> tuple[object, ...]:
+    """A street of 60 objects, as CSV files."""
+    classes = ("tree", "lamp", "bench")
+    rows = [f"{3 * i},{5 + i * i % 7 - 12 * (i % 2)},0.5,{classes[(7 * i // 3) % 3]},n{i}" for i in range(60)]
+    (folder / "objects.csv").write_text("x_m,y_m,z_m,class,id\n" + "\n".join(rows) + "\n")
+    (folder / "trajectory.csv").write_text("x_m,y_m\n30,0\n150,0\n")
+    return ("--objects", folder / "objects.csv", "--trajectory", folder / "trajectory.csv")
+
+
+def test_the_help_has_an_example(dslam: Run) -> None:
+    result = dslam("benchmark", "descriptors", "--help")
+    assert (result.code, result.err) == (0, "")
+    assert "Example: dslam benchmark descriptors" in " ".join(result.out.split())
+
+
+def test_json_has_every_measure_of_every_scenario(dslam: Run) -> None:
+    result = benchmark(dslam, "--descriptor", "ring_likelihood", "--descriptor", "exhaustive search", "--json")
+    assert (result.code, result.err) == (0, "")
+    told = json.loads(result.out)
+    assert (told["map"], told["objects"], told["classes"]) == ("street", 795, 25)
+    assert (told["queries"], told["seeds"], told["neighbours"]) == (5, 1, 100)
+    assert set(told["build_s"]) == {"ring_likelihood", "exhaustive search"}
+    cells = {(cell["method"], cell["scenario"]): cell for cell in told["cells"]}
+    assert list(cells) == [
+        (name, scenario) for name in ("ring_likelihood", "exhaustive search") for scenario in SCENARIOS
+    ]
+    for cell in cells.values():
+        assert set(cell) == {"method", "scenario"} | MEASURES
+    assert cells["ring_likelihood", "self"]["success"] == cells["ring_likelihood", "self"]["ceiling"] == 1.0
+    assert cells["exhaustive search", "self"]["top_5"] is None
+
+
+def test_a_table_for_people(dslam: Run) -> None:
+    result = benchmark(dslam, "--descriptor", "onion")
+    assert (result.code, result.err) == (0, "")
+    assert "795 objects, 25 classes; 5 queries x 1 seeds, 100 candidates" in result.out
+    assert "of ceiling %" in result.out
+    lines = [line for line in result.out.splitlines() if line.startswith("onion")]
+    assert [scenario in line for scenario, line in zip(SCENARIOS, lines, strict=True)] == [True] * 3
+    assert "taking in the map: onion" in result.out
+
+
+def test_a_table_in_markdown(dslam: Run) -> None:
+    result = benchmark(dslam, "--descriptor", "ring_likelihood", "--descriptor", "exhaustive search", "--markdown")
+    assert result.code == 0
+    lines = [line for line in result.out.splitlines() if line.startswith("|")]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    assert len(cells) == 2 + 2 * 3
+    assert {len(row) for row in cells} == {8}
+    assert cells[0][:3] == ["descriptor", "scenario", "success %"]
+    assert set(cells[1]) == {"---"}
+    assert [row[1] for row in cells[2:]] == list(SCENARIOS) * 2
+    assert cells[2][2:5] == ["100.0 ± 0.0", "100.0", "100.0"]
+    assert cells[5][5] == "-"
+
+
+def test_a_map_of_one_s_own(dslam: Run, tmp_path: Path) -> None:
+    files = write_world(tmp_path)
+    result = benchmark(dslam, *files, "--descriptor", "ring_likelihood", "--neighbours", 7, "--json")
+    assert result.code == 0, result.err
+    told = json.loads(result.out)
+    assert (told["map"], told["objects"], told["classes"], told["neighbours"]) == (tmp_path.name, 60, 3, 7)
+    assert told["cells"][0]["ceiling"] == 1.0
+
+
+def test_a_map_in_which_nothing_can_be_localized_is_measured_too(dslam: Run, tmp_path: Path) -> None:
+    files = write_world(tmp_path)
+    (tmp_path / "objects.csv").write_text("x_m,y_m,z_m,class,id\n40,5,0,tree,n1\n")
+    for form in ((), ("--markdown",), ("--json",)):
+        result = benchmark(dslam, *files, "--descriptor", "onion", *form)
+        assert result.code == 0, result.err
+
+
+@pytest.mark.parametrize("which", [0, 2])
+def test_objects_and_trajectory_belong_together(dslam: Run, tmp_path: Path, which: int) -> None:
+    files = write_world(tmp_path)
+    assert_refused(benchmark(dslam, *files[which : which + 2]), "--objects", "--trajectory")
+
+
+def test_what_cannot_be_is_refused(dslam: Run, tmp_path: Path) -> None:
+    files = write_world(tmp_path)
+    assert_refused(benchmark(dslam, "--descriptor", "rings"), "'rings'", "ring_likelihood")
+    assert_refused(benchmark(dslam, "--neighbours", 0), "--neighbours")
+    assert_refused(dslam("benchmark", "descriptors", "--queries", 0), "--queries")
+    assert_refused(dslam("benchmark", "descriptors", "--seeds", 0), "--seeds")
+    (tmp_path / "trajectory.csv").write_text("x_m,y_m\n9000,0\n9100,0\n")
+    assert_refused(benchmark(dslam, *files, "--descriptor", "onion"), "no object", "30 m")
+    assert_refused(benchmark(dslam, "--objects", tmp_path / "none.csv", *files[2:]), "none.csv")

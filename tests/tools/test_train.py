@@ -1,0 +1,164 @@
+"""dslam train, as it is typed; the trainings behind it are tiny, or none."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from descriptors.baselines.pointnet import PointNetArchitecture
+from descriptors.descriptellation import training
+from descriptors.descriptellation.dataset import DatasetConfig
+from descriptors.descriptellation.network import DescriptellationArchitecture
+from descriptors.descriptellation.training import WEIGHTS, Epoch, TrainingConfig
+from descriptors.weights import load_weights
+from tests.tools.runs import Run, assert_refused
+
+Called = dict[str, Any]
+
+
+def epoch(number: int, validation_top_k: float) -> Epoch:
+    return Epoch(number, 1e-3, 0.2 / number, 0.3 / number, 0.9, validation_top_k, 1.5)
+
+
+@pytest.fixture
+def called(monkeypatch: pytest.MonkeyPatch) -> Called:
+    """What a training is asked for; it ends at once, the third of four epochs being the best."""
+    called: Called = {}
+
+    def fake(config: TrainingConfig, folder: Path, *, on_epoch: Callable[[Epoch], None], **more: object) -> list[Epoch]:
+        called.update(config=config, folder=folder, **more)
+        epochs = [epoch(number + 1, ratio) for number, ratio in enumerate((0.5, 0.7, 0.975, 0.8))]
+        for each in epochs:
+            on_epoch(each)
+        return epochs
+
+    monkeypatch.setattr(training, "train_network", fake)
+    return called
+
+
+@pytest.fixture
+def tiny(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Trainings on a few constellations; torch's settings, which are the process's, are put back."""
+    threads, deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
+    dataset = DatasetConfig(anchors=6, positives=2)
+    monkeypatch.setattr(training, "TrainingConfig", partial(TrainingConfig, dataset=dataset))
+    yield
+    torch.set_num_threads(threads)
+    torch.use_deterministic_algorithms(deterministic)
+
+
+def test_the_help_has_an_example_and_names_the_networks(dslam: Run) -> None:
+    result = dslam("train", "--help")
+    told = " ".join(result.out.split())
+    assert (result.code, result.err) == (0, "")
+    assert "Example: dslam train" in told
+    for name in ("descriptellation", "pointnet", "one_hot", "--seed", "--device", "--threads"):
+        assert name in told
+
+
+def test_every_option_reaches_the_training(dslam: Run, called: Called, tmp_path: Path) -> None:
+    options = ("--input", "one_hot", "--epochs", 7, "--seed", 3, "--device", "cpu", "--threads", 1)
+    assert dslam("train", tmp_path / "net", *options).code == 0
+    expected = TrainingConfig(architecture=DescriptellationArchitecture(input="one_hot"), epochs=7, seed=3)
+    assert called == {"config": expected, "folder": tmp_path / "net", "device": "cpu", "threads": 1}
+
+
+def test_without_options_it_is_the_paper_s_network_and_training(dslam: Run, called: Called, tmp_path: Path) -> None:
+    assert dslam("train", tmp_path).code == 0
+    assert called["config"] == TrainingConfig()
+
+
+def test_another_network_can_be_chosen(dslam: Run, called: Called, tmp_path: Path) -> None:
+    assert dslam("train", tmp_path, "--network", "pointnet").code == 0
+    assert called["config"].architecture == PointNetArchitecture()
+
+
+def test_a_summary_for_people(dslam: Run, called: Called, tmp_path: Path) -> None:
+    result = dslam("train", tmp_path)
+    assert (result.code, result.err) == (0, "")
+    lines = result.out.splitlines()
+    assert [line.split()[0] for line in lines[1:5]] == ["1", "2", "3", "4"]
+    assert "97.5 %" in lines[3]
+    assert "weights of epoch 3: " in result.out.replace("\n", " ")
+
+
+def test_json_names_the_weights_and_their_epoch(dslam: Run, called: Called, tmp_path: Path) -> None:
+    result = dslam("train", tmp_path, "--json")
+    assert (result.code, result.err) == (0, "")
+    told = json.loads(result.out)
+    assert told["weights"] == str(tmp_path / WEIGHTS)
+    assert told["epochs"] == 4
+    assert (told["best"]["epoch"], told["best"]["validation_top_k"]) == (3, 0.975)
+
+
+@pytest.mark.usefixtures("tiny")
+def test_a_training_leaves_its_files_and_goes_on_where_it_was(dslam: Run, tmp_path: Path) -> None:
+    typed = ("train", tmp_path / "net", "--network", "pointnet", "--epochs", 2, "--threads", 1, "--json")
+    first = dslam(*typed)
+    assert first.code == 0, first.err
+    assert sorted(path.name for path in (tmp_path / "net").iterdir()) == [
+        "checkpoint.pt",
+        "curves.csv",
+        "weights.safetensors",
+    ]
+    again = dslam(*typed)
+    assert json.loads(again.out) == json.loads(first.out)
+    assert_refused(dslam(*typed, "--seed", 1), "checkpoint.pt", "another configuration")
+
+
+@pytest.mark.usefixtures("tiny")
+def test_the_epoch_that_is_told_is_that_of_the_weights_even_among_equals(
+    dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training, "top_k_ratio", lambda vectors, things, k: 0.5)
+    result = dslam("train", tmp_path, "--network", "pointnet", "--epochs", 3, "--threads", 1, "--json")
+    assert result.code == 0, result.err
+    metrics = load_weights(tmp_path / WEIGHTS)[1].metrics
+    assert json.loads(result.out)["best"]["epoch"] == metrics["epoch"]
+
+
+def test_a_network_that_does_not_exist_is_refused(dslam: Run, tmp_path: Path) -> None:
+    result = dslam("train", tmp_path / "net", "--network", "transformer")
+    assert_refused(result, "'transformer'", "descriptellation, pointnet, sgnet")
+    assert not (tmp_path / "net").exists()
+
+
+@pytest.mark.parametrize("network", ["pointnet", "sgnet"])
+def test_an_input_for_a_network_that_has_no_choice_is_refused(dslam: Run, tmp_path: Path, network: str) -> None:
+    result = dslam("train", tmp_path / "net", "--network", network, "--input", "position")
+    assert_refused(result, network, "input")
+    assert not (tmp_path / "net").exists()
+
+
+def test_an_input_that_does_not_exist_is_refused(dslam: Run, tmp_path: Path) -> None:
+    assert_refused(dslam("train", tmp_path / "net", "--input", "colour"), "colour", "one_hot")
+    assert not (tmp_path / "net").exists()
+
+
+@pytest.mark.parametrize("option", [("--epochs", 0), ("--seed", -1), ("--threads", 0), ("--epochs", "many")])
+def test_numbers_that_cannot_be_are_refused(dslam: Run, tmp_path: Path, option: tuple[object, ...]) -> None:
+    assert_refused(dslam("train", tmp_path / "net", *option), str(option[0]))
+    assert not (tmp_path / "net").exists()
+
+
+@pytest.mark.usefixtures("tiny")
+@pytest.mark.parametrize("device", ["gpu", "cuda:99"])
+def test_a_device_that_does_not_exist_is_refused(dslam: Run, tmp_path: Path, device: str) -> None:
+    assert_refused(dslam("train", tmp_path / "net", "--device", device), device)
+
+
+def test_a_folder_that_cannot_be_is_refused(dslam: Run, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    assert_refused(dslam("train", tmp_path / "file"), "file")
+
+
+@pytest.mark.usefixtures("tiny")
+def test_a_damaged_checkpoint_is_refused(dslam: Run, tmp_path: Path) -> None:
+    (tmp_path / "checkpoint.pt").write_bytes(b"half a checkpoint")
+    assert_refused(dslam("train", tmp_path), "checkpoint.pt", "cannot be read", "delete it")
