@@ -64,9 +64,12 @@ class ClosedLoops:
                 self._map.split(dropped)
                 self._graph.split_landmark(dropped)
         self._namesakes.clear()
+        self._sessions.part()
         self.loops = [
             replace(loop, merged=self._merge_all(loop.candidate)) for loop in self.loops if loop.factor not in gone
         ]
+        for loop in self.loops:
+            self._sessions.join(loop.candidate.reference, loop.candidate.query)
 
     def _merge_all(self, candidate: Candidate) -> tuple[tuple[int, int], ...]:
         merged = [self._merge(int(query), int(reference)) for query, reference in candidate.pairs]

@@ -14,6 +14,8 @@ from slam.saved_map import SavedMap
 TRAVEL_M = -10_000.0
 """Of everything in the map. An optimised map has no passes: all of it is consistent, whenever it was seen."""
 SEGMENT = 0
+STAMP_NS = -1
+"""The clock of the earlier drive has nothing to do with that of this one."""
 
 
 def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed: bool) -> list[Keyframe]:
@@ -26,9 +28,8 @@ def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed
         fixed: keep the map as it is: its keyframes do not move, and nothing need be known of how they hang together.
     """
     rows = object_map.restore(saved.objects, travel_m=TRAVEL_M)
-    stamps_ns = saved.graph.keyframe_stamps_ns
     keyframes = [
-        Keyframe(number, OdometryPose(int(stamps_ns[number]), T_map_body, TRAVEL_M, SEGMENT, np.inf))
+        Keyframe(number, OdometryPose(STAMP_NS, T_map_body, TRAVEL_M, SEGMENT, np.inf))
         for number, T_map_body in enumerate(saved.graph.T_map_body)
     ]
     if fixed:

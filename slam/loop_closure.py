@@ -23,10 +23,18 @@ from slam.keyframe_track import KeyframeTrack
 from slam.mapper import Keyframe
 from slam.matching import PlaceFinder
 from slam.object_map import ObjectMap
+from slam.place_watch import PlaceWatch
 from slam.submap import gravity_frame, recent_submap
 from slam.verification import Query, Verifier
 
 logger = logging.getLogger(__name__)
+
+IN_VIEW_M = 4.0
+"""What was seen within that travel is in view."""
+ELSEWHERE_M = 15.0
+"""Farther than the odometry can drift while closures follow one another."""
+TRUSTED_AFTER_M = 60.0
+"""A place that was not contradicted for that long after it was recognised was right."""
 
 
 class LoopCloser:
@@ -49,6 +57,9 @@ class LoopCloser:
         self._recent: deque[Query] = deque()
         self._waiting: deque[Candidate] = deque()
         self._leader: Candidate | None = None
+        self._watch = PlaceWatch()
+        self.lost_since: int = -1
+        """The first of the keyframes that contradict where the robot is believed to be, if it is time to give up."""
         self._closed: dict[int, int] = {}
         self._doubted: set[int] = set()
         self._believed: list[tuple[Candidate, int]] = []
@@ -68,6 +79,10 @@ class LoopCloser:
         """Whether odometry or closures tie a keyframe to the first one, and so to the map."""
         return self._loops.are_joined(self._keyframes[0].id, keyframe.id)
 
+    def missing_landmarks(self) -> IntArray:
+        """Rows (K,) of landmarks that were looked for where they stood, often, and never seen again."""
+        return self._watch.missing()
+
     def close(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
         """Look for loops at the newest keyframe; returns every candidate with its verdict, revised ones included."""
         self._track.add(keyframe.odometry)
@@ -75,9 +90,13 @@ class LoopCloser:
         query = self._take_query(keyframe)
         if self._verifier.latest_m(query) <= self._keyframes[0].odometry.travel_m:
             return []
+        if self._contradicts(query):
+            self.lost_since = self._watch.doubted_since
+            return [query.refusal(Stage.CONSISTENCY, "other objects are seen than stand where the robot should be")]
         # 1. Next to a closure that is believed the place is known, and only to be verified.
         followed = self._follow(query)
         if followed is not None:
+            self._watch.confirm()
             return [self._believe(followed, f"follows the closure of keyframe {followed.leader}")]
         # 2. Elsewhere descriptors propose places.
         if len(query.submap) < self._limits.min_objects:
@@ -90,6 +109,36 @@ class LoopCloser:
         refused = [each for each in verified if isinstance(each, LoopClosureRecord)]
         candidates = distinct([each for each in verified if isinstance(each, Candidate)])
         return refused + self._judge(query, candidates)
+
+    def give_up(self, keyframe: Keyframe) -> tuple[list[LoopClosureRecord], bool]:
+        """Begin anew after the place was contradicted; what was closed since then is taken back.
+
+        Where the sessions had been joined only just before, joining them was wrong, and is taken back, too; else the
+        robot was carried off. Returns the new verdicts, and whether it was carried off.
+        """
+        joining = [
+            loop.candidate.travel_m
+            for loop in self._loops.loops
+            if self._crosses_break(loop.candidate)
+            and self._keyframes[loop.candidate.query].odometry.segment == keyframe.odometry.segment
+        ]
+        joined_m = min(joining, default=-np.inf)
+        is_carried_off = keyframe.odometry.travel_m - joined_m > TRUSTED_AFTER_M
+        since = self.lost_since
+        if not is_carried_off:
+            since = next(k.id for k in self._keyframes if k.odometry.segment == keyframe.odometry.segment)
+        self._loops.withdraw([loop for loop in self._loops.loops if loop.candidate.query >= since])
+        gone = [each for each, _ in self._believed if each.query >= since]
+        self._believed = [each for each in self._believed if each[0].query < since]
+        for candidate in gone:
+            self._closed.pop(candidate.query, None)
+        self.lost_since = -1
+        self._watch.restart()
+        self._leader = None
+        self._waiting.clear()
+        self._recent.clear()
+        reason = "taken back: other objects were seen than stand there"
+        return [candidate.record(Stage.CONSISTENCY, reason) for candidate in gone], is_carried_off
 
     def finish(self) -> tuple[list[LoopClosureRecord], str]:
         """Take out the closures that all factors together contradict; returns their new verdicts and a message.
@@ -139,6 +188,28 @@ class LoopCloser:
             return None
         return self._supported(self._leader, query)
 
+    def _contradicts(self, query: Query) -> bool:
+        """Whether the query, where the last closure puts it, has gone on seeing other things for too long."""
+        if self._leader is None or query.travel_m - self._leader.travel_m > self._limits.follow_travel_m:
+            self._watch.restart()
+            return False
+        place = self._verifier.predict(self._leader, query)
+        if place is None:
+            return False
+        around = self._finder.surroundings(place, before_m=self._verifier.latest_m(query))
+        seen_m = self._map.rows["last_seen_travel_m"][query.submap.rows]
+        seen = query.submap.of(np.flatnonzero(seen_m > query.travel_m - IN_VIEW_M))
+        return self._watch.look(query.keyframe.id, seen, around, place.T_odom_query)
+
+    def _is_elsewhere(self, query: Query, candidate: Candidate) -> bool:
+        """Whether a candidate is far from where the last closure, not long ago, puts the query."""
+        if self._leader is None or query.travel_m - self._leader.travel_m > self._limits.follow_travel_m:
+            return False
+        place = self._verifier.predict(self._leader, query)
+        if place is None or place.segment != self._keyframes[candidate.reference].odometry.segment:
+            return False
+        return float(np.linalg.norm((place.T_odom_query - candidate.T_odom_query)[:2, 3])) > ELSEWHERE_M
+
     def _supported(self, leader: Candidate, query: Query) -> Candidate | None:
         """The closure that one nearby predicts for a query, if the query's own objects bear it out."""
         place = self._verifier.predict(leader, query)
@@ -162,6 +233,9 @@ class LoopCloser:
         ambiguity = self._ambiguity(query, best, rival_nats)
         if ambiguity:
             return [*verdicts, best.record(Stage.ACCEPTANCE, ambiguity)]
+        if self._is_elsewhere(query, best):
+            self.lost_since = self._watch.doubted_since if self._watch.doubts else query.keyframe.id
+            return [*verdicts, best.record(Stage.CONSISTENCY, "the odometry cannot have come here: carried off")]
         return [*verdicts, *self._believe_first(best, "")]
 
     def _ambiguity(self, query: Query, candidate: Candidate, rival_nats: float) -> str:

@@ -120,6 +120,22 @@ class Mapper:
         taken, self._newly_confirmed = self._newly_confirmed, []
         return np.array(taken, dtype=np.int64)
 
+    def retire_gone(self, rows: IntArray) -> None:
+        """End the life of landmarks that are where they stood no longer."""
+        self._active = self._active[~np.isin(self._active, rows)]
+        self._retire(rows, RetirementReason.GONE)
+
+    def retire_since(self, keyframe: Keyframe) -> None:
+        """End the life of landmarks that were first seen after a keyframe, on its segment: they stand elsewhere."""
+        landmarks = self._map.rows
+        rows = np.flatnonzero(
+            (landmarks["first_seen_ns"] >= keyframe.odometry.stamp_ns)
+            & (landmarks["segment"] == keyframe.odometry.segment)
+            & (landmarks["state"] != LandmarkState.RETIRED)
+        )
+        self._active = self._active[~np.isin(self._active, rows)]
+        self._retire(rows, RetirementReason.CONTRADICTED)
+
     def close_keyframe(self) -> None:
         """Hand what was seen since the last keyframe to the graph; tentative landmarks are held back."""
         observations = self._sightings.observations(self.keyframes[-1].id, self._config.detection)

@@ -31,6 +31,8 @@ class RetirementReason(StrEnum):
     NOT_CONFIRMED = "not_confirmed"
     MOVING = "moving"
     MERGED = "merged"
+    CONTRADICTED = "contradicted"
+    GONE = "gone"
 
 
 LANDMARK = np.dtype(

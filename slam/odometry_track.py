@@ -47,6 +47,7 @@ class OdometryTrack:
     def __init__(self, config: OdometryConfig, counters: Counter[str] | None = None, *, first_segment: int = 0) -> None:
         self._config = config
         self._first_segment = first_segment
+        self._breaks_next = False
         self._poses: deque[OdometryPose] = deque(maxlen=HISTORY)
         self._doubtful: Odometry | None = None
         self._counted_xyz_m = np.zeros(3)
@@ -82,6 +83,10 @@ class OdometryTrack:
             added.append(self._append(odometry))
         return added
 
+    def break_off(self) -> None:
+        """Let the next pose begin a new segment: something else than the odometry knows that it is broken."""
+        self._breaks_next = True
+
     def finish(self) -> list[OdometryPose]:
         """Add the message that was put off, if there is one: nothing refutes it any more."""
         doubtful, self._doubtful = self._doubtful, None
@@ -112,7 +117,8 @@ class OdometryTrack:
         else:
             seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9
             step_m = float(np.linalg.norm(xyz_m - last.T_odom_body[:3, 3]))
-            breaks = seconds > self._config.max_gap_s or step_m > self._farthest_step_m(seconds)
+            breaks = seconds > self._config.max_gap_s or step_m > self._farthest_step_m(seconds) or self._breaks_next
+            self._breaks_next = False
             # The jitter of a standing body is no travel.
             counted_m = float(np.linalg.norm(xyz_m - self._counted_xyz_m))
             if breaks or counted_m >= JITTER_M:

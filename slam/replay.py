@@ -17,6 +17,7 @@ from logs.messages import (
     DetectionAssociations,
     LoopClosureRecord,
     Record,
+    RelocalizationRecord,
     SceneMarkers,
     SlamPose,
     StatusRecord,
@@ -37,6 +38,7 @@ _TOPICS: Mapping[type[Record], str] = {
     StatusRecord: "/slam/status",
     SceneMarkers: "/slam/landmarks",
     LoopClosureRecord: "/slam/closures",
+    RelocalizationRecord: "/slam/relocalizations",
 }
 _MAPPED = (RecordKind.ODOMETRY, RecordKind.DETECTIONS, RecordKind.TRANSFORMS)
 # The estimator never sees these; they are copied as they are, so that the output can be evaluated on its own.
@@ -48,7 +50,8 @@ class ReplaySummary:
     """How a replay went. Times are of this machine and go into no output log.
 
     ``longest_stall_s``: the longest time that one message took; ``solver_s``: time inside GTSAM;
-    ``closing_median_s``: what looking for loops takes at a keyframe.
+    ``closing_median_s``: what looking for loops takes at a keyframe. ``fixes_s``, ``fixes_m``: after what time, and
+    after what travel, a robot that was lost knew where it is.
     """
 
     counters: dict[str, int]
@@ -58,6 +61,8 @@ class ReplaySummary:
     longest_stall_s: float
     closing_median_s: float
     final_status: str
+    fixes_s: tuple[float, ...] = ()
+    fixes_m: tuple[float, ...] = ()
 
 
 def replay(
@@ -67,6 +72,7 @@ def replay(
     *,
     topics: Mapping[str, str] | None = None,
     earlier: SavedMap | None = None,
+    extend: bool = True,
     map_path: Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> ReplaySummary:
@@ -77,7 +83,8 @@ def replay(
         output: replaced if it is there; written as NAME.part and renamed when finished.
         config: the effective configuration, which is written into the output.
         topics: kind -> topic, where the log leaves a choice.
-        earlier: a map to find the robot in, and to go on from.
+        earlier: a map to find the robot in.
+        extend: go on from that map and improve it; else it stays as it is.
         map_path: where to save the map, for later drives.
         progress: called with the fraction done, in [0, 1].
 
@@ -95,7 +102,7 @@ def replay(
         copied |= set(selection.topics_of(RecordKind.TRANSFORMS)) - {_TOPICS[Transform]}
         mapped = Selection({topic: kinds for topic, kinds in selection.kinds.items() if set(kinds) & set(_MAPPED)})
         first_ns, last_ns = _span(reader, mapped)
-        slam = Slam(config, earlier)
+        slam = Slam(config, earlier, extend=extend)
         longest_stall_s = 0.0
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output) as writer:
@@ -126,6 +133,8 @@ def replay(
         longest_stall_s=longest_stall_s,
         closing_median_s=float(np.median(slam.closing_seconds)) if slam.closing_seconds else 0.0,
         final_status=final.status.message,
+        fixes_s=tuple((fix.stamp_ns - slam.first_stamp_ns) * 1e-9 for fix in slam.fixes),
+        fixes_m=tuple(fix.travel_m for fix in slam.fixes),
     )
 
 

@@ -31,6 +31,10 @@ class Sessions:
             self._group[segment] = kept
         return np.array(moving, dtype=np.int64)
 
+    def part(self) -> None:
+        """Forget all that was joined."""
+        self._group.clear()
+
     def _group_of(self, keyframe: int) -> int:
         segment = self._keyframes[keyframe].odometry.segment
         return self._group.get(segment, segment)

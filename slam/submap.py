@@ -30,6 +30,10 @@ class Submap:
     def __len__(self) -> int:
         return len(self.rows)
 
+    def of(self, places: IntArray) -> Submap:
+        """Some of the landmarks, by their places (K,) in it."""
+        return Submap(self.positions[places], self.sigmas[places], self.labels[places], self.rows[places])
+
 
 def gravity_frame(T_odom_body: FloatArray) -> FloatArray:
     """``T_odom_gravity`` (..., 4, 4): at the body, heading as it does, but upright."""

@@ -21,6 +21,7 @@ from logs.messages import (
     ObjectMapRecord,
     Odometry,
     Record,
+    RelocalizationRecord,
     SceneMarkers,
     SlamPose,
     StatusRecord,
@@ -28,7 +29,7 @@ from logs.messages import (
     Transform,
 )
 from slam.config import Config
-from slam.earlier_session import restore
+from slam.earlier_session import SEGMENT, restore
 from slam.errors import FactorGraphError, InputDataError
 from slam.factor_graph import FactorGraph
 from slam.geometry import FloatArray, IntArray, apply, invert
@@ -55,6 +56,14 @@ class State(StrEnum):
     RELOCALIZED = "RELOCALIZED"
 
 
+@dataclass(frozen=True, slots=True)
+class Fix:
+    """When the robot came to know where it is, and after how much travel."""
+
+    stamp_ns: int
+    travel_m: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FinalMap:
     """What a drive leaves behind. ``closures``: those whose verdict changed at the very end."""
@@ -75,7 +84,8 @@ class Slam:
         """``earlier``: a map to find the robot in; ``extend``: improve it, too, instead of leaving it as it is."""
         self._config = config
         self.counters: Counter[str] = Counter()
-        self._track = OdometryTrack(config.odometry, self.counters, first_segment=int(earlier is not None))
+        self._first_segment = 0 if earlier is None else SEGMENT + 1
+        self._track = OdometryTrack(config.odometry, self.counters, first_segment=self._first_segment)
         self._frames = SensorFrames()
         self._object_map = ObjectMap(config.association)
         self._graph = FactorGraph(config.factor_graph)
@@ -92,9 +102,16 @@ class Slam:
         self._frames_missing: set[str] = set()
         self._poses: list[OdometryPose] = []
         self._T_map_odom = np.eye(4)
+        self._is_carried_off = False
         self._state = State.MAPPING if earlier is None else State.LOST
+        self.fixes: list[Fix] = []
         self.closing_seconds: list[float] = []
         """Time that looking for loops took, keyframe by keyframe."""
+
+    @property
+    def first_stamp_ns(self) -> int:
+        """When the drive began."""
+        return self._poses[0].stamp_ns if self._poses else 0
 
     @property
     def state(self) -> State:
@@ -140,6 +157,8 @@ class Slam:
         self.counters["detections_without_odometry"] += len(self._waiting)
         self._mapper.close_keyframe()
         withdrawn, complaint = self._closer.finish()
+        if self._first_keyframe:
+            self._mapper.retire_gone(self._closer.missing_landmarks())
         optimization = self._graph.optimize()
         self.counters["batch_iterations"] = optimization.iterations
         message = "optimised" if optimization.converged else (
@@ -187,8 +206,10 @@ class Slam:
     def _keyframe_updates(self, pose: OdometryPose, *, breaks: bool) -> list[Record]:
         keyframe = self._mapper.keyframes[-1]
         closures = self._close_loops(keyframe)
+        if self._closer.lost_since >= 0:
+            closures += self._give_place_up(keyframe)
         self._T_map_odom = self._graph.pose(keyframe.id) @ invert(pose.T_odom_body)
-        updates: list[Record] = [*closures, *self._change_state(keyframe)]
+        updates: list[Record] = [*closures, *self._change_state(keyframe), *self._relocalizations(closures)]
         if self._state != State.LOST:
             updates.append(Transform(pose.stamp_ns, MAP_FRAME, self._odom_frame, self._T_map_odom))
         self.counters["keyframes"] += 1
@@ -202,10 +223,41 @@ class Slam:
             updates.append(self._status("first odometry", level="info"))
         if breaks:
             self.counters["odometry_breaks"] += 1
-            updates.append(
-                self._status("the odometry jumped or fell silent: landmarks in view are let go", level="warning")
-            )
+            what = "the robot was carried off" if self._is_carried_off else "the odometry jumped or fell silent"
+            self._is_carried_off = False
+            updates.append(self._status(f"{what}: landmarks in view are let go", level="warning"))
         return updates
+
+    def _relocalizations(self, closures: list[LoopClosureRecord]) -> list[RelocalizationRecord]:
+        """Where keyframes are in the map of an earlier drive."""
+        return [
+            RelocalizationRecord(
+                stamp_ns=closure.stamp_ns,
+                success=True,
+                reason=closure.reason,
+                T_map_body=self._graph.pose(closure.reference_keyframe_id) @ closure.T_reference_query,
+                covariance=closure.covariance,
+                inlier_count=closure.inlier_count,
+                score=closure.score,
+            )
+            for closure in closures
+            if closure.accepted
+            and closure.reference_keyframe_id < self._first_keyframe
+            and closure.T_reference_query is not None
+        ]
+
+    def _give_place_up(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
+        """The map was contradicted for too long: either it was recognised wrongly, or the robot was carried off."""
+        first = self._mapper.keyframes[self._closer.lost_since]
+        taken_back, is_carried_off = self._closer.give_up(keyframe)
+        if is_carried_off:
+            self.counters["kidnappings_noticed"] += 1
+            self._mapper.retire_since(first)
+            self._track.break_off()
+            self._is_carried_off = True
+        else:
+            self.counters["relocalizations_taken_back"] += 1
+        return taken_back
 
     def _change_state(self, keyframe: Keyframe) -> list[Record]:
         """Lost or not, as odometry and closures tie the newest keyframe to the map or do not."""
@@ -215,6 +267,7 @@ class Slam:
         if self._state != State.LOST:
             return []
         self._state = State.RELOCALIZED
+        self.fixes.append(Fix(keyframe.odometry.stamp_ns, keyframe.odometry.travel_m))
         self.counters["relocalizations"] += 1
         found = self._status("objects of the map were recognised: the robot knows where it is", level="info")
         self._state = State.MAPPING if self._first_keyframe == 0 else State.TRACKING
@@ -293,11 +346,15 @@ class Slam:
 
     def _map_record(self) -> ObjectMapRecord:
         landmarks = self._object_map.rows
-        # What never got into the graph has no place in the map but where the odometry put it when it was last seen.
-        T_map_odom = self._T_map_odom_at(landmarks["last_seen_ns"])
+        # What never got into the graph has no place in the map but where the odometry put it when it was last seen;
+        # what an earlier drive left there stays where it was.
+        own = landmarks["segment"] >= self._first_segment
+        T_map_odom = self._T_map_odom_at(landmarks["last_seen_ns"][own])
         R = T_map_odom[:, :3, :3]
-        landmarks["position_map"] = np.einsum("nij,nj->ni", R, landmarks["position_odom"]) + T_map_odom[:, :3, 3]
-        landmarks["covariance_map"] = R @ landmarks["covariance_odom"] @ np.swapaxes(R, 1, 2)
+        landmarks["position_map"][own] = (
+            np.einsum("nij,nj->ni", R, landmarks["position_odom"][own]) + T_map_odom[:, :3, 3]
+        )
+        landmarks["covariance_map"][own] = R @ landmarks["covariance_odom"][own] @ np.swapaxes(R, 1, 2)
         in_graph = self._graph.landmarks
         landmarks["position_map"][in_graph] = self._graph.landmark_positions(in_graph)
         try:

@@ -11,7 +11,20 @@ from typing import Annotated
 
 import typer
 
-from tools import benchmark, config, degrade, evaluate, export, import_logs, info, optimize, replay, simulate, train
+from tools import (
+    benchmark,
+    config,
+    degrade,
+    evaluate,
+    export,
+    import_logs,
+    info,
+    optimize,
+    relocalize,
+    replay,
+    simulate,
+    train,
+)
 
 BAD_INPUT = 2
 INTERNAL_ERROR = 70
@@ -34,6 +47,7 @@ app.command()(degrade.degrade)
 app.add_typer(import_logs.app, name="import")
 app.command()(info.info)
 app.command()(replay.replay)
+app.command()(relocalize.relocalize)
 app.command()(evaluate.evaluate)
 app.command()(export.export)
 app.command()(optimize.optimize)
