@@ -95,3 +95,28 @@ def test_labels_outside_the_vocabulary_are_refused(bad):
     labels[2] = bad
     with pytest.raises(DescriptorError, match=f"vocabulary of {len(VOCABULARY)} classes"):
         gather_constellations(positions, labels, VOCABULARY, radius_m=RADIUS_M)
+
+
+@pytest.mark.parametrize("rows", [[3], [40, 2, 17], [5, 5, 0], list(range(50)), [0, 49], []])
+def test_those_of_given_numbers_come_in_that_order_with_their_neighbours(rows):
+    positions, labels = scattered(50, seed=6)
+    positions[0, 0] += 1000.0  # without neighbours
+    everything = gather_constellations(positions, labels, VOCABULARY, radius_m=RADIUS_M)
+    chosen = everything[np.array(rows, dtype=np.int64)]
+    assert len(chosen) == len(rows)
+    assert chosen.vocabulary == VOCABULARY
+    assert chosen.offsets.shape == (len(rows) + 1,)
+    assert chosen.offsets.dtype == chosen.labels.dtype == np.int64
+    np.testing.assert_array_equal(chosen.centre_labels, labels[rows] if rows else [])
+    assert len(chosen.positions) == len(chosen.labels) == len(chosen.owners) == chosen.offsets[-1]
+    for i, row in enumerate(rows):
+        assert neighbours_of(chosen, i) == neighbours_of(everything, row)
+        assert np.count_nonzero(chosen.owners == i) == len(neighbours_of(everything, row))
+
+
+def test_those_of_given_numbers_share_no_memory_with_the_others():
+    everything = gather_constellations(*scattered(20, seed=7), VOCABULARY, radius_m=RADIUS_M)
+    before = everything.positions.copy()
+    chosen = everything[np.arange(20)]
+    chosen.positions[:] = 0.0
+    np.testing.assert_array_equal(everything.positions, before)

@@ -1,23 +1,50 @@
-"""The index of descriptors finds what brute force finds."""
+"""The index of vectors finds what brute force finds."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from descriptors.index import DescriptorIndex, Matches
+from descriptors.constellation import Constellations
+from descriptors.descriptor import Descriptor
+from descriptors.index import Matches, VectorIndex
 
 LENGTH = 6
 
 
-def filled(count: int, *, seed: int, classes: int = 3) -> tuple[DescriptorIndex, np.ndarray, np.ndarray]:
+class Prepared:
+    """The vector of a constellation of two neighbours is their positions, so that a test can choose it."""
+
+    name = "prepared"
+    radius_m = 17.0
+
+    def describe(self, constellations: Constellations) -> NDArray[np.float32]:
+        return constellations.positions.reshape(len(constellations), LENGTH).astype(np.float32)
+
+
+def prepared(vectors: NDArray[np.float32], labels: NDArray[np.int64]) -> Constellations:
+    """Constellations that have these vectors (B, LENGTH)."""
+    offsets = 2 * np.arange(len(vectors) + 1)
+    positions = vectors.astype(np.float64).reshape(-1, 3)
+    return Constellations(positions, np.zeros(len(positions), dtype=np.int64), labels, offsets, ("a", "b", "c"))
+
+
+def alike(vector: float, count: int) -> Constellations:
+    """So many constellations of class 0, with all numbers of their vectors the same."""
+    return prepared(np.full((count, LENGTH), vector, dtype=np.float32), np.zeros(count, dtype=np.int64))
+
+
+def filled(
+    count: int, *, seed: int, parts: int = 4, classes: int = 3
+) -> tuple[VectorIndex, NDArray[np.float32], NDArray[np.int64]]:
     """An index with its vectors and labels, entered in several parts."""
     rng = np.random.default_rng(seed)
     vectors = rng.normal(size=(count, LENGTH)).astype(np.float32)
     labels = rng.integers(classes, size=count)
-    index = DescriptorIndex(LENGTH)
-    for part in np.array_split(np.arange(count), 4):
-        np.testing.assert_array_equal(index.add(vectors[part], labels[part]), part)
+    index = VectorIndex(Prepared())
+    for part in np.array_split(np.arange(count), parts):
+        np.testing.assert_array_equal(index.add(prepared(vectors[part], labels[part])), part)
     assert len(index) == count
     return index, vectors, labels
 
@@ -26,14 +53,16 @@ def entries_of(matches: Matches, query: int) -> list[int]:
     return [int(entry) for entry in matches.entries[matches.queries == query]]
 
 
-@pytest.mark.parametrize(("count", "k"), [(700, 5), (40, 1), (300, 20)])
-def test_the_nearest_of_the_own_class_among_the_allowed_are_found_in_order(count, k):
-    index, vectors, labels = filled(count, seed=count)
+# 256 entries fit before the index grows for the first time.
+@pytest.mark.parametrize(("count", "parts"), [(700, 4), (257, 2), (1500, 1), (300, 300), (40, 4)])
+@pytest.mark.parametrize("k", [1, 5, 20])
+def test_the_nearest_of_the_own_class_among_the_allowed_are_found_in_order(count, parts, k):
+    index, vectors, labels = filled(count, seed=count, parts=parts)
     rng = np.random.default_rng(1)
     queries = rng.normal(size=(25, LENGTH)).astype(np.float32)
     query_labels = rng.integers(3, size=25)
     allowed = rng.random(count) < 0.6
-    matches = index.search(queries, query_labels, k, allowed)
+    matches = index.search(prepared(queries, query_labels), k, allowed)
     assert np.all(np.diff(matches.queries) >= 0)
     for query in range(25):
         distances = np.linalg.norm(vectors - queries[query], axis=1)
@@ -45,18 +74,17 @@ def test_the_nearest_of_the_own_class_among_the_allowed_are_found_in_order(count
 
 def test_ties_go_to_the_lower_number():
     """Objects without neighbours all have the same vector, so that ties are common."""
-    index = DescriptorIndex(LENGTH)
-    index.add(np.zeros((200, LENGTH), dtype=np.float32), np.zeros(200, dtype=np.int64))
-    matches = index.search(np.ones((2, LENGTH), dtype=np.float32), np.zeros(2, dtype=np.int64), 6, np.ones(200, bool))
+    index = VectorIndex(Prepared())
+    index.add(alike(0.0, 200))
+    matches = index.search(alike(1.0, 2), 6, np.ones(200, dtype=bool))
     assert entries_of(matches, 0) == entries_of(matches, 1) == [0, 1, 2, 3, 4, 5]
 
 
 def test_ties_behind_a_nearer_entry_go_to_the_lower_number():
-    index = DescriptorIndex(LENGTH)
-    vectors = np.zeros((100, LENGTH), dtype=np.float32)
-    vectors[60] = 1.0
-    index.add(vectors, np.zeros(100, dtype=np.int64))
-    matches = index.search(np.ones((1, LENGTH), dtype=np.float32), np.zeros(1, dtype=np.int64), 3, np.ones(100, bool))
+    index = VectorIndex(Prepared())
+    for vector, count in ((0.0, 60), (1.0, 1), (0.0, 39)):
+        index.add(alike(vector, count))
+    matches = index.search(alike(1.0, 1), 3, np.ones(100, dtype=bool))
     assert entries_of(matches, 0) == [60, 0, 1]
 
 
@@ -65,15 +93,16 @@ def test_fewer_than_asked_for_are_all_found_and_nothing_else():
     allowed = np.zeros(30, dtype=bool)
     allowed[np.flatnonzero(labels == 1)[:2]] = True
     allowed[np.flatnonzero(labels == 0)[:5]] = True
-    queries = np.zeros((2, LENGTH), dtype=np.float32)
-    matches = index.search(queries, np.array([1, 2]), 10, allowed)
-    np.testing.assert_array_equal(matches.queries, [0, 0])
-    assert sorted(entries_of(matches, 0)) == np.flatnonzero(labels == 1)[:2].tolist()
+    queries = prepared(np.zeros((2, LENGTH), dtype=np.float32), np.array([1, 2]))
+    for k in (10, 1000):
+        matches = index.search(queries, k, allowed)
+        np.testing.assert_array_equal(matches.queries, [0, 0])
+        assert sorted(entries_of(matches, 0)) == np.flatnonzero(labels == 1)[:2].tolist()
 
 
 def test_an_entry_is_at_no_distance_from_itself():
     index, vectors, labels = filled(50, seed=3)
-    matches = index.search(vectors, labels, 1, np.ones(50, dtype=bool))
+    matches = index.search(prepared(vectors, labels), 1, np.ones(50, dtype=bool))
     np.testing.assert_array_equal(matches.entries, np.arange(50))
     # Squares of float32 vectors of length 2.4 cancel to about 1e-6.
     np.testing.assert_allclose(matches.distances, 0.0, atol=3e-3)
@@ -81,8 +110,22 @@ def test_an_entry_is_at_no_distance_from_itself():
 
 @pytest.mark.parametrize(("entries", "queries", "allowed"), [(0, 3, True), (20, 0, True), (20, 3, False)])
 def test_nothing_is_found_in_an_empty_index_for_no_query_or_among_none_allowed(entries, queries, allowed):
-    index = DescriptorIndex(LENGTH)
-    index.add(np.zeros((entries, LENGTH), dtype=np.float32), np.zeros(entries, dtype=np.int64))
-    vectors, labels = np.zeros((queries, LENGTH), dtype=np.float32), np.zeros(queries, dtype=np.int64)
-    matches = index.search(vectors, labels, 4, np.full(entries, allowed))
+    index = VectorIndex(Prepared())
+    np.testing.assert_array_equal(index.add(alike(0.0, entries)), np.arange(entries))
+    matches = index.search(alike(0.0, queries), 4, np.full(entries, allowed))
     assert len(matches.queries) == len(matches.entries) == len(matches.distances) == 0
+
+
+def test_an_index_that_nothing_was_added_to_is_empty_and_has_the_radius_of_its_descriptor():
+    descriptor: Descriptor = Prepared()
+    index = VectorIndex(descriptor)
+    assert len(index) == 0
+    assert index.radius_m == 17.0
+    assert len(index.search(alike(0.0, 3), 4, np.zeros(0, dtype=bool)).queries) == 0
+
+
+def test_adding_nothing_changes_nothing():
+    index, vectors, labels = filled(10, seed=4)
+    assert len(index.add(alike(0.0, 0))) == 0
+    matches = index.search(prepared(vectors, labels), 1, np.ones(len(index), dtype=bool))
+    np.testing.assert_array_equal(matches.entries, np.arange(10))

@@ -1,0 +1,290 @@
+"""The index of likelihoods finds the entries that brute force finds likeliest, to the step that it counts in."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from descriptors.constellation import Constellations, gather_constellations
+from descriptors.index import ConstellationIndex, Matches
+from descriptors.likelihood_index import STEP_NATS, LikelihoodIndex
+from descriptors.ring_likelihood import CHUNK, RingLikelihood
+from slam.geometry import FloatArray
+from tests.descriptors.constellations import VOCABULARY, constellation, scattered, thinned
+
+RADIUS_M = 60.0
+EVERYTHING = 1e6
+"""A window that nothing falls out of."""
+
+
+def gathered(count: int, *, seed: int, side_m: float = 80.0, noise_m: float = 0.0) -> Constellations:
+    """Those of a scattered map; ``noise_m`` moves each object, but not the map."""
+    positions, labels = scattered(count, seed=seed, side_m=side_m)
+    noise = np.random.default_rng(seed + 1000).normal(size=positions.shape)
+    return gather_constellations(positions + noise_m * noise, labels, VOCABULARY, radius_m=RADIUS_M)
+
+
+def filled(entries: Constellations, *, window_nats: float = EVERYTHING) -> LikelihoodIndex:
+    index = LikelihoodIndex(RingLikelihood(), window_nats=window_nats)
+    np.testing.assert_array_equal(index.add(entries), np.arange(len(entries)))
+    return index
+
+
+def everyone(index: ConstellationIndex) -> NDArray[np.bool_]:
+    return np.ones(len(index), dtype=bool)
+
+
+def scores(entries: Constellations, queries: Constellations, *, in_steps: bool) -> FloatArray:
+    """What each query scores against each entry (Q, M), in nats or in steps of a byte; -inf for other classes."""
+    descriptor = RingLikelihood()
+    vectors = descriptor.describe(entries).astype(np.float64)
+    if in_steps:
+        vectors = np.minimum(np.rint(vectors / STEP_NATS), 255.0)
+    cells = descriptor.cells(queries)
+    total = np.zeros((len(queries), len(entries)))
+    for query in range(len(queries)):
+        for cell in cells[queries.offsets[query] : queries.offsets[query + 1]]:
+            total[query] += vectors[:, cell]
+    total[queries.centre_labels[:, None] != entries.centre_labels] = -np.inf
+    return total
+
+
+def pairs(matches: Matches) -> list[tuple[int, int]]:
+    return list(zip(matches.queries.tolist(), matches.entries.tolist(), strict=True))
+
+
+def assert_same(a: Matches, b: Matches) -> None:
+    assert pairs(a) == pairs(b)
+    np.testing.assert_array_equal(a.distances, b.distances)
+
+
+@pytest.mark.parametrize(("count", "k"), [(150, 5), (150, 1), (40, 100)])
+@pytest.mark.parametrize("window_nats", [EVERYTHING, 12.0, 3.0])
+def test_the_likeliest_of_the_own_class_among_the_allowed_are_found_in_order(count, k, window_nats):
+    entries, queries = gathered(count, seed=1), gathered(30, seed=2)
+    allowed = np.random.default_rng(3).random(count) < 0.6
+    steps = scores(entries, queries, in_steps=True)
+    steps[:, ~allowed] = -np.inf
+    expected = []
+    for query, row in enumerate(steps):
+        likely = [entry for entry in np.argsort(-row, kind="stable") if row[entry] >= row.max() - 32 * window_nats]
+        expected += [(query, int(entry)) for entry in likely[:k] if np.isfinite(row[entry])]
+    assert pairs(filled(entries, window_nats=window_nats).search(queries, k, allowed)) == expected
+
+
+def test_distances_are_what_the_likelihoods_of_the_descriptor_lack():
+    """Up to half a step a neighbour, and to what exceeds the largest byte."""
+    descriptor, entries = RingLikelihood(), gathered(120, seed=4)
+    queries = gathered(120, seed=4, noise_m=0.3)
+    index = filled(entries)
+    matches = index.search(queries, 10, everyone(index))
+    lacking = descriptor.most_nats(queries)[:, None] - scores(entries, queries, in_steps=False)
+    cells = descriptor.cells(queries)
+    for query, entry, distance in zip(matches.queries, matches.entries, matches.distances, strict=True):
+        own = slice(queries.offsets[query], queries.offsets[query + 1])
+        vector = descriptor.describe(entries[np.array([entry])])[0, cells[own]]
+        lost = np.maximum(vector - 255 * STEP_NATS, 0.0).sum()
+        expected = max(lacking[query, entry] + lost, 0.0)
+        assert distance == pytest.approx(expected, abs=0.5 * STEP_NATS * len(vector) + 1e-3)
+
+
+def test_matches_come_query_by_query_the_nearest_first_at_distances_that_are_none_or_more():
+    index = filled(gathered(150, seed=5))
+    matches = index.search(gathered(40, seed=6), 8, everyone(index))
+    assert matches.queries.dtype == matches.entries.dtype == np.int64
+    assert matches.distances.dtype == np.float32
+    assert (np.diff(matches.queries) >= 0).all()
+    assert (matches.distances >= 0.0).all()
+    for query in range(40):
+        assert (np.diff(matches.distances[matches.queries == query]) >= 0.0).all()
+        assert np.count_nonzero(matches.queries == query) == 8
+
+
+def test_every_object_is_found_again_and_first():
+    for noise_m in (0.0, 0.3):
+        index = filled(gathered(150, seed=7, side_m=150.0), window_nats=12.0)
+        matches = index.search(gathered(150, seed=7, side_m=150.0, noise_m=noise_m), 1, everyone(index))
+        assert pairs(matches) == [(i, i) for i in range(150)]
+
+
+def test_an_exact_copy_with_neighbours_in_the_middle_of_rings_is_at_no_distance_whatever_is_missing():
+    rng = np.random.default_rng(8)
+    neighbours = [(int(rng.integers(4)), 2.25 + 0.5 * ring, ring) for ring in rng.permutation(110)[:30].tolist()]
+    entry = constellation(neighbours)
+    index = filled(entry)
+    for share in (1.0, 0.5, 0.1):
+        query = thinned(entry, rng.random(30) < share)
+        (distance,) = index.search(query, 1, everyone(index)).distances
+        assert 0.0 <= distance < 0.5 * STEP_NATS * len(query.labels) + 1e-3
+
+
+def test_a_copy_lacks_little_and_another_place_much():
+    index = filled(gathered(150, seed=9, side_m=150.0))
+    matches = index.search(gathered(150, seed=9, side_m=150.0), 2, everyone(index))
+    neighbours = np.diff(gathered(150, seed=9, side_m=150.0).offsets)
+    copies, others = matches.distances[::2], matches.distances[1::2]
+    assert (copies <= 0.3 * neighbours).all()
+    assert np.median(others / neighbours) > 1.0
+
+
+def test_ties_go_to_the_lower_number():
+    entry = constellation([(1, 20.25, 0.0), (3, 30.25, 1.0)])
+    index = LikelihoodIndex(RingLikelihood())
+    for turned_rad in range(5):
+        index.add(constellation([(1, 20.25, turned_rad), (3, 30.25, 2.0 * turned_rad)]))
+    index.add(constellation([(1, 20.25, 0.0)]))
+    assert index.search(entry, 3, everyone(index)).entries.tolist() == [0, 1, 2]
+    allowed = np.array([False, True, False, True, True, True])
+    assert index.search(entry, 3, allowed).entries.tolist() == [1, 3, 4]
+
+
+def test_unlikely_entries_are_no_matches():
+    """One that lacks the 5.6 nats of a neighbour is, unless the window is wider than that."""
+    query = constellation([(1, 20.25, 0.0), (3, 20.25, 1.0)])
+    for window_nats, expected in ((3.0, [1]), (9.0, [1, 0]), (20.0, [1, 0, 2])):
+        index = LikelihoodIndex(RingLikelihood(), window_nats=window_nats)
+        for neighbours in ([(1, 20.25, 2.0)], [(3, 20.25, 2.0), (1, 20.25, 0.5)], [(2, 20.25, 1.0)]):
+            index.add(constellation(neighbours))
+        assert index.search(query, 5, everyone(index)).entries.tolist() == expected
+
+
+def test_the_window_is_measured_from_the_best_of_those_allowed():
+    query = constellation([(1, 20.25, 0.0), (3, 20.25, 1.0)])
+    index = LikelihoodIndex(RingLikelihood(), window_nats=3.0)
+    for neighbours in ([(3, 20.25, 2.0), (1, 20.25, 0.5)], [(1, 20.25, 2.0)]):
+        index.add(constellation(neighbours))
+    assert index.search(query, 5, np.array([False, True])).entries.tolist() == [1]
+
+
+def test_only_entries_of_the_own_class_are_found_however_alike_others_are():
+    neighbours = [(1, 20.25, 0.0), (3, 30.25, 1.0)]
+    index = LikelihoodIndex(RingLikelihood())
+    for centre_label in (2, 0, 2):
+        index.add(constellation(neighbours, centre_label=centre_label))
+    for centre_label, expected in ((0, [1]), (1, []), (2, [0, 2]), (3, [])):
+        query = constellation(neighbours, centre_label=centre_label)
+        assert index.search(query, 5, everyone(index)).entries.tolist() == expected
+
+
+@pytest.mark.parametrize("size", [1, 7, 64, 65, CHUNK])
+def test_adding_in_pieces_is_adding_at_once(size):
+    entries, queries = gathered(CHUNK + 150, seed=10, side_m=300.0), gathered(20, seed=11, side_m=100.0)
+    pieces = LikelihoodIndex(RingLikelihood())
+    for start in range(0, len(entries), size):
+        rows = np.arange(start, min(start + size, len(entries)))
+        np.testing.assert_array_equal(pieces.add(entries[rows]), rows)
+        assert len(pieces) == rows[-1] + 1
+    at_once = filled(entries, window_nats=12.0)
+    allowed = np.random.default_rng(12).random(len(entries)) < 0.7
+    assert_same(pieces.search(queries, 6, allowed), at_once.search(queries, 6, allowed))
+
+
+def test_queries_do_not_depend_on_each_other():
+    entries, queries = gathered(100, seed=13), gathered(15, seed=14)
+    index = filled(entries, window_nats=12.0)
+    together = index.search(queries, 4, everyone(index))
+    for query in range(15):
+        alone = index.search(queries[np.array([query])], 4, everyone(index))
+        assert alone.entries.tolist() == together.entries[together.queries == query].tolist()
+
+
+def with_classes(count: int, classes: int, *, seed: int) -> Constellations:
+    """A scattered map with the first so many of six classes."""
+    positions, _ = scattered(count, seed=seed, side_m=100.0)
+    labels = np.random.default_rng(seed).integers(classes, size=count)
+    vocabulary = (*VOCABULARY, "fountain", "wall")[:classes]
+    return gather_constellations(positions, labels, vocabulary, radius_m=RADIUS_M)
+
+
+def in_larger_vocabulary(constellations: Constellations, vocabulary: tuple[str, ...]) -> Constellations:
+    c = constellations
+    return Constellations(c.positions, c.labels, c.centre_labels, c.offsets, vocabulary)
+
+
+def test_the_vocabulary_may_grow_at_its_end_as_if_it_had_been_that_large_from_the_start():
+    maps = [with_classes(60, classes, seed=classes) for classes in (3, 4, 6)]
+    queries = with_classes(40, 6, seed=20)
+    grown, large = LikelihoodIndex(RingLikelihood()), LikelihoodIndex(RingLikelihood())
+    for entries in maps:
+        grown.add(entries)
+        large.add(in_larger_vocabulary(entries, queries.vocabulary))
+        assert_same(
+            grown.search(queries, 6, everyone(grown)),
+            large.search(queries, 6, everyone(large)),
+        )
+
+
+def test_neighbours_of_a_class_that_older_entries_do_not_know_say_nothing_for_them():
+    index = filled(with_classes(60, 3, seed=21))
+    queries = with_classes(40, 6, seed=22)
+    known = thinned(queries, queries.labels < 3)
+    found, expected = (index.search(asked, 3, everyone(index)) for asked in (queries, known))
+    assert len(found.queries) > 0
+    assert pairs(found) == pairs(expected)
+    assert set(queries.centre_labels[found.queries].tolist()) == {0, 1, 2}
+
+
+def test_a_query_with_a_smaller_vocabulary_finds_the_same():
+    index = filled(with_classes(60, 6, seed=23))
+    queries = with_classes(40, 3, seed=24)
+    larger = in_larger_vocabulary(queries, (*VOCABULARY, "fountain", "wall"))
+    assert_same(index.search(queries, 3, everyone(index)), index.search(larger, 3, everyone(index)))
+
+
+def test_a_query_of_a_class_that_the_index_does_not_know_has_no_match():
+    index = filled(with_classes(60, 3, seed=25))
+    unknown = constellation([(0, 10.0, 0.0)], centre_label=5, vocabulary=(*VOCABULARY, "fountain", "wall"))
+    assert len(index.search(unknown, 3, everyone(index)).queries) == 0
+
+
+@pytest.mark.parametrize(("entries", "queries", "allowed"), [(0, 3, True), (20, 0, True), (20, 3, False)])
+def test_nothing_is_found_in_an_empty_index_for_no_query_or_among_none_allowed(entries, queries, allowed):
+    index = filled(gathered(entries, seed=15))
+    matches = index.search(gathered(queries, seed=15), 4, np.full(entries, allowed))
+    assert len(index) == entries
+    assert len(matches.queries) == len(matches.entries) == len(matches.distances) == 0
+    assert (matches.queries.dtype, matches.distances.dtype) == (np.int64, np.float32)
+
+
+def test_a_query_without_neighbours_fits_all_of_its_class_alike():
+    entries = gathered(50, seed=16)
+    index = filled(entries, window_nats=12.0)
+    matches = index.search(constellation([], centre_label=2), 3, everyone(index))
+    assert matches.entries.tolist() == np.flatnonzero(entries.centre_labels == 2)[:3].tolist()
+    np.testing.assert_array_equal(matches.distances, 0.0)
+
+
+def test_a_query_without_neighbours_among_others_changes_none_of_theirs():
+    entries, queries = gathered(50, seed=16), gathered(9, seed=17)
+    index = filled(entries, window_nats=12.0)
+    lonely = thinned(queries, queries.owners != 4)
+    assert np.diff(lonely.offsets)[4] == 0
+    found, expected = (index.search(asked, 3, everyone(index)) for asked in (lonely, queries))
+    others, theirs = found.queries != 4, expected.queries != 4
+    np.testing.assert_array_equal(found.entries[others], expected.entries[theirs])
+    np.testing.assert_array_equal(found.distances[others], expected.distances[theirs])
+
+
+def test_an_entry_without_neighbours_lacks_all_that_the_query_sees():
+    query = constellation([(1, 20.25, 0.0), (3, 30.25, 1.0)])
+    index = filled(constellation([]))
+    (distance,) = index.search(query, 1, everyone(index)).distances
+    assert distance == pytest.approx(RingLikelihood().most_nats(query)[0], rel=1e-5)
+
+
+@pytest.mark.parametrize("count", [256, 257, 258, 259, 1000])
+def test_hundreds_of_neighbours_add_up_without_overflow(count):
+    """Their bytes do not fit in two."""
+    crowd = constellation([(1, 2.25, 0.0)] * count)
+    index = LikelihoodIndex(RingLikelihood(), window_nats=EVERYTHING)
+    index.add(constellation([(1, 2.25, 0.0)]))
+    index.add(crowd)
+    matches = index.search(crowd, 2, everyone(index))
+    assert matches.entries.tolist() == [1, 0]
+    lacking = RingLikelihood().most_nats(crowd)[0] - count * 255 * STEP_NATS
+    assert matches.distances[0] == pytest.approx(max(lacking, 0.0), abs=0.1)
+
+
+def test_the_radius_is_that_of_the_descriptor():
+    assert LikelihoodIndex(RingLikelihood(radius_m=42.0)).radius_m == 42.0
