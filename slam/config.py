@@ -206,6 +206,9 @@ class LoopClosureConfig(_Branch):
     max_doubt_nats: float = Field(
         default=15.0, ge=0, description="most that the odometry can say against a candidate [nats]"
     )
+    break_doubt_nats: float = Field(
+        default=2.5, ge=0, description="... and what is said against any place across a break of the odometry [nats]"
+    )
     odometry_inflation: float = Field(
         default=3.0, gt=0, description="factor on the odometry's sigmas when it is asked about a candidate"
     )

@@ -37,7 +37,7 @@ def doubt_nats(
     """What the odometry says against a closure: half its squared Mahalanobis distance, up to the configured most.
 
     Bounded, because the odometry may have failed without notice, and then evidence must be able to outweigh it. Across
-    a break the odometry says nothing, and any place of the map is possible: then half of that bound is the doubt.
+    a break the odometry says nothing, and any place of the map is possible: then a configured doubt is left.
 
     Args:
         T_predicted: ``T_reference_query`` (4, 4) as the trajectory has it now.
@@ -46,7 +46,7 @@ def doubt_nats(
         config: the limits.
     """
     if np.isinf(drift_sigmas[0]):
-        return 0.5 * config.max_doubt_nats
+        return config.break_doubt_nats
     sigma_m = config.odometry_inflation * np.hypot(drift_sigmas[0], config.base_sigma_m)
     sigma_rad = config.odometry_inflation * np.hypot(drift_sigmas[1], np.deg2rad(config.base_sigma_deg))
     off_m = float(np.hypot(*(T_measured[:2, 3] - T_predicted[:2, 3])))

@@ -58,6 +58,8 @@ class LoopCloser:
         self._waiting: deque[Candidate] = deque()
         self._leader: Candidate | None = None
         self._watch = PlaceWatch()
+        # A map that is only being made may itself be wrong where it contradicts; one that was given is not.
+        self._watches = len(keyframes) > 0
         self.lost_since: int = -1
         """The first of the keyframes that contradict where the robot is believed to be, if it is time to give up."""
         self._closed: dict[int, int] = {}
@@ -190,7 +192,7 @@ class LoopCloser:
 
     def _contradicts(self, query: Query) -> bool:
         """Whether the query, where the last closure puts it, has gone on seeing other things for too long."""
-        if self._leader is None or query.travel_m - self._leader.travel_m > self._limits.follow_travel_m:
+        if not self._watches or self._leader is None or query.travel_m - self._leader.travel_m > self._limits.follow_travel_m:
             self._watch.restart()
             return False
         place = self._verifier.predict(self._leader, query)
@@ -203,7 +205,7 @@ class LoopCloser:
 
     def _is_elsewhere(self, query: Query, candidate: Candidate) -> bool:
         """Whether a candidate is far from where the last closure, not long ago, puts the query."""
-        if self._leader is None or query.travel_m - self._leader.travel_m > self._limits.follow_travel_m:
+        if not self._watches or self._leader is None or query.travel_m - self._leader.travel_m > self._limits.follow_travel_m:
             return False
         place = self._verifier.predict(self._leader, query)
         if place is None or place.segment != self._keyframes[candidate.reference].odometry.segment:

@@ -169,7 +169,8 @@ class ObjectMap:
     def restore(self, saved: ObjectMapRecord, *, travel_m: float) -> IntArray:
         """Take in the landmarks of an earlier drive, as seen on segment 0 after ``travel_m``; returns their rows (N,).
 
-        What they are relative to the robot is what they are in the map.
+        Where they are relative to the robot is where they are in the map; how sure that is the map's covariances do not
+        tell, which are about its origin: neighbours are sure of one another.
 
         Args:
             saved: confirmed landmarks; their probabilities become as many sightings of a class as they had.
@@ -177,7 +178,7 @@ class ObjectMap:
         labels = self.label_indices(saved.vocabulary)
         rows = self.add(
             saved.positions,
-            saved.covariances,
+            np.zeros_like(saved.covariances),
             np.zeros(len(saved.ids), np.int64),
             stamp_ns=0,
             scan=0,

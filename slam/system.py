@@ -230,7 +230,7 @@ class Slam:
 
     def _relocalizations(self, closures: list[LoopClosureRecord]) -> list[RelocalizationRecord]:
         """Where keyframes are in the map of an earlier drive."""
-        return [
+        found = [
             RelocalizationRecord(
                 stamp_ns=closure.stamp_ns,
                 success=True,
@@ -245,6 +245,8 @@ class Slam:
             and closure.reference_keyframe_id < self._first_keyframe
             and closure.T_reference_query is not None
         ]
+        self.counters["keyframes_recognised"] += len(found)
+        return found
 
     def _give_place_up(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
         """The map was contradicted for too long: either it was recognised wrongly, or the robot was carried off."""

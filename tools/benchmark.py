@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools import benchmark_closures, benchmark_descriptors
+from tools import benchmark_closures, benchmark_descriptors, benchmark_relocalization
 from tools.arguments import ConfigFile, Json, Settings
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ app = typer.Typer(help="Measure speed, memory and success.", no_args_is_help=Tru
 app.command()(benchmark_closures.closures)
 app.command()(benchmark_descriptors.descriptors)
 app.command("map-size")(benchmark_descriptors.map_size)
+app.command()(benchmark_relocalization.relocalization)
 
 
 @app.callback()

@@ -49,7 +49,7 @@ def relocalize(
         "first_fix_m": summary.fixes_m[0] if summary.fixes_m else None,
         "fixes": len(summary.fixes_s),
         "keyframes": summary.counters.get("keyframes", 0),
-        "keyframes_recognised": summary.counters.get("closures_accepted", 0),
+        "keyframes_recognised": summary.counters.get("keyframes_recognised", 0),
         "kidnappings_noticed": summary.counters.get("kidnappings_noticed", 0),
         "relocalizations_taken_back": summary.counters.get("relocalizations_taken_back", 0),
         "query_median_s": summary.closing_median_s,
@@ -67,7 +67,7 @@ def _show(summary: ReplaySummary, output: Path) -> None:
 
     counters = summary.counters
     keyframes = counters.get("keyframes", 0)
-    recognised = counters.get("closures_accepted", 0)
+    recognised = counters.get("keyframes_recognised", 0)
     rows = {
         "first fix": f"after {summary.fixes_s[0]:.1f} s and {summary.fixes_m[0]:.1f} m"
         if summary.fixes_s

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from slam.replay import ReplaySummary
 
 # Everything else that is counted was used, or is a number of landmarks.
-_USED = ("odometry_used", "detections_used", "objects_used", "keyframes", "batch_iterations")
+_USED = ("odometry_used", "detections_used", "objects_used", "keyframes", "keyframes_recognised", "batch_iterations")
+_TOLD = ("landmarks_", "closures_", "relocalizations")
 _LANDMARK_STATES = ("confirmed", "tentative", "retired")
 
 
@@ -78,7 +79,7 @@ def _show(output: Path, picture: Path | None, summary: ReplaySummary) -> None:
     counters = summary.counters
     landmarks = [f"{counters.get(f'landmarks_{state}', 0)} {state}" for state in _LANDMARK_STATES]
     noted = [f"{name.replace('_', ' ')} {count}" for name, count in counters.items()
-             if count and not name.startswith(("landmarks_", "closures_")) and name not in _USED]  # fmt: skip
+             if count and not name.startswith(_TOLD) and name not in _USED]  # fmt: skip
     x_real_time = _x_real_time(summary)
     speed = f", {x_real_time:.1f} x real time" if x_real_time else ""
     rows = {
@@ -90,11 +91,18 @@ def _show(output: Path, picture: Path | None, summary: ReplaySummary) -> None:
         "loops": f"closed at {counters.get('closures_accepted', 0)} keyframes, "
         f"by {counters.get('closures_inserted', 0)} factors; {counters.get('closures_withdrawn', 0)} taken out again"
         + _doubted(counters.get("closures_doubted", 0)),
+        **({"found": _fixes(summary)} if summary.fixes_s else {}),
         "warnings": ", ".join(noted) or "none",
         "final status": summary.final_status,
         "written": str(output) + (f", {picture}" if picture else ""),
     }
     console.show(console.pairs(rows))
+
+
+def _fixes(summary: ReplaySummary) -> str:
+    """When a robot that was lost knew again where it is."""
+    fixes = zip(summary.fixes_s, summary.fixes_m, strict=True)
+    return ", ".join(f"after {seconds:.1f} s and {travel_m:.0f} m" for seconds, travel_m in fixes)
 
 
 def _doubted(count: int) -> str:

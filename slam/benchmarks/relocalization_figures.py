@@ -1,0 +1,188 @@
+"""Verdicts on kidnappings, and what they come to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from slam.geometry import FloatArray, invert, yaw_rad
+
+RIGHT_M, RIGHT_DEG = 1.0, 3.0
+"""A fix that is no farther from the truth is right."""
+RECOVERED_WITHIN_M = 40.0
+"""Travel within which a right fix is a success."""
+HOLDS_FOR_M = 10.0
+"""Travel after which it is seen whether a fix is still believed."""
+OBJECTS_IN_VIEW = ((0, 4), (5, 9), (10, 19), (20, None))
+
+
+class Verdict(StrEnum):
+    """What became of a kidnapping: a right fix soon enough, a right one later, a wrong one, or none."""
+
+    RECOVERED = "recovered"
+    LATE = "late"
+    WRONG = "wrong"
+    NOT_FOUND = "not found"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One kidnapping, ``start_m`` along the tour, driven along the tour or against it.
+
+    ``objects``: within the sensor's range of the place where it began; ``distance_m`` and ``seconds`` from there to the
+    first fix, and its errors in the plane and in heading: None without a fix. ``local_error_m``, ``local_error_deg``:
+    without the distortion of the map, which is taken at its word about where its own drive was nearby. ``later_right``:
+    whether the estimate is right 10 m after the fix, or at the end of the drive; None if the robot then knows that it
+    is lost. ``refusals``: candidates refused before the fix, by stage; ``best_refusal``: that with the highest
+    score, and why. ``load_s``: from the saved map to the end of the first search; ``query_ms``: each search after that
+    until the fix.
+    """
+
+    number: int
+    start_m: float
+    is_along: bool
+    objects: int
+    verdict: Verdict
+    distance_m: float | None
+    seconds: float | None
+    error_m: float | None
+    error_deg: float | None
+    local_error_m: float | None
+    local_error_deg: float | None
+    later_right: bool | None
+    refusals: dict[str, int]
+    best_refusal: str
+    load_s: float
+    query_ms: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """Of ``kidnaps`` kidnappings: shares of the verdicts, which add up to 1; None where there is nothing to measure.
+
+    ``misplaced_rate``: share of fixes at another place than the map has it, whether or not the map is distorted there.
+    Distance and time are those of the right fixes, late ones included; errors those of all fixes, wrong ones included.
+    ``kept_rate``: share of the right fixes that are believed, and right, 10 m later; ``taken_back_rate``: share of the
+    wrong fixes that are taken back, or have become right, by then.
+    """
+
+    kidnaps: int
+    success_rate: float | None
+    late_rate: float | None
+    wrong_rate: float | None
+    not_found_rate: float | None
+    misplaced_rate: float | None
+    median_distance_m: float | None
+    p95_distance_m: float | None
+    median_seconds: float | None
+    median_error_m: float | None
+    p95_error_m: float | None
+    median_error_deg: float | None
+    p95_error_deg: float | None
+    kept_rate: float | None
+    taken_back_rate: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class RelocalizationBenchmark:
+    """``total`` of all outcomes, and ``groups`` of them by direction and by the number of objects in range.
+
+    ``map_ate_m``: error (rmse) of the drive that made the map; ``load_s``: median time to take the map in;
+    ``query_ms``: median time of looking for the robot's place at a keyframe.
+    """
+
+    world: str
+    tour_m: float
+    landmarks: int
+    map_ate_m: float
+    load_s: float
+    query_ms: float | None
+    total: Figures
+    groups: dict[str, Figures]
+    outcomes: tuple[Outcome, ...]
+
+
+def deviation(T_world_body_est: FloatArray, T_world_body_gt: FloatArray) -> tuple[float, float]:
+    """Distance in the plane [m] and difference of heading [deg], both >= 0, of two poses (4, 4)."""
+    offset = T_world_body_est[:2, 3] - T_world_body_gt[:2, 3]
+    turn_rad = float(yaw_rad(invert(T_world_body_gt) @ T_world_body_est))
+    return float(np.hypot(*offset)), abs(float(np.rad2deg(turn_rad)))
+
+
+def is_right(error_m: float, error_deg: float) -> bool:
+    """Whether a fix with these errors is right."""
+    return error_m <= RIGHT_M and error_deg <= RIGHT_DEG
+
+
+def judge(distance_m: float, errors: tuple[float, float]) -> Verdict:
+    """The verdict on a fix after so much travel, with errors in metres and degrees."""
+    if not is_right(*errors):
+        return Verdict.WRONG
+    return Verdict.RECOVERED if distance_m <= RECOVERED_WITHIN_M else Verdict.LATE
+
+
+def sum_up(
+    outcomes: Sequence[Outcome], *, world: str, tour_m: float, landmarks: int, map_ate_m: float
+) -> RelocalizationBenchmark:
+    """All figures of at least one outcome."""
+    groups = {
+        "same direction": [each for each in outcomes if each.is_along],
+        "opposite direction": [each for each in outcomes if not each.is_along],
+    }
+    for least, most in OBJECTS_IN_VIEW:
+        name = f"{least}+ objects" if most is None else f"{least}-{most} objects"
+        groups[name] = [each for each in outcomes if least <= each.objects and (most is None or each.objects <= most)]
+    return RelocalizationBenchmark(
+        world=world,
+        tour_m=tour_m,
+        landmarks=landmarks,
+        map_ate_m=map_ate_m,
+        load_s=float(np.median([each.load_s for each in outcomes])),
+        query_ms=_percentile((ms for each in outcomes for ms in each.query_ms), 50.0),
+        total=figures(outcomes),
+        groups={name: figures(members) for name, members in groups.items()},
+        outcomes=tuple(outcomes),
+    )
+
+
+def figures(outcomes: Sequence[Outcome]) -> Figures:
+    """Shares and percentiles of any number of outcomes."""
+    right = [each for each in outcomes if each.verdict in (Verdict.RECOVERED, Verdict.LATE)]
+    wrong = [each for each in outcomes if each.verdict == Verdict.WRONG]
+    shares = {verdict: _share(each.verdict == verdict for each in outcomes) for verdict in Verdict}
+    return Figures(
+        kidnaps=len(outcomes),
+        success_rate=shares[Verdict.RECOVERED],
+        late_rate=shares[Verdict.LATE],
+        wrong_rate=shares[Verdict.WRONG],
+        not_found_rate=shares[Verdict.NOT_FOUND],
+        misplaced_rate=_share(_is_misplaced(each) for each in outcomes),
+        median_distance_m=_percentile((each.distance_m for each in right), 50.0),
+        p95_distance_m=_percentile((each.distance_m for each in right), 95.0),
+        median_seconds=_percentile((each.seconds for each in right), 50.0),
+        median_error_m=_percentile((each.error_m for each in outcomes), 50.0),
+        p95_error_m=_percentile((each.error_m for each in outcomes), 95.0),
+        median_error_deg=_percentile((each.error_deg for each in outcomes), 50.0),
+        p95_error_deg=_percentile((each.error_deg for each in outcomes), 95.0),
+        kept_rate=_share(each.later_right is True for each in right),
+        taken_back_rate=_share(each.later_right is not False for each in wrong),
+    )
+
+
+def _is_misplaced(outcome: Outcome) -> bool:
+    if outcome.local_error_m is None or outcome.local_error_deg is None:
+        return False
+    return not is_right(outcome.local_error_m, outcome.local_error_deg)
+
+
+def _share(whether: Iterable[bool]) -> float | None:
+    listed = list(whether)
+    return sum(listed) / len(listed) if listed else None
+
+
+def _percentile(values: Iterable[float | None], percent: float) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.percentile(known, percent)) if known else None
