@@ -12,7 +12,8 @@ from descriptors.index import Matches
 from descriptors.ring_likelihood import CHUNK, RingLikelihood
 
 STEP_NATS = 1.0 / 32.0
-"""Entries are kept in bytes: an eighth of the memory, and of the time to add them up."""
+"""Entries are kept in bytes, a quarter of the memory; what they cannot hold, above 8 nats, is one neighbour in the
+first ring."""
 
 
 class LikelihoodIndex:

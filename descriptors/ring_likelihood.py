@@ -3,14 +3,14 @@
 The neighbours of an observed object are taken as independent, each by class and horizontal distance (naive Bayes). A
 neighbour of class c at distance d speaks for object m of the map, against an object anywhere, with
 
-    log( 1 + (1 - e) / e * density_m(c, d) / density(c, d) )   nats,
+    log( 1 + (1 - e) / e * density_m(c, d) / density(d) )   nats,
 
 where density_m adds up one kernel for each neighbour of class c that m has in the map, density is what an average place
-has, and e the share of neighbours that are not where the map has them. The vector of m holds these numbers for every
-class and ring; what a query scores against m is the sum of the entries that its own neighbours fall into. So objects
-that the query does not see (out of range, hidden, missed) cost nothing, which no distance between histograms can say,
-and rare classes in rare places count most. The kernel has a narrow and a wide part: exact detections are told apart
-exactly, noisy ones still found.
+has of any one class, and e the share of neighbours that are not where the map has them. The vector of m holds these
+numbers for every class and ring; what a query scores against m is the sum of the entries that its own neighbours fall
+into. So objects that the query does not see (out of range, hidden, missed) cost nothing, which no distance between
+histograms can say. The kernel has a narrow and a wide part: exact detections are told apart exactly, noisy ones still
+found.
 
 Nothing in it turns with the sensor or depends on the order of the objects.
 """

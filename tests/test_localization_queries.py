@@ -198,14 +198,24 @@ def test_with_two_classes_a_wrong_one_is_the_other_one():
     assert abs(wrong - 0.2 * len(query)) < 4.0 * np.sqrt(0.16 * len(query))
 
 
+def test_how_high_the_map_lies_changes_nothing():
+    objects, tour = ring(count=60)
+    high = LabelledMap(objects.positions + np.array([0.0, 0.0, 250.0]), objects.labels, objects.vocabulary)
+    queries = [draw_queries(each, tour, NOISY, count=5, rng=np.random.default_rng(2)) for each in (objects, high)]
+    for low_query, high_query in zip(*queries, strict=True):
+        np.testing.assert_allclose(low_query.positions, high_query.positions, atol=1e-9)
+
+
 def test_errors_grow_with_the_distance_in_three_dimensions():
     objects, tour = ring(count=120, height_m=15.0)
+    objects.positions[:80, 2] = 0.0  # the sensor is at the median height, so the others stand 15 m above it
     range_m = np.hypot(RING_M, 15.0)
     errors, scales = [], []
     for query in draw_queries(objects, tour, NOISY, count=300, rng=np.random.default_rng(9)):
         # About a hundred errors of 0 to 0.1 of the range, so that their mean is known and the scale with it.
-        scales.append(np.mean(query.positions[:, 2]) / (15.0 + 0.05 * range_m))
-        errors.append((query.positions[:, 2] / scales[-1] - 15.0) / range_m)
+        heights_m = query.positions[query.objects >= 80, 2]
+        scales.append(np.mean(heights_m) / (15.0 + 0.05 * range_m))
+        errors.append((heights_m / scales[-1] - 15.0) / range_m)
     assert stats.kstest(scales, "uniform", args=(0.9, 0.2)).pvalue > 1e-3
     assert np.concatenate(errors).std() == pytest.approx(0.1 / np.sqrt(12.0), rel=0.05)
 

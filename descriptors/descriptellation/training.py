@@ -208,9 +208,12 @@ class _Run:
             config, epochs = str(state["config"]), [Epoch(**epoch) for epoch in json.loads(state["epochs"])]
         except Exception as error:  # what torch raises depends on where the file is broken
             raise DescriptorError(f"{path}: cannot be read: {error}; delete it to start anew") from error
-        if config != json.dumps(self._config.as_json(), sort_keys=True):
+        theirs, ours = json.loads(config), self._config.as_json()
+        others = sorted(key for key in ours if key != "epochs" and theirs.get(key) != ours[key])
+        if others:
             raise DescriptorError(
-                f"{path}: of a training with another configuration; choose another folder, or delete it to start anew"
+                f"{path}: of a training with another configuration ({', '.join(others)}); choose another folder, or "
+                "delete it to start anew"
             )
         self.network.load_state_dict(state["network"])
         self._optimizer.load_state_dict(state["optimizer"])

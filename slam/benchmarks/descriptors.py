@@ -14,6 +14,7 @@ from descriptors.registry import make_index
 from slam.benchmarks.exhaustive_search import ExhaustiveSearch
 from slam.benchmarks.localization_queries import SCENARIOS, LocalQuery, Scenario, draw_queries
 from slam.config import RegistrationConfig
+from slam.errors import SimulationError
 from slam.geometry import FloatArray
 from slam.global_localization import GlobalLocalizer, LabelledMap
 from slam.registration_estimate import Registration
@@ -33,7 +34,8 @@ class Cell:
 
     ``success`` and ``deviation`` over the seeds: shares of the queries within 1 m. ``of_ceiling``: that success by the
     one with true correspondences, None if that is 0. ``top_5``: share of the objects seen whose counterpart is among
-    their 5 nearest, None for a search without descriptors. Times are medians of a query.
+    their 5 nearest, ``candidates`` how many each has; None for a search without descriptors. Times are medians of a
+    query.
     """
 
     method: str
@@ -43,6 +45,7 @@ class Cell:
     ceiling: float
     of_ceiling: float | None
     top_5: float | None
+    candidates: float | None
     match_ms: float
     verify_ms: float
 
@@ -97,8 +100,13 @@ def benchmark_descriptors(
 
     Raises:
         DescriptorError: a descriptor that does not exist, or that the map's classes are too many for.
-        SimulationError: a tour without length, or without an object in sight.
+        SimulationError: nothing to measure, a tour without length, or without an object in sight.
     """
+    if queries < 1 or seeds < 1:
+        raise SimulationError(f"{queries} queries and {seeds} seeds; give at least one of each")
+    for method in methods:  # what cannot be made is refused before anything is measured
+        if method != EXHAUSTIVE:
+            make_index(method)
     drawn = {
         scenario.name: [
             draw_queries(objects, tour, scenario, count=queries, rng=np.random.default_rng((seed, number)))
@@ -183,6 +191,7 @@ def _measure(
     ceiling = np.mean([hits(fit_truth(objects, q, scenario), q) for queries in drawn for q in queries])
     flat = [(a, q) for each, queries in zip(answers, drawn, strict=True) for a, q in zip(each, queries, strict=True)]
     tops = [top_share(a.matches, q, TOP) for a, q in flat if a.matches is not None and len(q)]
+    candidates = [len(a.matches.queries) / len(q) for a, q in flat if a.matches is not None and len(q)]
     return Cell(
         method=method,
         scenario=scenario.name,
@@ -191,6 +200,7 @@ def _measure(
         ceiling=float(ceiling),
         of_ceiling=float(np.mean(success) / ceiling) if ceiling else None,
         top_5=float(np.mean(tops)) if tops else None,
+        candidates=float(np.mean(candidates)) if candidates else None,
         match_ms=1e3 * float(np.median([a.match_s for a, _ in flat])),
         verify_ms=1e3 * float(np.median([a.verify_s for a, _ in flat])),
     )

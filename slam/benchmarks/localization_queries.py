@@ -87,6 +87,8 @@ def draw_queries(
 def _observe(objects: LabelledMap, T_map_query: FloatArray, scenario: Scenario, rng: np.random.Generator) -> LocalQuery:
     offsets = objects.positions[:, :2] - T_map_query[:2, 3]
     near = np.flatnonzero(np.hypot(offsets[:, 0], offsets[:, 1]) < scenario.radius_m)
+    if len(near):  # the sensor is among what it sees, however high that lies
+        T_map_query[2, 3] = np.median(objects.positions[near, 2])
     seen = near[visible(offsets[near])]
     positions = apply(invert(T_map_query), objects.positions[seen])
     labels = objects.labels[seen]

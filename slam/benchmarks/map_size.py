@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
 from slam.benchmarks.descriptors import hits, make_localizer
@@ -21,6 +22,8 @@ DRIVEN_M = 500.0
 """Queries are drawn on so much of the tour, whatever the size of the map."""
 JITTER_M = 1.0
 GAP_M = 100.0
+STEP_M = 5.0
+"""Between the points of the tour from which distances are measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +105,10 @@ def grown_map(objects: LabelledMap, tour: FloatArray, size: int, *, rng: np.rand
     if size < 1:
         raise SimulationError(f"a map of {size} objects; give at least 1")
     place = objects.positions[:, :2]
-    distances_m = np.min([np.hypot(*(place - point).T) for point in tour[::5]], axis=0)
+    along_m = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(tour, axis=0), axis=1)))
+    every_m = np.append(np.arange(0.0, along_m[-1], STEP_M), along_m[-1])
+    points = np.column_stack([np.interp(every_m, along_m, tour[:, axis]) for axis in (0, 1)])
+    distances_m = cKDTree(points).query(place)[0]
     nearest = np.argsort(distances_m, kind="stable")
     if size <= len(objects):
         chosen = np.sort(nearest[:size])

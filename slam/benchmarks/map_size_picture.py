@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -26,7 +27,7 @@ def draw_map_size(path_png: Path, cells: Sequence[SizeCell]) -> None:
     for column, scenario in enumerate(scenarios):
         success, time = axes[0, column], axes[1, column]
         success.set_title(scenario, loc="left", fontweight="bold")
-        for method, color in zip(methods, _COLORS, strict=False):
+        for method, color in zip(methods, cycle(_COLORS), strict=False):
             line = [cell for cell in cells if (cell.method, cell.scenario) == (method, scenario)]
             sizes = [cell.objects for cell in line]
             success.plot(sizes, [100.0 * cell.success for cell in line], "o-", color=color, label=method)

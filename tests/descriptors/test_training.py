@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import importlib.metadata
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, fields, replace
 from pathlib import Path
@@ -161,20 +162,31 @@ def test_a_training_that_is_complete_is_left_as_it_is(folder):
     "other",
     [
         replace(TINY, seed=1),
-        replace(TINY, epochs=5),
         replace(TINY, margin=0.2),
         replace(TINY, dataset=replace(TINY.dataset, radius_m=25.0)),
         replace(TINY, architecture=replace(TINY.architecture, channels=16)),
         replace(TINY, architecture=PointNetArchitecture()),
         replace(TINY, augmentation=replace(TINY.augmentation, dropout=0.2)),
     ],
-    ids=["seed", "epochs", "margin", "dataset", "sizes", "network", "augmentation"],
+    ids=["seed", "margin", "dataset", "sizes", "network", "augmentation"],
 )
 def test_the_checkpoint_of_another_configuration_is_refused_and_kept(folder, other):
     before = (folder / CHECKPOINT).read_bytes()
     with pytest.raises(DescriptorError, match=rf"{folder / CHECKPOINT}: .*another configuration.*delete it"):
         train(other, folder)
     assert (folder / CHECKPOINT).read_bytes() == before
+
+
+def test_a_finished_training_goes_on_where_more_epochs_are_asked_for(folder, tmp_path):
+    longer = replace(TINY, epochs=TINY.epochs + 1)
+    copied = tmp_path / "copied"
+    shutil.copytree(folder, copied)
+    train(longer, copied)
+    train(longer, tmp_path / "afresh")
+    assert (copied / WEIGHTS).read_bytes() == (tmp_path / "afresh" / WEIGHTS).read_bytes() or (
+        load_weights(copied / WEIGHTS)[1].metrics == load_weights(tmp_path / "afresh" / WEIGHTS)[1].metrics
+    )
+    assert len(curves(copied)) == longer.epochs
 
 
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.99])
