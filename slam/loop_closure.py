@@ -192,7 +192,11 @@ class LoopCloser:
 
     def _contradicts(self, query: Query) -> bool:
         """Whether the query, where the last closure puts it, has gone on seeing other things for too long."""
-        if not self._watches or self._leader is None or query.travel_m - self._leader.travel_m > self._limits.follow_travel_m:
+        if (
+            not self._watches
+            or self._leader is None
+            or query.travel_m - self._leader.travel_m > self._limits.follow_travel_m
+        ):
             self._watch.restart()
             return False
         place = self._verifier.predict(self._leader, query)
@@ -205,7 +209,11 @@ class LoopCloser:
 
     def _is_elsewhere(self, query: Query, candidate: Candidate) -> bool:
         """Whether a candidate is far from where the last closure, not long ago, puts the query."""
-        if not self._watches or self._leader is None or query.travel_m - self._leader.travel_m > self._limits.follow_travel_m:
+        if (
+            not self._watches
+            or self._leader is None
+            or query.travel_m - self._leader.travel_m > self._limits.follow_travel_m
+        ):
             return False
         place = self._verifier.predict(self._leader, query)
         if place is None or place.segment != self._keyframes[candidate.reference].odometry.segment:

@@ -13,7 +13,8 @@ from tests.tools.runs import ROOT, SAMPLE, Run, assert_refused
 COMMANDS = (
     *("simulate", "degrade", "import kitti-objects", "import victoria-park", "info", "replay", "evaluate"),
     *("optimize", "export", "config", "benchmark registration", "benchmark closures"),
-    "benchmark replay",
+    *("relocalize", "train", "benchmark replay", "benchmark descriptors", "benchmark map-size"),
+    "benchmark relocalization",
 )
 
 
