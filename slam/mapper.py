@@ -121,7 +121,8 @@ class Mapper:
         return np.array(taken, dtype=np.int64)
 
     def retire_gone(self, rows: IntArray) -> None:
-        """End the life of landmarks that are where they stood no longer."""
+        """End the life of landmarks that are where they stood no longer; what others became part of was seen again."""
+        rows = rows[~np.isin(rows, self._map.kept_of_merged)]
         self._active = self._active[~np.isin(self._active, rows)]
         self._retire(rows, RetirementReason.GONE)
 

@@ -252,6 +252,11 @@ class ObjectMap:
         self._merged_into[dropped] = kept
         return dropped
 
+    @property
+    def kept_of_merged(self) -> IntArray:
+        """Rows (K,) that others were merged into."""
+        return np.array(sorted({self.current(row) for row in self._merged_into}), dtype=np.int64)
+
     def split(self, dropped: int) -> None:
         """Undo the merge by which ``dropped`` lost its name."""
         self._merged_into.pop(dropped, None)

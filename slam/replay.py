@@ -28,6 +28,7 @@ from logs.selection import Selection, select_topics
 from logs.topics import RecordKind
 from logs.writer import LogWriter, partial_path
 from slam.config import Config
+from slam.errors import SavedMapError
 from slam.saved_map import SavedMap, save_map
 from slam.system import FinalMap, Slam
 
@@ -90,7 +91,7 @@ def replay(
 
     Raises:
         LogError: the input cannot be read or the output cannot be written.
-        SlamError: the input cannot be mapped.
+        SlamError: the input cannot be mapped, or the given map was not recognised and none is saved.
     """
     started = time.perf_counter()
     with LogReader(source) as reader:
@@ -123,6 +124,11 @@ def replay(
             slam.counters.update(reader.counters)
             final = slam.finish()
             _write_final(writer, final, last_ns)
+        if map_path is not None and earlier is not None and not slam.fixes:
+            raise SavedMapError(
+                f"the given map was never recognised, so {map_path} would hold two places laid over each other and was "
+                f"not written; {output} is complete"
+            )
         if map_path is not None:
             save_map(map_path, final.object_map, final.graph, final.markers, provenance)
     return ReplaySummary(

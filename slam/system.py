@@ -209,7 +209,8 @@ class Slam:
         if self._closer.lost_since >= 0:
             closures += self._give_place_up(keyframe)
         self._T_map_odom = self._graph.pose(keyframe.id) @ invert(pose.T_odom_body)
-        updates: list[Record] = [*closures, *self._change_state(keyframe), *self._relocalizations(closures)]
+        changes = self._change_state(keyframe, self._why_lost(breaks=breaks))
+        updates: list[Record] = [*closures, *changes, *self._relocalizations(closures)]
         if self._state != State.LOST:
             updates.append(Transform(pose.stamp_ns, MAP_FRAME, self._odom_frame, self._T_map_odom))
         self.counters["keyframes"] += 1
@@ -221,11 +222,6 @@ class Slam:
             updates.append(self._markers(confirmed, positions, replaces=False))
         if len(self._mapper.keyframes) == self._first_keyframe + 1:
             updates.append(self._status("first odometry", level="info"))
-        if breaks:
-            self.counters["odometry_breaks"] += 1
-            what = "the robot was carried off" if self._is_carried_off else "the odometry jumped or fell silent"
-            self._is_carried_off = False
-            updates.append(self._status(f"{what}: landmarks in view are let go", level="warning"))
         return updates
 
     def _relocalizations(self, closures: list[LoopClosureRecord]) -> list[RelocalizationRecord]:
@@ -261,11 +257,22 @@ class Slam:
             self.counters["relocalizations_taken_back"] += 1
         return taken_back
 
-    def _change_state(self, keyframe: Keyframe) -> list[Record]:
+    def _why_lost(self, *, breaks: bool) -> str:
+        """What tore the odometry apart, if it did."""
+        if not breaks:
+            return ""
+        self.counters["odometry_breaks"] += 1
+        what = "the robot was carried off" if self._is_carried_off else "the odometry jumped or fell silent"
+        self._is_carried_off = False
+        return f"{what}: landmarks in view are let go"
+
+    def _change_state(self, keyframe: Keyframe, why_lost: str) -> list[Record]:
         """Lost or not, as odometry and closures tie the newest keyframe to the map or do not."""
         if not self._closer.knows_where(keyframe):
-            self._state = State.LOST
-            return []
+            was_lost, self._state = self._state == State.LOST, State.LOST
+            if was_lost and not why_lost:
+                return []
+            return [self._status(why_lost or "the map was contradicted: the place is open again", level="warning")]
         if self._state != State.LOST:
             return []
         self._state = State.RELOCALIZED
