@@ -158,6 +158,8 @@ def _factor_graph(r: m.FactorGraphRecord) -> Message:
         observation_landmark_ids=r.observation_landmark_ids,
         observation_positions=_flat(r.observation_positions),
         observation_covariances=_flat(r.observation_covariances),
+        pose_covariances=_flat(r.pose_covariances),
+        observation_redundancies=_flat(r.observation_redundancies),
     )
 
 
@@ -177,6 +179,7 @@ def _loop_closure(r: m.LoopClosureRecord) -> Message:
         covariance=_flat(r.covariance),
         reference_stamp_ns=int(r.reference_stamp_ns),
         inserted=bool(r.inserted),
+        rank=int(r.rank),
     )
 
 

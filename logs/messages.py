@@ -144,11 +144,13 @@ class TrajectoryRecord:
 class FactorGraphRecord:
     """The optimised graph: keyframes, the edges between them, and the observations of landmarks from them.
 
-    keyframe_ids (K,), keyframe_stamps_ns (K,), T_map_body (K, 4, 4).
+    keyframe_ids (K,), keyframe_stamps_ns (K,), T_map_body (K, 4, 4); pose_covariances (K, 6, 6), the marginals of the
+    poses, in the map whose frame the first keyframe holds; (0, 6, 6) where they are not known.
     edge_keyframe_ids (E, 2) as (from, to) with edge_transforms (E, 4, 4) = T_from_to, edge_covariances (E, 6, 6),
     edge_kinds: "odometry" | "closure".
     observation_keyframe_ids (O,), observation_landmark_ids, observation_positions (O, 3) m in the body frame of the
-    keyframe, observation_covariances (O, 3, 3) m^2.
+    keyframe, observation_covariances (O, 3, 3) m^2; observation_redundancies (O,), by which those covariances were
+    widened because so many observations share their errors; (0,) where none was.
     """
 
     stamp_ns: int
@@ -163,6 +165,8 @@ class FactorGraphRecord:
     observation_landmark_ids: tuple[str, ...]
     observation_positions: FloatArray
     observation_covariances: FloatArray
+    pose_covariances: FloatArray = field(default_factory=lambda: np.zeros((0, 6, 6)))
+    observation_redundancies: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,7 +176,8 @@ class LoopClosureRecord:
     ``stage``: where the verdict fell ("retrieval", "registration", "acceptance", "consistency", "back_end",
     "accepted"); ``reason``: why. ``stamp_ns`` is that of the query keyframe. A later record about the same two
     keyframes replaces an earlier one. ``inserted``: the closure is a factor of the graph; an accepted one that repeats
-    what another says already is none.
+    what another says already is none. ``rank``: place of the proposal, from 1, among those that descriptors made for
+    this query; 0 where another closure predicted the place or nothing was proposed.
     """
 
     stamp_ns: int
@@ -189,6 +194,7 @@ class LoopClosureRecord:
     covariance: FloatArray | None = None
     reference_stamp_ns: int = 0
     inserted: bool = False
+    rank: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,7 +28,8 @@ class Candidate:
 
     ``rows`` (N,) and ``nats`` (N,): what each landmark of the query says; ``pairs`` (K, 2): landmarks of the query and
     of the reference that meet. ``evidence_nats`` is their sum, ``doubt_nats`` what the odometry says against it.
-    ``leader``: the keyframe whose closure predicted this one, -1 if descriptors found it.
+    ``leader``: the keyframe whose closure predicted this one, -1 if descriptors found it; ``rank``: as in
+    :class:`slam.matching.Place`.
     """
 
     query: int
@@ -46,6 +47,7 @@ class Candidate:
     doubt_nats: float
     retrieval_distance: float
     leader: int = -1
+    rank: int = 0
 
     @property
     def evidence_nats(self) -> float:
@@ -78,4 +80,5 @@ class Candidate:
             covariance=self.covariance,
             reference_stamp_ns=self.reference_stamp_ns,
             inserted=inserted,
+            rank=self.rank,
         )

@@ -10,7 +10,7 @@ import numpy as np
 from gtsam.symbol_shorthand import X
 
 from slam.errors import FactorGraphError
-from slam.factors import Anchor, Edge, Observation, between_factor, prior_factor
+from slam.factors import Anchor, Edge, Factor, between_factor, prior_factor
 from slam.geometry import FloatArray, IntArray
 from slam.robust_optimization import optimize_robustly
 
@@ -27,7 +27,7 @@ class Judgement:
 
 
 def judge_closures(
-    factors: Mapping[int, Edge | Observation | Anchor],
+    factors: Mapping[int, Factor],
     closures: Sequence[int],
     keyframes: IntArray,
     T_map_body: FloatArray,

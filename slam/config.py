@@ -189,6 +189,9 @@ class LoopClosureConfig(_Branch):
     )
     neighbours: int = Field(default=6, ge=1, description="nearest descriptors looked up for each object")
     places: int = Field(default=3, ge=1, description="places that are verified for each keyframe")
+    lost_places: int = Field(
+        default=5, ge=0, description="... and those that one who is lost also tries, without descriptors"
+    )
     min_objects: int = Field(default=4, ge=2, description="objects that must be seen again at the least")
     supported_objects: int = Field(default=3, ge=2, description="... or next to a closure that is believed already")
     threshold_nats: float = Field(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,11 +24,15 @@ def agree(T_a: FloatArray, T_b: FloatArray) -> bool:
 
 
 def distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The candidates of one query, best first, each place once."""
+    """The candidates of one query, best first, each place once; it has the best rank of those that came there."""
     kept: list[Candidate] = []
     for candidate in sorted(candidates, key=lambda c: -c.score_nats):
-        if not any(agree(candidate.T_odom_query, better.T_odom_query) for better in kept):
+        same = (place for place, better in enumerate(kept) if agree(candidate.T_odom_query, better.T_odom_query))
+        place = next(same, None)
+        if place is None:
             kept.append(candidate)
+        elif candidate.rank < kept[place].rank:
+            kept[place] = replace(kept[place], rank=candidate.rank)
     return kept
 
 

@@ -25,7 +25,8 @@ def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed
         saved: the map.
         object_map: empty.
         graph: empty.
-        fixed: keep the map as it is: its keyframes do not move, and nothing need be known of how they hang together.
+        fixed: keep the map as it is: neither its keyframes nor its landmarks move, and nothing need be known of how
+            they hang together.
     """
     rows = object_map.restore(saved.objects, travel_m=TRAVEL_M)
     keyframes = [
@@ -33,7 +34,8 @@ def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed
         for number, T_map_body in enumerate(saved.graph.T_map_body)
     ]
     if fixed:
-        graph.restore(range(len(keyframes)), saved.graph.T_map_body, {}, [], [])
+        positions = dict(zip(rows.tolist(), saved.objects.positions, strict=True))
+        graph.hold(range(len(keyframes)), saved.graph.T_map_body, positions)
         return keyframes
     row_of = dict(zip(saved.objects.ids, rows.tolist(), strict=True))
     record = saved.graph
@@ -53,12 +55,13 @@ def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed
             )
         ],
         [
-            Observation(number_of[int(keyframe)], row_of[landmark], position, covariance)
-            for keyframe, landmark, position, covariance in zip(
+            Observation(number_of[int(keyframe)], row_of[landmark], position, covariance / redundancy, redundancy)
+            for keyframe, landmark, position, covariance, redundancy in zip(
                 record.observation_keyframe_ids,
                 record.observation_landmark_ids,
                 record.observation_positions,
                 record.observation_covariances,
+                record.observation_redundancies.tolist() or [1.0] * len(record.observation_landmark_ids),
                 strict=True,
             )
         ],

@@ -20,6 +20,9 @@ from slam.config import EvidenceConfig
 from slam.geometry import FloatArray, IntArray, apply, yaw_rad
 from slam.submap import Submap
 
+LEAST_DENSITY = 1e-4
+"""Objects of a class per m^2, however rare it is: one in a hundred metres of street."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
@@ -43,15 +46,24 @@ class Evidence:
 
 
 def weigh(
-    query: Submap, reference: Submap, T_reference_query: FloatArray, pairs: IntArray, config: EvidenceConfig
+    query: Submap,
+    reference: Submap,
+    T_reference_query: FloatArray,
+    pairs: IntArray,
+    config: EvidenceConfig,
+    class_shares: FloatArray | None = None,
 ) -> Evidence:
-    """Evidence for ``T_reference_query`` (4, 4), under which the objects ``pairs`` (K, 2) of both submaps meet."""
+    """Evidence for ``T_reference_query`` (4, 4), under which the objects ``pairs`` (K, 2) of both submaps meet.
+
+    ``class_shares`` (C,), which sum to 1, say how common each class is in a whole map: an object that is alone of its
+    class in its neighbourhood says the more, the rarer that class is.
+    """
     placed = apply(T_reference_query, query.positions)
     offsets = reference.positions[:, None, :2] - placed[None, :, :2]  # (M, N, 2)
     distances = np.hypot(offsets[..., 0], offsets[..., 1])
     expected = np.any(distances < config.covered_m, axis=0)
     densities = _accident_densities(
-        query, reference, offsets, distances, float(yaw_rad(T_reference_query)), pairs, config
+        query, reference, offsets, distances, float(yaw_rad(T_reference_query)), pairs, config, class_shares
     )
     seen_query, seen_reference = pairs[:, 0], pairs[:, 1]
     variances = query.sigmas[seen_query] ** 2 + reference.sigmas[seen_reference] ** 2
@@ -70,6 +82,7 @@ def _accident_densities(
     heading_rad: float,
     pairs: IntArray,
     config: EvidenceConfig,
+    class_shares: FloatArray | None,
 ) -> FloatArray:
     """Objects (N,) of the same class per m^2 around each placed object of the query, the one it meets left out."""
     others = reference.labels[:, None] == query.labels[None, :]
@@ -82,5 +95,9 @@ def _accident_densities(
     row_area = 2.0 * config.row_length_m * config.row_sigma_m * np.sqrt(2.0 * np.pi)
     in_row = others & (np.abs(along) < config.row_length_m)
     rows = np.sum(in_row * np.exp(-0.5 * (across / config.row_sigma_m) ** 2), axis=0) / row_area
-    # Where none stands around, half a one might.
-    return np.asarray(np.maximum(np.maximum(around, rows), 0.5 / around_area))
+    # Where none stands around, half a one might: in the circle, or in as much of the map as holds half a one.
+    area = np.full(len(query), around_area)
+    if class_shares is not None:
+        density = np.sum(distances < config.covered_m, axis=0) / (np.pi * config.covered_m**2)
+        area += 0.5 / np.maximum(density * class_shares[query.labels], LEAST_DENSITY)
+    return np.asarray(np.maximum(np.maximum(around, rows), 0.5 / area))

@@ -23,14 +23,17 @@ from slam.factors import (
     MIN_RANGE_M,
     Anchor,
     Edge,
+    Factor,
+    LandmarkAnchor,
     Observation,
-    bearing_range_factor,
+    bearing_range_factors,
     between_factor,
     checked_pose,
+    landmark_prior_factor,
     prior_factor,
 )
 from slam.geometry import FloatArray, IntArray, apply, invert
-from slam.marginals import landmark_marginals
+from slam.marginals import Marginals, compute_marginals, marginals_one_by_one
 
 logger = logging.getLogger(__name__)
 
@@ -50,7 +53,7 @@ class Optimization:
 class FactorGraph:
     """Incremental estimate by iSAM2 (Kaess et al. 2012) while the drive goes on, one batch solution at its end.
 
-    ``factors`` maps a number that never changes to each Edge and Observation that is in force.
+    ``factors`` maps a number that never changes to each factor that is in force.
     ``solver_seconds`` is the time spent inside GTSAM.
     """
 
@@ -58,6 +61,7 @@ class FactorGraph:
         self._config = config
         self._isam = self._new_isam("CHOLESKY")
         self._values: gtsam.Values | None = None
+        self._marginals: tuple[gtsam.Values, Marginals] | None = None
         self._pending: list[int] = []
         self._pending_factors = gtsam.NonlinearFactorGraph()
         self._pending_values = gtsam.Values()
@@ -67,9 +71,12 @@ class FactorGraph:
         self._landmark_factors: dict[int, list[int]] = {}  # by the landmark that was seen
         self._variables: dict[int, list[int]] = {}  # landmarks in the graph by the variable that they share
         self._merged_into: dict[int, int] = {}
+        self._held_poses: dict[int, FloatArray] = {}
+        self._held_positions: dict[int, FloatArray] = {}
+        self._landmark_anchors: dict[int, int] = {}  # factors that hold landmarks which are in the graph
         self._keyframes: list[int] = []
         self._next_factor = 0
-        self.factors: dict[int, Edge | Observation | Anchor] = {}
+        self.factors: dict[int, Factor] = {}
         self.solver_seconds = 0.0
 
     @property
@@ -79,8 +86,10 @@ class FactorGraph:
 
     @property
     def landmarks(self) -> IntArray:
-        """Ids (L,) of the landmarks that have a variable of their own, ascending; merged ones go by the kept one's."""
-        return np.array(sorted(self._variables), dtype=np.int64)
+        """Ids (L,) of the landmarks that are estimated, ascending; merged ones go by the kept one's, and those of a map
+        that stays as it is are none.
+        """
+        return np.array(sorted(self._variables.keys() - self._held_positions.keys()), dtype=np.int64)
 
     def add_first_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
         """Fix the map frame: a prior on the first keyframe."""
@@ -107,19 +116,32 @@ class FactorGraph:
             keyframes: ids; the first one fixes the map frame.
             T_map_body: (K, 4, 4), their estimates.
             landmarks: estimates (3,) m by id.
-            edges: between those keyframes; without any, all keyframes stay where they are.
+            edges: between those keyframes, which they tie all together.
             observations: of those landmarks from those keyframes.
         """
         self.add_first_keyframe(keyframes[0], T_map_body[0])
         for keyframe, T in zip(keyframes[1:], T_map_body[1:], strict=True):
             self._insert_keyframe(keyframe, T)
-            if not edges:
-                self._add(Anchor(keyframe, T))
         for edge in edges:
             self.add_edge(edge)
         for observation in observations:
             self._enter(observation.landmark, landmarks[observation.landmark])
         self.add_observations(observations)
+        self.update()
+
+    def hold(self, keyframes: Sequence[int], T_map_body: FloatArray, landmarks: Mapping[int, FloatArray]) -> None:
+        """Take in a map that stays as it is, into an empty graph: what is seen of it tells where the robot is.
+
+        Args:
+            keyframes: ids.
+            T_map_body: (K, 4, 4), where they are.
+            landmarks: where they are, (3,) m by id; each enters the graph when something is merged into it.
+        """
+        for keyframe, T in zip(keyframes, T_map_body, strict=True):
+            self._insert_keyframe(keyframe, T)
+            self._add(Anchor(keyframe, T))
+            self._held_poses[keyframe] = T
+        self._held_positions = dict(landmarks)
         self.update()
 
     def add_edge(self, edge: Edge) -> int:
@@ -165,7 +187,8 @@ class FactorGraph:
             values.insert(X(keyframe), shift.compose(pose) if keyframe in keyframes else pose)
         for variable in self._variables:
             point = estimate.atPoint3(L(variable))
-            values.insert(L(variable), point if variable in stays else shift.transformFrom(point))
+            is_kept = variable in stays or variable in self._held_positions
+            values.insert(L(variable), point if is_kept else shift.transformFrom(point))
         return values
 
     def add_observations(self, observations: Sequence[Observation]) -> int:
@@ -174,16 +197,27 @@ class FactorGraph:
         A landmark enters the graph with its first observation, which gives it all three coordinates, so none is ever
         under-constrained. Observations nearer than ``MIN_RANGE_M``, whose bearing is undefined, are passed over.
         """
-        used = 0
-        for observation in observations:
-            if np.linalg.norm(observation.position) < MIN_RANGE_M:
-                continue
-            T_map_body = self.pose(observation.keyframe)
-            factor = bearing_range_factor(self._named(observation), self._config)
-            self._enter(observation.landmark, apply(T_map_body, observation.position[None])[0])
+        used = [each for each in observations if not np.linalg.norm(each.position) < MIN_RANGE_M]
+        poses = {keyframe: self.pose(keyframe) for keyframe in dict.fromkeys(each.keyframe for each in used)}
+        factors = bearing_range_factors([self._named(each) for each in used], self._config)
+        for observation, factor in zip(used, factors, strict=True):
+            T_map_body = poses[observation.keyframe]
+            if observation.landmark not in self._landmark_factors:
+                self._enter(observation.landmark, apply(T_map_body, observation.position[None])[0])
             self._landmark_factors[observation.landmark].append(self._add(observation, factor))
-            used += 1
-        return used
+        return len(used)
+
+    def observers(self) -> dict[int, set[int]]:
+        """The keyframes that saw each landmark which has a variable of its own, those merged into it included."""
+        return {
+            variable: {
+                factor.keyframe
+                for landmark in landmarks
+                for number in self._landmark_factors[landmark]
+                if isinstance(factor := self.factors[number], Observation)
+            }
+            for variable, landmarks in self._variables.items()
+        }
 
     def remove_factor(self, number: int) -> None:
         """Take a factor out again; a landmark without observations leaves the graph with its last one."""
@@ -198,9 +232,13 @@ class FactorGraph:
                 self._leave(factor.landmark)
 
     def remove_landmark(self, landmark: int) -> None:
-        """Take a landmark and all its observations out of the graph; nothing happens if it is not in it."""
-        for number in list(self._landmark_factors.get(landmark, ())):
-            self.remove_factor(number)
+        """Take a landmark, with all that was merged into it, and all observations of it out of the graph.
+
+        Nothing happens if it is not in it.
+        """
+        for each in self._namesakes(landmark):
+            for number in list(self._landmark_factors.get(each, ())):
+                self.remove_factor(number)
 
     def merge_landmarks(self, kept: int, dropped: int) -> None:
         """Make two landmarks one: what sees ``dropped``, now or later, sees ``kept``.
@@ -215,12 +253,9 @@ class FactorGraph:
 
     def _move(self, landmark: int, rename: Callable[[], object]) -> None:
         """Take the observations of a landmark, and of those merged into it, along to its new variable."""
-        moved = [each for each in (landmark, *self._merged_into) if landmark in self._names(each)]
-        observations = [
-            self.factors[number] for each in dict.fromkeys(moved) for number in self._landmark_factors.get(each, ())
-        ]
-        for each in moved:
-            self.remove_landmark(each)
+        moved = self._namesakes(landmark)
+        observations = [self.factors[number] for each in moved for number in self._landmark_factors.get(each, ())]
+        self.remove_landmark(landmark)
         rename()
         self.add_observations([o for o in observations if isinstance(o, Observation)])
 
@@ -231,8 +266,16 @@ class FactorGraph:
             names.append(self._merged_into[names[-1]])
         return names
 
+    def _namesakes(self, landmark: int) -> list[int]:
+        """The landmark and all that were merged into it."""
+        if landmark not in self._merged_into.values():
+            return [landmark]
+        return list(dict.fromkeys(each for each in (landmark, *self._merged_into) if landmark in self._names(each)))
+
     def _named(self, observation: Observation) -> Observation:
         """The observation under the name that its landmark has in the graph."""
+        if observation.landmark not in self._merged_into:
+            return observation
         return replace(observation, landmark=self._names(observation.landmark)[-1])
 
     def _enter(self, landmark: int, position_map: FloatArray) -> None:
@@ -243,8 +286,11 @@ class FactorGraph:
         if variable not in self._variables:
             if variable in self._leaving:
                 self.update()
-            self._pending_values.insert(L(variable), position_map)
             self._variables[variable] = []
+            held = self._held_positions.get(variable)
+            self._pending_values.insert(L(variable), position_map if held is None else held)
+            if held is not None:
+                self._landmark_anchors[variable] = self._add(LandmarkAnchor(variable, held))
         self._variables[variable].append(landmark)
         self._landmark_factors[landmark] = []
 
@@ -254,6 +300,8 @@ class FactorGraph:
         self._variables[variable].remove(landmark)
         if not self._variables[variable]:
             del self._variables[variable]
+            if variable in self._landmark_anchors:
+                self.remove_factor(self._landmark_anchors.pop(variable))
             self._leaving.add(variable)
 
     def update(self) -> None:
@@ -293,6 +341,8 @@ class FactorGraph:
 
     def pose(self, keyframe: int) -> FloatArray:
         """``T_map_body`` (4, 4) of a keyframe."""
+        if keyframe in self._held_poses:
+            return self._held_poses[keyframe]
         key = X(keyframe)
         if self._pending_values.exists(key):
             return np.asarray(self._pending_values.atPose3(key).matrix())
@@ -307,7 +357,8 @@ class FactorGraph:
         """``T_map_body`` (K, 4, 4) of all keyframes, in the order of ``keyframes``."""
         self.update()
         values = self._estimate()
-        return np.array([values.atPose3(X(keyframe)).matrix() for keyframe in self._keyframes]).reshape(-1, 4, 4)
+        held = self._held_poses
+        return np.array([held.get(k, values.atPose3(X(k)).matrix()) for k in self._keyframes]).reshape(-1, 4, 4)
 
     def landmark_positions(self, landmarks: IntArray) -> FloatArray:
         """Positions (N, 3) m in the map of landmarks that are in the graph."""
@@ -335,6 +386,8 @@ class FactorGraph:
             observation_landmark_ids=tuple(str(self._names(o.landmark)[-1]) for o in observations),
             observation_positions=np.array([o.position for o in observations]).reshape(-1, 3),
             observation_covariances=np.array([o.redundancy * o.covariance for o in observations]).reshape(-1, 3, 3),
+            pose_covariances=self._pose_covariances_if_known(),
+            observation_redundancies=_redundancies(observations),
         )
 
     def _estimate(self) -> gtsam.Values:
@@ -348,15 +401,38 @@ class FactorGraph:
         """Marginal covariances (N, 3, 3) m^2 in the map frame, at the current estimate."""
         self.update()
         self._check_landmarks(landmarks)
-        if len(landmarks) == 0:
-            return np.zeros((0, 3, 3))
+        return self._all_marginals().of_landmarks(landmarks) if len(landmarks) else np.zeros((0, 3, 3))
+
+    def pose_covariances(self) -> FloatArray:
+        """Marginal covariances (K, 6, 6) of all keyframes, in the order of ``keyframes``, at the current estimate.
+
+        Rotation [rad] before translation [m], of the right perturbation ``T_map_body Exp(xi)``: about the body's axes.
+        """
+        self.update()
+        return self._all_marginals().of_keyframes(self.keyframes) if self._keyframes else np.zeros((0, 6, 6))
+
+    def _pose_covariances_if_known(self) -> FloatArray:
+        try:
+            return self.pose_covariances()
+        except FactorGraphError as error:
+            logger.warning("the graph is logged without covariances of its poses: %s", error)
+            return np.zeros((0, 6, 6))
+
+    def _all_marginals(self) -> Marginals:
+        """The covariances at the current estimate, computed once."""
         values = self._estimate()
-        with self._solver("the marginal covariances"):
-            try:
-                return landmark_marginals(self._isam.getFactorsUnsafe(), values, landmarks)
-            except np.linalg.LinAlgError as error:
-                logger.info("the marginals come one by one from the incremental solver: %s", error)
-                return np.array([self._isam.marginalCovariance(L(int(i))) for i in landmarks])
+        if self._marginals is None or self._marginals[0] is not values:
+            with self._solver("the marginal covariances"):
+                self._marginals = values, self._compute_marginals(values)
+        return self._marginals[1]
+
+    def _compute_marginals(self, values: gtsam.Values) -> Marginals:
+        try:
+            records = [self.factors[number] for number in sorted(self._slots, key=self._slots.__getitem__)]
+            return compute_marginals(self._isam.getFactorsUnsafe(), values, records, self._config)
+        except np.linalg.LinAlgError as error:
+            logger.info("the marginals come one by one from the incremental solver: %s", error)
+            return marginals_one_by_one(self._isam, values)
 
     def _new_isam(self, factorization: str) -> gtsam.ISAM2:
         parameters = gtsam.ISAM2Params()
@@ -377,8 +453,11 @@ class FactorGraph:
         for variable in self._variables:
             kept.insert(L(variable), values.atPoint3(L(variable)))
         graph = gtsam.NonlinearFactorGraph()
-        for number in numbers:
-            graph.add(self._factor(self.factors[number]))
+        records = [self.factors[number] for number in numbers]
+        observations = [self._named(record) for record in records if isinstance(record, Observation)]
+        of_observations = iter(bearing_range_factors(observations, self._config))
+        for record in records:
+            graph.add(next(of_observations) if isinstance(record, Observation) else self._factor(record))
         self._isam = self._new_isam(factorization)
         return self._isam.update(graph, kept)
 
@@ -397,7 +476,7 @@ class FactorGraph:
         self._pending_values.insert(X(keyframe), pose)
         self._keyframes.append(keyframe)
 
-    def _add(self, record: Edge | Observation | Anchor, factor: gtsam.NonlinearFactor | None = None) -> int:
+    def _add(self, record: Factor, factor: gtsam.NonlinearFactor | None = None) -> int:
         number = self._next_factor
         self._pending_factors.add(factor if factor is not None else self._factor(record))
         self._next_factor += 1
@@ -405,14 +484,16 @@ class FactorGraph:
         self._pending.append(number)
         return number
 
-    def _factor(self, record: Edge | Observation | Anchor) -> gtsam.NonlinearFactor:
+    def _factor(self, record: Factor) -> gtsam.NonlinearFactor:
         match record:
             case Edge():
                 return between_factor(record)
             case Observation():
-                return bearing_range_factor(self._named(record), self._config)
+                return bearing_range_factors([self._named(record)], self._config)[0]
             case Anchor():
                 return prior_factor(record)
+            case LandmarkAnchor():
+                return landmark_prior_factor(record)
 
     @contextmanager
     def _solver(self, doing: str) -> Iterator[None]:
@@ -424,6 +505,12 @@ class FactorGraph:
             raise FactorGraphError(f"{doing} failed{_variable_in(str(error))}: {_first_line(error)}") from error
         finally:
             self.solver_seconds += time.perf_counter() - started
+
+
+def _redundancies(observations: Sequence[Observation]) -> FloatArray:
+    """Those of observations (O,), none where all are 1."""
+    redundancies = np.array([observation.redundancy for observation in observations], dtype=np.float64)
+    return redundancies if (redundancies != 1.0).any() else np.zeros(0)
 
 
 def _variable_in(message: str) -> str:

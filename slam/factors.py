@@ -6,6 +6,7 @@ GTSAM's order: rotation, then translation.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -21,6 +22,7 @@ PRIOR_SIGMA_M = 1e-3
 # Nearer than this a bearing says nothing: the object is on top of the sensor.
 MIN_RANGE_M = 0.3
 ORTHONORMAL_TOLERANCE = 1e-6
+CLOSURE_KERNEL_WIDTH = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,6 +31,14 @@ class Anchor:
 
     keyframe: int
     T_map_body: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LandmarkAnchor:
+    """Holds a landmark at ``position`` (3,) m in the map: it belongs to a map that stays as it is."""
+
+    landmark: int
+    position: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +66,9 @@ class Observation:
     redundancy: float = 1.0
 
 
+Factor = Edge | Observation | Anchor | LandmarkAnchor
+
+
 def prior_factor(anchor: Anchor) -> gtsam.NonlinearFactor:
     """The GTSAM factor of an anchor."""
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([PRIOR_SIGMA_RAD, PRIOR_SIGMA_M], 3))
@@ -64,36 +77,60 @@ def prior_factor(anchor: Anchor) -> gtsam.NonlinearFactor:
     )
 
 
+def landmark_prior_factor(anchor: LandmarkAnchor) -> gtsam.NonlinearFactor:
+    """The GTSAM factor of a landmark that is held where it is."""
+    if not np.all(np.isfinite(anchor.position)):
+        raise FactorGraphError(f"landmark {anchor.landmark}: the position {anchor.position} is not finite")
+    noise = gtsam.noiseModel.Isotropic.Sigma(3, PRIOR_SIGMA_M)
+    return gtsam.PriorFactorPoint3(L(anchor.landmark), anchor.position, noise)
+
+
 def between_factor(edge: Edge) -> gtsam.NonlinearFactor:
     """The GTSAM factor of an edge; closures are robust, odometry is not."""
     what = f"edge {edge.from_keyframe} -> {edge.to_keyframe}"
     covariance = _checked_covariance(edge.covariance, 6, what)
     noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(covariance)
     if edge.kind == "closure":
-        noise = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(1.0), noise)
+        noise = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(CLOSURE_KERNEL_WIDTH), noise)
     pose = checked_pose(edge.T_from_to, what)
     return gtsam.BetweenFactorPose3(X(edge.from_keyframe), X(edge.to_keyframe), pose, noise)
 
 
 def bearing_range_factor(observation: Observation, config: FactorGraphConfig) -> gtsam.NonlinearFactor:
     """The GTSAM factor of an observation, which is at least ``MIN_RANGE_M`` away."""
-    what = f"observation of landmark {observation.landmark} from keyframe {observation.keyframe}"
-    covariance = _checked_covariance(observation.covariance, 3, what)
-    if not np.all(np.isfinite(observation.position)):
-        raise FactorGraphError(f"{what}: the position {observation.position} is not finite")
-    range_m = float(np.linalg.norm(observation.position))
-    sight = observation.position / range_m
-    range_variance = float(sight @ covariance @ sight)
+    return bearing_range_factors([observation], config)[0]
+
+
+def bearing_range_factors(
+    observations: Sequence[Observation], config: FactorGraphConfig
+) -> list[gtsam.NonlinearFactor]:
+    """The GTSAM factors of observations that are at least ``MIN_RANGE_M`` away."""
+    if not observations:
+        return []
+    positions = np.array([observation.position for observation in observations])
+    covariances = _checked_covariances(observations)
+    not_finite = np.flatnonzero(~np.isfinite(positions).all(axis=1))
+    if len(not_finite):
+        what = _name(observations[not_finite[0]])
+        raise FactorGraphError(f"{what}: the position {positions[not_finite[0]]} is not finite")
+    ranges_m = np.linalg.norm(positions, axis=1)
+    sights = positions / ranges_m[:, None]
+    range_variances = np.einsum("ni,nij,nj->n", sights, covariances, sights)
     # GTSAM spans the tangent plane of the bearing by axes that jump where the smallest coordinate changes, straight
     # ahead for one. So the two bearing errors get one variance, the mean across the line of sight, and no axes.
-    bearing_variance = (float(np.trace(covariance)) - range_variance) / (2.0 * range_m**2)
-    variances = observation.redundancy * np.array([bearing_variance, bearing_variance, range_variance])
-    noise: gtsam.noiseModel.Base = gtsam.noiseModel.Diagonal.Variances(variances)
-    kernel = _robust_kernel(config, observation.redundancy)
-    if kernel is not None:
-        noise = gtsam.noiseModel.Robust.Create(kernel, noise)
-    bearing = gtsam.Unit3(observation.position)
-    return gtsam.BearingRangeFactor3D(X(observation.keyframe), L(observation.landmark), bearing, range_m, noise)
+    bearing_variances = (np.trace(covariances, axis1=1, axis2=2) - range_variances) / (2.0 * ranges_m**2)
+    variances = np.stack([bearing_variances, bearing_variances, range_variances], axis=1)
+    variances *= np.array([observation.redundancy for observation in observations])[:, None]
+    kernels = {redundancy: _robust_kernel(config, redundancy) for redundancy in {o.redundancy for o in observations}}
+    factors: list[gtsam.NonlinearFactor] = []
+    for observation, range_m, variance in zip(observations, ranges_m.tolist(), variances, strict=True):
+        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Diagonal.Variances(variance)
+        kernel = kernels[observation.redundancy]
+        if kernel is not None:
+            noise = gtsam.noiseModel.Robust.Create(kernel, noise)
+        keys = X(observation.keyframe), L(observation.landmark)
+        factors.append(gtsam.BearingRangeFactor3D(*keys, gtsam.Unit3(observation.position), range_m, noise))
+    return factors
 
 
 def checked_pose(T: FloatArray, what: str) -> gtsam.Pose3:
@@ -110,6 +147,23 @@ def _checked_covariance(covariance: FloatArray, size: int, what: str) -> FloatAr
     if np.linalg.eigvalsh(covariance)[0] <= 0.0:
         raise FactorGraphError(f"{what}: the covariance is not positive definite")
     return covariance
+
+
+def _checked_covariances(observations: Sequence[Observation]) -> FloatArray:
+    """Their covariances (N, 3, 3)."""
+    for observation in observations:
+        if observation.covariance.shape != (3, 3):
+            _checked_covariance(observation.covariance, 3, _name(observation))
+    covariances = np.array([observation.covariance for observation in observations])
+    usable = np.asarray(np.isfinite(covariances).all(axis=(1, 2)))
+    least = np.linalg.eigvalsh(np.where(usable[:, None, None], covariances, 0.0))[:, 0]
+    for row in np.flatnonzero(least <= 0.0).tolist():
+        _checked_covariance(covariances[row], 3, _name(observations[row]))
+    return covariances
+
+
+def _name(observation: Observation) -> str:
+    return f"observation of landmark {observation.landmark} from keyframe {observation.keyframe}"
 
 
 def _robust_kernel(config: FactorGraphConfig, redundancy: float) -> gtsam.noiseModel.mEstimator.Base | None:

@@ -104,13 +104,21 @@ class LoopCloser:
         if len(query.submap) < self._limits.min_objects:
             return [query.refusal(Stage.RETRIEVAL, f"only {len(query.submap)} objects in view")]
         places = self._finder.find(query.submap, before_m=self._verifier.latest_m(query), seed=keyframe.id)
-        if not places:
-            return [query.refusal(Stage.RETRIEVAL, "no descriptors that agree on a place")]
-        # 3. Each place is registered and weighed, and the best one judged.
         verified = [self._verifier.verify(query, place) for place in places]
+        # 3. One who is lost, and not found by them, tries all places.
+        if not self.knows_where(keyframe) and not self._is_convincing(verified):
+            places = self._finder.find_anywhere(query.submap, segment=self._keyframes[0].odometry.segment)
+            verified += [self._verifier.verify(query, place) for place in places]
+        if not verified:
+            return [query.refusal(Stage.RETRIEVAL, "no descriptors that agree on a place")]
+        # 4. Each place was registered and weighed, and the best one is judged.
         refused = [each for each in verified if isinstance(each, LoopClosureRecord)]
         candidates = distinct([each for each in verified if isinstance(each, Candidate)])
         return refused + self._judge(query, candidates)
+
+    def _is_convincing(self, verified: Sequence[Candidate | LoopClosureRecord]) -> bool:
+        """Whether one of the candidates is enough by itself."""
+        return any(isinstance(each, Candidate) and each.score_nats >= self._limits.threshold_nats for each in verified)
 
     def give_up(self, keyframe: Keyframe) -> tuple[list[LoopClosureRecord], bool]:
         """Begin anew after the place was contradicted; what was closed since then is taken back.

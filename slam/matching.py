@@ -7,7 +7,7 @@ matches at one place outweigh many accidental ones that are scattered over the m
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from descriptors.constellation import gather_constellations
 from descriptors.registry import make_index
 from slam.config import LoopClosureConfig, RegistrationConfig, SubmapConfig
+from slam.exhaustive_search import ExhaustiveSearch
 from slam.geometry import FloatArray, IntArray
 from slam.object_map import LandmarkState, ObjectMap
 from slam.registration import register
@@ -24,6 +25,8 @@ from slam.submap import Submap, placed_submap
 PASS_TRAVEL_M = 110.0
 # How far around a place landmarks are of use.
 PLACE_RADIUS_M = 90.0
+# So many objects of a query are looked for without descriptors, as the time grows with the square of their number.
+SEARCHED_OBJECTS = 25
 # Landmarks are entered into the index at most that often.
 SETTLE_EVERY_M = 10.0
 
@@ -33,13 +36,15 @@ class Place:
     """Where a query may be: ``T_odom_query`` (4, 4), as the pass around ``travel_m`` saw the odometry frame of a
     ``segment``.
 
-    ``retrieval_distance``: mean distance of the agreeing matches in descriptor space.
+    ``retrieval_distance``: mean distance of the agreeing matches in descriptor space; ``rank``: its place, from 1,
+    among those that descriptors propose for a query, 0 where they did not.
     """
 
     T_odom_query: FloatArray
     travel_m: float
     segment: int
     retrieval_distance: float
+    rank: int = 0
 
 
 class PlaceFinder:
@@ -59,6 +64,7 @@ class PlaceFinder:
         self._index = make_index(config.descriptor)
         self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
         self._settled_m = -np.inf
+        self._searches: dict[int, tuple[IntArray, ExhaustiveSearch | None]] = {}
 
     def settle(self, travel_m: float) -> None:
         """Enter the landmarks that were left behind."""
@@ -90,6 +96,11 @@ class PlaceFinder:
         self._index.add(constellations)
         self._rows = np.concatenate([self._rows, new])
 
+    def class_shares(self) -> FloatArray:
+        """How common each class is (C,) among the settled landmarks; each is taken to be there once more."""
+        counts = 1.0 + np.bincount(self._map.classes(self._rows), minlength=len(self._map.vocabulary))
+        return np.asarray(counts / counts.sum())
+
     def find(self, query: Submap, *, before_m: float, seed: int) -> list[Place]:
         """The likeliest places of a query, given in its gravity frame, among what was last seen before that travel."""
         landmarks = self._map.rows
@@ -113,11 +124,47 @@ class PlaceFinder:
             rng=np.random.default_rng(seed),
             count=self._config.places,
         )
-        return [
+        places = [
             self._place(found.T_reference_query, reference.rows[found.pairs[:, 1]], matches.distances[found.inliers])
             for found in registrations
             if found.T_reference_query is not None
         ]
+        return [replace(place, rank=rank) for rank, place in enumerate(places, start=1)]
+
+    def find_anywhere(self, query: Submap, *, segment: int) -> list[Place]:
+        """The likeliest places of a query among all of another ``segment``, by pairs of objects and no descriptor.
+
+        Of a long query the objects nearest to the robot are enough. Where few objects or only common ones are in view,
+        their descriptors say less than their places do; it takes longer, but to one who is lost that is well spent.
+        """
+        rows, search = self._search_of(segment)
+        if search is None:
+            return []
+        nearest = np.argsort(np.hypot(query.positions[:, 0], query.positions[:, 1]), kind="stable")
+        some = query.of(nearest[:SEARCHED_OBJECTS])
+        found = search.leading(some.positions, some.labels, query_sigmas=some.sigmas)
+        return [
+            self._place(each.T_reference_query, rows[each.pairs[:, 1]], np.full(1, np.inf, np.float32))
+            for each in found[: self._config.lost_places]
+            if each.T_reference_query is not None
+        ]
+
+    def _search_of(self, segment: int) -> tuple[IntArray, ExhaustiveSearch | None]:
+        """The landmarks (M,) of a segment that are settled, and the search among them."""
+        landmarks = self._map.rows
+        rows = self._rows[(landmarks["segment"][self._rows] == segment)]
+        rows = rows[landmarks["state"][rows] == LandmarkState.CONFIRMED]
+        known = self._searches.get(segment)
+        if known is None or len(known[0]) != len(rows):
+            reference = placed_submap(self._map, rows, np.zeros(3), self._submap_config)
+            sigmas = np.full(len(rows), self._submap_config.landmark_sigma_m)
+            self._searches[segment] = known = (
+                rows,
+                ExhaustiveSearch(reference.positions, reference.labels, self._registration_config, map_sigmas=sigmas)
+                if len(rows)
+                else None,
+            )
+        return known
 
     def _place(self, T_odom_query: FloatArray, rows: IntArray, distances: NDArray[np.float32]) -> Place:
         """The place of a pose on which matches with the landmarks ``rows`` (K,) agree."""

@@ -235,9 +235,12 @@ class ObjectMap:
         self.rows["state"][rows] = LandmarkState.CONFIRMED
 
     def retire(self, rows: IntArray, reason: RetirementReason) -> None:
-        """End the life of landmarks."""
-        self.rows["state"][rows] = LandmarkState.RETIRED
-        self._reasons.update(dict.fromkeys(rows.tolist(), reason.value))
+        """End the life of landmarks, and of all that was merged into them: they are one."""
+        ended = set(rows.tolist())
+        if not ended.isdisjoint(self._merged_into.values()):
+            ended |= {row for row in self._merged_into if not ended.isdisjoint(self._names(row))}
+        self.rows["state"][sorted(ended)] = LandmarkState.RETIRED
+        self._reasons.update(dict.fromkeys(ended, reason.value))
 
     def merge(self, kept: int, dropped: int) -> int | None:
         """Make ``dropped`` another name of ``kept``: in the map they are one landmark from now on.
@@ -263,9 +266,14 @@ class ObjectMap:
 
     def current(self, row: int) -> int:
         """The row that a landmark goes by now, after merges."""
-        while row in self._merged_into:
-            row = self._merged_into[row]
-        return row
+        return self._names(row)[-1]
+
+    def _names(self, row: int) -> list[int]:
+        """The row, what it was merged into, and so on."""
+        names = [row]
+        while names[-1] in self._merged_into:
+            names.append(self._merged_into[names[-1]])
+        return names
 
     def to_record(self, stamp_ns: int) -> ObjectMapRecord:
         """All landmarks in the map frame, as they go into a log; those that never were confirmed are left out."""

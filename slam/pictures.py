@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -17,19 +16,26 @@ from numpy.typing import NDArray
 
 from logs.errors import UnwritableLogError
 from slam.errors import EvaluationError
+from slam.palette import (
+    CLASS_COLORS,
+    CLOSURE,
+    END,
+    ESTIMATE,
+    FALSE_CLOSURE,
+    LEGEND_CLASSES,
+    MISSED,
+    ODOMETRY,
+    OTHER_COLOR,
+    START,
+    TRUE_CLOSURE,
+    TRUTH,
+    group_classes,
+)
 
 FloatArray = NDArray[np.float64]
 _LineStyle = Literal["-"] | tuple[float, tuple[float, float]]
 
-LEGEND_CLASSES = 12
-OTHER = "other"
-_ESTIMATE, _ODOMETRY, _TRUTH, _INK, _GRID = "#0b5cad", "#d97706", "#111827", "#1f2937", "#e5e7eb"
-_CLOSURE, _TRUE_CLOSURE, _FALSE_CLOSURE, _MISSED = "#d6249f", "#14b8a6", "#ff0000", "#7c3aed"
-# None of the classes has the colour of a path.
-_CLASS_COLORS = (
-    *("#2e9e5b", "#d64545", "#8456c4", "#8c6239", "#17a2b8", "#c9a50a"),
-    *("#6b8e23", "#e377c2", "#4b5b8c", "#f4978e", "#00695c", "#b39ddb"),
-)
+_INK, _GRID, _KNOWN = "#1f2937", "#e5e7eb", "#9ca3af"
 _MARKERS = "os^DvPXhp*<>"
 
 
@@ -47,8 +53,8 @@ class MapPicture:
 
     estimate, odometry, truth (N, 3) positions along the path, N may be 0; landmarks (L, 3) with ``labels`` (L,);
     closures, true_closures, false_closures (C, 2, 3) ends of accepted loop closures of which nobody knows whether they
-    are right, that are, that are not; missed_revisits (M, 3) where a closure was possible and not made; errors of
-    estimate and odometry where they are known.
+    are right, that are, that are not; missed_revisits (M, 3) where a closure was possible and not made; known (K, 3)
+    landmarks of a map that was given, drawn in grey; errors of estimate and odometry where they are known.
     """
 
     estimate: FloatArray
@@ -60,6 +66,7 @@ class MapPicture:
     true_closures: FloatArray = field(default_factory=_no_line)
     false_closures: FloatArray = field(default_factory=_no_line)
     missed_revisits: FloatArray = field(default_factory=_nowhere)
+    known: FloatArray = field(default_factory=_nowhere)
     title: str = "Object map"
     ate_m: float | None = None
     odometry_ate_m: float | None = None
@@ -81,14 +88,15 @@ def draw_map(path_png: str | Path, picture: MapPicture, *, width_px: int = 1600)
     """
     if len(picture.landmarks) != len(picture.labels):
         raise EvaluationError(f"{len(picture.landmarks)} landmarks have {len(picture.labels)} labels")
-    points = np.concatenate([picture.estimate, picture.odometry, picture.truth, picture.landmarks])[:, :2]
+    shown = (picture.estimate, picture.odometry, picture.truth, picture.landmarks, picture.known)
+    points = np.concatenate(shown)[:, :2]
     if len(points) == 0 or not np.isfinite(points).all():
         raise EvaluationError("no position to draw" if len(points) == 0 else "a position to be drawn is not finite")
     low, high = _limits(points)
     figure = Figure(figsize=(16.0, _height_in(low, high)), dpi=width_px / 16.0, facecolor="white", layout="constrained")
     axes = figure.add_subplot()
     _prepare(axes, low, high)
-    landmark_handles = _draw_landmarks(axes, picture)
+    landmark_handles = [*_draw_known(axes, picture), *_draw_landmarks(axes, picture)]
     handles = [*_draw_paths(axes, picture), *landmark_handles]
     figure.legend(handles=handles, loc="outside right upper", fontsize=13, frameon=False, labelcolor=_INK)
     axes.set_title(picture.title, loc="left", fontsize=20, fontweight="bold", color=_INK, pad=30)
@@ -102,16 +110,6 @@ def draw_map(path_png: str | Path, picture: MapPicture, *, width_px: int = 1600)
         color="#4b5563",
     )
     save_figure(figure, Path(path_png))
-
-
-def group_classes(labels: tuple[str, ...], most: int = LEGEND_CLASSES) -> list[tuple[str, NDArray[np.int64]]]:
-    """Rows of each of the ``most`` most frequent classes (ties by name), then those of all others as "other"."""
-    counts = sorted(Counter(labels).items(), key=lambda item: (-item[1], item[0]))
-    kept = [name for name, _ in counts[:most]]
-    names = np.array(labels, dtype=np.str_)
-    groups = [(name, np.flatnonzero(names == name)) for name in kept]
-    rest = np.flatnonzero(~np.isin(names, kept))
-    return [*groups, (OTHER, rest)] if len(rest) else groups
 
 
 def _limits(points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -142,6 +140,15 @@ def _prepare(axes: Axes, low: FloatArray, high: FloatArray) -> None:
         spine.set_visible(False)
 
 
+def _draw_known(axes: Axes, picture: MapPicture) -> list[Line2D]:
+    """Draw the landmarks of a given map under everything, and return the legend's entry."""
+    if not len(picture.known):
+        return []
+    x, y = picture.known[:, :2].T
+    axes.scatter(x, y, s=float(np.clip(12000.0 / len(x), 24.0, 70.0)), color=_KNOWN, linewidths=0.0, zorder=1.5)
+    return [_marker("o", _KNOWN, 10.0, f"landmarks of the map ({len(x)})")]
+
+
 def _draw_landmarks(axes: Axes, picture: MapPicture) -> list[Line2D]:
     """Draw the landmarks and return the legend's entries."""
     # A thousand landmarks need smaller markers than ten.
@@ -149,7 +156,7 @@ def _draw_landmarks(axes: Axes, picture: MapPicture) -> list[Line2D]:
     handles = []
     for index, (name, rows) in enumerate(group_classes(picture.labels)):
         # "other" comes after all classes that have a colour.
-        color, marker = ("#9ca3af", "o") if index == LEGEND_CLASSES else (_CLASS_COLORS[index], _MARKERS[index])
+        color, marker = (OTHER_COLOR, "o") if index == LEGEND_CLASSES else (CLASS_COLORS[index], _MARKERS[index])
         x, y = picture.landmarks[rows, :2].T
         axes.scatter(x, y, s=size, marker=marker, color=color, edgecolors="white", linewidths=0.4, zorder=2.0)
         handles.append(_marker(marker, color, 10.0, f"{name} ({len(rows)})"))
@@ -160,9 +167,9 @@ def _draw_paths(axes: Axes, picture: MapPicture) -> list[Line2D]:
     """Draw trajectories, closures, start and end, and return the legend's entries."""
     handles = []
     paths: tuple[tuple[FloatArray, str, str, float, _LineStyle, float], ...] = (
-        (picture.estimate, "estimate", _ESTIMATE, 2.8, "-", 4.0),
-        (picture.odometry, "odometry", _ODOMETRY, 1.6, "-", 3.0),
-        (picture.truth, "ground truth", _TRUTH, 1.2, (0, (6, 4)), 4.5),
+        (picture.estimate, "estimate", ESTIMATE, 2.8, "-", 4.0),
+        (picture.odometry, "odometry", ODOMETRY, 1.6, "-", 3.0),
+        (picture.truth, "ground truth", TRUTH, 1.2, (0, (6, 4)), 4.5),
     )
     for positions, name, color, width, style, zorder in paths:
         if len(positions):
@@ -174,7 +181,7 @@ def _draw_paths(axes: Axes, picture: MapPicture) -> list[Line2D]:
         (positions for positions in (picture.estimate, picture.truth, picture.odometry) if len(positions)), None
     )
     if shown is not None:
-        for point, marker, color, name in ((shown[0], "o", "#16a34a", "start"), (shown[-1], "s", "#dc2626", "end")):
+        for point, marker, color, name in ((shown[0], "o", START, "start"), (shown[-1], "s", END, "end")):
             mark = _marker(marker, color, 13.0, name)
             mark.set_data([point[0]], [point[1]])
             mark.set_zorder(6.0)
@@ -188,14 +195,14 @@ def _draw_closures(axes: Axes, picture: MapPicture) -> list[Line2D]:
     handles = []
     if len(picture.missed_revisits):
         x, y = picture.missed_revisits[:, :2].T
-        axes.scatter(x, y, s=30.0, marker="o", facecolors="white", edgecolors=_MISSED, linewidths=1.4, zorder=4.8)
+        axes.scatter(x, y, s=30.0, marker="o", facecolors="white", edgecolors=MISSED, linewidths=1.4, zorder=4.8)
         mark = _marker("o", "white", 7.0, f"missed revisits ({len(picture.missed_revisits)})")
-        mark.set(markeredgecolor=_MISSED, markeredgewidth=1.4)
+        mark.set(markeredgecolor=MISSED, markeredgewidth=1.4)
         handles.append(mark)
     for lines, name, color, width, zorder in (
-        (picture.closures, "loop closures", _CLOSURE, 1.6, 5.0),
-        (picture.true_closures, "true loop closures", _TRUE_CLOSURE, 1.6, 5.0),
-        (picture.false_closures, "false loop closures", _FALSE_CLOSURE, 4.0, 7.0),
+        (picture.closures, "loop closures", CLOSURE, 1.6, 5.0),
+        (picture.true_closures, "true loop closures", TRUE_CLOSURE, 1.6, 5.0),
+        (picture.false_closures, "false loop closures", FALSE_CLOSURE, 4.0, 7.0),
     ):
         if len(lines):
             collection = LineCollection(list(lines[:, :, :2]), colors=color, linewidths=width, zorder=zorder)

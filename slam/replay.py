@@ -28,8 +28,8 @@ from logs.selection import Selection, select_topics
 from logs.topics import RecordKind
 from logs.writer import LogWriter, partial_path
 from slam.config import Config
-from slam.errors import SavedMapError
-from slam.saved_map import SavedMap, save_map
+from slam.errors import InputDataError, SavedMapError
+from slam.saved_map import METADATA, SavedMap, save_map
 from slam.system import FinalMap, Slam
 
 _TOPICS: Mapping[type[Record], str] = {
@@ -52,7 +52,9 @@ class ReplaySummary:
 
     ``longest_stall_s``: the longest time that one message took; ``solver_s``: time inside GTSAM;
     ``closing_median_s``: what looking for loops takes at a keyframe. ``fixes_s``, ``fixes_m``: after what time, and
-    after what travel, a robot that was lost knew where it is.
+    after what travel, a robot that was lost knew where it is. ``keyframes_not_saved``: those that only a break of the
+    odometry ties to the map that was saved, and that are not in it. ``tracked_share``: of the odometry's poses those
+    that were known in the map when they came.
     """
 
     counters: dict[str, int]
@@ -64,6 +66,8 @@ class ReplaySummary:
     final_status: str
     fixes_s: tuple[float, ...] = ()
     fixes_m: tuple[float, ...] = ()
+    keyframes_not_saved: int = 0
+    tracked_share: float = 0.0
 
 
 def replay(
@@ -93,18 +97,24 @@ def replay(
         LogError: the input cannot be read or the output cannot be written.
         SlamError: the input cannot be mapped, or the given map was not recognised and none is saved.
     """
+    if map_path is not None and earlier is not None and not extend:
+        raise SavedMapError(
+            f"the given map stays as it is, so {map_path} would say nothing new; extend it, or save none"
+        )
     started = time.perf_counter()
     with LogReader(source) as reader:
         for path in (output, partial_path(output)):
             if path.exists() and path.samefile(source):
                 raise UnwritableLogError(f"writing {output} would overwrite the input {source}; give another output")
+        if METADATA in reader.metadata():
+            raise InputDataError(f"{source} is a saved map, not a drive; give it as --map, and the log of a drive here")
         selection = select_topics(reader.topics(), topics)
         copied = {topic for kind in _COPIED for topic in selection.topics_of(kind)}
         copied |= set(selection.topics_of(RecordKind.TRANSFORMS)) - {_TOPICS[Transform]}
         mapped = Selection({topic: kinds for topic, kinds in selection.kinds.items() if set(kinds) & set(_MAPPED)})
         first_ns, last_ns = _span(reader, mapped)
         slam = Slam(config, earlier, extend=extend)
-        longest_stall_s = 0.0
+        longest_stall_s, tracked = 0.0, 0
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output) as writer:
             provenance = _provenance(reader, config, selection)
@@ -117,6 +127,7 @@ def replay(
                     for update in slam.process(record):
                         # Everything is logged on the clock of the input, whatever its stamps are.
                         writer.write(_TOPICS[type(update)], update, item.raw.log_time_ns)
+                        tracked += isinstance(update, SlamPose)
                 longest_stall_s = max(longest_stall_s, time.perf_counter() - before)
                 if progress is not None:
                     done = (item.raw.log_time_ns - first_ns) / max(last_ns - first_ns, 1)
@@ -129,8 +140,9 @@ def replay(
                 f"the given map was never recognised, so {map_path} would hold two places laid over each other and was "
                 f"not written; {output} is complete"
             )
+        unsaved = 0
         if map_path is not None:
-            save_map(map_path, final.object_map, final.graph, final.markers, provenance)
+            unsaved = save_map(map_path, final.object_map, final.graph, final.markers, provenance, earlier=earlier)
     return ReplaySummary(
         counters=dict(final.status.counters),
         log_s=(last_ns - first_ns) * 1e-9,
@@ -141,6 +153,8 @@ def replay(
         final_status=final.status.message,
         fixes_s=tuple((fix.stamp_ns - slam.first_stamp_ns) * 1e-9 for fix in slam.fixes),
         fixes_m=tuple(fix.travel_m for fix in slam.fixes),
+        keyframes_not_saved=unsaved,
+        tracked_share=tracked / max(final.status.counters.get("odometry_used", 0), 1),
     )
 
 

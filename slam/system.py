@@ -28,6 +28,7 @@ from logs.messages import (
     TrajectoryRecord,
     Transform,
 )
+from slam.coincidence import merge_coincident
 from slam.config import Config
 from slam.earlier_session import SEGMENT, restore
 from slam.errors import FactorGraphError, InputDataError
@@ -91,6 +92,7 @@ class Slam:
         self._graph = FactorGraph(config.factor_graph)
         known = restore(earlier, self._object_map, self._graph, fixed=not extend) if earlier is not None else []
         self._first_keyframe = len(known)
+        self._extends = extend
         self._mapper = Mapper(config, self._object_map, self._graph, known)
         self._closer = LoopCloser(config, self._object_map, self._graph, self._mapper.keyframes)
         self._waiting: list[tuple[int, int, ObjectDetections]] = []
@@ -157,9 +159,11 @@ class Slam:
         self.counters["detections_without_odometry"] += len(self._waiting)
         self._mapper.close_keyframe()
         withdrawn, complaint = self._closer.finish()
-        if self._first_keyframe:
+        if self._first_keyframe and self._extends:
             self._mapper.retire_gone(self._closer.missing_landmarks())
         optimization = self._graph.optimize()
+        if self._extends and self._merge_coincident():
+            optimization = self._graph.optimize()
         self.counters["batch_iterations"] = optimization.iterations
         message = "optimised" if optimization.converged else (
             f"the final optimisation did not converge in {optimization.iterations} iterations"
@@ -184,6 +188,14 @@ class Slam:
             markers=self._markers(confirmed, self._object_map.rows["position_map"][confirmed], replaces=True),
             status=self._status(message, level=level),
         )
+
+    def _merge_coincident(self) -> int:
+        """Make one of the landmarks that turned out to stand at one place; returns how many lost their names."""
+        tied = [keyframe.id for keyframe in self._mapper.keyframes if self._closer.knows_where(keyframe)]
+        radius_m = 2.0 * self._config.submap.landmark_sigma_m
+        merged = merge_coincident(self._object_map, self._graph, tied, radius_m=radius_m)
+        self.counters["landmarks_merged_at_the_end"] = merged
+        return merged
 
     def _follow(self, odometry: Odometry) -> list[Record]:
         self._body_frame, self._odom_frame = odometry.child_frame_id, odometry.frame_id

@@ -44,7 +44,9 @@ class Query:
         """Travel up to the keyframe."""
         return self.keyframe.odometry.travel_m
 
-    def refusal(self, stage: Stage, reason: str, reference: Keyframe | None = None) -> LoopClosureRecord:
+    def refusal(
+        self, stage: Stage, reason: str, reference: Keyframe | None = None, *, rank: int = 0
+    ) -> LoopClosureRecord:
         """The verdict on a candidate that never got a pose."""
         return LoopClosureRecord(
             stamp_ns=self.keyframe.odometry.stamp_ns,
@@ -55,6 +57,7 @@ class Query:
             reason=reason,
             retrieval_distance=float("inf"),
             reference_stamp_ns=reference.odometry.stamp_ns if reference else 0,
+            rank=rank,
         )
 
 
@@ -106,15 +109,16 @@ class Verifier:
             reference_sigmas=surroundings.sigmas,
         )
         if registration.T_reference_query is None:
-            return query.refusal(Stage.REGISTRATION, registration.reason, reference)
+            return query.refusal(Stage.REGISTRATION, registration.reason, reference, rank=place.rank)
         reference = self._nearest(replace(place, T_odom_query=registration.T_reference_query), query)
         if reference is None:
-            return query.refusal(Stage.REGISTRATION, f"no earlier keyframe within {MAX_REFERENCE_M:g} m of the place")
+            reason = f"no earlier keyframe within {MAX_REFERENCE_M:g} m of the place"
+            return query.refusal(Stage.REGISTRATION, reason, rank=place.rank)
         limits = self._config.loop_closure
         least = limits.min_objects if leader == NOWHERE else limits.supported_objects
         if len(registration.pairs) < least:
             reason = f"{len(registration.pairs)} objects meet, fewer than {least}"
-            return query.refusal(Stage.REGISTRATION, reason, reference)
+            return query.refusal(Stage.REGISTRATION, reason, reference, rank=place.rank)
         return self._candidate(query, place, surroundings, registration, reference, leader)
 
     def can_both_hold(self, a: Candidate, b: Candidate) -> bool:
@@ -161,7 +165,15 @@ class Verifier:
         T_odom_gravity, covariance = registration.T_reference_query, registration.covariance
         assert T_odom_gravity is not None
         assert covariance is not None
-        evidence = weigh(query.submap, surroundings, T_odom_gravity, registration.pairs, self._config.evidence)
+        crosses_break = reference.odometry.segment != query.keyframe.odometry.segment
+        evidence = weigh(
+            query.submap,
+            surroundings,
+            T_odom_gravity,
+            registration.pairs,
+            self._config.evidence,
+            self._finder.class_shares() if crosses_break else None,
+        )
         # The query's tilt is the odometry's; the registration is upright.
         T_gravity_body = invert(query.T_odom_gravity) @ query.keyframe.odometry.T_odom_body
         T_reference_query = invert(reference.odometry.T_odom_body) @ T_odom_gravity @ T_gravity_body
@@ -185,6 +197,7 @@ class Verifier:
             doubt_nats=doubt_nats(T_predicted, T_reference_query, sigmas, self._config.loop_closure),
             retrieval_distance=place.retrieval_distance,
             leader=leader,
+            rank=place.rank,
         )
 
     def _covariance(self, registered: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from logs.errors import LogError
-from logs.messages import ObjectDetections, Odometry, Record, StatusRecord
+from logs.messages import FactorGraphRecord, ObjectDetections, ObjectMapRecord, Odometry, Record, StatusRecord
 from logs.reader import LogReader
 from logs.selection import select_all
 from logs.topics import RawMessage
@@ -20,6 +20,7 @@ from slam.evaluation.evaluation import Evaluation
 from slam.evaluation.gather import evaluate
 from slam.evaluation.records import read_records
 from slam.replay import ReplaySummary, replay
+from slam.saved_map import GRAVITY, METADATA
 from slam.simulation.config import OdometryConfig, SensorConfig, SimulationConfig
 from slam.simulation.simulation import simulate
 from slam.simulation.world import World
@@ -90,6 +91,16 @@ def write_log(path: Path, entries: Iterable[Entry]) -> Path:
     with LogWriter(path) as writer:
         for topic, log_time_ns, record in entries:
             writer.write(topic, record, log_time_ns)
+    return path
+
+
+def write_map(path: Path, objects: ObjectMapRecord, graph: FactorGraphRecord, *, twice: bool = False) -> Path:
+    """A map file without any of the checks of ``save_map``."""
+    with LogWriter(path) as writer:
+        writer.add_metadata(METADATA, {"format_version": "1", "gravity": GRAVITY})
+        for _ in range(1 + twice):
+            writer.write("/map/objects", objects, 0)
+        writer.write("/map/graph", graph, 0)
     return path
 
 

@@ -194,3 +194,28 @@ def test_nothing_seen_or_nothing_known_is_no_evidence(seen, known):
     assert evidence.total == 0.0
     assert evidence.matched_fraction == 0.0
     assert len(evidence.nats) == seen
+
+
+def test_where_none_stands_around_a_rare_class_says_more_than_a_common_one():
+    positions, _ = scattered(20, seed=3)
+    labels = np.zeros(20, dtype=np.int64)
+    labels[0] = 1
+    query = submap(apply(invert(T_REFERENCE_QUERY), positions[:1]), labels[:1])
+    reference = submap(positions, labels)
+    pairs = each_with_its_own(1)
+
+    def nats(*shares: float) -> float:
+        return weigh(query, reference, T_REFERENCE_QUERY, pairs, CONFIG, np.array(shares)).total
+
+    plain = weigh(query, reference, T_REFERENCE_QUERY, pairs, CONFIG).total
+    assert nats(0.99, 0.01) > nats(0.8, 0.2) > nats(0.01, 0.99) > plain
+    # However rare, no more than a class of which a hectare has one.
+    assert nats(1.0, 0.0) < plain + np.log(0.5 / 1e-4 / AROUND_AREA_M2 + 1.0) + 1e-6
+
+
+def test_where_others_of_the_class_stand_around_its_share_in_the_map_does_not_matter():
+    positions = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
+    query, reference = submap(positions[:1]), submap(positions)
+    alone = weigh(query, reference, np.eye(4), each_with_its_own(1), CONFIG)
+    rare = weigh(query, reference, np.eye(4), each_with_its_own(1), CONFIG, np.array([0.001]))
+    assert rare.total == alone.total

@@ -7,11 +7,11 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from slam.benchmarks import exhaustive_search
-from slam.benchmarks.class_raster import make_class_raster
-from slam.benchmarks.exhaustive_search import ExhaustiveSearch
+from slam import exhaustive_search
+from slam.class_raster import make_class_raster
 from slam.config import RegistrationConfig
 from slam.errors import GeometryError
+from slam.exhaustive_search import ExhaustiveSearch
 from slam.geometry import FloatArray, IntArray, apply, invert, make_transform, transform_from_xyz_yaw, yaw_rad
 from slam.registration import refine_many
 from slam.registration_estimate import Registration

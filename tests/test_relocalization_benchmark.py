@@ -12,11 +12,17 @@ import pytest
 
 from logs.messages import Record, SlamPose
 from slam.benchmarks.kidnaps import BESIDE_M, Kidnap, change_world, draw_kidnaps, worsen
-from slam.benchmarks.relocalization import KnownMap, Search, benchmark_relocalization, map_tour, relocalize, search_all
+from slam.benchmarks.known_map import KnownMap
+from slam.benchmarks.relocalization import (
+    TOLERANCE,
+    Search,
+    benchmark_relocalization,
+    map_tour,
+    relocalize,
+    search_all,
+)
 from slam.benchmarks.relocalization_figures import (
     RECOVERED_WITHIN_M,
-    RIGHT_DEG,
-    RIGHT_M,
     Outcome,
     RelocalizationBenchmark,
     Verdict,
@@ -76,8 +82,8 @@ def test_on_a_furnished_block_everybody_is_found(outcomes: list[Outcome], kidnap
         assert (outcome.number, outcome.start_m, outcome.is_along) == (kidnap.number, kidnap.start_m, kidnap.is_along)
         assert outcome.error_m is not None
         assert outcome.error_deg is not None
-        assert 0.0 < outcome.error_m <= RIGHT_M
-        assert outcome.error_deg <= RIGHT_DEG
+        assert 0.0 < outcome.error_m <= TOLERANCE.metres
+        assert outcome.error_deg <= TOLERANCE.degrees
         assert outcome.later_right
         assert outcome.local_error_m is not None
         assert outcome.local_error_m <= outcome.error_m + known.ate_m + 0.5
@@ -172,7 +178,7 @@ def test_what_is_believed_after_the_fix_is_told_apart_from_it(
     monkeypatch: pytest.MonkeyPatch,
 ):
     plain = relocalize(search, kidnaps[0])
-    monkeypatch.setattr("slam.benchmarks.relocalization.Slam", kind)
+    monkeypatch.setattr("slam.benchmarks.relocalization_trial.Slam", kind)
     outcome = relocalize(search, kidnaps[0])
     assert outcome.later_right is later_right
     assert plain.later_right is True
@@ -246,10 +252,11 @@ def test_deviation_is_in_the_plane_and_the_shorter_way_round():
 
 
 def test_verdicts_at_their_limits():
-    assert judge(RECOVERED_WITHIN_M, (RIGHT_M, RIGHT_DEG)) == Verdict.RECOVERED
-    assert judge(RECOVERED_WITHIN_M + 0.1, (RIGHT_M, RIGHT_DEG)) == Verdict.LATE
-    assert judge(1.0, (RIGHT_M + 0.1, 0.0)) == Verdict.WRONG
-    assert judge(1.0, (0.0, RIGHT_DEG + 0.1)) == Verdict.WRONG
+    metres, degrees = TOLERANCE.metres, TOLERANCE.degrees
+    assert judge(RECOVERED_WITHIN_M, (metres, degrees), TOLERANCE) == Verdict.RECOVERED
+    assert judge(RECOVERED_WITHIN_M + 0.1, (metres, degrees), TOLERANCE) == Verdict.LATE
+    assert judge(1.0, (metres + 0.1, 0.0), TOLERANCE) == Verdict.WRONG
+    assert judge(1.0, (0.0, degrees + 0.1), TOLERANCE) == Verdict.WRONG
 
 
 def made_up(verdict: Verdict, distance_m: float | None, later_right: bool | None, **more: object) -> Outcome:
@@ -265,6 +272,7 @@ def made_up(verdict: Verdict, distance_m: float | None, later_right: bool | None
         error_deg=error_m,
         local_error_m=error_m if verdict == Verdict.WRONG and distance_m == 2.0 else distance_m and 0.1,
         local_error_deg=distance_m and 0.1,
+        is_misplaced=None if distance_m is None else verdict == Verdict.WRONG and distance_m == 2.0,
         later_right=later_right,
         refusals={},
         best_refusal="",

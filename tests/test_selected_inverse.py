@@ -40,3 +40,22 @@ def test_entries_that_cancel_are_put_back():
 def test_a_matrix_without_an_inverse_that_is_a_covariance_is_refused(matrix):
     with pytest.raises(np.linalg.LinAlgError):
         diagonal_blocks_of_inverse(sparse.csc_array(matrix), np.array([0, 1]))
+
+
+def test_rows_of_one_owner_need_not_be_coupled():
+    dense = np.diag(np.arange(1.0, 7.0))
+    dense[0, 5] = dense[5, 0] = 0.3
+    owners = np.array([0, 0, 0, 1, 1, 1])
+    rows, columns, values = diagonal_blocks_of_inverse(sparse.csc_array(dense), owners)
+    assert len(rows) == 12
+    np.testing.assert_allclose(values, np.linalg.inv(dense)[rows, columns], rtol=1e-12, atol=1e-15)
+
+
+def test_a_small_imaginary_part_gives_the_derivative_of_the_inverse():
+    rng = np.random.default_rng(7)
+    matrix, change = (information(rng, blocks=20, size=3, rows=60, density=0.02) for _ in range(2))
+    owners = np.repeat(np.arange(20), 3)
+    rows, columns, values = diagonal_blocks_of_inverse(sparse.csc_array(matrix + 1e-12j * change), owners)
+    inverse = np.linalg.inv(matrix.toarray())
+    expected = -inverse @ change.toarray() @ inverse
+    np.testing.assert_allclose(values.imag / 1e-12, expected[rows, columns], rtol=1e-8, atol=1e-12)

@@ -3,21 +3,38 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tools.arguments import ConfigFile, Json, Settings
+from tools.arguments import ConfigFile, Json, Settings, Topics, parse_topics
 
 if TYPE_CHECKING:
+    from slam.benchmarks.logged_relocalization import LoggedRelocalization
     from slam.benchmarks.relocalization_figures import Figures, RelocalizationBenchmark
+    from slam.config import Config
 
 HEADINGS = ("drives", "found", "late", "wrong", "lost", "m", "95 %", "s", "off m", "95 % off", "deg", "kept")
 
 
 def relocalization(
-    objects: Annotated[Path, typer.Option(metavar="CSV", help="Objects of a world: x_m,y_m,z_m,class,id.")],
-    trajectory: Annotated[Path, typer.Option(metavar="CSV", help="Tour that is mapped: x_m,y_m.")],
+    objects: Annotated[
+        Path | None, typer.Option(metavar="CSV", help="Objects of a world: x_m,y_m,z_m,class,id.", show_default=False)
+    ] = None,
+    trajectory: Annotated[
+        Path | None, typer.Option(metavar="CSV", help="Tour that is mapped: x_m,y_m.", show_default=False)
+    ] = None,
+    log: Annotated[
+        Path | None,
+        typer.Option(metavar="LOG.mcap", help="A real drive with its truth instead of a world.", show_default=False),
+    ] = None,
+    map_until: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", min=1.0, help="With --log: what makes the map ends there.", show_default=False),
+    ] = None,
+    right: Annotated[
+        tuple[float, float], typer.Option(metavar="METRES DEGREES", help="With --log: most error of a right fix.")
+    ] = (4.0, 10.0),
     kidnaps: Annotated[int, typer.Option(min=1, help="How often the robot is carried off.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the map, the places and all errors.")] = 0,
     noise: Annotated[
@@ -29,9 +46,10 @@ def relocalization(
     max_travel: Annotated[
         float, typer.Option("--max-travel", metavar="METRES", min=5.0, help="How long each drive is.")
     ] = 60.0,
-    jobs: Annotated[int, typer.Option(min=1, help="Processes that search at a time.")] = 1,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes that search at a time; with --log one.")] = 1,
     config_file: ConfigFile = None,
     settings: Settings = None,
+    topics: Topics = None,
     json: Json = False,
 ) -> None:
     """Map a tour, carry the robot off to random places of it, and tell how soon it knows where it is.
@@ -40,33 +58,111 @@ def relocalization(
     fix within 40 m that is right to 1 m and 3 deg; late: a right one after that; wrong: any other; lost: none at all.
     Distance and time are medians of right fixes, errors of all fixes; kept: right fixes that are still right 10 m on.
 
-    Example: dslam benchmark relocalization --objects objects.csv --trajectory trajectory.csv --noise 2 --changed 0.1
-    """
-    from dataclasses import asdict
+    With --log the first part of a real drive makes the map, and the robot is put down at places of the rest, evenly
+    spread: some where the map has been, and some where it has not, at which it must not be found.
 
-    from slam.benchmarks.relocalization import benchmark_relocalization
+    Example: dslam benchmark relocalization --objects objects.csv --trajectory trajectory.csv --noise 2 --changed 0.1
+
+    Example: dslam benchmark relocalization --log kitti00.mcap --map-until 311 --kidnaps 40
+    """
     from slam.config import load_config
+
+    chosen = parse_topics(topics)
+    config = load_config(config_file, settings or ())
+    if log is not None:
+        if objects is not None or trajectory is not None or map_until is None:
+            raise typer.BadParameter(
+                "it goes with --map-until, and without --objects and --trajectory.", param_hint="--log"
+            )
+        _run_log(log, config, map_until, kidnaps, max_travel, right, chosen, as_json=json)
+        return
+    if objects is None or trajectory is None:
+        raise typer.BadParameter("give both, or --log with --map-until.", param_hint="--objects and --trajectory")
+    conditions = {"seed": seed, "noise": noise, "changed": changed, "max_travel_m": max_travel}
+    _run_world(objects, trajectory, config, kidnaps, jobs, conditions, as_json=json)
+
+
+def _run_world(
+    objects: Path,
+    trajectory: Path,
+    config: Config,
+    kidnaps: int,
+    jobs: int,
+    conditions: dict[str, Any],
+    *,
+    as_json: bool,
+) -> None:
+    from slam.benchmarks.relocalization import benchmark_relocalization
     from slam.simulation.world import load_world
     from tools import console
 
+    world = load_world(objects, trajectory)
     with console.progress_bar("carrying off", "carrying off") as move:
-        result = benchmark_relocalization(
-            load_world(objects, trajectory),
-            load_config(config_file, settings or ()),
+        result = benchmark_relocalization(world, config, kidnaps=kidnaps, jobs=jobs, on_progress=move, **conditions)
+    if as_json:
+        _show_json(result, conditions)
+    else:
+        _show(result, f"noise x {conditions['noise']:g}, {100 * conditions['changed']:g} % of the objects changed")
+
+
+def _run_log(
+    log: Path,
+    config: Config,
+    map_until_s: float,
+    kidnaps: int,
+    max_travel_m: float,
+    right: tuple[float, float],
+    topics: dict[str, str],
+    *,
+    as_json: bool,
+) -> None:
+    from dataclasses import asdict
+
+    from slam.benchmarks.logged_relocalization import benchmark_log
+    from slam.benchmarks.relocalization_figures import Tolerance
+    from tools import console
+
+    with console.progress_bar("carrying off", "carrying off") as move:
+        result = benchmark_log(
+            log,
+            config,
+            map_until_s=map_until_s,
             kidnaps=kidnaps,
-            seed=seed,
-            noise=noise,
-            changed=changed,
-            max_travel_m=max_travel,
-            jobs=jobs,
+            max_travel_m=max_travel_m,
+            tolerance=Tolerance(*right),
+            topics=topics,
             on_progress=move,
         )
-    if json:
-        conditions = {"seed": seed, "noise": noise, "changed": changed, "max_travel_m": max_travel}
-        told = asdict(result)
-        console.show_json({**told.pop("total"), **conditions, **told})
-    else:
-        _show(result, f"noise x {noise:g}, {100 * changed:g} % of the objects changed")
+    if as_json:
+        elsewhere = {
+            "elsewhere_kidnaps": len(result.elsewhere),
+            "elsewhere_fixes": result.false_fixes,
+            "elsewhere_outcomes": [asdict(each) for each in result.elsewhere],
+        }
+        _show_json(
+            result.mapped, {"map_until_s": map_until_s, "max_travel_m": max_travel_m, "right": list(right), **elsewhere}
+        )
+        return
+    _show(result.mapped, f"right within {right[0]:g} m and {right[1]:g} deg")
+    _show_elsewhere(result)
+
+
+def _show_json(result: RelocalizationBenchmark, conditions: dict[str, Any]) -> None:
+    from dataclasses import asdict
+
+    from tools import console
+
+    told = asdict(result)
+    console.show_json({**told.pop("total"), **conditions, **told})
+
+
+def _show_elsewhere(result: LoggedRelocalization) -> None:
+    from tools import console
+
+    if not result.elsewhere:
+        console.show("the rest of the drive was never far from the map, so nothing can be said of fixes elsewhere")
+        return
+    console.show(f"where the map has never been: {result.false_fixes} false fixes in {len(result.elsewhere)} drives")
 
 
 def _show(result: RelocalizationBenchmark, conditions: str) -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from datetime import UTC, datetime
 from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tools import info_map
 from tools.arguments import InputLog, Json, Topics, parse_topics
 
 if TYPE_CHECKING:
@@ -50,12 +52,16 @@ def info(
 
     wanted = closures or every or keyframe is not None
     candidates = [c for c in summary.closure_candidates if keyframe in (None, c.query_keyframe_id)]
+    is_map = info_map.METADATA in summary.metadata
     if json:
         listed = {"closure_candidates": [_plain_candidate(summary, c) for c in candidates]} if wanted else {}
-        console.show_json({**_plain(summary), **listed})
+        plain_map = {"map": info_map.plain_map(log)} if is_map else {}
+        console.show_json({**_plain(summary), **plain_map, **listed})
         return
     if keyframe is None:
         _show(summary)
+        if is_map:
+            info_map.show_map(log, datetime.now(UTC))
     if wanted:
         _show_closures(summary, candidates, keyframe, most=len(candidates) if every else _MOST_CANDIDATES)
 
@@ -121,6 +127,8 @@ def _show(summary: LogSummary) -> None:
         rows["status"] = f"{summary.status.level}: {summary.status.message}"
         rows["counters"] = ", ".join(f"{name} {count}" for name, count in summary.status.counters.items())
     for name, values in summary.metadata.items():
+        if name == info_map.METADATA:
+            values = {key: value for key, value in values.items() if key not in info_map.SHOWN}
         rows |= {f"{name}: {key}": _shortened(name, key, value) for key, value in values.items()}
     console.show(console.pairs(rows))
 
@@ -144,6 +152,8 @@ def _show_closures(
 
 
 def _obstacle(summary: LogSummary) -> str:
+    if info_map.METADATA in summary.metadata:
+        return info_map.OBSTACLE
     if "dslam" in summary.metadata:
         return "this is the map of another log; replay that one"
     return summary.obstacle.partition(" Topics of the log:")[0]  # they stand above

@@ -118,8 +118,18 @@ def _factor_graph(r: Any, kind: RecordKind, log_time_ns: int, counters: Counter[
             observation_covariances=_finite(
                 matrix_rows(r.observation_covariances, o, 9, "observation_covariances"), "observation_covariances"
             ).reshape(o, 3, 3),
+            pose_covariances=_finite(
+                matrix_rows(r.pose_covariances, k if len(r.pose_covariances) else 0, 36, "pose_covariances"),
+                "pose_covariances",
+            ).reshape(-1, 6, 6),
+            observation_redundancies=_redundancies(r.observation_redundancies, o),
         ),
     )
+
+
+def _redundancies(values: Sequence[float], count: int) -> m.FloatArray:
+    given = count if len(values) else 0
+    return _finite(matrix_rows(values, given, 1, "observation_redundancies"), "observation_redundancies").reshape(-1)
 
 
 def _optional_transform(values: Sequence[float], what: str) -> FloatArray | None:
@@ -149,6 +159,7 @@ def _loop_closure(r: Any, kind: RecordKind, log_time_ns: int, counters: Counter[
             covariance=_optional_covariance(r.covariance, counters),
             reference_stamp_ns=r.reference_stamp_ns,
             inserted=r.inserted,
+            rank=r.rank,
         ),
     )
 

@@ -85,7 +85,7 @@ class Trajectory(_message.Message):
     def __init__(self, stamp_ns: _Optional[int] = ..., frame_id: _Optional[str] = ..., stamps_ns: _Optional[_Iterable[int]] = ..., map_body: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class FactorGraph(_message.Message):
-    __slots__ = ("stamp_ns", "keyframe_ids", "keyframe_stamps_ns", "map_body", "edge_keyframe_ids", "edge_from_to", "edge_covariances", "edge_kinds", "observation_keyframe_ids", "observation_landmark_ids", "observation_positions", "observation_covariances")
+    __slots__ = ("stamp_ns", "keyframe_ids", "keyframe_stamps_ns", "map_body", "edge_keyframe_ids", "edge_from_to", "edge_covariances", "edge_kinds", "observation_keyframe_ids", "observation_landmark_ids", "observation_positions", "observation_covariances", "pose_covariances", "observation_redundancies")
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     KEYFRAME_IDS_FIELD_NUMBER: _ClassVar[int]
     KEYFRAME_STAMPS_NS_FIELD_NUMBER: _ClassVar[int]
@@ -98,6 +98,8 @@ class FactorGraph(_message.Message):
     OBSERVATION_LANDMARK_IDS_FIELD_NUMBER: _ClassVar[int]
     OBSERVATION_POSITIONS_FIELD_NUMBER: _ClassVar[int]
     OBSERVATION_COVARIANCES_FIELD_NUMBER: _ClassVar[int]
+    POSE_COVARIANCES_FIELD_NUMBER: _ClassVar[int]
+    OBSERVATION_REDUNDANCIES_FIELD_NUMBER: _ClassVar[int]
     stamp_ns: int
     keyframe_ids: _containers.RepeatedScalarFieldContainer[int]
     keyframe_stamps_ns: _containers.RepeatedScalarFieldContainer[int]
@@ -110,10 +112,12 @@ class FactorGraph(_message.Message):
     observation_landmark_ids: _containers.RepeatedScalarFieldContainer[str]
     observation_positions: _containers.RepeatedScalarFieldContainer[float]
     observation_covariances: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, stamp_ns: _Optional[int] = ..., keyframe_ids: _Optional[_Iterable[int]] = ..., keyframe_stamps_ns: _Optional[_Iterable[int]] = ..., map_body: _Optional[_Iterable[float]] = ..., edge_keyframe_ids: _Optional[_Iterable[int]] = ..., edge_from_to: _Optional[_Iterable[float]] = ..., edge_covariances: _Optional[_Iterable[float]] = ..., edge_kinds: _Optional[_Iterable[str]] = ..., observation_keyframe_ids: _Optional[_Iterable[int]] = ..., observation_landmark_ids: _Optional[_Iterable[str]] = ..., observation_positions: _Optional[_Iterable[float]] = ..., observation_covariances: _Optional[_Iterable[float]] = ...) -> None: ...
+    pose_covariances: _containers.RepeatedScalarFieldContainer[float]
+    observation_redundancies: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, stamp_ns: _Optional[int] = ..., keyframe_ids: _Optional[_Iterable[int]] = ..., keyframe_stamps_ns: _Optional[_Iterable[int]] = ..., map_body: _Optional[_Iterable[float]] = ..., edge_keyframe_ids: _Optional[_Iterable[int]] = ..., edge_from_to: _Optional[_Iterable[float]] = ..., edge_covariances: _Optional[_Iterable[float]] = ..., edge_kinds: _Optional[_Iterable[str]] = ..., observation_keyframe_ids: _Optional[_Iterable[int]] = ..., observation_landmark_ids: _Optional[_Iterable[str]] = ..., observation_positions: _Optional[_Iterable[float]] = ..., observation_covariances: _Optional[_Iterable[float]] = ..., pose_covariances: _Optional[_Iterable[float]] = ..., observation_redundancies: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class LoopClosure(_message.Message):
-    __slots__ = ("stamp_ns", "query_keyframe_id", "reference_keyframe_id", "accepted", "stage", "reason", "retrieval_distance", "inlier_count", "inlier_fraction", "score", "reference_query", "covariance", "reference_stamp_ns", "inserted")
+    __slots__ = ("stamp_ns", "query_keyframe_id", "reference_keyframe_id", "accepted", "stage", "reason", "retrieval_distance", "inlier_count", "inlier_fraction", "score", "reference_query", "covariance", "reference_stamp_ns", "inserted", "rank")
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     QUERY_KEYFRAME_ID_FIELD_NUMBER: _ClassVar[int]
     REFERENCE_KEYFRAME_ID_FIELD_NUMBER: _ClassVar[int]
@@ -128,6 +132,7 @@ class LoopClosure(_message.Message):
     COVARIANCE_FIELD_NUMBER: _ClassVar[int]
     REFERENCE_STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     INSERTED_FIELD_NUMBER: _ClassVar[int]
+    RANK_FIELD_NUMBER: _ClassVar[int]
     stamp_ns: int
     query_keyframe_id: int
     reference_keyframe_id: int
@@ -142,7 +147,8 @@ class LoopClosure(_message.Message):
     covariance: _containers.RepeatedScalarFieldContainer[float]
     reference_stamp_ns: int
     inserted: bool
-    def __init__(self, stamp_ns: _Optional[int] = ..., query_keyframe_id: _Optional[int] = ..., reference_keyframe_id: _Optional[int] = ..., accepted: bool = ..., stage: _Optional[str] = ..., reason: _Optional[str] = ..., retrieval_distance: _Optional[float] = ..., inlier_count: _Optional[int] = ..., inlier_fraction: _Optional[float] = ..., score: _Optional[float] = ..., reference_query: _Optional[_Iterable[float]] = ..., covariance: _Optional[_Iterable[float]] = ..., reference_stamp_ns: _Optional[int] = ..., inserted: bool = ...) -> None: ...
+    rank: int
+    def __init__(self, stamp_ns: _Optional[int] = ..., query_keyframe_id: _Optional[int] = ..., reference_keyframe_id: _Optional[int] = ..., accepted: bool = ..., stage: _Optional[str] = ..., reason: _Optional[str] = ..., retrieval_distance: _Optional[float] = ..., inlier_count: _Optional[int] = ..., inlier_fraction: _Optional[float] = ..., score: _Optional[float] = ..., reference_query: _Optional[_Iterable[float]] = ..., covariance: _Optional[_Iterable[float]] = ..., reference_stamp_ns: _Optional[int] = ..., inserted: bool = ..., rank: _Optional[int] = ...) -> None: ...
 
 class Relocalization(_message.Message):
     __slots__ = ("stamp_ns", "success", "reason", "map_body", "covariance", "inlier_count", "score")

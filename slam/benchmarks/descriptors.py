@@ -11,10 +11,10 @@ from threadpoolctl import threadpool_limits
 
 from descriptors.index import Matches
 from descriptors.registry import make_index
-from slam.benchmarks.exhaustive_search import ExhaustiveSearch
 from slam.benchmarks.localization_queries import SCENARIOS, LocalQuery, Scenario, draw_queries
 from slam.config import RegistrationConfig
 from slam.errors import SimulationError
+from slam.exhaustive_search import ExhaustiveSearch
 from slam.geometry import FloatArray
 from slam.global_localization import GlobalLocalizer, LabelledMap
 from slam.registration_estimate import Registration

@@ -10,13 +10,23 @@ import numpy as np
 
 from slam.geometry import FloatArray, invert, yaw_rad
 
-RIGHT_M, RIGHT_DEG = 1.0, 3.0
-"""A fix that is no farther from the truth is right."""
 RECOVERED_WITHIN_M = 40.0
 """Travel within which a right fix is a success."""
 HOLDS_FOR_M = 10.0
 """Travel after which it is seen whether a fix is still believed."""
 OBJECTS_IN_VIEW = ((0, 4), (5, 9), (10, 19), (20, None))
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """A fix that is no farther from the truth, in the plane and in heading, is right."""
+
+    metres: float
+    degrees: float
+
+    def allows(self, error_m: float, error_deg: float) -> bool:
+        """Whether a fix with these errors is right."""
+        return error_m <= self.metres and error_deg <= self.degrees
 
 
 class Verdict(StrEnum):
@@ -34,7 +44,8 @@ class Outcome:
 
     ``objects``: within the sensor's range of the place where it began; ``distance_m`` and ``seconds`` from there to the
     first fix, and its errors in the plane and in heading: None without a fix. ``local_error_m``, ``local_error_deg``:
-    without the distortion of the map, which is taken at its word about where its own drive was nearby. ``later_right``:
+    without the distortion of the map, which is taken at its word about where its own drive was nearby; by these it
+    ``is_misplaced``, if they are too large. ``later_right``:
     whether the estimate is right 10 m after the fix, or at the end of the drive; None if the robot then knows that it
     is lost. ``refusals``: candidates refused before the fix, by stage; ``best_refusal``: that with the highest
     score, and why. ``load_s``: from the saved map to the end of the first search; ``query_ms``: each search after that
@@ -52,6 +63,7 @@ class Outcome:
     error_deg: float | None
     local_error_m: float | None
     local_error_deg: float | None
+    is_misplaced: bool | None
     later_right: bool | None
     refusals: dict[str, int]
     best_refusal: str
@@ -112,14 +124,9 @@ def deviation(T_world_body_est: FloatArray, T_world_body_gt: FloatArray) -> tupl
     return float(np.hypot(*offset)), abs(float(np.rad2deg(turn_rad)))
 
 
-def is_right(error_m: float, error_deg: float) -> bool:
-    """Whether a fix with these errors is right."""
-    return error_m <= RIGHT_M and error_deg <= RIGHT_DEG
-
-
-def judge(distance_m: float, errors: tuple[float, float]) -> Verdict:
+def judge(distance_m: float, errors: tuple[float, float], tolerance: Tolerance) -> Verdict:
     """The verdict on a fix after so much travel, with errors in metres and degrees."""
-    if not is_right(*errors):
+    if not tolerance.allows(*errors):
         return Verdict.WRONG
     return Verdict.RECOVERED if distance_m <= RECOVERED_WITHIN_M else Verdict.LATE
 
@@ -159,7 +166,7 @@ def figures(outcomes: Sequence[Outcome]) -> Figures:
         late_rate=shares[Verdict.LATE],
         wrong_rate=shares[Verdict.WRONG],
         not_found_rate=shares[Verdict.NOT_FOUND],
-        misplaced_rate=_share(_is_misplaced(each) for each in outcomes),
+        misplaced_rate=_share(each.is_misplaced is True for each in outcomes),
         median_distance_m=_percentile((each.distance_m for each in right), 50.0),
         p95_distance_m=_percentile((each.distance_m for each in right), 95.0),
         median_seconds=_percentile((each.seconds for each in right), 50.0),
@@ -170,12 +177,6 @@ def figures(outcomes: Sequence[Outcome]) -> Figures:
         kept_rate=_share(each.later_right is True for each in right),
         taken_back_rate=_share(each.later_right is not False for each in wrong),
     )
-
-
-def _is_misplaced(outcome: Outcome) -> bool:
-    if outcome.local_error_m is None or outcome.local_error_deg is None:
-        return False
-    return not is_right(outcome.local_error_m, outcome.local_error_deg)
 
 
 def _share(whether: Iterable[bool]) -> float | None:

@@ -48,7 +48,7 @@ class RevisitQuality:
     revisit_counts and recalled_counts by direction; missed_by_stage: the farthest stage that a true candidate of a
     missed revisit reached, or :data:`NO_TRUE_CANDIDATE`. Of these latter ``missed_at_place_count`` had a candidate at
     the right place all the same and ``missed_without_candidate_count`` none at all. missed_stamps_ns (M,): their
-    keyframes. ``sweep`` is None without a revisit.
+    keyframes. ``sweep`` is None without a revisit. ``revisits``: all query keyframes, revisits or not.
     """
 
     revisit_counts: Mapping[str, int]
@@ -58,6 +58,7 @@ class RevisitQuality:
     missed_without_candidate_count: int
     missed_stamps_ns: IntArray
     sweep: ScoreSweep | None
+    revisits: Revisits
 
     @property
     def revisit_count(self) -> int:
@@ -188,6 +189,7 @@ def _assess_revisits(revisits: Revisits, judged: JudgedClosures) -> RevisitQuali
             judged.true[judged.decided],
             revisit_ids=revisits.keyframe_ids[revisits.is_revisit],
         ),
+        revisits=revisits,
     )
 
 

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from slam.evaluation.association import AssociationQuality
+from slam.evaluation.calibration import CalibrationQuality, Consistency
+from slam.evaluation.closure_sweep import ScoreSweep
 from slam.evaluation.closures import ClosureQuality
 from slam.evaluation.landmarks import LandmarkQuality
+from slam.evaluation.pairs import OnlineQuality, PairQuality
 from slam.evaluation.protocol import Protocol
+from slam.evaluation.relocalization import RelocalizationQuality
+from slam.evaluation.retrieval import RECALL_AT, RetrievalQuality
 from slam.evaluation.revisits import DIRECTIONS
 from slam.evaluation.trajectory import ErrorStatistics, RelativeErrors, TrajectoryErrors
 
@@ -20,6 +25,7 @@ class Evaluation:
     """What could be measured of one output log; a part that could not is None, and ``missing`` says why by its name.
 
     ``estimate`` is the final trajectory, ``odometry`` the input alone, ``online`` the poses as they were at their time.
+    ``pairs`` and ``online_queries`` are the two protocols of papers on place recognition.
     """
 
     protocol: Protocol
@@ -29,6 +35,11 @@ class Evaluation:
     associations: AssociationQuality | None = None
     landmarks: LandmarkQuality | None = None
     closures: ClosureQuality | None = None
+    retrieval: RetrievalQuality | None = None
+    pairs: PairQuality | None = None
+    online_queries: OnlineQuality | None = None
+    relocalization: RelocalizationQuality | None = None
+    calibration: CalibrationQuality | None = None
     counters: Mapping[str, int] = field(default_factory=dict)
     missing: Mapping[str, str] = field(default_factory=dict)
 
@@ -39,6 +50,10 @@ class Evaluation:
             "associations": _association_dict(self.associations),
             "landmarks": _landmark_dict(self.landmarks),
             "closures": _closure_dict(self.closures),
+            "retrieval": _retrieval_dict(self.retrieval),
+            "published": {"pairs": _pair_dict(self.pairs), "online": _online_dict(self.online_queries)},
+            "relocalization": _relocalization_dict(self.relocalization),
+            "calibration": _calibration_dict(self.calibration),
             "counters": dict(self.counters),
             "missing": dict(self.missing),
             "protocol": {**_plain(asdict(self.protocol)), "rules": self.protocol.describe()},
@@ -49,6 +64,8 @@ class Evaluation:
         for prefix, errors in (("", self.estimate), ("odometry_", self.odometry), ("online_", self.online)):
             relative = errors.relative if errors else None
             head[f"{prefix}ate_m"] = _finite(errors.absolute.rmse_m) if errors else None
+            yaw = errors.absolute_yaw if errors else None
+            head[f"{prefix}ate_yaw_m"] = _finite(yaw.rmse_m) if yaw else None
             head[f"{prefix}rpe_translation_percent"] = _finite(relative.translation_percent) if relative else None
             head[f"{prefix}rpe_rotation_deg_per_100m"] = _finite(relative.rotation_deg_per_100m) if relative else None
         return {
@@ -63,10 +80,11 @@ def _trajectory_errors_dict(errors: TrajectoryErrors | None) -> dict[str, Any] |
     if errors is None:
         return None
     plain = {f.name: getattr(errors, f.name) for f in fields(errors)}
-    for name in ("absolute", "relative", "short_relative", "alignment"):
+    for name in ("absolute", "absolute_yaw", "relative", "short_relative", "alignment"):
         del plain[name]
     return {
         "absolute": _plain(asdict(errors.absolute)),
+        "absolute_yaw": _plain(asdict(errors.absolute_yaw)) if errors.absolute_yaw else None,
         "relative": _relative_dict(errors.relative),
         "short_relative": _relative_dict(errors.short_relative),
         "alignment": {
@@ -123,14 +141,66 @@ def _closure_dict(quality: ClosureQuality | None) -> dict[str, Any]:
         "median_rotation_error_deg": errors.median_rotation_deg if errors else None,
         "p95_rotation_error_deg": errors.p95_rotation_deg if errors else None,
         "within_revisit_spread_m": errors.within_revisit_spread_m if errors else None,
-        "average_precision": sweep.average_precision if sweep else None,
-        "f1_max": sweep.f1_max if sweep else None,
-        "recall_at_full_precision": sweep.recall_at_full_precision if sweep else None,
+        **_sweep_dict(sweep),
         "missed_by_stage": dict(revisits.missed_by_stage) if revisits else {},
         "missed_at_place_count": revisits.missed_at_place_count if revisits else None,
         "missed_without_candidate_count": revisits.missed_without_candidate_count if revisits else None,
         "stage_counts": quality.stage_counts if quality else {},
     }
+
+
+def _sweep_dict(sweep: ScoreSweep | None) -> dict[str, Any]:
+    names = ("average_precision", "f1_max", "recall_at_full_precision", "extended_precision")
+    curve = sweep.thinned() if sweep else None
+    return {
+        **_attributes(sweep, names),
+        "precision_recall_curve": {
+            name: [_finite(float(value)) for value in getattr(curve, name)] if curve else []
+            for name in ("thresholds", "precision", "recall")
+        },
+    }
+
+
+def _retrieval_dict(quality: RetrievalQuality | None) -> dict[str, Any]:
+    return {
+        **{f"recall_at_{k}": quality.recall_at(k) if quality else None for k in RECALL_AT},
+        **_attributes(quality, ("asked_count", "place_count", "note")),
+    }
+
+
+def _pair_dict(quality: PairQuality | None) -> dict[str, Any]:
+    counts = _attributes(quality, [f.name for f in fields(PairQuality) if f.name != "sweep"])
+    return {**counts, **_sweep_dict(quality.sweep if quality else None)}
+
+
+def _online_dict(quality: OnlineQuality | None) -> dict[str, Any]:
+    counts = _attributes(quality, ("query_count", "revisit_count", "found_count", "recall_at_1"))
+    return {**counts, **_sweep_dict(quality.sweep if quality else None)}
+
+
+def _relocalization_dict(quality: RelocalizationQuality | None) -> dict[str, Any]:
+    counts = [f"{name}_count" for name in ("loss", "fix", "right", "wrong", "undecided")]
+    measures = [f"{kind}_{name}" for name in ("seconds", "distance_m") for kind in ("median", "max")]
+    errors = [f"{kind}_error_{unit}" for unit in ("m", "deg") for kind in ("median", "p95")]
+    return {
+        **_attributes(quality, ("success_rate", "wrong_rate", *counts, *measures, *errors, "lost_share", "method")),
+        "losses": [_plain(asdict(loss)) for loss in quality.losses] if quality else [],
+    }
+
+
+def _calibration_dict(quality: CalibrationQuality | None) -> dict[str, Any]:
+    result: dict[str, Any] = {}
+    for name in ("pose", "landmark", "closure"):
+        for prefix in ("", "planar_"):
+            part: Consistency | None = getattr(quality, prefix + name) if quality else None
+            result[f"{prefix}{name}_coverage"] = part.coverage(quality.probability) if quality and part else None
+            result[f"{prefix}{name}_nees"] = _finite(part.nees) if part else None
+            result[f"{prefix}{name}_count"] = part.count if part else 0
+    return result
+
+
+def _attributes(quality: object | None, names: Iterable[str]) -> dict[str, Any]:
+    return {name: _finite(getattr(quality, name)) if quality is not None else None for name in names}
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:

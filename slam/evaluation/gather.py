@@ -6,9 +6,12 @@ import re
 
 import numpy as np
 
+from logs.closures import find_final_verdicts
 from logs.messages import ObjectMapRecord
 from slam.errors import EvaluationError
 from slam.evaluation.association import AssociationQuality, evaluate_associations, label_detections
+from slam.evaluation.calibration import CalibrationQuality
+from slam.evaluation.calibration_parts import evaluate_calibration
 from slam.evaluation.closures import ClosureQuality, evaluate_closures
 from slam.evaluation.evaluation import Evaluation
 from slam.evaluation.landmarks import (
@@ -18,29 +21,48 @@ from slam.evaluation.landmarks import (
     match_by_detections,
     match_by_position,
 )
+from slam.evaluation.pairs import OnlineQuality, PairQuality, compare_keyframes, evaluate_online, evaluate_pairs
 from slam.evaluation.protocol import Protocol
 from slam.evaluation.records import EvaluationRecords
+from slam.evaluation.relocalization import RelocalizationQuality, evaluate_relocalization, has_given_map
+from slam.evaluation.retrieval import RetrievalQuality, evaluate_retrieval
 from slam.evaluation.synchronization import PoseSeries, clean_poses
 from slam.evaluation.trajectory import TrajectoryErrors, evaluate_trajectory
 from slam.geometry import FloatArray
 
+NO_KEYFRAMES = "no keyframes in the log (/slam/graph), so revisits are unknown"
+NO_STATUS = "no status in the log (/slam/status)"
+NO_RUN_TIME = (
+    "logs hold no times of the machine that made them, so that they are the same on every one; "
+    "'dslam replay --json' and 'dslam benchmark replay' tell them"
+)
 NO_TRUTH = "no ground truth: pass --reference LOG.mcap or record /ground_truth"
 MERGED_INTO = re.compile(r"^merged into (?P<kept>\S+)$")
 
 
-def evaluate(records: EvaluationRecords, protocol: Protocol | None = None) -> Evaluation:
+def evaluate(
+    records: EvaluationRecords, protocol: Protocol | None = None, *, map_alignment: FloatArray | None = None
+) -> Evaluation:
     """Measure all that the records allow; what they do not allow is absent, with its reason in ``missing``.
+
+    Args:
+        records: of the log.
+        protocol: the thresholds.
+        map_alignment: ``T_world_map`` (4, 4) of the map that the robot was to find itself in, as
+            :func:`slam.evaluation.relocalization.locate_map` finds it. It is used for the errors of relocalizations
+            alone.
 
     Raises:
         EvaluationError: a pose is not finite.
     """
-    return _Gathering(records, protocol or Protocol()).run()
+    return _Gathering(records, protocol or Protocol(), map_alignment).run()
 
 
 class _Gathering:
-    def __init__(self, records: EvaluationRecords, protocol: Protocol) -> None:
+    def __init__(self, records: EvaluationRecords, protocol: Protocol, map_alignment: FloatArray | None) -> None:
         self._records = records
         self._protocol = protocol
+        self._map_alignment = map_alignment
         self._missing: dict[str, str] = {}
         self._truth = _series([(r.stamp_ns, r.T_world_body) for r in records.true_poses])
         self._odometry = _series([(r.stamp_ns, r.T_odom_body) for r in records.odometry])
@@ -63,10 +85,13 @@ class _Gathering:
         )
         associations = self._associations()
         best = estimate or online
-        landmarks = self._landmarks(associations, best.alignment.T_world_map if best else None)
+        T_world_map = best.alignment.T_world_map if best else None
+        landmarks = self._landmarks(associations, T_world_map)
         closures = self._closures()
+        pairs, online_queries = self._published()
         if records.status is None:
-            self._missing["counters"] = "no status in the log (/slam/status)"
+            self._missing["counters"] = NO_STATUS
+        self._missing["run_time"] = NO_RUN_TIME
         return Evaluation(
             protocol=self._protocol,
             estimate=estimate,
@@ -75,6 +100,11 @@ class _Gathering:
             associations=associations,
             landmarks=landmarks,
             closures=closures,
+            retrieval=self._retrieval(closures),
+            pairs=pairs,
+            online_queries=online_queries,
+            relocalization=self._relocalization(T_world_map),
+            calibration=self._calibration(associations, closures),
             counters=dict(records.status.counters) if records.status else {},
             missing=self._missing,
         )
@@ -172,7 +202,7 @@ class _Gathering:
         if len(self._truth.stamps_ns) == 0:
             self._missing["closures"] = NO_TRUTH
         elif graph is None:
-            self._missing["closures"] = "no keyframes in the log (/slam/graph), so revisits are unknown"
+            self._missing["closures"] = NO_KEYFRAMES
         return evaluate_closures(
             candidates,
             graph.keyframe_ids if graph else nothing,
@@ -180,6 +210,75 @@ class _Gathering:
             self._truth,
             self._protocol,
         )
+
+    def _retrieval(self, closures: ClosureQuality | None) -> RetrievalQuality | None:
+        graph = self._records.graph
+        if closures is None or closures.revisits is None or graph is None:
+            self._missing["retrieval"] = self._missing["closures"]
+            return None
+        try:
+            return evaluate_retrieval(
+                self._records.closures,
+                closures.revisits.revisits,
+                dict(zip(graph.keyframe_ids.tolist(), graph.keyframe_stamps_ns.tolist(), strict=True)),
+                self._truth,
+                self._protocol,
+                place_count=self._records.verified_places,
+            )
+        except EvaluationError as error:
+            self._missing["retrieval"] = str(error)
+            return None
+
+    def _published(self) -> tuple[PairQuality, OnlineQuality] | tuple[None, None]:
+        graph = self._records.graph
+        if graph is None or len(self._truth.stamps_ns) == 0:
+            self._missing["published"] = NO_KEYFRAMES if graph is None else NO_TRUTH
+            return None, None
+        candidates = find_final_verdicts(self._records.closures)
+        keyframes = compare_keyframes(candidates, graph, self._odometry.stamps_ns, self._truth, self._protocol)
+        return evaluate_pairs(keyframes, self._protocol), evaluate_online(keyframes, self._protocol)
+
+    def _relocalization(self, T_world_estimate: FloatArray | None) -> RelocalizationQuality | None:
+        records = self._records
+        if not records.statuses:
+            self._missing["relocalization"] = NO_STATUS
+            return None
+        is_given = has_given_map(records)
+        if self._map_alignment is not None and not is_given:
+            self._missing["map_alignment"] = "not used: in this log the robot made its own map and was given none"
+        is_located = is_given and self._map_alignment is not None
+        quality = evaluate_relocalization(
+            records,
+            self._truth,
+            self._odometry,
+            self._protocol,
+            T_world_map=self._map_alignment if is_located else T_world_estimate,
+            method="map" if is_located else "trajectory" if is_given else "closure",
+        )
+        if quality.undecided_count:
+            reason = NO_TRUTH if len(self._truth.stamps_ns) == 0 else "no truth at their stamps"
+            self._missing["relocalization"] = f"{quality.undecided_count} of {quality.fix_count} fixes: {reason}"
+        return quality
+
+    def _calibration(
+        self, associations: AssociationQuality | None, closures: ClosureQuality | None
+    ) -> CalibrationQuality | None:
+        records = self._records
+        matches = None
+        if associations is not None and records.object_map is not None and records.true_objects is not None:
+            matches = match_by_detections(records.object_map, records.true_objects, associations.landmark_object_ids)
+        quality, missing = evaluate_calibration(
+            records.graph,
+            records.object_map,
+            records.true_objects,
+            matches,
+            closures.judged if closures is not None else None,
+            self._truth,
+            self._protocol,
+        )
+        if missing:
+            self._missing["calibration"] = missing if len(self._truth.stamps_ns) else NO_TRUTH
+        return quality
 
 
 def find_aliases(object_map: ObjectMapRecord | None) -> dict[str, str]:

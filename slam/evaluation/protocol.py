@@ -17,8 +17,8 @@ class Protocol:
     """Thresholds, with KITTI's values for the relative errors; units are in the names.
 
     Raises:
-        EvaluationError: a threshold is not positive, windows of fewer than three landmarks are asked for, or the
-            headings that count as the same and as opposite overlap.
+        EvaluationError: a threshold is not positive, windows of fewer than three landmarks are asked for, the
+            headings that count as the same and as opposite overlap, or near and distant pairs do.
     """
 
     max_truth_gap_s: float = 1.5
@@ -38,6 +38,12 @@ class Protocol:
     same_heading_deg: float = 45.0
     opposite_heading_deg: float = 135.0
     closure_run_gap_m: float = 10.0
+    pair_positive_m: float = 3.0
+    pair_negative_m: float = 20.0
+    pair_frames: int = 50
+    relocalization_translation_m: float = 4.0
+    relocalization_rotation_deg: float = 10.0
+    coverage_probability: float = 0.95
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
@@ -48,6 +54,15 @@ class Protocol:
             raise EvaluationError(
                 f"same_heading_deg = {self.same_heading_deg} and opposite_heading_deg = {self.opposite_heading_deg} of "
                 "the evaluation protocol must not exceed one another and 180"
+            )
+        if self.pair_negative_m < self.pair_positive_m:
+            raise EvaluationError(
+                f"pair_negative_m = {self.pair_negative_m} of the evaluation protocol is below pair_positive_m = "
+                f"{self.pair_positive_m}, so a pair could be both"
+            )
+        if not self.coverage_probability < 1.0:
+            raise EvaluationError(
+                f"coverage_probability = {self.coverage_probability} of the evaluation protocol must be below 1"
             )
         if self.window_least_landmarks < 3:
             raise EvaluationError(
@@ -63,7 +78,8 @@ class Protocol:
             f"more than {self.max_truth_gap_s:g} s.",
             "alignment": "Umeyama SE(3), no scale, over all compared positions; on a straight line (spread across it "
             f"below {STRAIGHT_LINE_RATIO:g} of that along it) yaw and translation only.",
-            "ate": "Distances between aligned estimated and true positions of the body; ate_m is their RMSE.",
+            "ate": "Distances between aligned estimated and true positions of the body; ate_m is their RMSE, ate_yaw_m "
+            "that after the alignment of yaw and translation only, as z is up in both.",
             "rpe": f"KITTI: stretches of {lengths} m of true path, starting at every {self.relative_start_step}th "
             "compared pose and divided by the nominal length; the averages are over all stretches.",
             "short_rpe": f"Stretches of {short} m likewise, divided by the path that each really measures.",
@@ -85,6 +101,9 @@ class Protocol:
             "landmark shows.",
             "class_accuracy": "Confirmed landmarks whose most probable class is that of their object.",
             **self._describe_closures(),
+            **self._describe_published(),
+            **self._describe_relocalization(),
+            **self._describe_calibration(),
         }
 
     def _describe_closures(self) -> dict[str, str]:
@@ -111,4 +130,56 @@ class Protocol:
             "closure_score": "The best-scoring decided candidate of each query keyframe, accepted from a threshold on; "
             "equal scores together, and of equal best ones of a keyframe a false one. Average precision is the sum of "
             "(R_n - R_(n-1)) P_n as in scikit-learn, with recall over all revisits.",
+            "extended_precision": "Half the sum of the precision at the highest score and of the largest recall at "
+            "full precision (Ferrarini et al., 2020); the latter is 0 where the best score is false. Without a "
+            "candidate it is undefined, as average precision and F1 are.",
+            "retrieval": "Revisits at which descriptors were asked for the place, with a right one among their first "
+            f"k proposals: the reference keyframe within {self.revisit_distance_m:g} m of the query by the truth, or "
+            "the transform true. Undefined for k above the number of proposals that the run verified for each "
+            "keyframe (loop_closure.places).",
+        }
+
+    def _describe_published(self) -> dict[str, str]:
+        apart = f"more than {self.pair_frames} frames apart (odometry messages, or keyframes where the log has none)"
+        return {
+            "published_pairs": f"Pairs of keyframes: positive less than {self.pair_positive_m:g} m and {apart}, "
+            f"negative more than {self.pair_negative_m:g} m apart, between true positions in 3-D; others do not "
+            "count. A pair has the score of the best candidate of the later keyframe that puts it, composed with the "
+            f"final map, less than {self.pair_positive_m:g} m from the earlier one; all other pairs together the "
+            "lowest score. Papers take every frame, and score every pair by its similarity.",
+            "published_online": f"Each keyframe as a query against all earlier ones {apart}. Its answer is the one of "
+            "those nearest to where its best-scoring candidate puts it in the final map, none if that is "
+            f"{self.pair_positive_m:g} m away or more; right if they are less than {self.pair_positive_m:g} m apart "
+            "by the truth. Recall is over the queries that have such a keyframe, recall at 1 whatever the score. "
+            "Papers query every frame, and each has an answer.",
+        }
+
+    def _describe_relocalization(self) -> dict[str, str]:
+        return {
+            "relocalization_loss": "From the first status in state LOST, also at the start of a drive in a given "
+            "map, to the next in state RELOCALIZED. Time and travel (along the truth, or the odometry where there is "
+            "none) are those of all fixes, right or wrong; the share lost is of the time of the drive.",
+            "relocalization_error": "Method closure, without a given map: the error of the last closure accepted up "
+            "to the fix with a reference from before the loss. With a given map the error of the first pose on "
+            "/slam/pose from the fix on; method map: laid on the truth as the final trajectory of the drive that "
+            "made the map is; method trajectory: by the alignment of the trajectory that is evaluated, which hides "
+            "an offset that all of it shares.",
+            "relocalization_right": f"Within {self.relocalization_translation_m:g} m and "
+            f"{self.relocalization_rotation_deg:g} deg (whole angle of rotation). The success rate is the share of "
+            "losses with a right fix, the wrong rate that with a wrong one; a fix without truth is left out.",
+        }
+
+    def _describe_calibration(self) -> dict[str, str]:
+        return {
+            "calibration": "The NEES e^T P^-1 e of an error e by its covariance P, a degree of freedom (1 is right, "
+            f"more is overconfident), and the share of errors in the {100.0 * self.coverage_probability:g} % region of "
+            "the chi-squared distribution. Covariances are in the map frame, which the first keyframe fixes, so the "
+            "truth is tied to the estimate there, and errors are taken without any other alignment. Errors of one run "
+            "share their causes: judge the coverage over several.",
+            "calibration_of_poses": "All other keyframes with truth: six degrees of freedom about the axes of the "
+            "body; planar: heading, forward and left.",
+            "calibration_of_landmarks": "Confirmed landmarks that show an object by the truth of their detections: "
+            "three coordinates; planar: x and y.",
+            "calibration_of_closures": "Accepted true closures, inserted or not, by their own covariance and axes; "
+            "planar as for poses.",
         }

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from logs.messages import (
     DetectionAssociations,
@@ -16,6 +17,7 @@ from logs.messages import (
     ObjectMapRecord,
     Odometry,
     Record,
+    RelocalizationRecord,
     SlamPose,
     StatusRecord,
     TrajectoryRecord,
@@ -31,6 +33,7 @@ _ESTIMATED_KINDS = frozenset(
         RecordKind.FACTOR_GRAPH,
         RecordKind.LOOP_CLOSURES,
         RecordKind.OBJECT_MAP,
+        RecordKind.RELOCALIZATIONS,
         RecordKind.SLAM_POSE,
         RecordKind.STATUS,
         RecordKind.TRAJECTORY,
@@ -43,7 +46,11 @@ _INPUT_KINDS = frozenset(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EvaluationRecords:
-    """The records that an evaluation looks at, each kind in the order of the log; of maps and states the last."""
+    """The records that an evaluation looks at, each kind in the order of the log; of maps and states the last.
+
+    ``statuses``: all of them, ``status`` is the last. ``configuration``: the tree by which the log was made, empty
+    where it does not tell.
+    """
 
     trajectory: TrajectoryRecord | None = None
     online_poses: tuple[SlamPose, ...] = ()
@@ -56,6 +63,16 @@ class EvaluationRecords:
     closures: tuple[LoopClosureRecord, ...] = ()
     graph: FactorGraphRecord | None = None
     status: StatusRecord | None = None
+    statuses: tuple[StatusRecord, ...] = ()
+    relocalizations: tuple[RelocalizationRecord, ...] = ()
+    configuration: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def verified_places(self) -> int | None:
+        """Proposals of descriptors that the run verified for each keyframe; None where the log does not tell."""
+        loop_closure = self.configuration.get("loop_closure")
+        places = loop_closure.get("places") if isinstance(loop_closure, Mapping) else None
+        return places if isinstance(places, int) else None
 
     def with_truth_of(self, reference: EvaluationRecords) -> EvaluationRecords:
         """These records with the truth of another log, kind by kind where that log has it.
@@ -85,7 +102,7 @@ def collect_records(records: Iterable[tuple[str, Record]]) -> EvaluationRecords:
     found = EvaluationRecords()
     online, odometry, true_poses = list[SlamPose](), list[Odometry](), list[GroundTruthPose]()
     associations, detection_truths = list[DetectionAssociations](), list[DetectionTruth]()
-    closures = list[LoopClosureRecord]()
+    closures, relocalizations, statuses = list[LoopClosureRecord](), list[RelocalizationRecord](), list[StatusRecord]()
     for topic, record in records:
         match record:
             case SlamPose():
@@ -108,8 +125,10 @@ def collect_records(records: Iterable[tuple[str, Record]]) -> EvaluationRecords:
                 found = replace(found, true_objects=record)
             case TrajectoryRecord():
                 found = replace(found, trajectory=record)
+            case RelocalizationRecord():
+                relocalizations.append(record)
             case StatusRecord():
-                found = replace(found, status=record)
+                statuses.append(record)
             case _:
                 pass
     return replace(
@@ -120,6 +139,9 @@ def collect_records(records: Iterable[tuple[str, Record]]) -> EvaluationRecords:
         associations=tuple(associations),
         detection_truths=tuple(detection_truths),
         closures=tuple(closures),
+        status=statuses[-1] if statuses else None,
+        statuses=tuple(statuses),
+        relocalizations=tuple(relocalizations),
     )
 
 
@@ -149,7 +171,8 @@ def read_records(
 def _read(path: str | os.PathLike[str], topics: Mapping[str, str] | None) -> EvaluationRecords:
     with LogReader(path) as reader:
         there = reader.topics()
-        used = _topics_used(reader.metadata().get("dslam", {}).get("topics", ""), there)
+        provenance = reader.metadata().get("dslam", {})
+        used = _topics_used(provenance.get("topics", ""), there)
         inputs = select_topics(there, {**used, **(topics or {})}, needed=()).kinds
         outputs = select_all(info for info in there if info.topic.startswith(OUTPUT_PREFIX)).kinds
         wanted = {
@@ -158,20 +181,25 @@ def _read(path: str | os.PathLike[str], topics: Mapping[str, str] | None) -> Eva
             for topic, parts in every.items()
             if (kept := tuple(part for part in parts if part in kinds))
         }
-        return collect_records((entry.topic, entry.record) for entry in reader.records(Selection(wanted)))
+        found = collect_records((entry.topic, entry.record) for entry in reader.records(Selection(wanted)))
+        return replace(found, configuration=_read_tree(provenance.get("configuration", "")))
 
 
 def _topics_used(recorded: str, there: Iterable[TopicInfo]) -> dict[str, str]:
     """Kind -> topic from the JSON, topic -> kinds, that a replay recorded; what the log does not hold is left out."""
-    try:
-        kinds_of_topic = json.loads(recorded)
-    except ValueError:
-        return {}
-    if not isinstance(kinds_of_topic, dict):
-        return {}
+    kinds_of_topic = _read_tree(recorded)
     used: dict[str, str] = {}
     for info in there:
         kinds = kinds_of_topic.get(info.topic)
         if isinstance(kinds, list):
             used |= {kind: info.topic for kind in info.kinds if kind in _INPUT_KINDS and kind in kinds}
     return used
+
+
+def _read_tree(recorded: str) -> dict[str, Any]:
+    """What a JSON object says; nothing where the text is none."""
+    try:
+        tree = json.loads(recorded)
+    except ValueError:
+        return {}
+    return tree if isinstance(tree, dict) else {}

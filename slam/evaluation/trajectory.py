@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.errors import EvaluationError
-from slam.evaluation.alignment import Alignment, align_path
-from slam.evaluation.synchronization import PoseSeries, synchronize
+from slam.evaluation.alignment import Alignment, align_path, align_yaw_translation
+from slam.evaluation.synchronization import PoseSeries, SynchronizedPoses, synchronize
 from slam.geometry import apply, invert, rotation_angle_rad, travelled_m
 
 FloatArray = NDArray[np.float64]
@@ -62,6 +62,7 @@ class TrajectoryErrors:
 
     ``relative`` holds KITTI's lengths; ``short_relative`` short stretches, divided by what they really measure.
     The counts say how many estimated poses were compared, how many had no truth (outside, gap), and what was repaired.
+    ``absolute_yaw``: after the alignment of yaw and translation alone; None where the path does not move in the plane.
     """
 
     absolute: ErrorStatistics
@@ -75,6 +76,7 @@ class TrajectoryErrors:
     gap_count: int
     duplicate_count: int
     disordered_count: int
+    absolute_yaw: ErrorStatistics | None = None
 
 
 def summarize(errors_m: FloatArray) -> ErrorStatistics:
@@ -199,7 +201,16 @@ def evaluate_trajectory(
         gap_count=poses.gap_count,
         duplicate_count=estimate.duplicate_count + truth.duplicate_count,
         disordered_count=estimate.disordered_count + truth.disordered_count,
+        absolute_yaw=_compute_yaw_error(poses),
     )
+
+
+def _compute_yaw_error(poses: SynchronizedPoses) -> ErrorStatistics | None:
+    try:
+        alignment = align_yaw_translation(poses.positions_est, poses.positions_gt)
+    except EvaluationError:
+        return None
+    return compute_absolute_error(poses.positions_est, poses.positions_gt, alignment)
 
 
 def _mean(values: FloatArray) -> float | None:

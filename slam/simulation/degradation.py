@@ -65,6 +65,14 @@ class DegradationConfig(BaseModel):
         """Whether it matters where, seen from the body, detections are."""
         return not {"field_of_view_deg", "max_range_m", "false_positives"}.isdisjoint(self.in_effect())
 
+    @property
+    def is_random(self) -> bool:
+        """Whether the seed matters."""
+        chances = (self.dropout, self.label_confusion)
+        return any(0.0 < chance < 1.0 for chance in chances) or bool(
+            self.label_confusion or self.position_noise_m or self.false_positives or self.changes_odometry
+        )
+
     def in_effect(self) -> dict[str, object]:
         """The values that are not the default."""
         return {s.key: s.value for s in settings_of(self) if s.value != s.default}

@@ -49,6 +49,7 @@ def closure(
     stage: str = "accepted",
     score: float = 1.0,
     reason: str = "",
+    rank: int = 0,
 ) -> LoopClosureRecord:
     """A candidate between the poses of two indices, off the truth by ``shift_m`` along its x and by ``turn_rad``.
 
@@ -70,6 +71,7 @@ def closure(
         T_reference_query=T_reference_query,
         reference_stamp_ns=at_ns(reference),
         inserted=stage == "accepted",
+        rank=rank,
     )
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from sklearn.metrics import average_precision_score, precision_recall_curve
 
 from slam.evaluation.closure_sweep import ScoreSweep, sweep_scores
 
@@ -45,13 +46,18 @@ def test_against_counting_at_every_threshold(candidates: list[Candidate], revisi
     found = sweep(candidates, revisit_ids)
     assert found is not None
     expected = brute_force(candidates, revisit_ids)
+    if not expected:
+        assert found.average_precision is found.f1_max is found.recall_at_full_precision is None
+        return
     curve = np.column_stack([found.thresholds, found.precision, found.recall])
     np.testing.assert_allclose(curve, np.array(expected).reshape(-1, 3))
     before = np.array([0.0, *(recall for _, _, recall in expected)])
     average = sum((recall - b) * precision for (_, precision, recall), b in zip(expected, before[:-1], strict=True))
     assert found.average_precision == pytest.approx(average)
     assert found.f1_max == pytest.approx(max([0.0, *(2 * p * r / (p + r) for _, p, r in expected if p + r > 0)]))
-    assert found.recall_at_full_precision == max([0.0, *(r for _, p, r in expected if p == 1.0)])
+    at_full_precision = max([0.0, *(r for _, p, r in expected if p == 1.0)])
+    assert found.recall_at_full_precision == at_full_precision
+    assert found.extended_precision == pytest.approx((expected[0][1] + at_full_precision) / 2)
 
 
 def test_numbers_by_hand() -> None:
@@ -88,5 +94,64 @@ def test_without_candidates_or_revisits() -> None:
     found = sweep([], [1])
     assert found is not None
     assert len(found.thresholds) == 0
-    assert (found.average_precision, found.f1_max, found.recall_at_full_precision) == (0.0, 0.0, 0.0)
+    assert (found.average_precision, found.f1_max, found.recall_at_full_precision) == (None, None, None)
+    assert found.extended_precision is None
     assert sweep([(1, 1.0, True)], []) is None
+
+
+@given(st.lists(st.tuples(st.sampled_from([-1.5, 0.0, 0.5, 1.0, 2.0]), st.booleans()), min_size=1, max_size=60))
+def test_curve_and_average_precision_agree_with_scikit_learn(answers: list[tuple[float, bool]]) -> None:
+    """One candidate a query; what scikit-learn calls positive are the revisits."""
+    scores, labels = np.array([score for score, _ in answers]), np.array([label for _, label in answers])
+    if not labels.any():
+        return
+    found = sweep([(k, score, label) for k, (score, label) in enumerate(answers)], np.flatnonzero(labels).tolist())
+    assert found is not None
+    precision, recall, thresholds = precision_recall_curve(labels, scores)
+    np.testing.assert_allclose(found.thresholds, thresholds[::-1], rtol=0, atol=0)
+    np.testing.assert_allclose(found.precision, precision[-2::-1], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.recall, recall[-2::-1], rtol=0, atol=1e-12)
+    assert found.average_precision == pytest.approx(average_precision_score(labels, scores), abs=1e-12)
+
+
+def test_missed_revisits_lower_the_average_precision_of_scikit_learn_in_proportion() -> None:
+    rng = np.random.default_rng(5)
+    scores, labels = rng.normal(size=300).round(1), rng.random(300) < 0.4
+    revisits = [*np.flatnonzero(labels).tolist(), *range(1000, 1100)]
+    found = sweep([(k, scores[k], bool(labels[k])) for k in range(300)], revisits)
+    assert found is not None
+    share = labels.sum() / len(revisits)
+    assert found.average_precision == pytest.approx(share * average_precision_score(labels, scores), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("candidates", "extended"),
+    [
+        ([(1, 2.0, True), (2, 1.0, True)], 1.0),
+        ([(1, 2.0, True), (2, 1.0, False)], 0.75),
+        ([(1, 2.0, False), (2, 1.0, True)], 0.0),  # the best score is false, so nothing has full precision
+        ([(1, 2.0, False), (2, 2.0, True)], 0.25),  # a true one shares that score
+        ([(1, 2.0, False), (2, 1.0, False)], 0.0),
+    ],
+)
+def test_extended_precision_by_hand(candidates: list[Candidate], extended: float) -> None:
+    found = sweep(candidates, [1, 2])
+    assert found is not None
+    assert found.extended_precision == extended
+
+
+def test_a_long_curve_is_thinned_but_not_at_its_ends() -> None:
+    rng = np.random.default_rng(3)
+    scores = rng.permutation(5000).astype(np.float64)
+    full = sweep(
+        [(k, score, bool(score > 4700 or rng.random() < 0.3)) for k, score in enumerate(scores)], [*range(5000)]
+    )
+    assert full is not None
+    thin = full.thinned()
+    assert 490 <= len(thin.thresholds) <= 502
+    for name in ("thresholds", "precision", "recall"):
+        assert getattr(thin, name)[[0, -1]].tolist() == getattr(full, name)[[0, -1]].tolist()
+    assert (thin.f1_max, thin.extended_precision) == (full.f1_max, full.extended_precision)
+    assert np.isin(thin.thresholds, full.thresholds).all()
+    assert thin.average_precision == pytest.approx(full.average_precision, rel=0.02)
+    assert thin.thinned(600) is thin

@@ -87,6 +87,7 @@ def every_kind(rng):
                 observation_landmark_ids=tuple(f"L{i}" for i in range(o)),
                 observation_positions=rng.normal(size=(o, 3)),
                 observation_covariances=np.stack([random_covariance(rng, 3) for _ in range(o)]),
+                pose_covariances=np.stack([random_covariance(rng, 6) for _ in range(k)]),
             ),
         ),
         (
@@ -107,6 +108,7 @@ def every_kind(rng):
                 covariance=random_covariance(rng, 6),
                 reference_stamp_ns=11,
                 inserted=True,
+                rank=2,
             ),
         ),
         (

@@ -7,17 +7,17 @@ can be are one stretch of that list, and each of them is a pose that is scored b
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from slam.benchmarks.class_raster import make_class_raster
-from slam.benchmarks.object_pairs import MapPairs, QueryPairs, query_pairs
+from slam.class_raster import make_class_raster
 from slam.config import RegistrationConfig
 from slam.errors import GeometryError
 from slam.geometry import FloatArray, IntArray, transform_from_xyz_yaw
+from slam.object_pairs import MapPairs, QueryPairs, query_pairs
 from slam.registration import refine_many
 from slam.registration_estimate import Registration, not_found
 
@@ -83,11 +83,21 @@ class ExhaustiveSearch:
     def localize(
         self, query_positions: FloatArray, query_labels: IntArray, *, query_sigmas: FloatArray
     ) -> Registration:
-        """The pose of the query in the map that its objects support best.
+        """The pose of the query in the map that its objects support best; see :meth:`leading`.
+
+        Returns:
+            The pose, its inliers as (query, map) indices and its score; or the answer "no" with its reason.
+        """
+        return self.leading(query_positions, query_labels, query_sigmas=query_sigmas)[0]
+
+    def leading(
+        self, query_positions: FloatArray, query_labels: IntArray, *, query_sigmas: FloatArray
+    ) -> list[Registration]:
+        """The distinct poses of the query in the map that its objects support best, best first.
 
         A pose's score is the sum over the query's objects of 1 - (residual / gate)^2, where the residual is that to the
         nearest object of the same label and inside the gate (MSAC: Torr and Zisserman, CVIU 2000). The best distinct
-        poses are refined, and the best refined one is the answer. The same query has the same answer.
+        poses are refined. The same query has the same answer.
 
         Args:
             query_positions: (N, 3) m, gravity-aligned, about the sensor.
@@ -95,7 +105,7 @@ class ExhaustiveSearch:
             query_sigmas: (N,) m, noise of a position along any axis.
 
         Returns:
-            The pose, its inliers as (query, map) indices and its score; or the answer "no" with its reason.
+            Poses, their inliers as (query, map) indices and their scores; or one answer "no" with its reason.
 
         Raises:
             GeometryError: arrays that do not fit together or values that are not finite.
@@ -104,7 +114,7 @@ class ExhaustiveSearch:
         place = np.minimum(np.searchsorted(self._vocabulary, query_labels), len(self._vocabulary) - 1)
         known = np.flatnonzero(self._vocabulary[place] == query_labels)
         if len(known) < self._config.min_inliers:
-            return not_found(
+            return _none(
                 f"{len(known)} of the {len(query_labels)} objects have a label of the map; "
                 f"a pose needs {self._config.min_inliers}"
             )
@@ -112,7 +122,7 @@ class ExhaustiveSearch:
         query = _Query(planar, place[known], query_sigmas[known] ** 2)
         leaders = self._best_poses(query)
         if not len(leaders.scores):
-            return not_found(
+            return _none(
                 f"no pair of the {len(known)} objects, at least {self._config.min_baseline_m:g} m apart, "
                 "is as long as a pair of the map with the same labels"
             )
@@ -183,8 +193,8 @@ class ExhaustiveSearch:
 
     def _refined(
         self, leaders: _Poses, positions: FloatArray, labels: IntArray, sigmas: FloatArray, known: IntArray
-    ) -> Registration:
-        """The best refined pose, from the part of the map that the query can lie on."""
+    ) -> list[Registration]:
+        """The refined poses, best first, from the part of the map that the query can lie on."""
         centre = complex(*positions[:, :2].mean(axis=0))
         radius_m = float(np.hypot(*(positions[known, :2] - [centre.real, centre.imag]).T).max())
         sizes = np.abs(leaders.turn)
@@ -209,13 +219,10 @@ class ExhaustiveSearch:
             query_sigmas=sigmas,
             reference_sigmas=self._sigmas[part],
         )
-        best = max(answers, key=lambda answer: answer.score)
-        if not best.found:
-            return best
-        pairs = np.column_stack([best.pairs[:, 0], part[best.pairs[:, 1]]])
-        return Registration(
-            best.T_reference_query, best.covariance, best.inliers, pairs, best.score, best.reason, best.scale
-        )
+        found = sorted((answer for answer in answers if answer.found), key=lambda answer: -answer.score)
+        if not found:
+            return [answers[0]]
+        return [replace(each, pairs=np.column_stack([each.pairs[:, 0], part[each.pairs[:, 1]]])) for each in found]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -268,6 +275,10 @@ class _Query:
     plane: ComplexArray
     classes: IntArray
     variances: FloatArray
+
+
+def _none(reason: str) -> list[Registration]:
+    return [not_found(reason)]
 
 
 def _check(name: str, positions: FloatArray, labels: IntArray, sigmas: FloatArray) -> None:

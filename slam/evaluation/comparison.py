@@ -1,0 +1,184 @@
+"""Runs side by side: what differs between configurations by more than between repetitions of one."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import combinations
+from typing import Any
+
+from scipy.special import stdtrit
+
+from slam.config import Config
+from slam.config_tree import changes
+from slam.errors import EvaluationError
+from slam.evaluation.spread import CHIEF_FIGURES, ChiefFigure, Spread
+
+SPREAD_FACTOR = 2.0
+CONFIDENCE = 0.95
+RULE = (
+    "Runs of one version with the same effective configuration are one group. A difference of the means of two groups "
+    f"is marked where it exceeds {SPREAD_FACTOR:g} pooled standard deviations of the runs within all groups, and what "
+    f"chance exceeds in one comparison of {1.0 / (1.0 - CONFIDENCE):.0f} (Student's t)."
+)
+NO_SPREAD = "No group has two runs, so the spread of the seeds is unknown and no difference is marked."
+
+_ROUNDING = 1e-9  # relative; what two ways of adding up the same numbers may differ by
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """The evaluation of one log: its JSON in ``results``.
+
+    ``configuration``: the effective one, JSON as the log recorded it; "" where it did not.
+    """
+
+    name: str
+    results: Mapping[str, Any]
+    configuration: str = ""
+    version: str = ""
+    input_sha256: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Runs of one configuration; ``changes`` is what it has otherwise than the defaults, "key=value" each.
+
+    ``spreads``: by the key of the figure.
+    """
+
+    label: str
+    runs: tuple[Run, ...]
+    changes: tuple[str, ...]
+    spreads: Mapping[str, Spread]
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """The mean of ``second`` less that of ``first`` (numbers of groups) exceeds ``threshold``."""
+
+    key: str
+    first: int
+    second: int
+    difference: float
+    threshold: float
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Groups in the order of their first runs, and the differences that exceed the spread within them."""
+
+    groups: tuple[Group, ...]
+    marked: tuple[Difference, ...]
+
+    @property
+    def has_spread(self) -> bool:
+        """Whether any group has the two runs without which nothing can be marked."""
+        return any(len(group.runs) > 1 for group in self.groups)
+
+    def mark(self, key: str, first: int, second: int) -> Difference | None:
+        """The marked difference of that figure between two groups, of which ``first`` comes before ``second``."""
+        return next((d for d in self.marked if (d.key, d.first, d.second) == (key, first, second)), None)
+
+    def to_json_dict(self) -> dict[str, Any]:
+        """Plain dicts, lists, strings and finite numbers; groups are told by their number in the list."""
+        return {
+            "runs": [
+                {
+                    "log": run.name,
+                    "group": number,
+                    "version": run.version,
+                    "input_sha256": run.input_sha256,
+                    "evaluation": dict(run.results),
+                }
+                for number, group in enumerate(self.groups)
+                for run in group.runs
+            ],
+            "groups": [
+                {
+                    "label": group.label,
+                    "changes": list(group.changes),
+                    "runs": [run.name for run in group.runs],
+                    "figures": {key: asdict(spread) for key, spread in group.spreads.items()},
+                }
+                for group in self.groups
+            ],
+            "marked_differences": [asdict(difference) for difference in self.marked],
+            "rule": RULE,
+            "note": "" if self.has_spread else NO_SPREAD,
+        }
+
+
+def compare_runs(runs: Sequence[Run], figures: Sequence[ChiefFigure] = CHIEF_FIGURES) -> Comparison:
+    """Group the runs by their configurations and mark what differs between the groups by more than ``RULE`` says.
+
+    Raises:
+        EvaluationError: fewer than two runs.
+    """
+    if len(runs) < 2:
+        raise EvaluationError(f"{len(runs)} run cannot be compared; give two or more")
+    members: dict[str, list[Run]] = {}
+    for run in runs:
+        members.setdefault(_identity(run), []).append(run)
+    described = [_changes(group[0]) for group in members.values()]
+    groups = tuple(
+        Group(
+            label=label,
+            runs=tuple(group),
+            changes=tuple(own),
+            spreads={figure.key: Spread.over(figure.of(run.results) for run in group) for figure in figures},
+        )
+        for group, own, label in zip(members.values(), described, _labels(described), strict=True)
+    )
+    return Comparison(groups, tuple(d for figure in figures for d in _differences(groups, figure.key)))
+
+
+def _differences(groups: Sequence[Group], key: str) -> list[Difference]:
+    """The marked differences of one figure."""
+    spreads = [group.spreads[key] for group in groups]
+    freedom = sum(spread.count - 1 for spread in spreads if spread.count > 1)
+    if freedom == 0:
+        return []
+    squares = math.fsum((s.count - 1) * s.standard_deviation**2 for s in spreads if s.standard_deviation is not None)
+    pooled = math.sqrt(squares / freedom)
+    student = float(stdtrit(freedom, 0.5 + 0.5 * CONFIDENCE))
+    found = []
+    for (i, first), (j, second) in combinations(enumerate(spreads), 2):
+        if first.mean is None or second.mean is None:
+            continue
+        threshold = pooled * max(SPREAD_FACTOR, student * math.sqrt(1.0 / first.count + 1.0 / second.count))
+        difference = second.mean - first.mean
+        if abs(difference) > threshold + _ROUNDING * max(abs(first.mean), abs(second.mean)):
+            found.append(Difference(key, i, j, difference, threshold))
+    return found
+
+
+def _identity(run: Run) -> str:
+    """Equal for runs that are repetitions of one another; a run that tells nothing of itself is like no other."""
+    try:
+        configuration = json.dumps(json.loads(run.configuration), sort_keys=True)
+    except ValueError:
+        return f"unknown {run.name}"
+    return f"{run.version} {configuration}"
+
+
+def _changes(run: Run) -> list[str]:
+    if not run.configuration:
+        return [f"unknown configuration of {run.name}"]
+    return [change.replace('"', "") for change in changes(Config(), run.configuration)] + (
+        [f"version={run.version}"] if run.version else []
+    )
+
+
+def _labels(described: Sequence[Sequence[str]]) -> list[str]:
+    """For each group what it has otherwise than the others, else than the defaults."""
+    counts = Counter(change for own in described for change in own)
+    labels: list[str] = []
+    for own in described:
+        changed = [change for change in own if not change.startswith("version=")]
+        label = ", ".join([change for change in own if counts[change] < len(described)] or changed) or "defaults"
+        labels.append(label if label not in labels else f"{label} ({len(labels) + 1})")
+    return labels

@@ -1,0 +1,81 @@
+"""Closed loops and missed revisits on the map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.evaluation.closures import ClosureQuality, RevisitQuality
+from slam.evaluation.html_report.chart import Trace
+from slam.evaluation.html_report.map_marks import describe_moments, draw_line, draw_points
+from slam.evaluation.html_report.markup import format_number
+from slam.evaluation.map_frame import MapPaths
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Verdict:
+    """Accepted closures (C,) of one verdict, and how they look."""
+
+    name: str
+    chosen: NDArray[np.bool_]
+    symbol: str
+    size: float
+    width: float
+
+
+def draw_closures(paths: MapPaths, quality: ClosureQuality) -> list[Trace]:
+    """True closures below, then missed revisits, the false closures above all; the legend names empty kinds too."""
+    judged = quality.judged
+    accepted = judged.accepted
+    undecided = _Verdict("undecided", accepted & ~judged.decided, "circle", 7.0, 1.5)
+    if not quality.has_truth:
+        return _draw_verdict(paths, quality, undecided)
+    traces = _draw_verdict(paths, quality, _Verdict("true", accepted & judged.true, "circle", 7.0, 1.5))
+    if undecided.chosen.any():
+        traces += _draw_verdict(paths, quality, undecided)
+    if quality.revisits is not None:
+        traces.append(_draw_missed(paths, quality.revisits))
+    wrong = _Verdict("false", accepted & judged.decided & ~judged.true, "x", 12.0, 3.0)
+    return traces + _draw_verdict(paths, quality, wrong)
+
+
+def _draw_missed(paths: MapPaths, revisits: RevisitQuality) -> Trace:
+    at_ns = revisits.missed_stamps_ns
+    texts = [f"<b>missed revisit</b><br>{moment}" for moment in describe_moments(paths.estimate, at_ns)]
+    line = {"color": "--missed", "width": 2.2}
+    marker = {"color": "--surface", "symbol": "diamond", "size": 10, "line": line}
+    return draw_points(paths.positions_at(at_ns), f"missed revisits ({len(at_ns)})", texts, marker)
+
+
+def _draw_verdict(paths: MapPaths, quality: ClosureQuality, verdict: _Verdict) -> list[Trace]:
+    """A dot at the later keyframe of each closure, and a stroke from it to the earlier one."""
+    rows = np.flatnonzero(verdict.chosen)
+    ends = paths.closure_ends(quality.judged)[rows]
+    color, name = f"--closure-{verdict.name}", f"{verdict.name} closures ({len(rows)})"
+    moments = describe_moments(paths.estimate, quality.judged.query_stamps_ns[rows])
+    texts = [_describe(quality, verdict.name, row, moment) for row, moment in zip(rows.tolist(), moments, strict=True)]
+    marker = {"color": color, "symbol": verdict.symbol, "size": verdict.size}
+    points = draw_points(ends[:, 0], name, texts, marker) | {"legendgroup": verdict.name}
+    if len(rows) == 0:
+        return [points]
+    # A third, undefined point lifts the pen between two strokes.
+    strokes = np.concatenate([ends, np.full((len(rows), 1, 3), np.nan)], axis=1).reshape(-1, 3)
+    line = draw_line(strokes, name, color, verdict.width, hoverinfo="skip", showlegend=False)
+    return [line | {"legendgroup": verdict.name}, points]
+
+
+def _describe(quality: ClosureQuality, verdict: str, row: int, moment: str) -> str:
+    judged = quality.judged
+    candidate = judged.candidates[row]
+    error = ""
+    if judged.decided[row]:
+        error = (
+            f"<br>off by {format_number(float(np.linalg.norm(judged.errors_xyz[row])), 3)} m, "
+            f"{format_number(float(np.rad2deg(judged.rotation_errors_rad[row])), 3)}°"
+        )
+    return (
+        f"<b>{verdict} closure</b><br>keyframe {candidate.query_keyframe_id} → {candidate.reference_keyframe_id}"
+        f"<br>{moment}<br>score {format_number(candidate.score)}{error}"
+    )

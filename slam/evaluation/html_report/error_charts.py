@@ -1,0 +1,72 @@
+"""The error of the trajectory along the path."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.errors import EvaluationError
+from slam.evaluation.evaluation import Evaluation
+from slam.evaluation.html_report.chart import Chart, Trace, axis, plain_numbers, thin_rows
+from slam.evaluation.records import EvaluationRecords
+from slam.evaluation.synchronization import PoseSeries, clean_poses, synchronize
+from slam.evaluation.trajectory import TrajectoryErrors
+from slam.geometry import apply, travelled_m
+
+
+def draw_error_along_path(records: EvaluationRecords, evaluation: Evaluation) -> Chart | None:
+    """Distance between aligned and true position over the true path; None where no trajectory has a truth."""
+    truth = _series([(r.stamp_ns, r.T_world_body) for r in records.true_poses])
+    final = records.trajectory
+    estimate = clean_poses(final.stamps_ns, final.T_map_body) if final else _series([])
+    odometry = _series([(r.stamp_ns, r.T_odom_body) for r in records.odometry])
+    online = _series([(r.stamp_ns, r.T_map_body) for r in records.online_poses])
+    gap_s = evaluation.protocol.max_truth_gap_s
+    traces = [
+        *_draw(odometry, truth, evaluation.odometry, gap_s, "odometry", "--odometry", 1.5),
+        *_draw(online, truth, evaluation.online, gap_s, "estimate at its time", "--online", 1.2),
+        *_draw(estimate, truth, evaluation.estimate, gap_s, "estimate", "--estimate", 2.2),
+    ]
+    if not traces:
+        return None
+    layout = {
+        "xaxis": axis("true path travelled [m]", rangemode="tozero"),
+        "yaxis": axis("position error [m]", rangemode="tozero"),
+        "hovermode": "x unified",
+    }
+    return Chart("error", "Position error along the path: " + ", ".join(t["name"] for t in traces), traces, layout)
+
+
+def _draw(
+    path: PoseSeries,
+    truth: PoseSeries,
+    errors: TrajectoryErrors | None,
+    max_gap_s: float,
+    name: str,
+    color: str,
+    width: float,
+) -> list[Trace]:
+    if errors is None:
+        return []
+    try:
+        poses = synchronize(path, truth, max_gap_s=max_gap_s)
+    except EvaluationError:
+        return []
+    aligned = apply(errors.alignment.T_world_map, poses.positions_est)
+    error_m = np.linalg.norm(aligned - poses.positions_gt, axis=1)
+    rows = thin_rows(len(error_m), 1500)
+    return [
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "name": f"{name} (RMSE {errors.absolute.rmse_m:.2f} m)",
+            "x": plain_numbers(travelled_m(poses.T_world_body_gt)[rows], 1),
+            "y": plain_numbers(error_m[rows], 3),
+            "line": {"color": color, "width": width},
+            "hovertemplate": f"%{{y:.2f}} m<extra>{name}</extra>",
+        }
+    ]
+
+
+def _series(stamped_poses: list[tuple[int, np.ndarray]]) -> PoseSeries:
+    stamps_ns = np.array([stamp for stamp, _ in stamped_poses], dtype=np.int64)
+    return clean_poses(stamps_ns, np.array([T for _, T in stamped_poses], dtype=np.float64).reshape(-1, 4, 4))

@@ -1,0 +1,125 @@
+"""The few figures that matter, at the head of the page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from slam.evaluation.evaluation import Evaluation
+from slam.evaluation.html_report.markup import UNDEFINED, escape, format_metres, format_percent
+from slam.evaluation.landmarks import CONFIRMED
+from slam.evaluation.records import EvaluationRecords
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """One figure: what it is, its value, and what stands behind it."""
+
+    label: str
+    value: str
+    note: str
+
+
+def compose_tiles(records: EvaluationRecords, evaluation: Evaluation) -> list[Tile]:
+    """One tile each for trajectory, odometry, closures, landmarks and relocalization; what is undefined says why."""
+    return [
+        _trajectory(evaluation),
+        _odometry(evaluation),
+        _precision(evaluation),
+        _recall(evaluation),
+        _landmarks(records, evaluation),
+        _relocalization(evaluation),
+    ]
+
+
+def render_tiles(tiles: list[Tile]) -> str:
+    """A description list."""
+    items = "".join(
+        f'<div class="tile"><dt>{escape(tile.label)}</dt><dd class="value">{escape(tile.value)}</dd>'
+        f'<dd class="note">{escape(tile.note)}</dd></div>\n'
+        for tile in tiles
+    )
+    return f'<dl class="tiles">\n{items}</dl>\n'
+
+
+def _trajectory(evaluation: Evaluation) -> Tile:
+    errors = evaluation.estimate or evaluation.online
+    label = "Trajectory error (ATE)"
+    if errors is None:
+        return Tile(label, UNDEFINED, evaluation.missing.get("trajectory", ""))
+    stand_in = "" if evaluation.estimate else "poses as they were at their time; "
+    return Tile(
+        label,
+        format_metres(errors.absolute.rmse_m),
+        f"{stand_in}RMSE over {format_metres(errors.length_m)}, at most {format_metres(errors.absolute.max_m)}",
+    )
+
+
+def _odometry(evaluation: Evaluation) -> Tile:
+    label = "Odometry alone (ATE)"
+    if evaluation.odometry is None:
+        return Tile(label, UNDEFINED, evaluation.missing.get("odometry", ""))
+    before = evaluation.odometry.absolute
+    after = (evaluation.estimate or evaluation.online or evaluation.odometry).absolute
+    times = f"{before.rmse_m / after.rmse_m:.1f} times the estimate's, " if 0 < after.rmse_m < before.rmse_m else ""
+    return Tile(label, format_metres(before.rmse_m), f"{times}at most {format_metres(before.max_m)}")
+
+
+def _precision(evaluation: Evaluation) -> Tile:
+    quality, label = evaluation.closures, "Closure precision"
+    if quality is None:
+        return Tile(label, UNDEFINED, evaluation.missing.get("closures", ""))
+    if quality.true_count is None or quality.false_count is None:
+        return Tile(label, UNDEFINED, f"{quality.accepted_count} accepted; {evaluation.missing.get('closures', '')}")
+    note = f"{quality.true_count} true, {quality.false_count} false"
+    if quality.undecided_count:
+        note += f", {quality.undecided_count} undecided"
+    return Tile(label, format_percent(quality.precision), f"{note}, of {quality.candidate_count} candidates")
+
+
+def _recall(evaluation: Evaluation) -> Tile:
+    revisits, label = (evaluation.closures.revisits if evaluation.closures else None), "Closure recall"
+    if revisits is None:
+        return Tile(label, UNDEFINED, evaluation.missing.get("closures", ""))
+    if not revisits.revisit_count:
+        return Tile(label, UNDEFINED, "the drive comes back to no earlier place")
+    directions = ", ".join(f"{count} {name}" for name, count in revisits.revisit_counts.items() if count)
+    return Tile(
+        label,
+        format_percent(revisits.recall),
+        f"{revisits.recalled_count} of {revisits.revisit_count} ({directions})",
+    )
+
+
+def _landmarks(records: EvaluationRecords, evaluation: Evaluation) -> Tile:
+    quality, label = evaluation.landmarks, "Landmarks"
+    if quality is not None:
+        error = quality.global_frame
+        off = f"off by {format_metres(error.median_m, 2)} in the median; " if error else ""
+        found = "" if quality.recall is None else f"; {format_percent(quality.recall)} of the objects found"
+        right = format_percent(quality.precision)
+        return Tile(label, str(quality.confirmed_count), f"{off}{right} show an object{found}")
+    if records.object_map is None:
+        return Tile(label, UNDEFINED, evaluation.missing.get("landmarks", ""))
+    confirmed = sum(state == CONFIRMED for state in records.object_map.states)
+    classes = {
+        label
+        for label, state in zip(records.object_map.labels, records.object_map.states, strict=True)
+        if state == CONFIRMED
+    }
+    return Tile(
+        label,
+        str(confirmed),
+        f"confirmed, of {len(classes)} class{'' if len(classes) == 1 else 'es'}; nothing to compare them with",
+    )
+
+
+def _relocalization(evaluation: Evaluation) -> Tile:
+    quality, label = evaluation.relocalization, "Relocalization"
+    if quality is None:
+        return Tile(label, UNDEFINED, evaluation.missing.get("relocalization", ""))
+    if not quality.loss_count:
+        return Tile(label, UNDEFINED, "the robot was never lost")
+    note = f"{quality.right_count} right and {quality.wrong_count} wrong fixes of {quality.loss_count} losses"
+    if quality.median_distance_m is not None:
+        note += f"; after {format_metres(quality.median_distance_m, 2)} in the median"
+    return Tile(label, format_percent(quality.success_rate), note)

@@ -1,0 +1,1 @@
+"""Replays of one drive under many degradations and seeds."""

@@ -1,0 +1,208 @@
+"""One cell of a sweep: a drive degraded with a seed, mapped and evaluated; and the folder that keeps those finished."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import os
+import re
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from logs.errors import LogError, UnwritableLogError
+from slam.config import Config
+from slam.errors import EvaluationError, SlamError
+from slam.evaluation.gather import evaluate
+from slam.evaluation.protocol import Protocol
+from slam.evaluation.records import read_records
+from slam.replay import replay
+from slam.simulation.degraded_log import write_degraded
+from slam.sweeps.degradations import Degradation
+
+_KEY_DIGITS = 16
+_NAME_LENGTH = 80
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """What all cells have in common: the log at ``path``, its digest, and how it is mapped, by which program."""
+
+    path: Path
+    sha256: str
+    config: Config
+    version: str
+    topics: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One degradation of a drive with one seed."""
+
+    drive: Drive
+    degradation: Degradation
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """SHA-256 of all that the result depends on."""
+        protocol = Protocol()
+        content = {
+            "input_sha256": self.drive.sha256,
+            "topics": sorted(self.drive.topics),
+            "degradation": self.degradation.config.model_dump(mode="json"),
+            "seed": self.seed,
+            "configuration": self.drive.config.model_dump(mode="json"),
+            "version": self.drive.version,
+            "protocol": [asdict(protocol), protocol.describe()],
+        }
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+    @property
+    def file_name(self) -> str:
+        """For people the degradation and the seed, for the program the key."""
+        told = re.sub(r"[^\w.,=+-]", "_", self.degradation.name)[:_NAME_LENGTH]
+        return f"{told}_seed{self.seed}_{self.key[:_KEY_DIGITS]}.json"
+
+
+@dataclass(frozen=True, slots=True)
+class CellResult:
+    """The ``evaluation`` of a cell as JSON, or why there is none; ``times``: seconds by what they were spent on,
+    ``cpu_s`` those of the processor, which do not depend on how busy the machine is."""
+
+    evaluation: Mapping[str, Any] | None
+    error: str
+    times: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class CellTask:
+    """A cell, and the folder in which it may leave logs behind if it is killed."""
+
+    cell: Cell
+    scratch: Path
+
+
+def compute_cell(task: CellTask) -> CellResult:
+    """Degrade, map and evaluate; raises nothing, for one cell must not stop the others."""
+    times: dict[str, float] = {}
+    try:
+        with tempfile.TemporaryDirectory(dir=task.scratch, prefix="cell-") as folder:
+            evaluation = _compute(task.cell, Path(folder), times)
+    except (LogError, SlamError, OSError) as error:
+        return CellResult(None, str(error), times)
+    except Exception as error:
+        return CellResult(None, f"this should not happen: {type(error).__name__}: {error}", times)
+    return CellResult(evaluation, "", times)
+
+
+def _compute(cell: Cell, folder: Path, times: dict[str, float]) -> dict[str, Any]:
+    drive = cell.drive
+    source, mapped = drive.path, folder / "map.mcap"
+    topics = dict(drive.topics)
+    started, began_s = time.perf_counter(), time.process_time()
+    if not cell.degradation.is_undegraded:
+        source = folder / "degraded.mcap"
+        write_degraded(drive.path, source, cell.degradation.config, seed=cell.seed, topics=topics)
+    degraded = time.perf_counter()
+    summary = replay(source, mapped, drive.config, topics=topics)
+    replayed = time.perf_counter()
+    evaluation = evaluate(read_records(mapped)).to_json_dict()
+    times["degrade_s"] = degraded - started
+    times["replay_s"] = replayed - degraded
+    times["evaluate_s"] = time.perf_counter() - replayed
+    times["cpu_s"] = time.process_time() - began_s
+    if summary.wall_s > 0.0:
+        times["x_real_time"] = summary.log_s / summary.wall_s
+    return evaluation
+
+
+class CellFolder:
+    """Results of cells, one JSON file each, under their keys."""
+
+    def __init__(self, path: Path) -> None:
+        self._cells = path / "cells"
+        self.scratch = path / "unfinished"
+
+    @contextmanager
+    def opened(self) -> Iterator[CellFolder]:
+        """The folder, made if need be, for this process alone; what a killed sweep left unfinished is removed.
+
+        Raises:
+            EvaluationError: another sweep is at it.
+            UnwritableLogError: it cannot be made.
+        """
+        try:
+            self._cells.mkdir(parents=True, exist_ok=True)
+            # The system takes the lock back from a process that is killed.
+            lock = os.open(self._cells, os.O_RDONLY)
+        except OSError as error:
+            raise UnwritableLogError(
+                f"cannot write into {self._cells}: {error.strerror}; give another folder"
+            ) from error
+        try:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise EvaluationError(
+                    f"another sweep is writing into {self._cells.parent}; give another folder"
+                ) from error
+            self._clean_up()
+            self.scratch.mkdir(exist_ok=True)
+            try:
+                yield self
+            finally:
+                self._clean_up()
+        finally:
+            os.close(lock)
+
+    def finished(self, cell: Cell) -> CellResult | None:
+        """The result of a cell that was computed before; one that failed or cannot be read is to be tried again."""
+        try:
+            told = json.loads((self._cells / cell.file_name).read_text(encoding="utf-8"))
+            result = CellResult(told["evaluation"], told["error"], told["times"])
+            is_right = told["key"] == cell.key and isinstance(result.evaluation, dict)
+        except (OSError, ValueError, TypeError, KeyError):
+            return None
+        return result if is_right else None
+
+    def keep(self, cell: Cell, result: CellResult) -> None:
+        """Write the result, whole or not at all.
+
+        Raises:
+            UnwritableLogError: it cannot be written.
+        """
+        told = {
+            "key": cell.key,
+            "degradation": cell.degradation.config.in_effect(),
+            "seed": cell.seed,
+            "input_sha256": cell.drive.sha256,
+            "version": cell.drive.version,
+            **asdict(result),
+        }
+        write_text(self._cells / cell.file_name, json.dumps(told, indent=1, allow_nan=False) + "\n")
+
+    def _clean_up(self) -> None:
+        shutil.rmtree(self.scratch, ignore_errors=True)
+        for part in self._cells.glob("*.json.part"):
+            part.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file by way of NAME.part.
+
+    Raises:
+        UnwritableLogError: it cannot be written.
+    """
+    part = path.with_name(f"{path.name}.part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        os.replace(part, path)
+    except OSError as error:
+        raise UnwritableLogError(f"cannot write {path}: {error.strerror}") from error

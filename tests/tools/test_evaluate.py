@@ -1,0 +1,172 @@
+"""Several logs side by side, sweeps, and which options go together."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from io import StringIO
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from slam.evaluation.comparison import Run as ComparedRun
+from slam.evaluation.comparison import compare_runs
+from tests.short_drives import Entry, keep_until, write_log
+from tests.tools.runs import SAMPLE, Run, assert_refused
+from tools import cli
+from tools.evaluate_comparison import compare_table
+
+
+@pytest.fixture(scope="module")
+def short_log(noisy_drive: list[Entry], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_log(tmp_path_factory.mktemp("short") / "drive.mcap", keep_until(noisy_drive, 5.0))
+
+
+@pytest.fixture(scope="module")
+def maps(short_log: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two of one configuration, with a drive degraded by two seeds, and one of another configuration."""
+    folder = tmp_path_factory.mktemp("maps")
+    made = []
+    for seed in (0, 1):
+        degraded = folder / f"degraded{seed}.mcap"
+        made.append(folder / f"map{seed}.mcap")
+        assert cli.run(["degrade", str(short_log), "-o", str(degraded), "--dropout", "0.2", "--seed", str(seed)]) == 0
+        assert cli.run(["replay", str(degraded), "-o", str(made[-1])]) == 0
+    made.append(folder / "blind.mcap")
+    one_keyframe = ("--set", "keyframe.distance_m=30", "--set", "keyframe.interval_s=60")
+    assert cli.run(["replay", str(short_log), "-o", str(made[-1]), *one_keyframe]) == 0
+    return made
+
+
+class TestOneLog:
+    def test_the_page(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
+        page = tmp_path / "report.html"
+        assert dslam("evaluate", mapped, "--html", page).code == 0
+        assert page.read_text(encoding="utf-8").lower().startswith("<!doctype html>")
+        assert_refused(dslam("evaluate", mapped, "--html", page, "--picture", page), "two outputs")
+        assert_refused(dslam("evaluate", mapped, "--html", mapped), "is the input")
+
+    def test_a_fix_is_measured_in_the_map_that_was_given(self, dslam: Run, short_log: Path, tmp_path: Path) -> None:
+        saved, later = tmp_path / "saved.mcap", tmp_path / "later.mcap"
+        assert dslam("replay", short_log, "-o", tmp_path / "first.mcap", "--save-map", saved).code == 0
+        assert dslam("replay", short_log, "-o", later, "--map", saved).code == 0
+        told = [
+            json.loads(dslam("evaluate", later, *option, "--json").out)["relocalization"]
+            for option in ((), ("--map-run", tmp_path / "first.mcap"))
+        ]
+        assert [each["method"] for each in told] == ["trajectory", "map"]
+
+    def test_a_map_that_cannot_be_located(self, dslam: Run, mapped: Path) -> None:
+        assert_refused(dslam("evaluate", mapped, "--map-run", SAMPLE), f"--map-run {SAMPLE}", "no final trajectory")
+
+
+class TestSeveralLogs:
+    def test_groups_with_mean_and_deviation(self, dslam: Run, maps: list[Path]) -> None:
+        result = dslam("evaluate", *maps)
+        assert (result.code, result.err) == (0, "")
+        assert "defaults" in result.out
+        assert "(2 runs)" in result.out
+        assert "keyframe.distance_m=30.0" in result.out
+        assert "pooled standard deviations" in result.out
+        told = json.loads(dslam("evaluate", *maps, "--json").out)
+        assert [each["group"] for each in told["runs"]] == [0, 0, 1]
+        alone = [json.loads(dslam("evaluate", path, "--json").out) for path in maps]
+        assert [each["evaluation"] for each in told["runs"]] == alone
+        ates = [each["trajectory"]["ate_m"] for each in alone]
+        assert told["groups"][0]["figures"]["trajectory.ate_m"]["mean"] == pytest.approx(sum(ates[:2]) / 2)
+
+    def test_repetitions_only_are_runs_and_their_mean(self, dslam: Run, maps: list[Path]) -> None:
+        head = next(line for line in dslam("evaluate", *maps[:2]).out.splitlines() if line.strip())
+        assert head.split() == ["map0", "map1", "mean", "±", "deviation"]
+
+    def test_single_runs_are_not_marked_and_told_why(self, dslam: Run, maps: list[Path]) -> None:
+        out = dslam("evaluate", maps[0], maps[2]).out
+        assert "*" not in out
+        assert "no difference is marked" in " ".join(out.split())
+
+    def test_marks_are_stars_and_colours_by_what_is_better(self) -> None:
+        def run(group: int, seed: int, ate_m: float, recall: float) -> ComparedRun:
+            results = {"trajectory": {"ate_m": ate_m + 0.01 * seed}, "closures": {"recall": recall}}
+            return ComparedRun(f"{group}{seed}", results, json.dumps({"keyframe": {"distance_m": group}}), "1")
+
+        numbers = {1: (1.0, 0.5), 2: (2.0, 0.9), 3: (1.02, 0.5)}
+        runs = [run(group, seed, *pair) for group, pair in numbers.items() for seed in range(3)]
+        out = Console(file=StringIO(), width=120, force_terminal=True, color_system="standard")
+        out.print(compare_table(compare_runs(runs)))
+        lines = out.file.getvalue().splitlines()  # type: ignore[attr-defined]
+        ate, recall = (next(line for line in lines if line.startswith(name)) for name in ("ATE m", "closures recall "))
+        assert (ate.count("*"), recall.count("*")) == (1, 1)
+        red, green = "\x1b[31m", "\x1b[32m"
+        assert (ate.count(red), ate.count(green)) == (1, 0)
+        assert f"{red}2.010 ± 0.010 *" in ate
+        assert f"{green}0.900 ± 0.000 *" in recall
+
+    def test_a_bar_holds_of_every_run(self, dslam: Run, maps: list[Path]) -> None:
+        assert dslam("evaluate", *maps, "--require", "trajectory.ate_m<=10").code == 0
+        result = dslam("evaluate", *maps, "--require", "trajectory.ate_m<=0")
+        assert result.code == 1
+        assert result.err.count("\n") == 1
+        assert all(f"{path}: trajectory.ate_m is" in result.err for path in maps)
+
+    def test_the_same_run_twice(self, dslam: Run, maps: list[Path], tmp_path: Path) -> None:
+        copy = tmp_path / "copy.mcap"
+        shutil.copy(maps[0], copy)
+        assert_refused(dslam("evaluate", maps[0], copy), "the same run", str(copy))
+
+    def test_what_is_of_one_run(self, dslam: Run, maps: list[Path], tmp_path: Path) -> None:
+        for option in ("--picture", "--html"):
+            assert_refused(dslam("evaluate", *maps, option, tmp_path / "a"), "one log")
+        assert not (tmp_path / "a").exists()
+
+    def test_one_that_holds_no_estimate(self, dslam: Run, maps: list[Path]) -> None:
+        assert_refused(dslam("evaluate", maps[0], SAMPLE), str(SAMPLE), "no estimate")
+
+
+class TestSweep:
+    def test_it_leaves_tables_and_a_picture(self, dslam: Run, short_log: Path, tmp_path: Path) -> None:
+        folder = tmp_path / "sweep"
+        command = ("evaluate", short_log, "--sweep", folder, "--degrade", "dropout=0.5", "--seeds", 1, "--jobs", 1)
+        result = dslam(*command, "--rules", "--set", "keyframe.distance_m=3")
+        assert (result.code, result.err) == (0, "")
+        assert "2 cells computed" in result.out
+        assert "Rules" in result.out
+        assert {path.name for path in folder.iterdir()} == {"cells", "sweep.json", "sweep.md", "sweep.png"}
+        assert (folder / "sweep.png").read_bytes().startswith(b"\x89PNG")
+        again = dslam(*command, "--json", "--set", "keyframe.distance_m=3", "--require", "trajectory.ate_m<=0")
+        assert again.code == 1
+        assert "dropout=0.5, seed 0: trajectory.ate_m is" in again.err
+        told = json.loads(again.out)
+        assert (told["times"]["computed"], told["times"]["reused"]) == (0, 2)
+        assert told["changes"] == ["keyframe.distance_m=3.0"]
+        assert told["configuration"]["keyframe"]["distance_m"] == 3.0
+
+    def test_a_cell_that_fails_is_named_and_the_code_is_1(self, dslam: Run, short_log: Path, tmp_path: Path) -> None:
+        sweep = ("--sweep", tmp_path / "sweep", "--jobs", 1, "--degrade", "drop_label=unicorn")
+        result = dslam("evaluate", short_log, *sweep)
+        assert result.code == 1
+        assert result.err.startswith("dslam: failed: drop_label=unicorn, seed 0: ")
+        assert result.err.count("\n") == 1
+        assert "undegraded" in result.out
+
+    def test_what_cannot_be_swept(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
+        sweep = ("--sweep", tmp_path / "sweep")
+        assert_refused(dslam("evaluate", mapped, *sweep), "give the drive")
+        assert_refused(dslam("evaluate", SAMPLE, mapped, *sweep), "one drive")
+        assert_refused(dslam("evaluate", SAMPLE, *sweep, "--degrade", "drop=1"), "did you mean")
+        assert_refused(dslam("evaluate", SAMPLE, *sweep, "--set", "keyframe.distance=1"), "keyframe.distance_m")
+        assert_refused(dslam("evaluate", tmp_path / "none.mcap", *sweep), "none.mcap")
+        assert_refused(dslam("evaluate", SAMPLE, "--sweep", SAMPLE), str(SAMPLE))
+        assert not (tmp_path / "sweep").exists()
+
+    @pytest.mark.parametrize(
+        "option", [("--picture", "a"), ("--html", "a"), ("--reference", SAMPLE), ("--map-run", SAMPLE)]
+    )
+    def test_what_does_not_go_with_it(self, dslam: Run, tmp_path: Path, option: tuple[object, ...]) -> None:
+        assert_refused(dslam("evaluate", SAMPLE, "--sweep", tmp_path / "sweep", *option), "does not go with --sweep")
+
+    @pytest.mark.parametrize(
+        "option", [("--degrade", "dropout=1"), ("--seeds", 2), ("--jobs", 1), ("--set", "a=1"), ("--config", "a.toml")]
+    )
+    def test_what_needs_it(self, dslam: Run, mapped: Path, option: tuple[object, ...]) -> None:
+        assert_refused(dslam("evaluate", mapped, *option), "needs --sweep DIR")
