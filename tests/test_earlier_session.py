@@ -76,7 +76,7 @@ def test_a_map_comes_back_as_the_graph_that_it_was(saved: SavedMap) -> None:
 
 
 def test_observations_that_share_their_errors_come_back_as_robust_as_they_were() -> None:
-    """One keyframe sees an object far beside where the others see it: the kernel, narrowed by redundancy, shuts it out."""
+    """An object seen far beside where others see it: the kernel, narrowed by redundancy, shuts it out."""
     config = FactorGraphConfig(observation_kernel="cauchy")
     graph = FactorGraph(config)
     graph.add_first_keyframe(0, POSES[0])

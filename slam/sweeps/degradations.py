@@ -74,6 +74,12 @@ def undegraded_strength(option: str) -> float | None:
     return float(default) if math.isfinite(default) else None
 
 
+def describe_option(option: str) -> str:
+    """A numeric option in words, with its unit: "position noise [m]"."""
+    words, unit = option.replace("_", " "), _SETTINGS[option].removeprefix(option).removeprefix("_")
+    return f"{words} [{unit}]" if unit else words
+
+
 def _parse(text: str) -> Degradation:
     values: dict[str, object] = {}
     for part in text.split(","):

@@ -9,10 +9,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator
 
 from slam.evaluation.spread import CHIEF_FIGURES, ChiefFigure
 from slam.pictures import save_figure
-from slam.sweeps.degradations import undegraded_strength
+from slam.sweeps.degradations import describe_option, undegraded_strength
 from slam.sweeps.sweep import Sweep, SweepRow
 
 _SHOWN = {
@@ -22,6 +23,8 @@ _SHOWN = {
 }
 _MEAN, _SEED, _BEFORE, _GRID = "#0b5cad", "#d97706", "#6b7280", "#e5e7eb"
 _LABEL_LENGTH = 26
+_LOGARITHMIC_FROM = 10.0
+"""An error that grows by more is drawn on a logarithmic scale."""
 
 _Placed = Sequence[tuple[float, SweepRow]]
 """Rows with their places on the axis."""
@@ -53,7 +56,7 @@ def draw_sweep(path_png: Path, sweep: Sweep) -> None:
         row_of_axes[0].set_ylabel(name)
         _set_limits(row_of_axes[0], chief, sweep.rows)
     for axis, option in zip(axes[-1], curves, strict=False):
-        axis.set_xlabel(option.replace("_", " "))
+        axis.set_xlabel(describe_option(option))
     if others:
         axes[-1, -1].set_xticks(range(len(others)), [_label(row) for row in others], rotation=30, ha="right")
         axes[-1, -1].set_xlim(-0.6, len(others) - 0.4)
@@ -141,7 +144,14 @@ def _set_limits(axis: Axes, chief: ChiefFigure, rows: Sequence[SweepRow]) -> Non
         axis.set_ylim(-0.04, 1.06)
         return
     values = [chief.of(result.evaluation or {}) or 0.0 for row in rows for _, result in row.results]
-    axis.set_ylim(0.0, 1.15 * max(values, default=0.0) or 1.0)
+    largest, least = max(values, default=0.0), min((value for value in values if value > 0.0), default=1.0)
+    if largest > _LOGARITHMIC_FROM * least:
+        axis.set_yscale("log", subs=())
+        axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.set_ylim(0.7 * least, 1.4 * largest)
+    else:
+        axis.set_ylim(0.0, 1.15 * largest or 1.0)
 
 
 def _label(row: SweepRow) -> str:

@@ -9,7 +9,7 @@ import pytest
 from slam.errors import ConfigurationError
 from slam.simulation.degradation import DegradationConfig
 from slam.sweeps import degradations
-from slam.sweeps.degradations import DEFAULT_SPECIFICATIONS, parse_degradations, undegraded_strength
+from slam.sweeps.degradations import DEFAULT_SPECIFICATIONS, describe_option, parse_degradations, undegraded_strength
 from tools.degrade import degrade
 
 
@@ -61,6 +61,11 @@ def test_the_strength_of_the_log_as_it_is() -> None:
     assert undegraded_strength("dropout") == 0.0
     assert undegraded_strength("field_of_view") == 360.0
     assert undegraded_strength("max_range") is None
+
+
+def test_options_in_words() -> None:
+    names = [describe_option(option) for option in ("dropout", "field_of_view", "odometry_yaw_noise")]
+    assert names == ["dropout", "field of view [deg]", "odometry yaw noise"]
 
 
 @pytest.mark.parametrize(

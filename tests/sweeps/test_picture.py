@@ -51,7 +51,7 @@ def test_strengths_of_one_option_are_a_curve_and_the_rest_stands_beside(drawn: l
     specifications = ("dropout=0.6", "dropout=0.3", "reversed", "max_range=20", "max_range=30")
     draw_sweep(Path("sweep.png"), sweep(*specifications, results=(result(1.0, 0.9), result(3.0, 1.0))))
     dropout, max_range, beside = columns(drawn[0])
-    assert [axes.get_xlabel() for axes in (dropout, max_range, beside)] == ["dropout", "max range", ""]
+    assert [axes.get_xlabel() for axes in (dropout, max_range, beside)] == ["dropout", "max range [m]", ""]
     curves = [
         next(line for line in axes.lines if line.get_linestyle() == "-" and len(line.get_xdata()) > 1)  # type: ignore[arg-type]
         for axes in (dropout, max_range)
