@@ -1,7 +1,7 @@
 """Landmarks that the optimised map puts at one place: two passes saw one object, and no closure told so.
 
 Closures compare the newest pass with one earlier one. Where three passes meet, or two for less travel than lies between
-two closures, an object may have a landmark for each of them. Once everything is optimised they stand at one place.
+two closures, an object may have a landmark for each of them. Once all closures are made they stand at one place.
 """
 
 from __future__ import annotations

@@ -144,11 +144,13 @@ class Mapper:
         states = self._map.rows["state"]
         for observation in observations:
             self._held_back[observation.landmark].append(observation)
+        ready = list[Observation]()
         for row in sorted(self._held_back):
             if states[row] == LandmarkState.CONFIRMED:
-                self._graph.add_observations(self._held_back.pop(row))
+                ready += self._held_back.pop(row)
             elif states[row] == LandmarkState.RETIRED:
                 del self._held_back[row]
+        self._graph.add_observations(ready)
 
     def _count_scan(self, sensor: str) -> None:
         """Several sensors share the view: a scan is counted when each has given one."""

@@ -161,9 +161,9 @@ class Slam:
         withdrawn, complaint = self._closer.finish()
         if self._first_keyframe and self._extends:
             self._mapper.retire_gone(self._closer.missing_landmarks())
+        if self._extends:
+            self._merge_coincident()
         optimization = self._graph.optimize()
-        if self._extends and self._merge_coincident():
-            optimization = self._graph.optimize()
         self.counters["batch_iterations"] = optimization.iterations
         message = "optimised" if optimization.converged else (
             f"the final optimisation did not converge in {optimization.iterations} iterations"
@@ -189,13 +189,13 @@ class Slam:
             status=self._status(message, level=level),
         )
 
-    def _merge_coincident(self) -> int:
-        """Make one of the landmarks that turned out to stand at one place; returns how many lost their names."""
+    def _merge_coincident(self) -> None:
+        """Make one of the landmarks that turned out to stand at one place."""
         tied = [keyframe.id for keyframe in self._mapper.keyframes if self._closer.knows_where(keyframe)]
         radius_m = 2.0 * self._config.submap.landmark_sigma_m
-        merged = merge_coincident(self._object_map, self._graph, tied, radius_m=radius_m)
-        self.counters["landmarks_merged_at_the_end"] = merged
-        return merged
+        self.counters["landmarks_merged_at_the_end"] = merge_coincident(
+            self._object_map, self._graph, tied, radius_m=radius_m
+        )
 
     def _follow(self, odometry: Odometry) -> list[Record]:
         self._body_frame, self._odom_frame = odometry.child_frame_id, odometry.frame_id
