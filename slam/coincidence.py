@@ -30,14 +30,14 @@ def find_coincident(
     Args:
         object_map: the landmarks.
         graph: where they are, at its current estimate.
-        keyframes: only what these saw is looked at, for example those that are tied to the map.
+        keyframes: only what one of these saw is looked at: those whose place is well known relative to earlier ones.
         radius_m: how far apart at the most.
     """
     observers = graph.observers()
     usable = [
         row
         for row in np.intersect1d(object_map.in_state(LandmarkState.CONFIRMED), graph.landmarks).tolist()
-        if observers[row] <= set(keyframes)
+        if not observers[row].isdisjoint(keyframes)
     ]
     rows = np.array(usable, dtype=np.int64)
     if not len(rows):

@@ -81,6 +81,17 @@ class LoopCloser:
         """Whether odometry or closures tie a keyframe to the first one, and so to the map."""
         return self._loops.are_joined(self._keyframes[0].id, keyframe.id)
 
+    def keyframes_near_closures(self) -> set[int]:
+        """Those, tied to the map, that closures hold so near to where they were before that places can be compared."""
+        travels_m = np.array([keyframe.odometry.travel_m for keyframe in self._keyframes])
+        ends_m = np.unique(travels_m[self.closed])
+        if not len(ends_m):
+            return set()
+        after = np.searchsorted(ends_m, travels_m).clip(max=len(ends_m) - 1)
+        apart_m = np.minimum(np.abs(ends_m[after] - travels_m), np.abs(ends_m[np.maximum(after - 1, 0)] - travels_m))
+        near = np.flatnonzero(apart_m <= self._limits.follow_travel_m)
+        return {row for row in near.tolist() if self.knows_where(self._keyframes[row])}
+
     def missing_landmarks(self) -> IntArray:
         """Rows (K,) of landmarks that were looked for where they stood, often, and never seen again."""
         return self._watch.missing()

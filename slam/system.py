@@ -191,10 +191,11 @@ class Slam:
 
     def _merge_coincident(self) -> None:
         """Make one of the landmarks that turned out to stand at one place."""
-        tied = [keyframe.id for keyframe in self._mapper.keyframes if self._closer.knows_where(keyframe)]
-        radius_m = 2.0 * self._config.submap.landmark_sigma_m
         self.counters["landmarks_merged_at_the_end"] = merge_coincident(
-            self._object_map, self._graph, tied, radius_m=radius_m
+            self._object_map,
+            self._graph,
+            self._closer.keyframes_near_closures(),
+            radius_m=2.0 * self._config.submap.landmark_sigma_m,
         )
 
     def _follow(self, odometry: Odometry) -> list[Record]:

@@ -61,10 +61,11 @@ def test_twin_what_speaks_for_two_keeps_two(other: Seen) -> None:
     assert found([FIRST, other]) == []
 
 
-def test_what_is_not_confirmed_or_hangs_loose_is_left() -> None:
+def test_what_is_not_confirmed_or_not_well_placed_is_left() -> None:
     pair = [FIRST, ("tree", (5.3, 3.8, 0.2), (3, 4))]
     assert found(pair, tentative=(1,)) == []
-    assert found(pair, keyframes=range(4)) == []
+    assert found(pair, keyframes=range(4)) == [(0, 1)]
+    assert found(pair, keyframes=range(3)) == []
 
 
 def test_only_nearest_neighbours_are_one_at_a_time() -> None:

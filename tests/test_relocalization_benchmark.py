@@ -31,9 +31,10 @@ from slam.benchmarks.relocalization_figures import (
     judge,
     sum_up,
 )
-from slam.config import Config
+from slam.config import Config, LoopClosureConfig
 from slam.errors import SimulationError
 from slam.geometry import FloatArray, transform_from_xyz_yaw
+from slam.matching import PlaceFinder
 from slam.simulation.config import DriveConfig, SensorConfig, SimulationConfig
 from slam.simulation.world import World
 from slam.system import Slam, State
@@ -183,6 +184,17 @@ def test_what_is_believed_after_the_fix_is_told_apart_from_it(
     assert outcome.later_right is later_right
     assert plain.later_right is True
     assert (outcome.verdict, outcome.error_m) == (plain.verdict, plain.error_m)
+
+
+@pytest.mark.parametrize(("lost_places", "verdict"), [(5, Verdict.RECOVERED), (0, Verdict.NOT_FOUND)])
+def test_who_is_lost_is_found_without_descriptors(
+    search: Search, kidnaps: list[Kidnap], lost_places: int, verdict: Verdict, monkeypatch: pytest.MonkeyPatch
+):
+    """Where descriptors propose nothing all places are tried, if that is wanted."""
+    monkeypatch.setattr(PlaceFinder, "find", lambda *_, **__: [])
+    closing = LoopClosureConfig(lost_places=lost_places)
+    outcome = relocalize(replace(search, config=Config(loop_closure=closing)), kidnaps[0])
+    assert outcome.verdict == verdict
 
 
 def test_each_drive_has_noise_of_its_own(search: Search, kidnaps: list[Kidnap]):
