@@ -8,7 +8,7 @@ PROTOC := build/protoc/bin/python
 .PHONY: help demo test lint schemas clean
 
 help:
-	@echo 'make demo     simulate a drive, map it, evaluate it; leaves out/demo*.mcap and out/demo.png'
+	@echo 'make demo     simulate a drive, map it, evaluate it; leaves out/demo*.mcap, out/demo.html and out/demo.png'
 	@echo 'make test     lint, types and all tests'
 	@echo 'make lint     only ruff and mypy'
 	@echo 'make schemas  generate the Python modules of logs/schemas/*.proto again'
@@ -33,11 +33,12 @@ demo: $(INSTALLED)
 	@echo
 	$(BIN)/dslam replay out/demo.mcap -o out/demo_map.mcap
 	@echo
-	$(BIN)/dslam evaluate out/demo_map.mcap --picture out/demo.png
+	$(BIN)/dslam evaluate out/demo_map.mcap --picture out/demo.png --html out/demo.html
 	@echo
 	@echo 'the drive:   out/demo.mcap'
 	@echo 'its map:     out/demo_map.mcap  (open it in Foxglove, or: $(BIN)/dslam info out/demo_map.mcap)'
 	@echo 'from above:  out/demo.png'
+	@echo 'all figures: out/demo.html  (open it in a browser)'
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check

@@ -30,7 +30,7 @@ def closure_table(quality: ClosureQuality, retrieval: RetrievalQuality | None = 
     if quality.revisits is not None:
         rows["by a threshold on the score"] = _sweep(quality.revisits.sweep)
         if retrieval is not None:
-            rows["recall of descriptors alone"] = _retrieval(retrieval, quality.revisits.revisit_count)
+            rows["recall of descriptors where asked"] = _retrieval(retrieval, quality.revisits.revisit_count)
     return pairs_table("Loop closures", rows)
 
 
