@@ -20,6 +20,10 @@ RECENT_STEPS = 10
 JUMP_SLACK_M = 2.0
 # Travel is counted in steps of at least that length.
 JITTER_M = 0.05
+# A pose that is the first one to so many metres (and about as many radians) is the first one again,
+RESTART_TOLERANCE = 1e-6
+# unless the body was on its way there: no farther off than that from going on as before.
+RESTART_SLACK_M = 0.25
 # How many metres of travel a turn counts for in the noise of the heading.
 METRES_PER_RADIAN = 10.0
 
@@ -51,6 +55,7 @@ class OdometryTrack:
         self._poses: deque[OdometryPose] = deque(maxlen=HISTORY)
         self._doubtful: Odometry | None = None
         self._counted_xyz_m = np.zeros(3)
+        self._T_odom_first = np.eye(4)
         self._counters = counters if counters is not None else Counter[str]()
 
     @property
@@ -114,10 +119,16 @@ class OdometryTrack:
                 odometry.stamp_ns, odometry.T_odom_body, 0.0, self._first_segment, self._config.max_speed_mps
             )
             self._counted_xyz_m = xyz_m
+            self._T_odom_first = odometry.T_odom_body
         else:
             seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9
             step_m = float(np.linalg.norm(xyz_m - last.T_odom_body[:3, 3]))
-            breaks = seconds > self._config.max_gap_s or step_m > self._farthest_step_m(seconds) or self._breaks_next
+            breaks = (
+                seconds > self._config.max_gap_s
+                or step_m > self._farthest_step_m(seconds)
+                or self._starts_over(odometry, seconds)
+                or self._breaks_next
+            )
             self._breaks_next = False
             # The jitter of a standing body is no travel.
             counted_m = float(np.linalg.norm(xyz_m - self._counted_xyz_m))
@@ -132,6 +143,22 @@ class OdometryTrack:
             )
         self._poses.append(pose)
         return pose
+
+    def _starts_over(self, odometry: Odometry, seconds: float) -> bool:
+        """Whether the odometry was started again: it is where it began, to the last digit, or at the identity.
+
+        A robot that was carried off may happen to go on near where its odometry thinks that it is; that alone no jump
+        would tell.
+        """
+        T = odometry.T_odom_body
+        if not any(np.abs(T - T_start).max() < RESTART_TOLERANCE for T_start in (self._T_odom_first, np.eye(4))):
+            return False
+        last = self._poses[-1]
+        before = self._poses[-2] if len(self._poses) > 1 else last
+        passed_s = (last.stamp_ns - before.stamp_ns) * 1e-9
+        velocity = (last.T_odom_body - before.T_odom_body)[:3, 3] / passed_s if passed_s > 0.0 else np.zeros(3)
+        goes_on = last.T_odom_body[:3, 3] + velocity * seconds
+        return float(np.linalg.norm(T[:3, 3] - goes_on)) > RESTART_SLACK_M
 
     def _farthest_step_m(self, seconds: float) -> float:
         """How far the body can have come since the last pose; farther is a jump of the odometry."""

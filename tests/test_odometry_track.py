@@ -81,7 +81,7 @@ def test_a_fast_drive_and_a_short_silence_are_no_break():
 
 
 def test_travel_is_the_path_and_not_the_distance():
-    assert track((0, 0), (1, 3), (2, 0), (3, 3)).latest.travel_m == pytest.approx(9.0)
+    assert track((0, 0), (1, 3), (2, 0.5), (3, 3)).latest.travel_m == pytest.approx(8.0)
 
 
 def test_the_oldest_poses_are_let_go():
@@ -117,3 +117,23 @@ def test_more_travel_is_never_less_noise():
 def test_the_relative_pose_leads_from_one_to_the_other():
     a, b = transform_from_xyz_yaw(np.array([1.0, 2, 0]), 0.5), transform_from_xyz_yaw(np.array([3.0, 1, 0]), -2.0)
     np.testing.assert_allclose(a @ relative(a, b), b, atol=1e-12)
+
+
+def segments(*steps: tuple[float, float]) -> list[int]:
+    made = OdometryTrack(CONFIG)
+    poses = [pose for seconds, x in steps for pose in made.add(odometry(seconds, x))]
+    return [pose.segment for pose in (*poses, *made.finish())]
+
+
+def test_odometry_that_is_started_again_near_where_it_was_is_a_break():
+    """Carried off for 5 s while it thinks to be 8 m from its start: the step back there would be no jump."""
+    driven = [(0.1 * i, 5.0 + 0.8 * i) for i in range(11)]
+    assert segments(*driven, (6.0, 5.0), (6.1, 5.8)) == [0] * 11 + [1, 1]
+    assert segments(*driven, (6.0, 0.0), (6.1, 0.8)) == [0] * 11 + [1, 1], "at the identity"
+    assert segments(*driven, (6.0, 5.001), (6.1, 5.8)) == [0] * 13, "twin: only near its start"
+
+
+def test_who_drives_or_stands_at_the_start_of_its_odometry_goes_on():
+    there_and_back = [*range(0, 11), *range(9, -1, -1), -1, -2]
+    assert segments(*((0.1 * i, 0.5 * x) for i, x in enumerate(there_and_back))) == [0] * len(there_and_back)
+    assert segments(*((0.1 * i, 0.0) for i in range(5)), (3.0, 0.0), (3.1, 0.4)) == [0] * 7
