@@ -134,6 +134,6 @@ def test_odometry_that_is_started_again_near_where_it_was_is_a_break():
 
 
 def test_who_drives_or_stands_at_the_start_of_its_odometry_goes_on():
-    there_and_back = [*range(0, 11), *range(9, -1, -1), -1, -2]
+    there_and_back = [*range(11), *range(9, -1, -1), -1, -2]
     assert segments(*((0.1 * i, 0.5 * x) for i, x in enumerate(there_and_back))) == [0] * len(there_and_back)
     assert segments(*((0.1 * i, 0.0) for i in range(5)), (3.0, 0.0), (3.1, 0.4)) == [0] * 7

@@ -313,6 +313,7 @@ def test_figures_of_outcomes_by_hand():
     assert (told.median_error_m, told.median_error_deg) == (0.5, 0.5)
     assert told.p95_error_m == told.p95_error_deg == 7.0
     assert told.misplaced_rate == 1 / 8
+    assert told.success_in_map_rate == 5 / 8, "three right ones, and two that only a bent map made wrong"
     assert told.kept_rate == 2 / 4
     assert told.taken_back_rate == pytest.approx(2 / 3)
 

@@ -75,7 +75,9 @@ class Outcome:
 class Figures:
     """Of ``kidnaps`` kidnappings: shares of the verdicts, which add up to 1; None where there is nothing to measure.
 
-    ``misplaced_rate``: share of fixes at another place than the map has it, whether or not the map is distorted there.
+    ``success_in_map_rate``: share that came soon enough, and right if the map is taken at its word about where its own
+    drive was nearby: what relocalization does, whatever the error of the map. ``misplaced_rate``: share of fixes that
+    are wrong by that measure.
     Distance and time are those of the right fixes, late ones included; errors those of all fixes, wrong ones included.
     ``kept_rate``: share of the right fixes that are believed, and right, 10 m later; ``taken_back_rate``: share of the
     wrong fixes that are taken back, or have become right, by then.
@@ -83,6 +85,7 @@ class Figures:
 
     kidnaps: int
     success_rate: float | None
+    success_in_map_rate: float | None
     late_rate: float | None
     wrong_rate: float | None
     not_found_rate: float | None
@@ -163,6 +166,7 @@ def figures(outcomes: Sequence[Outcome]) -> Figures:
     return Figures(
         kidnaps=len(outcomes),
         success_rate=shares[Verdict.RECOVERED],
+        success_in_map_rate=_share(_is_found_in_map(each) for each in outcomes),
         late_rate=shares[Verdict.LATE],
         wrong_rate=shares[Verdict.WRONG],
         not_found_rate=shares[Verdict.NOT_FOUND],
@@ -177,6 +181,10 @@ def figures(outcomes: Sequence[Outcome]) -> Figures:
         kept_rate=_share(each.later_right is True for each in right),
         taken_back_rate=_share(each.later_right is not False for each in wrong),
     )
+
+
+def _is_found_in_map(outcome: Outcome) -> bool:
+    return outcome.distance_m is not None and outcome.distance_m <= RECOVERED_WITHIN_M and outcome.is_misplaced is False
 
 
 def _share(whether: Iterable[bool]) -> float | None:

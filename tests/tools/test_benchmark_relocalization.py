@@ -13,7 +13,7 @@ from tests.tools.runs import Run, assert_refused
 FIGURES = {
     *("kidnaps", "success_rate", "late_rate", "wrong_rate", "not_found_rate", "median_distance_m", "p95_distance_m"),
     *("median_seconds", "median_error_m", "p95_error_m", "median_error_deg", "p95_error_deg"),
-    *("misplaced_rate", "kept_rate", "taken_back_rate"),
+    *("misplaced_rate", "success_in_map_rate", "kept_rate", "taken_back_rate"),
 }
 CONDITIONS = {"seed", "noise", "changed", "max_travel_m"}
 RESULT = {"world", "tour_m", "landmarks", "map_ate_m", "load_s", "query_ms", "groups", "outcomes"}
@@ -59,7 +59,7 @@ def test_a_table_for_people_and_settings_of_the_estimator(dslam: Run, files: tup
     assert (result.code, result.err) == (0, "")
     everywhere = next(line.split() for line in result.out.splitlines() if line.startswith("everywhere"))
     # Whoever does not look for loops is lost for good.
-    assert everywhere == ["everywhere", "1", "0.0", "0.0", "0.0", "100.0", *["-"] * 7]
+    assert everywhere == ["everywhere", "1", "0.0", "0.0", "0.0", "0.0", "100.0", *["-"] * 7]
     assert "opposite direction" in result.out
     assert "taking in the map" in result.out
     assert all(len(line) <= 120 for line in result.out.splitlines())
