@@ -169,7 +169,11 @@ class FactorGraph:
         with self._solver("the joining of two sessions"):
             values = self._moved(set(moved.tolist()), T_shift)
             numbers = list(self.factors)
-            result = self._start_over(numbers, values, "CHOLESKY")
+            try:
+                result = self._start_over(numbers, values, "CHOLESKY")
+            except RuntimeError as error:
+                logger.info("joining by Cholesky failed (%s); solving afresh by QR", _first_line(error))
+                result = self._start_over(numbers, values, "QR")
         self._values = None
         self._slots = dict(zip(numbers, result.getNewFactorsIndices(), strict=True))
         return number

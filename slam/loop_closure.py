@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from logs.messages import LoopClosureRecord
 from slam.candidate import Candidate, Stage
@@ -83,14 +84,17 @@ class LoopCloser:
 
     def keyframes_near_closures(self) -> set[int]:
         """Those, tied to the map, that closures hold so near to where they were before that places can be compared."""
-        travels_m = np.array([keyframe.odometry.travel_m for keyframe in self._keyframes])
-        ends_m = np.unique(travels_m[self.closed])
-        if not len(ends_m):
-            return set()
-        after = np.searchsorted(ends_m, travels_m).clip(max=len(ends_m) - 1)
-        apart_m = np.minimum(np.abs(ends_m[after] - travels_m), np.abs(ends_m[np.maximum(after - 1, 0)] - travels_m))
-        near = np.flatnonzero(apart_m <= self._limits.follow_travel_m)
-        return {row for row in near.tolist() if self.knows_where(self._keyframes[row])}
+        ends = np.unique(self.closed)
+        segments = np.array([keyframe.odometry.segment for keyframe in self._keyframes])
+        near: set[int] = set()
+        for segment in np.unique(segments[ends]).tolist():
+            members = np.flatnonzero(segments == segment)
+            along = np.array([[self._keyframes[row].odometry.travel_m] for row in members.tolist()])
+            if np.ptp(along) == 0.0:  # a map that was given: it has places and no travel
+                along = np.stack([self._keyframes[row].odometry.T_odom_body[:2, 3] for row in members.tolist()])
+            distances_m = cKDTree(along[np.isin(members, ends)]).query(along)[0]
+            near.update(members[distances_m <= self._limits.follow_travel_m].tolist())
+        return {row for row in near if self.knows_where(self._keyframes[row])}
 
     def missing_landmarks(self) -> IntArray:
         """Rows (K,) of landmarks that were looked for where they stood, often, and never seen again."""

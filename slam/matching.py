@@ -7,6 +7,7 @@ matches at one place outweigh many accidental ones that are scattered over the m
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,11 +16,14 @@ from numpy.typing import NDArray
 from descriptors.constellation import gather_constellations
 from descriptors.registry import make_index
 from slam.config import LoopClosureConfig, RegistrationConfig, SubmapConfig
+from slam.errors import GeometryError
 from slam.exhaustive_search import ExhaustiveSearch
 from slam.geometry import FloatArray, IntArray
 from slam.object_map import LandmarkState, ObjectMap
 from slam.registration import register
 from slam.submap import Submap, placed_submap
+
+logger = logging.getLogger(__name__)
 
 # Landmarks that were last seen within that travel of each other belong to one pass along a street.
 PASS_TRAVEL_M = 110.0
@@ -137,7 +141,7 @@ class PlaceFinder:
         Of a long query the objects nearest to the robot are enough. Where few objects or only common ones are in view,
         their descriptors say less than their places do; it takes longer, but to one who is lost that is well spent.
         """
-        rows, search = self._search_of(segment)
+        rows, search = self._search_of(segment) if self._config.lost_places else (self._rows, None)
         if search is None:
             return []
         nearest = np.argsort(np.hypot(query.positions[:, 0], query.positions[:, 1]), kind="stable")
@@ -155,16 +159,18 @@ class PlaceFinder:
         rows = self._rows[(landmarks["segment"][self._rows] == segment)]
         rows = rows[landmarks["state"][rows] == LandmarkState.CONFIRMED]
         known = self._searches.get(segment)
-        if known is None or len(known[0]) != len(rows):
-            reference = placed_submap(self._map, rows, np.zeros(3), self._submap_config)
-            sigmas = np.full(len(rows), self._submap_config.landmark_sigma_m)
-            self._searches[segment] = known = (
-                rows,
-                ExhaustiveSearch(reference.positions, reference.labels, self._registration_config, map_sigmas=sigmas)
-                if len(rows)
-                else None,
-            )
+        if known is None or not np.array_equal(known[0], rows):
+            self._searches[segment] = known = rows, self._make_search(rows) if len(rows) else None
         return known
+
+    def _make_search(self, rows: IntArray) -> ExhaustiveSearch | None:
+        reference = placed_submap(self._map, rows, np.zeros(3), self._submap_config)
+        sigmas = np.full(len(rows), self._submap_config.landmark_sigma_m)
+        try:
+            return ExhaustiveSearch(reference.positions, reference.labels, self._registration_config, map_sigmas=sigmas)
+        except GeometryError as error:
+            logger.warning("places are found by descriptors alone: %s", error)
+            return None
 
     def _place(self, T_odom_query: FloatArray, rows: IntArray, distances: NDArray[np.float32]) -> Place:
         """The place of a pose on which matches with the landmarks ``rows`` (K,) agree."""

@@ -117,7 +117,7 @@ def replay(
         longest_stall_s, tracked = 0.0, 0
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output) as writer:
-            provenance = _provenance(reader, config, selection)
+            provenance = _provenance(reader, config, selection) | _about_map(earlier, extend=extend)
             writer.add_metadata("dslam", provenance)
             for item in reader.items(mapped, copy=copied):
                 if item.raw.topic in copied:
@@ -178,6 +178,13 @@ def _provenance(reader: LogReader, config: Config, selection: Selection) -> dict
         "input_sha256": reader.sha256(),
         "topics": json.dumps({topic: list(kinds) for topic, kinds in sorted(selection.kinds.items())}),
     }
+
+
+def _about_map(earlier: SavedMap | None, *, extend: bool) -> dict[str, str]:
+    """Which map the drive was given, by the drives that made it."""
+    if earlier is None:
+        return {}
+    return {"map_drives": json.dumps([dict(drive) for drive in earlier.drives]), "map_extended": json.dumps(extend)}
 
 
 def _span(reader: LogReader, selection: Selection) -> tuple[int, int]:

@@ -75,14 +75,13 @@ def save_map(
     """
     kept = confirmed(objects)
     graph = _observing(graph, kept, np.ones(len(graph.keyframe_ids), dtype=np.bool_))
-    fault = find_fault(kept, graph)
-    if fault:
-        raise SavedMapError(f"{path} was not written, nobody could use it: {fault}")
+    _refuse_fault(path, kept, graph)
     is_tied = _tied(graph, to_first=earlier is not None)
     seen = set(graph.observation_landmark_ids)
     graph = _observing(graph, kept, is_tied)
     adrift = seen - set(graph.observation_landmark_ids)
     kept = _of_rows(kept, np.array([landmark not in adrift for landmark in kept.ids]))
+    _refuse_fault(path, kept, graph)
     if not is_tied.all():
         logger.warning(
             "%d keyframes and %d landmarks are not in the map: only a break of the odometry ties them to the rest",
@@ -97,6 +96,12 @@ def save_map(
         writer.write(GRAPH_TOPIC, graph, objects.stamp_ns)
         writer.write(MARKERS_TOPIC, _of_ids(markers, set(kept.ids)), objects.stamp_ns)
     return int(np.count_nonzero(~is_tied))
+
+
+def _refuse_fault(path: Path, objects: ObjectMapRecord, graph: FactorGraphRecord) -> None:
+    fault = find_fault(objects, graph)
+    if fault:
+        raise SavedMapError(f"{path} was not written, nobody could use it: {fault}")
 
 
 def load_map(path: Path) -> SavedMap:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from slam.benchmarks.relocalization_figures import Figures, RelocalizationBenchmark
     from slam.config import Config
 
+RIGHT = (4.0, 10.0)
 HEADINGS = ("drives", "found", "in map", "late", "wrong", "lost", "m", "95 %", "s", "off m", "95 % off", "deg", "kept")
 
 
@@ -34,7 +35,7 @@ def relocalization(
     ] = None,
     right: Annotated[
         tuple[float, float], typer.Option(metavar="METRES DEGREES", help="With --log: most error of a right fix.")
-    ] = (4.0, 10.0),
+    ] = RIGHT,
     kidnaps: Annotated[int, typer.Option(min=1, help="How often the robot is carried off.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the map, the places and all errors.")] = 0,
     noise: Annotated[
@@ -75,10 +76,16 @@ def relocalization(
             raise typer.BadParameter(
                 "it goes with --map-until, and without --objects and --trajectory.", param_hint="--log"
             )
+        if (seed, noise, changed, jobs) != (0, 1.0, 0.0, 1):
+            raise typer.BadParameter("a log is as it is; they go with --objects.", param_hint="--seed, --noise, ...")
+        if not min(right) > 0.0:
+            raise typer.BadParameter(f"{right[0]:g} m and {right[1]:g} deg must be above 0.", param_hint="--right")
         _run_log(log, config, map_until, kidnaps, max_travel, right, chosen, as_json=json)
         return
     if objects is None or trajectory is None:
         raise typer.BadParameter("give both, or --log with --map-until.", param_hint="--objects and --trajectory")
+    if map_until is not None or topics or right != RIGHT:
+        raise typer.BadParameter("they go with --log.", param_hint="--map-until, --right and --topic")
     conditions = {"seed": seed, "noise": noise, "changed": changed, "max_travel_m": max_travel}
     _run_world(objects, trajectory, config, kidnaps, jobs, conditions, as_json=json)
 

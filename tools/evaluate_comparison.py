@@ -53,6 +53,7 @@ def _evaluate(log: Path, truth: Truth) -> Run:
         configuration=made.get("configuration", ""),
         version=made.get("version", ""),
         input_sha256=made.get("input_sha256", ""),
+        given_map=made.get("map_drives", "") + made.get("map_extended", ""),
     )
 
 

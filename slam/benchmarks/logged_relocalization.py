@@ -86,14 +86,14 @@ def benchmark_log(
         raise EvaluationError(f"{path} holds no ground truth, so no place in it is known; see --topic ground_truth=")
     end_ns = int(truth.stamps_ns[0] + round(1e9 * map_until_s))
     first = [each for each in records if isinstance(each, Transform) or _stamp_ns(each) <= end_ns]
+    mapped, elsewhere = _starts(truth, end_ns, max_travel_m)
+    if not len(mapped):
+        raise EvaluationError(
+            f"after {map_until_s:g} s the drive never comes within {REVISIT_M:g} m of what it passed before for "
+            f"{RECOVERED_WITHIN_M:g} m, so there is no place of the map to be found at; choose another moment"
+        )
     with threadpool_limits(1):
         known = map_drive(first, config)
-        mapped, elsewhere = _starts(truth, end_ns, max_travel_m)
-        if not len(mapped):
-            raise EvaluationError(
-                f"after {map_until_s:g} s the drive never comes within {REVISIT_M:g} m of what it passed before for "
-                f"{RECOVERED_WITHIN_M:g} m, so there is no place of the map to be found at; choose another moment"
-            )
         chosen = [_spread(mapped, kidnaps), _spread(elsewhere, kidnaps)]
         drives = [_drive(known, records, truth, int(row), max_travel_m) for rows in chosen for row in rows]
         outcomes = list[Outcome]()

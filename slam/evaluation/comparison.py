@@ -33,7 +33,8 @@ _ROUNDING = 1e-9  # relative; what two ways of adding up the same numbers may di
 class Run:
     """The evaluation of one log: its JSON in ``results``.
 
-    ``configuration``: the effective one, JSON as the log recorded it; "" where it did not.
+    ``configuration``: the effective one, JSON as the log recorded it; "" where it did not. ``given_map``: the map that
+    the drive was given, and whether it went on from it; "" without one.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Run:
     configuration: str = ""
     version: str = ""
     input_sha256: str = ""
+    given_map: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,14 +164,16 @@ def _identity(run: Run) -> str:
         configuration = json.dumps(json.loads(run.configuration), sort_keys=True)
     except ValueError:
         return f"unknown {run.name}"
-    return f"{run.version} {configuration}"
+    return f"{run.version} {run.given_map} {configuration}"
 
 
 def _changes(run: Run) -> list[str]:
     if not run.configuration:
         return [f"unknown configuration of {run.name}"]
-    return [change.replace('"', "") for change in changes(Config(), run.configuration)] + (
-        [f"version={run.version}"] if run.version else []
+    return (
+        [change.replace('"', "") for change in changes(Config(), run.configuration)]
+        + ([f"version={run.version}"] if run.version else [])
+        + (["given map"] if run.given_map else [])
     )
 
 

@@ -37,6 +37,7 @@ NO_RUN_TIME = (
     "'dslam replay --json' and 'dslam benchmark replay' tell them"
 )
 NO_TRUTH = "no ground truth: pass --reference LOG.mcap or record /ground_truth"
+IN_GIVEN_MAP = "closures go to the keyframes of a given map, of which this log holds no truth: see relocalization"
 MERGED_INTO = re.compile(r"^merged into (?P<kept>\S+)$")
 
 
@@ -203,6 +204,9 @@ class _Gathering:
             self._missing["closures"] = NO_TRUTH
         elif graph is None:
             self._missing["closures"] = NO_KEYFRAMES
+        elif has_given_map(self._records):
+            self._missing["closures"] = IN_GIVEN_MAP
+            graph = None
         return evaluate_closures(
             candidates,
             graph.keyframe_ids if graph else nothing,

@@ -85,7 +85,9 @@ def evaluate_retrieval(
         EvaluationError: the log comes from a version that did not record ranks.
     """
     proposals = tuple({(r.query_keyframe_id, r.rank): r for r in records if r.rank > 0}.values())
-    if not proposals and any(rank_stage(r.stage) > rank_stage(RETRIEVAL) for r in records):
+    # What another closure predicted is at distance 0, and what was found without descriptors infinitely far.
+    proposed = (r for r in records if rank_stage(r.stage) > rank_stage(RETRIEVAL))
+    if not proposals and any(0.0 < r.retrieval_distance < np.inf for r in proposed):
         raise EvaluationError(
             f"none of {len(records)} records on /slam/closures has a rank: an older version wrote them; replay the log "
             "again"

@@ -128,7 +128,7 @@ class CellFolder:
 
     def __init__(self, path: Path) -> None:
         self._cells = path / "cells"
-        self.scratch = path / "unfinished"
+        self.scratch = self._cells / "unfinished"
 
     @contextmanager
     def opened(self) -> Iterator[CellFolder]:

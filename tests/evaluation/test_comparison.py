@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -145,3 +146,9 @@ def test_json_has_every_run_and_figure() -> None:
     assert set(told["groups"][0]["figures"]) == {figure.key for figure in CHIEF_FIGURES}
     assert told["groups"][1]["changes"] == ["keyframe.distance_m=3.0", "version=1"]
     assert [each["key"] for each in told["marked_differences"]] == ["trajectory.ate_m"]
+
+
+def test_a_run_in_a_given_map_is_no_repetition_of_one_without() -> None:
+    given = [replace(run(name, 1.0), given_map=given_map) for name, given_map in (("c", "[1]true"), ("d", "[1]false"))]
+    compared = compare_runs([run("a", 1.0), run("b", 2.0), *given])
+    assert [len(group.runs) for group in compared.groups] == [2, 1, 1]

@@ -185,8 +185,8 @@ def test_killed_and_resumed(log: Path, finished: tuple[Path, Sweep], tmp_path: P
     before = {name: stamp for name, stamp in modified_ns(tmp_path).items() if name.endswith(".json")}
     wanted = set(modified_ns(finished[0]))
     assert 1 <= len(before) < 22
-    (tmp_path / "unfinished").mkdir(exist_ok=True)
-    (tmp_path / "unfinished" / "map.mcap.part").write_text("left behind")
+    (tmp_path / "cells" / "unfinished").mkdir(parents=True, exist_ok=True)
+    (tmp_path / "cells" / "unfinished" / "map.mcap.part").write_text("left behind")
     (cells / "dropout.json.part").write_text("left behind")
 
     sweep = sweep_over(log, tmp_path)
