@@ -21,7 +21,7 @@ from slam.geometry import FloatArray, IntArray, apply, yaw_rad
 from slam.submap import Submap
 
 LEAST_DENSITY = 1e-4
-"""Objects of a class per m^2, however rare it is: one in a hundred metres of street."""
+"""Objects of a class per m^2, however rare it is: one on a hectare."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

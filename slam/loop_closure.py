@@ -209,20 +209,23 @@ class LoopCloser:
 
     def _follow(self, query: Query) -> Candidate | None:
         """The closure that the last one predicts; None where it cannot be verified."""
-        if self._leader is None or query.travel_m - self._leader.travel_m > self._limits.follow_travel_m:
+        leader = self._recent_leader(query)
+        return None if leader is None else self._supported(leader, query)
+
+    def _recent_leader(self, query: Query) -> Candidate | None:
+        """The last closure, if it is near enough to tell where the query is."""
+        leader = self._leader
+        if leader is None or query.travel_m - leader.travel_m > self._limits.follow_travel_m:
             return None
-        return self._supported(self._leader, query)
+        return leader
 
     def _contradicts(self, query: Query) -> bool:
         """Whether the query, where the last closure puts it, has gone on seeing other things for too long."""
-        if (
-            not self._watches
-            or self._leader is None
-            or query.travel_m - self._leader.travel_m > self._limits.follow_travel_m
-        ):
+        leader = self._recent_leader(query)
+        if not self._watches or leader is None:
             self._watch.restart()
             return False
-        place = self._verifier.predict(self._leader, query)
+        place = self._verifier.predict(leader, query)
         if place is None:
             return False
         around = self._finder.surroundings(place, before_m=self._verifier.latest_m(query))
@@ -232,13 +235,10 @@ class LoopCloser:
 
     def _is_elsewhere(self, query: Query, candidate: Candidate) -> bool:
         """Whether a candidate is far from where the last closure, not long ago, puts the query."""
-        if (
-            not self._watches
-            or self._leader is None
-            or query.travel_m - self._leader.travel_m > self._limits.follow_travel_m
-        ):
+        leader = self._recent_leader(query)
+        if not self._watches or leader is None:
             return False
-        place = self._verifier.predict(self._leader, query)
+        place = self._verifier.predict(leader, query)
         if place is None or place.segment != self._keyframes[candidate.reference].odometry.segment:
             return False
         return float(np.linalg.norm((place.T_odom_query - candidate.T_odom_query)[:2, 3])) > ELSEWHERE_M

@@ -275,7 +275,7 @@ class Slam:
         if not breaks:
             return ""
         self.counters["odometry_breaks"] += 1
-        what = "the robot was carried off" if self._is_carried_off else "the odometry jumped or fell silent"
+        what = "the robot was carried off" if self._is_carried_off else "the odometry jumped, fell silent or started over"
         self._is_carried_off = False
         return f"{what}: landmarks in view are let go"
 
