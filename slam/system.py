@@ -275,7 +275,8 @@ class Slam:
         if not breaks:
             return ""
         self.counters["odometry_breaks"] += 1
-        what = "the robot was carried off" if self._is_carried_off else "the odometry jumped, fell silent or started over"
+        broke = "the odometry jumped, fell silent or started over"
+        what = "the robot was carried off" if self._is_carried_off else broke
         self._is_carried_off = False
         return f"{what}: landmarks in view are let go"
 

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from logs.errors import LogError
-from logs.messages import SlamPose, StatusRecord
+from logs.messages import LoopClosureRecord, SlamPose, StatusRecord
 from logs.writer import LogWriter
-from slam.config import Config
+from slam.config import Config, LoopClosureConfig
 from slam.errors import SavedMapError
+from slam.matching import PlaceFinder
 from slam.object_map import RetirementReason
 from slam.replay import replay
 from slam.saved_map import METADATA, SavedMap, confirmed, load_map, save_map
@@ -271,3 +272,33 @@ def test_a_stretch_that_nothing_ties_to_the_map_is_not_saved(
     assert left_out == len(final.graph.keyframe_ids) - len(known.graph.keyframe_ids)
     assert len(loaded.objects.ids) == len(known.objects.ids) < final.object_map.states.count("confirmed")
     np.testing.assert_allclose(loaded.objects.positions, known.objects.positions, atol=0.02)
+
+
+def candidate_scores(entries: list[Entry], earlier: SavedMap) -> list[float]:
+    slam = Slam(Config(), earlier)
+    updates = [update for _, _, record in entries for update in slam.process(record)]
+    return [
+        each.score for each in updates if isinstance(each, LoopClosureRecord) and each.T_reference_query is not None
+    ]
+
+
+def test_in_a_given_map_it_counts_how_common_a_class_is(known: SavedMap, monkeypatch: pytest.MonkeyPatch) -> None:
+    entries = keep_until(drive(SimulationConfig(), seed=2), 6.0)
+    with_shares = candidate_scores(entries, known)
+    monkeypatch.setattr(PlaceFinder, "class_shares", lambda _: None)
+    assert with_shares[0] > candidate_scores(entries, known)[0] + 1.0
+
+
+def test_only_that_part_of_a_given_map_is_well_placed_which_was_recognised(known: SavedMap) -> None:
+    follow_m = 8.0
+    slam = Slam(Config(loop_closure=LoopClosureConfig(follow_travel_m=follow_m)), known)
+    for _, _, record in keep_until(drive(SimulationConfig(), seed=2), 6.0):
+        slam.process(record)
+    closer = slam._closer
+    places = known.graph.T_map_body[:, :2, 3]
+    recognised = np.unique([reference for _, reference in closer.closed.tolist() if reference < len(places)])
+    assert len(recognised)
+    apart_m = np.linalg.norm(places[:, None] - places[recognised], axis=2).min(axis=1)
+    near = np.flatnonzero(apart_m <= follow_m).tolist()
+    assert 0 < len(near) < len(places)
+    assert sorted(row for row in closer.keyframes_near_closures() if row < len(places)) == near
