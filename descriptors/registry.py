@@ -38,7 +38,7 @@ def make_descriptor(name: str) -> Descriptor:
     if name in HANDCRAFTED:
         return HANDCRAFTED[name]()
     if name in LEARNED:
-        from descriptors.learned import LearnedDescriptor  # loads torch
+        from descriptors.learned.network_descriptor import LearnedDescriptor  # loads torch
 
         return LearnedDescriptor.shipped(name)
     raise DescriptorError(f"no descriptor {name!r}; there are {', '.join(DESCRIPTOR_NAMES)}")

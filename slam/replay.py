@@ -27,9 +27,9 @@ from logs.reader import LogReader
 from logs.selection import Selection, select_topics
 from logs.topics import RecordKind
 from logs.writer import LogWriter, partial_path
-from slam.config import Config
-from slam.errors import InputDataError, SavedMapError
-from slam.saved_map import METADATA, SavedMap, save_map
+from slam.common.config import Config
+from slam.common.errors import InputDataError, SavedMapError
+from slam.object_map.map_io import METADATA, SavedMap, save_map
 from slam.system import FinalMap, Slam
 
 _TOPICS: Mapping[type[Record], str] = {

@@ -10,7 +10,6 @@ import logging
 import time
 from collections import Counter
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 
@@ -28,41 +27,27 @@ from logs.messages import (
     TrajectoryRecord,
     Transform,
 )
-from slam.coincidence import merge_coincident
-from slam.config import Config
-from slam.earlier_session import SEGMENT, restore
-from slam.errors import FactorGraphError, InputDataError
-from slam.factor_graph import FactorGraph
-from slam.geometry import FloatArray, IntArray, apply, invert
-from slam.loop_closure import LoopCloser
-from slam.mapper import Keyframe, Mapper
-from slam.object_map import LandmarkState, ObjectMap
-from slam.odometry_track import OdometryPose, OdometryTrack
-from slam.saved_map import SavedMap
-from slam.scan import SensorFrames, make_scan
-from slam.trajectory import bend_odometry
+from slam.backend.factor_graph import FactorGraph
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.config import Config
+from slam.common.errors import FactorGraphError, InputDataError
+from slam.common.geometry import apply, invert
+from slam.frontend.mapper import Mapper
+from slam.frontend.scan import SensorFrames, make_scan
+from slam.localization.prior_map import SEGMENT, restore
+from slam.localization.state import Fix, State
+from slam.loop_closure.landmark_fusion import merge_coincident
+from slam.loop_closure.loop_closer import LoopCloser
+from slam.object_map.landmarks import LandmarkState, ObjectMap
+from slam.object_map.map_io import SavedMap
+from slam.odometry.interpolation import bend_odometry
+from slam.odometry.keyframe import Keyframe
+from slam.odometry.track import OdometryPose, OdometryTrack
 
 logger = logging.getLogger(__name__)
 
 MAP_FRAME = "map"
 CLOSURE_COLOR = np.array([0.84, 0.15, 0.79, 0.9])
-
-
-class State(StrEnum):
-    """What the robot knows of where it is: in the map that it makes, in one that it was given, or nothing."""
-
-    MAPPING = "MAPPING"
-    TRACKING = "TRACKING"
-    LOST = "LOST"
-    RELOCALIZED = "RELOCALIZED"
-
-
-@dataclass(frozen=True, slots=True)
-class Fix:
-    """When the robot came to know where it is, and after how much travel."""
-
-    stamp_ns: int
-    travel_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from slam.config import Config
+from slam.common.config import Config
 from slam.replay import replay
 from slam.simulation.config import SimulationConfig
-from tests.short_drives import Entry, drive, write_log
+from tests.helpers.short_drives import Entry, drive, write_log
 
 
 @pytest.fixture(scope="session")

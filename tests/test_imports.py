@@ -60,20 +60,51 @@ def test_only_reader_and_writer_import_mcap() -> None:
     assert importers_of("mcap", *OURS) == {"logs/reader.py", "logs/writer.py"}
 
 
-def test_only_the_factor_graph_imports_gtsam() -> None:
-    assert importers_of("gtsam", *OURS) <= {
-        "slam/closure_judgement.py",
-        "slam/factor_graph.py",
-        "slam/factors.py",
-        "slam/marginals.py",
-        "slam/pose_graph_optimization.py",
-        "slam/robust_optimization.py",
-    }
+def test_only_the_back_end_imports_gtsam() -> None:
+    assert all(name.startswith("slam/backend/") for name in importers_of("gtsam", *OURS))
+
+
+LAYERS = (
+    {"common"},
+    {"backend", "odometry", "registration", "visualization"},
+    {"object_map"},
+    {"frontend", "place_recognition", "formats"},
+    {"loop_closure"},
+    {"localization"},
+    {"system"},
+    {"replay"},
+    {"simulation", "evaluation"},
+    {"sweeps"},
+    {"benchmarks"},
+)
+"""The stages of the method: each imports only from the rows above its own."""
+
+
+def test_every_stage_has_a_layer() -> None:
+    stages = {path.name for path in (ROOT / "slam").iterdir() if path.is_dir() and path.name != "__pycache__"}
+    files = {path.stem for path in (ROOT / "slam").glob("*.py")} - {"__init__"}
+    assert stages | files == set().union(*LAYERS)
+
+
+@pytest.mark.parametrize("row", range(len(LAYERS)))
+def test_stages_import_only_from_the_layers_before(row: int) -> None:
+    allowed = set().union(*LAYERS[:row])
+    for stage in sorted(LAYERS[row]):
+        folder = ROOT / "slam" / stage
+        for path in sources(f"slam/{stage}") if folder.is_dir() else [folder.with_suffix(".py")]:
+            used = {name.split(".")[1] for name in imports(path) if name.startswith("slam.")}
+            assert used <= allowed | {stage}, path
+
+
+def test_no_folder_holds_more_files_than_a_reader_takes_in() -> None:
+    for package in OURS:
+        for folder in {path.parent for path in sources(package)}:
+            assert len(list(folder.glob("*.py"))) <= 15, folder
 
 
 def test_metrics_neither_read_files_nor_plot() -> None:
     assert importers_of("matplotlib", "slam/evaluation") == set()
-    assert importers_of("logs.reader", "slam/evaluation") == {"slam/evaluation/records.py"}
+    assert importers_of("logs.reader", "slam/evaluation") == {"slam/evaluation/inputs/records.py"}
 
 
 def test_libraries_print_nothing_and_do_not_exit() -> None:

@@ -12,10 +12,8 @@ from typing import Annotated
 import typer
 
 from tools import (
-    benchmark,
     config,
     degrade,
-    evaluate,
     export,
     import_logs,
     info,
@@ -25,6 +23,8 @@ from tools import (
     simulate,
     train,
 )
+from tools.benchmarks import commands as benchmark
+from tools.evaluation import evaluate
 
 BAD_INPUT = 2
 INTERNAL_ERROR = 70
@@ -118,7 +118,7 @@ def main() -> None:
 def _is_expected(error: Exception) -> bool:
     from descriptors.errors import DescriptorError
     from logs.errors import LogError
-    from slam.errors import SlamError
+    from slam.common.errors import SlamError
 
     return isinstance(error, (LogError, SlamError, DescriptorError, OSError))
 

@@ -25,8 +25,8 @@ def config(
     """
     if json and toml:
         raise typer.BadParameter("--json and --toml exclude each other.")
-    from slam.config import load_config
-    from slam.config_tree import to_toml
+    from slam.common.config import load_config
+    from slam.common.config_tree import to_toml
     from slam.simulation.config import load_simulation_config
 
     load = load_simulation_config if simulation else load_config

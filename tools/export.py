@@ -30,8 +30,8 @@ def export(
         raise typer.BadParameter("nothing to write; give --tum, --kitti or --g2o.")
     check_outputs([tum, kitti, g2o], [log])
     from logs.messages import FactorGraphRecord, ObjectMapRecord, TrajectoryRecord
-    from slam.errors import InputDataError
-    from slam.export import write_g2o, write_kitti, write_tum
+    from slam.common.errors import InputDataError
+    from slam.formats.trajectory_and_graph import write_g2o, write_kitti, write_tum
     from tools import console
 
     found = _read(log)

@@ -163,8 +163,8 @@ def _shortened(name: str, key: str, value: str) -> str:
     """Metadata for people: of a configuration only what is not the default."""
     if key != "configuration":
         return value if len(value) <= _LONGEST_VALUE else f"{value[:_LONGEST_VALUE]} ... (--json shows all)"
-    from slam.config import Config
-    from slam.config_tree import changes
+    from slam.common.config import Config
+    from slam.common.config_tree import changes
     from slam.simulation.config import SimulationConfig
 
     changed = changes(SimulationConfig() if name == "simulation" else Config(), value)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from slam.map_summary import MapSummary
+    from slam.object_map.map_summary import MapSummary
 
 METADATA = "dslam_map"
 """What makes a log a saved map."""
@@ -53,9 +53,9 @@ def show_map(path: Path, now: datetime) -> None:
 
 
 def _summarize(path: Path) -> tuple[MapSummary | None, str]:
-    from slam.errors import SavedMapError
-    from slam.map_summary import summarize_map
-    from slam.saved_map import load_map
+    from slam.common.errors import SavedMapError
+    from slam.object_map.map_io import load_map
+    from slam.object_map.map_summary import summarize_map
 
     try:
         return summarize_map(load_map(path)), ""

@@ -10,8 +10,8 @@ import typer
 from tools.arguments import ConfigFile, InputLog, Json, Picture, Settings, Topics, check_outputs, parse_topics
 
 if TYPE_CHECKING:
+    from slam.object_map.map_io import SavedMap
     from slam.replay import ReplaySummary
-    from slam.saved_map import SavedMap
 
 NOT_FOUND = 1
 
@@ -35,9 +35,9 @@ def relocalize(
     """
     chosen = parse_topics(topics)
     check_outputs([output, picture], [source, config_file, map_log])
-    from slam.config import load_config
+    from slam.common.config import load_config
+    from slam.object_map.map_io import load_map
     from slam.replay import replay
-    from slam.saved_map import load_map
     from tools import console
 
     config = load_config(config_file, settings or ())
@@ -73,10 +73,10 @@ def _draw(output: Path, picture: Path, known: SavedMap) -> None:
     """The path over the landmarks of the map; those of the drive alone are left out."""
     from dataclasses import replace
 
-    from slam.evaluation.gather import evaluate
-    from slam.evaluation.picture import compose_picture
-    from slam.evaluation.records import read_records
-    from slam.pictures import draw_map
+    from slam.evaluation.evaluate import evaluate
+    from slam.evaluation.inputs.records import read_records
+    from slam.evaluation.report.picture import compose_picture
+    from slam.visualization.map_plot import draw_map
 
     records = read_records(output)
     whole = compose_picture(records, evaluate(records), title=output.stem)

@@ -44,9 +44,9 @@ def replay(
     """
     chosen = parse_topics(topics)
     check_outputs([output, picture, save_map], [source, config_file, map_log])
-    from slam.config import load_config
+    from slam.common.config import load_config
+    from slam.object_map.map_io import load_map
     from slam.replay import replay as replay_log
-    from slam.saved_map import load_map
     from tools import console
 
     config = load_config(config_file, settings or ())
@@ -64,10 +64,10 @@ def replay(
 
 
 def _draw(output: Path, picture: Path) -> None:
-    from slam.evaluation.gather import evaluate
-    from slam.evaluation.picture import compose_picture
-    from slam.evaluation.records import read_records
-    from slam.pictures import draw_map
+    from slam.evaluation.evaluate import evaluate
+    from slam.evaluation.inputs.records import read_records
+    from slam.evaluation.report.picture import compose_picture
+    from slam.visualization.map_plot import draw_map
 
     records = read_records(output)
     draw_map(picture, compose_picture(records, evaluate(records), title=output.stem))

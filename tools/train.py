@@ -47,8 +47,8 @@ def train(
     """
     from dataclasses import asdict
 
-    from descriptors.architectures import default_architecture
     from descriptors.descriptellation.training import WEIGHTS, TrainingConfig, train_network
+    from descriptors.learned.architectures import default_architecture
     from tools import console
 
     settings = {} if input_kind is None else {"input": input_kind}

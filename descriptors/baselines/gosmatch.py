@@ -16,7 +16,7 @@ from scipy.sparse import coo_array
 from descriptors.baselines.onion import count_classes
 from descriptors.class_vectors import class_vectors
 from descriptors.constellation import Constellations
-from descriptors.padded import pad_constellations
+from descriptors.learned.padded import pad_constellations
 
 BINS = 61
 BIN_M = 1.0

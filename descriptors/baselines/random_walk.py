@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptors.constellation import Constellations
-from descriptors.padded import PaddedConstellations, pad_constellations
+from descriptors.learned.padded import PaddedConstellations, pad_constellations
 
 CHUNK = 256
 """Constellations that are walked over at a time, which bounds the memory."""

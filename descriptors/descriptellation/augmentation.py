@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptors.errors import DescriptorError
-from descriptors.padded import PaddedConstellations
+from descriptors.learned.padded import PaddedConstellations
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from descriptors.constellation import Constellations, gather_constellations
 from descriptors.descriptellation.augmentation import AugmentationRates, augment
 from descriptors.descriptellation.simulation import MapSimulation, simulate_map
 from descriptors.errors import DescriptorError
-from descriptors.padded import PaddedConstellations, pad_constellations
+from descriptors.learned.padded import PaddedConstellations, pad_constellations
 
 _FRUITLESS_MAPS = 100
 

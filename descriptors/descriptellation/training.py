@@ -17,17 +17,17 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from descriptors.architectures import Architecture, make_network
 from descriptors.descriptellation.augmentation import AugmentationRates
 from descriptors.descriptellation.dataset import ConstellationDataset, DatasetConfig, make_dataset
 from descriptors.descriptellation.losses import batch_triplet_loss
 from descriptors.descriptellation.network import DescriptellationArchitecture
 from descriptors.descriptellation.simulation import MapSimulation
 from descriptors.errors import DescriptorError
-from descriptors.inference import describe_padded, tensors
-from descriptors.padded import PaddedConstellations
+from descriptors.learned.architectures import Architecture, make_network
+from descriptors.learned.inference import describe_padded, tensors
+from descriptors.learned.padded import PaddedConstellations
+from descriptors.learned.weights import WeightsMetadata, save_weights
 from descriptors.top_k import top_k_ratio
-from descriptors.weights import WeightsMetadata, save_weights
 
 CHECKPOINT = "checkpoint.pt"
 WEIGHTS = "weights.safetensors"

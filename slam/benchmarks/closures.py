@@ -8,17 +8,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slam.backend.pose_graph import PoseGraph, make_pose_graph
+from slam.backend.pose_graph_optimization import optimize_pose_graph
 from slam.benchmarks.false_closures import KINDS, Closures, make_true_closures
-from slam.errors import EvaluationError
-from slam.evaluation.alignment import align_path
-from slam.evaluation.protocol import Protocol
-from slam.evaluation.records import EvaluationRecords
-from slam.evaluation.revisits import find_true_poses
-from slam.evaluation.synchronization import clean_poses
-from slam.evaluation.trajectory import compute_absolute_error
-from slam.geometry import FloatArray, IntArray, invert, rotation_angle_rad
-from slam.pose_graph import PoseGraph, make_pose_graph
-from slam.pose_graph_optimization import optimize_pose_graph
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.errors import EvaluationError
+from slam.common.geometry import invert, rotation_angle_rad
+from slam.evaluation.inputs.protocol import Protocol
+from slam.evaluation.inputs.records import EvaluationRecords
+from slam.evaluation.inputs.synchronization import clean_poses
+from slam.evaluation.metrics.alignment import align_path
+from slam.evaluation.metrics.trajectory import compute_absolute_error
+from slam.evaluation.place_recognition.revisits import find_true_poses
 
 TRUE_WITHIN_M = 2.0
 TRUE_WITHIN_RAD = np.deg2rad(5.0)

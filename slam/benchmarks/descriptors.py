@@ -12,12 +12,12 @@ from threadpoolctl import threadpool_limits
 from descriptors.index import Matches
 from descriptors.registry import make_index
 from slam.benchmarks.localization_queries import SCENARIOS, LocalQuery, Scenario, draw_queries
-from slam.config import RegistrationConfig
-from slam.errors import SimulationError
-from slam.exhaustive_search import ExhaustiveSearch
-from slam.geometry import FloatArray
-from slam.global_localization import GlobalLocalizer, LabelledMap
-from slam.registration_estimate import Registration
+from slam.common.arrays import FloatArray
+from slam.common.config import RegistrationConfig
+from slam.common.errors import SimulationError
+from slam.place_recognition.global_localization import GlobalLocalizer, LabelledMap
+from slam.registration.estimate import Registration
+from slam.registration.exhaustive_search import ExhaustiveSearch
 
 EXHAUSTIVE = "exhaustive search"
 

@@ -9,8 +9,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from slam.errors import EvaluationError
-from slam.geometry import FloatArray, IntArray, invert, make_transform, transform_from_xyz_yaw, travelled_m
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.errors import EvaluationError
+from slam.common.geometry import invert, make_transform, transform_from_xyz_yaw, travelled_m
 
 SIGMA_RAD = np.deg2rad(0.5)
 SIGMA_M = 0.3

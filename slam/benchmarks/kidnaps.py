@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from slam.errors import SimulationError
-from slam.geometry import FloatArray
+from slam.common.arrays import FloatArray
+from slam.common.errors import SimulationError
 from slam.simulation.config import SensorConfig
 from slam.simulation.world import World
 

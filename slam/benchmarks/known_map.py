@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs.messages import GroundTruthPose, Record
-from slam.config import Config
-from slam.evaluation.alignment import align_path
-from slam.evaluation.synchronization import PoseSeries, clean_poses, synchronize
-from slam.evaluation.trajectory import compute_absolute_error
-from slam.geometry import FloatArray, invert
-from slam.saved_map import SavedMap, confirmed
+from slam.common.arrays import FloatArray
+from slam.common.config import Config
+from slam.common.geometry import invert
+from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses, synchronize
+from slam.evaluation.metrics.alignment import align_path
+from slam.evaluation.metrics.trajectory import compute_absolute_error
+from slam.object_map.map_io import SavedMap, confirmed
 from slam.system import Slam
 
 MAX_TRUTH_GAP_S = 1.5

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from slam.errors import SimulationError
-from slam.geometry import FloatArray, IntArray, apply, invert, transform_from_xyz_yaw
-from slam.global_localization import LabelledMap
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.errors import SimulationError
+from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.place_recognition.global_localization import LabelledMap
 from slam.simulation.world import World
 
 FLIPPING_RADIUS = 100.0

@@ -26,10 +26,10 @@ from slam.benchmarks.relocalization_figures import (
     sum_up,
 )
 from slam.benchmarks.relocalization_trial import Drive, put_down
-from slam.config import Config
-from slam.errors import EvaluationError
-from slam.evaluation.synchronization import PoseSeries
-from slam.geometry import FloatArray, IntArray
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.config import Config
+from slam.common.errors import EvaluationError
+from slam.evaluation.inputs.synchronization import PoseSeries
 
 REVISIT_M = 5.0
 """The robot is where the map has been if the mapped path is that near, all the way that it has for a fix."""

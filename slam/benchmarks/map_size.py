@@ -12,9 +12,9 @@ from threadpoolctl import threadpool_limits
 
 from slam.benchmarks.descriptors import hits, make_localizer
 from slam.benchmarks.localization_queries import SCENARIOS, draw_queries, labelled_map
-from slam.errors import SimulationError
-from slam.geometry import FloatArray
-from slam.global_localization import LabelledMap
+from slam.common.arrays import FloatArray
+from slam.common.errors import SimulationError
+from slam.place_recognition.global_localization import LabelledMap
 from slam.simulation.world import World
 
 SIZES = (500, 1000, 2000, 4299, 10_000, 20_000, 50_000)

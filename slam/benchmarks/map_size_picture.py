@@ -9,7 +9,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from slam.benchmarks.map_size import SizeCell
-from slam.pictures import save_figure
+from slam.visualization.map_plot import save_figure
 
 _COLORS = ("#0b5cad", "#d97706", "#2e9e5b", "#8456c4")
 

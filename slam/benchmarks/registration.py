@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from slam.config import RegistrationConfig
-from slam.geometry import FloatArray, IntArray, apply, invert, rotation_angle_rad, transform_from_xyz_yaw
-from slam.registration import register
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.config import RegistrationConfig
+from slam.common.geometry import apply, invert, rotation_angle_rad, transform_from_xyz_yaw
+from slam.registration.registration import register
 
 CORRESPONDENCES = (50, 100, 500, 1000, 5000)
 FALSE_SHARES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99)

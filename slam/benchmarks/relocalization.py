@@ -18,8 +18,8 @@ from slam.benchmarks.kidnaps import Kidnap, change_world, draw_kidnaps, worsen
 from slam.benchmarks.known_map import KnownMap, map_drive, truth_of
 from slam.benchmarks.relocalization_figures import Outcome, RelocalizationBenchmark, Tolerance, sum_up
 from slam.benchmarks.relocalization_trial import Drive, put_down
-from slam.config import Config
-from slam.geometry import FloatArray
+from slam.common.arrays import FloatArray
+from slam.common.config import Config
 from slam.simulation.config import SimulationConfig
 from slam.simulation.simulation import SimulatedRecord, simulate
 from slam.simulation.world import World

@@ -8,7 +8,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from slam.geometry import FloatArray, invert, yaw_rad
+from slam.common.arrays import FloatArray
+from slam.common.geometry import invert, yaw_rad
 
 RECOVERED_WITHIN_M = 40.0
 """Travel within which a right fix is a success."""

@@ -19,10 +19,12 @@ from slam.benchmarks.relocalization_figures import (
     deviation,
     judge,
 )
-from slam.config import Config
-from slam.evaluation.synchronization import PoseSeries
-from slam.geometry import FloatArray, interpolate
-from slam.system import Slam, State
+from slam.common.arrays import FloatArray
+from slam.common.config import Config
+from slam.common.geometry import interpolate
+from slam.evaluation.inputs.synchronization import PoseSeries
+from slam.localization.state import State
+from slam.system import Slam
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,8 +14,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from logs.errors import LogError
-from slam.config import Config
-from slam.errors import SlamError
+from slam.common.config import Config
+from slam.common.errors import SlamError
 
 
 @dataclass(frozen=True, slots=True)

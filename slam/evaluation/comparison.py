@@ -12,10 +12,10 @@ from typing import Any
 
 from scipy.special import stdtrit
 
-from slam.config import Config
-from slam.config_tree import changes
-from slam.errors import EvaluationError
-from slam.evaluation.spread import CHIEF_FIGURES, ChiefFigure, Spread
+from slam.common.config import Config
+from slam.common.config_tree import changes
+from slam.common.errors import EvaluationError
+from slam.evaluation.metrics.statistics import CHIEF_FIGURES, ChiefFigure, Spread
 
 SPREAD_FACTOR = 2.0
 CONFIDENCE = 0.95

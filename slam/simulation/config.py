@@ -7,8 +7,8 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from slam.config_tree import load_tree
-from slam.errors import SimulationError
+from slam.common.config_tree import load_tree
+from slam.common.errors import SimulationError
 
 
 class _Branch(BaseModel):

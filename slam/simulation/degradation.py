@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from logs.messages import DetectionTruth, ObjectDetections
-from slam.config_tree import settings_of
-from slam.errors import ConfigurationError, SimulationError
-from slam.geometry import FloatArray, IntArray
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.config_tree import settings_of
+from slam.common.errors import ConfigurationError, SimulationError
 
 FALSE_POSITIVE_RANGE_PERCENTILE = 95.0
 """False positives lie within the range that holds so many per cent of the log's detections."""

@@ -17,7 +17,8 @@ from logs.reader import LogItem, LogReader
 from logs.selection import Selection, select_topics
 from logs.topics import RawMessage, RecordKind
 from logs.writer import LogWriter, partial_path
-from slam.geometry import FloatArray, invert, make_transform, transform_from_xyz_yaw
+from slam.common.arrays import FloatArray
+from slam.common.geometry import invert, make_transform, transform_from_xyz_yaw
 from slam.simulation.degradation import (
     DegradationConfig,
     DegradationStreams,
@@ -124,7 +125,7 @@ class OdometryDrift:
     """Noise on the steps of an odometry, which adds up to a drift.
 
     Each step of length d gets N(0, d sigma^2) on each axis of its translation and on its heading, with the sigmas
-    ``odometry_translation_noise`` and ``odometry_yaw_noise``: the model of ``slam.config.OdometryConfig``.
+    ``odometry_translation_noise`` and ``odometry_yaw_noise``: the model of ``slam.common.config.OdometryConfig``.
     """
 
     def __init__(self, config: DegradationConfig, *, rng: np.random.Generator) -> None:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from slam.errors import SimulationError
-from slam.geometry import FloatArray, IntArray, transform_from_xyz_yaw
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.errors import SimulationError
+from slam.common.geometry import transform_from_xyz_yaw
 from slam.simulation.config import DriveConfig
 
 START_NS = 1_700_000_000_000_000_000

@@ -10,9 +10,9 @@ from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, Odo
 from logs.reader import LogReader
 from logs.selection import Selection
 from logs.topics import RecordKind
-from slam.errors import SimulationError
-from slam.geometry import FloatArray
-from slam.scan import SensorFrames
+from slam.common.arrays import FloatArray
+from slam.common.errors import SimulationError
+from slam.frontend.scan import SensorFrames
 from slam.simulation.degradation import (
     DegradationConfig,
     Donors,

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam.geometry import FloatArray, invert, transform_from_xyz_yaw, yaw_rad
+from slam.common.arrays import FloatArray
+from slam.common.geometry import invert, transform_from_xyz_yaw, yaw_rad
 from slam.simulation.config import OdometryConfig
 
 REFERENCE_PATH_M = 100.0

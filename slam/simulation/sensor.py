@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.geometry import FloatArray, IntArray
+from slam.common.arrays import FloatArray, IntArray
 from slam.simulation.config import SensorConfig
 
 

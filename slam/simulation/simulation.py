@@ -19,8 +19,9 @@ from logs.messages import (
 )
 from logs.selection import DETECTION_TRUTH_TOPIC, GROUND_TRUTH_TOPIC, OBJECT_TRUTH_TOPIC
 from logs.writer import LogWriter
-from slam.errors import SimulationError
-from slam.geometry import FloatArray, IntArray, invert
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.errors import SimulationError
+from slam.common.geometry import invert
 from slam.simulation import traffic
 from slam.simulation.config import SimulationConfig
 from slam.simulation.drive import START_NS, Drive, DrivePlan, plan_drive

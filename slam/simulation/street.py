@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam.geometry import FloatArray
+from slam.common.arrays import FloatArray
 from slam.simulation.world import World
 
 LENGTH_M = 1150.0

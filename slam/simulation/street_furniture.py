@@ -9,7 +9,7 @@ from collections import Counter
 
 import numpy as np
 
-from slam.geometry import FloatArray
+from slam.common.arrays import FloatArray
 from slam.simulation.world import World
 
 SMALLEST_DISTANCE_M = 0.6

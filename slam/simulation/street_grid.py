@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from slam.errors import SimulationError
-from slam.geometry import FloatArray
+from slam.common.arrays import FloatArray
+from slam.common.errors import SimulationError
 from slam.simulation.street_furniture import Furniture, furnish_crossing, furnish_park, furnish_street
 from slam.simulation.world import World
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.geometry import FloatArray
+from slam.common.arrays import FloatArray
 from slam.simulation.config import TrafficConfig
 from slam.simulation.drive import DrivePlan
 

@@ -10,11 +10,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from slam.errors import SimulationError
-
-FloatArray = NDArray[np.float64]
+from slam.common.arrays import FloatArray
+from slam.common.errors import SimulationError
 
 OBJECT_COLUMNS = ("x_m", "y_m", "z_m", "class", "id")
 TOUR_COLUMNS = ("x_m", "y_m")

@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import Any
 
 from logs.errors import LogError, UnwritableLogError
-from slam.config import Config
-from slam.errors import EvaluationError, SlamError
-from slam.evaluation.gather import evaluate
-from slam.evaluation.protocol import Protocol
-from slam.evaluation.records import read_records
+from slam.common.config import Config
+from slam.common.errors import EvaluationError, SlamError
+from slam.evaluation.evaluate import evaluate
+from slam.evaluation.inputs.protocol import Protocol
+from slam.evaluation.inputs.records import read_records
 from slam.replay import replay
 from slam.simulation.degraded_log import write_degraded
 from slam.sweeps.degradations import Degradation

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from slam.errors import ConfigurationError
+from slam.common.errors import ConfigurationError
 from slam.simulation.degradation import DegradationConfig, make_degradation
 
 DEFAULT_SPECIFICATIONS = (

@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
 
-from slam.evaluation.spread import CHIEF_FIGURES, ChiefFigure
-from slam.pictures import save_figure
+from slam.evaluation.metrics.statistics import CHIEF_FIGURES, ChiefFigure
 from slam.sweeps.degradations import describe_option, undegraded_strength
 from slam.sweeps.sweep import Sweep, SweepRow
+from slam.visualization.map_plot import save_figure
 
 _SHOWN = {
     "closures.precision": "precision of closures",

@@ -19,11 +19,11 @@ from logs.digest import file_sha256
 from logs.reader import LogReader
 from logs.selection import OUTPUT_PREFIX, select_topics
 from logs.topics import RecordKind
-from slam.config import Config
-from slam.config_tree import changes
-from slam.errors import EvaluationError
-from slam.evaluation.protocol import Protocol
-from slam.evaluation.spread import CHIEF_FIGURES, Spread
+from slam.common.config import Config
+from slam.common.config_tree import changes
+from slam.common.errors import EvaluationError
+from slam.evaluation.inputs.protocol import Protocol
+from slam.evaluation.metrics.statistics import CHIEF_FIGURES, Spread
 from slam.sweeps.cells import Cell, CellFolder, CellResult, CellTask, Drive, compute_cell
 from slam.sweeps.degradations import Degradation
 from slam.sweeps.workers import Death, compute_all

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from slam.evaluation.spread import CHIEF_FIGURES
+from slam.evaluation.metrics.statistics import CHIEF_FIGURES
 from slam.sweeps.sweep import Sweep, SweepRow
 
 _CLOSURES = {"closures.precision": "precision", "closures.recall": "recall", "closures.recall_opposite": "opposite"}

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from descriptors.constellation import Constellations, gather_constellations
 from descriptors.descriptor import Descriptor
-from slam.geometry import FloatArray, IntArray
+from slam.common.arrays import FloatArray, IntArray
 
 VOCABULARY = ("bench", "lamp", "sign", "tree")
 

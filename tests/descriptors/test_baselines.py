@@ -15,8 +15,9 @@ from descriptors.baselines.random_walk import RandomWalk, neighbours_of, walk
 from descriptors.class_vectors import class_vectors
 from descriptors.constellation import Constellations, gather_constellations
 from descriptors.descriptor import Descriptor
-from descriptors.padded import pad_constellations
-from slam.geometry import FloatArray, apply, transform_from_xyz_yaw
+from descriptors.learned.padded import pad_constellations
+from slam.common.arrays import FloatArray
+from slam.common.geometry import apply, transform_from_xyz_yaw
 from tests.descriptors.constellations import VOCABULARY, describe, scattered
 
 LENGTHS = {"onion": 3, "onion_histogram": 192, "random_walk": 512}

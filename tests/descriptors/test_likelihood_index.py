@@ -10,7 +10,7 @@ from descriptors.constellation import Constellations, gather_constellations
 from descriptors.index import ConstellationIndex, Matches
 from descriptors.likelihood_index import STEP_NATS, LikelihoodIndex
 from descriptors.ring_likelihood import CHUNK, RingLikelihood
-from slam.geometry import FloatArray
+from slam.common.arrays import FloatArray
 from tests.descriptors.constellations import VOCABULARY, constellation, scattered, thinned
 
 RADIUS_M = 60.0

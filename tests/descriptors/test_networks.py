@@ -6,7 +6,6 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from descriptors.architectures import ARCHITECTURES, make_network
 from descriptors.baselines.sgnet import ContextAttention, EdgeConvolution
 from descriptors.descriptellation.graph import edges, pairs_of
 from descriptors.descriptellation.network import (
@@ -15,6 +14,7 @@ from descriptors.descriptellation.network import (
     DescriptellationArchitecture,
     MaxRelativeConvolution,
 )
+from descriptors.learned.architectures import ARCHITECTURES, make_network
 from tests.descriptors.batches import batch
 
 every_network = pytest.mark.parametrize("name", sorted(ARCHITECTURES))

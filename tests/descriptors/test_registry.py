@@ -15,7 +15,7 @@ from descriptors.errors import DescriptorError
 from descriptors.index import ConstellationIndex, Matches
 from descriptors.likelihood_index import LikelihoodIndex
 from descriptors.registry import DESCRIPTOR_NAMES, LEARNED, make_descriptor, make_index
-from slam.geometry import FloatArray, IntArray
+from slam.common.arrays import FloatArray, IntArray
 from tests.descriptors.constellations import VOCABULARY, describe, scattered
 
 WEIGHTS = Path(descriptors.__file__).parent / "descriptellation" / "weights"

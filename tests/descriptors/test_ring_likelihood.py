@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from descriptors.baselines.onion import OnionHistogram
 from descriptors.constellation import Constellations, gather_constellations
 from descriptors.ring_likelihood import CHUNK, RingLikelihood
-from slam.geometry import FloatArray, IntArray, apply, transform_from_xyz_yaw
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.geometry import apply, transform_from_xyz_yaw
 from tests.descriptors.constellations import VOCABULARY, constellation, describe, scattered, street, thinned
 
 CLASSES = len(VOCABULARY)

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 import torch
 
-from descriptors.architectures import default_architecture
 from descriptors.baselines.pointnet import PointNetArchitecture
 from descriptors.baselines.sgnet import SGNetArchitecture
 from descriptors.descriptellation import training
@@ -21,9 +20,10 @@ from descriptors.descriptellation.dataset import DatasetConfig, make_dataset
 from descriptors.descriptellation.network import DescriptellationArchitecture
 from descriptors.descriptellation.training import CHECKPOINT, CURVES, WEIGHTS, Epoch, TrainingConfig, train_network
 from descriptors.errors import DescriptorError
-from descriptors.inference import describe_padded
+from descriptors.learned.architectures import default_architecture
+from descriptors.learned.inference import describe_padded
+from descriptors.learned.weights import load_weights
 from descriptors.top_k import top_k_ratio
-from descriptors.weights import load_weights
 
 TINY = TrainingConfig(
     architecture=DescriptellationArchitecture(layers=2, channels=8, fusion=8, length=16),

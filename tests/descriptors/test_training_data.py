@@ -32,7 +32,7 @@ from descriptors.descriptellation.augmentation import (
 from descriptors.descriptellation.dataset import DatasetConfig, make_dataset, simulate_anchors
 from descriptors.descriptellation.simulation import MapSimulation, simulate_map
 from descriptors.errors import DescriptorError
-from descriptors.padded import PaddedConstellations
+from descriptors.learned.padded import PaddedConstellations
 
 CLASSES = 20
 NOWHERE = Uniform(0.0, 0.0)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.loop_drives import one_block
+from tests.helpers.loop_drives import one_block
 from tests.tools.runs import Run, assert_refused
 
 FIGURES = {

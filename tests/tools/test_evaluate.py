@@ -12,10 +12,10 @@ from rich.console import Console
 
 from slam.evaluation.comparison import Run as ComparedRun
 from slam.evaluation.comparison import compare_runs
-from tests.short_drives import Entry, keep_until, write_log
+from tests.helpers.short_drives import Entry, keep_until, write_log
 from tests.tools.runs import SAMPLE, Run, assert_refused
 from tools import cli
-from tools.evaluate_comparison import compare_table
+from tools.evaluation.comparison import compare_table
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,8 @@ import pytest
 from logs.messages import RelocalizationRecord, SlamPose
 from logs.reader import LogReader
 from logs.writer import LogWriter
-from slam.saved_map import GRAVITY, METADATA, load_map
-from tests.short_drives import raw_messages, records_of
+from slam.object_map.map_io import GRAVITY, METADATA, load_map
+from tests.helpers.short_drives import raw_messages, records_of
 from tests.tools.runs import Run, assert_refused
 from tools import cli, info_map
 

@@ -16,7 +16,7 @@ from descriptors.descriptellation import training
 from descriptors.descriptellation.dataset import DatasetConfig
 from descriptors.descriptellation.network import DescriptellationArchitecture
 from descriptors.descriptellation.training import WEIGHTS, Epoch, TrainingConfig
-from descriptors.weights import load_weights
+from descriptors.learned.weights import load_weights
 from tests.tools.runs import Run, assert_refused
 
 Called = dict[str, Any]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-from slam.evaluation.calibration import CalibrationQuality, Consistency
 from slam.evaluation.html_report.chart import Chart, Trace, axis, plain_numbers
 from slam.evaluation.html_report.markup import format_number
+from slam.evaluation.metrics.calibration import CalibrationQuality, Consistency
 
 PROBABILITIES = np.linspace(0.0, 1.0, 51)
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from logs.closures import STAGES
-from slam.evaluation.closure_sweep import ScoreSweep
-from slam.evaluation.closure_verdicts import JudgedClosures
-from slam.evaluation.closures import ClosureQuality
+from slam.common.arrays import IntArray
 from slam.evaluation.html_report import theme
 from slam.evaluation.html_report.chart import Chart, Trace, axis, plain_numbers, thin_rows
 from slam.evaluation.html_report.markup import escape_name, format_number, format_percent
-from slam.geometry import IntArray
+from slam.evaluation.place_recognition.closure_labels import JudgedClosures
+from slam.evaluation.place_recognition.closures import ClosureQuality
+from slam.evaluation.place_recognition.precision_recall import ScoreSweep
 
 MOST_TURNED_DOWN = 1500
 """Of the candidates that were turned down so many are drawn; of a stage with few of them all."""

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.evaluation.closures import ClosureQuality, RevisitQuality
 from slam.evaluation.html_report.chart import Trace
 from slam.evaluation.html_report.map_marks import describe_moments, draw_line, draw_points
 from slam.evaluation.html_report.markup import format_number
-from slam.evaluation.map_frame import MapPaths
+from slam.evaluation.place_recognition.closures import ClosureQuality, RevisitQuality
+from slam.evaluation.report.map_frame import MapPaths
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -44,4 +44,4 @@ def unwrap(program: str) -> str:
 @cache
 def read_part(name: str) -> str:
     """A file of this package: the style or the script of the page."""
-    return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
+    return resources.files(__package__).joinpath("assets", name).read_text(encoding="utf-8")

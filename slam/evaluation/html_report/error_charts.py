@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam.errors import EvaluationError
-from slam.evaluation.evaluation import Evaluation
+from slam.common.errors import EvaluationError
+from slam.common.geometry import apply, travelled_m
 from slam.evaluation.html_report.chart import Chart, Trace, axis, plain_numbers, thin_rows
-from slam.evaluation.records import EvaluationRecords
-from slam.evaluation.synchronization import PoseSeries, clean_poses, synchronize
-from slam.evaluation.trajectory import TrajectoryErrors
-from slam.geometry import apply, travelled_m
+from slam.evaluation.inputs.records import EvaluationRecords
+from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses, synchronize
+from slam.evaluation.metrics.trajectory import TrajectoryErrors
+from slam.evaluation.result import Evaluation
 
 
 def draw_error_along_path(records: EvaluationRecords, evaluation: Evaluation) -> Chart | None:

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from logs.messages import ObjectMapRecord
-from slam.evaluation.closures import ClosureQuality
 from slam.evaluation.html_report.chart import Chart, Trace, map_layout, thin_rows
 from slam.evaluation.html_report.closure_marks import draw_closures
 from slam.evaluation.html_report.map_marks import describe_moments, draw_line, draw_points
 from slam.evaluation.html_report.markup import escape_name
-from slam.evaluation.landmarks import CONFIRMED
-from slam.evaluation.map_frame import MapPaths
-from slam.evaluation.synchronization import PoseSeries
-from slam.palette import LEGEND_CLASSES, group_classes
+from slam.evaluation.inputs.synchronization import PoseSeries
+from slam.evaluation.metrics.landmarks import CONFIRMED
+from slam.evaluation.place_recognition.closures import ClosureQuality
+from slam.evaluation.report.map_frame import MapPaths
+from slam.visualization.palette import LEGEND_CLASSES, group_classes
 
 MOST_LANDMARKS = 5000
 """Of more than these every class is thinned alike: a browser draws each as an object of its own."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from slam.common.arrays import FloatArray, IntArray
 from slam.evaluation.html_report.chart import Trace, plain_numbers
-from slam.evaluation.synchronization import PoseSeries
-from slam.geometry import FloatArray, IntArray
+from slam.evaluation.inputs.synchronization import PoseSeries
 
 
 def draw_line(positions: FloatArray, name: str, color: str, width: float, *, dash: str = "solid", **more: Any) -> Trace:

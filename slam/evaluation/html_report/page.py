@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from logs.errors import UnwritableLogError
-from slam.evaluation.closures import ClosureQuality
-from slam.evaluation.evaluation import Evaluation
 from slam.evaluation.html_report.calibration_charts import draw_calibration
 from slam.evaluation.html_report.chart import Chart
 from slam.evaluation.html_report.closure_charts import draw_candidates, draw_precision_recall
@@ -20,8 +18,10 @@ from slam.evaluation.html_report.markup import escape, format_number
 from slam.evaluation.html_report.tables import name_of, render_tables
 from slam.evaluation.html_report.theme import style_properties
 from slam.evaluation.html_report.tiles import compose_tiles, render_tiles
-from slam.evaluation.map_frame import bring_into_map
-from slam.evaluation.records import EvaluationRecords
+from slam.evaluation.inputs.records import EvaluationRecords
+from slam.evaluation.place_recognition.closures import ClosureQuality
+from slam.evaluation.report.map_frame import bring_into_map
+from slam.evaluation.result import Evaluation
 
 NOTHING_LOADED = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 """The browser itself refuses whatever would come from outside."""

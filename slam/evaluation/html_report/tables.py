@@ -32,7 +32,7 @@ _APART = ("trajectory", "missing", "protocol")
 
 
 def render_tables(results: Mapping[str, Any]) -> str:
-    """All numbers of :meth:`slam.evaluation.evaluation.Evaluation.to_json_dict`, a table for each of its parts."""
+    """All numbers of :meth:`slam.evaluation.result.Evaluation.to_json_dict`, a table for each of its parts."""
     parts = [_absolute_table(results["trajectory"]), _relative_table(results["trajectory"])]
     for name, values in results.items():
         if name not in _APART and isinstance(values, Mapping):

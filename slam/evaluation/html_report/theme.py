@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from slam import palette
+from slam.visualization import palette
 
 STAGES = {
     "retrieval": "--stage-retrieval",

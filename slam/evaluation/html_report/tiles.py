@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from slam.evaluation.evaluation import Evaluation
 from slam.evaluation.html_report.markup import UNDEFINED, escape, format_metres, format_percent
-from slam.evaluation.landmarks import CONFIRMED
-from slam.evaluation.records import EvaluationRecords
+from slam.evaluation.inputs.records import EvaluationRecords
+from slam.evaluation.metrics.landmarks import CONFIRMED
+from slam.evaluation.result import Evaluation
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,64 @@
+"""A descriptor made by a trained network."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from descriptors.constellation import Constellations
+from descriptors.errors import WeightsError
+from descriptors.learned.architectures import check_labels
+from descriptors.learned.inference import describe_padded
+from descriptors.learned.padded import pad_constellations
+from descriptors.learned.weights import load_weights
+
+SHIPPED = Path(__file__).parents[1] / "descriptellation" / "weights"
+
+
+class LearnedDescriptor:
+    """A network with its weights; the radius is the one it was trained with.
+
+    A class enters as the row of the embedding that has its place in the vocabulary. Rows mean nothing of their own,
+    since the network was trained on classes that were dealt out anew in every map.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Load a weights file.
+
+        Raises:
+            WeightsError: the file is missing, damaged or at odds with its architecture.
+        """
+        self._network, self.metadata = load_weights(path)
+        self.name = str(self._network.architecture.name)  # type: ignore[union-attr]
+        self.length = int(self._network.architecture.length)  # type: ignore[union-attr, arg-type]
+        self.vocabulary_size = int(self._network.architecture.vocabulary_size)  # type: ignore[union-attr, arg-type]
+        try:
+            self.radius_m = float(self.metadata.training["dataset"]["radius_m"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise WeightsError(
+                f"{path}: its training configuration has no dataset.radius_m, so how far neighbours count is unknown; "
+                "train again"
+            ) from error
+
+    @classmethod
+    def shipped(cls, name: str) -> LearnedDescriptor:
+        """The network of that name with the weights in this package."""
+        return cls(SHIPPED / f"{name}.safetensors")
+
+    def describe(self, constellations: Constellations) -> NDArray[np.float32]:
+        """Vectors (B, length).
+
+        Raises:
+            DescriptorError: more classes than the embedding has rows.
+        """
+        check_labels(constellations.labels, self.vocabulary_size)
+        check_labels(constellations.centre_labels, self.vocabulary_size)
+        threads = torch.get_num_threads()
+        torch.set_num_threads(1)  # sums over threads would differ from machine to machine
+        try:
+            return describe_padded(self._network, pad_constellations(constellations), torch.device("cpu"))
+        finally:
+            torch.set_num_threads(threads)

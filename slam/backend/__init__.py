@@ -1,0 +1,1 @@
+"""The factor graph and its optimisation; the only importer of GTSAM."""

@@ -1,0 +1,178 @@
+"""What ties keyframes and landmarks together: records of our own, and the GTSAM factors that they become.
+
+Everything is checked here before GTSAM sees it, since GTSAM takes a rotation that is none without a word. Noise in
+GTSAM's order: rotation, then translation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import L, X
+
+from slam.common.arrays import FloatArray
+from slam.common.config import FactorGraphConfig
+from slam.common.errors import FactorGraphError
+
+PRIOR_SIGMA_RAD = 1e-4
+PRIOR_SIGMA_M = 1e-3
+# Nearer than this a bearing says nothing: the object is on top of the sensor.
+MIN_RANGE_M = 0.3
+ORTHONORMAL_TOLERANCE = 1e-6
+CLOSURE_KERNEL_WIDTH = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Anchor:
+    """Holds a keyframe at ``T_map_body`` (4, 4): what fixes the map frame."""
+
+    keyframe: int
+    T_map_body: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LandmarkAnchor:
+    """Holds a landmark at ``position`` (3,) m in the map: it belongs to a map that stays as it is."""
+
+    landmark: int
+    position: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edge:
+    """A between-factor: ``T_from_to`` (4, 4) with its covariance (6, 6); ``kind`` is "odometry" or "closure"."""
+
+    from_keyframe: int
+    to_keyframe: int
+    T_from_to: FloatArray
+    covariance: FloatArray
+    kind: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observation:
+    """A landmark seen from a keyframe: ``position`` (3,) m in the keyframe's body frame, covariance (3, 3) m^2.
+
+    ``redundancy``: how many such observations carry the information of one, because they share their errors.
+    """
+
+    keyframe: int
+    landmark: int
+    position: FloatArray
+    covariance: FloatArray
+    redundancy: float = 1.0
+
+
+Factor = Edge | Observation | Anchor | LandmarkAnchor
+
+
+def prior_factor(anchor: Anchor) -> gtsam.NonlinearFactor:
+    """The GTSAM factor of an anchor."""
+    noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([PRIOR_SIGMA_RAD, PRIOR_SIGMA_M], 3))
+    return gtsam.PriorFactorPose3(
+        X(anchor.keyframe), checked_pose(anchor.T_map_body, f"keyframe {anchor.keyframe}"), noise
+    )
+
+
+def landmark_prior_factor(anchor: LandmarkAnchor) -> gtsam.NonlinearFactor:
+    """The GTSAM factor of a landmark that is held where it is."""
+    if not np.all(np.isfinite(anchor.position)):
+        raise FactorGraphError(f"landmark {anchor.landmark}: the position {anchor.position} is not finite")
+    noise = gtsam.noiseModel.Isotropic.Sigma(3, PRIOR_SIGMA_M)
+    return gtsam.PriorFactorPoint3(L(anchor.landmark), anchor.position, noise)
+
+
+def between_factor(edge: Edge) -> gtsam.NonlinearFactor:
+    """The GTSAM factor of an edge; closures are robust, odometry is not."""
+    what = f"edge {edge.from_keyframe} -> {edge.to_keyframe}"
+    covariance = _checked_covariance(edge.covariance, 6, what)
+    noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(covariance)
+    if edge.kind == "closure":
+        noise = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(CLOSURE_KERNEL_WIDTH), noise)
+    pose = checked_pose(edge.T_from_to, what)
+    return gtsam.BetweenFactorPose3(X(edge.from_keyframe), X(edge.to_keyframe), pose, noise)
+
+
+def bearing_range_factor(observation: Observation, config: FactorGraphConfig) -> gtsam.NonlinearFactor:
+    """The GTSAM factor of an observation, which is at least ``MIN_RANGE_M`` away."""
+    return bearing_range_factors([observation], config)[0]
+
+
+def bearing_range_factors(
+    observations: Sequence[Observation], config: FactorGraphConfig
+) -> list[gtsam.NonlinearFactor]:
+    """The GTSAM factors of observations that are at least ``MIN_RANGE_M`` away."""
+    if not observations:
+        return []
+    positions = np.array([observation.position for observation in observations])
+    covariances = _checked_covariances(observations)
+    not_finite = np.flatnonzero(~np.isfinite(positions).all(axis=1))
+    if len(not_finite):
+        what = _name(observations[not_finite[0]])
+        raise FactorGraphError(f"{what}: the position {positions[not_finite[0]]} is not finite")
+    ranges_m = np.linalg.norm(positions, axis=1)
+    sights = positions / ranges_m[:, None]
+    range_variances = np.einsum("ni,nij,nj->n", sights, covariances, sights)
+    # GTSAM spans the tangent plane of the bearing by axes that jump where the smallest coordinate changes, straight
+    # ahead for one. So the two bearing errors get one variance, the mean across the line of sight, and no axes.
+    bearing_variances = (np.trace(covariances, axis1=1, axis2=2) - range_variances) / (2.0 * ranges_m**2)
+    variances = np.stack([bearing_variances, bearing_variances, range_variances], axis=1)
+    variances *= np.array([observation.redundancy for observation in observations])[:, None]
+    kernels = {redundancy: _robust_kernel(config, redundancy) for redundancy in {o.redundancy for o in observations}}
+    factors: list[gtsam.NonlinearFactor] = []
+    for observation, range_m, variance in zip(observations, ranges_m.tolist(), variances, strict=True):
+        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Diagonal.Variances(variance)
+        kernel = kernels[observation.redundancy]
+        if kernel is not None:
+            noise = gtsam.noiseModel.Robust.Create(kernel, noise)
+        keys = X(observation.keyframe), L(observation.landmark)
+        factors.append(gtsam.BearingRangeFactor3D(*keys, gtsam.Unit3(observation.position), range_m, noise))
+    return factors
+
+
+def checked_pose(T: FloatArray, what: str) -> gtsam.Pose3:
+    """A rigid transform (4, 4) as GTSAM's; ``what`` it is goes into the error."""
+    R = T[:3, :3]
+    if not np.all(np.isfinite(T)) or np.abs(R @ R.T - np.eye(3)).max() > ORTHONORMAL_TOLERANCE or np.linalg.det(R) < 0:
+        raise FactorGraphError(f"{what}: not a rigid transform: {np.array2string(T, precision=4)}")
+    return gtsam.Pose3(T)
+
+
+def _checked_covariance(covariance: FloatArray, size: int, what: str) -> FloatArray:
+    if covariance.shape != (size, size) or not np.all(np.isfinite(covariance)):
+        raise FactorGraphError(f"{what}: the covariance must be a finite {size} x {size} matrix")
+    if np.linalg.eigvalsh(covariance)[0] <= 0.0:
+        raise FactorGraphError(f"{what}: the covariance is not positive definite")
+    return covariance
+
+
+def _checked_covariances(observations: Sequence[Observation]) -> FloatArray:
+    """Their covariances (N, 3, 3)."""
+    for observation in observations:
+        if observation.covariance.shape != (3, 3):
+            _checked_covariance(observation.covariance, 3, _name(observation))
+    covariances = np.array([observation.covariance for observation in observations])
+    usable = np.asarray(np.isfinite(covariances).all(axis=(1, 2)))
+    least = np.linalg.eigvalsh(np.where(usable[:, None, None], covariances, 0.0))[:, 0]
+    for row in np.flatnonzero(least <= 0.0).tolist():
+        _checked_covariance(covariances[row], 3, _name(observations[row]))
+    return covariances
+
+
+def _name(observation: Observation) -> str:
+    return f"observation of landmark {observation.landmark} from keyframe {observation.keyframe}"
+
+
+def _robust_kernel(config: FactorGraphConfig, redundancy: float) -> gtsam.noiseModel.mEstimator.Base | None:
+    """The kernel of observations: its width is meant in sigmas of one observation, before redundancy widens them."""
+    width = config.observation_kernel_width / np.sqrt(redundancy)
+    match config.observation_kernel:
+        case "cauchy":
+            return gtsam.noiseModel.mEstimator.Cauchy.Create(width)
+        case "huber":
+            return gtsam.noiseModel.mEstimator.Huber.Create(width)
+        case _:
+            return None

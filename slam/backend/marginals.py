@@ -1,0 +1,158 @@
+"""Marginal covariances of all keyframes and landmarks at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import L, X
+from numpy.typing import NDArray
+from scipy import sparse
+
+from slam.backend.covariance_estimation import LinearSystem, covariance_blocks, outlier_limit, variance_factors
+from slam.backend.factors import CLOSURE_KERNEL_WIDTH, Edge, Factor, LandmarkAnchor, Observation
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.config import FactorGraphConfig
+
+KeyArray = NDArray[np.uint64]
+POSE_SIZE, POINT_SIZE = 6, 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Marginals:
+    """Covariances of all variables of a graph.
+
+    poses (K, 6, 6): rotation [rad] first, then translation [m], of the right perturbation ``T_map_body Exp(xi)``, that
+    is, about the axes of the body; points (L, 3, 3) m^2, map frame. pose_keys (K,) and point_keys (L,) are GTSAM's,
+    ascending.
+    """
+
+    pose_keys: KeyArray
+    point_keys: KeyArray
+    poses: FloatArray
+    points: FloatArray
+
+    def of_keyframes(self, keyframes: IntArray) -> FloatArray:
+        """Covariances (N, 6, 6) of keyframes (N,) that are in the graph."""
+        return self.poses[np.searchsorted(self.pose_keys, _keys(X(0), keyframes))]
+
+    def of_landmarks(self, landmarks: IntArray) -> FloatArray:
+        """Covariances (N, 3, 3) m^2 of landmarks (N,) that are in the graph."""
+        return self.points[np.searchsorted(self.point_keys, _keys(L(0), landmarks))]
+
+
+def compute_marginals(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, factors: Sequence[Factor], config: FactorGraphConfig
+) -> Marginals:
+    """Covariances of all variables of an optimised graph, with the noise that the drive itself shows.
+
+    What is done about the noise is told in ``slam.backend.covariance_estimation``. GTSAM's own marginals eliminate anew
+    for each variable, which takes ten times as long where loops are closed.
+
+    Args:
+        graph: its factors, among them empty places.
+        values: the optimum.
+        factors: what each factor of the graph was made of, in its order, without the empty places.
+        config: the kernels of the observations.
+
+    Raises:
+        np.linalg.LinAlgError: the graph does not determine all variables.
+    """
+    # The columns stand in the order of the keys, and the letter of a landmark comes before that of a pose.
+    keys = np.array(sorted(values.keys()), dtype=np.uint64)
+    points = int(np.searchsorted(keys, np.uint64(X(0))))
+    owners = np.repeat(np.arange(len(keys)), np.where(np.arange(len(keys)) < points, POINT_SIZE, POSE_SIZE))
+    system = _linearize(graph, values, factors, config, owners)
+    blocks = covariance_blocks(system, variance_factors(system))
+    return Marginals(keys[points:], keys[:points], blocks[points:], blocks[:points, :POINT_SIZE, :POINT_SIZE].copy())
+
+
+def marginals_one_by_one(isam: gtsam.ISAM2, values: gtsam.Values) -> Marginals:
+    """Covariances as the incremental solver has them, which is slow, but bears a conditioning that others do not.
+
+    Raises:
+        RuntimeError: GTSAM finds that a variable is not determined.
+    """
+    keys = np.array(sorted(values.keys()), dtype=np.uint64)
+    points = int(np.searchsorted(keys, np.uint64(X(0))))
+    covariances = [np.asarray(isam.marginalCovariance(int(key))) for key in keys]
+    return Marginals(
+        keys[points:],
+        keys[:points],
+        np.array(covariances[points:]).reshape(-1, POSE_SIZE, POSE_SIZE),
+        np.array(covariances[:points]).reshape(-1, POINT_SIZE, POINT_SIZE),
+    )
+
+
+def _linearize(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    factors: Sequence[Factor],
+    config: FactorGraphConfig,
+    owners: IntArray,
+) -> LinearSystem:
+    is_small = np.array([isinstance(each, Observation | LandmarkAnchor) for each in factors])
+    sizes = np.where(is_small, POINT_SIZE, POSE_SIZE)
+    starts = np.cumsum(sizes) - sizes
+    row, column, entry = np.asarray(graph.linearize(values).sparseJacobian_())
+    # Both are counted from one; the last column is the right side.
+    row, column = row.astype(np.int64) - 1, column.astype(np.int64) - 1
+    is_right = column == len(owners)
+    shape = (int(sizes.sum()), len(owners))
+    weighted = np.zeros(shape[0])
+    weighted[row[is_right]] = entry[is_right]
+    unweighting, trust = _undo_kernels(factors, np.add.reduceat(weighted**2, starts), config)
+    scale = np.repeat(unweighting, sizes)
+    places = (row[~is_right], column[~is_right])
+    jacobian = sparse.csr_array((entry[~is_right] * scale[row[~is_right]], places), shape=shape)
+    kinds = np.array([each.kind if isinstance(each, Edge) else "" for each in factors])
+    rows = starts[:, None] + np.arange(POSE_SIZE)
+    trusts = np.repeat(trust, sizes)
+    return LinearSystem(jacobian, weighted * scale, trusts, rows[kinds == "odometry"], rows[kinds == "closure"], owners)
+
+
+def _undo_kernels(
+    factors: Sequence[Factor], squares: FloatArray, config: FactorGraphConfig
+) -> tuple[FloatArray, FloatArray]:
+    """What takes the kernels' weights off the rows of factors (F,), but for those of outliers, and the factors' trust.
+
+    ``squares`` (F,) are their squared residuals after the weighing.
+    """
+    scale, trust = np.ones(len(factors)), np.ones(len(factors))
+    is_observation = np.array([isinstance(each, Observation) for each in factors])
+    redundancy = np.array([each.redundancy for each in factors if isinstance(each, Observation)])
+    is_closure = np.array([isinstance(each, Edge) and each.kind == "closure" for each in factors])
+    for chosen, kernel, width, own, size in (
+        (is_observation, config.observation_kernel, config.observation_kernel_width, redundancy, POINT_SIZE),
+        (is_closure, "cauchy", CLOSURE_KERNEL_WIDTH, 1.0, POSE_SIZE),
+    ):
+        if chosen.any():
+            weights, slopes = _kernel(kernel, squares[chosen] * own / width**2, size)
+            is_outlier = squares[chosen] * own / weights > outlier_limit(size)
+            scale[chosen] = np.where(is_outlier, 1.0, 1.0 / np.sqrt(weights))
+            trust[chosen] = slopes.mean()
+    return scale, trust
+
+
+def _kernel(kernel: str, squares: FloatArray, size: int) -> tuple[FloatArray, FloatArray]:
+    """Weights w (N,) of residuals r, and the slope of w r in the mean over all directions of ``size`` dimensions.
+
+    ``squares`` (N,) are w r^2, with r in widths of the kernel, since GTSAM multiplies rows by the root of w. Cauchy:
+    w = 1 / (1 + r^2), so w r^2 = 1 - w, and the slope along r is w - 2 w (1 - w). Huber: w = min(1, 1 / r), so
+    w r^2 = r beyond 1, and the slope along r is 0 there.
+    """
+    match kernel:
+        case "cauchy":
+            weights = np.maximum(1.0 - squares, 1e-12)
+            return weights, weights - 2.0 * weights * (1.0 - weights) / size
+        case "huber":
+            weights = 1.0 / np.maximum(squares, 1.0)
+            return weights, np.where(squares > 1.0, weights * (size - 1) / size, 1.0)
+        case _:
+            return np.ones(len(squares)), np.ones(len(squares))
+
+
+def _keys(first: int, numbers: IntArray) -> KeyArray:
+    return np.uint64(first) + numbers.astype(np.uint64)

@@ -1,0 +1,123 @@
+"""Blocks on the diagonal of the inverse of a sparse symmetric matrix, without the rest of the inverse."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from slam.common.arrays import IntArray
+
+Matrix = NDArray[Any]
+"""Real or complex."""
+
+
+def diagonal_blocks_of_inverse(matrix: sparse.csc_array, owners: IntArray) -> tuple[IntArray, IntArray, Matrix]:
+    """Entries of the inverse of a positive definite ``matrix`` (n, n) whose row and column have one owner.
+
+    With the factors L D L^T the columns of the inverse Z follow from the last one to the first (Takahashi 1973):
+    ``Z[S, j] = -Z[S, S] L[S, j]`` where S are the rows of column j in L, all of which are rows of the parent's column,
+    too. So each column needs only a dense piece of its parent's; a walk down the elimination tree keeps few of them.
+
+    Args:
+        matrix: the information matrix. It may be complex, symmetric (not Hermitian), with a positive definite real part
+            and a small imaginary one, of which the inverse then tells how it changes with it.
+        owners: (n,) the variable that each row belongs to.
+
+    Returns:
+        Rows, columns and values (E,) of the entries, for column <= row in the order of elimination.
+
+    Raises:
+        np.linalg.LinAlgError: the matrix is not positive definite.
+    """
+    try:
+        factors = splu(
+            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True, "Equil": False}
+        )
+    except RuntimeError as error:
+        raise np.linalg.LinAlgError(str(error)) from error
+    pivots = factors.U.diagonal()
+    if not np.array_equal(factors.perm_r, factors.perm_c) or not np.all(pivots.real > 0.0):
+        raise np.linalg.LinAlgError("the matrix is not positive definite")
+    lower = sparse.csc_array(factors.L)
+    lower.sort_indices()
+    original = np.argsort(factors.perm_c)  # row of the matrix that each step of the elimination took
+    owners = owners[original]
+    rows, columns, values = list[IntArray](), list[IntArray](), list[Matrix]()
+    for column, front, piece in _walk(lower, pivots, owners):
+        own = np.flatnonzero(owners[front] == owners[column])
+        rows.append(front[own])
+        columns.append(np.full(len(own), column))
+        values.append(piece[0, own])
+    return original[np.concatenate(rows)], original[np.concatenate(columns)], np.concatenate(values)
+
+
+def _walk(lower: sparse.csc_array, pivots: Matrix, owners: IntArray) -> Iterator[tuple[int, IntArray, Matrix]]:
+    """Each column with its front, the column and the rows below it, and the inverse over the front."""
+    fronts, children, roots = _elimination_tree(lower, owners)
+    stack = [(root, np.array([[1.0 / pivots[root]]])) for root in roots]
+    while stack:
+        column, piece = stack.pop()
+        yield column, fronts[column], piece
+        for child in children[column]:
+            start, end = lower.indptr[child], lower.indptr[child + 1]
+            below = np.zeros(len(fronts[child]), dtype=pivots.dtype)
+            below[np.searchsorted(fronts[child], lower.indices[start:end])] = lower.data[start:end]
+            stack.append((child, _extend(fronts[child], fronts[column], piece, below[1:], pivots[child])))
+
+
+def _elimination_tree(lower: sparse.csc_array, owners: IntArray) -> tuple[list[IntArray], list[list[int]], list[int]]:
+    """Fronts and children of all columns, and the columns without a parent.
+
+    The rows of a column are rows of its parent's; where the factorisation left out a zero they are put back, as
+    are rows of the column's owner that nothing couples with it.
+    """
+    starts, indices = lower.indptr, lower.indices.astype(np.int64)
+    fronts = [indices[starts[j] : starts[j + 1]] for j in range(len(starts) - 1)]
+    for j, own in _owners_left_apart(lower, owners):
+        fronts[j] = np.union1d(fronts[j], own)
+    children: list[list[int]] = [[] for _ in fronts]
+    roots = list[int]()
+    for j, front in enumerate(fronts):
+        if len(front) == 1:
+            roots.append(j)
+            continue
+        parent = int(front[1])
+        children[parent].append(j)
+        above = fronts[parent]
+        places = np.searchsorted(above, front[1:])
+        if places[-1] >= len(above) or not np.array_equal(above[places], front[1:]):
+            fronts[parent] = np.union1d(above, front[1:])
+    return fronts, children, roots
+
+
+def _extend(front: IntArray, parent: IntArray, piece: Matrix, column: Matrix, pivot: float) -> Matrix:
+    """The inverse over the front of a column, from that over its parent's."""
+    if len(front) == len(parent) + 1:
+        below = piece
+    else:
+        places = np.searchsorted(parent, front[1:])
+        below = piece.take(places, axis=0).take(places, axis=1)
+    across = -(below @ column)
+    extended = np.empty((len(front), len(front)), dtype=piece.dtype)
+    extended[0, 0] = 1.0 / pivot - column @ across
+    extended[0, 1:] = extended[1:, 0] = across
+    extended[1:, 1:] = below
+    return extended
+
+
+def _owners_left_apart(lower: sparse.csc_array, owners: IntArray) -> Iterator[tuple[int, IntArray]]:
+    """Columns that lack a row of their owner, with all rows of it from there on."""
+    column_of = np.repeat(np.arange(len(owners)), np.diff(lower.indptr))
+    is_own = owners[lower.indices] == owners[column_of]
+    held = np.bincount(column_of[is_own], minlength=len(owners))
+    by_owner = np.argsort(owners, kind="stable")
+    place = np.empty(len(owners), dtype=np.int64)
+    place[by_owner] = np.arange(len(owners))
+    end = np.searchsorted(owners[by_owner], owners, side="right")
+    for j in np.flatnonzero(held < end - place).tolist():
+        yield j, by_owner[place[j] : end[j]]

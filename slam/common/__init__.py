@@ -1,0 +1,1 @@
+"""What every stage uses: configuration, errors, arrays, rigid transforms."""

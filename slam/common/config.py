@@ -1,0 +1,293 @@
+"""The configuration: one frozen tree, defaults in code, unknown keys refused at every level.
+
+Each component receives only its own branch. The effective tree is written into every output log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from slam.common.config_tree import load_tree
+
+
+class _Branch(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class KeyframeConfig(_Branch):
+    """When a new keyframe is made: whichever comes first."""
+
+    distance_m: float = Field(default=2.0, gt=0, description="travel since the last keyframe [m]")
+    angle_deg: float = Field(default=20.0, gt=0, le=180, description="rotation since the last keyframe [deg]")
+    interval_s: float = Field(
+        default=5.0, gt=0, description="time since the last keyframe, if the body moved since [s]"
+    )
+
+
+class OdometryConfig(_Branch):
+    """Noise of the odometry as a random walk: variances grow in proportion to the travel."""
+
+    translation_sigma: float = Field(
+        default=0.05, gt=0, description="translation noise after 1 m of travel [m / sqrt(m)]"
+    )
+    yaw_sigma: float = Field(default=0.001, gt=0, description="heading noise after 1 m of travel [rad / sqrt(m)]")
+    tilt_sigma: float = Field(
+        default=0.0003,
+        gt=0,
+        description="roll and pitch noise after 1 m of travel, which gravity holds [rad / sqrt(m)]",
+    )
+    min_translation_sigma_m: float = Field(default=0.002, gt=0, description="least translation noise of a step [m]")
+    min_rotation_sigma_rad: float = Field(default=0.0001, gt=0, description="least rotation noise of a step [rad]")
+    max_speed_mps: float = Field(
+        default=60.0, gt=0, description="a faster step is a jump, and ties nothing together [m/s]"
+    )
+    max_acceleration_mps2: float = Field(
+        default=5.0, gt=0, description="a step that would need more than that is a jump, too [m/s^2]"
+    )
+    max_gap_s: float = Field(
+        default=20.0, gt=0, description="a longer silence is a break: landmarks in view are let go [s]"
+    )
+
+
+class DetectionConfig(_Branch):
+    """Noise of detections: the message's own covariance where it has one, else sigma = base + per_m * range."""
+
+    base_sigma_m: float = Field(
+        default=0.2, gt=0, description="position noise at range 0, where the message has none [m]"
+    )
+    sigma_per_m: float = Field(default=0.01, ge=0, description="growth of that noise with the range [m / m]")
+    common_sigma_m: float = Field(
+        default=0.4,
+        ge=0,
+        description="error that the sightings of one object from one keyframe share, e.g. of a centroid [m]",
+    )
+    redundancy: float = Field(
+        default=500.0,
+        ge=1,
+        description="observations that carry the information of one, where the message has no covariance: "
+        "errors of centroids are shared by the objects in view and by the keyframes of a pass",
+    )
+    min_sigma_m: float = Field(default=0.01, ge=0, description="added to the message's own covariances [m]")
+    min_score: float = Field(default=0.0, ge=0, le=1, description="detections below this score are left out")
+    max_range_m: float = Field(default=80.0, gt=0, description="detections farther away are left out [m]")
+
+    assume_body_frame: bool = Field(
+        default=False, description="take every detection to be in the body frame, whatever frame its message names"
+    )
+
+
+class AssociationConfig(_Branch):
+    """Which detection is which landmark."""
+
+    gate_probability: float = Field(
+        default=0.9995,
+        gt=0,
+        lt=1,
+        description="share of true matches that the chi-squared gate (3 degrees of freedom) keeps",
+    )
+    label_accuracy: float = Field(
+        default=0.85, gt=0, lt=1, description="probability that a detection has the right label"
+    )
+    new_object_density: float = Field(
+        default=0.002,
+        gt=0,
+        description="new objects and false positives a scan and cubic metre [1/m^3]; higher: fewer matches",
+    )
+    forget_distance_m: float = Field(
+        default=120.0, gt=0, description="landmarks unseen for that much travel are met again as new ones [m]"
+    )
+
+
+class LandmarkConfig(_Branch):
+    """The life of a landmark: tentative, confirmed, retired."""
+
+    confirm_observations: int = Field(default=4, ge=1, description="sightings that confirm a landmark")
+    confirm_fraction: float = Field(
+        default=0.4, ge=0, le=1, description="least share of the scans since its first sighting in which it was seen"
+    )
+    confirm_age_s: float = Field(
+        default=1.0,
+        ge=0,
+        description="least time from its first to its last sighting: what drives by is gone by then [s]",
+    )
+    give_up_distance_m: float = Field(
+        default=15.0, gt=0, description="a tentative landmark unseen for that travel retires [m]"
+    )
+    give_up_scans: int = Field(default=20, ge=1, description="... or for more than that many scans")
+    moving_speed_mps: float = Field(
+        default=1.0, gt=0, description="what is faster, and faster than its noise explains, moves [m/s]"
+    )
+    moving_distance_m: float = Field(default=2.5, gt=0, description="... if it also went at least this far [m]")
+    moving_observations: int = Field(default=5, ge=3, description="... and was seen at least that often")
+    moving_acceleration_mps2: float = Field(
+        default=3.0, gt=0, description="how much a moving object may change its speed [m/s^2]"
+    )
+
+
+class FactorGraphConfig(_Branch):
+    """The estimator on GTSAM."""
+
+    observation_kernel: str = Field(
+        default="cauchy",
+        pattern="^(none|huber|cauchy)$",
+        description="robust kernel of observations: none, huber or cauchy",
+    )
+    observation_kernel_width: float = Field(
+        default=1.5, gt=0, description="width of that kernel, in standard deviations"
+    )
+    relinearize_threshold: float = Field(
+        default=0.05, gt=0, description="iSAM2: change of a variable that relinearises it"
+    )
+    relinearize_skip: int = Field(default=10, ge=1, description="iSAM2: updates between checks for relinearisation")
+    update_keyframes: int = Field(default=3, ge=1, description="keyframes between two updates of iSAM2")
+
+
+class SubmapConfig(_Branch):
+    """The landmarks of the last stretch of travel, as they are set beside those of an earlier one."""
+
+    travel_m: float = Field(default=50.0, gt=0, description="landmarks seen within that much travel make a submap [m]")
+    landmark_sigma_m: float = Field(
+        default=0.35, gt=0, description="how far one pass may put a landmark from where another pass puts it [m]"
+    )
+    sigma_per_m: float = Field(
+        default=0.01, ge=0, description="growth of that error with the distance from the keyframe [m / m]"
+    )
+
+
+class EvidenceConfig(_Branch):
+    """What speaks for a place and what for accident; see slam/loop_closure/likelihood_ratio.py."""
+
+    persistence: float = Field(
+        default=0.7, gt=0, lt=1, description="probability that an object seen on one pass is in the map of another"
+    )
+    covered_m: float = Field(
+        default=25.0, gt=0, description="an object is expected where the other pass saw any this near [m]"
+    )
+    around_m: float = Field(default=5.0, gt=0, description="radius within which like objects are counted [m]")
+    row_length_m: float = Field(
+        default=12.0, gt=0, description="like objects are also counted that far along the direction of travel [m]"
+    )
+    row_sigma_m: float = Field(default=0.7, gt=0, description="... and about that far across it [m]")
+
+
+class LoopClosureConfig(_Branch):
+    """Which places are taken for one, and what is made of it."""
+
+    enabled: bool = Field(default=True, description="close loops")
+    descriptor: str = Field(
+        default="ring_likelihood",
+        description="descriptor of constellations: ring_likelihood, descriptellation, or one of the baselines",
+    )
+    min_travel_m: float = Field(
+        default=100.0, gt=0, description="places left behind less travel ago are no loop to close [m]"
+    )
+    settle_travel_m: float = Field(
+        default=60.0, gt=0, description="a landmark unseen for that travel is entered into the index of places [m]"
+    )
+    neighbours: int = Field(default=6, ge=1, description="nearest descriptors looked up for each object")
+    places: int = Field(default=3, ge=1, description="places that are verified for each keyframe")
+    lost_places: int = Field(
+        default=5, ge=0, description="... and those that one who is lost also tries, without descriptors"
+    )
+    min_objects: int = Field(default=4, ge=2, description="objects that must be seen again at the least")
+    supported_objects: int = Field(default=3, ge=2, description="... or next to a closure that is believed already")
+    threshold_nats: float = Field(
+        default=20.0, description="evidence from which a closure is believed on its own [nats]"
+    )
+    margin_nats: float = Field(
+        default=5.0, ge=0, description="... if no other place comes that near to it in evidence [nats]"
+    )
+    waiting_nats: float = Field(
+        default=10.0, description="evidence from which a candidate waits for others that agree [nats]"
+    )
+    supported_nats: float = Field(
+        default=6.0, description="evidence that suffices next to a closure that is believed already [nats]"
+    )
+    max_doubt_nats: float = Field(
+        default=15.0, ge=0, description="most that the odometry can say against a candidate [nats]"
+    )
+    break_doubt_nats: float = Field(
+        default=2.5, ge=0, description="... and what is said against any place across a break of the odometry [nats]"
+    )
+    odometry_inflation: float = Field(
+        default=3.0, gt=0, description="factor on the odometry's sigmas when it is asked about a candidate"
+    )
+    follow_travel_m: float = Field(
+        default=50.0, ge=0, description="travel over which a closure predicts those before and after it [m]"
+    )
+    insert_travel_m: float = Field(
+        default=20.0, ge=0, description="one closure in that much travel becomes a factor; the others say the same [m]"
+    )
+    base_sigma_m: float = Field(
+        default=0.3, gt=0, description="translation error of a closure that its inliers share [m]"
+    )
+    base_sigma_deg: float = Field(default=0.8, gt=0, description="heading error of a closure that they share [deg]")
+    tilt_sigma_deg: float = Field(default=1.0, gt=0, description="error of gravity between two passes [deg]")
+
+
+class RegistrationConfig(_Branch):
+    """Where one constellation of objects lies in another."""
+
+    gate_sigma: float = Field(
+        default=3.0, gt=0, description="residuals and differences of lengths beyond that many sigmas are no match"
+    )
+    height_sigma_m: float = Field(
+        default=0.3, ge=0, description="noise of heights beyond that of the position, e.g. of objects seen in part [m]"
+    )
+    tilt_sigma_rad: float = Field(
+        default=0.005, gt=0, description="how well gravity holds roll and pitch of the two frames together [rad]"
+    )
+    min_baseline_m: float = Field(
+        default=3.0, gt=0, description="least horizontal distance of two objects that propose a heading [m]"
+    )
+    min_inliers: int = Field(default=3, ge=2, description="least pairs of objects that support a pose")
+    hypotheses: int = Field(default=64, ge=1, description="poses with most votes that are scored")
+    confidence: float = Field(
+        default=0.9999,
+        gt=0,
+        lt=1,
+        description="voting ends once a pose with more support would have been met with this probability",
+    )
+    max_pairs: int = Field(default=20_000_000, ge=1, description="... or after that many pairs of correspondences")
+    search_radius_m: float = Field(
+        default=3.0, gt=0, description="refinement from an approximate pose looks that far for partners at first [m]"
+    )
+    max_iterations: int = Field(default=8, ge=1, description="rounds of association and least squares")
+    distinct_m: float = Field(
+        default=2.0, gt=0, description="poses nearer to a better one in position, at the centre of the objects, [m] ..."
+    )
+    distinct_deg: float = Field(default=10.0, gt=0, le=180, description="... and in heading are the same pose [deg]")
+    six_dof: bool = Field(
+        default=False, description="estimate roll and pitch, too, instead of taking both frames as level"
+    )
+    estimate_scale: bool = Field(
+        default=False, description="estimate a scale of the query, for ranges that are measured too long or too short"
+    )
+    scale_sigma: float = Field(default=0.05, gt=0, lt=1, description="how far that scale is from 1")
+
+
+class Config(_Branch):
+    """Everything that can be set."""
+
+    keyframe: KeyframeConfig = KeyframeConfig()
+    odometry: OdometryConfig = OdometryConfig()
+    detection: DetectionConfig = DetectionConfig()
+    association: AssociationConfig = AssociationConfig()
+    landmark: LandmarkConfig = LandmarkConfig()
+    factor_graph: FactorGraphConfig = FactorGraphConfig()
+    submap: SubmapConfig = SubmapConfig()
+    evidence: EvidenceConfig = EvidenceConfig()
+    loop_closure: LoopClosureConfig = LoopClosureConfig()
+    registration: RegistrationConfig = RegistrationConfig()
+
+
+def load_config(path: Path | None = None, overrides: Sequence[str] = ()) -> Config:
+    """The effective configuration: defaults, then the TOML file, then ``overrides`` like "keyframe.distance_m=1.5".
+
+    Raises:
+        ConfigurationError: a file that cannot be read, an unknown key, or a value that is not allowed.
+    """
+    return load_tree(Config, path, overrides)

@@ -1,0 +1,99 @@
+"""Rigid transforms as ``(..., 4, 4)`` float64 arrays, metres; every function takes one or a batch.
+
+``T_a_b`` maps points of frame b into frame a: ``p_a = T_a_b @ p_b``. Chains read with equal inner names.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.errors import GeometryError
+
+
+def make_transform(rotation: FloatArray, translation: FloatArray) -> FloatArray:
+    """Stack ``rotation`` (..., 3, 3) and ``translation`` (..., 3) into transforms (..., 4, 4)."""
+    shape = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    T = np.zeros((*shape, 4, 4))
+    T[..., :3, :3] = rotation
+    T[..., :3, 3] = translation
+    T[..., 3, 3] = 1.0
+    return T
+
+
+def transform_from_xyz_yaw(xyz: FloatArray, yaw_rad: FloatArray | float) -> FloatArray:
+    """Transforms (..., 4, 4) that turn about z by ``yaw_rad`` (...) and move by ``xyz`` (..., 3)."""
+    yaw = np.asarray(yaw_rad, dtype=np.float64)
+    c, s, zero, one = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw), np.ones_like(yaw)
+    rotation = np.stack([c, -s, zero, s, c, zero, zero, zero, one], axis=-1).reshape(*yaw.shape, 3, 3)
+    return make_transform(rotation, np.asarray(xyz, dtype=np.float64))
+
+
+def invert(T_a_b: FloatArray) -> FloatArray:
+    """``T_b_a`` of ``T_a_b`` (..., 4, 4), by transposing the rotation."""
+    R_b_a = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
+    return make_transform(R_b_a, -np.einsum("...ij,...j->...i", R_b_a, T_a_b[..., :3, 3]))
+
+
+def apply(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
+    """Points (N, 3) of frame b, in frame a: (N, 3); N = 0 gives (0, 3)."""
+    return points_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]
+
+
+def rotation_angle_rad(T: FloatArray) -> FloatArray:
+    """Angle of rotation (...) in [0, pi] of transforms (..., 4, 4).
+
+    From the sine and the cosine together, so that it is exact near 0 and near pi, where arccos alone is not.
+    """
+    R = T[..., :3, :3]
+    axis_sine = 0.5 * np.stack(
+        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1
+    )
+    cosine = 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0)
+    return np.asarray(np.arctan2(np.linalg.norm(axis_sine, axis=-1), cosine))
+
+
+def yaw_rad(T: FloatArray) -> FloatArray:
+    """Heading (...) of the x axis about z, in (-pi, pi], of transforms (..., 4, 4)."""
+    return np.asarray(np.arctan2(T[..., 1, 0], T[..., 0, 0]))
+
+
+def travelled_m(T_world_body: FloatArray) -> FloatArray:
+    """Path length (N,) from the first pose to each of (N, 4, 4)."""
+    steps = np.linalg.norm(np.diff(T_world_body[:, :3, 3], axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])[: len(T_world_body)]
+
+
+def interpolate(stamps_ns: IntArray, T_a_b: FloatArray, at_ns: IntArray) -> FloatArray:
+    """Poses (M, 4, 4) at ``at_ns`` (M,), between the poses (N, 4, 4) at the strictly increasing ``stamps_ns`` (N,).
+
+    Linear in translation, shortest arc in rotation.
+
+    Raises:
+        GeometryError: no pose, stamps that do not increase, or a time outside [first, last].
+    """
+    if len(stamps_ns) == 0 or np.any(np.diff(stamps_ns) <= 0):
+        raise GeometryError(f"interpolation needs strictly increasing stamps, got {len(stamps_ns)} poses")
+    if len(at_ns) == 0:
+        return np.zeros((0, 4, 4))
+    if at_ns.min() < stamps_ns[0] or at_ns.max() > stamps_ns[-1]:
+        raise GeometryError(
+            f"no pose outside [{stamps_ns[0]}, {stamps_ns[-1]}] ns; asked for [{at_ns.min()}, {at_ns.max()}] ns"
+        )
+    if len(stamps_ns) == 1:
+        return np.repeat(T_a_b, len(at_ns), axis=0)
+    # Offsets from the first stamp are exact in float64; absolute epoch nanoseconds are not.
+    seconds = (stamps_ns - stamps_ns[0]) * 1e-9
+    at_s = (at_ns - stamps_ns[0]) * 1e-9
+    upper = np.clip(np.searchsorted(stamps_ns, at_ns, side="right"), 1, len(stamps_ns) - 1)
+    lower = upper - 1
+    fraction = ((at_ns - stamps_ns[lower]) / (stamps_ns[upper] - stamps_ns[lower]))[:, None]
+    translation = (1.0 - fraction) * T_a_b[lower, :3, 3] + fraction * T_a_b[upper, :3, 3]
+    rotation = Slerp(seconds, Rotation.from_matrix(T_a_b[:, :3, :3]))(np.minimum(at_s, seconds[-1])).as_matrix()
+    return make_transform(rotation, translation)
+
+
+def relative(T_odom_from: FloatArray, T_odom_to: FloatArray) -> FloatArray:
+    """``T_from_to`` (4, 4) of two poses of one track."""
+    return invert(T_odom_from) @ T_odom_to

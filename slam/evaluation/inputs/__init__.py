@@ -1,0 +1,1 @@
+"""What an evaluation reads: records of logs, the protocol, synchronized poses."""

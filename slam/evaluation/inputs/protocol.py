@@ -1,0 +1,185 @@
+"""The rules and thresholds by which everything is measured; they are printed with the numbers."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+from slam.common.errors import EvaluationError
+from slam.evaluation.metrics.alignment import STRAIGHT_LINE_RATIO
+from slam.evaluation.metrics.trajectory import KITTI_LENGTHS_M, KITTI_START_STEP
+
+SPACING_TOLERANCE = 0.05
+"""Part of the query spacing by which keyframes may be closer: those placed every 2 m must not be thinned by half."""
+
+
+@dataclass(frozen=True, slots=True)
+class Protocol:
+    """Thresholds, with KITTI's values for the relative errors; units are in the names.
+
+    Raises:
+        EvaluationError: a threshold is not positive, windows of fewer than three landmarks are asked for, the
+            headings that count as the same and as opposite overlap, or near and distant pairs do.
+    """
+
+    max_truth_gap_s: float = 1.5
+    relative_lengths_m: tuple[float, ...] = KITTI_LENGTHS_M
+    short_relative_lengths_m: tuple[float, ...] = (1.0, 10.0)
+    relative_start_step: int = KITTI_START_STEP
+    revisit_m: float = 100.0
+    window_m: float = 50.0
+    window_stride_m: float = 25.0
+    window_least_landmarks: int = 3
+    match_distance_m: float = 2.0
+    least_detections: int = 5
+    closure_translation_m: float = 4.0
+    closure_rotation_deg: float = 10.0
+    query_spacing_m: float = 2.0
+    revisit_distance_m: float = 5.0
+    same_heading_deg: float = 45.0
+    opposite_heading_deg: float = 135.0
+    closure_run_gap_m: float = 10.0
+    pair_positive_m: float = 3.0
+    pair_negative_m: float = 20.0
+    pair_frames: int = 50
+    relocalization_translation_m: float = 4.0
+    relocalization_rotation_deg: float = 10.0
+    coverage_probability: float = 0.95
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            values = value if isinstance(value, tuple) else (value,)
+            if not all(number > 0 for number in values):
+                raise EvaluationError(f"{name} = {value} of the evaluation protocol must be positive")
+        if not self.same_heading_deg <= self.opposite_heading_deg <= 180.0:
+            raise EvaluationError(
+                f"same_heading_deg = {self.same_heading_deg} and opposite_heading_deg = {self.opposite_heading_deg} of "
+                "the evaluation protocol must not exceed one another and 180"
+            )
+        if self.pair_negative_m < self.pair_positive_m:
+            raise EvaluationError(
+                f"pair_negative_m = {self.pair_negative_m} of the evaluation protocol is below pair_positive_m = "
+                f"{self.pair_positive_m}, so a pair could be both"
+            )
+        if not self.coverage_probability < 1.0:
+            raise EvaluationError(
+                f"coverage_probability = {self.coverage_probability} of the evaluation protocol must be below 1"
+            )
+        if self.window_least_landmarks < 3:
+            raise EvaluationError(
+                f"window_least_landmarks = {self.window_least_landmarks}: fewer than 3 landmarks leave no residual"
+            )
+
+    def describe(self) -> dict[str, str]:
+        """Each rule in one sentence, with the thresholds in it."""
+        lengths = ", ".join(f"{length:g}" for length in self.relative_lengths_m)
+        short = ", ".join(f"{length:g}" for length in self.short_relative_lengths_m)
+        return {
+            "time": "The truth is interpolated at the stamps of the estimate, inside its span and not across gaps of "
+            f"more than {self.max_truth_gap_s:g} s.",
+            "alignment": "Umeyama SE(3), no scale, over all compared positions; on a straight line (spread across it "
+            f"below {STRAIGHT_LINE_RATIO:g} of that along it) yaw and translation only.",
+            "ate": "Distances between aligned estimated and true positions of the body; ate_m is their RMSE, ate_yaw_m "
+            "that after the alignment of yaw and translation only, as z is up in both.",
+            "rpe": f"KITTI: stretches of {lengths} m of true path, starting at every {self.relative_start_step}th "
+            "compared pose and divided by the nominal length; the averages are over all stretches.",
+            "short_rpe": f"Stretches of {short} m likewise, divided by the path that each really measures.",
+            "landmark_identity": "A landmark shows the object that most of its detections show, false positives "
+            "counted as one candidate; a tie goes to the first. Detections of a merged landmark count for the one that "
+            "it became.",
+            "association_precision": "Assignments to an existing landmark whose detection shows that landmark's "
+            "object; a false positive is wrong.",
+            "association_recall": f"Detections of an object that an earlier frame showed within the last "
+            f"{self.revisit_m:g} m of travel, assigned to an existing landmark that shows the object.",
+            "landmark_error": f"Confirmed landmarks, grouped by first sighting into windows of {self.window_m:g} m of "
+            f"true path every {self.window_stride_m:g} m; yaw and translation aligned in each window with at least "
+            f"{self.window_least_landmarks} landmarks; statistics over the residuals of all windows.",
+            "landmark_global_error": "Confirmed landmarks after the alignment of the trajectory.",
+            "landmark_matching": "By the identity above; without a truth of the detections, the nearest true object of "
+            f"the same class within {self.match_distance_m:g} m after the alignment of the trajectory.",
+            "landmark_precision": "Confirmed landmarks that show an object.",
+            "landmark_recall": f"True objects detected at least {self.least_detections} times that a confirmed "
+            "landmark shows.",
+            "class_accuracy": "Confirmed landmarks whose most probable class is that of their object.",
+            **self._describe_closures(),
+            **self._describe_published(),
+            **self._describe_relocalization(),
+            **self._describe_calibration(),
+        }
+
+    def _describe_closures(self) -> dict[str, str]:
+        least_m = (1.0 - SPACING_TOLERANCE) * self.query_spacing_m
+        return {
+            "closure_verdict": "Of several records about the same two keyframes the last one counts.",
+            "closure_true": f"The transform is within {self.closure_translation_m:g} m and "
+            f"{self.closure_rotation_deg:g} deg (whole angle of rotation) of the true relative pose; undecided where "
+            "it or the truth at one of the two stamps is missing.",
+            "closure_precision": "True among the accepted closures that are decided, of whatever keyframe.",
+            "query_keyframes": f"Keyframes with truth, the first and then each at least {least_m:g} m of true travel "
+            f"after the one before ({self.query_spacing_m:g} m less {100.0 * SPACING_TOLERANCE:g} %).",
+            "revisit": f"A query keyframe within {self.revisit_distance_m:g} m (between true positions, 3-D) of any "
+            f"keyframe at least {self.revisit_m:g} m of true travel before. The angle between the forward axes of it "
+            f"and the nearest such keyframe makes it same (up to {self.same_heading_deg:g} deg), opposite (beyond "
+            f"{self.opposite_heading_deg:g} deg) or crossing.",
+            "closure_recall": "Revisits with at least one accepted true closure of that very keyframe; one of a "
+            "neighbour that was thinned out does not count for it.",
+            "closure_missed": "Where a revisit was missed: the farthest stage that a true candidate of it reached.",
+            "closure_error": "Accepted true closures, in the place and in the whole angle of the query keyframe.",
+            "within_revisit_spread": f"Accepted true closures less than {self.closure_run_gap_m:g} m of true travel "
+            "apart form a run; the median, over runs of at least two, of the standard deviation of the error vectors "
+            "(world frame) about their mean.",
+            "closure_score": "The best-scoring decided candidate of each query keyframe, accepted from a threshold on; "
+            "equal scores together, and of equal best ones of a keyframe a false one. Average precision is the sum of "
+            "(R_n - R_(n-1)) P_n as in scikit-learn, with recall over all revisits.",
+            "extended_precision": "Half the sum of the precision at the highest score and of the largest recall at "
+            "full precision (Ferrarini et al., 2020); the latter is 0 where the best score is false. Without a "
+            "candidate it is undefined, as average precision and F1 are.",
+            "retrieval": "Revisits at which descriptors were asked for the place, with a right one among their first "
+            f"k proposals: the reference keyframe within {self.revisit_distance_m:g} m of the query by the truth, or "
+            "the transform true. Undefined for k above the number of proposals that the run verified for each "
+            "keyframe (loop_closure.places).",
+        }
+
+    def _describe_published(self) -> dict[str, str]:
+        apart = f"more than {self.pair_frames} frames apart (odometry messages, or keyframes where the log has none)"
+        return {
+            "published_pairs": f"Pairs of keyframes: positive less than {self.pair_positive_m:g} m and {apart}, "
+            f"negative more than {self.pair_negative_m:g} m apart, between true positions in 3-D; others do not "
+            "count. A pair has the score of the best candidate of the later keyframe that puts it, composed with the "
+            f"final map, less than {self.pair_positive_m:g} m from the earlier one; all other pairs together the "
+            "lowest score. Papers take every frame, and score every pair by its similarity.",
+            "published_online": f"Each keyframe as a query against all earlier ones {apart}. Its answer is the one of "
+            "those nearest to where its best-scoring candidate puts it in the final map, none if that is "
+            f"{self.pair_positive_m:g} m away or more; right if they are less than {self.pair_positive_m:g} m apart "
+            "by the truth. Recall is over the queries that have such a keyframe, recall at 1 whatever the score. "
+            "Papers query every frame, and each has an answer.",
+        }
+
+    def _describe_relocalization(self) -> dict[str, str]:
+        return {
+            "relocalization_loss": "From the first status in state LOST, also at the start of a drive in a given "
+            "map, to the next in state RELOCALIZED. Time and travel (along the truth, or the odometry where there is "
+            "none) are those of all fixes, right or wrong; the share lost is of the time of the drive.",
+            "relocalization_error": "Method closure, without a given map: the error of the last closure accepted up "
+            "to the fix with a reference from before the loss. With a given map the error of the first pose on "
+            "/slam/pose from the fix on; method map: laid on the truth as the final trajectory of the drive that "
+            "made the map is; method trajectory: by the alignment of the trajectory that is evaluated, which hides "
+            "an offset that all of it shares.",
+            "relocalization_right": f"Within {self.relocalization_translation_m:g} m and "
+            f"{self.relocalization_rotation_deg:g} deg (whole angle of rotation). The success rate is the share of "
+            "losses with a right fix, the wrong rate that with a wrong one; a fix without truth is left out.",
+        }
+
+    def _describe_calibration(self) -> dict[str, str]:
+        return {
+            "calibration": "The NEES e^T P^-1 e of an error e by its covariance P, a degree of freedom (1 is right, "
+            f"more is overconfident), and the share of errors in the {100.0 * self.coverage_probability:g} % region of "
+            "the chi-squared distribution. Covariances are in the map frame, which the first keyframe fixes, so the "
+            "truth is tied to the estimate there, and errors are taken without any other alignment. Errors of one run "
+            "share their causes: judge the coverage over several.",
+            "calibration_of_poses": "All other keyframes with truth: six degrees of freedom about the axes of the "
+            "body; planar: heading, forward and left.",
+            "calibration_of_landmarks": "Confirmed landmarks that show an object by the truth of their detections: "
+            "three coordinates; planar: x and y.",
+            "calibration_of_closures": "Accepted true closures, inserted or not, by their own covariance and axes; "
+            "planar as for poses.",
+        }

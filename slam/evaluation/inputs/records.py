@@ -1,0 +1,205 @@
+"""The records of an output log, and of a reference log, that an evaluation looks at."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from logs.messages import (
+    DetectionAssociations,
+    DetectionTruth,
+    FactorGraphRecord,
+    GroundTruthPose,
+    LoopClosureRecord,
+    ObjectMapRecord,
+    Odometry,
+    Record,
+    RelocalizationRecord,
+    SlamPose,
+    StatusRecord,
+    TrajectoryRecord,
+)
+from logs.reader import LogReader
+from logs.selection import OUTPUT_PREFIX, Selection, select_all, select_topics
+from logs.topics import RecordKind, TopicInfo
+from slam.common.errors import EvaluationError
+
+_ESTIMATED_KINDS = frozenset(
+    {
+        RecordKind.ASSOCIATIONS,
+        RecordKind.FACTOR_GRAPH,
+        RecordKind.LOOP_CLOSURES,
+        RecordKind.OBJECT_MAP,
+        RecordKind.RELOCALIZATIONS,
+        RecordKind.SLAM_POSE,
+        RecordKind.STATUS,
+        RecordKind.TRAJECTORY,
+    }
+)
+_INPUT_KINDS = frozenset(
+    {RecordKind.ODOMETRY, RecordKind.GROUND_TRUTH, RecordKind.DETECTION_TRUTH, RecordKind.OBJECT_TRUTH}
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EvaluationRecords:
+    """The records that an evaluation looks at, each kind in the order of the log; of maps and states the last.
+
+    ``statuses``: all of them, ``status`` is the last. ``configuration``: the tree by which the log was made, empty
+    where it does not tell.
+    """
+
+    trajectory: TrajectoryRecord | None = None
+    online_poses: tuple[SlamPose, ...] = ()
+    odometry: tuple[Odometry, ...] = ()
+    true_poses: tuple[GroundTruthPose, ...] = ()
+    associations: tuple[DetectionAssociations, ...] = ()
+    detection_truths: tuple[DetectionTruth, ...] = ()
+    object_map: ObjectMapRecord | None = None
+    true_objects: ObjectMapRecord | None = None
+    closures: tuple[LoopClosureRecord, ...] = ()
+    graph: FactorGraphRecord | None = None
+    status: StatusRecord | None = None
+    statuses: tuple[StatusRecord, ...] = ()
+    relocalizations: tuple[RelocalizationRecord, ...] = ()
+    configuration: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def verified_places(self) -> int | None:
+        """Proposals of descriptors that the run verified for each keyframe; None where the log does not tell."""
+        loop_closure = self.configuration.get("loop_closure")
+        places = loop_closure.get("places") if isinstance(loop_closure, Mapping) else None
+        return places if isinstance(places, int) else None
+
+    def with_truth_of(self, reference: EvaluationRecords) -> EvaluationRecords:
+        """These records with the truth of another log, kind by kind where that log has it.
+
+        Raises:
+            EvaluationError: the other log has no truth at all.
+        """
+        if not (reference.true_poses or reference.detection_truths or reference.true_objects):
+            raise EvaluationError(
+                "the reference holds no truth: no pose on /ground_truth, no topic /ground_truth/detections or "
+                "/ground_truth/objects; name the one that holds it by --topic ground_truth=/name"
+            )
+        return replace(
+            self,
+            true_poses=reference.true_poses or self.true_poses,
+            detection_truths=reference.detection_truths or self.detection_truths,
+            true_objects=reference.true_objects or self.true_objects,
+            odometry=self.odometry or reference.odometry,
+        )
+
+
+def collect_records(records: Iterable[tuple[str, Record]]) -> EvaluationRecords:
+    """Sort (topic, record) pairs by what an evaluation needs; other records are passed over.
+
+    An object map on a topic under ``/slam/`` is the estimate, on any other it is the truth.
+    """
+    found = EvaluationRecords()
+    online, odometry, true_poses = list[SlamPose](), list[Odometry](), list[GroundTruthPose]()
+    associations, detection_truths = list[DetectionAssociations](), list[DetectionTruth]()
+    closures, relocalizations, statuses = list[LoopClosureRecord](), list[RelocalizationRecord](), list[StatusRecord]()
+    for topic, record in records:
+        match record:
+            case SlamPose():
+                online.append(record)
+            case Odometry():
+                odometry.append(record)
+            case GroundTruthPose():
+                true_poses.append(record)
+            case DetectionAssociations():
+                associations.append(record)
+            case DetectionTruth():
+                detection_truths.append(record)
+            case LoopClosureRecord():
+                closures.append(record)
+            case FactorGraphRecord():
+                found = replace(found, graph=record)
+            case ObjectMapRecord() if topic.startswith(OUTPUT_PREFIX):
+                found = replace(found, object_map=record)
+            case ObjectMapRecord():
+                found = replace(found, true_objects=record)
+            case TrajectoryRecord():
+                found = replace(found, trajectory=record)
+            case RelocalizationRecord():
+                relocalizations.append(record)
+            case StatusRecord():
+                statuses.append(record)
+            case _:
+                pass
+    return replace(
+        found,
+        online_poses=tuple(online),
+        odometry=tuple(odometry),
+        true_poses=tuple(true_poses),
+        associations=tuple(associations),
+        detection_truths=tuple(detection_truths),
+        closures=tuple(closures),
+        status=statuses[-1] if statuses else None,
+        statuses=tuple(statuses),
+        relocalizations=tuple(relocalizations),
+    )
+
+
+def read_records(
+    path: str | os.PathLike[str],
+    *,
+    reference: str | os.PathLike[str] | None = None,
+    topics: Mapping[str, str] | None = None,
+) -> EvaluationRecords:
+    """Read an output log in one pass, and the truth from a reference log where one is given.
+
+    Args:
+        path: log with the topics under ``/slam/``, and with copies of odometry and truth if it was recorded so.
+        reference: log whose truth replaces that of ``path``, kind by kind.
+        topics: record kind -> topic, where odometry or truth are not where they usually are; they apply to the
+            reference if there is one, else to the output. Before them stands what the replay used.
+
+    Raises:
+        UnreadableLogError: a file is missing or no log.
+        TopicSelectionError: ``topics`` names a kind or a topic that does not exist.
+        EvaluationError: the reference holds no truth.
+    """
+    found = _read(path, None if reference else topics)
+    return found.with_truth_of(_read(reference, topics)) if reference else found
+
+
+def _read(path: str | os.PathLike[str], topics: Mapping[str, str] | None) -> EvaluationRecords:
+    with LogReader(path) as reader:
+        there = reader.topics()
+        provenance = reader.metadata().get("dslam", {})
+        used = _topics_used(provenance.get("topics", ""), there)
+        inputs = select_topics(there, {**used, **(topics or {})}, needed=()).kinds
+        outputs = select_all(info for info in there if info.topic.startswith(OUTPUT_PREFIX)).kinds
+        wanted = {
+            topic: kept
+            for every, kinds in ((inputs, _INPUT_KINDS), (outputs, _ESTIMATED_KINDS))
+            for topic, parts in every.items()
+            if (kept := tuple(part for part in parts if part in kinds))
+        }
+        found = collect_records((entry.topic, entry.record) for entry in reader.records(Selection(wanted)))
+        return replace(found, configuration=_read_tree(provenance.get("configuration", "")))
+
+
+def _topics_used(recorded: str, there: Iterable[TopicInfo]) -> dict[str, str]:
+    """Kind -> topic from the JSON, topic -> kinds, that a replay recorded; what the log does not hold is left out."""
+    kinds_of_topic = _read_tree(recorded)
+    used: dict[str, str] = {}
+    for info in there:
+        kinds = kinds_of_topic.get(info.topic)
+        if isinstance(kinds, list):
+            used |= {kind: info.topic for kind in info.kinds if kind in _INPUT_KINDS and kind in kinds}
+    return used
+
+
+def _read_tree(recorded: str) -> dict[str, Any]:
+    """What a JSON object says; nothing where the text is none."""
+    try:
+        tree = json.loads(recorded)
+    except ValueError:
+        return {}
+    return tree if isinstance(tree, dict) else {}

@@ -1,0 +1,132 @@
+"""Two series of poses brought to the same times: the truth, interpolated at the stamps of the estimate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.errors import EvaluationError
+from slam.common.geometry import interpolate, travelled_m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseSeries:
+    """Poses of the body in one fixed frame: stamps_ns (N,) strictly increasing, T_world_body (N, 4, 4), N may be 0.
+
+    ``disordered_count`` and ``duplicate_count`` say what :func:`clean_poses` had to repair.
+    """
+
+    stamps_ns: IntArray
+    T_world_body: FloatArray
+    disordered_count: int = 0
+    duplicate_count: int = 0
+
+    @property
+    def positions(self) -> FloatArray:
+        """Positions (N, 3), metres, world frame."""
+        return self.T_world_body[:, :3, 3]
+
+    @property
+    def travelled_m(self) -> FloatArray:
+        """Path length (N,), metres, from the first pose."""
+        return travelled_m(self.T_world_body)
+
+    def travelled_at_m(self, at_ns: IntArray) -> FloatArray:
+        """Path length (M,), metres, at the times ``at_ns`` (M,): linear in between, held beyond both ends.
+
+        Raises:
+            EvaluationError: the series holds no pose.
+        """
+        if len(self.stamps_ns) == 0:
+            raise EvaluationError("no pose, so there is no path to measure along")
+        origin_ns = self.stamps_ns[0]  # Offsets are exact in float64, epoch nanoseconds are not.
+        offsets = np.asarray(at_ns, dtype=np.int64) - origin_ns
+        known = (self.stamps_ns - origin_ns).astype(np.float64)
+        return np.asarray(np.interp(offsets.astype(np.float64), known, self.travelled_m))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SynchronizedPoses:
+    """Estimate and truth at the same M stamps: stamps_ns (M,), T_map_body_est and T_world_body_gt (M, 4, 4).
+
+    ``outside_count`` and ``gap_count`` are the poses of the estimate without truth: beyond its ends, within its gaps.
+    """
+
+    stamps_ns: IntArray
+    T_map_body_est: FloatArray
+    T_world_body_gt: FloatArray
+    outside_count: int
+    gap_count: int
+
+    @property
+    def positions_est(self) -> FloatArray:
+        """Estimated positions (M, 3), metres, map frame."""
+        return self.T_map_body_est[:, :3, 3]
+
+    @property
+    def positions_gt(self) -> FloatArray:
+        """True positions (M, 3), metres, world frame."""
+        return self.T_world_body_gt[:, :3, 3]
+
+
+def clean_poses(stamps_ns: IntArray, T_world_body: FloatArray) -> PoseSeries:
+    """Sort poses by time and keep the first of those that share a stamp; what was wrong is counted.
+
+    Args:
+        stamps_ns: (N,) int64, in any order; N may be 0.
+        T_world_body: (N, 4, 4) float64, metres.
+
+    Returns:
+        The series with strictly increasing stamps. A pose counts as disordered when a later stamp came before it.
+
+    Raises:
+        EvaluationError: the lengths differ or a pose is not finite.
+    """
+    stamps = np.asarray(stamps_ns, dtype=np.int64)
+    poses = np.asarray(T_world_body, dtype=np.float64).reshape(-1, 4, 4)
+    if len(stamps) != len(poses):
+        raise EvaluationError(f"{len(stamps)} stamps do not belong to {len(poses)} poses")
+    broken = np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2)))
+    if len(broken):
+        raise EvaluationError(f"pose at {stamps[broken[0]]} ns is not finite ({len(broken)} such poses)")
+    if len(stamps) == 0:
+        return PoseSeries(stamps, poses)
+    disordered = int(np.count_nonzero(stamps < np.maximum.accumulate(stamps)))
+    unique, first = np.unique(stamps, return_index=True)
+    return PoseSeries(unique, poses[first], disordered, len(stamps) - len(unique))
+
+
+def synchronize(estimate: PoseSeries, truth: PoseSeries, *, max_gap_s: float) -> SynchronizedPoses:
+    """Interpolate the truth at every stamp of the estimate where truth is known.
+
+    A stamp outside the truth's span has none; neither has one strictly between two truth poses that are more than
+    ``max_gap_s`` apart. A stamp that a truth pose shares is always used.
+
+    Raises:
+        EvaluationError: no stamp of the estimate has truth; the message gives both spans.
+    """
+    if len(estimate.stamps_ns) == 0 or len(truth.stamps_ns) == 0:
+        missing = "estimated pose" if len(estimate.stamps_ns) == 0 else "true pose"
+        raise EvaluationError(f"no {missing} to compare")
+    stamps = estimate.stamps_ns
+    inside = (stamps >= truth.stamps_ns[0]) & (stamps <= truth.stamps_ns[-1])
+    after = np.searchsorted(truth.stamps_ns, stamps, side="left").clip(0, len(truth.stamps_ns) - 1)
+    before = (after - 1).clip(0)
+    exact = truth.stamps_ns[after] == stamps
+    in_gap = inside & ~exact & (truth.stamps_ns[after] - truth.stamps_ns[before] > round(max_gap_s * 1e9))
+    known = inside & ~in_gap
+    if not known.any():
+        raise EvaluationError(
+            f"none of {len(stamps)} estimated poses in [{stamps[0]}, {stamps[-1]}] ns has truth, which spans "
+            f"[{truth.stamps_ns[0]}, {truth.stamps_ns[-1]}] ns with gaps of at most {max_gap_s:g} s bridged; "
+            "give the truth of this drive"
+        )
+    return SynchronizedPoses(
+        stamps[known],
+        estimate.T_world_body[known],
+        interpolate(truth.stamps_ns, truth.T_world_body, stamps[known]),
+        int(np.count_nonzero(~inside)),
+        int(np.count_nonzero(in_gap)),
+    )

@@ -1,0 +1,1 @@
+"""Metrics of trajectories, landmarks, covariances and relocalization."""

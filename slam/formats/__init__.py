@@ -1,0 +1,1 @@
+"""Graphs and trajectories in other programs' formats."""

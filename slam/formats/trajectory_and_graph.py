@@ -1,0 +1,172 @@
+"""Trajectories and graphs in the text formats of other programs: TUM, KITTI, g2o.
+
+Every file is written beside its name as ``NAME.part`` and renamed when it is complete.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from logs.messages import FactorGraphRecord, ObjectMapRecord, TrajectoryRecord
+from slam.common.arrays import FloatArray
+from slam.common.errors import InputDataError
+from slam.formats.g2o import TRANSLATION_FIRST, format_numbers, quaternions, write_lines
+
+
+def write_tum(path: str | Path, trajectory: TrajectoryRecord) -> None:
+    """Write ``stamp x y z qx qy qz qw`` a line: seconds with all nine digits of the nanoseconds, metres, body in map.
+
+    Numbers other than the stamp are the shortest decimals that read back to the same float64.
+
+    Raises:
+        InputDataError: stamps and poses differ in number, or a pose is not finite.
+        UnwritableLogError: the file cannot be written.
+    """
+    poses = _checked_poses(trajectory.T_map_body, trajectory.stamps_ns)
+    rows = np.hstack([poses[:, :3, 3], quaternions(poses)])
+    lines = (f"{_seconds(int(t))} {format_numbers(row)}" for t, row in zip(trajectory.stamps_ns, rows, strict=True))
+    write_lines(path, lines)
+
+
+def write_kitti(path: str | Path, trajectory: TrajectoryRecord) -> None:
+    """Write the upper 3x4 part of each ``T_map_body``, row by row, a pose a line.
+
+    The poses are those of the **body** (x forward, y left, z up) in the map, one for each odometry message; KITTI's own
+    files hold the left camera's (x right, y down, z forward). Errors over stretches of path compare either way,
+    provided that both files hold the same frame. The format has no stamps.
+
+    Raises:
+        InputDataError: stamps and poses differ in number, or a pose is not finite.
+        UnwritableLogError: the file cannot be written.
+    """
+    poses = _checked_poses(trajectory.T_map_body, trajectory.stamps_ns)
+    write_lines(path, (format_numbers(T[:3].ravel()) for T in poses))
+
+
+def write_g2o(path: str | Path, graph: FactorGraphRecord, object_map: ObjectMapRecord | None = None) -> None:
+    """Write the graph as g2o: keyframes, the edges between them, landmarks and their observations.
+
+    * Keyframes: ``VERTEX_SE3:QUAT id x y z qx qy qz qw``, the first of them fixed by ``FIX``.
+    * Edges: ``EDGE_SE3:QUAT from to`` with ``T_from_to`` and the upper triangle of the information matrix, translation
+      first. Its rotation part is in 1/rad^2, as GTSAM reads and writes it (g2o itself takes half angles).
+    * Landmarks: ``VERTEX_TRACKXYZ`` with ids after the last keyframe's, in the order of their first observation; a
+      comment line tells which is which. Observations: ``EDGE_SE3_TRACKXYZ keyframe landmark 0 x y z`` in the body frame
+      with their information, through ``PARAMS_SE3OFFSET 0``, the identity.
+
+    Args:
+        path: file to write.
+        graph: keyframe ids must be non-negative and unique.
+        object_map: gives the landmarks' positions; one that it lacks, or all without it, stand at the mean of their
+            observations.
+
+    Raises:
+        InputDataError: an id is unknown or used twice, a value is not finite, a covariance cannot be inverted.
+        UnwritableLogError: the file cannot be written.
+    """
+    poses = _checked_poses(graph.T_map_body, graph.keyframe_ids)
+    row_of = {int(keyframe): row for row, keyframe in enumerate(graph.keyframe_ids)}
+    if len(row_of) != len(poses) or min(row_of, default=0) < 0:
+        raise InputDataError(f"{len(poses)} keyframes must have unique ids >= 0 to be vertices of a g2o file")
+    named = (*graph.edge_keyframe_ids.ravel().tolist(), *graph.observation_keyframe_ids.tolist())
+    if (
+        not len(graph.observation_keyframe_ids)
+        == len(graph.observation_landmark_ids)
+        == len(graph.observation_positions)
+    ):
+        raise InputDataError(
+            "the observations of the graph have keyframes, landmarks and positions of different number"
+        )
+    if not np.isfinite(graph.observation_positions).all():
+        raise InputDataError("an observation of the graph has a position that is not finite; nothing was exported")
+    unknown = sorted(set(named) - row_of.keys())
+    if unknown:
+        raise InputDataError(f"edges or observations name keyframe {unknown[0]}, which the graph does not hold")
+    write_lines(path, _g2o_lines(graph, poses, row_of, object_map))
+
+
+def _g2o_lines(
+    graph: FactorGraphRecord, poses: FloatArray, row_of: dict[int, int], object_map: ObjectMapRecord | None
+) -> Iterator[str]:
+    landmark_ids = tuple(dict.fromkeys(graph.observation_landmark_ids))
+    first_vertex = max(row_of, default=-1) + 1
+    vertex_of = {name: first_vertex + index for index, name in enumerate(landmark_ids)}
+    positions = _landmark_positions(graph, poses, row_of, landmark_ids, object_map)
+    edges = _checked_poses(graph.edge_transforms, graph.edge_keyframe_ids)
+    edge_information = _invert(graph.edge_covariances, "edge")[:, TRANSLATION_FIRST[:, None], TRANSLATION_FIRST]
+    observation_information = _invert(graph.observation_covariances, "observation")
+
+    if landmark_ids:
+        yield "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1"
+    for keyframe, xyz, quaternion in zip(graph.keyframe_ids, poses[:, :3, 3], quaternions(poses), strict=True):
+        yield f"VERTEX_SE3:QUAT {keyframe} {format_numbers(xyz)} {format_numbers(quaternion)}"
+    if len(poses):
+        yield f"FIX {graph.keyframe_ids[0]}"
+    for name, xyz in zip(landmark_ids, positions, strict=True):
+        yield f"# landmark {vertex_of[name]} is {name!a}"
+        yield f"VERTEX_TRACKXYZ {vertex_of[name]} {format_numbers(xyz)}"
+    upper = np.triu_indices(6)
+    for (start, end), T, quaternion, information in zip(
+        graph.edge_keyframe_ids, edges, quaternions(edges), edge_information, strict=True
+    ):
+        numbers = np.concatenate([T[:3, 3], quaternion, information[upper]])
+        yield f"EDGE_SE3:QUAT {start} {end} {format_numbers(numbers)}"
+    upper = np.triu_indices(3)
+    for keyframe, name, xyz, information in zip(
+        graph.observation_keyframe_ids,
+        graph.observation_landmark_ids,
+        graph.observation_positions,
+        observation_information,
+        strict=True,
+    ):
+        vertex = vertex_of[name]
+        yield f"EDGE_SE3_TRACKXYZ {keyframe} {vertex} 0 {format_numbers(xyz)} {format_numbers(information[upper])}"
+
+
+def _landmark_positions(
+    graph: FactorGraphRecord,
+    poses: FloatArray,
+    row_of: dict[int, int],
+    landmark_ids: tuple[str, ...],
+    object_map: ObjectMapRecord | None,
+) -> FloatArray:
+    """Positions (L, 3), metres, map frame."""
+    index_of = {name: index for index, name in enumerate(landmark_ids)}
+    seen_from = poses[[row_of[int(keyframe)] for keyframe in graph.observation_keyframe_ids]]
+    indices = np.array([index_of[name] for name in graph.observation_landmark_ids], dtype=np.int64)
+    observed = np.einsum("nij,nj->ni", seen_from[:, :3, :3], graph.observation_positions) + seen_from[:, :3, 3]
+    sums = np.zeros((len(landmark_ids), 3))
+    np.add.at(sums, indices, observed)
+    positions = sums / np.bincount(indices, minlength=len(landmark_ids)).reshape(-1, 1)
+    if object_map is not None:
+        for name, position in zip(object_map.ids, object_map.positions, strict=True):
+            if name in index_of:
+                positions[index_of[name]] = position
+    return positions
+
+
+def _checked_poses(poses: FloatArray, names: FloatArray | np.ndarray) -> FloatArray:
+    poses = poses.reshape(-1, 4, 4)
+    if len(poses) != len(names):
+        raise InputDataError(f"{len(names)} stamps or ids do not belong to {len(poses)} transforms")
+    broken = np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2)))
+    if len(broken):
+        raise InputDataError(f"transform {broken[0]} of {len(poses)} is not finite; nothing was exported")
+    return poses
+
+
+def _invert(covariances: FloatArray, name: str) -> FloatArray:
+    try:
+        np.linalg.cholesky(covariances)
+    except np.linalg.LinAlgError as error:
+        raise InputDataError(
+            f"an {name} has a covariance that is not positive definite; nothing was exported"
+        ) from error
+    return np.asarray(np.linalg.inv(covariances))
+
+
+def _seconds(stamp_ns: int) -> str:
+    whole, rest = divmod(abs(stamp_ns), 1_000_000_000)
+    return f"{'-' if stamp_ns < 0 else ''}{whole}.{rest:09d}"

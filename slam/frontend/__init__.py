@@ -1,0 +1,1 @@
+"""From scans to landmarks: data association and what keyframes observe."""

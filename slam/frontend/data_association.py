@@ -1,0 +1,112 @@
+"""Which detection is which landmark: gated optimal assignment on the relative covariance.
+
+Each pair is scored by the likelihood that the detection is that landmark (position and label together), and each
+detection also by the likelihood that it is none of them, a new object or a false positive. The assignment that
+maximises the product over the scan is found by shortest augmenting paths (Jonker and Volgenant 1987) on the sparse
+matrix of pairs that pass the gate, so a scan of thousands of detections costs no more than its neighbourhoods.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import min_weight_full_bipartite_matching
+from scipy.spatial import cKDTree
+from scipy.special import chdtri
+
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.config import AssociationConfig
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Assignment:
+    """``landmark_rows`` (D,) int64: the row of each detection's landmark, -1 where it has none."""
+
+    landmark_rows: IntArray
+
+    @property
+    def matched(self) -> NDArray[np.bool_]:
+        """(D,) whether the detection has a landmark."""
+        return self.landmark_rows >= 0
+
+
+def associate(
+    positions: FloatArray,
+    covariances: FloatArray,
+    labels: IntArray,
+    landmark_positions: FloatArray,
+    landmark_covariances: FloatArray,
+    landmark_beliefs: FloatArray,
+    config: AssociationConfig,
+) -> Assignment:
+    """Assign detections to landmarks, all given in one frame that is smooth around the robot.
+
+    Args:
+        positions: (D, 3) m, detections.
+        covariances: (D, 3, 3) m^2, of the detections.
+        labels: (D,) index of each detection's label in the vocabulary.
+        landmark_positions: (L, 3) m, predicted.
+        landmark_covariances: (L, 3, 3) m^2, of the landmarks relative to the robot.
+        landmark_beliefs: (L, C) class probabilities, rows sum to 1.
+        config: gate, label model and the density of new objects.
+
+    Returns:
+        The assignment; nothing is assigned twice. D = 0 or L = 0 gives no match.
+    """
+    rows = np.full(len(positions), -1, dtype=np.int64)
+    if len(positions) == 0 or len(landmark_positions) == 0:
+        return Assignment(rows)
+    gate = float(chdtri(3, 1.0 - config.gate_probability))
+    detection, landmark = _near_pairs(positions, covariances, landmark_positions, landmark_covariances, gate)
+    if len(detection) == 0:
+        return Assignment(rows)
+    innovation = positions[detection] - landmark_positions[landmark]
+    S = covariances[detection] + landmark_covariances[landmark]
+    distance_squared = np.einsum("ni,ni->n", innovation, np.linalg.solve(S, innovation[..., None])[..., 0])
+    classes = landmark_beliefs.shape[1]
+    label_cost = -2.0 * np.log(label_likelihood(landmark_beliefs[landmark, labels[detection]], classes, config))
+    pair_cost = distance_squared + np.log(np.linalg.det(2.0 * np.pi * S)) + label_cost
+    none_cost = -2.0 * np.log(config.new_object_density / classes)
+
+    inside = distance_squared <= gate
+    rows_used, column = np.unique(landmark[inside], return_inverse=True)
+    count = len(positions)
+    edges_row = np.concatenate([detection[inside], np.arange(count)])
+    edges_column = np.concatenate([column, len(rows_used) + np.arange(count)])
+    edges_cost = np.concatenate([pair_cost[inside], np.full(count, none_cost)])
+    # One edge a row is taken, so a common shift changes nothing; a weight of exactly zero would mean "no edge".
+    edges_cost += 1.0 - edges_cost.min()
+    graph = coo_array((edges_cost, (edges_row, edges_column)), shape=(count, len(rows_used) + count)).tocsr()
+    chosen_row, chosen_column = min_weight_full_bipartite_matching(graph)
+    is_landmark = chosen_column < len(rows_used)
+    rows[chosen_row[is_landmark]] = rows_used[chosen_column[is_landmark]]
+    return Assignment(rows)
+
+
+def label_likelihood(belief_in_label: FloatArray, classes: int, config: AssociationConfig) -> FloatArray:
+    """Probability (...) of a detection's label where the landmark has that class with ``belief_in_label`` (...).
+
+    A wrong label is drawn evenly from the other classes; one class alone can only be right.
+    """
+    if classes < 2:
+        return np.ones_like(belief_in_label)
+    wrong = (1.0 - config.label_accuracy) / (classes - 1)
+    return belief_in_label * config.label_accuracy + (1.0 - belief_in_label) * wrong
+
+
+def _near_pairs(
+    positions: FloatArray,
+    covariances: FloatArray,
+    landmark_positions: FloatArray,
+    landmark_covariances: FloatArray,
+    gate: float,
+) -> tuple[IntArray, IntArray]:
+    """Pairs (detection, landmark) that can pass the gate by the largest variances: a superset of those that do."""
+    largest = np.trace(covariances, axis1=1, axis2=2).max() + np.trace(landmark_covariances, axis1=1, axis2=2).max()
+    radius = np.sqrt(gate * largest)
+    pairs = cKDTree(positions).sparse_distance_matrix(cKDTree(landmark_positions), radius, output_type="ndarray")
+    order = np.lexsort((pairs["j"], pairs["i"]))
+    return pairs["i"][order].astype(np.int64), pairs["j"][order].astype(np.int64)

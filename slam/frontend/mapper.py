@@ -1,0 +1,289 @@
+"""From odometry and detections to keyframes, landmarks and factors.
+
+Each scan is associated with the landmarks around the robot (odometry frame); each keyframe hands what was seen since
+the last one to the factor graph (map frame).
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.messages import DetectionAssociations
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import Edge, Observation
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.config import Config
+from slam.common.geometry import relative, rotation_angle_rad
+from slam.frontend.data_association import Assignment, associate
+from slam.frontend.keyframe_observations import Sightings
+from slam.frontend.landmark_filter import predict_covariances, update_positions
+from slam.frontend.scan import Scan
+from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
+from slam.odometry.keyframe import Keyframe
+from slam.odometry.noise import BREAK_SIGMA_M, BREAK_SIGMA_RAD, step_covariance
+from slam.odometry.track import OdometryPose
+
+# Less than that is standing still.
+MOVED_M = 0.1
+MOVED_RAD = 0.02
+# Least time over which a moving object is given to change its speed: 10 Hz scans leave it none, its noise does.
+MIN_SWERVE_S = 0.5
+# A speed is believed if it is that many of its standard deviations.
+MOVING_SIGMAS = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """Where landmarks should be seen: positions (A, 3) m, covariances (A, 3, 3) m^2 relative to the robot."""
+
+    positions: FloatArray
+    covariances: FloatArray
+
+
+class Mapper:
+    """Builds the object map and the factor graph; ``keyframes`` are all keyframes so far."""
+
+    def __init__(
+        self, config: Config, object_map: ObjectMap, graph: FactorGraph, earlier: Sequence[Keyframe] = ()
+    ) -> None:
+        self._config = config
+        self._map = object_map
+        self._graph = graph
+        self._active = np.zeros(0, dtype=np.int64)
+        self._sightings = Sightings()
+        self._held_back: defaultdict[int, list[Observation]] = defaultdict(list)
+        self._newly_confirmed: list[int] = []
+        self._message_count = 0
+        self._sensors: set[str] = set()
+        self._scan_count = 0
+        self.keyframes: list[Keyframe] = [*earlier]
+
+    def add_odometry(self, pose: OdometryPose) -> Keyframe | None:
+        """Follow the track to its newest pose; returns the keyframe if one was made there."""
+        if self.keyframes and not self._keyframe_due(pose):
+            return None
+        keyframe = Keyframe(len(self.keyframes), pose)
+        if not self.keyframes:
+            self._graph.add_first_keyframe(keyframe.id, pose.T_odom_body)
+        else:
+            self.close_keyframe()
+            self._graph.add_next_keyframe(self._odometry_edge(self.keyframes[-1], keyframe))
+            if pose.segment != self.keyframes[-1].odometry.segment:
+                self._let_go(np.ones(len(self._active), dtype=np.bool_))
+        self.keyframes.append(keyframe)
+        if keyframe.id % self._config.factor_graph.update_keyframes == 0:
+            self._graph.update()
+        return keyframe
+
+    def add_scan(self, scan: Scan, pose: OdometryPose) -> DetectionAssociations:
+        """Associate one scan, taken at ``pose``, with the landmarks around, and bring them up to date."""
+        self._count_scan(scan.sensor)
+        self._forget(pose.travel_m)
+        T_keyframe_body = relative(self.keyframes[-1].odometry.T_odom_body, pose.T_odom_body)
+        in_odom, in_keyframe = scan.seen_from(pose.T_odom_body), scan.seen_from(T_keyframe_body)
+        labels = self._map.label_indices(scan.labels)
+        predicted = self._predict(scan, pose)
+        assignment = self._associate(in_odom, labels, predicted)
+        known = assignment.matched
+        rows = np.full(len(known), -1, dtype=np.int64)
+        rows[known] = self._active[assignment.landmark_rows[known]]
+        self._update(assignment, predicted, in_odom, labels, pose)
+        rows[~known] = self._map.add(
+            in_odom.positions[~known],
+            in_odom.covariances[~known],
+            labels[~known],
+            stamp_ns=scan.stamp_ns,
+            scan=self._scan_count,
+            travel_m=pose.travel_m,
+            segment=pose.segment,
+        )
+        self._active = np.concatenate([self._active, rows[~known]])
+        self._sightings.add(rows, in_keyframe)
+        self._age(rows, in_odom.covariances)
+        return _associations(scan, rows, ~known)
+
+    def take_confirmed(self) -> IntArray:
+        """Rows of the landmarks that were confirmed since the last call."""
+        taken, self._newly_confirmed = self._newly_confirmed, []
+        return np.array(taken, dtype=np.int64)
+
+    def retire_gone(self, rows: IntArray) -> None:
+        """End the life of landmarks that are where they stood no longer; what others became part of was seen again."""
+        rows = rows[~np.isin(rows, self._map.kept_of_merged)]
+        self._active = self._active[~np.isin(self._active, rows)]
+        self._retire(rows, RetirementReason.GONE)
+
+    def retire_since(self, keyframe: Keyframe) -> None:
+        """End the life of landmarks that were first seen after a keyframe, on its segment: they stand elsewhere."""
+        landmarks = self._map.rows
+        rows = np.flatnonzero(
+            (landmarks["first_seen_ns"] >= keyframe.odometry.stamp_ns)
+            & (landmarks["segment"] == keyframe.odometry.segment)
+            & (landmarks["state"] != LandmarkState.RETIRED)
+        )
+        self._active = self._active[~np.isin(self._active, rows)]
+        self._retire(rows, RetirementReason.CONTRADICTED)
+
+    def close_keyframe(self) -> None:
+        """Hand what was seen since the last keyframe to the graph; tentative landmarks are held back."""
+        observations = self._sightings.observations(self.keyframes[-1].id, self._config.detection)
+        self._sightings = Sightings()
+        states = self._map.rows["state"]
+        for observation in observations:
+            self._held_back[observation.landmark].append(observation)
+        ready = list[Observation]()
+        for row in sorted(self._held_back):
+            if states[row] == LandmarkState.CONFIRMED:
+                ready += self._held_back.pop(row)
+            elif states[row] == LandmarkState.RETIRED:
+                del self._held_back[row]
+        self._graph.add_observations(ready)
+
+    def _count_scan(self, sensor: str) -> None:
+        """Several sensors share the view: a scan is counted when each has given one."""
+        self._message_count += 1
+        self._sensors.add(sensor)
+        self._scan_count = self._message_count // len(self._sensors)
+
+    def _keyframe_due(self, pose: OdometryPose) -> bool:
+        last = self.keyframes[-1].odometry
+        limits = self._config.keyframe
+        turn_rad = float(rotation_angle_rad(relative(last.T_odom_body, pose.T_odom_body)))
+        has_moved = pose.travel_m - last.travel_m >= MOVED_M or turn_rad >= MOVED_RAD
+        return bool(
+            pose.segment != last.segment
+            or pose.travel_m - last.travel_m >= limits.distance_m
+            or turn_rad >= np.deg2rad(limits.angle_deg)
+            or (pose.stamp_ns - last.stamp_ns >= limits.interval_s * 1e9 and has_moved)
+        )
+
+    def _odometry_edge(self, previous: Keyframe, keyframe: Keyframe) -> Edge:
+        T_previous_keyframe = relative(previous.odometry.T_odom_body, keyframe.odometry.T_odom_body)
+        travel_m = keyframe.odometry.travel_m - previous.odometry.travel_m
+        covariance = step_covariance(T_previous_keyframe, travel_m, self._config.odometry)
+        if keyframe.odometry.segment != previous.odometry.segment:
+            covariance = np.diag(np.repeat([BREAK_SIGMA_RAD**2, BREAK_SIGMA_M**2], 3))
+        return Edge(previous.id, keyframe.id, T_previous_keyframe, covariance, "odometry")
+
+    def _predict(self, scan: Scan, pose: OdometryPose) -> Prediction:
+        """Where the active landmarks should be now; those that seem to move go on moving."""
+        landmarks = self._map.rows[self._active]
+        seconds = (scan.stamp_ns - landmarks["last_seen_ns"]) * 1e-9
+        positions = landmarks["position_odom"] + seconds[:, None] * landmarks["velocity_odom"]
+        covariances = predict_covariances(
+            landmarks["covariance_odom"],
+            positions - pose.T_odom_body[:3, 3],
+            pose.travel_m - landmarks["last_seen_travel_m"],
+            self._config.odometry,
+        )
+        moves = np.any(landmarks["velocity_odom"] != 0.0, axis=1)
+        swerve_m = moves * self._config.landmark.moving_acceleration_mps2 * seconds * np.maximum(seconds, MIN_SWERVE_S)
+        return Prediction(positions, covariances + (swerve_m**2)[:, None, None] * np.eye(3))
+
+    def _associate(self, scan: Scan, labels: IntArray, predicted: Prediction) -> Assignment:
+        """Assign the detections of a scan, in the odometry frame, to places in the active landmarks."""
+        common_variances = np.where(scan.has_own_covariance, 0.0, self._config.detection.common_sigma_m**2)
+        return associate(
+            scan.positions,
+            scan.covariances + common_variances[:, None, None] * np.eye(3),
+            labels,
+            predicted.positions,
+            predicted.covariances,
+            self._map.beliefs(self._active),
+            self._config.association,
+        )
+
+    def _update(
+        self, assignment: Assignment, predicted: Prediction, scan: Scan, labels: IntArray, pose: OdometryPose
+    ) -> None:
+        """Move the landmarks that were seen to where they are seen, and count the sightings."""
+        known = assignment.matched
+        places = assignment.landmark_rows[known]
+        rows = self._active[places]
+        landmarks = self._map.rows
+        landmarks["position_odom"][rows], landmarks["covariance_odom"][rows] = update_positions(
+            predicted.positions[places],
+            predicted.covariances[places],
+            scan.positions[known],
+            scan.covariances[known],
+        )
+        self._map.record_sightings(
+            rows,
+            scan.positions[known],
+            labels[known],
+            stamp_ns=scan.stamp_ns,
+            scan=self._scan_count,
+            travel_m=pose.travel_m,
+        )
+
+    def _age(self, seen: IntArray, covariances: FloatArray) -> None:
+        """Confirm what was seen often and long enough, and tell what moves.
+
+        What is faster than its noise explains is followed at its speed: a landmark that only seemed to move slows down
+        again as sightings gather, a vehicle goes far enough to be told.
+        """
+        limits = self._config.landmark
+        landmarks = self._map.rows
+        velocities = self._map.velocities(seen)
+        speeds = np.linalg.norm(velocities, axis=1)
+        sigmas = np.sqrt(np.trace(covariances, axis1=1, axis2=2) / 3.0)
+        noise_mps = MOVING_SIGMAS * self._map.speed_sigmas(seen, sigmas)
+        too_fast = speeds > np.maximum(limits.moving_speed_mps, noise_mps)
+        observations = landmarks["observations"][seen]
+        seconds = (landmarks["last_seen_ns"][seen] - landmarks["first_seen_ns"][seen]) * 1e-9
+        far = speeds * seconds > limits.moving_distance_m
+        moving = too_fast & far & (observations >= limits.moving_observations)
+        followed = too_fast & (landmarks["state"][seen] != LandmarkState.CONFIRMED) & (observations >= 3)
+        landmarks["velocity_odom"][seen] = np.where((followed | moving)[:, None], velocities, 0.0)
+        stopped = (landmarks["state"][seen] == LandmarkState.RETIRED) & ~too_fast
+        self._active = self._active[~np.isin(self._active, seen[stopped])]
+        self._retire(seen[moving], RetirementReason.MOVING)
+
+        tentative = landmarks["state"][seen] == LandmarkState.TENTATIVE
+        enough = observations >= limits.confirm_observations
+        scans = self._scan_count - landmarks["first_scan"][seen] + 1
+        steady = observations >= limits.confirm_fraction * scans
+        confirmed = seen[
+            tentative & enough & steady & (speeds <= limits.moving_speed_mps) & (seconds >= limits.confirm_age_s)
+        ]
+        self._map.confirm(confirmed)
+        self._newly_confirmed += confirmed.tolist()
+
+    def _forget(self, travel_m: float) -> None:
+        """Let go of landmarks that were not seen for long; tentative and moving ones soon."""
+        limits = self._config.landmark
+        landmarks = self._map.rows[self._active]
+        unseen_m = travel_m - landmarks["last_seen_travel_m"]
+        unseen_scans = self._scan_count - landmarks["last_scan"]
+        lost = (unseen_m > limits.give_up_distance_m) | (unseen_scans > limits.give_up_scans)
+        given_up = lost & (landmarks["state"] != LandmarkState.CONFIRMED)
+        self._let_go(given_up | (unseen_m > self._config.association.forget_distance_m))
+
+    def _let_go(self, gone: NDArray[np.bool_]) -> None:
+        """Follow the active landmarks that are ``gone`` (A,) no longer; the life of tentative ones ends."""
+        rows = self._active[gone]
+        tentative = self._map.rows["state"][rows] == LandmarkState.TENTATIVE
+        self._retire(rows[tentative], RetirementReason.NOT_CONFIRMED)
+        self._active = self._active[~gone]
+
+    def _retire(self, rows: IntArray, reason: RetirementReason) -> None:
+        """End the life of landmarks; the graph forgets them."""
+        self._map.retire(rows, reason)
+        for row in rows.tolist():
+            self._held_back.pop(row, None)
+            self._graph.remove_landmark(row)
+
+
+def _associations(scan: Scan, rows: IntArray, created: NDArray[np.bool_]) -> DetectionAssociations:
+    """One entry for each detection of the message, used or not."""
+    landmark_ids = [""] * len(scan.used)
+    created_of_all = np.zeros(len(scan.used), dtype=np.bool_)
+    created_of_all[scan.used] = created
+    for place, row in zip(np.flatnonzero(scan.used), rows, strict=True):
+        landmark_ids[place] = str(row)
+    return DetectionAssociations(scan.stamp_ns, tuple(landmark_ids), created_of_all)

@@ -1,0 +1,92 @@
+"""One message of detections, made ready for mapping: in the body frame, with covariances, without the unwanted."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.messages import ObjectDetections, Transform
+from slam.common.arrays import FloatArray
+from slam.common.config import DetectionConfig
+from slam.common.geometry import apply, invert
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scan:
+    """Detections in one frame, at first the body's: positions (N, 3) m, covariances (N, 3, 3) m^2, labels (N,).
+
+    ``used`` (M,) says which of the message's M detections these are; ``has_own_covariance`` (N,): the message gave it.
+    ``sensor`` is the frame that the message named.
+    """
+
+    stamp_ns: int
+    sensor: str
+    positions: FloatArray
+    covariances: FloatArray
+    labels: tuple[str, ...]
+    used: NDArray[np.bool_]
+    has_own_covariance: NDArray[np.bool_]
+
+    def seen_from(self, T_frame_body: FloatArray) -> Scan:
+        """The same scan with its positions and covariances in another frame."""
+        R = T_frame_body[:3, :3]
+        return replace(self, positions=apply(T_frame_body, self.positions), covariances=R @ self.covariances @ R.T)
+
+
+def make_scan(detections: ObjectDetections, T_body_sensor: FloatArray, config: DetectionConfig) -> Scan:
+    """The detections of one message that pass the limits on score and range, in the body frame.
+
+    Covariances are the message's own, else (base_sigma_m + sigma_per_m * range)^2 in each coordinate; the range is
+    taken from the body, since the frame of the message may be one that does not move with the sensor.
+    """
+    positions = apply(T_body_sensor, detections.positions)
+    ranges = np.linalg.norm(positions, axis=1)
+    used = (detections.scores >= config.min_score) & (ranges <= config.max_range_m)
+    sigmas = config.base_sigma_m + config.sigma_per_m * ranges[used]
+    covariances = sigmas[:, None, None] ** 2 * np.eye(3)
+    has_own_covariance = np.zeros(len(covariances), dtype=np.bool_)
+    if detections.covariances is not None:
+        R = T_body_sensor[:3, :3]
+        own = detections.covariances[used]
+        has_own_covariance = np.any(own != 0.0, axis=(1, 2))
+        # No detector is right to the millimetre; what claims it would outweigh everything else.
+        own = R @ own @ R.T + config.min_sigma_m**2 * np.eye(3)
+        covariances = np.where(has_own_covariance[:, None, None], own, covariances)
+    return Scan(
+        stamp_ns=detections.stamp_ns,
+        sensor=detections.frame_id,
+        positions=positions[used],
+        covariances=covariances,
+        labels=tuple(label for label, is_used in zip(detections.labels, used, strict=True) if is_used),
+        used=used,
+        has_own_covariance=has_own_covariance,
+    )
+
+
+class SensorFrames:
+    """Where the sensors sit on the body, from the transforms of the log."""
+
+    def __init__(self) -> None:
+        self._T_parent_child: dict[tuple[str, str], FloatArray] = {}
+
+    def add(self, transform: Transform) -> None:
+        """Take note of a transform; a later one between the same frames replaces it."""
+        self._T_parent_child[transform.parent_frame_id, transform.child_frame_id] = transform.T_parent_child
+
+    def find(self, body_frame: str, sensor_frame: str) -> FloatArray | None:
+        """``T_body_sensor`` (4, 4) along the shortest chain of transforms; None if nothing connects the two."""
+        reached: dict[str, FloatArray] = {body_frame: np.eye(4)}
+        frames = deque([body_frame])
+        while frames and sensor_frame not in reached:
+            frame = frames.popleft()
+            for (parent, child), T_parent_child in self._T_parent_child.items():
+                if parent == frame and child not in reached:
+                    reached[child] = reached[frame] @ T_parent_child
+                    frames.append(child)
+                elif child == frame and parent not in reached:
+                    reached[parent] = reached[frame] @ invert(T_parent_child)
+                    frames.append(parent)
+        return reached.get(sensor_frame)

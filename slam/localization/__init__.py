@@ -1,0 +1,1 @@
+"""Where the robot is, in its own map or a prior map."""

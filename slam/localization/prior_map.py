@@ -1,0 +1,69 @@
+"""A saved map as the session before the first: to join it is what joins two sides of a break of the odometry."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import Edge, Observation
+from slam.object_map.landmarks import ObjectMap
+from slam.object_map.map_io import SavedMap
+from slam.odometry.keyframe import Keyframe
+from slam.odometry.track import OdometryPose
+
+TRAVEL_M = -10_000.0
+"""Of everything in the map. An optimised map has no passes: all of it is consistent, whenever it was seen."""
+SEGMENT = 0
+STAMP_NS = -1
+"""The clock of the earlier drive has nothing to do with that of this one."""
+
+
+def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed: bool) -> list[Keyframe]:
+    """Put a saved map into an empty object map and an empty graph; returns its keyframes, numbered anew from 0.
+
+    Args:
+        saved: the map.
+        object_map: empty.
+        graph: empty.
+        fixed: keep the map as it is: neither its keyframes nor its landmarks move, and nothing need be known of how
+            they hang together.
+    """
+    rows = object_map.restore(saved.objects, travel_m=TRAVEL_M)
+    keyframes = [
+        Keyframe(number, OdometryPose(STAMP_NS, T_map_body, TRAVEL_M, SEGMENT, np.inf))
+        for number, T_map_body in enumerate(saved.graph.T_map_body)
+    ]
+    if fixed:
+        positions = dict(zip(rows.tolist(), saved.objects.positions, strict=True))
+        graph.hold(range(len(keyframes)), saved.graph.T_map_body, positions)
+        return keyframes
+    row_of = dict(zip(saved.objects.ids, rows.tolist(), strict=True))
+    record = saved.graph
+    number_of = {int(keyframe): number for number, keyframe in enumerate(record.keyframe_ids)}
+    graph.restore(
+        list(number_of.values()),
+        record.T_map_body,
+        dict(zip(rows.tolist(), saved.objects.positions, strict=True)),
+        [
+            Edge(number_of[int(first)], number_of[int(second)], T_from_to, covariance, kind)
+            for (first, second), T_from_to, covariance, kind in zip(
+                record.edge_keyframe_ids,
+                record.edge_transforms,
+                record.edge_covariances,
+                record.edge_kinds,
+                strict=True,
+            )
+        ],
+        [
+            Observation(number_of[int(keyframe)], row_of[landmark], position, covariance / redundancy, redundancy)
+            for keyframe, landmark, position, covariance, redundancy in zip(
+                record.observation_keyframe_ids,
+                record.observation_landmark_ids,
+                record.observation_positions,
+                record.observation_covariances,
+                record.observation_redundancies.tolist() or [1.0] * len(record.observation_landmark_ids),
+                strict=True,
+            )
+        ],
+    )
+    return keyframes

@@ -1,0 +1,1 @@
+"""Landmarks, submaps of them, and maps on disk."""

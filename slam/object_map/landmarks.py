@@ -1,0 +1,334 @@
+"""The object map: every landmark with its place, its class and its life, as arrays with one row a landmark.
+
+A landmark's row is its id for good. Its life: ``TENTATIVE`` from its first sighting; ``CONFIRMED`` once it was seen
+often enough; ``RETIRED`` with a reason when it turns out to be no landmark, or to be another one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.messages import ObjectMapRecord
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.config import AssociationConfig
+
+
+class LandmarkState(IntEnum):
+    """Where a landmark stands in its life."""
+
+    TENTATIVE = 0
+    CONFIRMED = 1
+    RETIRED = 2
+
+
+class RetirementReason(StrEnum):
+    """Why a landmark is one no longer."""
+
+    NOT_CONFIRMED = "not_confirmed"
+    MOVING = "moving"
+    MERGED = "merged"
+    CONTRADICTED = "contradicted"
+    GONE = "gone"
+
+
+LANDMARK = np.dtype(
+    [
+        ("state", np.int8),
+        ("observations", np.int64),  # detections assigned to it
+        ("first_scan", np.int64),  # numbers of the first and the last scan that saw it
+        ("last_scan", np.int64),
+        ("first_seen_ns", np.int64),
+        ("last_seen_ns", np.int64),
+        ("last_seen_travel_m", np.float64),
+        ("segment", np.int64),  # of the odometry: positions of one segment have nothing to do with those of another
+        # Where it is relative to the robot: a filter in the odometry frame, which is smooth around the robot.
+        ("position_odom", np.float64, 3),
+        ("covariance_odom", np.float64, (3, 3)),
+        ("velocity_odom", np.float64, 3),  # zero unless it seems to move
+        # Where it is in the optimised map.
+        ("position_map", np.float64, 3),
+        ("covariance_map", np.float64, (3, 3)),
+        # Sums over its sightings, of time since the first [s] and of position relative to the first [m].
+        ("sum_t", np.float64),
+        ("sum_tt", np.float64),
+        ("sum_p", np.float64, 3),
+        ("sum_tp", np.float64, 3),
+        ("first_position_odom", np.float64, 3),
+    ]
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sightings:
+    """Sums over the sightings of each landmark, one row a landmark."""
+
+    observations: IntArray
+    first_seen_ns: IntArray
+    last_seen_ns: IntArray
+    label_counts: FloatArray
+
+
+class ObjectMap:
+    """Landmarks and the vocabulary of their classes."""
+
+    def __init__(self, config: AssociationConfig) -> None:
+        self._config = config
+        self._rows = np.zeros(64, dtype=LANDMARK)
+        self._label_counts = np.zeros((64, 8))
+        self._size = 0
+        self._reasons: dict[int, str] = {}
+        self._merged_into: dict[int, int] = {}
+        self._label_index: dict[str, int] = {}
+
+    def __len__(self) -> int:
+        return self._size
+
+    @property
+    def rows(self) -> NDArray[np.void]:
+        """(L,) structured array of ``LANDMARK``: a view, so that assigning to a field of it changes the map."""
+        return self._rows[: self._size]
+
+    @property
+    def vocabulary(self) -> tuple[str, ...]:
+        """Class names in the order in which they were first seen; the index of a label is its place here."""
+        return tuple(self._label_index)
+
+    def label_indices(self, labels: tuple[str, ...]) -> IntArray:
+        """Index (N,) of each label; a new one is added to the vocabulary."""
+        for label in labels:
+            self._label_index.setdefault(label, len(self._label_index))
+        if len(self._label_index) > self._label_counts.shape[1]:
+            wider = np.zeros((len(self._label_counts), 2 * len(self._label_index)))
+            wider[:, : self._label_counts.shape[1]] = self._label_counts
+            self._label_counts = wider
+        return np.array([self._label_index[label] for label in labels], dtype=np.int64)
+
+    def in_state(self, state: LandmarkState) -> IntArray:
+        """Rows in that state, ascending; those that became another landmark are left out."""
+        in_state = self.rows["state"] == state
+        in_state[list(self._merged_into)] = False
+        return np.flatnonzero(in_state)
+
+    def classes(self, rows: IntArray) -> IntArray:
+        """The most probable class (N,) of each landmark."""
+        if not self._label_index:
+            return np.zeros(len(rows), dtype=np.int64)
+        return np.asarray(self._label_counts[rows, : len(self._label_index)].argmax(axis=1))
+
+    def beliefs(self, rows: IntArray) -> FloatArray:
+        """Class probabilities (N, C): the posterior of even priors and independent labels of the configured accuracy.
+
+        With accuracy p and C classes a label multiplies the odds of its class by p (C - 1) / (1 - p).
+        """
+        return self._beliefs(self._label_counts[rows])
+
+    def _beliefs(self, label_counts: FloatArray) -> FloatArray:
+        classes = len(self._label_index)
+        if classes < 2:
+            return np.ones((len(label_counts), classes))
+        accuracy = self._config.label_accuracy
+        odds = np.log(accuracy * (classes - 1) / (1.0 - accuracy))
+        logits = label_counts[:, :classes] * odds
+        weights = np.exp(logits - logits.max(axis=1, keepdims=True))
+        return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+    def add(
+        self,
+        positions_odom: FloatArray,
+        covariances_odom: FloatArray,
+        labels: IntArray,
+        *,
+        stamp_ns: int,
+        scan: int,
+        travel_m: float,
+        segment: int = 0,
+    ) -> IntArray:
+        """Make tentative landmarks of detections (N, 3) m with (N, 3, 3) m^2; returns their rows (N,)."""
+        new = np.arange(self._size, self._size + len(positions_odom))
+        self._reserve(self._size + len(positions_odom))
+        self._size += len(positions_odom)
+        landmarks = self.rows
+        landmarks["state"][new] = LandmarkState.TENTATIVE
+        landmarks["observations"][new] = 1
+        landmarks["first_scan"][new] = scan
+        landmarks["last_scan"][new] = scan
+        landmarks["first_seen_ns"][new] = stamp_ns
+        landmarks["last_seen_ns"][new] = stamp_ns
+        landmarks["last_seen_travel_m"][new] = travel_m
+        landmarks["segment"][new] = segment
+        landmarks["position_odom"][new] = positions_odom
+        landmarks["first_position_odom"][new] = positions_odom
+        landmarks["covariance_odom"][new] = covariances_odom
+        self._label_counts[new, labels] = 1.0
+        return new
+
+    def restore(self, saved: ObjectMapRecord, *, travel_m: float) -> IntArray:
+        """Take in the landmarks of an earlier drive, as seen on segment 0 after ``travel_m``; returns their rows (N,).
+
+        Where they are relative to the robot is where they are in the map; how sure that is the map's covariances do not
+        tell, which are about its origin: neighbours are sure of one another.
+
+        Args:
+            saved: confirmed landmarks; their probabilities become as many sightings of a class as they had.
+        """
+        labels = self.label_indices(saved.vocabulary)
+        rows = self.add(
+            saved.positions,
+            np.zeros_like(saved.covariances),
+            np.zeros(len(saved.ids), np.int64),
+            stamp_ns=0,
+            scan=0,
+            travel_m=travel_m,
+        )
+        landmarks = self.rows
+        landmarks["state"][rows] = LandmarkState.CONFIRMED
+        landmarks["observations"][rows] = saved.observation_counts
+        landmarks["first_seen_ns"][rows] = saved.first_seen_ns
+        landmarks["last_seen_ns"][rows] = saved.last_seen_ns
+        landmarks["position_map"][rows] = saved.positions
+        landmarks["covariance_map"][rows] = saved.covariances
+        self._label_counts[rows] = 0.0
+        counts = saved.class_probabilities * saved.observation_counts[:, None]
+        self._label_counts[np.ix_(rows, labels)] = counts
+        return rows
+
+    def record_sightings(
+        self, rows: IntArray, measured_odom: FloatArray, labels: IntArray, *, stamp_ns: int, scan: int, travel_m: float
+    ) -> None:
+        """Count one more sighting of each of ``rows`` (N,), at ``measured_odom`` (N, 3) m, with its label (N,)."""
+        landmarks = self.rows
+        seconds = (stamp_ns - landmarks["first_seen_ns"][rows]) * 1e-9
+        offset = measured_odom - landmarks["first_position_odom"][rows]
+        landmarks["observations"][rows] += 1
+        landmarks["last_scan"][rows] = scan
+        landmarks["last_seen_ns"][rows] = stamp_ns
+        landmarks["last_seen_travel_m"][rows] = travel_m
+        landmarks["sum_t"][rows] += seconds
+        landmarks["sum_tt"][rows] += seconds**2
+        landmarks["sum_p"][rows] += offset
+        landmarks["sum_tp"][rows] += seconds[:, None] * offset
+        self._label_counts[rows, labels] += 1.0
+
+    def velocities(self, rows: IntArray) -> FloatArray:
+        """Velocity (N, 3) m/s in the odometry frame: the least-squares line through all sightings."""
+        landmarks = self.rows[rows]
+        slope = (
+            landmarks["sum_tp"] - landmarks["sum_t"][:, None] * landmarks["sum_p"] / landmarks["observations"][:, None]
+        )
+        return np.asarray(slope / self._time_spreads(rows)[:, None])
+
+    def speed_sigmas(self, rows: IntArray, position_sigmas_m: FloatArray) -> FloatArray:
+        """Standard deviation (N,) m/s of each coordinate of the velocity, for that noise (N,) m of a sighting."""
+        return np.asarray(position_sigmas_m / np.sqrt(self._time_spreads(rows)))
+
+    def _time_spreads(self, rows: IntArray) -> FloatArray:
+        """Sum of squared deviations (N,) s^2 of the times of the sightings from their mean, at least (1 ms)^2."""
+        landmarks = self.rows[rows]
+        return np.asarray(np.maximum(landmarks["sum_tt"] - landmarks["sum_t"] ** 2 / landmarks["observations"], 1e-6))
+
+    def confirm(self, rows: IntArray) -> None:
+        """Make tentative landmarks confirmed ones."""
+        self.rows["state"][rows] = LandmarkState.CONFIRMED
+
+    def retire(self, rows: IntArray, reason: RetirementReason) -> None:
+        """End the life of landmarks, and of all that was merged into them: they are one."""
+        ended = set(rows.tolist())
+        if not ended.isdisjoint(self._merged_into.values()):
+            ended |= {row for row in self._merged_into if not ended.isdisjoint(self._names(row))}
+        self.rows["state"][sorted(ended)] = LandmarkState.RETIRED
+        self._reasons.update(dict.fromkeys(ended, reason.value))
+
+    def merge(self, kept: int, dropped: int) -> int | None:
+        """Make ``dropped`` another name of ``kept``: in the map they are one landmark from now on.
+
+        Returns the row that lost its name, for ``split``; None if the two were one already. Each goes on being followed
+        by its own row, because around the robot the odometry tells the two passes apart; their sightings are added up
+        when the map is handed out.
+        """
+        kept, dropped = self.current(kept), self.current(dropped)
+        if kept == dropped:
+            return None
+        self._merged_into[dropped] = kept
+        return dropped
+
+    @property
+    def kept_of_merged(self) -> IntArray:
+        """Rows (K,) that others were merged into."""
+        return np.array(sorted({self.current(row) for row in self._merged_into}), dtype=np.int64)
+
+    def split(self, dropped: int) -> None:
+        """Undo the merge by which ``dropped`` lost its name."""
+        self._merged_into.pop(dropped, None)
+
+    def current(self, row: int) -> int:
+        """The row that a landmark goes by now, after merges."""
+        return self._names(row)[-1]
+
+    def _names(self, row: int) -> list[int]:
+        """The row, what it was merged into, and so on."""
+        names = [row]
+        while names[-1] in self._merged_into:
+            names.append(self._merged_into[names[-1]])
+        return names
+
+    def to_record(self, stamp_ns: int) -> ObjectMapRecord:
+        """All landmarks in the map frame, as they go into a log; those that never were confirmed are left out."""
+        kept = np.array(
+            [row for row in range(self._size) if self._reasons.get(row) != RetirementReason.NOT_CONFIRMED],
+            dtype=np.int64,
+        )
+        landmarks = self.rows[kept]
+        whole = self._with_merged()
+        return ObjectMapRecord(
+            stamp_ns=stamp_ns,
+            frame_id="map",
+            vocabulary=self.vocabulary,
+            ids=tuple(str(row) for row in kept),
+            positions=landmarks["position_map"].copy(),
+            covariances=landmarks["covariance_map"].copy(),
+            class_probabilities=self._beliefs(whole.label_counts[kept]),
+            states=tuple(self._state(int(row)).name.lower() for row in kept),
+            reasons=tuple(self._reason(int(row)) for row in kept),
+            observation_counts=whole.observations[kept],
+            first_seen_ns=whole.first_seen_ns[kept],
+            last_seen_ns=whole.last_seen_ns[kept],
+        )
+
+    def _with_merged(self) -> _Sightings:
+        """What each landmark and all that were merged into it have seen of it."""
+        landmarks = self.rows
+        whole = _Sightings(
+            landmarks["observations"].copy(),
+            landmarks["first_seen_ns"].copy(),
+            landmarks["last_seen_ns"].copy(),
+            self._label_counts[: self._size].copy(),
+        )
+        for row in self._merged_into:
+            kept = self.current(row)
+            whole.observations[kept] += landmarks["observations"][row]
+            whole.first_seen_ns[kept] = min(whole.first_seen_ns[kept], landmarks["first_seen_ns"][row])
+            whole.last_seen_ns[kept] = max(whole.last_seen_ns[kept], landmarks["last_seen_ns"][row])
+            whole.label_counts[kept] += self._label_counts[row]
+        return whole
+
+    def _state(self, row: int) -> LandmarkState:
+        return LandmarkState.RETIRED if row in self._merged_into else LandmarkState(self.rows["state"][row])
+
+    def _reason(self, row: int) -> str:
+        if row in self._merged_into:
+            return f"{RetirementReason.MERGED.value} into {self.current(row)}"
+        return self._reasons.get(row, "")
+
+    def _reserve(self, size: int) -> None:
+        if size <= len(self._rows):
+            return
+        capacity = max(size, 2 * len(self._rows))
+        rows = np.zeros(capacity, dtype=LANDMARK)
+        rows[: self._size] = self._rows[: self._size]
+        label_counts = np.zeros((capacity, self._label_counts.shape[1]))
+        label_counts[: self._size] = self._label_counts[: self._size]
+        self._rows, self._label_counts = rows, label_counts

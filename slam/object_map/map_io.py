@@ -1,0 +1,236 @@
+"""Maps that last: landmarks, keyframes and the factors between them, saved to a log and loaded from it."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.errors import LogError
+from logs.messages import FactorGraphRecord, ObjectMapRecord, SceneMarkers
+from logs.reader import LogReader
+from logs.selection import Selection
+from logs.topics import RecordKind
+from logs.writer import LogWriter
+from slam.common.arrays import FloatArray
+from slam.common.errors import SavedMapError
+from slam.object_map.map_validation import find_fault, parts
+from slam.odometry.noise import BREAK_SIGMA_M
+
+logger = logging.getLogger(__name__)
+
+FORMAT_VERSION = "1"
+METADATA = "dslam_map"
+OBJECTS_TOPIC, GRAPH_TOPIC, MARKERS_TOPIC = "/map/objects", "/map/graph", "/map/landmarks"
+GRAVITY = "z of the frame map points up"
+MAKE_IT = "make it again by 'dslam replay LOG -o OUT.mcap --save-map MAP.mcap'"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SavedMap:
+    """What a drive left behind for the next one: confirmed landmarks, and the graph that holds them together.
+
+    Descriptors are not kept: to compute them again takes less time than to read them would save, and so a map serves
+    whatever descriptor is configured. ``metadata``: what the file says of itself and of the last drive; ``drives``:
+    ``input_sha256`` and ``version`` of each drive that went into the map, the first one first.
+    """
+
+    objects: ObjectMapRecord
+    graph: FactorGraphRecord
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    drives: tuple[Mapping[str, str], ...] = ()
+
+
+def save_map(
+    path: Path,
+    objects: ObjectMapRecord,
+    graph: FactorGraphRecord,
+    markers: SceneMarkers,
+    provenance: Mapping[str, str],
+    *,
+    earlier: SavedMap | None = None,
+) -> int:
+    """Write a map log: NAME.part first, which is renamed when it is complete.
+
+    Args:
+        path: replaced if it is there.
+        objects: all landmarks; only confirmed ones are kept.
+        graph: the optimised graph. A stretch that only a break of the odometry ties to the rest lies anywhere, and is
+            left out, with what only it saw.
+        markers: the landmarks for viewers.
+        provenance: version, configuration and input of the drive.
+        earlier: the map that the drive went on from.
+
+    Returns:
+        How many keyframes were left out.
+
+    Raises:
+        LogError: it cannot be written.
+        SavedMapError: what is to be saved would be refused when it is loaded.
+    """
+    kept = confirmed(objects)
+    graph = _observing(graph, kept, np.ones(len(graph.keyframe_ids), dtype=np.bool_))
+    _refuse_fault(path, kept, graph)
+    is_tied = _tied(graph, to_first=earlier is not None)
+    seen = set(graph.observation_landmark_ids)
+    graph = _observing(graph, kept, is_tied)
+    adrift = seen - set(graph.observation_landmark_ids)
+    kept = _of_rows(kept, np.array([landmark not in adrift for landmark in kept.ids]))
+    _refuse_fault(path, kept, graph)
+    if not is_tied.all():
+        logger.warning(
+            "%d keyframes and %d landmarks are not in the map: only a break of the odometry ties them to the rest",
+            np.count_nonzero(~is_tied),
+            len(adrift),
+        )
+    drives = [*(earlier.drives if earlier is not None else ()), _drive(provenance)]
+    about = {"format_version": FORMAT_VERSION, "gravity": GRAVITY, **provenance, "drives": json.dumps(drives)}
+    with LogWriter(path) as writer:
+        writer.add_metadata(METADATA, about)
+        writer.write(OBJECTS_TOPIC, kept, objects.stamp_ns)
+        writer.write(GRAPH_TOPIC, graph, objects.stamp_ns)
+        writer.write(MARKERS_TOPIC, _of_ids(markers, set(kept.ids)), objects.stamp_ns)
+    return int(np.count_nonzero(~is_tied))
+
+
+def _refuse_fault(path: Path, objects: ObjectMapRecord, graph: FactorGraphRecord) -> None:
+    fault = find_fault(objects, graph)
+    if fault:
+        raise SavedMapError(f"{path} was not written, nobody could use it: {fault}")
+
+
+def load_map(path: Path) -> SavedMap:
+    """Read a map log.
+
+    Raises:
+        LogError: no MCAP file.
+        SavedMapError: a log that is no map, of another format version, damaged, empty, or at odds with itself.
+    """
+    with LogReader(path) as reader:
+        metadata = reader.metadata().get(METADATA)
+        if metadata is None:
+            raise SavedMapError(
+                f"{path} is damaged ({_listed(reader.counters)}); half a map is none, {MAKE_IT}"
+                if reader.counters
+                else f"{path} is a log, but no map; make one by 'dslam replay LOG -o OUT.mcap --save-map MAP.mcap'"
+            )
+        version = metadata.get("format_version")
+        if version != FORMAT_VERSION:
+            raise SavedMapError(
+                f"{path} is a map of format version {version}, this program reads {FORMAT_VERSION}; {MAKE_IT}"
+            )
+        if metadata.get("gravity") != GRAVITY:
+            raise SavedMapError(f"{path} does not say which way is up in it; {MAKE_IT}")
+        wanted = Selection({OBJECTS_TOPIC: (RecordKind.OBJECT_MAP,), GRAPH_TOPIC: (RecordKind.FACTOR_GRAPH,)})
+        try:
+            records = [entry.record for entry in reader.records(wanted)]
+        except LogError as error:
+            raise SavedMapError(f"{path} cannot be used as a map: {error}") from error
+        if reader.counters:
+            raise SavedMapError(f"{path} is damaged ({_listed(reader.counters)}); half a map is none, {MAKE_IT}")
+    objects = [record for record in records if isinstance(record, ObjectMapRecord)]
+    graphs = [record for record in records if isinstance(record, FactorGraphRecord)]
+    if len(objects) != 1 or len(graphs) != 1:
+        raise SavedMapError(
+            f"{path} holds {len(objects)} object maps and {len(graphs)} graphs, a map has one of each; {MAKE_IT}"
+        )
+    fault = find_fault(objects[0], graphs[0])
+    if fault:
+        raise SavedMapError(f"{path} cannot be used as a map: {fault}; {MAKE_IT}")
+    return SavedMap(objects[0], graphs[0], dict(metadata), _drives(path, metadata))
+
+
+def are_breaks(graph: FactorGraphRecord) -> NDArray[np.bool_]:
+    """Which edges (E,) say nothing, because the odometry broke there."""
+    return np.asarray(graph.edge_covariances[:, 3, 3] > (0.5 * BREAK_SIGMA_M) ** 2)
+
+
+def confirmed(objects: ObjectMapRecord) -> ObjectMapRecord:
+    """The same map without its tentative and retired landmarks."""
+    return _of_rows(objects, np.array([state == "confirmed" for state in objects.states], dtype=np.bool_))
+
+
+def _of_rows(objects: ObjectMapRecord, kept: NDArray[np.bool_]) -> ObjectMapRecord:
+    """The landmarks that are ``kept`` (N,)."""
+    rows = np.flatnonzero(kept)
+    return replace(
+        objects,
+        ids=tuple(objects.ids[row] for row in rows),
+        positions=objects.positions[rows],
+        covariances=objects.covariances[rows],
+        class_probabilities=objects.class_probabilities[rows],
+        states=tuple(objects.states[row] for row in rows),
+        reasons=tuple(objects.reasons[row] for row in rows),
+        observation_counts=objects.observation_counts[rows],
+        first_seen_ns=objects.first_seen_ns[rows],
+        last_seen_ns=objects.last_seen_ns[rows],
+    )
+
+
+def _observing(graph: FactorGraphRecord, objects: ObjectMapRecord, kept: NDArray[np.bool_]) -> FactorGraphRecord:
+    """The graph of the keyframes that are ``kept`` (K,), with what they observed of these landmarks."""
+    keyframes = graph.keyframe_ids[kept]
+    landmarks = set(objects.ids)
+    edges = np.flatnonzero(np.isin(graph.edge_keyframe_ids, keyframes).all(axis=1))
+    of_landmarks = np.array([landmark in landmarks for landmark in graph.observation_landmark_ids], dtype=np.bool_)
+    observations = np.flatnonzero(of_landmarks & np.isin(graph.observation_keyframe_ids, keyframes))
+    return replace(
+        graph,
+        keyframe_ids=keyframes,
+        keyframe_stamps_ns=graph.keyframe_stamps_ns[kept],
+        T_map_body=graph.T_map_body[kept],
+        edge_keyframe_ids=graph.edge_keyframe_ids[edges],
+        edge_transforms=graph.edge_transforms[edges],
+        edge_covariances=graph.edge_covariances[edges],
+        edge_kinds=tuple(graph.edge_kinds[edge] for edge in edges),
+        observation_keyframe_ids=graph.observation_keyframe_ids[observations],
+        observation_landmark_ids=tuple(graph.observation_landmark_ids[each] for each in observations),
+        observation_positions=graph.observation_positions[observations],
+        observation_covariances=graph.observation_covariances[observations],
+        observation_redundancies=_redundancies(graph)[observations],
+        # Nobody who goes on from a map needs to know how sure its poses were.
+        pose_covariances=np.zeros((0, 6, 6)),
+    )
+
+
+def _redundancies(graph: FactorGraphRecord) -> FloatArray:
+    """Of each observation (O,); a record that does not tell them widened none."""
+    told = graph.observation_redundancies
+    return told if len(told) else np.ones(len(graph.observation_landmark_ids))
+
+
+def _tied(graph: FactorGraphRecord, *, to_first: bool) -> NDArray[np.bool_]:
+    """Which keyframes (K,) more than a break of the odometry ties to the first one, or else to most others."""
+    part = parts(graph, ~are_breaks(graph))
+    return np.asarray(part == (part[0] if to_first else np.bincount(part).argmax()))
+
+
+def _of_ids(markers: SceneMarkers, ids: set[str]) -> SceneMarkers:
+    rows = [row for row, name in enumerate(markers.ids) if name in ids]
+    return replace(
+        markers,
+        positions=markers.positions[rows],
+        labels=tuple(markers.labels[row] for row in rows),
+        ids=tuple(markers.ids[row] for row in rows),
+    )
+
+
+def _drives(path: Path, metadata: Mapping[str, str]) -> tuple[Mapping[str, str], ...]:
+    try:
+        drives = json.loads(metadata.get("drives", "[]"))
+        return tuple(_drive(drive) for drive in drives) or (_drive(metadata),)
+    except (ValueError, TypeError, AttributeError) as error:
+        raise SavedMapError(f"{path} is damaged (its list of drives cannot be read: {error}); {MAKE_IT}") from error
+
+
+def _drive(provenance: Mapping[str, str]) -> dict[str, str]:
+    return {key: provenance.get(key, "") for key in ("input_sha256", "version")}
+
+
+def _listed(counters: Mapping[str, int]) -> str:
+    return ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in counters.items())

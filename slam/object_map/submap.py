@@ -1,0 +1,69 @@
+"""Submaps: the landmarks around a pose as one pass along a street saw them.
+
+A submap lives in the odometry frame or in the gravity frame of a keyframe, never in the optimised map: over its few
+tens of metres the odometry is smooth, and what closes loops must not depend on the loops closed before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.config import SubmapConfig
+from slam.common.geometry import apply, invert, transform_from_xyz_yaw, yaw_rad
+from slam.object_map.landmarks import LandmarkState, ObjectMap
+from slam.odometry.track import OdometryPose
+
+# Landmarks that were last seen within that travel of each other belong to one pass along a street.
+PASS_TRAVEL_M = 110.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Submap:
+    """N landmarks. ``positions`` (N, 3) m, ``sigmas`` (N,) m of each horizontal coordinate, ``labels`` (N,) classes,
+    ``rows`` (N,) of the object map.
+    """
+
+    positions: FloatArray
+    sigmas: FloatArray
+    labels: IntArray
+    rows: IntArray
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def of(self, places: IntArray) -> Submap:
+        """Some of the landmarks, by their places (K,) in it."""
+        return Submap(self.positions[places], self.sigmas[places], self.labels[places], self.rows[places])
+
+
+def gravity_frame(T_odom_body: FloatArray) -> FloatArray:
+    """``T_odom_gravity`` (..., 4, 4): at the body, heading as it does, but upright."""
+    return transform_from_xyz_yaw(T_odom_body[..., :3, 3], yaw_rad(T_odom_body))
+
+
+def recent_submap(object_map: ObjectMap, pose: OdometryPose, config: SubmapConfig) -> Submap:
+    """The confirmed landmarks of the last stretch of travel, in the gravity frame of ``pose`` (the paper's QLSM)."""
+    landmarks = object_map.rows
+    recent = (landmarks["last_seen_travel_m"] > pose.travel_m - config.travel_m) & (
+        landmarks["segment"] == pose.segment
+    )
+    rows = np.flatnonzero(recent & (landmarks["state"] == LandmarkState.CONFIRMED))
+    positions = apply(invert(gravity_frame(pose.T_odom_body)), landmarks["position_odom"][rows])
+    return _submap(object_map, rows, positions, np.zeros(3), config)
+
+
+def placed_submap(object_map: ObjectMap, rows: IntArray, centre_odom: FloatArray, config: SubmapConfig) -> Submap:
+    """The landmarks ``rows`` (N,) as a pass near ``centre_odom`` (3,) saw them, in the odometry frame."""
+    return _submap(object_map, rows, object_map.rows["position_odom"][rows], centre_odom, config)
+
+
+def _submap(
+    object_map: ObjectMap, rows: IntArray, positions: FloatArray, centre: FloatArray, config: SubmapConfig
+) -> Submap:
+    distances = np.hypot(positions[:, 0] - centre[0], positions[:, 1] - centre[1])
+    own_variances = np.trace(object_map.rows["covariance_odom"][rows][:, :2, :2], axis1=1, axis2=2) / 2.0
+    variances = config.landmark_sigma_m**2 + (config.sigma_per_m * distances) ** 2 + own_variances
+    return Submap(positions, np.sqrt(variances), object_map.classes(rows), rows)

@@ -1,0 +1,1 @@
+"""The odometry: its track, its noise, keyframes on it."""

@@ -1,0 +1,45 @@
+"""The trajectory between keyframes: the odometry, bent to meet the optimised keyframes."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.geometry import invert, make_transform
+
+
+def bend_odometry(
+    stamps_ns: IntArray,
+    T_odom_body: FloatArray,
+    keyframe_indices: IntArray,
+    T_map_keyframe: FloatArray,
+    segments: IntArray,
+) -> FloatArray:
+    """Poses ``T_map_body`` (N, 4, 4) of all odometry poses.
+
+    Each pose is predicted from the keyframe before it and from the one after it, and is blended between the two by
+    time, so that it meets both keyframes and has no step at either. Behind the last keyframe, and where the odometry
+    breaks before the next one, the one before it alone decides.
+
+    Args:
+        stamps_ns: (N,) strictly increasing.
+        T_odom_body: (N, 4, 4) m.
+        keyframe_indices: (K,) which of the N poses are keyframes, ascending; the first is 0.
+        T_map_keyframe: (K, 4, 4) m, optimised.
+        segments: (N,) number of breaks in the odometry before each pose.
+    """
+    before = np.searchsorted(keyframe_indices, np.arange(len(stamps_ns)), side="right") - 1
+    after = np.minimum(before + 1, len(keyframe_indices) - 1)
+    after = np.where(segments[keyframe_indices[after]] == segments, after, before)
+
+    def predict(keyframe: IntArray) -> FloatArray:
+        return T_map_keyframe[keyframe] @ invert(T_odom_body[keyframe_indices[keyframe]]) @ T_odom_body
+
+    T_before, T_after = predict(before), predict(after)
+    start, end = stamps_ns[keyframe_indices[before]], stamps_ns[keyframe_indices[after]]
+    fraction = np.where(end > start, (stamps_ns - start) / np.maximum(end - start, 1), 0.0)[:, None]
+    turn = Rotation.from_matrix(np.swapaxes(T_before[:, :3, :3], 1, 2) @ T_after[:, :3, :3]).as_rotvec()
+    rotation = T_before[:, :3, :3] @ Rotation.from_rotvec(fraction * turn).as_matrix()
+    translation = (1.0 - fraction) * T_before[:, :3, 3] + fraction * T_after[:, :3, 3]
+    return make_transform(rotation, translation)

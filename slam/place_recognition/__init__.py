@@ -1,0 +1,1 @@
+"""Which places of the map a query may be."""

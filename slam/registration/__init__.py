@@ -1,0 +1,1 @@
+"""Where one constellation of objects lies in another."""

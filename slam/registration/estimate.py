@@ -1,0 +1,214 @@
+"""What a registration answers: the pose, its covariance and its one-to-one inliers, or the reason why there is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.transform import Rotation
+
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.config import RegistrationConfig
+from slam.common.geometry import make_transform
+from slam.registration.refinement import Columns, least_squares, squared_residuals
+
+MAX_ROTATION_SIGMA_RAD = 0.2
+"""A rotation known less well than this is not determined: the linearisation that says so no longer holds."""
+SIX_DOF_STEPS = 3
+"""Gauss-Newton steps from the level pose; the tilt is small."""
+
+_TILT, _TRANSLATION = slice(0, 2), slice(3, 6)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registration:
+    """Where the query constellation lies in the reference, or why that is not known (``reason``).
+
+    ``T_reference_query`` (4, 4) carries query points, times ``scale``, into the reference frame. ``covariance`` (6, 6)
+    is that of its right perturbation ``T Exp([rotation rad, translation m])``. ``pairs`` (K, 2) are the inliers, one to
+    one, as (query, reference) indices by increasing query; ``inliers`` (K,) says where each stands in the
+    correspondences given, or in ``pairs`` where none were. ``score`` is the support: the sum over the inliers of
+    1 - (residual / gate)^2.
+    """
+
+    T_reference_query: FloatArray | None
+    covariance: FloatArray | None
+    inliers: IntArray
+    pairs: IntArray
+    score: float
+    reason: str
+    scale: float = 1.0
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a pose."""
+        return self.T_reference_query is not None
+
+
+def not_found(reason: str) -> Registration:
+    """The answer "no", and why."""
+    return Registration(None, None, np.zeros(0, np.int64), np.zeros((0, 2), np.int64), 0.0, reason)
+
+
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """``reference = R (scale query) + t`` between points about the centres of their columns."""
+
+    R: FloatArray
+    t: FloatArray
+    scale: float
+
+    def residuals(self, columns: Columns, chosen: IntArray) -> FloatArray:
+        """(K, 3) m, reference minus moved query, in the query's axes."""
+        moved = self.scale * columns.query[chosen] @ self.R.T + self.t
+        return np.asarray((columns.reference[chosen] - moved) @ self.R)
+
+
+def estimate(pose: FloatArray, columns: Columns, config: RegistrationConfig) -> Registration:
+    """The answer at a refined ``pose`` (6,): optimal one-to-one inliers, a last fit to them, and its covariance."""
+    gate_squared = config.gate_sigma**2
+    ratio = squared_residuals(pose[None], columns)[0] / gate_squared
+    chosen = _assign(ratio, columns)
+    if len(chosen) < config.min_inliers:
+        return not_found(_too_few(len(chosen), config))
+    weights = np.zeros((1, len(columns)))
+    weights[0, chosen] = 1.0 - ratio[chosen] ** 2
+    pose = least_squares(pose[None], weights, columns, config)[0]
+    a, b, x, y, z, scale = pose.tolist()
+    motion = _Motion(np.array([[a, -b, 0.0], [b, a, 0.0], [0.0, 0.0, scale]]) / scale, np.array([x, y, z]), scale)
+    if config.six_dof:
+        motion = _tilted(motion, columns, chosen, weights[0, chosen], config)
+    ratio = np.square(motion.residuals(columns, chosen) / _sigma(columns, chosen, config)).sum(axis=1)
+    ratio /= gate_squared
+    chosen, ratio = chosen[ratio < 1.0], ratio[ratio < 1.0]
+    if len(chosen) < config.min_inliers:
+        return not_found(_too_few(len(chosen), config))
+    information = _information(motion, columns, chosen, 1.0 - ratio**2, config)
+    reason = _undetermined(information, len(chosen), config)
+    if reason:
+        return not_found(reason)
+    origin = motion.scale * motion.R @ columns.query_centre
+    T = make_transform(motion.R, columns.reference_centre + motion.t - origin)
+    covariance = _covariance(information, motion.scale * columns.query_centre, columns.query_centre, config)
+    support = float((1.0 - ratio).sum())
+    return Registration(T, covariance, columns.given[chosen], columns.pairs[chosen], support, "", motion.scale)
+
+
+def _too_few(count: int, config: RegistrationConfig) -> str:
+    return f"{count} pairs of objects agree on a pose, fewer than {config.min_inliers}"
+
+
+def _assign(ratio: FloatArray, columns: Columns) -> IntArray:
+    """Increasing indices of the one-to-one pairs with the largest sum of 1 - ``ratio`` (P,)."""
+    inside = np.flatnonzero(ratio < 1.0)
+    query, reference = columns.query_slot[inside], columns.reference_slot[inside]
+    if len(set(query.tolist())) == len(set(reference.tolist())) == len(inside):
+        return inside
+    rows, row = np.unique(query, return_inverse=True)
+    slots, slot = np.unique(reference, return_inverse=True)
+    gain = np.zeros((len(rows), len(slots)))
+    # A pair given twice has one residual, so that it does not matter which of the two is kept.
+    which = np.full(gain.shape, -1, dtype=np.int64)
+    gain[row, slot] = 1.0 - ratio[inside]
+    which[row, slot] = inside
+    chosen = which[linear_sum_assignment(gain, maximize=True)]
+    return np.sort(chosen[chosen >= 0])
+
+
+def _sigma(columns: Columns, chosen: IntArray, config: RegistrationConfig) -> FloatArray:
+    """(K, 3) m along x, y, z; a tilt that is estimated is no noise."""
+    sigma = columns.noise if config.six_dof else columns.sigma
+    return np.asarray(sigma[chosen][:, [0, 0, 1]])
+
+
+def _jacobian(motion: _Motion, points: FloatArray) -> FloatArray:
+    """(K, 3, 7) of the moved points, in the query's axes, by rotation, translation and scale."""
+    x, y, z = (motion.scale * points).T
+    J = np.zeros((len(points), 3, 7))
+    J[:, 0, 1], J[:, 0, 2] = z, -y
+    J[:, 1, 0], J[:, 1, 2] = -z, x
+    J[:, 2, 0], J[:, 2, 1] = y, -x
+    J[:, 0, 3] = J[:, 1, 4] = J[:, 2, 5] = 1.0
+    J[:, :, 6] = points
+    return J
+
+
+def _information(
+    motion: _Motion, columns: Columns, chosen: IntArray, weights: FloatArray, config: RegistrationConfig
+) -> FloatArray:
+    """(7, 7) of rotation, translation and scale about the centre of the query."""
+    J = _jacobian(motion, columns.query[chosen])
+    J *= (np.sqrt(weights)[:, None] / _sigma(columns, chosen, config))[:, :, None]
+    J = J.reshape(-1, 7)
+    information = J.T @ J
+    information[6, 6] += config.scale_sigma**-2
+    return np.asarray(information)
+
+
+def _free(config: RegistrationConfig) -> slice:
+    return slice(0 if config.six_dof else 2, 7 if config.estimate_scale else 6)
+
+
+def _tilted(
+    motion: _Motion, columns: Columns, chosen: IntArray, weights: FloatArray, config: RegistrationConfig
+) -> _Motion:
+    """The motion with roll and pitch, by Gauss-Newton; unchanged where the objects do not determine it."""
+    free = _free(config)
+    for _ in range(SIX_DOF_STEPS):
+        information = _information(motion, columns, chosen, weights, config)
+        if _undetermined(information, len(chosen), config):
+            return motion
+        precision = weights[:, None] / _sigma(columns, chosen, config) ** 2
+        J = _jacobian(motion, columns.query[chosen])
+        gradient = np.einsum("kaj,ka->j", J, precision * motion.residuals(columns, chosen))
+        gradient[6] -= (motion.scale - 1.0) / config.scale_sigma**2
+        step = np.zeros(7)
+        step[free] = np.linalg.solve(information[free, free], gradient[free])
+        R = motion.R @ Rotation.from_rotvec(step[:3]).as_matrix()
+        motion = _Motion(R, motion.t + motion.R @ step[3:6], motion.scale + float(step[6]))
+    return motion
+
+
+def _undetermined(information: FloatArray, count: int, config: RegistrationConfig) -> str:
+    """Why the rotation is not determined, or "". What the inverse would hold is tested before it is taken."""
+    rotation = slice(0 if config.six_dof else 2, 3)
+    cross = information[rotation, _TRANSLATION]
+    marginal = information[rotation, rotation] - cross @ np.linalg.solve(
+        information[_TRANSLATION, _TRANSLATION], cross.T
+    )
+    weakest = float(np.linalg.eigvalsh(marginal)[0]) if config.six_dof else float(marginal[0, 0])
+    if weakest >= MAX_ROTATION_SIGMA_RAD**-2:
+        return ""
+    if config.six_dof:
+        return f"the {count} objects that agree are (nearly) collinear, so the rotation about their line is open"
+    return f"the {count} objects that agree are too near one another for a heading"
+
+
+def _covariance(
+    information: FloatArray, centre_scaled: FloatArray, centre: FloatArray, config: RegistrationConfig
+) -> FloatArray:
+    """(6, 6) at the query's origin from the information (7, 7) about its centre.
+
+    Roll and pitch, where they are not estimated, are nuisance parameters: their uncertainty moves the estimate of the
+    others by -G times the tilt, with G from the normal equations.
+    """
+    free = _free(config)
+    P = np.zeros((7, 7))
+    inverse = np.linalg.inv(information[free, free])
+    P[free, free] = inverse
+    if not config.six_dof:
+        variance = config.tilt_sigma_rad**2
+        G = inverse @ information[free, _TILT]
+        P[free, free] += variance * G @ G.T
+        P[free, _TILT] = -variance * G
+        P[_TILT, free] = -variance * G.T
+        P[0, 0] = P[1, 1] = variance
+    # The adjoint of the translation to the centre; a larger scale moves the origin against the centre.
+    x, y, z = centre_scaled.tolist()
+    A = np.zeros((6, 7))
+    A[:, :6] = np.eye(6)
+    A[3:, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+    A[3:, 6] = -centre
+    covariance = A @ P @ A.T
+    return np.asarray(0.5 * (covariance + covariance.T))

@@ -1,0 +1,164 @@
+"""Short drives for the tests of the estimator: simulated, altered by a test, replayed and read back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.messages import FactorGraphRecord, ObjectDetections, ObjectMapRecord, Odometry, Record, StatusRecord
+from logs.reader import LogReader
+from logs.selection import select_all
+from logs.topics import RawMessage
+from logs.writer import LogWriter
+from slam.common.config import Config
+from slam.common.errors import SlamError
+from slam.evaluation.evaluate import evaluate
+from slam.evaluation.inputs.records import read_records
+from slam.evaluation.result import Evaluation
+from slam.object_map.map_io import GRAVITY, METADATA
+from slam.replay import ReplaySummary, replay
+from slam.simulation.config import OdometryConfig, SensorConfig, SimulationConfig
+from slam.simulation.simulation import simulate
+from slam.simulation.world import World
+from slam.system import Slam
+
+Entry = tuple[str, int, Record]
+"""Topic, log time, record."""
+
+NO_DRIFT = OdometryConfig(scale_drift_percent=0.0, heading_drift_deg_per_100m=0.0)
+EXACT_SENSOR = SensorConfig(
+    noise_base_m=0.0,
+    noise_per_m=0.0,
+    dropout=0.0,
+    false_positives_per_scan=0.0,
+    misclassification=0.0,
+    covariances=False,
+)
+EXACT = SimulationConfig(odometry=NO_DRIFT, sensor=EXACT_SENSOR)
+
+
+def block_world(*, side_m: float = 40.0, classes: tuple[str, ...] = ("bench", "lamp", "tree", "vehicle")) -> World:
+    """A tour once around a square block, with about an object every 4 m, 4 m to 9 m off it."""
+    rng = np.random.default_rng(7)
+    corners = np.array([[0.0, 0.0], [side_m, 0.0], [side_m, side_m], [0.0, side_m], [0.0, 0.0]])
+    count = int(side_m)
+    along = (np.arange(count) + rng.uniform(-0.3, 0.3, count)) * 4.0 * side_m / count % (4.0 * side_m)
+    side = (along // side_m).astype(np.int64)
+    direction = (corners[side + 1] - corners[side]) / side_m
+    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+    offset = rng.uniform(4.0, 9.0, count) * rng.choice([-1.0, 1.0], count)
+    xy = corners[side] + direction * (along - side * side_m)[:, None] + normal * offset[:, None]
+    positions = np.concatenate([xy, rng.uniform(-0.5, 1.5, (count, 1))], axis=1)
+    ids = tuple(f"object-{i}" for i in range(count))
+    return World("block", ids, positions, tuple(rng.choice(classes, count).tolist()), corners)
+
+
+def drive(config: SimulationConfig = EXACT, *, seed: int = 1, world: World | None = None) -> list[Entry]:
+    return list(simulate(world or block_world(), config, seed=seed))
+
+
+def odometry_of(entries: Iterable[Entry]) -> list[Odometry]:
+    return [record for _, _, record in entries if isinstance(record, Odometry)]
+
+
+def change(entries: Iterable[Entry], kind: type, alter: Callable[[int, Record], Record | None]) -> list[Entry]:
+    """``entries`` with the i-th record of ``kind`` replaced by ``alter(i, record)``; None leaves it out."""
+    changed: list[Entry] = []
+    count = 0
+    for topic, log_time_ns, record in entries:
+        if isinstance(record, kind):
+            altered = alter(count, record)
+            count += 1
+            if altered is not None:
+                changed.append((topic, log_time_ns, altered))
+        else:
+            changed.append((topic, log_time_ns, record))
+    return changed
+
+
+def keep_until(entries: Iterable[Entry], seconds: float) -> list[Entry]:
+    """The entries of the first ``seconds``, that time left out."""
+    kept = list(entries)
+    end_ns = kept[0][1] + round(seconds * 1e9)
+    return [entry for entry in kept if entry[1] < end_ns]
+
+
+def write_log(path: Path, entries: Iterable[Entry]) -> Path:
+    with LogWriter(path) as writer:
+        for topic, log_time_ns, record in entries:
+            writer.write(topic, record, log_time_ns)
+    return path
+
+
+def write_map(path: Path, objects: ObjectMapRecord, graph: FactorGraphRecord, *, twice: bool = False) -> Path:
+    """A map file without any of the checks of ``save_map``."""
+    with LogWriter(path) as writer:
+        writer.add_metadata(METADATA, {"format_version": "1", "gravity": GRAVITY})
+        for _ in range(1 + twice):
+            writer.write("/map/objects", objects, 0)
+        writer.write("/map/graph", graph, 0)
+    return path
+
+
+def raw_messages(path: Path) -> list[RawMessage]:
+    with LogReader(path) as reader:
+        return list(reader.messages())
+
+
+def write_raw(path: Path, messages: Iterable[RawMessage]) -> Path:
+    with LogWriter(path) as writer:
+        for message in messages:
+            writer.write_raw(message)
+    return path
+
+
+def records_of(path: Path, topic: str) -> list[Record]:
+    with LogReader(path) as reader:
+        selection = select_all(info for info in reader.topics() if info.topic == topic)
+        return [entry.record for entry in reader.records(selection)]
+
+
+def run(entries: Iterable[Entry], path: Path, config: Config | None = None) -> Evaluation:
+    """Write, replay and measure a drive; ``path`` is the output, its input lies beside it."""
+    replay(write_log(path.with_name("in.mcap"), entries), path, config or Config())
+    return evaluate(read_records(path))
+
+
+def final_status(path: Path) -> StatusRecord:
+    status = records_of(path, "/slam/status")[-1]
+    assert isinstance(status, StatusRecord)
+    return status
+
+
+def replay_or_refuse(source: Path, output: Path) -> ReplaySummary | LogError | SlamError:
+    """The summary, or the error that the command line would print; any other exception is a failure of the test."""
+    try:
+        summary = replay(source, output, Config())
+    except (LogError, SlamError) as error:
+        refusal = error
+    else:
+        assert summary.counters == final_status(output).counters
+        return summary
+    assert not output.exists()
+    assert str(refusal)
+    return refusal
+
+
+def map_in_memory(entries: Iterable[Entry], config: Config | None = None) -> Slam:
+    """A system that has processed the records, not yet finished."""
+    slam = Slam(config or Config())
+    for _, _, record in entries:
+        slam.process(record)
+    return slam
+
+
+def in_frame(entries: Iterable[Entry], frame: str) -> list[Entry]:
+    def rename(_: int, record: Record) -> Record:
+        assert isinstance(record, ObjectDetections)
+        return replace(record, frame_id=frame)
+
+    return change(entries, ObjectDetections, rename)

@@ -1,0 +1,270 @@
+from __future__ import annotations
+
+import hashlib
+import os
+import tarfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from logs.errors import DatasetError
+from logs.importers.kitti_objects import import_kitti_objects, read_kitti_objects
+from logs.messages import GroundTruthPose, ObjectDetections, Odometry
+from logs.reader import LogReader
+from logs.selection import select_topics
+
+DATA = Path(os.environ.get("DSLAM_DATA", Path(__file__).parents[3] / ".." / "shared" / "data")) / "kitti00"
+TR = "Tr: 0 -1 0 0.1 0 0 -1 0.2 1 0 0 -0.3"
+"""Velodyne x forward, y left, z up to camera x right, y down, z forward."""
+
+
+@dataclass
+class Dataset:
+    """A made-up sequence "07" of three scans, driven 1 m forward each, in files that a test may damage."""
+
+    root: Path
+
+    def __post_init__(self) -> None:
+        self.write("objects/07/bow.txt", "1,0,1\n0,1,0\n0,0,0\n")
+        self.write("objects/07/centroids/000000.txt", "1 2 3\n4e0 5 -6.5\n")
+        self.write("objects/07/centroids/000001.txt", "7 8 9\n")
+        self.write("objects/07/centroids/000002.txt", "")
+        self.write("poses.txt", "".join(f"1 0 0 0 0 1 0 0 0 0 1 {z}\n" for z in range(3)))
+        self.write("truth.txt", "".join(f"1 0 0 {x} 0 1 0 0 0 0 1 0\n" for x in range(3)))
+        self.write("calib.txt", f"P0: {' '.join(['0'] * 12)}\n{TR}\n")
+        self.write("times.txt", "0.000000e+00\n1.037359e-01\n4.705816123456789e+02\n")
+
+    def write(self, name: str, text: str) -> None:
+        path = self.root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+
+    def archive(self, name: str) -> Path:
+        path = self.root / name
+        with tarfile.open(path, f"w:{path.suffix[1:]}") as archive:
+            # Not in the order of the scans: nothing obliges an archive to that.
+            for file in sorted((self.root / "objects").rglob("*.txt"), reverse=True):
+                archive.add(file, f"somewhere/else/{file.relative_to(self.root / 'objects').as_posix()}")
+        return path
+
+    def files(self, detections: Path | None = None) -> dict[str, Path]:
+        return {
+            "detections": detections or self.root / "objects",
+            "odometry": self.root / "poses.txt",
+            "calib": self.root / "calib.txt",
+            "times": self.root / "times.txt",
+            "ground_truth": self.root / "truth.txt",
+        }
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Dataset:
+    return Dataset(tmp_path)
+
+
+def test_records_come_scan_by_scan_in_the_body_frame(dataset: Dataset) -> None:
+    records = list(read_kitti_objects(**dataset.files()).records())
+    assert [type(record) for record in records] == [Odometry, ObjectDetections, GroundTruthPose] * 3
+    odometry, detections, truth = records[3:6]
+    assert isinstance(odometry, Odometry)
+    assert isinstance(detections, ObjectDetections)
+    assert isinstance(truth, GroundTruthPose)
+    # The camera moved along its z, which is forward, so the body moved along its x; the truth moved to the right.
+    np.testing.assert_allclose(odometry.T_odom_body[:3, 3], [1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(truth.T_world_body[:3, 3], [0, -1, 0], atol=1e-12)
+    assert detections.labels == ("trunk",)
+    assert detections.frame_id == "base_link"
+    assert detections.covariances is None
+    np.testing.assert_array_equal(detections.positions, [[7, 8, 9]])
+
+
+def test_labels_follow_the_counts_and_an_empty_scan_has_no_rows(dataset: Dataset) -> None:
+    scans = read_kitti_objects(**dataset.files()).scans
+    assert scans.labels == (("vehicle", "pole"), ("trunk",), ())
+    np.testing.assert_array_equal(scans.positions[0], [[1, 2, 3], [4, 5, -6.5]])
+    assert scans.positions[2].shape == (0, 3)
+
+
+def test_times_become_exact_nanoseconds(dataset: Dataset) -> None:
+    assert read_kitti_objects(**dataset.files()).stamps_ns == (0, 103_735_900, 470_581_612_346)
+
+
+def test_lever_arm_of_the_calibration_enters_a_turn(dataset: Dataset) -> None:
+    # The camera turns 90 degrees to the left on the spot, so the velodyne behind it swings about it.
+    dataset.write("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n" + "0 0 -1 0 0 1 0 0 1 0 0 0\n" * 2)
+    T_odom_body = read_kitti_objects(**dataset.files()).T_odom_body
+    np.testing.assert_array_equal(T_odom_body[0], np.eye(4))
+    # Camera in the body frame: x = 0.3, y = 0.1, z = 0.2.
+    camera_in_body = np.array([0.3, 0.1, 0.2, 1.0])
+    np.testing.assert_allclose(T_odom_body[1] @ camera_in_body, camera_in_body, atol=1e-12)
+    np.testing.assert_allclose(T_odom_body[1][:3, :3] @ [1, 0, 0], [0, 1, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["objects.tar.xz", "objects.tar.gz"])
+def test_archive_and_folder_give_the_same_bytes(dataset: Dataset, name: str) -> None:
+    from_folder, from_archive = dataset.root / "a.mcap", dataset.root / "b.mcap"
+    summary = import_kitti_objects(from_folder, **dataset.files())
+    assert import_kitti_objects(from_archive, **dataset.files(dataset.archive(name))) == summary
+    assert from_folder.read_bytes() == from_archive.read_bytes()
+    assert summary.message_counts == {"/odom": 3, "/detections": 3, "/ground_truth": 3}
+    assert (summary.detection_count, summary.first_stamp_ns, summary.last_stamp_ns) == (3, 0, 470_581_612_346)
+
+
+def test_log_reads_back_and_names_its_source_without_folders(dataset: Dataset) -> None:
+    output = dataset.root / "out.mcap"
+    import_kitti_objects(output, **dataset.files())
+    with LogReader(output) as reader:
+        selection = select_topics(reader.topics())
+        entries = list(reader.records(selection))
+        source = reader.metadata()["source"]
+    expected = list(read_kitti_objects(**dataset.files()).records())
+    assert [(type(entry.record), entry.record.stamp_ns) for entry in entries] == [
+        (type(record), record.stamp_ns) for record in expected
+    ]
+    for entry, record in zip(entries, expected, strict=True):
+        if isinstance(record, Odometry):
+            assert isinstance(entry.record, Odometry)
+            np.testing.assert_allclose(entry.record.T_odom_body, record.T_odom_body, atol=1e-12)
+    assert source["odometry"] == "poses.txt"
+    assert source["odometry_sha256"] == hashlib.sha256((dataset.root / "poses.txt").read_bytes()).hexdigest()
+    assert source["detections"] == "07"
+    assert not any(str(dataset.root) in value for value in source.values())
+
+
+def test_ground_truth_may_be_missing(dataset: Dataset) -> None:
+    files = {role: path for role, path in dataset.files().items() if role != "ground_truth"}
+    summary = import_kitti_objects(dataset.root / "out.mcap", **files)
+    assert summary.message_counts == {"/odom": 3, "/detections": 3}
+
+
+def _write(name: str, text: str) -> Callable[[Dataset], None]:
+    return lambda dataset: dataset.write(name, text)
+
+
+def _remove(name: str) -> Callable[[Dataset], None]:
+    return lambda dataset: (dataset.root / name).unlink()
+
+
+POSE = "1 0 0 0 0 1 0 0 0 0 1 0\n"
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (_write("objects/07/bow.txt", "1,0,1\n0,2,0\n0,0,0\n"), "scan 1: .*000001.txt has 1 centroids, .*counts 2"),
+        (_write("objects/07/bow.txt", "1,0,1\n0,1\n0,0,0\n"), "bow.txt, line 2"),
+        (_write("objects/07/bow.txt", "1,0,1\n0,-1,0\n0,0,0\n"), "bow.txt, line 2"),
+        (_write("objects/07/bow.txt", "1,0,1\n0,1,0\n"), "2 scans, centroids holds 3; scan 2 is not counted"),
+        (_write("objects/07/centroids/000002.txt", "\n1 2 x\n"), "000002.txt, line 2: 'x' is not a number"),
+        (_write("objects/07/centroids/000001.txt", "1 2 nan\n"), "000001.txt, line 1: 'nan' is not a finite"),
+        (_write("objects/07/centroids/000001.txt", "1 2\n"), "000001.txt, line 1: 2 values where 3"),
+        (_write("objects/07/centroids/1.txt", "1 2 3\n"), "scan 1: both"),
+        (_write("objects/08/bow.txt", "1,0,0\n"), "2 sequences where one is needed .07, 08."),
+        (_remove("objects/07/centroids/000001.txt"), "scan 1 has no file"),
+        (_remove("objects/07/bow.txt"), "no bow.txt"),
+        (_write("poses.txt", POSE * 2), "3 scans in objects, 3 times in times.txt, 2 poses in poses.txt"),
+        (_write("poses.txt", POSE * 4), "4 poses in poses.txt"),
+        (_write("truth.txt", POSE * 2), "2 poses in truth.txt"),
+        (_write("times.txt", "0\n1\n"), "2 times in times.txt"),
+        (_write("times.txt", "0\n1\n1\n"), "times.txt, line 3: .*must increase"),
+        (_write("times.txt", "0\none\n2\n"), "times.txt, line 2: 'one'"),
+        (_write("times.txt", "0\n1\ninf\n"), "times.txt, line 3"),
+        (_write("times.txt", "-1\n1\n2\n"), "times.txt, line 1"),
+        (_write("poses.txt", POSE + "1 0 0 0 0 1 0 0 0 0 1\n" + POSE), "poses.txt, line 2: 11 values where 12"),
+        (_write("poses.txt", POSE * 2 + "1 0 0 0 0 1 0 0 0 0 1.002 0\n"), "poses.txt, line 3: not a rotation"),
+        (
+            _write("poses.txt", POSE * 2 + "1 0 0 0 0 1 0 0 0 0 -1 0\n"),
+            "poses.txt, line 3: not a rotation .*det R = -1",
+        ),
+        (_write("poses.txt", POSE * 2 + "0 " * 12 + "\n"), "poses.txt, line 3: not a rotation"),
+        (_write("calib.txt", "P0: 1 2 3\n"), "no line 'Tr:'"),
+        (_write("calib.txt", "Tr: 1 2 3\n"), "calib.txt, line 1: 3 values"),
+        (_write("calib.txt", "Tr: \N{DEGREE SIGN}\n"), "not a text file"),
+        (_remove("times.txt"), "times.txt: cannot be read"),
+    ],
+)
+def test_damage_is_refused_with_its_place_and_nothing_is_written(
+    dataset: Dataset, damage: Callable[[Dataset], None], message: str
+) -> None:
+    damage(dataset)
+    with pytest.raises(DatasetError, match=message):
+        import_kitti_objects(dataset.root / "out.mcap", **dataset.files())
+    assert not list(dataset.root.glob("out.mcap*"))
+
+
+def test_rounding_of_seven_digits_is_made_orthonormal(dataset: Dataset) -> None:
+    dataset.write("poses.txt", POSE * 2 + "1 0 0 0 0 0.9999 0 0 0 0 1.0001 0\n")
+    R = read_kitti_objects(**dataset.files()).T_odom_body[2, :3, :3]
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+
+
+def test_sequence_chooses_among_several(dataset: Dataset) -> None:
+    dataset.write("objects/08/bow.txt", "1,0,0\n")
+    assert read_kitti_objects(**dataset.files(), sequence="07").scans.sequence == "07"
+    with pytest.raises(DatasetError, match="0 sequences named '09'"):
+        read_kitti_objects(**dataset.files(), sequence="09")
+
+
+@pytest.mark.parametrize("content", [b"no archive", b""])
+def test_no_archive_is_refused(dataset: Dataset, content: bytes) -> None:
+    path = dataset.root / "broken.tar.xz"
+    path.write_bytes(content)
+    with pytest.raises(DatasetError, match=r"broken\.tar\.xz: cannot be read as an archive"):
+        read_kitti_objects(**dataset.files(path))
+
+
+@pytest.mark.parametrize("name", ["objects.tar.xz", "objects.tar.gz"])
+def test_truncated_archive_is_refused(dataset: Dataset, name: str) -> None:
+    path = dataset.archive(name)
+    path.write_bytes(path.read_bytes()[:-60])
+    with pytest.raises(DatasetError, match="cannot be read as an archive"):
+        read_kitti_objects(**dataset.files(path))
+
+
+def test_links_and_paths_that_climb_are_only_names_in_memory(dataset: Dataset) -> None:
+    path = dataset.root / "evil.tar"
+    with tarfile.open(path, "w") as archive:
+        for file in sorted((dataset.root / "objects").rglob("*.txt")):
+            archive.add(file, "../" * 3 + str(file.relative_to(dataset.root / "objects")))
+        link = tarfile.TarInfo("../../../07/centroids/000003.txt")
+        link.type, link.linkname = tarfile.SYMTYPE, "/etc/passwd"
+        archive.addfile(link)
+    before = sorted(dataset.root.rglob("*"))
+    assert len(read_kitti_objects(**dataset.files(path)).stamps_ns) == 3
+    assert sorted(dataset.root.rglob("*")) == before
+
+
+@pytest.mark.skipif(
+    not DATA.is_dir(), reason=f"no KITTI data in {DATA}; set DSLAM_DATA to the folder that holds kitti00"
+)
+def test_kitti_00() -> None:
+    drive = read_kitti_objects(
+        detections=DATA / "gosmatch_00.tar.xz",
+        odometry=DATA / "KITTI_00_SPTAM.txt",
+        calib=DATA / "calib.txt",
+        times=DATA / "KITTI_00_gt_times.txt",
+        ground_truth=DATA / "KITTI_00_gt.txt",
+    )
+    assert len(drive.stamps_ns) == 4541
+    assert sum(len(labels) for labels in drive.scans.labels) == 87_219
+    assert drive.stamps_ns[1] == 103_735_900
+    assert [drive.scans.labels[0].count(label) for label in ("vehicle", "trunk", "pole")] == [10, 11, 5]
+    np.testing.assert_allclose(drive.scans.positions[0][0], [5.191287543121919, 6.293292232588226, -1.178049897841654])
+    assert drive.T_world_body is not None
+    for T in (drive.T_odom_body, drive.T_world_body):
+        np.testing.assert_allclose(T[0], np.eye(4), atol=1e-6)
+        # 100 scans on, the car is some 84 m ahead and turned a little to the right; up stays up.
+        np.testing.assert_allclose(T[100, :2, 3], [83.5, 5.1], atol=1.5)
+        assert np.all(T[:, 2, 2] > 0.95)
+    # The centroids are in the body frame: an object that stands still stays where it is while the car drives on.
+    trunks = [_in_world(drive.T_world_body[i], drive.scans.positions[i], drive.scans.labels[i]) for i in (0, 1)]
+    nearest = np.linalg.norm(trunks[1][:, None] - trunks[0][None], axis=2).min(axis=1)
+    assert np.median(nearest) < 0.3
+
+
+def _in_world(T_world_body: np.ndarray, positions: np.ndarray, labels: tuple[str, ...]) -> np.ndarray:
+    kept = positions[np.array(labels) == "trunk"]
+    return kept @ T_world_body[:3, :3].T + T_world_body[:3, 3]

@@ -1,0 +1,150 @@
+"""Covariances of keyframes and landmarks, against GTSAM's and against draws."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import L, X
+from scipy.spatial.transform import Rotation
+
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import Anchor, Edge, Factor, Observation, bearing_range_factor, between_factor, prior_factor
+from slam.backend.marginals import compute_marginals
+from slam.common.arrays import FloatArray
+from slam.common.config import FactorGraphConfig
+from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
+
+PLAIN = FactorGraphConfig(observation_kernel="none")
+EDGE_COVARIANCE = np.diag([0.01, 0.02, 0.03, 0.2, 0.1, 0.05]) ** 2
+SEEN_COVARIANCE = 0.01 * np.eye(3)
+
+
+def drive(*, is_straight: bool) -> tuple[FloatArray, list[Edge]]:
+    """True poses (10, 4, 4) and the odometry between them."""
+    turn = 0.0 if is_straight else 0.4
+    tilt = make_transform(Rotation.from_euler("y", 0.0 if is_straight else 0.1).as_matrix(), np.zeros(3))
+    T = [np.eye(4)]
+    for _ in range(9):
+        T.append(T[-1] @ transform_from_xyz_yaw(np.array([2.0, 0.0, 0.0]), turn) @ tilt)
+    edges = [Edge(k, k + 1, invert(T[k]) @ T[k + 1], EDGE_COVARIANCE, "odometry") for k in range(9)]
+    return np.array(T), edges
+
+
+def sightings(T: FloatArray, rng: np.random.Generator) -> list[Observation]:
+    """Each of 9 landmarks from three keyframes."""
+    found = []
+    for row, place in enumerate(rng.uniform([-2, 3, -1], [20, 8, 2], (9, 3))):
+        for k in rng.choice(len(T), 3, replace=False).tolist():
+            seen = apply(invert(T[k]), place[None])[0] + rng.normal(scale=0.1, size=3)
+            found.append(Observation(k, row, seen, SEEN_COVARIANCE))
+    return found
+
+
+def built(T: FloatArray, edges: list[Edge], observations: list[Observation], config: FactorGraphConfig) -> FactorGraph:
+    graph = FactorGraph(config)
+    graph.add_first_keyframe(0, T[0])
+    for edge in edges:
+        graph.add_next_keyframe(edge)
+    graph.add_observations(observations)
+    graph.optimize()
+    return graph
+
+
+def gtsam_marginals(graph: FactorGraph) -> gtsam.Marginals:
+    """By GTSAM itself, from the records of the graph and its estimate."""
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for record in graph.factors.values():
+        factors.add(as_gtsam(record))
+    for keyframe, T in zip(graph.keyframes.tolist(), graph.poses(), strict=True):
+        values.insert(X(keyframe), gtsam.Pose3(T))
+    for row, place in zip(graph.landmarks.tolist(), graph.landmark_positions(graph.landmarks), strict=True):
+        values.insert(L(row), place)
+    return gtsam.Marginals(factors, values)
+
+
+def as_gtsam(record: Factor) -> gtsam.NonlinearFactor:
+    match record:
+        case Anchor():
+            return prior_factor(record)
+        case Edge():
+            return between_factor(record)
+        case Observation():
+            return bearing_range_factor(record, PLAIN)
+    raise AssertionError(record)
+
+
+@pytest.mark.parametrize("is_straight", [True, False])
+@pytest.mark.parametrize("is_seeing", [True, False])
+def test_they_are_those_of_gtsam(is_straight: bool, is_seeing: bool) -> None:
+    T, edges = drive(is_straight=is_straight)
+    observations = sightings(T, np.random.default_rng(0)) if is_seeing else []
+    graph = built(T, edges, observations, PLAIN)
+    if is_seeing:
+        graph.remove_landmark(4)  # leaves empty places among GTSAM's factors
+        graph.optimize()
+    expected = gtsam_marginals(graph)
+    poses = np.array([expected.marginalCovariance(X(k)) for k in range(len(T))])
+    np.testing.assert_allclose(graph.pose_covariances(), poses, rtol=1e-6, atol=1e-12)
+    places = np.array([expected.marginalCovariance(L(row)) for row in graph.landmarks.tolist()]).reshape(-1, 3, 3)
+    np.testing.assert_allclose(graph.landmark_covariances(graph.landmarks), places, rtol=1e-6, atol=1e-12)
+
+
+def test_the_covariance_of_a_pose_is_about_its_own_axes() -> None:
+    T, edges = drive(is_straight=False)
+    shaky = replace(edges[-1], covariance=EDGE_COVARIANCE + np.diag([0.0, 0.0, 0.0, 0.25, 0.0, 0.0]))
+    before, after = (built(T, [*edges[:-1], last], [], PLAIN).pose_covariances() for last in (edges[-1], shaky))
+    # Only ahead of the body, whatever the axes of the map are there.
+    np.testing.assert_allclose(after[9] - before[9], np.diag([0.0, 0.0, 0.0, 0.25, 0.0, 0.0]), atol=1e-6)
+
+
+def test_the_record_holds_them_and_they_follow_the_graph() -> None:
+    T, edges = drive(is_straight=False)
+    graph = built(T, edges, [], PLAIN)
+    before = graph.to_record(0, np.arange(len(T))).pose_covariances
+    np.testing.assert_array_equal(before, graph.pose_covariances())
+    graph.add_edge(Edge(0, 9, T[9], 1e-4 * EDGE_COVARIANCE, "odometry"))
+    after = graph.to_record(0, np.arange(len(T))).pose_covariances
+    assert np.all(np.diagonal(after[9]) < 0.1 * np.diagonal(before[9]))
+    assert FactorGraph(PLAIN).pose_covariances().shape == (0, 6, 6)
+
+
+@pytest.mark.parametrize("kernel", ["none", "huber", "cauchy"])
+@pytest.mark.parametrize("redundancy", [1.0, 50.0])
+def test_a_landmark_seen_often_has_the_covariance_that_it_is_told_to_have(kernel: str, redundancy: float) -> None:
+    """By the kernels' own weights it would be told twice too large."""
+    rng = np.random.default_rng(5)
+    config = FactorGraphConfig(observation_kernel=kernel)
+    place, squares = np.array([8.0, 3.0, 1.0]), list[float]()
+    for _ in range(80):
+        graph = FactorGraph(config)
+        graph.add_first_keyframe(0, np.eye(4))
+        seen = place + rng.normal(scale=0.1, size=(30, 3))
+        graph.add_observations([Observation(0, 0, each, SEEN_COVARIANCE, redundancy) for each in seen])
+        graph.optimize()
+        row = np.array([0])
+        error, covariance = graph.landmark_positions(row)[0] - place, graph.landmark_covariances(row)[0]
+        squares.append(float(error @ np.linalg.solve(covariance, error)) * redundancy / 3.0)
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.3)
+
+
+def test_outliers_say_next_to_nothing() -> None:
+    rng = np.random.default_rng(6)
+    place, row = np.array([8.0, 3.0, 1.0]), np.array([0])
+    good = [Observation(0, 0, place + rng.normal(scale=0.1, size=3), SEEN_COVARIANCE) for _ in range(30)]
+    bad = [Observation(0, 0, place + rng.normal(scale=2.0, size=3), SEEN_COVARIANCE) for _ in range(10)]
+    one, other = (built(np.eye(4)[None], [], seen, FactorGraphConfig()) for seen in (good, good + bad))
+    ratio = np.trace(other.landmark_covariances(row)[0]) / np.trace(one.landmark_covariances(row)[0])
+    assert 0.9 < ratio < 1.1
+
+
+def test_what_is_not_determined_is_refused() -> None:
+    T, edges = drive(is_straight=True)
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    factors.add(between_factor(edges[0]))
+    for k in range(2):
+        values.insert(X(k), gtsam.Pose3(T[k]))
+    with pytest.raises(np.linalg.LinAlgError):
+        compute_marginals(factors, values, [edges[0]], PLAIN)

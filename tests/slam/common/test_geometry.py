@@ -1,0 +1,141 @@
+"""Rigid transforms: properties over uniform, near-identity and near-pi rotations, and against SciPy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
+
+from slam.common.arrays import FloatArray
+from slam.common.errors import GeometryError
+from slam.common.geometry import (
+    apply,
+    interpolate,
+    invert,
+    make_transform,
+    rotation_angle_rad,
+    transform_from_xyz_yaw,
+    travelled_m,
+    yaw_rad,
+)
+
+coordinates = st.floats(-1e3, 1e3)
+vectors = st.tuples(coordinates, coordinates, coordinates).map(np.array)
+unit = st.floats(-1.0, 1.0)
+axes = st.tuples(unit, unit, unit).map(np.array).filter(lambda v: np.linalg.norm(v) > 0.1)
+angles = st.one_of(
+    st.floats(0.0, np.pi),
+    st.floats(-12.0, -2.0).map(lambda exponent: 10.0**exponent),
+    st.floats(-12.0, -2.0).map(lambda exponent: np.pi - 10.0**exponent),
+    st.sampled_from([0.0, np.pi / 2, np.pi]),
+)
+
+
+def rotation(axis: FloatArray, angle_rad: float) -> FloatArray:
+    return np.asarray(Rotation.from_rotvec(axis / np.linalg.norm(axis) * angle_rad).as_matrix())
+
+
+rotations = st.builds(rotation, axes, angles)
+transforms = st.builds(make_transform, rotations, vectors)
+
+
+@given(transforms)
+def test_a_transform_and_its_inverse_cancel(T):
+    np.testing.assert_allclose(invert(T) @ T, np.eye(4), atol=1e-9)
+    np.testing.assert_allclose(T @ invert(T), np.eye(4), atol=1e-9)
+    np.testing.assert_allclose(invert(T), np.linalg.inv(T), atol=1e-9)
+
+
+@given(transforms, transforms, st.lists(vectors, min_size=1, max_size=4).map(np.array))
+def test_to_apply_a_chain_is_to_apply_its_links(T_a_b, T_b_c, points_c):
+    np.testing.assert_allclose(apply(T_a_b @ T_b_c, points_c), apply(T_a_b, apply(T_b_c, points_c)), atol=1e-8)
+    homogeneous = np.concatenate([points_c, np.ones((len(points_c), 1))], axis=1)
+    np.testing.assert_allclose(apply(T_a_b, points_c), (homogeneous @ T_a_b.T)[:, :3], atol=1e-9)
+
+
+@given(axes, angles, vectors)
+def test_the_angle_is_exact_near_zero_and_near_pi(axis, angle_rad, xyz):
+    T = make_transform(rotation(axis, angle_rad), xyz)
+    np.testing.assert_allclose(rotation_angle_rad(T), angle_rad, rtol=1e-9, atol=1e-14)
+
+
+@given(vectors, st.floats(-3.1, 3.1))
+def test_yaw_goes_in_and_comes_out(xyz, yaw):
+    T = transform_from_xyz_yaw(xyz, yaw)
+    np.testing.assert_allclose(yaw_rad(T), yaw, atol=1e-12)
+    np.testing.assert_array_equal(T[:3, 3], xyz)
+    np.testing.assert_allclose(T[:3, :3], Rotation.from_euler("z", yaw).as_matrix(), atol=1e-15)
+
+
+def test_one_and_many_are_treated_alike():
+    rng = np.random.default_rng(1)
+    T = make_transform(Rotation.random(6, random_state=rng).as_matrix(), rng.normal(size=(6, 3)))
+    batch = T.reshape(2, 3, 4, 4)
+    for function in (invert, rotation_angle_rad, yaw_rad):
+        each = np.array([function(one) for one in T])
+        np.testing.assert_allclose(function(batch).reshape(each.shape), each, atol=1e-15)
+
+
+def test_nothing_in_gives_nothing_out():
+    none = np.zeros((0, 4, 4))
+    assert apply(np.eye(4), np.zeros((0, 3))).shape == (0, 3)
+    assert invert(none).shape == (0, 4, 4)
+    assert rotation_angle_rad(none).shape == (0,)
+    assert yaw_rad(none).shape == (0,)
+    assert travelled_m(none).shape == (0,)
+    assert transform_from_xyz_yaw(np.zeros((0, 3)), np.zeros(0)).shape == (0, 4, 4)
+    assert make_transform(np.zeros((0, 3, 3)), np.zeros((0, 3))).shape == (0, 4, 4)
+
+
+def test_travel_is_the_length_of_the_path_and_not_of_the_chord():
+    T = transform_from_xyz_yaw(np.array([[0.0, 0, 0], [3, 4, 0], [3, 4, 2], [0, 0, 2]]), np.zeros(4))
+    np.testing.assert_allclose(travelled_m(T), [0.0, 5.0, 7.0, 12.0])
+
+
+@given(transforms, transforms, st.floats(0.0, 1.0))
+def test_interpolation_is_scipys_slerp_and_a_straight_line(T_first, T_second, fraction):
+    start_ns = 1_700_000_000_123_456_789
+    stamps_ns = np.array([start_ns, start_ns + 100_000_000])
+    at_ns = start_ns + np.array([0, round(fraction * 100_000_000), 100_000_000])
+    T = interpolate(stamps_ns, np.stack([T_first, T_second]), at_ns)
+    np.testing.assert_allclose(T[0], T_first, atol=1e-12)
+    np.testing.assert_allclose(T[2], T_second, atol=1e-12)
+    exact = (at_ns[1] - start_ns) / 100_000_000
+    slerp = Slerp([0.0, 1.0], Rotation.from_matrix(np.stack([T_first[:3, :3], T_second[:3, :3]])))
+    # At half a turn two arcs are equally short.
+    if rotation_angle_rad(invert(T_first) @ T_second) < np.pi - 1e-6:
+        np.testing.assert_allclose(T[1, :3, :3], slerp(exact).as_matrix(), atol=1e-7)
+    np.testing.assert_allclose(T[1, :3, 3], (1 - exact) * T_first[:3, 3] + exact * T_second[:3, 3], atol=1e-9)
+    np.testing.assert_allclose(T[1, :3, :3] @ T[1, :3, :3].T, np.eye(3), atol=1e-12)
+
+
+@given(axes, angles.filter(lambda a: a < np.pi - 1e-6), st.integers(0, 1000))
+def test_interpolation_turns_evenly_along_the_shortest_arc(axis, angle_rad, per_mille):
+    T = np.stack([np.eye(4), make_transform(rotation(axis, angle_rad), np.zeros(3))])
+    between = interpolate(np.array([0, 1000]), T, np.array([per_mille]))[0]
+    np.testing.assert_allclose(rotation_angle_rad(between), angle_rad * per_mille / 1000, rtol=1e-7, atol=1e-12)
+
+
+def test_a_day_after_the_first_stamp_a_nanosecond_still_counts():
+    day_ns = 86_400_000_000_000
+    stamps_ns = 1_700_000_000_000_000_000 + np.array([0, day_ns, day_ns + 1000])
+    T = transform_from_xyz_yaw(np.array([[0.0, 0, 0], [0, 0, 0], [1000, 0, 0]]), np.zeros(3))
+    np.testing.assert_allclose(interpolate(stamps_ns, T, stamps_ns[1:2] + 17)[0, 0, 3], 17.0, atol=1e-9)
+
+
+def test_interpolation_of_a_single_pose_and_at_no_time():
+    T = transform_from_xyz_yaw(np.array([[1.0, 2, 3]]), np.array([0.4]))
+    np.testing.assert_array_equal(interpolate(np.array([5]), T, np.array([5, 5])), np.repeat(T, 2, axis=0))
+    assert interpolate(np.array([5]), T, np.zeros(0, dtype=np.int64)).shape == (0, 4, 4)
+
+
+@pytest.mark.parametrize(
+    ("stamps_ns", "at_ns"),
+    [([], [1]), ([], []), ([2, 2], [2]), ([3, 2], [2]), ([1, 2], [0]), ([1, 2], [3]), ([1, 2], [1, 3])],
+)
+def test_interpolation_refuses_what_has_no_answer(stamps_ns, at_ns):
+    T = np.tile(np.eye(4), (len(stamps_ns), 1, 1))
+    with pytest.raises(GeometryError):
+        interpolate(np.array(stamps_ns, dtype=np.int64), T, np.array(at_ns, dtype=np.int64))

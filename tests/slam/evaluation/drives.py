@@ -1,0 +1,46 @@
+"""Drives for the tests: made ones, and KITTI 00 where it is there."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.geometry import transform_from_xyz_yaw
+from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses
+
+START_NS = 1_700_000_000_000_000_000
+KITTI = Path(os.environ.get("DSLAM_DATA", Path(__file__).parents[4] / "shared" / "data")) / "kitti00"
+needs_kitti = pytest.mark.skipif(not KITTI.is_dir(), reason=f"no KITTI 00 in {KITTI}: set DSLAM_DATA")
+
+
+def stamps(count: int, rate_hz: float = 10.0) -> IntArray:
+    return START_NS + np.round(np.arange(count) * 1e9 / rate_hz).astype(np.int64)
+
+
+def winding_path(count: int = 2001, step_m: float = 1.0) -> FloatArray:
+    """Poses (N, 4, 4) every ``step_m`` along a path that winds in x, y and z."""
+    s = np.arange(count) * step_m
+    yaw = 0.8 * np.sin(s / 60.0)
+    xyz = np.stack([np.cumsum(np.cos(yaw)), np.cumsum(np.sin(yaw)), 2.0 * np.sin(s / 90.0)], axis=1) * step_m
+    return transform_from_xyz_yaw(xyz, yaw)
+
+
+def straight_path(count: int, step_m: float = 1.0) -> FloatArray:
+    xyz = np.zeros((count, 3))
+    xyz[:, 0] = step_m * np.arange(count)
+    return transform_from_xyz_yaw(xyz, np.zeros(count))
+
+
+def series(T_world_body: FloatArray, rate_hz: float = 10.0) -> PoseSeries:
+    return clean_poses(stamps(len(T_world_body), rate_hz), T_world_body)
+
+
+def kitti_poses(name: str) -> FloatArray:
+    rows = np.loadtxt(KITTI / name).reshape(-1, 3, 4)
+    T = np.tile(np.eye(4), (len(rows), 1, 1))
+    T[:, :3] = rows
+    return T

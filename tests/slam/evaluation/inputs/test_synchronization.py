@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.common.errors import EvaluationError
+from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses, synchronize
+from tests.slam.evaluation.drives import START_NS, series, stamps, straight_path
+
+
+def test_disorder_and_duplicates_are_repaired_and_counted() -> None:
+    T = straight_path(5)
+    order = [0, 2, 1, 1, 4, 3]
+    cleaned = clean_poses(stamps(5)[order], T[order])
+    np.testing.assert_array_equal(cleaned.stamps_ns, stamps(5))
+    np.testing.assert_array_equal(cleaned.T_world_body, T)
+    # Pose 1 came twice after pose 2, pose 3 once after pose 4.
+    assert (cleaned.disordered_count, cleaned.duplicate_count) == (3, 1)
+
+
+def test_of_poses_with_one_stamp_the_first_is_kept() -> None:
+    T = straight_path(3)
+    cleaned = clean_poses(np.array([5, 5, 6]), T)
+    np.testing.assert_array_equal(cleaned.positions[:, 0], [0.0, 2.0])
+
+
+def test_truth_of_another_rate_is_interpolated_exactly_at_epoch_scale() -> None:
+    truth = series(straight_path(11, step_m=10.0), rate_hz=1.0)  # 10 m/s
+    at_ns = START_NS + np.array([1, 250_000_001, 9_999_999_999], dtype=np.int64)
+    pair = synchronize(PoseSeries(at_ns, straight_path(3)), truth, max_gap_s=1.0)
+    np.testing.assert_allclose(pair.positions_gt[:, 0], [1e-8, 2.50000001, 99.99999999], rtol=0, atol=1e-11)
+
+
+def test_poses_beyond_the_truth_and_in_its_gaps_have_none() -> None:
+    estimate = series(straight_path(101))  # 0 .. 10 s
+    truth_at = np.array([1.0, 2.0, 3.0, 6.0, 7.0, 8.0])
+    truth = clean_poses(START_NS + (truth_at * 1e9).astype(np.int64), straight_path(6))
+    pair = synchronize(estimate, truth, max_gap_s=1.0)
+    seconds = (pair.stamps_ns - START_NS) / 1e9
+    assert pair.outside_count == 10 + 20
+    assert pair.gap_count == 29  # 3.1 .. 5.9 s; 3.0 and 6.0 s have a truth of their own
+    assert not np.any((seconds > 3.0) & (seconds < 6.0))
+    assert {3.0, 6.0} <= set(seconds.tolist())
+    assert len(seconds) == 101 - 30 - 29
+
+
+def test_without_common_time_the_error_names_both_spans() -> None:
+    early = series(straight_path(5))
+    late = PoseSeries(early.stamps_ns + 10**12, early.T_world_body)
+    with pytest.raises(EvaluationError, match=f"{late.stamps_ns[0]}.*{early.stamps_ns[0]}"):
+        synchronize(late, early, max_gap_s=1.0)
+
+
+@pytest.mark.parametrize("which", ["estimated", "true"])
+def test_no_pose_at_all_is_an_error(which: str) -> None:
+    none, some = series(np.zeros((0, 4, 4))), series(straight_path(3))
+    pair = (none, some) if which == "estimated" else (some, none)
+    with pytest.raises(EvaluationError, match=f"no {which} pose"):
+        synchronize(*pair, max_gap_s=1.0)
+
+
+def test_a_pose_that_is_not_finite_is_refused_with_its_time() -> None:
+    T = straight_path(3)
+    T[1, 0, 3] = np.nan
+    with pytest.raises(EvaluationError, match=str(stamps(3)[1])):
+        clean_poses(stamps(3), T)
+
+
+def test_path_length_between_stamps_and_beyond_the_ends() -> None:
+    path = series(straight_path(3, step_m=2.0), rate_hz=1.0)
+    at = START_NS + np.array([-5, 500_000_000, 2_000_000_000, 9_000_000_000], dtype=np.int64)
+    np.testing.assert_allclose(path.travelled_at_m(at), [0.0, 1.0, 4.0, 4.0])

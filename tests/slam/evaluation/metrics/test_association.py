@@ -1,0 +1,150 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from logs.messages import DetectionTruth
+from slam.common.errors import EvaluationError
+from slam.evaluation.inputs.synchronization import PoseSeries
+from slam.evaluation.metrics.association import (
+    AssociationQuality,
+    LabelledDetections,
+    evaluate_associations,
+    find_possible_associations,
+    identify_landmarks,
+    label_detections,
+)
+from tests.slam.evaluation.drives import straight_path
+from tests.slam.evaluation.maps import frames
+
+WALK = PoseSeries(np.arange(1001, dtype=np.int64) * 1_000_000_000, straight_path(1001))  # 1 m/s from time 0
+
+
+def quality(*detections: list[tuple[str, str, bool]], **options: object) -> AssociationQuality:
+    associations, truths = frames(*detections)
+    aliases = options.pop("aliases", None)
+    return evaluate_associations(label_detections(associations, truths, WALK, aliases=aliases), **options)
+
+
+def test_figures_by_hand() -> None:
+    result = quality(
+        [("a", "1", True), ("b", "2", True)],
+        [("a", "1", False), ("b", "1", False)],  # b is given to a's landmark
+        [("a", "1", False), ("b", "2", False), ("", "2", False)],  # a false positive is given to b's
+        [("a", "", False), ("b", "3", True), ("", "4", True)],  # a is missed, b gets a second landmark
+        confirmed_landmark_ids=["1", "4"],
+    )
+    assert result.landmark_object_ids == {"1": "a", "2": "b", "3": "b", "4": ""}
+    assert (result.assigned_count, result.right_count, result.assigned_false_positive_count) == (5, 3, 1)
+    assert result.precision == 3 / 5
+    assert result.precision_without_false_positives == 3 / 4
+    assert (result.possible_count, result.made_count) == (6, 3)
+    assert result.recall == 1 / 2
+    assert (result.mean_landmarks_per_object, result.max_landmarks_per_object) == (1.5, 2)
+    assert (result.confirmed_landmark_count, result.confirmed_false_landmark_count) == (2, 1)
+    assert result.mean_confirmed_landmarks_per_object == 1.0
+    assert (result.false_landmark_count, result.created_count, result.false_positive_count) == (1, 4, 2)
+    assert result.object_detection_counts == {"a": 4, "b": 4}
+
+
+def test_a_swapped_assignment_lowers_the_precision() -> None:
+    right = [[("a", "1", k == 0), ("b", "2", k == 0)] for k in range(10)]
+    assert quality(*right).precision == 1.0
+    wrong = [*right[:5], [("b", "1", False), ("a", "2", False)], *right[6:]]
+    assert quality(*wrong).precision == 16 / 18
+
+
+def test_a_tie_goes_to_the_object_met_first() -> None:
+    assert quality([("b", "1", True)], [("a", "1", False)]).landmark_object_ids == {"1": "b"}
+    assert quality([("", "1", True)], [("a", "1", False)]).landmark_object_ids == {"1": ""}
+
+
+@pytest.mark.parametrize(("distance_m", "possible"), [(100, 1), (101, 0)])
+def test_what_was_seen_longer_ago_than_the_limit_is_not_possible(distance_m: int, possible: int) -> None:
+    associations, truths = frames([("a", "1", True)], [("a", "1", False)], stamps_ns=[0, distance_m * 1_000_000_000])
+    result = evaluate_associations(label_detections(associations, truths, WALK), revisit_m=100.0)
+    assert (result.possible_count, result.made_count) == (possible, possible)
+    assert result.recall == (1.0 if possible else None)
+
+
+def test_the_same_object_twice_in_one_frame_was_not_seen_before() -> None:
+    assert quality([("a", "1", True), ("a", "2", True)]).possible_count == 0
+    assert quality([("a", "1", True)], [("a", "1", False), ("a", "2", True)]).possible_count == 2
+
+
+def test_merged_landmarks_count_for_the_one_they_became() -> None:
+    detections = ([("a", "1", True)], [("a", "2", True)], [("a", "2", False)], [("a", "3", True)])
+    assert quality(*detections).max_landmarks_per_object == 3
+    merged = quality(*detections, aliases={"3": "2", "2": "1"})
+    assert merged.landmark_object_ids == {"1": "a"}
+    assert merged.precision == 1.0
+    with pytest.raises(EvaluationError, match="circle"):
+        quality(*detections, aliases={"1": "2", "2": "1"})
+
+
+def test_only_false_positives() -> None:
+    result = quality([("", "1", True)], [("", "1", False)])
+    assert (result.precision, result.precision_without_false_positives, result.recall) == (0.0, None, None)
+    assert result.mean_landmarks_per_object is None
+
+
+@pytest.mark.parametrize("detections", [(), ([],), ([], [])])
+def test_no_detections(detections: tuple[list[tuple[str, str, bool]], ...]) -> None:
+    result = quality(*detections, confirmed_landmark_ids=[])
+    assert (result.precision, result.recall, result.detection_count) == (None, None, 0)
+    assert result.confirmed_landmark_count == 0
+
+
+def test_frames_without_their_counterpart_are_counted_and_left_out() -> None:
+    associations, truths = frames([("a", "1", True)], [("a", "1", False)], [("a", "1", False)])
+    labelled = label_detections(associations[:2], [*truths[1:], DetectionTruth(77, ("a",))], WALK)
+    assert (labelled.frame_count, labelled.frames_without_truth, labelled.frames_without_associations) == (1, 1, 2)
+    assert evaluate_associations(labelled).possible_count == 0
+
+
+def test_the_order_of_the_records_does_not_matter() -> None:
+    associations, truths = frames([("a", "1", True)], [("b", "1", False)], [("a", "1", False)])
+    forwards = label_detections(associations, truths, WALK)
+    backwards = label_detections(associations[::-1], truths[::-1], WALK)
+    np.testing.assert_array_equal(forwards.objects, backwards.objects)
+    np.testing.assert_array_equal(forwards.travelled_m, backwards.travelled_m)
+
+
+def test_a_truth_of_another_log_is_refused_with_its_time() -> None:
+    associations, _ = frames([("a", "1", True)], stamps_ns=[123])
+    with pytest.raises(EvaluationError, match="123 ns"):
+        label_detections(associations, [DetectionTruth(123, ("a", "b"))], WALK)
+
+
+def test_agrees_with_plain_counting_on_many_random_detections() -> None:
+    rng = np.random.default_rng(5)
+    count, landmarks, objects = 20_000, 400, 300
+    frame = np.sort(rng.integers(0, 2000, count))
+    landmark = rng.integers(-1, landmarks, count)
+    seen = np.where(rng.random(count) < 0.8, landmark % objects, rng.integers(-1, objects, count))
+    detections = LabelledDetections(
+        frames=frame,
+        travelled_m=frame * 1.7,
+        landmarks=landmark,
+        objects=seen,
+        created=rng.random(count) < 0.1,
+        landmark_ids=tuple(f"l{i}" for i in range(landmarks)),
+        object_ids=tuple(f"o{i}" for i in range(objects)),
+        frame_count=2000,
+        frames_without_truth=0,
+        frames_without_associations=0,
+    )
+    votes: list[dict[int, int]] = [{} for _ in range(landmarks)]
+    for one, obj in zip(landmark.tolist(), seen.tolist(), strict=True):
+        if one >= 0:
+            votes[one][obj] = votes[one].get(obj, 0) + 1
+    expected = [max(vote, key=vote.__getitem__) for vote in votes]  # dicts keep order: ties go to the first
+    assert identify_landmarks(detections).tolist() == expected
+
+    last: dict[int, list[int]] = {}
+    possible = []
+    for now, obj in zip(frame.tolist(), seen.tolist(), strict=True):
+        before = [f for f in last.get(obj, []) if f < now]
+        possible.append(obj >= 0 and bool(before) and (now * 1.7 - before[-1] * 1.7) <= 20.0)
+        last.setdefault(obj, []).append(now)
+    assert find_possible_associations(detections, revisit_m=20.0).tolist() == possible

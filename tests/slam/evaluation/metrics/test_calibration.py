@@ -1,0 +1,269 @@
+"""Errors drawn from known covariances, and from others than the map says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from logs.messages import FactorGraphRecord, GroundTruthPose, LoopClosureRecord, Record
+from slam.common.arrays import FloatArray
+from slam.common.errors import EvaluationError
+from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.evaluation.evaluate import evaluate
+from slam.evaluation.inputs.protocol import Protocol
+from slam.evaluation.inputs.records import collect_records
+from slam.evaluation.metrics.calibration import CalibrationQuality, measure_consistency, measure_part, pose_errors
+from tests.slam.evaluation.drives import stamps, winding_path
+from tests.slam.evaluation.maps import frames, object_map
+from tests.slam.evaluation.results import at_json, graph, printed
+
+COUNT = 3000
+PARTS = ("pose", "planar_pose", "landmark", "planar_landmark", "closure", "planar_closure")
+T_WORLD_MAP = transform_from_xyz_yaw(np.array([20.0, 30.0, 1.0]), 2.4)
+ANISOTROPIC = np.diag([0.002, 0.003, 0.01, 0.5, 0.05, 0.1]) ** 2
+"""Sure of the left and the right, unsure of the way ahead."""
+
+
+def random_covariances(rng: np.random.Generator, count: int, size: int) -> FloatArray:
+    factors = rng.normal(size=(count, size, size)) * rng.uniform(0.01, 0.1, size=(count, size, 1))
+    return np.asarray(factors @ np.swapaxes(factors, 1, 2) + 1e-5 * np.eye(size))
+
+
+def draw(rng: np.random.Generator, covariances: FloatArray) -> FloatArray:
+    normals = rng.normal(size=covariances.shape[:2])
+    return np.einsum("nij,nj->ni", np.linalg.cholesky(covariances), normals)
+
+
+def exponential(xi: FloatArray) -> FloatArray:
+    return np.array([gtsam.Pose3.Expmap(each).matrix() for each in xi]).reshape(-1, 4, 4)
+
+
+@pytest.mark.parametrize("dimension", [1, 3, 6])
+def test_errors_of_the_covariances_that_they_have_are_in_the_region_as_often_as_it_says(dimension: int) -> None:
+    rng = np.random.default_rng(dimension)
+    covariances = random_covariances(rng, COUNT, dimension)
+    result = measure_consistency(draw(rng, covariances), covariances)
+    assert result is not None
+    assert result.count == COUNT
+    # Standard deviations: sqrt(2 / (D N)) and sqrt(p (1 - p) / N).
+    assert result.nees == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / (dimension * COUNT)))
+    for probability in (0.5, 0.95):
+        spread = 4.0 * np.sqrt(probability * (1.0 - probability) / COUNT)
+        assert result.coverage(probability) == pytest.approx(probability, abs=spread)
+
+
+@pytest.mark.parametrize("factor", [0.25, 4.0])
+def test_covariances_too_small_or_too_large_are_found_out(factor: float) -> None:
+    rng = np.random.default_rng(1)
+    covariances = random_covariances(rng, COUNT, 6)
+    result = measure_consistency(draw(rng, covariances), factor * covariances)
+    assert result is not None
+    assert result.nees == pytest.approx(1.0 / factor, rel=0.05)
+    expected = chi2.cdf(factor * chi2.ppf(0.95, 6), 6)
+    assert result.coverage(0.95) == pytest.approx(float(expected), abs=0.03)
+
+
+def test_a_part_is_measured_by_its_marginal_covariance() -> None:
+    rng = np.random.default_rng(2)
+    covariances = random_covariances(rng, COUNT, 6)
+    result = measure_part(draw(rng, covariances), covariances, (2, 3, 4))
+    assert result is not None
+    assert result.dimension == 3
+    assert result.nees == pytest.approx(1.0, abs=0.06)
+
+
+def test_what_has_no_covariance_is_left_out_and_counted() -> None:
+    covariances = np.stack([np.eye(3), np.zeros((3, 3)), np.full((3, 3), np.nan), -np.eye(3)])
+    result = measure_consistency(np.ones((4, 3)), covariances)
+    assert result is not None
+    assert (result.count, result.unusable_count) == (1, 3)
+    np.testing.assert_allclose(result.squares, 3.0)
+    assert measure_consistency(np.ones((2, 3)), np.zeros((2, 3, 3))) is None
+    assert measure_consistency(np.zeros((0, 3)), np.zeros((0, 3, 3))) is None
+
+
+def test_the_boundary_belongs_to_the_region() -> None:
+    limit = float(chi2.ppf(0.95, 1))
+    result = measure_consistency(np.sqrt([[limit * (1 - 1e-12)], [limit * (1 + 1e-9)]]), np.ones((2, 1, 1)))
+    assert result is not None
+    assert result.coverage(0.95) == 0.5
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-5, 1e-3, 0.3, 3.0])
+def test_the_error_of_a_pose_is_its_right_perturbation(size: float) -> None:
+    rng = np.random.default_rng(3)
+    xi = rng.normal(size=(50, 6))
+    xi[:, :3] *= size / np.linalg.norm(xi[:, :3], axis=1)[:, None]
+    T_est = exponential(rng.normal(size=(50, 6)))
+    np.testing.assert_allclose(pose_errors(T_est, T_est @ exponential(xi)), xi, rtol=1e-7, atol=1e-9)
+
+
+def log_of_a_drive(
+    *, scale: float = 1.0, perturb_left: bool = False, seed: int = 0, poses: int = 400, landmarks: int = 400
+) -> list[tuple[str, Record]]:
+    """Poses, landmarks and closures whose errors have ``scale`` times the covariances that the log tells.
+
+    The drive heads to all sides, in a map turned by 2.4 rad against the world.
+    """
+    rng = np.random.default_rng(seed)
+    at, T_gt = stamps(poses), winding_path(poses)
+    T_map_gt = invert(T_WORLD_MAP) @ T_gt
+    covariances = np.tile(ANISOTROPIC, (poses, 1, 1))
+    error = exponential(np.sqrt(scale) * draw(rng, covariances))
+    error[0] = np.eye(4)
+    T_map_body = error @ T_map_gt if perturb_left else T_map_gt @ invert(error)
+    log: list[tuple[str, Record]] = [
+        ("/ground_truth", GroundTruthPose(t, T)) for t, T in zip(at.tolist(), T_gt, strict=True)
+    ]
+    log.append(("/slam/graph", replace(graph(at, T_map_body), pose_covariances=covariances)))
+    ids = tuple(str(index) for index in range(landmarks))
+    true_ids = tuple(f"o{index}" for index in range(landmarks))
+    positions = rng.uniform(-100.0, 100.0, (landmarks, 3))
+    spread = random_covariances(rng, landmarks, 3)
+    in_map = apply(invert(T_WORLD_MAP), positions) + np.sqrt(scale) * draw(rng, spread)
+    labels = ("tree",) * landmarks
+    log.append(("/ground_truth/objects", object_map(true_ids, positions, labels)))
+    log.append(("/slam/map", replace(object_map(ids, in_map, labels), covariances=spread)))
+    sightings = [(truth, name, True) for truth, name in zip(true_ids, ids, strict=True)]
+    associations, truths = frames(sightings, stamps_ns=[int(at[0])])
+    log += [("/slam/associations", record) for record in associations]
+    log += [("/ground_truth/detections", record) for record in truths]
+    of_closures = 0.01 * random_covariances(rng, poses // 2, 6)  # small, so that all of them count as true
+    off = exponential(np.sqrt(scale) * draw(rng, of_closures))
+    for row in range(poses // 2):
+        T_reference_query = invert(T_gt[row]) @ T_gt[-1 - row] @ invert(off[row])
+        log.append(("/slam/closures", closure(poses - 1 - row, row, at, T_reference_query, of_closures[row])))
+    return log
+
+
+def closure(query: int, reference: int, at: FloatArray, T: FloatArray, covariance: FloatArray) -> LoopClosureRecord:
+    return LoopClosureRecord(
+        stamp_ns=int(at[query]),
+        query_keyframe_id=query,
+        reference_keyframe_id=reference,
+        accepted=True,
+        stage="accepted",
+        reason="",
+        retrieval_distance=0.1,
+        T_reference_query=T,
+        covariance=covariance,
+        reference_stamp_ns=int(at[reference]),
+    )
+
+
+def measured(log: list[tuple[str, Record]]) -> CalibrationQuality:
+    quality = evaluate(collect_records(log)).calibration
+    assert quality is not None
+    return quality
+
+
+def test_a_map_with_right_covariances_is_right_in_every_part() -> None:
+    quality = measured(log_of_a_drive())
+    for name in PARTS:
+        part = getattr(quality, name)
+        assert part.nees == pytest.approx(1.0, abs=0.2), name
+        assert part.coverage(0.95) == pytest.approx(0.95, abs=0.045), name
+    assert quality.pose is not None
+    assert quality.pose.count == 399  # the first keyframe is where the truth is tied
+    assert (quality.pose.dimension, quality.planar_pose.dimension) == (6, 3)  # type: ignore[union-attr]
+    assert (quality.landmark.dimension, quality.planar_landmark.dimension) == (3, 2)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("scale", [4.0, 0.25])
+def test_a_map_with_wrong_covariances_is_found_out_in_every_part(scale: float) -> None:
+    quality = measured(log_of_a_drive(scale=scale))
+    for name in PARTS:
+        part = getattr(quality, name)
+        assert part.nees == pytest.approx(scale, rel=0.2), name
+        assert (part.coverage(0.95) < 0.85) == (scale > 1.0), name
+
+
+def test_a_covariance_about_the_axes_of_the_map_is_found_out() -> None:
+    quality = measured(log_of_a_drive(perturb_left=True))
+    assert quality.planar_pose is not None
+    assert quality.planar_pose.nees > 5.0
+
+
+def test_landmarks_are_tied_where_the_poses_are() -> None:
+    log = log_of_a_drive()
+    shifted = [
+        (topic, replace(record, T_map_body=transform_from_xyz_yaw(np.array([0.0, 0.0, 0.0]), 0.1) @ record.T_map_body))
+        if isinstance(record, FactorGraphRecord)
+        else (topic, record)
+        for topic, record in log
+    ]
+    quality = measured(shifted)
+    assert quality.pose is not None
+    assert quality.landmark is not None
+    assert quality.pose.nees == pytest.approx(1.0, abs=0.2)
+    assert quality.landmark.nees > 100.0
+
+
+def without(log: list[tuple[str, Record]], *topics: str) -> list[tuple[str, Record]]:
+    return [(topic, record) for topic, record in log if topic not in topics]
+
+
+@pytest.mark.parametrize(
+    ("left_out", "part", "reason"),
+    [
+        ("/slam/closures", "closure", "closures: no accepted true one"),
+        ("/slam/map", "landmark", "landmarks: no confirmed one"),
+        ("/ground_truth/detections", "landmark", "landmarks: no confirmed one"),
+        ("/slam/graph", "pose", "no truth at the first keyframe"),
+    ],
+)
+def test_what_is_missing_is_named_and_the_rest_is_measured(left_out: str, part: str, reason: str) -> None:
+    result = evaluate(collect_records(without(log_of_a_drive(), left_out)))
+    assert result.calibration is not None
+    assert getattr(result.calibration, part) is None
+    assert at_json(result, f"calibration.{part}_coverage") is None
+    assert at_json(result, f"calibration.{part}_count") == 0
+    assert reason in result.missing["calibration"]
+    assert sum(getattr(result.calibration, name) is not None for name in PARTS) >= 2
+
+
+def test_a_log_without_covariances_of_poses_says_so() -> None:
+    log = [
+        (
+            topic,
+            replace(record, pose_covariances=np.zeros((0, 6, 6))) if isinstance(record, FactorGraphRecord) else record,
+        )
+        for topic, record in log_of_a_drive(poses=40, landmarks=40)
+    ]
+    result = evaluate(collect_records(log))
+    assert "poses: no covariances" in result.missing["calibration"]
+    assert at_json(result, "calibration.pose_nees") is None
+    assert at_json(result, "calibration.landmark_count") == 40
+
+
+def test_without_a_truth_at_the_first_keyframe_only_closures_are_measured() -> None:
+    log = log_of_a_drive(poses=40, landmarks=40)
+    first = min(record.stamp_ns for _, record in log if isinstance(record, GroundTruthPose))
+    log = [(t, r) for t, r in log if not (isinstance(r, GroundTruthPose) and r.stamp_ns == first)]
+    result = evaluate(collect_records(log))
+    assert at_json(result, "calibration.pose_coverage") is None
+    assert at_json(result, "calibration.landmark_coverage") is None
+    assert at_json(result, "calibration.closure_count") == 19
+    assert "first keyframe" in result.missing["calibration"]
+
+
+def test_without_truth_nothing_is_measured() -> None:
+    log = [(topic, record) for topic, record in log_of_a_drive(poses=40) if not topic.startswith("/ground_truth")]
+    result = evaluate(collect_records(log))
+    assert result.calibration is None
+    assert "--reference" in result.missing["calibration"]
+    assert at_json(result, "calibration.planar_closure_nees") is None
+
+
+def test_it_is_printed_with_its_rules() -> None:
+    result = evaluate(collect_records(log_of_a_drive(poses=40, landmarks=40)), Protocol(coverage_probability=0.9))
+    text = printed(result)
+    assert "NEES" in text
+    assert "90 % region" in text
+    assert "tied to the estimate there" in text
+    with pytest.raises(EvaluationError, match="coverage_probability"):
+        Protocol(coverage_probability=1.0)

@@ -1,0 +1,148 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.common.arrays import FloatArray
+from slam.common.errors import EvaluationError
+from slam.common.geometry import apply, transform_from_xyz_yaw
+from slam.evaluation.inputs.synchronization import PoseSeries
+from slam.evaluation.metrics.landmarks import (
+    compute_windowed_errors,
+    evaluate_landmarks,
+    match_by_detections,
+    match_by_position,
+)
+from tests.slam.evaluation.drives import straight_path
+from tests.slam.evaluation.maps import object_map
+
+WALK = PoseSeries(np.arange(201, dtype=np.int64) * 1_000_000_000, straight_path(201))
+
+
+def street(count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Positions (N, 3) beside a street of 200 m, and how far along each was first seen."""
+    along = np.sort(rng.uniform(0.0, 200.0, count))
+    return np.stack([along, rng.uniform(-10, 10, count), rng.uniform(0, 3, count)], axis=1), along
+
+
+def test_drift_between_windows_does_not_count_but_noise_within_does() -> None:
+    rng = np.random.default_rng(0)
+    positions, along = street(400, rng)
+    bent = apply(transform_from_xyz_yaw(np.array([30.0, -4.0, 2.0]), 1.0), positions)
+    rigid = compute_windowed_errors(bent, positions, along, 200.0)
+    np.testing.assert_allclose(rigid.residuals_m, 0.0, atol=1e-9)
+    assert (rigid.window_count, rigid.skipped_window_count, rigid.landmark_count) == (8, 0, 400)
+
+    drifting = positions.copy()
+    drifting[along >= 100.0] += [7.0, 0.0, 0.0]  # only the window across the jump can see it
+    jumped = compute_windowed_errors(drifting, positions, along, 200.0)
+    assert np.count_nonzero(jumped.residuals_m > 1e-6) <= np.count_nonzero((along >= 75.0) & (along < 125.0))
+    assert np.median(jumped.residuals_m) < 1e-9
+
+    noisy = positions + rng.normal(0.0, 0.3, positions.shape)
+    residuals = compute_windowed_errors(noisy, positions, along, 200.0).residuals_m
+    assert np.sqrt(np.mean(residuals**2)) == pytest.approx(0.3 * np.sqrt(3.0), rel=0.1)
+
+
+def test_a_single_window_by_hand() -> None:
+    # Four corners of a square, pushed out from their centre by 0.5 m.
+    square = np.array([[1.0, 0, 0], [0, 1.0, 0], [-1.0, 0, 0], [0, -1.0, 0]])
+    errors = compute_windowed_errors(1.5 * square, square, np.zeros(4), 10.0)
+    np.testing.assert_allclose(errors.residuals_m, 0.5)
+    np.testing.assert_allclose(errors.horizontal_residuals_m, 0.5)
+    assert errors.window_count == 1
+
+
+def test_windows_cover_the_path_and_overlap_by_half() -> None:
+    seen = np.array([10.0, 30.0, 60.0, 99.9])
+    points = np.repeat(np.array([[0.0, 0, 0], [1.0, 0, 0], [0, 1.0, 0]]), 4, axis=0)
+    errors = compute_windowed_errors(points, points, np.tile(seen, 3), 100.0)
+    # [0, 50) and [25, 75) hold two stations each, [50, 100) two, of three landmarks.
+    assert (errors.window_count, len(errors.residuals_m), errors.landmark_count) == (4, 6 + 6 + 6 + 3, 12)
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_windows_with_too_few_landmarks_are_skipped_and_counted(count: int) -> None:
+    errors = compute_windowed_errors(np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count), 100.0)
+    assert (errors.window_count, errors.skipped_window_count, len(errors.residuals_m)) == (0, 4, 0)
+
+
+def test_landmarks_in_one_place_are_skipped() -> None:
+    assert compute_windowed_errors(np.zeros((5, 3)), np.eye(5, 3), np.zeros(5), 10.0).window_count == 0
+
+
+def test_quality_by_hand() -> None:
+    rng = np.random.default_rng(1)
+    true_ids = tuple(f"o{i}" for i in range(6))
+    positions = rng.uniform(-20, 20, (6, 3))
+    map_gt = object_map(true_ids, positions, ("tree", "tree", "pole", "pole", "sign", "sign"))
+    T_map_world = transform_from_xyz_yaw(np.array([1.0, 2.0, 3.0]), 0.5)
+    # 0..3 show o0..o3 (3 with the wrong class), 4 is a false positive, 5 shows what the true map lacks, 6 is tentative.
+    at = np.concatenate([apply(T_map_world, positions[:4]), np.zeros((3, 3))])
+    map_est = object_map(
+        tuple("0123456"),
+        at,
+        ("tree", "tree", "pole", "tree", "tree", "car", "sign"),
+        states=("confirmed",) * 6 + ("tentative",),
+    )
+    shows = {"0": "o0", "1": "o1", "2": "o2", "3": "o3", "4": "", "5": "moving", "6": "o4"}
+    matches = match_by_detections(map_est, map_gt, shows)
+    result = evaluate_landmarks(
+        map_est,
+        map_gt,
+        matches,
+        path_gt=WALK,
+        T_world_map=np.linalg.inv(T_map_world),
+        object_detection_counts={"o0": 9, "o1": 5, "o2": 4, "o4": 7, "moving": 30},
+    )
+    assert (result.confirmed_count, result.object_landmark_count, result.matched_count) == (6, 5, 4)
+    assert result.precision == 5 / 6
+    assert (result.recallable_object_count, result.recalled_object_count) == (3, 2)
+    assert result.recall == 2 / 3
+    assert result.class_accuracy == 3 / 4
+    assert result.windowed is not None
+    assert result.global_frame is not None
+    assert result.windowed.max_m < 1e-9
+    assert result.global_frame.max_m < 1e-9
+
+
+def test_matching_by_position_keeps_to_the_class_and_the_limit() -> None:
+    map_gt = object_map(("a", "b", "c"), np.array([[0.0, 0, 0], [1.0, 0, 0], [9.0, 0, 0]]), ("tree", "pole", "tree"))
+    map_est = object_map(
+        ("0", "1", "2", "3"),
+        np.array([[0.9, 0, 0], [0.9, 0, 0], [6.9, 0, 0], [0.0, 0, 0]]),
+        ("tree", "pole", "tree", "car"),
+    )
+    matches = match_by_position(map_est, map_gt, np.eye(4), max_distance_m=2.0)
+    assert matches.object_rows.tolist() == [0, 1, -1, -1]
+    result = evaluate_landmarks(map_est, map_gt, matches, path_gt=WALK, T_world_map=np.eye(4))
+    assert (result.precision, result.recall, result.class_accuracy) == (0.5, None, None)
+
+
+@pytest.mark.parametrize("method", ["detections", "nearest"])
+def test_an_empty_map(method: str) -> None:
+    empty = object_map((), np.zeros((0, 3)), ())
+    map_gt = object_map(("a",), np.zeros((1, 3)), ("tree",))
+    for gt in (map_gt, empty):
+        matches = (
+            match_by_detections(empty, gt, {}) if method == "detections" else match_by_position(empty, gt, np.eye(4))
+        )
+        result = evaluate_landmarks(empty, gt, matches, path_gt=WALK, object_detection_counts={"a": 9})
+        assert (result.precision, result.windowed, result.class_accuracy) == (None, None, None)
+        assert result.recall == (0.0 if gt is map_gt else None)
+
+
+def test_landmarks_first_seen_outside_the_truth_belong_to_no_window() -> None:
+    positions = np.array([[0.0, 0, 0], [5.0, 0, 0], [0, 5.0, 0]])
+    map_gt = object_map(("a", "b", "c"), positions, ("x",) * 3)
+    late = np.full(3, 999_000_000_000, dtype=np.int64)
+    map_est = object_map(("a", "b", "c"), positions, ("x",) * 3, first_seen_ns=late)
+    matches = match_by_detections(map_est, map_gt, {name: name for name in "abc"})
+    assert evaluate_landmarks(map_est, map_gt, matches, path_gt=WALK).windowed is None
+
+
+def test_a_position_that_is_not_finite_is_refused() -> None:
+    map_gt = object_map(("a",), np.zeros((1, 3)), ("x",))
+    map_est = object_map(("a",), np.full((1, 3), np.nan), ("x",))
+    with pytest.raises(EvaluationError, match="finite"):
+        evaluate_landmarks(map_est, map_gt, match_by_detections(map_est, map_gt, {"a": "a"}))

@@ -1,0 +1,240 @@
+"""Robots that are lost: made up and simulated ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from logs.messages import LoopClosureRecord, SlamPose, StatusRecord
+from slam.common.arrays import FloatArray
+from slam.common.errors import EvaluationError
+from slam.common.geometry import transform_from_xyz_yaw
+from slam.evaluation.evaluate import evaluate
+from slam.evaluation.inputs.protocol import Protocol
+from slam.evaluation.inputs.records import EvaluationRecords
+from slam.evaluation.inputs.synchronization import PoseSeries
+from slam.evaluation.metrics.relocalization import (
+    Method,
+    RelocalizationQuality,
+    evaluate_relocalization,
+    find_losses,
+    has_given_map,
+    locate_map,
+)
+from tests.slam.evaluation.conftest import Relocalized
+from tests.slam.evaluation.loops import at_ns, closure, series_of, there_and_back
+from tests.slam.evaluation.results import at_json, printed
+
+TRUTH = there_and_back()
+NO_POSES = series_of(np.zeros((0, 4, 4)))
+
+
+def statuses(*events: tuple[int, str]) -> tuple[StatusRecord, ...]:
+    """By the index of a pose of the drive, a second and a metre each."""
+    return tuple(StatusRecord(at_ns(index), state, "info", "") for index, state in events)
+
+
+def made(
+    *events: tuple[int, str], closures: tuple[LoopClosureRecord, ...] = (), T_world_map: FloatArray | None = None
+) -> EvaluationRecords:
+    """Poses that are right in a map that lies at ``T_world_map``, and a last status at the end of the drive."""
+    T_map_world = np.eye(4) if T_world_map is None else np.linalg.inv(T_world_map)
+    poses = zip(TRUTH.stamps_ns, TRUTH.T_world_body, strict=True)
+    return EvaluationRecords(
+        statuses=statuses(*events, (240, events[-1][1])),
+        online_poses=tuple(SlamPose(int(stamp), T_map_world @ T) for stamp, T in poses),
+        closures=closures,
+    )
+
+
+def measure(
+    records: EvaluationRecords,
+    *,
+    truth: PoseSeries = TRUTH,
+    method: Method = "map",
+    T_world_map: FloatArray | None = None,
+    protocol: Protocol | None = None,
+) -> RelocalizationQuality:
+    return evaluate_relocalization(
+        records,
+        truth,
+        NO_POSES,
+        protocol or Protocol(),
+        T_world_map=np.eye(4) if T_world_map is None else T_world_map,
+        method=method,
+    )
+
+
+def test_losses_by_hand() -> None:
+    found = measure(
+        made(
+            (0, "LOST"),
+            (10, "RELOCALIZED"),
+            (10, "TRACKING"),
+            (100, "LOST"),
+            (110, "LOST"),
+            (140, "RELOCALIZED"),
+            (140, "TRACKING"),
+            (200, "LOST"),
+        )
+    )
+    assert [(loss.seconds, loss.distance_m) for loss in found.losses] == [
+        (pytest.approx(10.0), pytest.approx(10.0)),
+        (pytest.approx(40.0), pytest.approx(40.0)),
+        (None, None),
+    ]
+    assert (found.loss_count, found.fix_count, found.right_count, found.wrong_count) == (3, 2, 2, 0)
+    assert (found.success_rate, found.wrong_rate) == (pytest.approx(2 / 3), 0.0)
+    assert (found.median_seconds, found.max_seconds) == (pytest.approx(25.0), pytest.approx(40.0))
+    assert (found.median_distance_m, found.max_distance_m) == (pytest.approx(25.0), pytest.approx(40.0))
+    assert found.lost_share == pytest.approx((10 + 40 + 40) / 240)
+    assert found.median_error_m == pytest.approx(0.0, abs=1e-9)
+
+
+def test_never_lost() -> None:
+    found = measure(made((0, "MAPPING")))
+    assert (found.loss_count, found.lost_share, found.success_rate, found.wrong_rate) == (0, 0.0, None, None)
+    assert found.median_seconds is found.median_error_m is None
+
+
+def test_never_found() -> None:
+    found = measure(made((0, "LOST")))
+    assert (found.loss_count, found.fix_count, found.success_rate, found.wrong_rate) == (1, 0, 0.0, 0.0)
+    assert found.lost_share == 1.0
+
+
+@pytest.mark.parametrize(
+    ("shift_m", "turn_deg", "is_right"),
+    [(3.999, 0.0, True), (4.001, 0.0, False), (0.0, 9.99, True), (0.0, -10.01, False)],
+)
+def test_a_fix_is_right_within_both_thresholds(shift_m: float, turn_deg: float, is_right: bool) -> None:
+    events = ((0, "LOST"), (0, "RELOCALIZED"), (0, "TRACKING"))
+    # At the start of the drive, where a turned map moves nothing.
+    off = transform_from_xyz_yaw(np.array([0.0, shift_m, 0.0]), float(np.deg2rad(turn_deg)))
+    found = measure(made(*events), T_world_map=off)
+    assert found.losses[0].is_right is is_right
+    assert (found.right_count, found.wrong_count) == (int(is_right), int(not is_right))
+    assert found.wrong_rate == float(not is_right)
+    tight = Protocol(relocalization_translation_m=0.001, relocalization_rotation_deg=0.001)
+    assert measure(made(*events), T_world_map=off, protocol=tight).success_rate == 0.0
+
+
+def test_the_pose_right_after_the_fix_counts() -> None:
+    records = made((0, "LOST"), (50, "RELOCALIZED"), (50, "TRACKING"))
+    off = transform_from_xyz_yaw(np.array([9.0, 0.0, 0.0]), 0.0)
+    poses = [p if k == 50 else replace(p, T_map_body=off @ p.T_map_body) for k, p in enumerate(records.online_poses)]
+    assert measure(replace(records, online_poses=tuple(poses))).success_rate == 1.0
+    assert measure(replace(records, online_poses=tuple(poses[:50] + poses[51:]))).success_rate == 0.0
+
+
+@pytest.mark.parametrize(("shift_m", "is_right"), [(3.9, True), (4.1, False)])
+def test_in_a_map_of_its_own_the_closure_across_the_break_is_judged(shift_m: float, is_right: bool) -> None:
+    closures = (
+        closure(100, 90, truth=TRUTH, shift_m=30.0),  # before
+        closure(204, 203, truth=TRUTH, shift_m=30.0),  # not across the break
+        closure(204, 36, truth=TRUTH, shift_m=30.0, stage="acceptance"),
+        closure(202, 38, truth=TRUTH, shift_m=30.0),  # came too early to be the one
+        closure(204, 36, truth=TRUTH, shift_m=shift_m),
+        closure(206, 34, truth=TRUTH, shift_m=30.0),
+    )
+    records = made((0, "MAPPING"), (201, "LOST"), (204, "RELOCALIZED"), (204, "MAPPING"), closures=closures)
+    found = measure(records, method="closure")
+    assert found.losses[0].error_m == pytest.approx(shift_m)
+    assert found.losses[0].is_right is is_right
+
+
+def test_without_truth_fixes_are_undecided_and_still_timed() -> None:
+    events = ((0, "LOST"), (10, "RELOCALIZED"), (10, "TRACKING"), (50, "LOST"))
+    found = measure(made(*events), truth=NO_POSES)
+    assert (found.fix_count, found.undecided_count, found.right_count, found.wrong_count) == (1, 1, 0, 0)
+    # The loss that ended in no fix is no success, whatever the truth would say.
+    assert (found.success_rate, found.wrong_rate) == (0.0, 0.0)
+    assert (found.median_seconds, found.median_distance_m) == (pytest.approx(10.0), None)
+    assert measure(made(*events[:3]), truth=NO_POSES).success_rate is None
+    along = evaluate_relocalization(made(*events), NO_POSES, TRUTH, Protocol(), method="map")
+    assert along.median_distance_m == pytest.approx(10.0)
+
+
+def test_a_drive_of_one_status() -> None:
+    found = measure(EvaluationRecords(statuses=statuses((0, "LOST"))))
+    assert (found.loss_count, found.lost_share) == (1, None)
+    assert find_losses(()) == []
+
+
+def test_who_was_given_a_map() -> None:
+    assert has_given_map(made((0, "LOST")))
+    assert has_given_map(made((0, "LOST"), (3, "RELOCALIZED"), (3, "TRACKING")))
+    assert not has_given_map(made((0, "MAPPING"), (3, "LOST")))
+    assert not has_given_map(EvaluationRecords())
+
+
+# Simulated drives
+
+
+def test_a_robot_that_is_kidnapped_while_it_maps(kidnapped: EvaluationRecords) -> None:
+    result = evaluate(kidnapped)
+    assert "relocalization" not in result.missing
+    assert at_json(result, "relocalization.method") == "closure"
+    assert at_json(result, "relocalization.loss_count") == 1
+    assert at_json(result, "relocalization.success_rate") == 1.0
+    assert at_json(result, "relocalization.wrong_rate") == 0.0
+    for key, low, high in (("median_distance_m", 1.0, 60.0), ("median_seconds", 0.1, 30.0), ("p95_error_m", 0.0, 1.0)):
+        value = at_json(result, f"relocalization.{key}")
+        assert isinstance(value, float)
+        assert low < value < high
+    assert "100.00 % (1 of 1)" in printed(result)
+
+
+def test_twin_a_false_closure_across_the_break_is_a_wrong_fix(kidnapped: EvaluationRecords) -> None:
+    off = transform_from_xyz_yaw(np.array([6.0, 0.0, 0.0]), 0.0)
+    closures = tuple(
+        c if c.T_reference_query is None else replace(c, T_reference_query=c.T_reference_query @ off)
+        for c in kidnapped.closures
+    )
+    result = evaluate(replace(kidnapped, closures=closures))
+    assert at_json(result, "relocalization.success_rate") == 0.0
+    assert at_json(result, "relocalization.wrong_count") == 1
+
+
+def test_a_robot_that_finds_itself_in_a_map(relocalized: Relocalized) -> None:
+    T_world_map = locate_map(relocalized.mapping)
+    result = evaluate(relocalized.found, map_alignment=T_world_map)
+    assert at_json(result, "relocalization.method") == "map"
+    assert at_json(result, "relocalization.success_rate") == 1.0
+    assert at_json(result, "relocalization.loss_count") == 1
+    error_m = at_json(result, "relocalization.median_error_m")
+    assert isinstance(error_m, float)
+    assert error_m < 0.5
+    assert len(relocalized.found.relocalizations) > 10
+    assert "where the truth has the map" in printed(result)
+
+
+def test_an_offset_of_the_whole_is_seen_only_where_the_map_is_known(relocalized: Relocalized) -> None:
+    off = transform_from_xyz_yaw(np.array([6.0, 0.0, 0.0]), 0.0)
+    found = relocalized.found
+    assert found.trajectory is not None
+    shifted = replace(
+        found,
+        online_poses=tuple(replace(p, T_map_body=off @ p.T_map_body) for p in found.online_poses),
+        trajectory=replace(found.trajectory, T_map_body=off @ found.trajectory.T_map_body),
+    )
+    hidden = evaluate(shifted)
+    assert at_json(hidden, "relocalization.method") == "trajectory"
+    assert at_json(hidden, "relocalization.success_rate") == 1.0
+    located = evaluate(shifted, map_alignment=locate_map(relocalized.mapping))
+    assert at_json(located, "relocalization.success_rate") == 0.0
+    assert at_json(located, "relocalization.wrong_rate") == 1.0
+
+
+def test_where_a_map_lies_must_be_known_and_of_use(relocalized: Relocalized, kidnapped: EvaluationRecords) -> None:
+    with pytest.raises(EvaluationError, match="no ground truth"):
+        locate_map(replace(relocalized.mapping, true_poses=()))
+    with pytest.raises(EvaluationError, match="no final trajectory"):
+        locate_map(replace(relocalized.mapping, trajectory=None))
+    assert "given none" in evaluate(kidnapped, map_alignment=np.eye(4)).missing["map_alignment"]
+    without = evaluate(replace(relocalized.found, true_poses=()))
+    assert "1 of 1 fixes: no ground truth" in without.missing["relocalization"]
+    assert at_json(without, "relocalization.success_rate") is None
+    assert at_json(without, "relocalization.fix_count") == 1

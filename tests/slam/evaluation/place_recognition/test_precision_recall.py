@@ -1,0 +1,157 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sklearn.metrics import average_precision_score, precision_recall_curve
+
+from slam.evaluation.place_recognition.precision_recall import ScoreSweep, sweep_scores
+
+Candidate = tuple[int, float, bool]
+
+
+def sweep(candidates: list[Candidate], revisit_ids: list[int]) -> ScoreSweep | None:
+    return sweep_scores(
+        np.array([c[0] for c in candidates], dtype=np.int64),
+        np.array([c[1] for c in candidates], dtype=np.float64),
+        np.array([c[2] for c in candidates], dtype=np.bool_),
+        revisit_ids=np.array(revisit_ids, dtype=np.int64),
+    )
+
+
+def brute_force(candidates: list[Candidate], revisit_ids: list[int]) -> list[tuple[float, float, float]]:
+    """(threshold, precision, recall) of every threshold, by accepting and counting anew at each."""
+    best: dict[int, tuple[float, bool]] = {}
+    for query, score, is_true in candidates:
+        at_top, was_true = best.get(query, (-np.inf, True))
+        if score > at_top:
+            best[query] = score, is_true
+        elif score == at_top:
+            best[query] = score, is_true and was_true
+    points = []
+    for threshold in sorted({score for score, _ in best.values()}, reverse=True):
+        accepted = {query: is_true for query, (score, is_true) in best.items() if score >= threshold}
+        recalled = [query for query, is_true in accepted.items() if is_true and query in revisit_ids]
+        points.append((threshold, sum(accepted.values()) / len(accepted), len(recalled) / len(revisit_ids)))
+    return points
+
+
+# Few scores, so that many are equal.
+@given(
+    st.lists(st.tuples(st.integers(0, 8), st.sampled_from([0.0, 0.5, 1.0, 2.0]), st.booleans()), max_size=40),
+    st.lists(st.integers(0, 9), min_size=1, max_size=10, unique=True),
+)
+def test_against_counting_at_every_threshold(candidates: list[Candidate], revisit_ids: list[int]) -> None:
+    found = sweep(candidates, revisit_ids)
+    assert found is not None
+    expected = brute_force(candidates, revisit_ids)
+    if not expected:
+        assert found.average_precision is found.f1_max is found.recall_at_full_precision is None
+        return
+    curve = np.column_stack([found.thresholds, found.precision, found.recall])
+    np.testing.assert_allclose(curve, np.array(expected).reshape(-1, 3))
+    before = np.array([0.0, *(recall for _, _, recall in expected)])
+    average = sum((recall - b) * precision for (_, precision, recall), b in zip(expected, before[:-1], strict=True))
+    assert found.average_precision == pytest.approx(average)
+    assert found.f1_max == pytest.approx(max([0.0, *(2 * p * r / (p + r) for _, p, r in expected if p + r > 0)]))
+    at_full_precision = max([0.0, *(r for _, p, r in expected if p == 1.0)])
+    assert found.recall_at_full_precision == at_full_precision
+    assert found.extended_precision == pytest.approx((expected[0][1] + at_full_precision) / 2)
+
+
+def test_numbers_by_hand() -> None:
+    # Query 4 is no revisit; the revisit 5 was never found.
+    found = sweep([(1, 9.0, True), (1, 1.0, False), (2, 8.0, True), (3, 7.0, False), (4, 6.0, True)], [1, 2, 3, 5])
+    assert found is not None
+    assert found.precision.tolist() == [1.0, 1.0, 2 / 3, 3 / 4]
+    assert found.recall.tolist() == [0.25, 0.5, 0.5, 0.5]
+    assert found.average_precision == 0.5
+    assert found.recall_at_full_precision == 0.5
+    assert found.f1_max == pytest.approx(2 / 3)
+
+
+def test_equal_scores_are_accepted_together() -> None:
+    for order in ([0, 1], [1, 0]):
+        across = [(1, 5.0, True), (2, 5.0, False)]
+        found = sweep([across[i] for i in order], [1, 2])
+        assert found is not None
+        assert (found.precision.tolist(), found.recall.tolist()) == ([0.5], [0.5])
+        within = [(1, 5.0, True), (1, 5.0, False)]
+        found = sweep([within[i] for i in order], [1])
+        assert found is not None
+        assert (found.precision.tolist(), found.recall.tolist()) == ([0.0], [0.0])
+
+
+def test_a_score_that_is_no_number_comes_last() -> None:
+    found = sweep([(1, float("nan"), False), (2, 0.0, True)], [1, 2])
+    assert found is not None
+    assert found.precision.tolist() == [1.0, 0.5]
+    assert found.recall_at_full_precision == 0.5
+
+
+def test_without_candidates_or_revisits() -> None:
+    found = sweep([], [1])
+    assert found is not None
+    assert len(found.thresholds) == 0
+    assert (found.average_precision, found.f1_max, found.recall_at_full_precision) == (None, None, None)
+    assert found.extended_precision is None
+    assert sweep([(1, 1.0, True)], []) is None
+
+
+@given(st.lists(st.tuples(st.sampled_from([-1.5, 0.0, 0.5, 1.0, 2.0]), st.booleans()), min_size=1, max_size=60))
+def test_curve_and_average_precision_agree_with_scikit_learn(answers: list[tuple[float, bool]]) -> None:
+    """One candidate a query; what scikit-learn calls positive are the revisits."""
+    scores, labels = np.array([score for score, _ in answers]), np.array([label for _, label in answers])
+    if not labels.any():
+        return
+    found = sweep([(k, score, label) for k, (score, label) in enumerate(answers)], np.flatnonzero(labels).tolist())
+    assert found is not None
+    precision, recall, thresholds = precision_recall_curve(labels, scores)
+    np.testing.assert_allclose(found.thresholds, thresholds[::-1], rtol=0, atol=0)
+    np.testing.assert_allclose(found.precision, precision[-2::-1], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.recall, recall[-2::-1], rtol=0, atol=1e-12)
+    assert found.average_precision == pytest.approx(average_precision_score(labels, scores), abs=1e-12)
+
+
+def test_missed_revisits_lower_the_average_precision_of_scikit_learn_in_proportion() -> None:
+    rng = np.random.default_rng(5)
+    scores, labels = rng.normal(size=300).round(1), rng.random(300) < 0.4
+    revisits = [*np.flatnonzero(labels).tolist(), *range(1000, 1100)]
+    found = sweep([(k, scores[k], bool(labels[k])) for k in range(300)], revisits)
+    assert found is not None
+    share = labels.sum() / len(revisits)
+    assert found.average_precision == pytest.approx(share * average_precision_score(labels, scores), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("candidates", "extended"),
+    [
+        ([(1, 2.0, True), (2, 1.0, True)], 1.0),
+        ([(1, 2.0, True), (2, 1.0, False)], 0.75),
+        ([(1, 2.0, False), (2, 1.0, True)], 0.0),  # the best score is false, so nothing has full precision
+        ([(1, 2.0, False), (2, 2.0, True)], 0.25),  # a true one shares that score
+        ([(1, 2.0, False), (2, 1.0, False)], 0.0),
+    ],
+)
+def test_extended_precision_by_hand(candidates: list[Candidate], extended: float) -> None:
+    found = sweep(candidates, [1, 2])
+    assert found is not None
+    assert found.extended_precision == extended
+
+
+def test_a_long_curve_is_thinned_but_not_at_its_ends() -> None:
+    rng = np.random.default_rng(3)
+    scores = rng.permutation(5000).astype(np.float64)
+    full = sweep(
+        [(k, score, bool(score > 4700 or rng.random() < 0.3)) for k, score in enumerate(scores)], [*range(5000)]
+    )
+    assert full is not None
+    thin = full.thinned()
+    assert 490 <= len(thin.thresholds) <= 502
+    for name in ("thresholds", "precision", "recall"):
+        assert getattr(thin, name)[[0, -1]].tolist() == getattr(full, name)[[0, -1]].tolist()
+    assert (thin.f1_max, thin.extended_precision) == (full.f1_max, full.extended_precision)
+    assert np.isin(thin.thresholds, full.thresholds).all()
+    assert thin.average_precision == pytest.approx(full.average_precision, rel=0.02)
+    assert thin.thinned(600) is thin

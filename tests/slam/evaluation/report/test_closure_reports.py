@@ -1,0 +1,100 @@
+"""Loop closures from a log to its JSON, report and picture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from logs.messages import FactorGraphRecord, GroundTruthPose, LoopClosureRecord, Record, TrajectoryRecord
+from slam.evaluation.evaluate import evaluate
+from slam.evaluation.inputs.records import EvaluationRecords, collect_records
+from slam.evaluation.report.picture import compose_picture
+from slam.evaluation.requirements import parse_requirement
+from tests.slam.evaluation.loops import closure, there_and_back
+from tests.slam.evaluation.results import at_json, graph, printed
+
+
+def there_and_back_log() -> list[tuple[str, Record]]:
+    """120 m and back: 37 revisits, of which one closure is right, one waits and one keyframe closes a wrong one."""
+    truth = there_and_back()
+    closures = (
+        closure(200, 40, truth=truth, shift_m=0.5),
+        closure(210, 30, truth=truth, stage="consistency"),
+        closure(60, 0, truth=truth, shift_m=9.0),
+    )
+    return [
+        *(("/ground_truth", GroundTruthPose(t, T)) for t, T in zip(truth.stamps_ns, truth.T_world_body, strict=True)),
+        ("/slam/trajectory_stamped", TrajectoryRecord(0, "map", truth.stamps_ns, truth.T_world_body)),
+        ("/slam/graph", graph(truth.stamps_ns[::2], truth.T_world_body[::2])),
+        *(
+            ("/slam/closures", replace(c, query_keyframe_id=c.query_keyframe_id // 2, reference_keyframe_id=7 + k))
+            for k, c in enumerate(closures)
+        ),
+    ]
+
+
+def test_loop_closures_of_a_drive_there_and_back() -> None:
+    result = evaluate(collect_records(there_and_back_log()))
+    told = at_json(result, "closures")
+    assert isinstance(told, dict)
+    assert {name: told[name] for name in ("candidate_count", "accepted_count", "true_count", "false_count")} == {
+        "candidate_count": 3,
+        "accepted_count": 2,
+        "true_count": 1,
+        "false_count": 1,
+    }
+    assert told["recall"] == told["recall_opposite"] == 1 / 37
+    assert told["recall_same"] is told["recall_crossing"] is None
+    assert told["revisit_count_same"] == 0
+    assert told["median_translation_error_m"] == pytest.approx(0.5)
+    assert told["missed_by_stage"] == {"no true candidate": 35, "consistency": 1}
+    assert told["missed_without_candidate_count"] == 35
+    # All have the same score, so the wrong one comes with the two right ones.
+    assert told["recall_at_full_precision"] == 0.0
+    assert told["average_precision"] == pytest.approx(2 / 37 * 2 / 3)
+    report = printed(result)
+    for text in ("50.00 % (1 of 2)", "2.70 % (1 of 37 revisits", "no true candidate 35 (35 without", "median 0.500 m"):
+        assert text in report
+
+
+def test_revisits_without_a_candidate_are_missed() -> None:
+    log = [(t, r) for t, r in there_and_back_log() if not isinstance(r, LoopClosureRecord)]
+    result = evaluate(collect_records(log))
+    assert at_json(result, "closures.candidate_count") == 0
+    assert at_json(result, "closures.recall") == 0.0
+    assert at_json(result, "closures.precision") is None
+    assert "0.00 % (0 of 37 revisits" in printed(result)
+
+
+@pytest.mark.parametrize(
+    ("left_out", "reason"), [(GroundTruthPose, "ground truth"), (FactorGraphRecord, "/slam/graph")]
+)
+def test_what_revisits_need_is_told(left_out: type, reason: str) -> None:
+    result = evaluate(collect_records((t, r) for t, r in there_and_back_log() if not isinstance(r, left_out)))
+    assert reason in result.missing["closures"]
+    assert at_json(result, "closures.candidate_count") == 3
+    assert at_json(result, "closures.recall") is None
+    assert at_json(result, "closures.missed_by_stage") == {}
+
+
+def test_bars_for_loop_closures() -> None:
+    found = evaluate(collect_records(there_and_back_log())).to_json_dict()
+    none = evaluate(EvaluationRecords()).to_json_dict()
+    assert parse_requirement("closures.precision>=0.5").shortfall(found) == ""
+    assert "is 0.5" in parse_requirement("closures.precision>=0.99").shortfall(found)
+    assert "undefined" in parse_requirement("closures.precision>=0.99").shortfall(none)
+    assert parse_requirement("closures.missed_by_stage.consistency<=1").shortfall(found) == ""
+
+
+def test_the_picture_of_closures_without_and_with_a_truth() -> None:
+    log = there_and_back_log()
+    records = collect_records(log)
+    picture = compose_picture(records, evaluate(records))
+    assert len(picture.missed_revisits) == 36
+    assert 200.0 not in (240.0 - picture.missed_revisits[:, 0])
+    records = collect_records((t, r) for t, r in log if not isinstance(r, GroundTruthPose))
+    picture = compose_picture(records, evaluate(records))
+    assert (len(picture.closures), len(picture.true_closures), len(picture.missed_revisits)) == (2, 0, 0)
+    np.testing.assert_allclose(picture.closures[:, :, 0], [[60.0, 0.0], [40.0, 40.0]], atol=1e-9)

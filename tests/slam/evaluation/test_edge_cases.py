@@ -1,0 +1,248 @@
+"""Whole evaluations of logs that lack something or are odd: from the records to the JSON and the tables."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from logs.messages import GroundTruthPose, LoopClosureRecord, Odometry, SlamPose, StatusRecord, TrajectoryRecord
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.geometry import interpolate, transform_from_xyz_yaw
+from slam.evaluation.evaluate import evaluate
+from slam.evaluation.inputs.records import EvaluationRecords
+from slam.evaluation.metrics.relocalization import Loss
+from slam.evaluation.report.text import render
+from slam.evaluation.result import Evaluation
+from tests.slam.evaluation.drives import winding_path
+from tests.slam.evaluation.loops import THERE_AND_BACK_REVISITS, at_ns, closure, series_of, there_and_back
+from tests.slam.evaluation.results import at_json, graph, printed
+
+TRUTH = there_and_back()
+REVISITS = THERE_AND_BACK_REVISITS
+RIGHT = tuple(closure(query, 240 - query, truth=TRUTH, rank=1, score=float(query)) for query in REVISITS)
+WRONG = tuple(
+    closure(query, 240 - query + 30, truth=TRUTH, shift_m=40.0, rank=1, score=float(query)) for query in REVISITS
+)
+NO_INDEX: IntArray = np.zeros(0, dtype=np.int64)
+
+
+def drive(closures: Sequence[LoopClosureRecord] = (), *, truth: EvaluationRecords | None = None) -> EvaluationRecords:
+    """120 m there and back, a keyframe every two metres; the estimate is the truth with an error of 0.1 m in height."""
+    T_map_body = TRUTH.T_world_body.copy()
+    T_map_body[::2, 2, 3] += 0.1
+    stamps_ns = TRUTH.stamps_ns
+    records = EvaluationRecords(
+        trajectory=TrajectoryRecord(0, "map", stamps_ns, T_map_body),
+        online_poses=tuple(SlamPose(int(t), T) for t, T in zip(stamps_ns, T_map_body, strict=True)),
+        odometry=tuple(Odometry(int(t), T) for t, T in zip(stamps_ns, T_map_body, strict=True)),
+        closures=tuple(closures),
+        graph=replace(graph(stamps_ns[::2], T_map_body[::2]), keyframe_ids=np.arange(0, 241, 2)),
+        statuses=(StatusRecord(at_ns(0), "MAPPING", "info", ""),),
+        configuration={"loop_closure": {"places": 3}},
+    )
+    true = truth or EvaluationRecords(true_poses=poses_of(stamps_ns, TRUTH.T_world_body))
+    return replace(records, true_poses=true.true_poses)
+
+
+def poses_of(stamps_ns: IntArray, T_world_body: FloatArray) -> tuple[GroundTruthPose, ...]:
+    return tuple(GroundTruthPose(int(stamp), T) for stamp, T in zip(stamps_ns, T_world_body, strict=True))
+
+
+def at_80_columns(result: Evaluation) -> list[str]:
+    console = Console(width=80, record=True, file=io.StringIO())
+    for part in render(result):
+        console.print(part, crop=False)
+    return console.export_text().splitlines()
+
+
+def measures(result: Evaluation, part: str) -> dict[str, object]:
+    """The summaries of a sweep."""
+    names = ("average_precision", "f1_max", "recall_at_full_precision", "extended_precision")
+    return {name: at_json(result, f"{part}.{name}") for name in names}
+
+
+SWEPT = ("closures", "published.pairs", "published.online")
+UNDEFINED = dict.fromkeys(("average_precision", "f1_max", "recall_at_full_precision", "extended_precision"))
+
+
+def test_no_closures() -> None:
+    result = evaluate(drive())
+    assert at_json(result, "closures.precision") is None
+    assert at_json(result, "closures.recall") == 0.0
+    assert at_json(result, "retrieval.recall_at_1") is None
+    assert at_json(result, "published.online.recall_at_1") == 0.0
+    for part in SWEPT:
+        assert measures(result, part) == UNDEFINED
+        assert at_json(result, f"{part}.precision_recall_curve") == {"thresholds": [], "precision": [], "recall": []}
+    text = printed(result)
+    assert "precision                           –" in text
+    assert f"0.00 % (0 of {len(REVISITS)} revisits" in text
+    assert "average precision –, largest F1 –, extended precision –" in text
+
+
+def test_no_revisits() -> None:
+    straight = series_of(winding_path(241))
+    records = drive([closure(100, 20, truth=straight, rank=1)])
+    assert records.graph is not None
+    records = replace(
+        records,
+        true_poses=poses_of(straight.stamps_ns, straight.T_world_body),
+        graph=replace(records.graph, T_map_body=straight.T_world_body[::2]),
+    )
+    result = evaluate(records)
+    assert at_json(result, "closures.precision") == 1.0
+    assert at_json(result, "closures.recall") is None
+    assert at_json(result, "retrieval.recall_at_1") is None
+    assert at_json(result, "published.online.recall_at_1") is None
+    for part in SWEPT:
+        assert measures(result, part) == UNDEFINED
+    assert "(no revisit)" in printed(result)
+
+
+def test_all_true() -> None:
+    result = evaluate(drive(RIGHT))
+    assert (at_json(result, "closures.precision"), at_json(result, "closures.recall")) == (1.0, 1.0)
+    assert at_json(result, "retrieval.recall_at_1") == 1.0
+    assert at_json(result, "retrieval.recall_at_5") is None
+    assert measures(result, "closures") == dict.fromkeys(UNDEFINED, 1.0)
+    curve = at_json(result, "closures.precision_recall_curve")
+    assert isinstance(curve, dict)
+    assert curve["precision"] == [1.0] * len(REVISITS)
+    assert curve["recall"][-1] == 1.0
+    assert at_json(result, "published.pairs.claimed_negative_count") == 0
+    assert at_json(result, "published.online.recall_at_full_precision") == at_json(
+        result, "published.online.recall_at_1"
+    )
+
+
+def test_all_false() -> None:
+    result = evaluate(drive(WRONG))
+    assert (at_json(result, "closures.precision"), at_json(result, "closures.recall")) == (0.0, 0.0)
+    assert at_json(result, "retrieval.recall_at_1") == 0.0
+    assert at_json(result, "published.online.found_count") == 0
+    for part in ("closures", "published.online"):
+        assert measures(result, part) == dict.fromkeys(UNDEFINED, 0.0)
+    # All other pairs follow at the lowest score, the positive ones among them.
+    pairs = measures(result, "published.pairs")
+    assert isinstance(pairs["average_precision"], float)
+    assert 0.0 < pairs["average_precision"] < 0.1
+    assert pairs["extended_precision"] == 0.0
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_ties_in_score_do_not_depend_on_the_order_of_the_log(order: int) -> None:
+    both = [*RIGHT[::2], *WRONG[1::2]][::order]
+    result = evaluate(drive([replace(c, score=7.0) for c in both]))
+    share = len(RIGHT[::2]) / len(REVISITS)
+    assert at_json(result, "closures.average_precision") == pytest.approx(share**2)
+    assert at_json(result, "closures.extended_precision") == pytest.approx(share / 2)
+    assert at_json(result, "closures.recall_at_full_precision") == 0.0
+
+
+def test_no_ground_truth() -> None:
+    result = evaluate(drive(RIGHT, truth=EvaluationRecords()))
+    for part in ("trajectory", "closures", "retrieval", "published"):
+        assert "no ground truth" in result.missing[part]
+    assert at_json(result, "closures.accepted_count") == len(RIGHT)
+    assert at_json(result, "relocalization.loss_count") == 0
+    text = printed(result)
+    assert f"{len(RIGHT)}, {len(RIGHT)}, {len(RIGHT)}" in text
+    assert "trajectory, odometry, online" in text
+    assert text.count("no ground truth") == 1
+
+
+def test_ground_truth_of_another_rate_and_in_another_frame() -> None:
+    records, plain = drive(RIGHT), evaluate(drive(RIGHT))
+    T_other_world = transform_from_xyz_yaw(np.array([400.0, -300.0, 20.0]), 2.0)
+    often_ns = np.sort(np.concatenate([TRUTH.stamps_ns, TRUTH.stamps_ns[:-1] + 370_000_000]))
+    # Every 1.4 s, so that hardly a stamp is that of a keyframe.
+    seldom_ns = np.arange(TRUTH.stamps_ns[0], TRUTH.stamps_ns[-1], 1_400_000_000)
+    for stamps_ns in (often_ns, seldom_ns):
+        truth = T_other_world @ interpolate(TRUTH.stamps_ns, TRUTH.T_world_body, stamps_ns)
+        result = evaluate(replace(records, true_poses=poses_of(stamps_ns, truth)))
+        assert at_json(result, "closures.precision") == at_json(result, "closures.recall") == 1.0
+        assert at_json(result, "retrieval.recall_at_1") == 1.0
+        assert (
+            abs(int(str(at_json(result, "closures.revisit_count"))) - len(REVISITS)) <= 2
+        )  # at the turn and at the end
+        assert at_json(result, "closures.p95_translation_error_m") == pytest.approx(0.0, abs=1e-6)
+        ate_m = at_json(result, "trajectory.ate_m")
+        assert ate_m == pytest.approx(at_json(plain, "trajectory.ate_m"), abs=0.02)
+
+
+def test_ground_truth_with_gaps() -> None:
+    known = np.r_[0:40, 60:200]
+    truth = EvaluationRecords(true_poses=poses_of(TRUTH.stamps_ns[known], TRUTH.T_world_body[known]))
+    result = evaluate(drive(RIGHT, truth=truth))
+    # Of the queries 168 to 198 at 72 m to 42 m those within 5 m of a keyframe up to 38 m or from 60 m on.
+    assert at_json(result, "closures.revisit_count") == 10
+    # The closures of 168 to 180 refer to 72 m to 60 m; all others lack the truth of one of the two.
+    assert at_json(result, "closures.true_count") == 7
+    assert at_json(result, "closures.undecided_count") == len(RIGHT) - 7
+    assert at_json(result, "closures.recall") == 0.7
+    assert at_json(result, "closures.precision") == 1.0
+    assert at_json(result, "trajectory.estimate.gap_count") == 20
+    assert at_json(result, "trajectory.estimate.outside_count") == 41
+
+
+def test_one_pose() -> None:
+    one = drive()
+    assert one.trajectory is not None
+    one = replace(
+        one,
+        trajectory=TrajectoryRecord(0, "map", TRUTH.stamps_ns[:1], TRUTH.T_world_body[:1]),
+        online_poses=one.online_poses[:1],
+        odometry=one.odometry[:1],
+        true_poses=one.true_poses[:1],
+        graph=graph(TRUTH.stamps_ns[:1], TRUTH.T_world_body[:1]),
+    )
+    result = evaluate(one)
+    assert "at least 2" in result.missing["trajectory"]
+    assert at_json(result, "closures.revisit_count") == 0
+    assert at_json(result, "published.pairs.negative_count") == 0
+    assert at_json(result, "relocalization.lost_share") is None
+    assert printed(result)
+
+
+def test_duplicated_stamps_change_nothing_but_their_count() -> None:
+    records, plain = drive(RIGHT), evaluate(drive(RIGHT))
+    doubled = replace(
+        records,
+        true_poses=tuple(pose for pose in records.true_poses for _ in range(2)),
+        odometry=tuple(pose for pose in records.odometry for _ in range(2)),
+        online_poses=tuple(pose for pose in records.online_poses for _ in range(2)),
+        closures=tuple(record for record in records.closures for _ in range(2)),
+    )
+    result = evaluate(doubled)
+    assert at_json(result, "trajectory.estimate.duplicate_count") == 241
+    for part in ("closures", "retrieval", "published", "relocalization"):
+        assert at_json(result, part) == at_json(plain, part)
+    assert at_json(result, "trajectory.ate_m") == at_json(plain, "trajectory.ate_m")
+
+
+@pytest.mark.parametrize(
+    "records",
+    [EvaluationRecords(), drive(), drive(RIGHT), drive(WRONG), drive(RIGHT, truth=EvaluationRecords())],
+    ids=["empty", "nothing found", "all true", "all false", "no truth"],
+)
+def test_tables_fit_80_columns(records: EvaluationRecords) -> None:
+    lines = at_80_columns(evaluate(records))
+    assert lines
+    assert max(map(len, lines)) <= 80
+
+
+def test_every_key_about_places_is_documented() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "evaluation.md").read_text(encoding="utf-8")
+    results = evaluate(EvaluationRecords()).to_json_dict()
+    parts = [results[name] for name in ("closures", "retrieval", "relocalization")]
+    parts += [results["published"]["pairs"], results["published"]["online"]]
+    keys = {key for part in parts for key in part if not key.startswith("revisit_count_")}
+    assert len(keys) > 50
+    assert {key for key in keys if key not in text} == set()
+    assert {field.name for field in fields(Loss) if f"`{field.name}`" not in text} == set()

@@ -1,0 +1,256 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from logs.messages import (
+    GroundTruthPose,
+    LoopClosureRecord,
+    Odometry,
+    Record,
+    SlamPose,
+    StatusRecord,
+    TrajectoryRecord,
+    Transform,
+)
+from logs.writer import LogWriter
+from slam.common.errors import EvaluationError
+from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.evaluation.evaluate import evaluate, find_aliases
+from slam.evaluation.inputs.protocol import Protocol
+from slam.evaluation.inputs.records import EvaluationRecords, collect_records, read_records
+from slam.evaluation.report.picture import compose_picture
+from tests.slam.evaluation.drives import stamps, winding_path
+from tests.slam.evaluation.maps import frames, object_map
+from tests.slam.evaluation.results import at_json, graph, printed
+
+COUNT = 400
+PARTS = {
+    *("trajectory", "odometry", "online", "associations", "landmarks"),
+    *("closures", "retrieval", "published", "relocalization", "counters"),
+}
+T_WORLD_MAP = transform_from_xyz_yaw(np.array([20.0, 30.0, 1.0]), 0.7)
+
+
+def made_log() -> list[tuple[str, Record]]:
+    """400 m: odometry 1 % too long, a perfect estimate, ten objects seen three times each, one sighting missed."""
+    at, T_gt = stamps(COUNT).tolist(), winding_path(COUNT)
+    T_map_body = invert(T_WORLD_MAP) @ T_gt
+    T_odom = T_map_body.copy()
+    T_odom[:, :3, 3] *= 1.01
+    log: list[tuple[str, Record]] = []
+    for t, gt, est, odom in zip(at, T_gt, T_map_body, T_odom, strict=True):
+        log.append(("/odom", Odometry(t, odom)))
+        log.append(("/ground_truth", GroundTruthPose(t, gt)))
+        log.append(("/slam/pose", SlamPose(t, est, np.eye(4))))
+    seen = [(index, f"o{index}", str(index)) for index in range(10)]
+    sightings, at_frames = [], []
+    for index, truth, landmark in seen:
+        for k in range(3):
+            missed = index == 9 and k == 2
+            sightings.append([(truth, "" if missed else landmark, k == 0)])
+            at_frames.append(at[index * 10 + k])
+    associations, truths = frames(*sightings, stamps_ns=at_frames)
+    log += [("/slam/associations", record) for record in associations]
+    log += [("/ground_truth/detections", record) for record in truths]
+    positions = winding_path(COUNT)[:100:10, :3, 3] + np.random.default_rng(0).uniform(-5, 5, (10, 3))
+    labels = ("tree",) * 9 + ("pole",)
+    ids = tuple(truth for _, truth, _ in seen)
+    log.append(("/ground_truth/objects", object_map(ids, positions, labels)))
+    first = np.array(at_frames[::3], dtype=np.int64)
+    names = tuple(landmark for _, _, landmark in seen)
+    in_map = apply(invert(T_WORLD_MAP), positions)
+    log.append(("/slam/map", object_map(names, in_map + 99.0, labels, first_seen_ns=first)))
+    log.append(("/slam/map", object_map(names, in_map, ("tree",) * 10, first_seen_ns=first)))
+    log.append(("/slam/trajectory_stamped", TrajectoryRecord(at[-1], "map", stamps(COUNT), T_map_body)))
+    T_reference_query = invert(T_map_body[10]) @ T_map_body[300]
+    right = LoopClosureRecord(at[300], 150, 5, True, "accepted", "", 0.1, 9, 0.9, 1.0, T_reference_query, None, at[10])
+    right = replace(right, rank=1)
+    wrong = replace(right, T_reference_query=np.eye(4), reference_keyframe_id=10, reference_stamp_ns=at[20], rank=2)
+    log.append(("/slam/closures", replace(right, accepted=False, stage="consistency", reason="waits for others")))
+    log.append(("/slam/closures", wrong))
+    log.append(("/slam/closures", replace(right, inserted=True)))
+    log.append(("/slam/closures", LoopClosureRecord(at[302], 151, 5, False, "retrieval", "too far", 0.9)))
+    log.append(("/slam/graph", graph(stamps(COUNT)[::2], T_map_body[::2])))
+    log.append(("/slam/status", StatusRecord(at[0], "mapping", "info", "", {"keyframes": 1})))
+    log.append(("/slam/status", StatusRecord(at[-1], "done", "info", "", {"keyframes": 200})))
+    return log
+
+
+def test_all_parts_of_a_complete_log() -> None:
+    result = evaluate(collect_records(made_log()))
+    assert PARTS.isdisjoint(result.missing)
+    assert at_json(result, "trajectory.ate_m") == pytest.approx(0.0, abs=1e-9)
+    assert at_json(result, "trajectory.online_ate_m") == pytest.approx(0.0, abs=1e-9)
+    # 1 % of the straight distance, which on a winding road is a little less than the path.
+    assert at_json(result, "trajectory.odometry_rpe_translation_percent") == pytest.approx(0.93, abs=0.01)
+    odometry_ate = at_json(result, "trajectory.odometry_ate_m")
+    assert isinstance(odometry_ate, float)
+    assert odometry_ate > 0.5
+    assert at_json(result, "associations.precision") == 1.0
+    assert at_json(result, "associations.recall") == 19 / 20
+    assert at_json(result, "landmarks.median_error_m") == pytest.approx(0.0, abs=1e-9)
+    assert at_json(result, "landmarks.global_p95_error_m") == pytest.approx(0.0, abs=1e-9)
+    assert at_json(result, "landmarks.class_accuracy") == 9 / 10
+    assert at_json(result, "landmarks.precision") == 1.0
+    assert at_json(result, "landmarks.recall") is None  # no object was detected five times
+    assert at_json(result, "closures.stage_counts") == {"retrieval": 1, "accepted": 2}
+    assert at_json(result, "closures.candidate_count") == 3
+    assert at_json(result, "closures.inserted_count") == 1
+    assert at_json(result, "closures.precision") == 0.5
+    assert at_json(result, "closures.revisit_count") == 0
+    assert at_json(result, "closures.recall") is None
+    assert at_json(result, "retrieval.recall_at_1") is None  # there is no revisit
+    assert at_json(result, "relocalization.loss_count") == 0
+    assert at_json(result, "counters.keyframes") == 200
+    assert at_json(result, "protocol.revisit_m") == 100.0
+
+
+def test_thresholds_of_the_protocol_reach_the_figures_and_the_rules() -> None:
+    protocol = Protocol(least_detections=3, revisit_m=0.5)
+    result = evaluate(collect_records(made_log()), protocol)
+    assert at_json(result, "landmarks.recall") == 1.0
+    assert at_json(result, "associations.possible_count") == 0
+    assert "0.5 m" in str(at_json(result, "protocol.rules.association_recall"))
+    with pytest.raises(EvaluationError, match="revisit_m"):
+        Protocol(revisit_m=0.0)
+    with pytest.raises(EvaluationError, match="fewer than 3"):
+        Protocol(window_least_landmarks=2)
+
+
+def test_without_truth_everything_is_null_and_says_why() -> None:
+    log = [(topic, record) for topic, record in made_log() if not topic.startswith("/ground_truth")]
+    result = evaluate(collect_records(log))
+    for path in ("trajectory.ate_m", "associations.precision", "landmarks.median_error_m", "landmarks.confirmed_count"):
+        assert at_json(result, path) is None
+    assert PARTS & set(result.missing) == PARTS - {"relocalization", "counters"}
+    assert at_json(result, "closures.accepted_count") == 2
+    assert at_json(result, "closures.precision") is None
+    assert "--reference" in result.missing["trajectory"]
+
+
+def test_nothing_at_all() -> None:
+    result = evaluate(EvaluationRecords())
+    assert at_json(result, "trajectory.ate_m") is None
+    assert set(result.missing) >= PARTS
+
+
+def test_the_keys_do_not_depend_on_what_is_there() -> None:
+    full, empty = (evaluate(r).to_json_dict() for r in (collect_records(made_log()), EvaluationRecords()))
+    assert full.keys() == empty.keys()
+    for part in ("trajectory", "associations", "landmarks", "closures", "retrieval", "relocalization", "protocol"):
+        assert full[part].keys() == empty[part].keys()
+    for part in ("pairs", "online"):
+        assert full["published"][part].keys() == empty["published"][part].keys()
+
+
+def test_an_unfinished_run_is_measured_by_its_online_poses() -> None:
+    log = [(t, r) for t, r in made_log() if not isinstance(r, TrajectoryRecord)]
+    result = evaluate(collect_records(log))
+    assert "finished" in result.missing["trajectory"]
+    assert at_json(result, "trajectory.online_ate_m") == pytest.approx(0.0, abs=1e-9)
+    assert at_json(result, "landmarks.global_median_error_m") == pytest.approx(0.0, abs=1e-9)
+
+
+def test_without_truth_of_the_detections_landmarks_are_matched_by_position() -> None:
+    log = [(t, r) for t, r in made_log() if t != "/ground_truth/detections"]
+    result = evaluate(collect_records(log))
+    assert result.landmarks is not None
+    assert result.landmarks.method == "nearest"
+    assert result.landmarks.matched_count == 9  # the pole is called a tree
+    assert at_json(result, "landmarks.class_accuracy") is None
+    assert "detections" in result.missing["associations"]
+
+
+def test_a_reference_of_another_drive_is_told() -> None:
+    records = collect_records(made_log())
+    late = [GroundTruthPose(r.stamp_ns + 10**13, r.T_world_body) for r in records.true_poses]
+    truths = [replace(r, stamp_ns=r.stamp_ns + 10**13) for r in records.detection_truths]
+    other = EvaluationRecords(true_poses=tuple(late), detection_truths=tuple(truths))
+    result = evaluate(records.with_truth_of(other))
+    assert at_json(result, "trajectory.ate_m") is None
+    assert "truth of this drive" in result.missing["trajectory"]
+    assert "this drive" in result.missing["associations"]
+
+
+def test_merged_landmarks_are_read_from_the_reasons() -> None:
+    record = object_map(
+        ("1", "2", "3"),
+        np.zeros((3, 3)),
+        ("x",) * 3,
+        reasons=("", "merged into 1", "moving"),
+        states=("confirmed", "retired", "retired"),
+    )
+    assert find_aliases(record) == {"2": "1"}
+    assert find_aliases(None) == {}
+
+
+def test_other_records_are_passed_over() -> None:
+    assert collect_records([("/tf", Transform(0, "a", "b", np.eye(4)))]).odometry == ()
+
+
+def test_from_a_file_and_a_reference(tmp_path: Path) -> None:
+    out, reference = tmp_path / "out.mcap", tmp_path / "reference.mcap"
+    with LogWriter(out) as writer:
+        for topic, record in made_log():
+            if not topic.startswith("/ground_truth"):
+                writer.write(topic, record)
+    with LogWriter(reference) as writer:
+        for topic, record in made_log():
+            if topic.startswith("/ground_truth"):
+                writer.write(topic, record)
+    in_memory = evaluate(collect_records(made_log()))
+    from_file = evaluate(read_records(out, reference=reference))
+    assert PARTS.isdisjoint(from_file.missing)
+    for path in ("trajectory.odometry_ate_m", "associations.recall", "landmarks.class_accuracy"):
+        assert at_json(from_file, path) == pytest.approx(at_json(in_memory, path), rel=1e-6)
+    assert "--reference" in evaluate(read_records(out)).missing["trajectory"]
+
+
+@pytest.mark.parametrize("records", [EvaluationRecords(), collect_records(made_log())])
+def test_the_report_can_be_printed(records: EvaluationRecords) -> None:
+    result = evaluate(records)
+    text = printed(result)
+    assert "nan" not in text.lower().split()
+    for reason in result.missing.values():
+        assert reason[:40] in text
+    if result.closures is not None:
+        assert "95.00 % (19 of 20)" in text
+
+
+def test_the_picture_is_in_the_map_frame() -> None:
+    records = collect_records(made_log())
+    picture = compose_picture(records, evaluate(records))
+    np.testing.assert_allclose(picture.truth, picture.estimate, atol=1e-9)
+    np.testing.assert_allclose(picture.odometry[0], picture.estimate[0], atol=1e-9)
+    np.testing.assert_allclose(picture.true_closures, [picture.estimate[[300, 10]]], atol=1e-9)
+    np.testing.assert_allclose(picture.false_closures, [picture.estimate[[300, 20]]], atol=1e-9)
+    assert len(picture.closures) == len(picture.missed_revisits) == 0
+    assert len(picture.labels) == len(picture.landmarks) == 10
+    assert picture.ate_m == pytest.approx(0.0, abs=1e-9)
+    bare = compose_picture(EvaluationRecords(), evaluate(EvaluationRecords()))
+    assert len(bare.estimate) == len(bare.truth) == len(bare.closures) == 0
+
+
+@pytest.mark.parametrize("recorded", ["no json", "[]", '{"/odom": null}', '{"/gone": ["odometry"]}', '{"/odom": 3}'])
+def test_a_record_of_topics_that_is_none_is_passed_over(tmp_path: Path, recorded: str) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as writer:
+        writer.add_metadata("dslam", {"topics": recorded})
+        writer.write("/odom", Odometry(0, np.eye(4)))
+    assert len(read_records(path).odometry) == 1
+
+
+@pytest.mark.parametrize(
+    ("recorded", "places"),
+    [('{"loop_closure": {"places": 25}}', 25), ("{}", None), ("no json", None), ('{"loop_closure": 3}', None)],
+)
+def test_the_configuration_of_a_run_is_read(tmp_path: Path, recorded: str, places: int | None) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path) as writer:
+        writer.add_metadata("dslam", {"configuration": recorded})
+        writer.write("/odom", Odometry(0, np.eye(4)))
+    assert read_records(path).verified_places == places

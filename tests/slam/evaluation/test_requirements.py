@@ -1,0 +1,49 @@
+from __future__ import annotations
+
+import pytest
+
+from slam.common.errors import EvaluationError
+from slam.evaluation.requirements import Requirement, parse_requirement
+
+RESULTS = {"trajectory": {"ate_m": 4.0, "online_ate_m": None, "note": "text"}, "counters": {"keyframes": 12}}
+
+
+@pytest.mark.parametrize(
+    ("text", "requirement"),
+    [
+        ("trajectory.ate_m<=4.0", Requirement("trajectory.ate_m", "<=", 4.0)),
+        (" a.b >= 1e-3 ", Requirement("a.b", ">=", 1e-3)),
+        ("a<-1", Requirement("a", "<", -1.0)),
+        ("a==0", Requirement("a", "==", 0.0)),
+    ],
+)
+def test_parsing(text: str, requirement: Requirement) -> None:
+    assert parse_requirement(text) == requirement
+
+
+@pytest.mark.parametrize("text", ["", "a", "a<", "<4", "a=4", "a<=nan", "a<=inf", "a<=b", "a<=4 m", "a!=4"])
+def test_what_is_no_requirement(text: str) -> None:
+    with pytest.raises(EvaluationError, match="expected for example"):
+        parse_requirement(text)
+
+
+@pytest.mark.parametrize(
+    "text", ["trajectory.ate_m<=4", "trajectory.ate_m>=4", "trajectory.ate_m==4", "counters.keyframes>11"]
+)
+def test_bars_that_are_met(text: str) -> None:
+    assert parse_requirement(text).shortfall(RESULTS) == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("trajectory.ate_m<4", "trajectory.ate_m is 4, where < 4 was required"),
+        ("trajectory.ate_m>4", "trajectory.ate_m is 4, where > 4 was required"),
+        ("trajectory.online_ate_m<=4", "undefined"),
+        ("trajectory.ate<=4", "did you mean trajectory.ate_m?"),
+        ("trajectory.note<=4", "there is no such value"),
+        ("trajectory<=4", "there is no such value"),
+    ],
+)
+def test_bars_that_are_not_met(text: str, told: str) -> None:
+    assert told in parse_requirement(text).shortfall(RESULTS)

@@ -1,0 +1,188 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from logs.errors import UnwritableLogError
+from logs.messages import FactorGraphRecord, TrajectoryRecord
+from slam.common.arrays import FloatArray
+from slam.common.errors import InputDataError
+from slam.common.geometry import invert, make_transform
+from slam.formats.trajectory_and_graph import write_g2o, write_kitti, write_tum
+from tests.slam.evaluation.maps import object_map
+
+
+def random_poses(count: int, rng: np.random.Generator) -> FloatArray:
+    return make_transform(Rotation.random(count, rng=rng).as_matrix(), rng.normal(size=(count, 3)) * 100.0)
+
+
+def random_covariances(count: int, size: int, rng: np.random.Generator) -> FloatArray:
+    A = rng.normal(size=(count, size, size))
+    return A @ A.transpose(0, 2, 1) + 0.1 * np.eye(size)
+
+
+def trajectory(count: int) -> TrajectoryRecord:
+    rng = np.random.default_rng(2)
+    stamps_ns = 1_700_000_000_000_000_001 + np.cumsum(rng.integers(1, 10**9, count))
+    return TrajectoryRecord(0, "map", stamps_ns, random_poses(count, rng) if count else np.zeros((0, 4, 4)))
+
+
+def graph() -> FactorGraphRecord:
+    rng = np.random.default_rng(4)
+    ids = np.array([0, 3, 7, 12], dtype=np.int64)
+    poses = random_poses(4, rng)
+    edges = np.array([[0, 3], [3, 7], [7, 12], [12, 0]], dtype=np.int64)
+    seen_from = np.array([0, 3, 7], dtype=np.int64)
+    return FactorGraphRecord(
+        stamp_ns=0,
+        keyframe_ids=ids,
+        keyframe_stamps_ns=ids * 10**9,
+        T_map_body=poses,
+        edge_keyframe_ids=edges,
+        edge_transforms=random_poses(4, rng),
+        edge_covariances=random_covariances(4, 6, rng),
+        edge_kinds=("odometry",) * 3 + ("closure",),
+        observation_keyframe_ids=seen_from,
+        observation_landmark_ids=("b", "a", "b"),
+        observation_positions=rng.normal(size=(3, 3)),
+        observation_covariances=random_covariances(3, 3, rng),
+    )
+
+
+@pytest.mark.parametrize("count", [0, 1, 50])
+def test_tum_comes_back_exactly(tmp_path: Path, count: int) -> None:
+    record = trajectory(count)
+    path = tmp_path / "a.tum"
+    write_tum(path, record)
+    lines = [line.split(" ") for line in path.read_text().splitlines()]
+    assert [int(line[0].replace(".", "")) for line in lines] == record.stamps_ns.tolist()
+    assert all(len(line[0].split(".")[1]) == 9 for line in lines)
+    numbers = np.array([line[1:] for line in lines], dtype=np.float64).reshape(-1, 7)
+    np.testing.assert_array_equal(numbers[:, :3], record.T_map_body[:, :3, 3])
+    if count:
+        R = Rotation.from_quat(numbers[:, 3:]).as_matrix()
+        np.testing.assert_allclose(R, record.T_map_body[:, :3, :3], atol=1e-14)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.tum"]
+
+
+def test_stamps_below_a_second_keep_their_zeros(tmp_path: Path) -> None:
+    record = TrajectoryRecord(0, "map", np.array([5, 1_000_000_000]), np.tile(np.eye(4), (2, 1, 1)))
+    write_tum(tmp_path / "a.tum", record)
+    lines = (tmp_path / "a.tum").read_text().splitlines()
+    assert [line.split(" ")[0] for line in lines] == ["0.000000005", "1.000000000"]
+
+
+def test_kitti_comes_back_exactly(tmp_path: Path) -> None:
+    record = trajectory(5)
+    write_kitti(tmp_path / "a.txt", record)
+    np.testing.assert_array_equal(np.loadtxt(tmp_path / "a.txt").reshape(-1, 3, 4), record.T_map_body[:, :3])
+
+
+def test_gtsam_reads_the_same_graph_from_g2o(tmp_path: Path) -> None:
+    record = graph()
+    write_g2o(tmp_path / "a.g2o", record)
+    factors, values = gtsam.readG2o(str(tmp_path / "a.g2o"), True)
+    for keyframe, T in zip(record.keyframe_ids.tolist(), record.T_map_body, strict=True):
+        np.testing.assert_allclose(values.atPose3(keyframe).matrix(), T, atol=1e-12)
+    between = [factors.at(i) for i in range(factors.size()) if isinstance(factors.at(i), gtsam.BetweenFactorPose3)]
+    assert len(between) == 4
+    for factor, ids, T, covariance in zip(
+        between, record.edge_keyframe_ids.tolist(), record.edge_transforms, record.edge_covariances, strict=True
+    ):
+        assert list(factor.keys()) == ids
+        np.testing.assert_allclose(factor.measured().matrix(), T, atol=1e-12)
+        np.testing.assert_allclose(factor.noiseModel().covariance(), covariance, rtol=1e-8, atol=1e-10)
+
+
+def test_g2o_of_landmarks_by_hand(tmp_path: Path) -> None:
+    record = graph()
+    positions = np.array([[1.0, 2.0, 3.0]])
+    write_g2o(tmp_path / "a.g2o", record, object_map(("a",), positions, ("tree",)))
+    lines = [line.split(" ") for line in (tmp_path / "a.g2o").read_text().splitlines()]
+    vertices = {line[1]: np.array(line[2:], dtype=float) for line in lines if line[0] == "VERTEX_TRACKXYZ"}
+    np.testing.assert_array_equal(vertices["14"], positions[0])
+    T, seen = record.T_map_body, record.observation_positions
+    ends = [T[0, :3, :3] @ seen[0] + T[0, :3, 3], T[2, :3, :3] @ seen[2] + T[2, :3, 3]]
+    np.testing.assert_allclose(vertices["13"], np.mean(ends, axis=0), atol=1e-12)
+    edges = [line for line in lines if line[0] == "EDGE_SE3_TRACKXYZ"]
+    assert [line[1:4] for line in edges] == [["0", "13", "0"], ["3", "14", "0"], ["7", "13", "0"]]
+    information = np.linalg.inv(record.observation_covariances[1])
+    expected = [*seen[1], *information[np.triu_indices(3)]]
+    np.testing.assert_allclose(np.array(edges[1][4:], dtype=float), expected, rtol=1e-9)
+    assert ["PARAMS_SE3OFFSET", "0", "0", "0", "0", "0", "0", "0", "1"] in lines
+    assert ["FIX", "0"] in lines
+
+
+def changed(**fields: object) -> FactorGraphRecord:
+    record = graph()
+    values = {name: getattr(record, name) for name in FactorGraphRecord.__dataclass_fields__}
+    return FactorGraphRecord(**{**values, **fields})
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"edge_covariances": np.zeros((4, 6, 6))}, "positive definite"),
+        ({"edge_keyframe_ids": np.array([[0, 3], [3, 7], [7, 99], [12, 0]])}, "99"),
+        ({"keyframe_ids": np.array([0, 3, 7, 7])}, "unique"),
+        ({"T_map_body": np.full((4, 4, 4), np.nan)}, "finite"),
+        ({"observation_positions": np.full((3, 3), np.inf)}, "finite"),
+        ({"observation_landmark_ids": ("a",)}, "different number"),
+    ],
+)
+def test_a_graph_that_cannot_be_said_in_g2o_is_refused_and_leaves_no_file(
+    tmp_path: Path, fields: dict[str, object], message: str
+) -> None:
+    with pytest.raises(InputDataError, match=message):
+        write_g2o(tmp_path / "a.g2o", changed(**fields))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_empty_graph_is_an_empty_file(tmp_path: Path) -> None:
+    empty = {
+        name: value[:0]
+        for name in FactorGraphRecord.__dataclass_fields__
+        if name != "stamp_ns"
+        for value in [getattr(graph(), name)]
+    }
+    write_g2o(tmp_path / "a.g2o", changed(**empty))
+    assert (tmp_path / "a.g2o").read_text() == ""
+
+
+def test_edges_without_observations(tmp_path: Path) -> None:
+    record = changed(
+        observation_keyframe_ids=np.zeros(0, dtype=np.int64),
+        observation_landmark_ids=(),
+        observation_positions=np.zeros((0, 3)),
+        observation_covariances=np.zeros((0, 3, 3)),
+    )
+    write_g2o(tmp_path / "a.g2o", record)
+    tags = {line.split(" ")[0] for line in (tmp_path / "a.g2o").read_text().splitlines()}
+    assert tags == {"VERTEX_SE3:QUAT", "FIX", "EDGE_SE3:QUAT"}
+
+
+def test_the_direction_of_an_edge_is_from_to(tmp_path: Path) -> None:
+    poses = random_poses(2, np.random.default_rng(0))
+    record = changed(
+        keyframe_ids=np.array([0, 1]),
+        T_map_body=poses,
+        edge_keyframe_ids=np.array([[0, 1]]),
+        edge_transforms=(invert(poses[0]) @ poses[1])[None],
+        edge_covariances=np.eye(6)[None],
+        edge_kinds=("odometry",),
+        observation_keyframe_ids=np.array([0, 1, 1]),
+    )
+    write_g2o(tmp_path / "a.g2o", record)
+    factors, values = gtsam.readG2o(str(tmp_path / "a.g2o"), True)
+    between = [factors.at(i) for i in range(factors.size()) if isinstance(factors.at(i), gtsam.BetweenFactorPose3)]
+    assert between[0].error(values) == pytest.approx(0.0, abs=1e-18)
+
+
+def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(UnwritableLogError, match=r"cannot write .*a\.tum: No such file") as caught:
+        write_tum(tmp_path / "missing" / "a.tum", trajectory(2))
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,266 @@
+"""From scans to landmarks and factors, one small scene at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from logs.messages import DetectionAssociations, Odometry
+from slam.backend.factor_graph import FactorGraph, Observation
+from slam.common.arrays import FloatArray
+from slam.common.config import Config
+from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.frontend.mapper import Mapper
+from slam.frontend.scan import Scan
+from slam.object_map.landmarks import LandmarkState, ObjectMap
+from slam.odometry.keyframe import Keyframe
+from slam.odometry.noise import BREAK_SIGMA_M
+from slam.odometry.track import OdometryTrack
+
+OBJECTS = np.array([[10.0, 4.0, 0.0], [12.0, -5.0, 1.0], [25.0, 6.0, 0.5], [5.0, -7.0, 0.0]])
+LABELS = ("tree", "lamp", "tree", "bench")
+
+
+class Bench:
+    """A mapper with a track, driven by hand; objects are given in the odometry frame and seen without noise."""
+
+    def __init__(self, **branches: dict[str, object]) -> None:
+        self.config = Config.model_validate(branches)
+        self.map = ObjectMap(self.config.association)
+        self.graph = FactorGraph(self.config.factor_graph)
+        self.mapper = Mapper(self.config, self.map, self.graph)
+        self.track = OdometryTrack(self.config.odometry)
+
+    def move(self, seconds: float, x: float = 0.0, *, yaw: float = 0.0) -> Keyframe | None:
+        T = transform_from_xyz_yaw(np.array([x, 0.0, 0.0]), yaw)
+        odometry = Odometry(round(seconds * 1e9), T)
+        (pose,) = self.track.add(odometry) or self.track.finish()
+        assert pose is not None
+        return self.mapper.add_odometry(pose)
+
+    def see(
+        self, seconds: float, objects: FloatArray = OBJECTS, labels: tuple[str, ...] = LABELS, *, sigma_m: float = 0.2
+    ) -> DetectionAssociations:
+        pose = self.track.at(round(seconds * 1e9))
+        assert pose is not None
+        count = len(objects)
+        positions = apply(invert(pose.T_odom_body), np.asarray(objects, dtype=float).reshape(-1, 3))
+        covariances = np.tile(sigma_m**2 * np.eye(3), (count, 1, 1))
+        used = np.ones(count, dtype=np.bool_)
+        return self.mapper.add_scan(Scan(pose.stamp_ns, "lidar", positions, covariances, labels, used, used), pose)
+
+    def drive(self, scans: int, *, start: int = 0, step_m: float = 0.5, **seen) -> list[DetectionAssociations]:
+        """Ten scans a second, ``step_m`` apart."""
+        found = []
+        for i in range(start, start + scans):
+            self.move(0.1 * i, step_m * i)
+            found.append(self.see(0.1 * i, **seen))
+        return found
+
+    def states(self) -> list[LandmarkState]:
+        return [LandmarkState(state) for state in self.map.rows["state"]]
+
+    def reasons(self) -> list[str]:
+        """Why each landmark retired; those that were never confirmed are in no record and so in none of these."""
+        return list(self.map.to_record(0).reasons)
+
+    def observations(self) -> list[Observation]:
+        return [factor for factor in self.graph.factors.values() if isinstance(factor, Observation)]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "x", "yaw", "made"),
+    [
+        (1.0, 1.99, 0.0, False),
+        (1.0, 2.01, 0.0, True),
+        (1.0, 0.0, np.deg2rad(19.9), False),
+        (1.0, 0.0, np.deg2rad(20.1), True),
+        (4.9, 0.5, 0.0, False),
+        (5.1, 0.5, 0.0, True),
+    ],
+)
+def test_a_keyframe_is_made_after_travel_turn_or_time(seconds, x, yaw, made):
+    bench = Bench(keyframe={"distance_m": 2.0, "angle_deg": 20.0, "interval_s": 5.0})
+    assert bench.move(0.0).id == 0
+    assert (bench.move(seconds, x, yaw=yaw) is not None) is made
+
+
+def test_a_body_that_stands_still_makes_no_keyframes():
+    bench = Bench()
+    for i in range(600):
+        bench.move(0.1 * i)
+    assert len(bench.mapper.keyframes) == 1
+
+
+def test_keyframes_are_tied_by_the_odometry_between_them():
+    bench = Bench()
+    bench.drive(13)
+    record = bench.graph.to_record(0, np.zeros(len(bench.mapper.keyframes), dtype=np.int64))
+    assert record.edge_keyframe_ids.tolist() == [[0, 1], [1, 2], [2, 3]]
+    np.testing.assert_allclose(record.edge_transforms[:, 0, 3], 2.0)
+    np.testing.assert_allclose(record.T_map_body[:, 0, 3], [0.0, 2.0, 4.0, 6.0], atol=1e-6)
+
+
+def test_objects_are_the_same_landmarks_in_every_scan():
+    bench = Bench()
+    first, *rest = bench.drive(12)
+    assert first.landmark_ids == ("0", "1", "2", "3")
+    assert first.created.all()
+    for associations in rest:
+        assert associations.landmark_ids == first.landmark_ids
+        assert not associations.created.any()
+    np.testing.assert_allclose(bench.map.rows["position_odom"], OBJECTS, atol=1e-9)
+    assert [bench.map.vocabulary[i] for i in bench.map.beliefs(np.arange(4)).argmax(axis=1)] == list(LABELS)
+
+
+def test_a_landmark_is_confirmed_by_enough_sightings_and_only_then_enters_the_graph_with_all_of_them():
+    bench = Bench(landmark={"confirm_observations": 4, "confirm_age_s": 0.0})
+    bench.drive(3)
+    assert bench.states() == [LandmarkState.TENTATIVE] * 4
+    bench.drive(1, start=3)
+    assert bench.states() == [LandmarkState.CONFIRMED] * 4
+    assert bench.observations() == []
+    bench.mapper.close_keyframe()
+    bench.graph.update()
+    assert [o.landmark for o in bench.observations()] == [0, 1, 2, 3]
+    np.testing.assert_allclose(bench.graph.landmark_positions(np.arange(4)), OBJECTS, atol=1e-6)
+    # Four sightings at 0.2 m each went into it.
+    np.testing.assert_allclose(bench.observations()[0].covariance, 0.1**2 * np.eye(3), atol=1e-9)
+
+
+def test_sightings_of_a_tentative_landmark_from_earlier_keyframes_are_kept_for_it():
+    bench = Bench(landmark={"confirm_observations": 9, "confirm_age_s": 0.0})
+    bench.drive(13)
+    bench.mapper.close_keyframe()
+    assert sorted({o.keyframe for o in bench.observations()}) == [0, 1, 2, 3]
+
+
+def test_one_sighting_is_enough_where_the_configuration_says_so():
+    bench = Bench(landmark={"confirm_observations": 1, "confirm_age_s": 0.0})
+    bench.drive(1)
+    assert bench.states() == [LandmarkState.CONFIRMED] * 4
+
+
+def test_a_landmark_is_not_confirmed_before_it_was_seen_for_long_enough():
+    bench = Bench(landmark={"confirm_observations": 2, "confirm_age_s": 1.0})
+    bench.drive(10)
+    assert bench.states() == [LandmarkState.TENTATIVE] * 4
+    bench.drive(1, start=10)
+    assert bench.states() == [LandmarkState.CONFIRMED] * 4
+
+
+def test_what_is_seen_too_seldom_is_not_confirmed():
+    bench = Bench(landmark={"confirm_observations": 2, "confirm_fraction": 0.5, "give_up_scans": 50})
+    for i in range(12):
+        bench.move(0.1 * i, 0.1 * i)
+        bench.see(0.1 * i, *((OBJECTS, LABELS) if i % 4 == 0 else (OBJECTS[:1], LABELS[:1])))
+    assert bench.states() == [LandmarkState.CONFIRMED, *[LandmarkState.TENTATIVE] * 3]
+
+
+@pytest.mark.parametrize(("scans", "step_m"), [(20, 0.01), (3, 5.0)], ids=["scans", "distance"])
+def test_a_tentative_landmark_that_is_seen_no_more_is_given_up(scans, step_m):
+    bench = Bench(landmark={"give_up_scans": 20, "give_up_distance_m": 15.0})
+    bench.drive(1, step_m=step_m)
+    bench.drive(scans, start=1, step_m=step_m, objects=OBJECTS[:0], labels=())
+    assert bench.states() == [LandmarkState.TENTATIVE] * 4
+    bench.drive(1, start=1 + scans, step_m=step_m, objects=OBJECTS[:0], labels=())
+    assert bench.states() == [LandmarkState.RETIRED] * 4
+    bench.mapper.close_keyframe()
+    assert bench.observations() == []
+    assert bench.map.to_record(0).ids == ()
+
+
+def test_a_confirmed_landmark_stays_when_it_is_seen_no_more():
+    bench = Bench(landmark={"confirm_age_s": 0.0})
+    bench.drive(6)
+    bench.drive(100, start=6, objects=OBJECTS[:0], labels=())
+    assert bench.states() == [LandmarkState.CONFIRMED] * 4
+
+
+def test_after_a_long_way_an_object_is_a_new_landmark():
+    bench = Bench(association={"forget_distance_m": 20.0})
+    bench.drive(6)
+    bench.drive(60, start=6, objects=OBJECTS[:0], labels=())
+    bench.move(7.0, 0.0)
+    assert bench.see(7.0).landmark_ids == ("4", "5", "6", "7")
+
+
+def drive_past_a_vehicle(speed_mps: float, scans: int, sigma_m: float = 0.2) -> Bench:
+    bench = Bench()
+    for i in range(scans):
+        bench.move(0.1 * i, 0.3 * i)
+        vehicle = np.array([[3.0 + speed_mps * 0.1 * i, 8.0, 0.0]])
+        bench.see(0.1 * i, np.concatenate([OBJECTS, vehicle]), (*LABELS, "vehicle"), sigma_m=sigma_m)
+    bench.mapper.close_keyframe()
+    bench.graph.update()
+    return bench
+
+
+@pytest.mark.parametrize("speed_mps", [2.0, 3.0, 5.0, 12.0])
+def test_a_vehicle_that_moves_is_never_in_the_map(speed_mps):
+    bench = drive_past_a_vehicle(speed_mps, 40)
+    assert bench.states()[:4] == [LandmarkState.CONFIRMED] * 4
+    assert LandmarkState.CONFIRMED not in bench.states()[4:]
+    assert bench.graph.landmarks.tolist() == [0, 1, 2, 3]
+
+
+def test_a_vehicle_that_can_be_followed_retires_because_it_moves():
+    bench = drive_past_a_vehicle(5.0, 40, sigma_m=0.6)
+    assert bench.reasons()[:5] == ["", "", "", "", "moving"]
+    assert bench.graph.landmarks.tolist() == [0, 1, 2, 3]
+
+
+def test_a_vehicle_is_followed_at_its_speed_and_stays_one_and_the_same():
+    assert len(drive_past_a_vehicle(8.0, 40, sigma_m=0.3).map) == 5
+
+
+def test_what_turns_out_to_move_only_later_leaves_the_graph_again():
+    """It creeps at 0.9 m/s, below the limit, and then goes at 1.6 m/s."""
+    bench = Bench()
+    was_in_the_graph = False
+    for i in range(120):
+        bench.move(0.1 * i, 0.1 * i)
+        vehicle = np.array([[12.0 + 0.09 * i + 0.07 * max(i - 15, 0), 8.0, 0.0]])
+        bench.see(0.1 * i, np.concatenate([OBJECTS, vehicle]), (*LABELS, "vehicle"), sigma_m=1.0)
+        was_in_the_graph |= 4 in bench.graph.landmarks
+    assert was_in_the_graph
+    assert bench.reasons() == ["", "", "", "", "moving"]
+    assert bench.graph.landmarks.tolist() == [0, 1, 2, 3]
+
+
+def test_a_vehicle_that_is_parked_stays():
+    bench = drive_past_a_vehicle(0.0, 40)
+    assert bench.states() == [LandmarkState.CONFIRMED] * 5
+    assert bench.graph.landmarks.tolist() == [0, 1, 2, 3, 4]
+
+
+def test_a_jump_of_the_odometry_lets_go_of_the_landmarks_in_view():
+    bench = Bench()
+    bench.drive(10)
+    keyframe = bench.move(1.0, 5000.0)
+    assert keyframe is not None
+    assert LandmarkState.TENTATIVE not in bench.states()
+    assert bench.see(1.0, OBJECTS + np.array([5000.0, 0, 0])).created.all()
+    bench.graph.update()
+    last = bench.graph.to_record(0, np.zeros(len(bench.mapper.keyframes), dtype=np.int64)).edge_covariances[-1]
+    assert np.sqrt(last[3, 3]) >= BREAK_SIGMA_M
+
+
+def test_every_detection_of_the_message_has_its_place_in_the_associations():
+    bench = Bench()
+    bench.move(0.0)
+    pose = bench.track.latest
+    used = np.array([False, True, True, False])
+    own = np.ones(2, dtype=np.bool_)
+    scan = Scan(0, "lidar", OBJECTS[1:3], np.tile(0.04 * np.eye(3), (2, 1, 1)), LABELS[1:3], used, own)
+    associations = bench.mapper.add_scan(scan, pose)
+    assert associations.landmark_ids == ("", "0", "1", "")
+    assert associations.created.tolist() == [False, True, True, False]
+
+
+def test_scans_without_detections():
+    bench = Bench()
+    for associations in bench.drive(10, objects=OBJECTS[:0], labels=()):
+        assert associations.landmark_ids == ()
+    assert len(bench.map) == 0
+    bench.mapper.close_keyframe()

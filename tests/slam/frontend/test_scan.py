@@ -1,0 +1,117 @@
+"""A message of detections made ready: limits, noise and frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from logs.messages import ObjectDetections, Transform
+from slam.common.config import DetectionConfig
+from slam.common.geometry import apply, invert, make_transform
+from slam.frontend.scan import SensorFrames, make_scan
+from tests.logs.examples import random_detections, random_transform
+
+
+def detections(positions, *, scores=None, covariances=None) -> ObjectDetections:
+    positions = np.array(positions, dtype=float).reshape(-1, 3)
+    scores = np.ones(len(positions)) if scores is None else np.array(scores)
+    labels = tuple(f"object {i}" for i in range(len(positions)))
+    return ObjectDetections(5, "lidar", positions, labels, scores, covariances)
+
+
+def test_what_is_too_far_or_too_doubtful_is_left_out_and_the_limits_themselves_are_in():
+    config = DetectionConfig(max_range_m=10.0, min_score=0.5)
+    message = detections([[10, 0, 0], [10.001, 0, 0], [1, 0, 0], [2, 0, 0]], scores=[1.0, 1.0, 0.5, 0.499])
+    scan = make_scan(message, np.eye(4), config)
+    assert scan.used.tolist() == [True, False, True, False]
+    assert scan.labels == ("object 0", "object 2")
+    np.testing.assert_array_equal(scan.positions, [[10, 0, 0], [1, 0, 0]])
+    assert scan.stamp_ns == 5
+
+
+def test_without_covariances_the_noise_grows_with_the_range():
+    scan = make_scan(
+        detections([[0, 0, 0], [0, 30, 40]]), np.eye(4), DetectionConfig(base_sigma_m=0.2, sigma_per_m=0.01)
+    )
+    np.testing.assert_allclose(scan.covariances, [0.2**2 * np.eye(3), 0.7**2 * np.eye(3)])
+    assert not scan.has_own_covariance.any()
+
+
+def test_positions_and_covariances_turn_into_the_body_frame():
+    rng = np.random.default_rng(0)
+    T_body_sensor = random_transform(rng)
+    message = random_detections(rng, 6)
+    scan = make_scan(message, T_body_sensor, DetectionConfig(min_sigma_m=0.0))
+    assert scan.has_own_covariance.all()
+    np.testing.assert_allclose(scan.positions, apply(T_body_sensor, message.positions))
+    for turned, own in zip(scan.covariances, message.covariances, strict=True):
+        step = np.linalg.cholesky(own)
+        ends = apply(make_transform(T_body_sensor[:3, :3], np.zeros(3)), step.T)
+        np.testing.assert_allclose(turned, ends.T @ ends, atol=1e-12)
+
+
+def test_the_range_is_counted_from_the_body_wherever_the_frame_of_the_message_is():
+    T_body_odom = make_transform(np.eye(3), np.array([-1000.0, 0, 0]))
+    scan = make_scan(detections([[1020, 0, 0], [5, 0, 0]]), T_body_odom, DetectionConfig())
+    assert scan.used.tolist() == [True, False]
+    np.testing.assert_allclose(
+        scan.covariances, make_scan(detections([[20, 0, 0]]), np.eye(4), DetectionConfig()).covariances
+    )
+
+
+def test_one_unknown_covariance_leaves_the_others_as_they_are():
+    own = np.stack([0.3**2 * np.eye(3), np.zeros((3, 3))])
+    scan = make_scan(detections([[10, 0, 0], [10, 0, 0]], covariances=own), np.eye(4), DetectionConfig(min_sigma_m=0.0))
+    assert scan.has_own_covariance.tolist() == [True, False]
+    np.testing.assert_allclose(scan.covariances, [0.3**2 * np.eye(3), 0.3**2 * np.eye(3)])
+
+
+def test_no_detector_is_right_to_less_than_the_floor():
+    scan = make_scan(detections([[10, 0, 0]], covariances=1e-18 * np.eye(3)[None]), np.eye(4), DetectionConfig())
+    assert np.sqrt(scan.covariances[0, 0, 0]) == pytest.approx(DetectionConfig().min_sigma_m)
+
+
+@pytest.mark.parametrize("covariances", [None, np.zeros((0, 3, 3))])
+def test_an_empty_message_is_an_empty_scan(covariances):
+    scan = make_scan(detections([], covariances=covariances), np.eye(4), DetectionConfig())
+    assert scan.positions.shape == (0, 3)
+    assert scan.covariances.shape == (0, 3, 3)
+    assert scan.labels == ()
+
+
+def frames(**T: np.ndarray) -> SensorFrames:
+    """Frames from ``parent__child=T_parent_child``."""
+    found = SensorFrames()
+    for names, transform in T.items():
+        parent, child = names.split("__")
+        found.add(Transform(0, parent, child, transform))
+    return found
+
+
+def test_a_chain_of_transforms_is_followed_in_both_directions():
+    rng = np.random.default_rng(1)
+    T_base_mast, T_mast_lidar, T_camera_lidar = (random_transform(rng) for _ in range(3))
+    found = frames(base__mast=T_base_mast, mast__lidar=T_mast_lidar, camera__lidar=T_camera_lidar)
+    np.testing.assert_allclose(found.find("base", "lidar"), T_base_mast @ T_mast_lidar)
+    np.testing.assert_allclose(found.find("base", "camera"), T_base_mast @ T_mast_lidar @ invert(T_camera_lidar))
+    np.testing.assert_allclose(found.find("lidar", "base") @ found.find("base", "lidar"), np.eye(4), atol=1e-9)
+
+
+def test_what_nothing_connects_is_not_found():
+    found = frames(base__mast=np.eye(4), world__lidar=np.eye(4))
+    assert found.find("base", "lidar") is None
+    assert found.find("nowhere", "lidar") is None
+    np.testing.assert_array_equal(SensorFrames().find("base", "base"), np.eye(4))
+
+
+def test_a_later_transform_replaces_the_earlier_one():
+    T = make_transform(np.eye(3), np.array([1.0, 2.0, 3.0]))
+    found = frames(base__lidar=np.eye(4))
+    found.add(Transform(1, "base", "lidar", T))
+    np.testing.assert_array_equal(found.find("base", "lidar"), T)
+
+
+def test_frames_in_a_circle_end():
+    found = frames(a__b=np.eye(4), b__c=np.eye(4), c__a=np.eye(4))
+    np.testing.assert_array_equal(found.find("a", "c"), np.eye(4))
+    assert found.find("a", "d") is None

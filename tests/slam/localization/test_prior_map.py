@@ -1,0 +1,216 @@
+"""A map taken into a graph: one that moves with it, and one that stays as it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import Edge, Factor, Observation, bearing_range_factor, bearing_range_factors
+from slam.common.arrays import FloatArray
+from slam.common.config import AssociationConfig, FactorGraphConfig
+from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.localization.prior_map import restore
+from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
+from slam.object_map.map_io import SavedMap, confirmed
+
+CONFIG = FactorGraphConfig(observation_kernel="none")
+SURE = np.diag(np.repeat([1e-4, 1e-4], 3))
+LOOSE = np.diag(np.repeat([0.1, 4.0], 3))
+SEEN = 0.05**2 * np.eye(3)
+OBJECTS = np.array([[4.0, 3.0, 0.5], [6.0, -4.0, 1.0], [9.0, 2.0, 0.0], [12.0, -3.0, 0.4]])
+POSES = transform_from_xyz_yaw(np.array([[0.0, 0, 0], [2.0, 0, 0], [4.0, 0, 0]]), np.zeros(3))
+NEW_POSE = transform_from_xyz_yaw(np.array([[5.0, 1.0, 0.0]]), np.array([0.3]))[0]
+OFFSET = np.array([0.2, -0.1, 0.1])
+"""By how much the drive sees everything beside where the map has it."""
+
+
+def seen_from(T: FloatArray, keyframe: int, rows: dict[int, FloatArray]) -> list[Observation]:
+    return [Observation(keyframe, row, apply(invert(T), at[None])[0], SEEN) for row, at in rows.items()]
+
+
+@pytest.fixture
+def saved() -> SavedMap:
+    object_map = ObjectMap(AssociationConfig())
+    labels = object_map.label_indices(("tree", "lamp", "tree", "bench"))
+    rows = object_map.add(OBJECTS, np.tile(SEEN, (4, 1, 1)), labels, stamp_ns=5, scan=0, travel_m=0.0)
+    object_map.confirm(rows)
+    graph = FactorGraph(CONFIG)
+    graph.add_first_keyframe(0, POSES[0])
+    for k in (1, 2):
+        graph.add_next_keyframe(Edge(k - 1, k, invert(POSES[k - 1]) @ POSES[k], SURE, "odometry"))
+    for k, T in enumerate(POSES):
+        graph.add_observations(seen_from(T, k, dict(enumerate(OBJECTS))))
+    graph.optimize()
+    object_map.rows["position_map"] = graph.landmark_positions(rows)
+    object_map.rows["covariance_map"] = graph.landmark_covariances(rows)
+    return SavedMap(confirmed(object_map.to_record(9)), graph.to_record(9, np.arange(3)))
+
+
+def loaded(saved: SavedMap, *, fixed: bool) -> tuple[ObjectMap, FactorGraph]:
+    object_map, graph = ObjectMap(AssociationConfig()), FactorGraph(CONFIG)
+    assert [keyframe.id for keyframe in restore(saved, object_map, graph, fixed=fixed)] == [0, 1, 2]
+    return object_map, graph
+
+
+def see_again(graph: FactorGraph) -> None:
+    """A fourth keyframe, placed wrongly by a metre, that sees objects 4 to 7, which are landmarks 0 to 3 of the map."""
+    wrong = transform_from_xyz_yaw(np.array([[6.0, 0.5, 0.0]]), np.array([0.2]))[0]
+    graph.add_next_keyframe(Edge(2, 3, invert(POSES[2]) @ wrong, LOOSE, "odometry"))
+    graph.add_observations(seen_from(NEW_POSE, 3, {4 + row: at + OFFSET for row, at in enumerate(OBJECTS)}))
+    graph.update()
+    for row in range(4):
+        graph.merge_landmarks(row, 4 + row)
+    graph.optimize()
+
+
+def test_a_map_comes_back_as_the_graph_that_it_was(saved: SavedMap) -> None:
+    object_map, graph = loaded(saved, fixed=False)
+    np.testing.assert_allclose(graph.poses(), saved.graph.T_map_body, atol=1e-6)
+    np.testing.assert_allclose(graph.landmark_positions(np.arange(4)), saved.objects.positions, atol=1e-6)
+    np.testing.assert_allclose(
+        graph.landmark_covariances(np.arange(4)), saved.objects.covariances, rtol=1e-3, atol=1e-9
+    )
+    assert object_map.in_state(LandmarkState.CONFIRMED).tolist() == [0, 1, 2, 3]
+
+
+def test_observations_that_share_their_errors_come_back_as_robust_as_they_were() -> None:
+    """An object seen far beside where others see it: the kernel, narrowed by redundancy, shuts it out."""
+    config = FactorGraphConfig(observation_kernel="cauchy")
+    graph = FactorGraph(config)
+    graph.add_first_keyframe(0, POSES[0])
+    for k in (1, 2):
+        graph.add_next_keyframe(Edge(k - 1, k, invert(POSES[k - 1]) @ POSES[k], SURE, "odometry"))
+    for k, T in enumerate(POSES):
+        places = dict(enumerate(OBJECTS + (k == 2) * np.array([0.0, 1.0, 0.0])))
+        graph.add_observations([replace(each, redundancy=500.0) for each in seen_from(T, k, places)])
+    graph.optimize()
+    before = graph.landmark_positions(np.arange(4))
+    objects = ObjectMap(AssociationConfig())
+    rows = objects.add(
+        before, np.tile(SEEN, (4, 1, 1)), objects.label_indices(("tree",) * 4), stamp_ns=5, scan=0, travel_m=0.0
+    )
+    objects.confirm(rows)
+    objects.rows["position_map"] = before
+    again = FactorGraph(config)
+    restore(
+        SavedMap(objects.to_record(9), graph.to_record(9, np.arange(3))),
+        ObjectMap(AssociationConfig()),
+        again,
+        fixed=False,
+    )
+    again.optimize()
+    np.testing.assert_allclose(again.landmark_positions(np.arange(4)), before, atol=1e-4)
+    # Neither is it the mean of all three, which a kernel of the wide covariance would make it.
+    assert np.abs(before[:, 1] - OBJECTS[:, 1]).max() < 0.2
+
+
+def test_landmarks_of_a_map_that_stays_as_it_is_do_not_move(saved: SavedMap) -> None:
+    _, graph = loaded(saved, fixed=True)
+    see_again(graph)
+    assert graph.landmarks.tolist() == []
+    np.testing.assert_array_equal(graph.poses()[:3], saved.graph.T_map_body)
+    np.testing.assert_allclose(graph.landmark_positions(np.arange(4)), saved.objects.positions, atol=1e-3)
+
+
+def test_and_they_tell_where_the_robot_is(saved: SavedMap) -> None:
+    """Everything is seen beside where the map has it, so the robot is that far beside where it is, the other way."""
+    _, graph = loaded(saved, fixed=True)
+    see_again(graph)
+    np.testing.assert_allclose(graph.pose(3)[:3, 3], NEW_POSE[:3, 3] - OFFSET, atol=0.03)
+
+
+def test_twin_landmarks_of_a_map_that_is_extended_move(saved: SavedMap) -> None:
+    _, graph = loaded(saved, fixed=False)
+    before = graph.landmark_positions(np.arange(4))
+    graph.add_next_keyframe(Edge(2, 3, invert(POSES[2]) @ NEW_POSE, SURE, "odometry"))
+    graph.add_observations(seen_from(NEW_POSE, 3, {row: at + OFFSET for row, at in enumerate(OBJECTS)}))
+    graph.optimize()
+    assert np.linalg.norm(graph.landmark_positions(np.arange(4)) - before, axis=1).min() > 0.01
+
+
+def test_what_was_merged_into_such_a_map_can_be_taken_apart_again(saved: SavedMap) -> None:
+    _, graph = loaded(saved, fixed=True)
+    numbers = set(graph.factors)
+    see_again(graph)
+    for row in range(4):
+        graph.split_landmark(4 + row)
+    graph.update()
+    assert graph.landmarks.tolist() == [4, 5, 6, 7]
+    left: list[Factor] = [factor for number, factor in graph.factors.items() if number not in numbers]
+    assert {type(factor).__name__ for factor in left} == {"Edge", "Observation"}
+    graph.optimize()
+    for row in range(4):
+        graph.merge_landmarks(row, 4 + row)
+    graph.optimize()
+    assert graph.landmarks.tolist() == []
+    np.testing.assert_allclose(graph.pose(3)[:3, 3], NEW_POSE[:3, 3] - OFFSET, atol=0.03)
+
+
+def test_such_a_map_does_not_move_with_a_session_that_is_joined_to_it(saved: SavedMap) -> None:
+    _, graph = loaded(saved, fixed=True)
+    see_again(graph)
+    far = transform_from_xyz_yaw(np.array([[40.0, 9.0, 0.0]]), np.array([1.0]))[0]
+    graph.add_joining_edge(Edge(0, 3, far, SURE, "closure"), np.array([3]))
+    np.testing.assert_array_equal(graph.poses()[:3], saved.graph.T_map_body)
+    np.testing.assert_allclose(graph.landmark_positions(np.arange(4)), saved.objects.positions, atol=0.05)
+
+
+# A landmark that ends takes along what was merged into it
+
+
+def test_removing_a_landmark_removes_what_was_merged_into_it(saved: SavedMap) -> None:
+    _, graph = loaded(saved, fixed=False)
+    graph.merge_landmarks(0, 2)
+    graph.merge_landmarks(1, 0)
+    graph.remove_landmark(1)
+    graph.update()
+    assert graph.landmarks.tolist() == [3]
+    assert set(graph.to_record(9, np.arange(3)).observation_landmark_ids) == {"3"}
+
+
+def test_twin_removing_what_was_merged_leaves_what_it_became_part_of(saved: SavedMap) -> None:
+    _, graph = loaded(saved, fixed=False)
+    graph.merge_landmarks(0, 2)
+    graph.remove_landmark(2)
+    graph.update()
+    assert graph.landmarks.tolist() == [0, 1, 3]
+    seen = graph.to_record(9, np.arange(3)).observation_landmark_ids
+    assert seen.count("0") == 3
+
+
+def test_retiring_a_landmark_retires_what_was_merged_into_it(saved: SavedMap) -> None:
+    object_map, _ = loaded(saved, fixed=False)
+    object_map.merge(0, 2)
+    object_map.retire(np.array([0]), RetirementReason.GONE)
+    assert object_map.rows["state"].tolist() == [2, 1, 2, 1]
+    assert object_map.to_record(9).reasons == ("gone", "", "merged into 0", "")
+
+
+def test_twin_retiring_what_was_merged_leaves_the_other(saved: SavedMap) -> None:
+    object_map, _ = loaded(saved, fixed=False)
+    object_map.merge(0, 2)
+    object_map.retire(np.array([2]), RetirementReason.MOVING)
+    assert object_map.rows["state"].tolist() == [1, 1, 2, 1]
+
+
+# Many factors at once
+
+
+def test_factors_made_at_once_are_those_made_one_by_one() -> None:
+    rng = np.random.default_rng(5)
+    observations = []
+    for row in range(30):
+        A = rng.normal(size=(3, 3))
+        observations.append(
+            Observation(0, row, rng.uniform(1.0, 20.0, 3), A @ A.T + 0.01 * np.eye(3), float(rng.choice([1.0, 500.0])))
+        )
+    config = FactorGraphConfig(observation_kernel="cauchy")
+    together = bearing_range_factors(observations, config)
+    for observation, factor in zip(observations, together, strict=True):
+        assert factor.equals(bearing_range_factor(observation, config), 1e-12)
+    other = replace(observations[0], covariance=2.0 * observations[0].covariance)
+    assert not together[0].equals(bearing_range_factor(other, config), 1e-12)
+    assert bearing_range_factors([], config) == []

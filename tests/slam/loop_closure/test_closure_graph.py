@@ -1,0 +1,211 @@
+"""Closures in the graph and in the map: what inserting them ties together, withdrawing them sets free again."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from slam.backend.factor_graph import Edge, FactorGraph, Observation
+from slam.common.arrays import FloatArray
+from slam.common.config import AssociationConfig, FactorGraphConfig
+from slam.common.geometry import transform_from_xyz_yaw
+from slam.loop_closure.closure_graph import ClosedLoops
+from slam.object_map.landmarks import LandmarkState, ObjectMap
+from slam.odometry.keyframe import Keyframe
+from slam.odometry.track import OdometryPose
+from tests.helpers.candidates import make_candidate
+
+STATIONS = 5
+SPACING_M = 10.0
+PASS_M = 300.0
+PASSES = 3
+DRIFT_M = 3.0
+
+
+def pose(x_m: float) -> FloatArray:
+    return transform_from_xyz_yaw(np.array([x_m, 0.0, 0.0]), 0.0)
+
+
+def edge(a: int, b: int, x_m: float, sigma_m: float) -> Edge:
+    return Edge(a, b, pose(x_m), np.diag(np.repeat([1e-4, sigma_m**2], 3)), "odometry")
+
+
+class Street:
+    """A street of five objects driven three times; each pass sees them as its own and begins where it really began,
+    but the odometry puts it 3 m ahead. Keyframe and landmark ``5 * pass + station`` belong together.
+    """
+
+    def __init__(self) -> None:
+        self.map = ObjectMap(AssociationConfig())
+        self.graph = FactorGraph(FactorGraphConfig(observation_kernel="none"))
+        self.keyframes: list[Keyframe] = []
+        self.loops = ClosedLoops(self.map, self.graph, self.keyframes)
+        self.graph.add_first_keyframe(0, pose(0.0))
+        for number in range(PASSES * STATIONS):
+            self._visit(number)
+        self.map.confirm(np.arange(PASSES * STATIONS))
+        self.graph.update()
+
+    def _visit(self, number: int) -> None:
+        drive, station = divmod(number, STATIONS)
+        if number > 0:
+            back_m = SPACING_M if station else DRIFT_M - (STATIONS - 1) * SPACING_M
+            self.graph.add_next_keyframe(edge(number - 1, number, back_m, 0.01 if station else 5.0))
+        odom_m = drive * DRIFT_M + station * SPACING_M
+        labels = self.map.label_indices(("lamp" if station % 2 else "tree",))
+        travel_m = drive * PASS_M + station * SPACING_M
+        self.keyframes.append(Keyframe(number, OdometryPose(10**9 * number, pose(odom_m), travel_m, 0, 5.0)))
+        self.map.add(
+            np.array([[odom_m, 4.0, 0.0]]),
+            0.01 * np.eye(3)[None],
+            labels,
+            stamp_ns=10**9 * number,
+            scan=number,
+            travel_m=travel_m,
+        )
+        seen = Observation(number, number, np.array([0.0, 4.0, 0.0]), 0.01 * np.eye(3))
+        self.graph.add_observations([seen])
+
+    def close(self, query: int, reference: int, pairs: list[tuple[int, int]]) -> None:
+        apart_m = (query % STATIONS - reference % STATIONS) * SPACING_M
+        candidate = make_candidate(
+            query=query,
+            reference=reference,
+            travel_m=query // STATIONS * PASS_M + query % STATIONS * SPACING_M,
+            T_reference_query=pose(apart_m),
+            sigma=0.3,
+            pairs=pairs,
+        )
+        self.loops.insert(candidate)
+        self.graph.update()
+
+    def names(self) -> list[int]:
+        return [self.map.current(row) for row in range(len(self.map))]
+
+    def facts(self) -> dict[str, object]:
+        """All that the records of the map and the graph say, in an order of its own, estimates apart."""
+        count = PASSES * STATIONS
+        graph = self.graph.to_record(0, np.arange(count))
+        said = self.map.to_record(0)
+        edges = zip(
+            graph.edge_keyframe_ids.tolist(), graph.edge_kinds, graph.edge_transforms[:, 0, 3].tolist(), strict=True
+        )
+        observations = zip(graph.observation_keyframe_ids.tolist(), graph.observation_landmark_ids, strict=True)
+        return {
+            "edges": sorted(edges),
+            "observations": sorted(observations),
+            "landmarks": self.graph.landmarks.tolist(),
+            "map": {field.name: np.asarray(getattr(said, field.name)).tolist() for field in fields(said)},
+        }
+
+    def estimate(self) -> FloatArray:
+        self.graph.optimize()
+        return np.concatenate([self.graph.poses()[:, :3, 3], self.graph.landmark_positions(self.graph.landmarks)])
+
+
+@pytest.fixture
+def street() -> Street:
+    return Street()
+
+
+SAME_STATIONS = [(STATIONS + station, station) for station in range(STATIONS)]
+
+
+def test_a_closure_ties_its_keyframes_together_as_it_says(street):
+    assert street.graph.pose(7)[0, 3] == pytest.approx(2 * SPACING_M + DRIFT_M, abs=1e-3)
+    street.close(7, 1, [])
+    street.graph.optimize()
+    assert street.graph.pose(7)[0, 3] - street.graph.pose(1)[0, 3] == pytest.approx(SPACING_M, abs=0.05)
+    record = street.graph.to_record(0, np.arange(PASSES * STATIONS))
+    ids = record.edge_keyframe_ids[np.array(record.edge_kinds) == "closure"]
+    np.testing.assert_array_equal(ids, [[1, 7]])
+
+
+def test_a_closure_makes_one_landmark_of_the_two_that_meet(street):
+    street.close(7, 2, SAME_STATIONS)
+    assert street.names() == [*range(5), *range(5), *range(10, 15)]
+    assert street.graph.landmarks.tolist() == [*range(5), *range(10, 15)]
+    record = street.map.to_record(0)
+    assert record.reasons[7] == "merged into 2"
+    assert record.states[7] == "retired"
+    assert record.observation_counts.tolist()[:5] == [2] * 5
+
+
+def test_merged_landmarks_alone_hold_the_passes_together(street):
+    street.close(7, 2, SAME_STATIONS)
+    street.graph.remove_factor(street.loops.loops[0].factor)
+    street.graph.update()
+    assert street.graph.pose(8)[0, 3] == pytest.approx(3 * SPACING_M, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    "closures",
+    [
+        [(7, 2, [(6, 1), (7, 1)])],
+        [(7, 2, [(6, 1)]), (8, 1, [(7, 1)])],
+        [(12, 2, [(11, 1)]), (13, 8, [(12, 11)])],
+        [(9, 5, [(9, 5), (5, 9)])],
+    ],
+    ids=["by one closure", "by two", "by way of a third", "of the query's own pass"],
+)
+def test_two_objects_of_one_pass_never_become_one(street, closures):
+    for closure in closures:
+        street.close(*closure)
+    names = street.names()
+    for drive in range(PASSES):
+        assert len(set(names[STATIONS * drive : STATIONS * (drive + 1)])) == STATIONS
+
+
+def test_a_retired_landmark_is_merged_with_nothing(street):
+    street.map.rows["state"][2] = LandmarkState.RETIRED
+    street.close(7, 2, [(7, 2)])
+    assert street.names() == list(range(PASSES * STATIONS))
+
+
+def test_withdrawing_a_closure_restores_the_graph_and_the_map(street):
+    before, estimate = street.facts(), street.estimate()
+    street.close(7, 2, SAME_STATIONS)
+    assert street.facts() != before
+    assert np.abs(street.estimate()[: PASSES * STATIONS] - estimate[: PASSES * STATIONS]).max() > 2.0
+    street.loops.withdraw([street.loops.loops[0]])
+    assert street.loops.loops == []
+    assert street.facts() == before
+    np.testing.assert_allclose(street.estimate(), estimate, atol=1e-3)
+
+
+def test_withdrawing_one_of_two_closures_leaves_the_other(street):
+    street.close(7, 2, SAME_STATIONS)
+    only = street.facts()
+    street.close(12, 2, [(10 + station, station) for station in range(STATIONS)])
+    street.loops.withdraw([street.loops.loops[1]])
+    assert street.facts() == only
+
+
+def test_withdrawing_closures_in_the_order_of_their_insertion_restores_everything(street):
+    before = street.facts()
+    street.close(7, 2, SAME_STATIONS)
+    street.close(12, 7, [(10 + station, STATIONS + station) for station in range(STATIONS)])
+    assert set(street.names()) == set(range(STATIONS))
+    for loop in list(street.loops.loops):
+        street.loops.withdraw([loop])
+    assert street.facts() == before
+
+
+def test_what_a_closure_merged_stays_merged_where_one_that_it_built_on_is_withdrawn(street):
+    street.close(7, 2, [(7, 2)])
+    street.close(12, 7, [(12, 7)])
+    street.loops.withdraw([street.loops.loops[0]])
+    names = street.names()
+    assert names[12] == names[7] != names[2]
+
+
+def test_the_nearest_closure_is_the_one_nearest_in_travel(street):
+    assert street.loops.nearest(0.0) is None
+    street.close(6, 1, [])
+    street.close(9, 1, [])
+    for travel_m, query in ((PASS_M, 6), (PASS_M + 24.0, 6), (PASS_M + 26.0, 9), (900.0, 9)):
+        found = street.loops.nearest(travel_m)
+        assert found is not None
+        assert found.candidate.query == query

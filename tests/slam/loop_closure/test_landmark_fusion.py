@@ -1,0 +1,103 @@
+"""Landmarks that stand at one place become one; whatever speaks for two keeps them apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import Edge, Observation
+from slam.common.config import AssociationConfig, FactorGraphConfig
+from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.loop_closure.landmark_fusion import find_coincident, merge_coincident
+from slam.object_map.landmarks import ObjectMap
+
+KEYFRAMES = 6
+SURE = 1e-6 * np.eye(6)
+SEEN = 0.1**2 * np.eye(3)
+Seen = tuple[str, tuple[float, float, float], tuple[int, ...]]
+"""Class, place in the map and observing keyframes of a landmark."""
+
+
+def mapped(landmarks: list[Seen], tentative: tuple[int, ...] = ()) -> tuple[ObjectMap, FactorGraph]:
+    """A map of those landmarks, seen without noise along a straight street."""
+    object_map, graph = ObjectMap(AssociationConfig()), FactorGraph(FactorGraphConfig(observation_kernel="none"))
+    T = transform_from_xyz_yaw(np.arange(KEYFRAMES)[:, None] * [2.0, 0.0, 0.0], np.zeros(KEYFRAMES))
+    graph.add_first_keyframe(0, T[0])
+    for k in range(1, KEYFRAMES):
+        graph.add_next_keyframe(Edge(k - 1, k, invert(T[k - 1]) @ T[k], SURE, "odometry"))
+    places = np.array([place for _, place, _ in landmarks])
+    labels = object_map.label_indices(tuple(label for label, _, _ in landmarks))
+    rows = object_map.add(places, np.tile(SEEN, (len(landmarks), 1, 1)), labels, stamp_ns=0, scan=0, travel_m=0.0)
+    object_map.confirm(np.setdiff1d(rows, tentative))
+    for row, (_, place, keyframes) in enumerate(landmarks):
+        seen = [Observation(k, row, apply(invert(T[k]), np.array([place]))[0], SEEN) for k in keyframes]
+        graph.add_observations(seen)
+    graph.optimize()
+    return object_map, graph
+
+
+def found(landmarks: list[Seen], keyframes: range = range(KEYFRAMES), **more: tuple[int, ...]) -> list[tuple[int, int]]:
+    return find_coincident(*mapped(landmarks, **more), keyframes, radius_m=0.7)
+
+
+FIRST: Seen = ("tree", (5.0, 4.0, 0.0), (0, 1, 2))
+
+
+def test_one_object_that_two_passes_saw_is_one() -> None:
+    assert found([FIRST, ("tree", (5.3, 3.8, 0.2), (3, 4))]) == [(0, 1)]
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        pytest.param(("lamp", (5.3, 3.8, 0.2), (3, 4)), id="another class"),
+        pytest.param(("tree", (5.8, 4.0, 0.2), (3, 4)), id="too far"),
+        pytest.param(("tree", (5.3, 3.8, 1.5), (3, 4)), id="above it"),
+        pytest.param(("tree", (5.3, 3.8, 0.2), (2, 3)), id="seen beside it"),
+    ],
+)
+def test_twin_what_speaks_for_two_keeps_two(other: Seen) -> None:
+    assert found([FIRST, other]) == []
+
+
+def test_what_is_not_confirmed_or_not_well_placed_is_left() -> None:
+    pair = [FIRST, ("tree", (5.3, 3.8, 0.2), (3, 4))]
+    assert found(pair, tentative=(1,)) == []
+    assert found(pair, keyframes=range(4)) == [(0, 1)]
+    assert found(pair, keyframes=range(3)) == []
+
+
+def test_only_nearest_neighbours_are_one_at_a_time() -> None:
+    """The second is nearer to the third, which the first was seen beside."""
+    landmarks = [FIRST, ("tree", (5.5, 4.0, 0.0), (3,)), ("tree", (5.6, 4.0, 0.0), (2, 4))]
+    assert found(landmarks) == [(1, 2)]
+
+
+def test_three_passes_make_one_landmark_and_what_stands_alone_stays() -> None:
+    landmarks = [
+        FIRST,
+        ("tree", (5.2, 4.0, 0.0), (3,)),
+        ("tree", (5.05, 4.1, 0.0), (4, 5)),
+        ("tree", (9.0, 4.0, 0.0), (4, 5)),
+    ]
+    object_map, graph = mapped(landmarks)
+    assert merge_coincident(object_map, graph, range(KEYFRAMES), radius_m=0.7) == 2
+    graph.optimize()
+    assert graph.landmarks.tolist() == [0, 3]
+    assert graph.observers() == {0: {0, 1, 2, 3, 4, 5}, 3: {4, 5}}
+    assert [object_map.current(row) for row in range(4)] == [0, 0, 0, 3]
+    # Three observations at 5.0, one at 5.2 and two at 5.05: the landmark is between, as sure as all six together.
+    np.testing.assert_allclose(graph.landmark_positions(np.array([0]))[0, 0], 5.05, atol=0.03)
+    assert merge_coincident(object_map, graph, range(KEYFRAMES), radius_m=0.7) == 0
+
+
+def test_what_stays_as_it_is_is_not_merged_among_itself() -> None:
+    object_map, _ = mapped([FIRST, ("tree", (5.3, 3.8, 0.2), (3, 4))])
+    graph = FactorGraph(FactorGraphConfig())
+    T = np.tile(np.eye(4), (2, 1, 1))
+    graph.hold([0, 1], T, {0: np.array([5.0, 4, 0]), 1: np.array([5.3, 3.8, 0.2])})
+    for row in (0, 1):
+        graph.add_observations([Observation(row, row, np.array([5.0, 4.0, 0.0]), SEEN)])
+    graph.update()
+    assert find_coincident(object_map, graph, range(2), radius_m=0.7) == []

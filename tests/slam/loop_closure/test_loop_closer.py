@@ -1,0 +1,218 @@
+"""Loop closing from log to log: what it finds, what it makes better, and what it says of every candidate.
+
+Each expectation has a twin in which one part is made useless, and in which it must fail.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from logs.closures import STAGES
+from slam.common.config import Config
+from slam.replay import replay
+from slam.simulation.config import KidnapConfig
+from tests.helpers.loop_drives import (
+    BELIEVE_EVERYTHING,
+    ONE_BLOCK_ROUND_M,
+    TWO_BLOCKS_ROUND_M,
+    Outcome,
+    one_block,
+    replay_drive,
+    rows_of_lamps,
+    two_blocks,
+    winding_street,
+    with_objects,
+)
+from tests.helpers.short_drives import final_status
+
+# So that each keyframe depends on the descriptors alone, and no lucky find spreads to its neighbours.
+ONE_TRY = {"neighbours": 1, "places": 2, "follow_travel_m": 0.0}
+
+
+@pytest.fixture(scope="module")
+def looped(tmp_path_factory) -> Outcome:
+    """Two blocks, of which much is driven again, with the default configuration."""
+    return replay_drive(tmp_path_factory.mktemp("looped"), two_blocks())
+
+
+@pytest.fixture(scope="module")
+def open_ended(tmp_path_factory) -> Outcome:
+    """The same without closing loops."""
+    return replay_drive(tmp_path_factory.mktemp("open"), two_blocks(), enabled=False)
+
+
+@pytest.fixture(scope="module")
+def straying(tmp_path_factory) -> Outcome:
+    """A drive that never comes back."""
+    return replay_drive(tmp_path_factory.mktemp("straying"), winding_street())
+
+
+@pytest.fixture(scope="module")
+def sparse_lamps(tmp_path_factory) -> Outcome:
+    """Two streets that only the odometry can tell apart."""
+    return replay_drive(tmp_path_factory.mktemp("lamps"), rows_of_lamps(20.0))
+
+
+# What it finds
+
+
+def test_loops_are_closed_in_both_directions_and_all_of_them_are_right(looped):
+    assert looped.closures.precision == 1.0
+    assert looped.closures.true_count > 50
+    for direction, least in (("same", 20), ("opposite", 40)):
+        assert looped.revisits.revisit_counts[direction] >= least
+        recall = looped.revisits.recall_of(direction)
+        assert recall is not None
+        assert recall >= 0.9
+
+
+def test_closures_are_exact(looped):
+    errors = looped.closures.errors
+    assert errors is not None
+    assert errors.median_translation_m < 0.5
+    assert errors.median_rotation_deg < 1.0
+
+
+def test_twin_a_descriptor_that_tells_nothing_recalls_little(tmp_path):
+    outcome = replay_drive(tmp_path, two_blocks(), descriptor="random", **ONE_TRY)
+    assert outcome.recall < 0.3
+
+
+@pytest.mark.parametrize("descriptor", ["ring_likelihood", "onion_histogram"])
+def test_each_keyframe_finds_its_place_by_descriptors_alone(tmp_path, descriptor):
+    outcome = replay_drive(tmp_path, two_blocks(), descriptor=descriptor, **ONE_TRY)
+    assert outcome.recall >= 0.8
+    assert outcome.closures.precision == 1.0
+
+
+# What it makes better
+
+
+def test_closures_make_the_trajectory_better(looped, open_ended):
+    assert looped.ate_m < 0.5 * open_ended.ate_m
+
+
+def test_closures_make_one_landmark_of_each_object(looped, open_ended):
+    per_object = [
+        outcome.evaluation.associations.mean_confirmed_landmarks_per_object for outcome in (looped, open_ended)
+    ]
+    assert per_object[0] < 1.2 < per_object[1]
+
+
+# What it leaves alone
+
+
+def test_a_drive_without_revisits_accepts_nothing(straying):
+    assert straying.revisits.revisit_count == 0
+    assert straying.closures.candidate_count > 100
+    assert straying.closures.accepted_count == 0
+
+
+def test_twin_without_a_verdict_a_drive_without_revisits_accepts_much_all_of_it_false(tmp_path):
+    outcome = replay_drive(tmp_path, winding_street(), **BELIEVE_EVERYTHING)
+    assert outcome.believed_count > 20
+    assert outcome.closures.true_count == 0
+
+
+def test_two_streets_of_lamps_in_dense_rows_are_not_taken_for_one(tmp_path):
+    outcome = replay_drive(tmp_path, rows_of_lamps(8.0))
+    assert outcome.revisits.revisit_count == 0
+    assert outcome.closures.candidate_count > 100
+    assert outcome.closures.accepted_count == 0
+
+
+def test_twin_without_a_verdict_two_streets_of_lamps_are_taken_for_one(tmp_path):
+    outcome = replay_drive(tmp_path, rows_of_lamps(8.0), **BELIEVE_EVERYTHING)
+    assert outcome.believed_count > 20
+    assert outcome.closures.true_count == 0
+
+
+def test_no_closure_between_two_streets_of_lamps_in_sparse_rows_stays_in_the_graph(sparse_lamps):
+    assert sparse_lamps.revisits.revisit_count == 0
+    assert sparse_lamps.closures.inserted_count == 0
+    assert "closure" not in sparse_lamps.graph.edge_kinds
+
+
+def test_two_streets_of_lamps_in_sparse_rows_are_not_taken_for_one(sparse_lamps):
+    assert sparse_lamps.believed_count == 0
+
+
+# What it says
+
+
+def test_every_candidate_has_a_stage_and_a_reason_unless_it_was_accepted_by_itself(looped, straying):
+    by_themselves = 0
+    for record in looped.records + straying.records:
+        assert record.stage in STAGES
+        assert record.accepted == (record.stage == "accepted")
+        by_themselves += record.accepted and not record.reason
+        assert record.accepted or record.reason
+        assert record.accepted or not record.inserted
+        assert record.reference_keyframe_id < record.query_keyframe_id
+        assert not record.accepted or record.T_reference_query is not None
+    assert by_themselves >= 1
+
+
+def test_every_keyframe_that_could_close_a_loop_has_a_verdict(looped):
+    graph = looped.graph
+    stamp_of = dict(zip(graph.keyframe_ids.tolist(), graph.keyframe_stamps_ns.tolist(), strict=True))
+    judged = {record.query_keyframe_id for record in looped.records}
+    late = [keyframe for keyframe in stamp_of if keyframe > min(judged)]
+    assert len(late) > 100
+    assert judged.issuperset(late)
+    for record in looped.records:
+        assert record.stamp_ns == stamp_of[record.query_keyframe_id]
+        if record.reference_keyframe_id >= 0:
+            assert record.reference_stamp_ns == stamp_of[record.reference_keyframe_id]
+
+
+def test_the_closures_in_the_graph_are_those_that_are_said_to_be_inserted(looped):
+    graph = looped.graph
+    is_closure = np.array(graph.edge_kinds) == "closure"
+    edges = {(int(reference), int(query)) for reference, query in graph.edge_keyframe_ids[is_closure]}
+    last = {(record.reference_keyframe_id, record.query_keyframe_id): record for record in looped.records}
+    assert edges == {pair for pair, record in last.items() if record.inserted}
+    assert 5 <= len(edges) < looped.closures.accepted_count
+
+
+def test_closing_no_loops_writes_no_candidates(open_ended):
+    assert open_ended.records == []
+    assert "closure" not in open_ended.graph.edge_kinds
+    assert open_ended.recall == 0.0
+
+
+def test_a_world_of_three_objects_is_mapped_and_the_ledger_says_why_no_loop_is_closed(tmp_path):
+    outcome = replay_drive(tmp_path, with_objects(two_blocks(), [0, 40, 70]))
+    assert final_status(outcome.path).counters["landmarks_confirmed"] >= 3
+    assert outcome.closures.accepted_count == 0
+    assert Counter(record.stage for record in outcome.records).keys() == {"retrieval"}
+    assert all("objects in view" in record.reason for record in outcome.records)
+
+
+def test_two_runs_write_the_same_bytes(looped, tmp_path):
+    replay(looped.path.with_name("in.mcap"), tmp_path / "out.mcap", Config())
+    assert (tmp_path / "out.mcap").read_bytes() == looped.path.read_bytes()
+
+
+# Breaks of the odometry
+
+
+def test_loops_are_closed_across_a_break_of_the_odometry(tmp_path):
+    """Taken from the far corner to the beginning, with the last street of the round never seen."""
+    kidnap = KidnapConfig(from_m=300.0, to_m=TWO_BLOCKS_ROUND_M, gap_s=30.0)
+    outcome = replay_drive(tmp_path, two_blocks(), kidnap=kidnap)
+    assert final_status(outcome.path).counters["odometry_breaks"] == 1
+    assert outcome.closures.precision == 1.0
+    assert outcome.recall >= 0.9
+    assert outcome.ate_m < 0.5
+
+
+@pytest.mark.parametrize("to_m", [60.0, 200.0])
+def test_after_a_break_what_was_seen_just_before_and_after_it_is_no_one_pass(tmp_path, to_m):
+    """It goes on from where it had been before; its odometry begins anew, with numbers that it had before, too."""
+    kidnap = KidnapConfig(from_m=ONE_BLOCK_ROUND_M, to_m=to_m, gap_s=30.0)
+    outcome = replay_drive(tmp_path, one_block(), kidnap=kidnap)
+    assert outcome.closures.precision == 1.0

@@ -1,0 +1,208 @@
+"""The object map: beliefs, life cycle, merges, and growth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from logs.writer import LogWriter
+from slam.common.config import AssociationConfig
+from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
+from tests.helpers.short_drives import records_of
+from tests.logs.examples import assert_same_record
+
+SECOND_NS = 1_000_000_000
+CONFIG = AssociationConfig(label_accuracy=0.8)
+
+
+def new_map(vocabulary: str = "abc", count: int = 1, positions=None) -> ObjectMap:
+    """A map of ``count`` landmarks of class "a", each seen once at time 0, scan 1."""
+    object_map = ObjectMap(CONFIG)
+    object_map.label_indices(tuple(vocabulary))
+    see_new(object_map, np.zeros((count, 3)) if positions is None else np.array(positions, dtype=float))
+    return object_map
+
+
+def see_new(object_map: ObjectMap, positions, label: int = 0):
+    count = len(positions)
+    P = np.tile(np.eye(3), (count, 1, 1))
+    return object_map.add(positions, P, np.full(count, label), stamp_ns=0, scan=1, travel_m=0.0)
+
+
+def see(
+    object_map: ObjectMap, row: int, label: int = 0, *, position=(0.0, 0.0, 0.0), seconds: float = 0.0, scan: int = 2
+):
+    object_map.record_sightings(
+        np.array([row]),
+        np.array([position]),
+        np.array([label]),
+        stamp_ns=round(seconds * SECOND_NS),
+        scan=scan,
+        travel_m=float(scan),
+    )
+
+
+@pytest.mark.parametrize("sightings", ["a", "aab", "abc", "bbbac", "c" * 12])
+def test_the_belief_is_bayes_rule_applied_label_by_label(sightings):
+    object_map = ObjectMap(CONFIG)
+    object_map.label_indices(("a", "b", "c"))
+    see_new(object_map, np.zeros((1, 3)), label="abc".index(sightings[0]))
+    for seen in sightings[1:]:
+        see(object_map, 0, "abc".index(seen))
+    posterior = np.full(3, 1 / 3)
+    for seen in sightings:
+        posterior = posterior * [0.8 if name == seen else 0.1 for name in "abc"]
+        posterior /= posterior.sum()
+    np.testing.assert_allclose(object_map.beliefs(np.array([0]))[0], posterior, atol=1e-12)
+
+
+def test_a_thousand_sightings_do_not_overflow():
+    object_map = new_map()
+    for _ in range(1000):
+        see(object_map, 0)
+    np.testing.assert_allclose(object_map.beliefs(np.array([0])), [[1.0, 0.0, 0.0]])
+
+
+def test_one_class_is_certain_and_none_has_no_columns():
+    assert new_map("a").beliefs(np.array([0])).tolist() == [[1.0]]
+    assert ObjectMap(CONFIG).beliefs(np.zeros(0, dtype=np.int64)).shape == (0, 0)
+
+
+def test_the_life_of_a_landmark():
+    object_map = new_map(count=4)
+    object_map.confirm(np.array([1, 2]))
+    object_map.retire(np.array([2]), RetirementReason.MOVING)
+    object_map.retire(np.array([3]), RetirementReason.NOT_CONFIRMED)
+    assert object_map.in_state(LandmarkState.TENTATIVE).tolist() == [0]
+    assert object_map.in_state(LandmarkState.CONFIRMED).tolist() == [1]
+    assert object_map.in_state(LandmarkState.RETIRED).tolist() == [2, 3]
+    record = object_map.to_record(5)
+    assert record.ids == ("0", "1", "2")
+    assert record.states == ("tentative", "confirmed", "retired")
+    assert record.reasons == ("", "", "moving")
+
+
+def test_sightings_are_counted_and_the_first_and_last_are_remembered():
+    object_map = new_map(count=2)
+    see(object_map, 1, seconds=2.0, scan=5)
+    see(object_map, 1, seconds=3.0, scan=9)
+    landmark = object_map.rows[1]
+    assert landmark["observations"] == 3
+    assert (landmark["first_scan"], landmark["last_scan"]) == (1, 9)
+    assert (landmark["first_seen_ns"], landmark["last_seen_ns"]) == (0, 3 * SECOND_NS)
+    assert landmark["last_seen_travel_m"] == 9.0
+    assert object_map.rows["observations"][0] == 1
+
+
+def line_of_sightings(object_map: ObjectMap, row: int, seconds, positions) -> None:
+    for t, position in zip(seconds, positions, strict=True):
+        see(object_map, row, position=position, seconds=float(t))
+
+
+def test_the_velocity_is_the_least_squares_line_through_all_sightings():
+    rng = np.random.default_rng(0)
+    t = np.concatenate([[0.0], np.sort(rng.uniform(0.1, 5.0, 30))])
+    p = t[:, None] * [1.5, -0.5, 0.0] + rng.normal(scale=0.2, size=(31, 3))
+    object_map = new_map(positions=p[:1])
+    line_of_sightings(object_map, 0, t[1:], p[1:])
+    np.testing.assert_allclose(object_map.velocities(np.array([0]))[0], np.polyfit(t, p, 1)[0], atol=1e-6)
+    expected = 0.2 / np.sqrt(np.sum((t - t.mean()) ** 2))
+    np.testing.assert_allclose(object_map.speed_sigmas(np.array([0]), 0.2), expected, rtol=1e-6)
+
+
+def test_what_was_seen_once_stands_still():
+    assert new_map().velocities(np.array([0])).tolist() == [[0.0, 0.0, 0.0]]
+
+
+def test_merged_landmarks_are_one_in_the_map_and_two_around_the_robot():
+    object_map = new_map(count=3)
+    see(object_map, 0, label=1, seconds=1.0)
+    see(object_map, 1, label=0, seconds=7.0)
+    assert object_map.merge(0, 1) == 1
+    assert object_map.rows["observations"].tolist() == [2, 2, 1]
+    assert object_map.merge(2, 1) == 0
+    assert object_map.merge(0, 2) is None
+    assert [object_map.current(row) for row in range(3)] == [2, 2, 2]
+    assert object_map.in_state(LandmarkState.TENTATIVE).tolist() == [2]
+    record = object_map.to_record(0)
+    assert record.states == ("retired", "retired", "tentative")
+    assert record.reasons == ("merged into 2", "merged into 2", "")
+    assert record.observation_counts.tolist() == [2, 2, 5]
+    assert record.last_seen_ns[2] == 7 * SECOND_NS
+    together = new_map(count=1)
+    for label in (0, 1, 0, 0):
+        see(together, 0, label)
+    np.testing.assert_allclose(record.class_probabilities[2, :2], together.beliefs(np.array([0]))[0, :2], rtol=1e-6)
+
+
+def test_a_split_undoes_a_merge():
+    object_map = new_map(count=3)
+    see(object_map, 1, label=0, seconds=7.0)
+    before = object_map.to_record(0)
+    lost = object_map.merge(0, 1)
+    object_map.split(lost)
+    assert_same_record(object_map.to_record(0), before)
+
+
+def test_a_map_goes_into_a_log_and_comes_back(tmp_path):
+    object_map = new_map(count=3, positions=[[1, 2, 3], [4, 5, 6], [7, 8, 9]])
+    see(object_map, 0, label=2, seconds=1.0)
+    object_map.confirm(np.array([0]))
+    object_map.rows["position_map"] = [[1.5, 2, 3], [4, 5, 6.25], [0, 0, 0]]
+    object_map.rows["covariance_map"] = np.diag([0.1, 0.2, 0.3])
+    record = object_map.to_record(4)
+    assert record.labels == ("a", "a", "a")
+    np.testing.assert_array_equal(record.positions[0], [1.5, 2, 3])
+    with LogWriter(tmp_path / "map.mcap") as writer:
+        writer.write("/slam/map", record)
+    (read,) = records_of(tmp_path / "map.mcap", "/slam/map")
+    assert_same_record(read, record)
+
+
+def test_an_empty_map_is_a_record_too():
+    record = ObjectMap(CONFIG).to_record(0)
+    assert record.ids == ()
+    assert record.positions.shape == (0, 3)
+    assert record.labels == ()
+
+
+def test_the_record_does_not_change_with_the_map():
+    object_map = new_map()
+    record = object_map.to_record(0)
+    object_map.rows["position_map"] = 9.0
+    see(object_map, 0)
+    assert record.positions.tolist() == [[0.0, 0.0, 0.0]]
+    assert record.observation_counts.tolist() == [1]
+
+
+def test_the_map_grows_and_forgets_nothing():
+    object_map = new_map("ab", count=60)
+    first = object_map.rows[:60].copy()
+    for start in range(60, 500, 44):
+        rows = see_new(object_map, np.full((44, 3), float(start)), label=1)
+        assert rows.tolist() == list(range(start, start + 44))
+    assert len(object_map) == 500
+    np.testing.assert_array_equal(object_map.rows[:60], first)
+    assert object_map.beliefs(np.arange(500)).argmax(axis=1).tolist() == [0] * 60 + [1] * 440
+
+
+def test_the_vocabulary_grows_and_old_labels_keep_their_index():
+    object_map = new_map("a")
+    names = tuple(f"class {i}" for i in range(40))
+    assert object_map.label_indices(("a", *names[:20])).tolist() == list(range(21))
+    see(object_map, 0, label=20)
+    assert object_map.label_indices((names[3], *names)).tolist() == [4, *range(1, 41)]
+    assert object_map.vocabulary == ("a", *names)
+    beliefs = object_map.beliefs(np.array([0]))[0]
+    assert beliefs.shape == (41,)
+    assert np.flatnonzero(beliefs > 0.3).tolist() == [0, 20]
+    assert object_map.label_indices(()).shape == (0,)
+
+
+def test_nothing_to_add_and_nothing_to_retire():
+    object_map = new_map(count=2)
+    assert see_new(object_map, np.zeros((0, 3))).tolist() == []
+    none = np.zeros(0, dtype=np.int64)
+    object_map.confirm(none)
+    object_map.retire(none, RetirementReason.MOVING)
+    assert object_map.in_state(LandmarkState.TENTATIVE).tolist() == [0, 1]

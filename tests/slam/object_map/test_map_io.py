@@ -1,0 +1,305 @@
+"""Maps that last: what is saved comes back, a robot finds itself in it, and what is no map is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from logs.errors import LogError
+from logs.messages import LoopClosureRecord, SlamPose, StatusRecord
+from logs.writer import LogWriter
+from slam.common.config import Config, LoopClosureConfig
+from slam.common.errors import SavedMapError
+from slam.localization.state import State
+from slam.object_map.landmarks import RetirementReason
+from slam.object_map.map_io import METADATA, SavedMap, confirmed, load_map, save_map
+from slam.place_recognition.retrieval import PlaceFinder
+from slam.replay import replay
+from slam.simulation.config import SimulationConfig
+from slam.system import FinalMap, Slam
+from tests.helpers.short_drives import Entry, block_world, drive, keep_until, records_of, write_log, write_map
+
+PROVENANCE = {"version": "test"}
+
+
+def mapped(entries: list[Entry], earlier: SavedMap | None = None, *, extend: bool = True) -> tuple[Slam, FinalMap]:
+    slam = Slam(Config(), earlier, extend=extend)
+    for _, _, record in entries:
+        slam.process(record)
+    return slam, slam.finish()
+
+
+def second_block():
+    world = block_world()
+    rng = np.random.default_rng(99)
+    positions = world.positions + np.column_stack(
+        [rng.uniform(-9.0, 9.0, (len(world.labels), 2)), np.zeros(len(world.labels))]
+    )
+    return replace(world, positions=positions, labels=tuple(rng.permutation(list(world.labels)).tolist()))
+
+
+@pytest.fixture(scope="module")
+def first() -> FinalMap:
+    return mapped(drive(SimulationConfig(), seed=1))[1]
+
+
+@pytest.fixture(scope="module")
+def known(first: FinalMap) -> SavedMap:
+    return SavedMap(confirmed(first.object_map), first.graph)
+
+
+@pytest.fixture(scope="module")
+def second() -> list[Entry]:
+    return drive(SimulationConfig(), seed=2)
+
+
+@pytest.fixture(scope="module")
+def kept(known: SavedMap, second: list[Entry]) -> tuple[Slam, FinalMap]:
+    """The second drive, with the map of the first one as it was."""
+    return mapped(second, known, extend=False)
+
+
+@pytest.fixture(scope="module")
+def elsewhere(known: SavedMap) -> tuple[Slam, FinalMap]:
+    """A drive through another town, which goes on from the map all the same."""
+    return mapped(drive(SimulationConfig(), seed=2, world=second_block()), known)
+
+
+@pytest.fixture
+def path(first: FinalMap, tmp_path: Path) -> Path:
+    target = tmp_path / "map.mcap"
+    save_map(target, first.object_map, first.graph, first.markers, PROVENANCE)
+    return target
+
+
+def test_what_was_saved_comes_back(path: Path, known: SavedMap) -> None:
+    loaded = load_map(path)
+    assert loaded.objects.ids == known.objects.ids
+    assert set(loaded.objects.states) == {"confirmed"}
+    for name in ("positions", "covariances", "class_probabilities", "observation_counts"):
+        np.testing.assert_array_equal(getattr(loaded.objects, name), getattr(known.objects, name))
+    for name in ("keyframe_ids", "T_map_body", "edge_transforms", "observation_positions", "observation_covariances"):
+        np.testing.assert_allclose(getattr(loaded.graph, name), getattr(known.graph, name), atol=1e-12)
+
+
+def test_a_robot_finds_itself_in_the_map_and_is_lost_until_then(known: SavedMap, second: list[Entry]) -> None:
+    slam = Slam(Config(), known)
+    assert slam.state == State.LOST
+    states: list[str] = []
+    poses_while_lost = 0
+    for _, _, record in second:
+        for update in slam.process(record):
+            if isinstance(update, StatusRecord):
+                states.append(update.state)
+            poses_while_lost += isinstance(update, SlamPose) and not slam.fixes
+    final = slam.finish()
+    assert [state for place, state in enumerate(states) if place == 0 or state != states[place - 1]] == [
+        "LOST",
+        "RELOCALIZED",
+        "TRACKING",
+    ]
+    assert poses_while_lost == 0
+    assert slam.fixes[0].travel_m < 60.0
+    landmarks = final.object_map.states.count("confirmed")
+    assert landmarks == pytest.approx(len(known.objects.ids), rel=0.1)
+    # What is extended moves.
+    moved = final.object_map.positions[: len(known.objects.ids)] - known.objects.positions
+    assert np.linalg.norm(moved, axis=1).max() > 0.01
+
+
+def test_the_pose_in_the_map_is_right(known: SavedMap, first: FinalMap) -> None:
+    # Both drives follow one tour, so the same place along it is the same place in the map.
+    final = mapped(drive(SimulationConfig(), seed=3), known)[1]
+    middle = len(final.trajectory.stamps_ns) // 2
+    T_error = np.linalg.inv(first.trajectory.T_map_body[middle]) @ final.trajectory.T_map_body[middle]
+    assert np.linalg.norm(T_error[:2, 3]) < 0.5
+    assert abs(np.arctan2(T_error[1, 0], T_error[0, 0])) < np.deg2rad(2.0)
+
+
+def test_a_map_that_is_not_extended_stays_exactly_as_it_was(known: SavedMap, kept: tuple[Slam, FinalMap]) -> None:
+    slam, final = kept
+    assert slam.counters["closures_inserted"] > 1
+    keyframes, landmarks = len(known.graph.keyframe_ids), len(known.objects.ids)
+    np.testing.assert_array_equal(final.graph.T_map_body[:keyframes], known.graph.T_map_body)
+    assert final.object_map.ids[:landmarks] == tuple(str(row) for row in range(landmarks))
+    np.testing.assert_array_equal(final.object_map.positions[:landmarks], known.objects.positions)
+    np.testing.assert_array_equal(final.object_map.covariances[:landmarks], known.objects.covariances)
+    assert final.object_map.states[:landmarks] == known.objects.states
+    assert final.object_map.labels[:landmarks] == known.objects.labels
+
+
+@pytest.mark.parametrize("extend", [True, False])
+def test_what_is_gone_is_retired_from_a_map_that_is_extended_and_from_no_other(known: SavedMap, extend: bool) -> None:
+    world = block_world()
+    there = np.arange(len(world.labels)) % 5 > 0
+    emptier = replace(
+        world,
+        object_ids=tuple(np.array(world.object_ids)[there].tolist()),
+        positions=world.positions[there],
+        labels=tuple(np.array(world.labels)[there].tolist()),
+    )
+    _, final = mapped(drive(SimulationConfig(), seed=2, world=emptier), known, extend=extend)
+    gone = final.object_map.reasons.count("gone")
+    assert gone >= 3 if extend else gone == 0
+
+
+def test_twin_in_another_town_the_robot_stays_lost(known: SavedMap, elsewhere: tuple[Slam, FinalMap]) -> None:
+    slam, final = elsewhere
+    assert slam.state == State.LOST
+    assert slam.fixes == []
+    assert final.object_map.states.count("confirmed") > len(known.objects.ids)
+
+
+def test_a_drive_without_a_map_never_leaves_mapping() -> None:
+    slam, _ = mapped(drive(SimulationConfig(), seed=2))
+    assert slam.state == State.MAPPING
+    assert slam.counters["kidnappings_noticed"] == 0
+
+
+def test_the_same_drive_in_the_same_map_gives_the_same_bytes(path: Path, tmp_path: Path, second: list[Entry]) -> None:
+    log = write_log(tmp_path / "in.mcap", keep_until(second, 15.0))
+    outputs = []
+    for name in ("a", "b"):
+        replay(log, tmp_path / f"{name}.mcap", Config(), earlier=load_map(path), map_path=tmp_path / f"{name}_map.mcap")
+        outputs.append((tmp_path / f"{name}.mcap").read_bytes() + (tmp_path / f"{name}_map.mcap").read_bytes())
+    assert outputs[0] == outputs[1]
+    assert len(records_of(tmp_path / "a.mcap", "/slam/relocalizations")) > 0
+    extended = load_map(tmp_path / "a_map.mcap")
+    assert len(extended.objects.ids) > 0
+    assert [len(saved["input_sha256"]) for saved in extended.drives] == [0, 64]
+
+
+def test_a_log_is_no_map(path: Path, tmp_path: Path) -> None:
+    log = write_log(tmp_path / "in.mcap", drive(SimulationConfig(), seed=2))
+    with pytest.raises(SavedMapError, match=r"in.mcap is a log, but no map; make one by"):
+        load_map(log)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.6])
+def test_half_a_map_is_none(path: Path, share: float) -> None:
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises((SavedMapError, LogError)):
+        load_map(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"format_version": "7"}, "format version 7"),
+        ({"gravity": "down"}, "which way is up"),
+    ],
+)
+def test_another_format_is_refused(first: FinalMap, tmp_path: Path, change: dict[str, str], reason: str) -> None:
+    target = tmp_path / "other.mcap"
+    with LogWriter(target) as writer:
+        writer.add_metadata(METADATA, {"format_version": "1", "gravity": "z of the frame map points up", **change})
+        writer.write("/map/objects", confirmed(first.object_map), 0)
+        writer.write("/map/graph", first.graph, 0)
+    with pytest.raises(SavedMapError, match=reason):
+        load_map(target)
+
+
+def test_an_empty_map_is_refused(first: FinalMap, tmp_path: Path) -> None:
+    nothing = replace(first.object_map, states=("retired",) * len(first.object_map.ids))
+    with pytest.raises(SavedMapError, match="without landmarks"):
+        save_map(tmp_path / "empty.mcap", nothing, first.graph, first.markers, PROVENANCE)
+    assert not (tmp_path / "empty.mcap").exists()
+    path = write_map(tmp_path / "empty.mcap", confirmed(nothing), first.graph)
+    with pytest.raises(SavedMapError, match="without landmarks"):
+        load_map(path)
+
+
+def test_bytes_that_changed_are_refused_or_change_nothing(path: Path, known: SavedMap) -> None:
+    whole = path.read_bytes()
+    rng = np.random.default_rng(3)
+    refused = 0
+    for place in rng.integers(0, len(whole), 40).tolist():
+        damaged = bytearray(whole)
+        damaged[place] ^= 0xFF
+        path.write_bytes(damaged)
+        try:
+            loaded = load_map(path)
+        except (SavedMapError, LogError):
+            refused += 1
+        else:
+            np.testing.assert_array_equal(loaded.objects.positions, known.objects.positions)
+    assert refused > 20
+
+
+# What is worth keeping
+
+
+def test_a_landmark_that_ended_after_others_became_part_of_it_leaves_a_map_that_can_be_used(
+    known: SavedMap, tmp_path: Path, second: list[Entry]
+) -> None:
+    slam = Slam(Config(), known)
+    for _, _, record in second[: len(second) // 2]:
+        slam.process(record)
+    ended = slam._object_map.kept_of_merged[:1]
+    assert len(ended) == 1
+    slam._mapper._retire(ended, RetirementReason.CONTRADICTED)
+    final = slam.finish()
+    assert str(ended[0]) not in final.graph.observation_landmark_ids
+    path = write_map(tmp_path / "m.mcap", confirmed(final.object_map), final.graph)
+    assert len(load_map(path).objects.ids) == final.object_map.states.count("confirmed")
+
+
+def test_a_map_that_stays_as_it_is_cannot_be_saved_again(
+    path: Path, tmp_path: Path, second: list[Entry], kept: tuple[Slam, FinalMap]
+) -> None:
+    log = write_log(tmp_path / "in.mcap", second)
+    target = tmp_path / "again.mcap"
+    known = load_map(path)
+    with pytest.raises(SavedMapError, match="stays as it is"):
+        replay(log, tmp_path / "out.mcap", Config(), earlier=known, extend=False, map_path=target)
+    final = kept[1]
+    with pytest.raises(SavedMapError, match="no edge ties keyframe 1 to the first one"):
+        save_map(target, final.object_map, final.graph, final.markers, PROVENANCE, earlier=known)
+    assert not target.exists()
+
+
+def test_a_stretch_that_nothing_ties_to_the_map_is_not_saved(
+    known: SavedMap, tmp_path: Path, elsewhere: tuple[Slam, FinalMap]
+) -> None:
+    """The second drive is in another town: nobody knows where its landmarks are in the first one's map."""
+    _, final = elsewhere
+    path = tmp_path / "both.mcap"
+    left_out = save_map(path, final.object_map, final.graph, final.markers, PROVENANCE, earlier=known)
+    loaded = load_map(path)
+    assert left_out == len(final.graph.keyframe_ids) - len(known.graph.keyframe_ids)
+    assert len(loaded.objects.ids) == len(known.objects.ids) < final.object_map.states.count("confirmed")
+    np.testing.assert_allclose(loaded.objects.positions, known.objects.positions, atol=0.02)
+
+
+def candidate_scores(entries: list[Entry], earlier: SavedMap) -> list[float]:
+    slam = Slam(Config(), earlier)
+    updates = [update for _, _, record in entries for update in slam.process(record)]
+    return [
+        each.score for each in updates if isinstance(each, LoopClosureRecord) and each.T_reference_query is not None
+    ]
+
+
+def test_in_a_given_map_it_counts_how_common_a_class_is(known: SavedMap, monkeypatch: pytest.MonkeyPatch) -> None:
+    entries = keep_until(drive(SimulationConfig(), seed=2), 6.0)
+    with_shares = candidate_scores(entries, known)
+    monkeypatch.setattr(PlaceFinder, "class_shares", lambda _: None)
+    assert with_shares[0] > candidate_scores(entries, known)[0] + 1.0
+
+
+def test_only_that_part_of_a_given_map_is_well_placed_which_was_recognised(known: SavedMap) -> None:
+    follow_m = 8.0
+    slam = Slam(Config(loop_closure=LoopClosureConfig(follow_travel_m=follow_m)), known)
+    for _, _, record in keep_until(drive(SimulationConfig(), seed=2), 6.0):
+        slam.process(record)
+    closer = slam._closer
+    places = known.graph.T_map_body[:, :2, 3]
+    recognised = np.unique([reference for _, reference in closer.closed.tolist() if reference < len(places)])
+    assert len(recognised)
+    apart_m = np.linalg.norm(places[:, None] - places[recognised], axis=2).min(axis=1)
+    near = np.flatnonzero(apart_m <= follow_m).tolist()
+    assert 0 < len(near) < len(places)
+    assert sorted(row for row in closer.keyframes_near_closures() if row < len(places)) == near

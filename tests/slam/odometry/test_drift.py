@@ -1,0 +1,104 @@
+"""How far the odometry may have drifted between two keyframes, and which keyframe was nearest to a place."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.common.arrays import FloatArray
+from slam.common.config import OdometryConfig
+from slam.common.geometry import transform_from_xyz_yaw
+from slam.odometry.drift import KeyframeTrack
+from slam.odometry.track import OdometryPose
+
+STEP_M = 2.0
+KEYFRAMES = 121
+
+
+def winding_path() -> tuple[FloatArray, FloatArray]:
+    """Horizontal positions (K, 2) m and headings (K,) rad along a path that winds to and fro."""
+    travel_m = STEP_M * np.arange(KEYFRAMES)
+    headings = 0.4 + 2.2 * np.sin(travel_m / 40.0)
+    steps = STEP_M * np.column_stack([np.cos(headings[:-1]), np.sin(headings[:-1])])
+    return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)]), headings
+
+
+def track_of(
+    config: OdometryConfig, *, break_at: int = KEYFRAMES, origin: tuple[float, float] = (0.0, 0.0)
+) -> KeyframeTrack:
+    track = KeyframeTrack(config)
+    positions, headings = winding_path()
+    for i in range(KEYFRAMES):
+        T_odom_body = transform_from_xyz_yaw(np.array([*(positions[i] + origin), 0.3 * i]), headings[i])
+        track.add(OdometryPose(10**8 * i, T_odom_body, STEP_M * i, int(i >= break_at), 5.0))
+    return track
+
+
+def monte_carlo_sigmas(config: OdometryConfig, first: int, last: int, runs: int = 4000) -> tuple[float, float]:
+    """Rms error of the place, each coordinate, and of the heading, where each step adds its share of noise."""
+    rng = np.random.default_rng(0)
+    positions, headings = winding_path()
+    count, root = last - first, np.sqrt(STEP_M)
+    turned = np.cumsum(rng.normal(scale=config.yaw_sigma * root, size=(runs, count)), axis=1)
+    shifted = rng.normal(scale=config.translation_sigma * root, size=(runs, count, 2))
+    wrong = headings[first:last] + np.concatenate([np.zeros((runs, 1)), turned[:, :-1]], axis=1)
+    moved = STEP_M * np.stack([np.cos(wrong), np.sin(wrong)], axis=2) + shifted
+    errors = positions[first] + moved.sum(axis=1) - positions[last]
+    return float(np.sqrt(np.mean(errors**2))), float(np.sqrt(np.mean(turned[:, -1] ** 2)))
+
+
+@pytest.mark.parametrize(("first", "last"), [(0, KEYFRAMES - 1), (20, 70), (65, 100)])
+@pytest.mark.parametrize(
+    ("translation_sigma", "yaw_sigma"), [(0.1, 1e-6), (1e-6, 0.004), (0.08, 0.003)], ids=["shift", "turn", "both"]
+)
+def test_drift_is_as_large_as_random_walks_make_it(first, last, translation_sigma, yaw_sigma):
+    config = OdometryConfig(translation_sigma=translation_sigma, yaw_sigma=yaw_sigma)
+    place_m, heading_rad = track_of(config).drift_sigmas(first, last)
+    expected_m, expected_rad = monte_carlo_sigmas(config, first, last)
+    assert place_m == pytest.approx(expected_m, rel=0.1)
+    assert heading_rad == pytest.approx(expected_rad, rel=0.1)
+
+
+def test_drift_does_not_depend_on_where_the_odometry_begins():
+    config = OdometryConfig()
+    near, far = track_of(config), track_of(config, origin=(450_000.0, 5_200_000.0))
+    np.testing.assert_allclose(far.drift_sigmas(10, 110), near.drift_sigmas(10, 110), rtol=0.01)
+    np.testing.assert_allclose(far.drift_sigmas(60, 75), near.drift_sigmas(60, 75), rtol=0.01)
+
+
+def test_there_is_no_drift_from_a_keyframe_to_itself():
+    assert track_of(OdometryConfig()).drift_sigmas(7, 7) == (0.0, 0.0)
+
+
+def test_drift_across_a_break_is_infinite_and_beside_it_is_not():
+    config = OdometryConfig()
+    broken, whole = track_of(config, break_at=60), track_of(config)
+    assert broken.drift_sigmas(59, 60) == (np.inf, np.inf)
+    assert broken.drift_sigmas(10, 100) == (np.inf, np.inf)
+    assert broken.drift_sigmas(10, 59) == whole.drift_sigmas(10, 59)
+    assert broken.drift_sigmas(60, 100) == pytest.approx(whole.drift_sigmas(60, 100))
+
+
+def test_the_nearest_keyframe_is_the_one_that_brute_force_finds():
+    track = track_of(OdometryConfig())
+    positions, _ = winding_path()
+    travel_m = STEP_M * np.arange(KEYFRAMES)
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        place = rng.uniform([-20.0, -20.0, -50.0], [150.0, 150.0, 50.0])
+        from_m, to_m = np.sort(rng.uniform(-20.0, 260.0, 2))
+        inside = np.flatnonzero((travel_m >= from_m) & (travel_m < to_m))
+        found = track.nearest(place, segment=0, from_m=from_m, to_m=to_m)
+        if not len(inside):
+            assert found is None
+            continue
+        distances = np.linalg.norm(positions[inside] - place[:2], axis=1)
+        assert found is not None
+        assert found[0] == inside[np.argmin(distances)]
+        assert found[1] == pytest.approx(distances.min())
+
+
+@pytest.mark.parametrize(("from_m", "to_m"), [(300.0, 400.0), (-50.0, -1.0), (50.0, 40.0)])
+def test_no_keyframe_is_nearest_where_there_is_none(from_m, to_m):
+    assert track_of(OdometryConfig()).nearest(np.zeros(3), segment=0, from_m=from_m, to_m=to_m) is None
+    assert KeyframeTrack(OdometryConfig()).nearest(np.zeros(3), segment=0, from_m=from_m, to_m=to_m) is None

@@ -1,0 +1,140 @@
+"""The odometry's track: interpolation, disorder, and breaks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from logs.messages import Odometry
+from slam.common.config import OdometryConfig
+from slam.common.geometry import relative, transform_from_xyz_yaw
+from slam.odometry.noise import step_covariance
+from slam.odometry.track import HISTORY, OdometryTrack
+
+CONFIG = OdometryConfig(max_speed_mps=50.0, max_gap_s=10.0)
+START_NS = 1_700_000_000_000_000_000
+
+
+def odometry(seconds: float, x: float, yaw: float = 0.0) -> Odometry:
+    return Odometry(START_NS + round(seconds * 1e9), transform_from_xyz_yaw(np.array([x, 0.0, 0.0]), yaw))
+
+
+def track(*steps: tuple[float, float]) -> OdometryTrack:
+    made = OdometryTrack(CONFIG)
+    for seconds, x in steps:
+        made.add(odometry(seconds, x))
+    return made
+
+
+def x_at(made: OdometryTrack, seconds: float) -> float | None:
+    pose = made.at(START_NS + round(seconds * 1e9))
+    return None if pose is None else float(pose.T_odom_body[0, 3])
+
+
+def test_a_pose_between_two_messages_is_between_them():
+    made = track((0, 0), (1, 10), (2, 30))
+    assert x_at(made, 0.25) == pytest.approx(2.5)
+    assert x_at(made, 1.5) == pytest.approx(20.0)
+    assert made.at(START_NS + 1_500_000_000).travel_m == pytest.approx(20.0)
+
+
+def test_at_a_message_it_is_that_message_bit_for_bit():
+    made = OdometryTrack(CONFIG)
+    first, second = odometry(0, 0.1, 0.3), odometry(0.1, 0.7, 0.4)
+    made.add(first)
+    made.add(second)
+    np.testing.assert_array_equal(made.at(first.stamp_ns).T_odom_body, first.T_odom_body)
+    np.testing.assert_array_equal(made.at(second.stamp_ns).T_odom_body, second.T_odom_body)
+
+
+def test_outside_of_its_time_it_knows_nothing():
+    assert OdometryTrack(CONFIG).latest is None
+    assert x_at(OdometryTrack(CONFIG), 0.0) is None
+    made = track((0, 0), (1, 1))
+    assert x_at(made, -1e-9) is None
+    assert x_at(made, 1 + 1e-9) is None
+
+
+def test_duplicates_and_messages_out_of_order_leave_it_as_it_was():
+    made = track((0, 0), (1, 5))
+    latest = made.latest
+    assert made.add(odometry(1, 99)) == []
+    assert made.add(odometry(0.5, 99)) == []
+    assert made.latest is latest
+    assert x_at(made, 0.5) == pytest.approx(2.5)
+
+
+@pytest.mark.parametrize(("seconds", "x"), [(1.1, 200.0), (30.0, 1.0), (1.1, -100.0)])
+def test_a_jump_and_a_silence_break_the_track(seconds, x):
+    made = track((0, 0), (1, 1), (seconds, x), (seconds + 1, x + 1))
+    assert made.latest.segment == 1
+    assert made.latest.travel_m == pytest.approx(2.0)
+    assert x_at(made, 0.5) == pytest.approx(0.5)
+    assert x_at(made, 0.5 * (1 + seconds)) is None
+    assert x_at(made, seconds) == x
+    assert x_at(made, seconds + 0.5) == pytest.approx(x + 0.5)
+
+
+def test_a_fast_drive_and_a_short_silence_are_no_break():
+    made = track((0, 0), (1, 49), (10.9, 60))
+    assert made.latest.segment == 0
+    assert made.latest.travel_m == pytest.approx(60.0)
+
+
+def test_travel_is_the_path_and_not_the_distance():
+    assert track((0, 0), (1, 3), (2, 0.5), (3, 3)).latest.travel_m == pytest.approx(8.0)
+
+
+def test_the_oldest_poses_are_let_go():
+    made = track(*((0.01 * i, 0.1 * i) for i in range(HISTORY + 100)))
+    assert x_at(made, 0.0) is None
+    assert x_at(made, 0.01 * (HISTORY + 50)) == pytest.approx(0.1 * (HISTORY + 50))
+
+
+def test_noise_is_a_random_walk_along_the_travel():
+    T = transform_from_xyz_yaw(np.array([1.0, 0.0, 0.0]), 0.0)
+    one, four = step_covariance(T, 1.0, CONFIG), step_covariance(T, 4.0, CONFIG)
+    np.testing.assert_allclose(four, 4.0 * one)
+    t = CONFIG.translation_sigma
+    np.testing.assert_allclose(
+        np.diag(one), np.square([CONFIG.tilt_sigma, CONFIG.tilt_sigma, CONFIG.yaw_sigma, t, t, t])
+    )
+    np.testing.assert_array_equal(step_covariance(T, 0.2, CONFIG), one)
+
+
+def test_standing_still_is_not_perfectly_certain_and_turning_on_the_spot_is_not_free():
+    still = step_covariance(np.eye(4), 0.0, CONFIG)
+    assert np.linalg.eigvalsh(still)[0] > 0.0
+    turned = step_covariance(transform_from_xyz_yaw(np.zeros(3), np.pi / 2), 0.0, CONFIG)
+    assert turned[0, 0] > still[0, 0]
+
+
+def test_more_travel_is_never_less_noise():
+    T = transform_from_xyz_yaw(np.zeros(3), 0.3)
+    variances = [step_covariance(T, travel_m, CONFIG)[0, 0] for travel_m in np.linspace(0.0, 2.0, 41)]
+    assert np.all(np.diff(variances) >= 0.0)
+
+
+def test_the_relative_pose_leads_from_one_to_the_other():
+    a, b = transform_from_xyz_yaw(np.array([1.0, 2, 0]), 0.5), transform_from_xyz_yaw(np.array([3.0, 1, 0]), -2.0)
+    np.testing.assert_allclose(a @ relative(a, b), b, atol=1e-12)
+
+
+def segments(*steps: tuple[float, float]) -> list[int]:
+    made = OdometryTrack(CONFIG)
+    poses = [pose for seconds, x in steps for pose in made.add(odometry(seconds, x))]
+    return [pose.segment for pose in (*poses, *made.finish())]
+
+
+def test_odometry_that_is_started_again_near_where_it_was_is_a_break():
+    """Carried off for 5 s while it thinks to be 8 m from its start: the step back there would be no jump."""
+    driven = [(0.1 * i, 5.0 + 0.8 * i) for i in range(11)]
+    assert segments(*driven, (6.0, 5.0), (6.1, 5.8)) == [0] * 11 + [1, 1]
+    assert segments(*driven, (6.0, 0.0), (6.1, 0.8)) == [0] * 11 + [1, 1], "at the identity"
+    assert segments(*driven, (6.0, 5.001), (6.1, 5.8)) == [0] * 13, "twin: only near its start"
+
+
+def test_who_drives_or_stands_at_the_start_of_its_odometry_goes_on():
+    there_and_back = [*range(11), *range(9, -1, -1), -1, -2]
+    assert segments(*((0.1 * i, 0.5 * x) for i, x in enumerate(there_and_back))) == [0] * len(there_and_back)
+    assert segments(*((0.1 * i, 0.0) for i in range(5)), (3.0, 0.0), (3.1, 0.4)) == [0] * 7

@@ -1,0 +1,169 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.common.arrays import FloatArray
+from slam.simulation.config import SensorConfig
+from slam.simulation.sensor import Scan, SensorStreams, in_view, noise_sigma_m, scan_objects, unshadowed
+
+CLASS_COUNT = 4
+PERFECT = SensorConfig(
+    dropout=0.0, false_positives_per_scan=0.0, misclassification=0.0, noise_base_m=0.0, noise_per_m=0.0, occlusion=False
+)
+
+
+def _streams(seed: int = 0) -> SensorStreams:
+    return SensorStreams(*(np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)))
+
+
+def _scan(positions: FloatArray, config: SensorConfig, streams: SensorStreams | None = None) -> Scan:
+    classes = np.arange(len(positions), dtype=np.int64) % CLASS_COUNT
+    return scan_objects(positions, classes, np.full(len(positions), 0.25), CLASS_COUNT, config, streams or _streams())
+
+
+def _ring(range_m: float, count: int = 4000) -> FloatArray:
+    bearing = np.linspace(-3.1, 3.1, count)
+    return np.stack([range_m * np.cos(bearing), range_m * np.sin(bearing), np.zeros(count)], axis=1)
+
+
+def _with(**changes: float | bool) -> SensorConfig:
+    return SensorConfig.model_validate({**PERFECT.model_dump(), **changes})
+
+
+def test_perfect_sensor_sees_everything_as_it_is_in_the_order_of_bearing() -> None:
+    positions = np.array([[0.0, 5.0, 1.0], [-3.0, -0.1, 0.0], [4.0, 0.0, 0.0]])
+    scan = _scan(positions, PERFECT)
+    np.testing.assert_array_equal(scan.sources, [1, 2, 0])
+    np.testing.assert_array_equal(scan.positions, positions[scan.sources])
+    np.testing.assert_array_equal(scan.class_indices, scan.sources)
+
+
+def test_no_object_gives_an_empty_scan() -> None:
+    scan = _scan(np.zeros((0, 3)), PERFECT)
+    assert scan.positions.shape == (0, 3)
+    assert scan.class_indices.shape == scan.scores.shape == scan.sigmas_m.shape == scan.sources.shape == (0,)
+
+
+def test_range_limits_the_view() -> None:
+    positions = np.array([[29.99, 0.0, 0.0], [30.01, 0.0, 0.0], [0.0, -29.99, 0.0], [0.0, 29.0, 10.0]])
+    np.testing.assert_array_equal(in_view(positions, SensorConfig()), [True, False, True, False])
+
+
+def test_field_of_view_is_centred_ahead() -> None:
+    degrees = np.array([0.0, 44.9, -44.9, 45.1, -45.1, 90.0, 180.0])
+    positions = 10.0 * np.stack([np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees)), 0.0 * degrees], axis=1)
+    seen = in_view(positions, SensorConfig(field_of_view_deg=90.0))
+    np.testing.assert_array_equal(seen, [True, True, True, False, False, False, False])
+    assert in_view(positions, SensorConfig(field_of_view_deg=360.0)).all()
+
+
+def test_objects_hide_what_is_behind_them_and_nothing_else() -> None:
+    half_angle = np.arcsin(0.5 / 10.0)
+    behind_edge = [20.0 * np.array([np.cos(a), np.sin(a), 0.0]) for a in (0.98 * half_angle, 1.02 * half_angle)]
+    positions = np.array([[10.0, 0.0, 0.0], [20.0, 0.0, 0.0], *behind_edge, [-20.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
+    radii_m = np.array([0.5, 0.5, 0.0, 0.0, 0.5, 0.0])
+    np.testing.assert_array_equal(unshadowed(positions, radii_m), [True, False, False, True, True, True])
+
+
+def test_shadow_reaches_over_the_cut_of_the_bearing() -> None:
+    positions = np.array([[-5.0, 0.01, 0.0], [-20.0, -0.01, 0.0]])
+    np.testing.assert_array_equal(unshadowed(positions, np.array([0.25, 0.25])), [True, False])
+
+
+def test_things_on_one_post_and_the_sensor_itself_hide_nothing() -> None:
+    on_one_post = np.array([[10.0, 0.0, 2.0], [10.1, 0.0, 4.0]])
+    assert unshadowed(on_one_post, np.full(2, 0.25)).all()
+    around_the_sensor = np.array([[0.1, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    assert unshadowed(around_the_sensor, np.full(3, 0.25)).all()
+
+
+def test_occlusion_is_applied_and_can_be_switched_off() -> None:
+    positions = np.array([[10.0, 0.0, 0.0], [20.0, 0.0, 0.0]])
+    np.testing.assert_array_equal(_scan(positions, _with(occlusion=True)).sources, [0])
+    assert len(_scan(positions, PERFECT).sources) == 2
+
+
+@pytest.mark.parametrize("range_m", [2.0, 15.0, 29.0])
+def test_noise_is_that_of_the_formula_on_each_axis(range_m: float) -> None:
+    positions = _ring(range_m)
+    scan = _scan(positions, _with(noise_base_m=0.1, noise_per_m=0.01))
+    error = scan.positions - positions[scan.sources]
+    expected_m = 0.1 + 0.01 * range_m
+    np.testing.assert_allclose(scan.sigmas_m, expected_m)
+    np.testing.assert_allclose(noise_sigma_m(np.array([range_m]), SensorConfig()), expected_m)
+    # 4000 samples: the standard deviation is known to 1.1 %.
+    np.testing.assert_allclose(error.std(axis=0), expected_m, rtol=0.05)
+    np.testing.assert_allclose(error.mean(axis=0), 0.0, atol=5.0 * expected_m / np.sqrt(4000))
+
+
+def test_dropout_rate() -> None:
+    assert len(_scan(_ring(10.0), _with(dropout=0.25)).sources) / 4000 == pytest.approx(0.75, abs=0.03)
+    assert len(_scan(_ring(10.0), _with(dropout=1.0)).sources) == 0
+
+
+def test_wrong_labels_grow_linearly_with_the_range_and_are_spread_over_the_other_classes() -> None:
+    for range_m in (3.0, 15.0, 30.0):
+        scan = _scan(_ring(range_m * 0.9999), _with(misclassification=0.4))
+        true_classes = scan.sources % CLASS_COUNT
+        wrong = scan.class_indices != true_classes
+        assert wrong.mean() == pytest.approx(0.4 * range_m / 30.0, abs=0.03)
+        shift = (scan.class_indices - true_classes)[wrong] % CLASS_COUNT
+        share = np.bincount(shift, minlength=CLASS_COUNT) / wrong.sum()
+        np.testing.assert_allclose(share, [0.0, 1 / 3, 1 / 3, 1 / 3], atol=0.1)
+
+
+def test_a_single_class_cannot_be_mistaken() -> None:
+    positions = _ring(29.0)
+    classes = np.zeros(len(positions), dtype=np.int64)
+    scan = scan_objects(positions, classes, np.zeros(len(positions)), 1, _with(misclassification=1.0), _streams())
+    assert not scan.class_indices.any()
+
+
+def test_false_positives_are_poisson_and_even_over_the_view() -> None:
+    config = _with(false_positives_per_scan=2.0, field_of_view_deg=120.0)
+    streams = _streams()
+    scans = [_scan(np.zeros((0, 3)), config, streams) for _ in range(3000)]
+    counts = np.array([len(scan.sources) for scan in scans])
+    assert counts.mean() == pytest.approx(2.0, abs=0.13)
+    assert counts.var() == pytest.approx(2.0, abs=0.3)
+    assert all(np.all(scan.sources == -1) for scan in scans)
+    positions = np.concatenate([scan.positions for scan in scans])
+    range_m = np.hypot(positions[:, 0], positions[:, 1])
+    bearing = np.arctan2(positions[:, 1], positions[:, 0])
+    assert range_m.max() <= 30.0
+    assert np.abs(bearing).max() <= np.deg2rad(60.0)
+    # Even over the area: a quarter of it lies within half the range.
+    assert np.mean(range_m < 15.0) == pytest.approx(0.25, abs=0.03)
+    assert np.mean(bearing < 0.0) == pytest.approx(0.5, abs=0.04)
+    classes = np.concatenate([scan.class_indices for scan in scans])
+    np.testing.assert_allclose(np.bincount(classes, minlength=CLASS_COUNT) / len(classes), 0.25, atol=0.03)
+
+
+def test_scores_are_probabilities_and_higher_for_what_is_true() -> None:
+    streams = _streams()
+    config = _with(false_positives_per_scan=500.0, misclassification=0.5)
+    scan = _scan(_ring(15.0), config, streams)
+    assert scan.scores.min() >= 0.05
+    assert scan.scores.max() <= 1.0
+    true = scan.sources >= 0
+    wrong = true & (scan.class_indices != scan.sources % CLASS_COUNT)
+    assert scan.scores[true & ~wrong].mean() > scan.scores[wrong].mean() > scan.scores[~true].mean()
+
+
+@pytest.mark.parametrize(
+    "changes", [{"dropout": 0.0}, {"occlusion": False}, {"false_positives_per_scan": 0.0}, {"misclassification": 0.0}]
+)
+def test_switching_one_cause_off_leaves_the_others_numbers(changes: dict[str, float]) -> None:
+    positions = np.random.default_rng(5).uniform(-25.0, 25.0, (60, 3)) * [1.0, 1.0, 0.0]
+    full, reduced = SensorConfig(dropout=0.3), SensorConfig.model_validate({"dropout": 0.3, **changes})
+    for config in (full, reduced):
+        assert config.noise_base_m == 0.1
+    first, second = _streams(3), _streams(3)
+    for _ in range(10):
+        a, b = _scan(positions, full, first), _scan(positions, reduced, second)
+        measured = {int(i): p for i, p in zip(b.sources, b.positions, strict=True) if i >= 0}
+        both = [(p, measured[int(i)]) for i, p in zip(a.sources, a.positions, strict=True) if int(i) in measured]
+        assert len(both) > 10
+        for mine, other in both:
+            np.testing.assert_array_equal(mine, other)

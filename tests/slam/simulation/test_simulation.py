@@ -1,0 +1,255 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, ObjectMapRecord, Odometry
+from logs.reader import LogReader
+from logs.selection import select_topics
+from slam.common.errors import SimulationError
+from slam.common.geometry import apply, invert
+from slam.simulation.config import SimulationConfig, kidnap_overrides
+from slam.simulation.drive import START_NS
+from slam.simulation.simulation import simulate, write_simulation
+from slam.simulation.world import World
+from tests.slam.simulation.worlds import straight_street
+
+
+def _records(world: World, config: SimulationConfig, *, seed: int = 0) -> dict[str, list[Any]]:
+    by_topic: dict[str, list[Any]] = {}
+    for topic, stamp_ns, record in simulate(world, config, seed=seed):
+        assert record.stamp_ns == stamp_ns
+        by_topic.setdefault(topic, []).append(record)
+    return by_topic
+
+
+def _config(**branches: Any) -> SimulationConfig:
+    return SimulationConfig.model_validate(branches)
+
+
+@pytest.fixture(scope="module")
+def street() -> World:
+    return straight_street()
+
+
+@pytest.fixture(scope="module")
+def drive(street: World) -> dict[str, list[Any]]:
+    return _records(street, SimulationConfig())
+
+
+def test_topics_types_and_stamps(drive: dict[str, list[Any]]) -> None:
+    kinds = {
+        "/ground_truth/objects": ObjectMapRecord,
+        "/odom": Odometry,
+        "/detections": ObjectDetections,
+        "/ground_truth": GroundTruthPose,
+        "/ground_truth/detections": DetectionTruth,
+    }
+    assert {topic: type(records[0]) for topic, records in drive.items()} == kinds
+    assert len(drive["/ground_truth/objects"]) == 1
+    # 200 m at 8 m/s and 10 Hz
+    for topic in list(kinds)[1:]:
+        assert [record.stamp_ns for record in drive[topic]] == [START_NS + i * 100_000_000 for i in range(251)]
+
+
+def test_records_come_in_the_order_of_time(street: World) -> None:
+    stamps = [stamp_ns for _, stamp_ns, _ in simulate(street, SimulationConfig(), seed=0)]
+    assert stamps == sorted(stamps)
+
+
+@pytest.mark.parametrize("heading_rad", [0.0, 2.0])
+def test_true_ids_match_the_detections_within_the_noise(heading_rad: float) -> None:
+    street = straight_street(heading_rad=heading_rad)
+    drive = _records(street, SimulationConfig())
+    place = dict(zip(street.object_ids, street.positions, strict=True))
+    label = dict(zip(street.object_ids, street.labels, strict=True))
+    normalised, right, false_count = [], [], 0
+    for detections, truth, pose in zip(
+        drive["/detections"], drive["/ground_truth/detections"], drive["/ground_truth"], strict=True
+    ):
+        assert len(truth.object_ids) == len(detections.labels) == len(detections.positions)
+        for i, object_id in enumerate(truth.object_ids):
+            if not object_id:
+                false_count += 1
+                continue
+            expected = apply(invert(pose.T_world_body), place[object_id][None])[0]
+            sigma_m = 0.1 + 0.01 * np.linalg.norm(expected)
+            np.testing.assert_allclose(detections.covariances[i], sigma_m**2 * np.eye(3), rtol=1e-9)
+            normalised.append((detections.positions[i] - expected) / sigma_m)
+            right.append(detections.labels[i] == label[object_id])
+    errors = np.array(normalised)
+    assert np.abs(errors).max() < 5.5
+    np.testing.assert_allclose(errors.std(axis=0), 1.0, atol=0.05)
+    assert false_count / 251 == pytest.approx(0.5, abs=0.2)
+    assert 0.90 < np.mean(right) < 0.98
+
+
+def test_true_objects_are_those_of_the_world(street: World, drive: dict[str, list[Any]]) -> None:
+    (objects,) = drive["/ground_truth/objects"]
+    assert (objects.frame_id, objects.stamp_ns) == ("world", START_NS)
+    assert objects.ids == street.object_ids
+    assert objects.labels == street.labels
+    np.testing.assert_array_equal(objects.positions, street.positions)
+    np.testing.assert_array_equal(objects.class_probabilities.sum(axis=1), 1.0)
+    assert set(objects.states) == {"confirmed"}
+    assert not objects.covariances.any()
+
+
+def test_covariances_can_be_left_out(street: World) -> None:
+    drive = _records(street, _config(sensor={"covariances": False}))
+    assert all(detections.covariances is None for detections in drive["/detections"])
+
+
+def test_same_seed_same_bytes_other_seed_other_bytes(tmp_path: Path, street: World) -> None:
+    config = _config(traffic={"vehicles": 2}, kidnap={"from_m": 50, "to_m": 120})
+    contents = []
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        write_simulation(tmp_path / name, street, config, seed=seed)
+        contents.append((tmp_path / name).read_bytes())
+    assert contents[0] == contents[1]
+    assert contents[0] != contents[2]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"sensor": {"dropout": 0.0}}, {"sensor": {"false_positives_per_scan": 5.0}}, {"traffic": {"vehicles": 3}}],
+)
+def test_odometry_does_not_change_with_the_sensor(
+    street: World, drive: dict[str, list[Any]], changes: dict[str, Any]
+) -> None:
+    changed = _records(street, _config(**changes))
+    for mine, other in zip(drive["/odom"], changed["/odom"], strict=True):
+        np.testing.assert_array_equal(mine.T_odom_body, other.T_odom_body)
+
+
+def test_odometry_starts_at_the_identity_and_drifts(drive: dict[str, list[Any]]) -> None:
+    np.testing.assert_array_equal(drive["/odom"][0].T_odom_body, np.eye(4))
+    travelled = drive["/odom"][-1].T_odom_body[:3, 3]
+    assert 0.01 < np.linalg.norm(travelled - [200.0, 0.0, 0.0]) < 10.0
+
+
+def test_kidnapping_is_a_gap_after_which_odometry_starts_anew(street: World) -> None:
+    drive = _records(street, _config(kidnap={"from_m": 60, "to_m": 150, "gap_s": 7.5}))
+    stamps_ns = np.array([record.stamp_ns for record in drive["/odom"]])
+    (before,) = np.flatnonzero(np.diff(stamps_ns) > 100_000_000)
+    assert np.diff(stamps_ns)[before] == 7_500_000_000
+    x_m = np.array([pose.T_world_body[0, 3] for pose in drive["/ground_truth"]])
+    assert x_m[before] == pytest.approx(60.0, abs=0.8)
+    assert x_m[before + 1] == pytest.approx(150.0, abs=0.01)
+    assert x_m[-1] == pytest.approx(200.0, abs=0.8)
+    assert not np.allclose(drive["/odom"][before].T_odom_body, np.eye(4))
+    np.testing.assert_array_equal(drive["/odom"][before + 1].T_odom_body, np.eye(4))
+    assert len(drive["/detections"]) == len(stamps_ns)
+
+
+def test_kidnapping_backwards_drives_a_part_again(street: World) -> None:
+    drive = _records(street, _config(kidnap={"from_m": 150, "to_m": 0}))
+    assert len(drive["/odom"]) == pytest.approx((150 + 200) / 0.8, abs=3)
+
+
+@pytest.mark.parametrize("kidnap", [{"from_m": 300, "to_m": 0}, {"from_m": 50, "to_m": 200}])
+def test_kidnapping_outside_the_tour_is_refused_at_the_call(street: World, kidnap: dict[str, float]) -> None:
+    with pytest.raises(SimulationError, match=r"from 0 to 200\.0 m"):
+        simulate(street, _config(kidnap=kidnap), seed=0)
+
+
+def test_kidnapping_as_text() -> None:
+    assert kidnap_overrides("12.5:300") == ["kidnap.from_m=12.5", "kidnap.to_m=300.0"]
+    for text in ("12", "1:2:3", "a:b", "0:5", "5:-1", "nan:1", ""):
+        with pytest.raises(SimulationError, match="FROM_M:TO_M"):
+            kidnap_overrides(text)
+
+
+@pytest.mark.parametrize(
+    ("length_m", "branches"),
+    [
+        (1.0, {}),
+        (200.0, {"drive": {"rate_hz": 0.01}}),
+        (200.0, {"kidnap": {"from_m": 0.01, "to_m": 50}}),
+        (200.0, {"kidnap": {"from_m": 100, "to_m": 199.99}}),
+    ],
+)
+def test_a_drive_too_short_to_map_is_refused(tmp_path: Path, length_m: float, branches: dict[str, Any]) -> None:
+    world, config = straight_street().shortened(length_m), _config(**branches)
+    with pytest.raises(SimulationError, match="too short"):
+        simulate(world, config, seed=0)
+    with pytest.raises(SimulationError, match="too short"):
+        write_simulation(tmp_path / "log.mcap", world, config, seed=0)
+    assert not list(tmp_path.iterdir())
+
+
+def test_moving_vehicles_are_detected_under_their_own_ids(street: World) -> None:
+    config = _config(
+        traffic={"vehicles": 3, "min_speed_mps": 5, "max_speed_mps": 10},
+        sensor={"dropout": 0, "misclassification": 0, "occlusion": False, "false_positives_per_scan": 0},
+    )
+    drive = _records(street, config)
+    places: dict[str, list[np.ndarray]] = {}
+    for detections, truth, pose in zip(
+        drive["/detections"], drive["/ground_truth/detections"], drive["/ground_truth"], strict=True
+    ):
+        world_positions = apply(pose.T_world_body, detections.positions)
+        for object_id, label, place in zip(truth.object_ids, detections.labels, world_positions, strict=True):
+            assert (label == "vehicle") == object_id.startswith("moving-")
+            if label == "vehicle":
+                places.setdefault(object_id, []).append(np.append(place, pose.stamp_ns * 1e-9))
+    assert places.keys() <= {"moving-0", "moving-1", "moving-2"}
+    (name, seen) = max(places.items(), key=lambda item: len(item[1]))
+    track = np.array(seen)
+    assert np.abs(np.abs(track[:, 1]) - 2.0).max() < 2.0, name
+    speed = abs(track[-1, 0] - track[0, 0]) / (track[-1, 3] - track[0, 3])
+    assert 2.0 < speed < 11.0
+    (objects,) = drive["/ground_truth/objects"]
+    assert "vehicle" not in objects.vocabulary
+
+
+def test_log_reads_back_with_its_configuration(tmp_path: Path, street: World) -> None:
+    config = _config(sensor={"max_range_m": 20})
+    path = tmp_path / "drive.mcap"
+    summary = write_simulation(path, street, config, seed=4)
+    expected = [record for _, _, record in simulate(street, config, seed=4)]
+    with LogReader(path) as reader:
+        records = [entry.record for entry in reader.records(select_topics(reader.topics()))]
+        metadata = reader.metadata()["simulation"]
+    assert SimulationConfig.model_validate(json.loads(metadata["configuration"])) == config
+    assert (metadata["world"], metadata["seed"], metadata["world_sha256"]) == ("street", "4", street.sha256())
+    assert [(type(record), record.stamp_ns) for record in records] == [
+        (type(record), record.stamp_ns) for record in expected
+    ]
+    assert sum(summary.message_counts.values()) == len(expected)
+    assert summary.driven_m == pytest.approx(200.0, abs=0.8)
+    assert summary.duration_s == pytest.approx(25.0)
+    detections = [(a, b) for a, b in zip(records, expected, strict=True) if isinstance(a, ObjectDetections)]
+    for mine, other in detections:
+        assert isinstance(other, ObjectDetections)
+        np.testing.assert_allclose(mine.positions, other.positions, atol=1e-9)
+        assert mine.labels == other.labels
+
+
+def test_nothing_is_written_when_the_simulation_is_refused(tmp_path: Path, street: World) -> None:
+    with pytest.raises(SimulationError):
+        write_simulation(tmp_path / "x.mcap", street, _config(kidnap={"from_m": 300, "to_m": 0}), seed=0)
+    with pytest.raises(SimulationError, match="seed -1"):
+        write_simulation(tmp_path / "x.mcap", street, SimulationConfig(), seed=-1)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "branches",
+    [{"sensors": {}}, {"sensor": {"drop_out": 0.1}}, {"sensor": {"dropout": 1.1}}, {"drive": {"speed_mps": 0}}],
+)
+def test_unknown_keys_and_values_out_of_range_are_refused(branches: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        _config(**branches)
+
+
+def test_simulation_does_not_load_the_estimator() -> None:
+    code = "import sys; import slam.simulation.simulation; sys.exit(any(m in sys.modules for m in ('gtsam', 'torch')))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,96 @@
+"""Degradations as they are asked for."""
+
+from __future__ import annotations
+
+import inspect
+
+import pytest
+
+from slam.common.errors import ConfigurationError
+from slam.simulation.degradation import DegradationConfig
+from slam.sweeps import degradations
+from slam.sweeps.degradations import DEFAULT_SPECIFICATIONS, describe_option, parse_degradations, undegraded_strength
+from tools.degrade import degrade
+
+
+def parse(text: str) -> degradations.Degradation:
+    return parse_degradations([text])[-1]
+
+
+def test_they_are_named_like_the_options_of_degrade() -> None:
+    options = {"is_reversed": "reversed"}
+    others = {"source", "output", "seed", "topics", "json"}
+    names = {options.get(name, name) for name in inspect.signature(degrade).parameters} - others
+    assert set(degradations._SETTINGS) == names
+    assert set(degradations._SETTINGS.values()) == set(DegradationConfig.model_fields)
+
+
+def test_several_options_make_one_degradation() -> None:
+    config = parse("field-of-view=90, keep_label=tree,keep_label=lamp,reversed,dropout=.3,time_offset=-0.1").config
+    assert config == DegradationConfig(
+        field_of_view_deg=90.0, keep_labels=("tree", "lamp"), reversed=True, dropout=0.3, time_offset_s=-0.1
+    )
+
+
+def test_the_log_as_it_is_comes_first_and_everything_once() -> None:
+    names = [each.name for each in parse_degradations(["dropout=0.30", "reversed", "dropout=.3", "dropout=0"])]
+    assert names == ["undegraded", "dropout=0.3", "reversed"]
+
+
+def test_without_any_there_are_five_in_which_the_seed_matters() -> None:
+    found = parse_degradations([])
+    assert [each.name for each in found] == ["undegraded", *DEFAULT_SPECIFICATIONS]
+    assert [each.config.is_random for each in found] == [False] + [True] * 5
+
+
+@pytest.mark.parametrize(
+    ("text", "strength"),
+    [
+        ("dropout=0.3", ("dropout", 0.3)),
+        ("field_of_view=90", ("field_of_view", 90.0)),
+        ("dropout=0.3,max_range=20", None),
+        ("reversed", None),
+        ("keep_label=tree", None),
+    ],
+)
+def test_one_number_is_a_strength(text: str, strength: tuple[str, float] | None) -> None:
+    assert parse(text).strength == strength
+
+
+def test_the_strength_of_the_log_as_it_is() -> None:
+    assert undegraded_strength("dropout") == 0.0
+    assert undegraded_strength("field_of_view") == 360.0
+    assert undegraded_strength("max_range") is None
+
+
+def test_options_in_words() -> None:
+    names = [describe_option(option) for option in ("dropout", "field_of_view", "odometry_yaw_noise")]
+    assert names == ["dropout", "field of view [deg]", "odometry yaw noise"]
+
+
+@pytest.mark.parametrize(
+    "text", ["field_of_view=90", "reversed", "max_range=20", "time_offset=0.2", "dropout=1", "drop_label=tree"]
+)
+def test_the_seed_does_not_matter_where_nothing_is_random(text: str) -> None:
+    assert not parse(text).config.is_random
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("drop=0.3", "did you mean dropout?"),
+        ("", "there are reversed"),
+        ("dropout=3", "dropout=3.0 is not allowed"),
+        ("dropout", "is not allowed"),
+        ("keep_label", "needs a label"),
+        ("dropout=0.3,dropout=0.4", "given twice"),
+        ("field_of_view=wide", "is not allowed"),
+        ("dropout=nan", "is not allowed"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(text: str, told: str) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        parse(text)
+    assert str(caught.value).startswith(f"--degrade {text!r}")
+    assert told in str(caught.value)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,224 @@
+"""Sweeps over a short drive: cells are computed once, whatever happens between."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from logs.messages import GroundTruthPose
+from slam.common.config import Config
+from slam.common.config_tree import load_tree
+from slam.common.errors import EvaluationError
+from slam.evaluation.evaluate import evaluate
+from slam.evaluation.inputs.records import read_records
+from slam.replay import replay
+from slam.simulation.degraded_log import write_degraded
+from slam.sweeps.cells import CellFolder, CellTask, compute_cell
+from slam.sweeps.degradations import parse_degradations
+from slam.sweeps.outputs import write_outputs
+from slam.sweeps.sweep import Sweep, run_sweep
+from slam.sweeps.table import to_markdown
+from tests.helpers.short_drives import Entry, change, keep_until, write_log
+
+ROOT = Path(__file__).parents[3]
+SPECIFICATIONS = ("dropout=0.3", "field_of_view=120")
+
+
+@pytest.fixture(scope="module")
+def log(noisy_drive: list[Entry], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_log(tmp_path_factory.mktemp("sweep") / "drive.mcap", keep_until(noisy_drive, 5.0))
+
+
+@pytest.fixture(scope="module")
+def finished(log: Path) -> tuple[Path, Sweep]:
+    """A folder with a whole sweep in it; tests copy what they change."""
+    folder = log.parent / "whole"
+    sweep = sweep_over(log, folder)
+    write_outputs(folder, sweep)
+    return folder, sweep
+
+
+def sweep_over(
+    log: Path, folder: Path, specifications: Sequence[str] = SPECIFICATIONS, *overrides: str, seeds: int = 2
+) -> Sweep:
+    config = load_tree(Config, None, overrides)
+    return run_sweep(log, folder, parse_degradations(specifications), config, seeds=seeds, jobs=1)
+
+
+def without_times(told: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in told.items() if key != "times"}
+
+
+def modified_ns(folder: Path) -> dict[str, int]:
+    return {path.name: path.stat().st_mtime_ns for path in (folder / "cells").iterdir()}
+
+
+def test_a_cell_is_what_the_three_commands_make(log: Path, finished: tuple[Path, Sweep], tmp_path: Path) -> None:
+    row = finished[1].rows[1]
+    assert [cell.seed for cell, _ in row.results] == [0, 1]
+    degradation = parse_degradations(SPECIFICATIONS)[1]
+    write_degraded(log, tmp_path / "degraded.mcap", degradation.config, seed=1)
+    replay(tmp_path / "degraded.mcap", tmp_path / "map.mcap", Config())
+    expected = evaluate(read_records(tmp_path / "map.mcap")).to_json_dict()
+    cell, result = row.results[1]
+    assert json.loads(json.dumps(result.evaluation)) == json.loads(json.dumps(expected))
+    told = json.loads((finished[0] / "cells" / cell.file_name).read_text())
+    assert told["evaluation"] == json.loads(json.dumps(expected))
+    assert (told["degradation"], told["seed"]) == ({"dropout": 0.3}, 1)
+
+
+def test_seeds_differ_and_are_not_repeated_where_nothing_is_random(finished: tuple[Path, Sweep]) -> None:
+    undegraded, dropout, view = finished[1].rows
+    assert [len(row.results) for row in (undegraded, dropout, view)] == [1, 2, 1]
+    spread = dropout.spreads["trajectory.ate_m"]
+    assert spread.count == 2
+    assert spread.standard_deviation is not None
+    assert spread.standard_deviation > 0.0
+
+
+def test_a_finished_sweep_is_not_computed_again(log: Path, finished: tuple[Path, Sweep]) -> None:
+    folder, sweep = finished
+    before = modified_ns(folder)
+    again = sweep_over(log, folder)
+    assert (sweep.computed, again.computed) == (4, 0)
+    assert modified_ns(folder) == before
+    assert without_times(again.to_json_dict()) == without_times(sweep.to_json_dict())
+    assert to_markdown(again) == to_markdown(sweep)
+
+
+def test_more_seeds_compute_only_what_is_new(log: Path, tmp_path: Path) -> None:
+    assert sweep_over(log, tmp_path, ["dropout=0.5"], seeds=1).computed == 2
+    assert sweep_over(log, tmp_path, ["dropout=0.5"], seeds=2).computed == 1
+
+
+def test_another_input_or_configuration_uses_no_old_cell(log: Path, noisy_drive: list[Entry], tmp_path: Path) -> None:
+    assert sweep_over(log, tmp_path, ["reversed"]).computed == 2
+    other = write_log(tmp_path / "drive.mcap", keep_until(noisy_drive, 4.0))
+    assert sweep_over(other, tmp_path, ["reversed"]).computed == 2
+    assert sweep_over(log, tmp_path, ["reversed"], "keyframe.distance_m=3.0").computed == 2
+    assert len(modified_ns(tmp_path)) == 6
+    assert sweep_over(log, tmp_path, ["reversed"]).computed == 0
+
+
+def test_the_key_depends_on_all_that_the_result_does(finished: tuple[Path, Sweep]) -> None:
+    cell, _ = finished[1].rows[1].results[0]
+    other = [
+        replace(cell, seed=7),
+        replace(cell, degradation=parse_degradations(["dropout=0.31"])[1]),
+        *(
+            replace(cell, drive=replace(cell.drive, **change))
+            for change in (
+                {"sha256": "0" * 64},
+                {"version": "9"},
+                {"config": load_tree(Config, None, ["keyframe.distance_m=3.0"])},
+                {"topics": (("odometry", "/wheels"),)},
+            )
+        ),
+    ]
+    assert len({cell.key, *(each.key for each in other)}) == 1 + len(other)
+    assert replace(cell, drive=replace(cell.drive, path=Path("elsewhere.mcap"))).key == cell.key
+
+
+def test_a_cell_cut_short_or_failed_is_computed_again(log: Path, finished: tuple[Path, Sweep], tmp_path: Path) -> None:
+    _, sweep = finished
+    (first, result), (second, _) = sweep.rows[1].results
+    with CellFolder(tmp_path).opened() as kept:
+        kept.keep(first, result)
+        assert kept.finished(first) is not None
+        assert kept.finished(second) is None
+        path = tmp_path / "cells" / first.file_name
+        path.write_text(path.read_text()[:1000])
+        assert kept.finished(first) is None
+        kept.keep(first, replace(result, evaluation=None, error="no space left on device"))
+        assert kept.finished(first) is None
+
+
+def test_a_failing_cell_is_recorded_and_stops_no_other(log: Path, tmp_path: Path) -> None:
+    sweep = sweep_over(log, tmp_path, ["keep_label=unicorn", "field_of_view=90"])
+    (failure,) = sweep.failures
+    assert failure.startswith("keep_label=unicorn, seed 0: no detection is labelled 'unicorn'")
+    assert [row.spreads["trajectory.ate_m"].count for row in sweep.rows] == [1, 0, 1]
+    assert f"- failed: {failure}" in to_markdown(sweep)
+    told = sweep.to_json_dict()
+    assert told["degradations"][1]["cells"][0]["error"] in failure
+    json.dumps(told, allow_nan=False)
+    write_outputs(tmp_path, sweep)
+    assert (tmp_path / "sweep.png").read_bytes().startswith(b"\x89PNG")
+    assert sweep_over(log, tmp_path, ["keep_label=unicorn", "field_of_view=90"]).computed == 1
+
+
+def test_an_error_that_nobody_expected_stops_no_other_either(
+    finished: tuple[Path, Sweep], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("ours")
+
+    monkeypatch.setattr("slam.sweeps.cells.replay", fail)
+    result = compute_cell(CellTask(finished[1].rows[1].results[0][0], tmp_path))
+    assert result.evaluation is None
+    assert result.error == "this should not happen: ZeroDivisionError: ours"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_killed_and_resumed(log: Path, finished: tuple[Path, Sweep], tmp_path: Path) -> None:
+    """SIGKILL after the first cells: their files stay as they are, the rest is added, and nothing else is left.
+
+    The sweep that is killed has more seeds than there is time for.
+    """
+    arguments = [each for text in SPECIFICATIONS for each in ("--degrade", text)]
+    command = [sys.executable, "-m", "tools.cli", "evaluate", log, "--sweep", tmp_path, *arguments]
+    cells = tmp_path / "cells"
+    with subprocess.Popen([*command, "--seeds", "20", "--jobs", "2"], cwd=ROOT, stdout=subprocess.PIPE) as process:
+        while process.poll() is None and not list(cells.glob("*.json")):
+            time.sleep(0.005)
+        process.kill()
+        assert process.communicate(timeout=30)[0] == b""
+    before = {name: stamp for name, stamp in modified_ns(tmp_path).items() if name.endswith(".json")}
+    wanted = set(modified_ns(finished[0]))
+    assert 1 <= len(before) < 22
+    (tmp_path / "cells" / "unfinished").mkdir(parents=True, exist_ok=True)
+    (tmp_path / "cells" / "unfinished" / "map.mcap.part").write_text("left behind")
+    (cells / "dropout.json.part").write_text("left behind")
+
+    sweep = sweep_over(log, tmp_path)
+    assert sweep.computed == len(wanted - set(before))
+    after = modified_ns(tmp_path)
+    assert all(after[name] == stamp for name, stamp in before.items())
+    assert {path.name for path in tmp_path.iterdir()} == {"cells"}
+    assert set(after) == wanted | set(before)
+    assert without_times(sweep.to_json_dict()) == without_times(finished[1].to_json_dict())
+
+
+def test_two_sweeps_do_not_share_a_folder(log: Path, tmp_path: Path) -> None:
+    with CellFolder(tmp_path).opened(), pytest.raises(EvaluationError, match="another sweep"):
+        sweep_over(log, tmp_path)
+
+
+def test_a_drive_with_truth_is_needed(log: Path, noisy_drive: list[Entry], tmp_path: Path) -> None:
+    blind = change(keep_until(noisy_drive, 2.0), GroundTruthPose, lambda _, __: None)
+    with pytest.raises(EvaluationError, match="no ground truth"):
+        sweep_over(write_log(tmp_path / "blind.mcap", blind), tmp_path / "out")
+    replay(log, tmp_path / "map.mcap", Config())
+    with pytest.raises(EvaluationError, match="give the drive"):
+        sweep_over(tmp_path / "map.mcap", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_json_names_what_it_was_made_from(log: Path, finished: tuple[Path, Sweep]) -> None:
+    folder, sweep = finished
+    told = json.loads((folder / "sweep.json").read_text())
+    assert told == json.loads(json.dumps(sweep.to_json_dict()))
+    assert told["input"]["log"] == log.name
+    assert [each["name"] for each in told["degradations"]] == ["undegraded", *SPECIFICATIONS]
+    assert told["degradations"][2]["strength"] == {"option": "field_of_view", "value": 120.0}
+    assert all(os.path.exists(folder / "cells" / name) for name in told["times"]["cells"])
+    assert (folder / "sweep.md").read_text().count("\n| dropout=0.3 | 2 |") == 1

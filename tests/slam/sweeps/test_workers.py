@@ -1,0 +1,66 @@
+"""Processes that compute tasks."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from slam.sweeps.workers import Death, compute_all
+
+ROOT = Path(__file__).parents[3]
+
+KILLED = """
+import os, time
+from slam.sweeps.workers import compute_all
+
+def wait(number):
+    os.write(1, str(number).encode())
+    time.sleep(60)
+
+if __name__ == "__main__":
+    list(compute_all(wait, [1, 2], jobs=2))
+"""
+
+
+def square(number: int) -> int:
+    return number * number
+
+
+def die_over_three(number: int) -> tuple[int, int]:
+    if number == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number, os.getpid()
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_every_task_is_computed(jobs: int) -> None:
+    assert dict(compute_all(square, range(7), jobs=jobs)) == {number: number**2 for number in range(7)}
+
+
+def test_nothing_to_do() -> None:
+    assert list(compute_all(square, [], jobs=2)) == []
+
+
+def test_a_process_that_dies_takes_only_its_task_along() -> None:
+    outcomes = dict(compute_all(die_over_three, [1, 2, 3, 4, 5, 6], jobs=2))
+    assert outcomes.pop(3) == Death(-signal.SIGKILL)
+    assert {task: outcome[0] for task, outcome in outcomes.items() if not isinstance(outcome, Death)} == {
+        number: number for number in (1, 2, 4, 5, 6)
+    }
+
+
+def test_no_process_outlives_one_that_is_killed(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(KILLED)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, env=environment) as process:
+        assert process.stdout is not None
+        assert set(process.stdout.read(2).decode()) == {"1", "2"}
+        process.kill()
+        # The pipe ends when the last process that holds it has ended; they would sleep for a minute.
+        assert process.communicate(timeout=20) == (b"", None)

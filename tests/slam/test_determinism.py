@@ -1,0 +1,66 @@
+"""The same log and configuration give the same bytes: in other processes, from other folders, with other hash seeds."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from slam.common.config import Config
+from slam.replay import replay
+from slam.simulation.config import SimulationConfig, TrafficConfig
+from tests.helpers.short_drives import drive, keep_until, write_log
+
+ROOT = Path(__file__).parents[2]
+REPLAY = """
+import sys
+from pathlib import Path
+from slam.common.config import Config
+from slam.replay import replay
+replay(Path(sys.argv[1]), Path(sys.argv[2]), Config())
+"""
+
+
+def replay_elsewhere(source: Path, folder: Path, hash_seed: str) -> bytes:
+    """The output of a process of its own, which runs in ``folder`` and is given relative paths."""
+    folder.mkdir()
+    environment = {**os.environ, "PYTHONHASHSEED": hash_seed, "PYTHONPATH": str(ROOT)}
+    arguments = [sys.executable, "-c", REPLAY, os.path.relpath(source, folder), "out.mcap"]
+    subprocess.run(arguments, cwd=folder, env=environment, check=True)
+    return (folder / "out.mcap").read_bytes()
+
+
+def test_two_processes_write_the_same_bytes(tmp_path):
+    config = SimulationConfig(traffic=TrafficConfig(vehicles=2))
+    source = write_log(tmp_path / "in.mcap", keep_until(drive(config), 15.0))
+    first = replay_elsewhere(source, tmp_path / "a", "1")
+    assert len(first) > 10_000
+    assert replay_elsewhere(source, tmp_path / "b", "2") == first
+    replay(source, tmp_path / "here.mcap", Config())
+    assert (tmp_path / "here.mcap").read_bytes() == first
+
+
+def test_the_same_seed_simulates_the_same_bytes_and_another_seed_others(tmp_path):
+    config = SimulationConfig()
+    logs = [
+        write_log(tmp_path / f"{name}.mcap", keep_until(drive(config, seed=seed), 5.0)).read_bytes()
+        for name, seed in (("a", 1), ("b", 1), ("c", 2))
+    ]
+    assert logs[0] == logs[1]
+    assert logs[0] != logs[2]
+
+
+def test_another_drive_gives_another_output(tmp_path):
+    outputs = []
+    for seed in (1, 2):
+        source = write_log(tmp_path / f"in{seed}.mcap", keep_until(drive(SimulationConfig(), seed=seed), 5.0))
+        replay(source, tmp_path / f"out{seed}.mcap", Config())
+        outputs.append((tmp_path / f"out{seed}.mcap").read_bytes())
+    assert outputs[0] != outputs[1]
+
+
+def test_another_configuration_gives_another_output(tmp_path, noisy_log, noisy_output):
+    config = Config.model_validate({"keyframe": {"distance_m": 1.0}})
+    replay(noisy_log, tmp_path / "out.mcap", config)
+    assert (tmp_path / "out.mcap").read_bytes() != noisy_output.read_bytes()

@@ -1,0 +1,262 @@
+"""Replay: what is in the output, and what becomes of it when something fails on the way."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+
+from logs.digest import file_sha256
+from logs.errors import LogError, TopicSelectionError
+from logs.importers.imported_log import write_imported_log
+from logs.importers.kitti_objects import read_kitti_objects
+from logs.messages import (
+    DetectionAssociations,
+    FactorGraphRecord,
+    GroundTruthPose,
+    ObjectDetections,
+    ObjectMapRecord,
+    Odometry,
+    SlamPose,
+    StatusRecord,
+    TrajectoryRecord,
+)
+from logs.reader import LogReader
+from slam.common.config import Config
+from slam.common.errors import SlamError
+from slam.evaluation.evaluate import evaluate
+from slam.evaluation.inputs.records import read_records
+from slam.replay import replay
+from slam.system import Slam
+from tests.helpers.short_drives import (
+    change,
+    final_status,
+    keep_until,
+    odometry_of,
+    raw_messages,
+    records_of,
+    run,
+    write_log,
+)
+from tests.slam.evaluation.drives import KITTI, needs_kitti
+
+KINDS = {
+    "/slam/pose": SlamPose,
+    "/slam/associations": DetectionAssociations,
+    "/slam/trajectory_stamped": TrajectoryRecord,
+    "/slam/map": ObjectMapRecord,
+    "/slam/graph": FactorGraphRecord,
+    "/slam/status": StatusRecord,
+}
+
+
+@pytest.mark.parametrize("topic", KINDS)
+def test_the_output_topics_are_there_and_decode(noisy_output, topic):
+    records = records_of(noisy_output, topic)
+    assert records
+    assert {type(record) for record in records} == {KINDS[topic]}
+
+
+def test_the_pictures_are_there_in_the_viewers_own_schemas(noisy_output):
+    with LogReader(noisy_output) as reader:
+        schemas = {info.topic: (info.schema_name, info.message_count) for info in reader.topics()}
+    assert schemas["/slam/landmarks"][0] == "foxglove.SceneUpdate"
+    assert schemas["/slam/trajectory"] == ("foxglove.PosesInFrame", 1)
+    assert schemas["/slam/pose"][0] == "foxglove.PoseInFrame"
+    assert schemas["/tf"][0] == "foxglove.FrameTransform"
+
+
+def test_a_viewer_sees_each_landmark_when_it_is_confirmed_and_in_the_end_all_in_their_place(noisy_output):
+    with LogReader(noisy_output) as reader:
+        updates = [SceneUpdate.FromString(raw.data) for raw in reader.messages(["/slam/landmarks"])]
+    (object_map,) = records_of(noisy_output, "/slam/map")
+    confirmed = {name for name, state in zip(object_map.ids, object_map.states, strict=True) if state == "confirmed"}
+    *first, last = [{entity.id for entity in update.entities} for update in updates]
+    assert len(first) > 5
+    assert sum(map(len, first)) == len(set().union(*first))
+    assert confirmed <= set().union(*first)
+    assert [len(update.deletions) for update in updates] == [0] * len(first) + [1]
+    assert last == confirmed
+
+
+def test_the_output_fits_its_input(noisy_drive, noisy_output):
+    odometry = odometry_of(noisy_drive)
+    (trajectory,) = records_of(noisy_output, "/slam/trajectory_stamped")
+    assert trajectory.stamps_ns.tolist() == [o.stamp_ns for o in odometry]
+    assert trajectory.frame_id == "map"
+    scans = [record for _, _, record in noisy_drive if isinstance(record, ObjectDetections)]
+    associations = records_of(noisy_output, "/slam/associations")
+    assert [a.stamp_ns for a in associations] == [scan.stamp_ns for scan in scans]
+    assert [len(a.landmark_ids) for a in associations] == [len(scan.labels) for scan in scans]
+    (object_map,) = records_of(noisy_output, "/slam/map")
+    (graph,) = records_of(noisy_output, "/slam/graph")
+    assert set(graph.observation_landmark_ids) <= set(object_map.ids)
+    assert set(graph.keyframe_stamps_ns.tolist()) <= set(trajectory.stamps_ns.tolist())
+
+
+def test_keyframes_of_the_graph_lie_on_the_trajectory(noisy_output):
+    (trajectory,) = records_of(noisy_output, "/slam/trajectory_stamped")
+    (graph,) = records_of(noisy_output, "/slam/graph")
+    rows = np.searchsorted(trajectory.stamps_ns, graph.keyframe_stamps_ns)
+    np.testing.assert_allclose(trajectory.T_map_body[rows], graph.T_map_body, atol=1e-9)
+
+
+def test_odometry_and_truth_are_copied_bit_for_bit(noisy_log, noisy_output):
+    copied = ("/odom", "/ground_truth", "/ground_truth/detections", "/ground_truth/objects")
+
+    def content(path):
+        return [
+            (raw.topic, raw.log_time_ns, raw.publish_time_ns, raw.sequence, raw.data, raw.channel.schema.data)
+            for raw in raw_messages(path)
+            if raw.topic in copied
+        ]
+
+    assert {topic for topic, *_ in content(noisy_output)} == set(copied)
+    assert content(noisy_output) == content(noisy_log)
+
+
+def test_the_output_says_what_it_was_made_from(noisy_log, noisy_output):
+    with LogReader(noisy_output) as reader:
+        found = reader.metadata()["dslam"]
+    assert found["input_sha256"] == file_sha256(noisy_log)
+    assert Config.model_validate_json(found["configuration"]) == Config()
+    assert found["version"]
+    assert json.loads(found["topics"])["/odom"] == ["odometry"]
+
+
+def test_the_output_can_be_evaluated_on_its_own(noisy_output):
+    found = evaluate(read_records(noisy_output))
+    assert found.estimate.absolute.rmse_m < found.odometry.absolute.rmse_m
+    assert found.associations.precision > 0.99
+    assert found.landmarks.matched_count > 30
+    assert found.counters == final_status(noisy_output).counters
+    assert set(found.missing) <= {"closures", "calibration", "run_time"}
+
+
+def test_the_summary_agrees_with_the_output(noisy_log, noisy_output, tmp_path):
+    summary = replay(noisy_log, tmp_path / "out.mcap", Config())
+    status = final_status(noisy_output)
+    assert summary.counters == status.counters
+    assert summary.final_status == status.message
+    assert summary.log_s == pytest.approx(summary.counters["odometry_used"] * 0.1, abs=0.2)
+    assert 0.0 < summary.solver_s < summary.wall_s
+    assert 0.0 < summary.longest_stall_s < summary.wall_s
+
+
+def test_an_output_that_is_there_is_replaced(noisy_drive, tmp_path):
+    output = tmp_path / "out.mcap"
+    output.write_bytes(b"old")
+    run(keep_until(noisy_drive, 2.0), output)
+    assert final_status(output).message == "optimised"
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["in.mcap", "out.mcap"]
+
+
+class PowerCutError(RuntimeError):
+    """Something that nobody expects."""
+
+
+@pytest.mark.parametrize("error", [SlamError("broken"), PowerCutError("power cut")])
+def test_an_error_on_the_way_leaves_no_file_under_the_final_name(noisy_log, tmp_path, monkeypatch, error):
+    """The part that was written stays and can be read; an output from before stays as it was."""
+    process, calls = Slam.process, iter(range(10**6))
+
+    def failing(self, record):
+        if next(calls) > 300:
+            raise error
+        return process(self, record)
+
+    monkeypatch.setattr(Slam, "process", failing)
+    output = tmp_path / "out.mcap"
+    with pytest.raises(type(error)):
+        replay(noisy_log, output, Config())
+    assert not output.exists()
+    assert len(records_of(tmp_path / "out.mcap.part", "/slam/pose")) > 100
+    output.write_bytes(b"old")
+    with pytest.raises(type(error)):
+        replay(noisy_log, output, Config())
+    assert output.read_bytes() == b"old"
+
+
+def test_the_input_is_not_overwritten(noisy_drive, tmp_path):
+    source = write_log(tmp_path / "in.mcap", keep_until(noisy_drive, 2.0))
+    before = source.read_bytes()
+    (tmp_path / "link.mcap").symlink_to(source)
+    for output in (source, tmp_path / "link.mcap", tmp_path / "." / "in.mcap"):
+        with pytest.raises(LogError, match="overwrite the input"):
+            replay(source, output, Config())
+    assert source.read_bytes() == before
+
+
+def test_a_partial_log_is_not_destroyed_by_replaying_it_into_its_own_name(noisy_drive, tmp_path):
+    """After a killed run: replay out.mcap.part -o out.mcap."""
+    source = write_log(tmp_path / "out.mcap.part", keep_until(noisy_drive, 2.0))
+    before = source.read_bytes()
+    with pytest.raises((LogError, SlamError)):
+        replay(source, tmp_path / "out.mcap", Config())
+    assert source.read_bytes() == before
+
+
+def test_progress_rises_from_zero_to_one(noisy_log, tmp_path):
+    told: list[float] = []
+    replay(noisy_log, tmp_path / "out.mcap", Config(), progress=told.append)
+    assert told == sorted(told)
+    assert told[0] == pytest.approx(0.0, abs=0.01)
+    assert told[-1] == 1.0
+
+
+def test_progress_stays_within_its_bounds_where_the_truth_is_longer_than_the_drive(noisy_drive, tmp_path):
+    entries = keep_until(noisy_drive, 4.0)
+    first_ns = entries[0][1]
+
+    def middle(_, record):
+        return record if 10**9 < record.stamp_ns - first_ns < 3 * 10**9 else None
+
+    source = write_log(tmp_path / "in.mcap", change(change(entries, Odometry, middle), ObjectDetections, middle))
+    told: list[float] = []
+    replay(source, tmp_path / "out.mcap", Config(), progress=told.append)
+    assert min(told) >= 0.0
+    assert max(told) <= 1.0
+
+
+def test_a_topic_can_be_named(noisy_drive, tmp_path):
+    entries = keep_until(noisy_drive, 2.0)
+    true_odometry = [
+        ("/other", ns, Odometry(ns, record.T_world_body))
+        for _, ns, record in entries
+        if isinstance(record, GroundTruthPose)
+    ]
+    source = write_log(tmp_path / "in.mcap", sorted([*entries, *true_odometry], key=lambda entry: entry[1]))
+    with pytest.raises(TopicSelectionError, match="/odom, /other"):
+        replay(source, tmp_path / "out.mcap", Config())
+    assert not list(tmp_path.glob("out*"))
+    replay(source, tmp_path / "out.mcap", Config(), topics={"odometry": "/other"})
+    (trajectory,) = records_of(tmp_path / "out.mcap", "/slam/trajectory_stamped")
+    np.testing.assert_allclose(trajectory.T_map_body[0], true_odometry[0][2].T_odom_body, atol=1e-6)
+
+
+def test_an_output_can_not_be_replayed_as_if_it_had_detections(noisy_output, tmp_path):
+    with pytest.raises(TopicSelectionError, match="no topic gives detections"):
+        replay(noisy_output, tmp_path / "again.mcap", Config())
+
+
+@needs_kitti
+def test_the_first_half_minute_of_a_real_drive_is_as_good_as_its_odometry(tmp_path):
+    times = [float(line) for line in (KITTI / "KITTI_00_gt_times.txt").read_text().split()]
+    end_ns = round(times[300] * 1e9)
+    recorded = read_kitti_objects(
+        detections=KITTI / "gosmatch_00.tar.xz",
+        odometry=KITTI / "KITTI_00_SPTAM.txt",
+        calib=KITTI / "calib.txt",
+        times=KITTI / "KITTI_00_gt_times.txt",
+        ground_truth=KITTI / "KITTI_00_gt.txt",
+    )
+    first_ns = recorded.stamps_ns[0]
+    records = [record for record in recorded.records() if record.stamp_ns - first_ns < end_ns - round(times[0] * 1e9)]
+    write_imported_log(tmp_path / "in.mcap", records, recorded.source)
+    replay(tmp_path / "in.mcap", tmp_path / "out.mcap", Config())
+    found = evaluate(read_records(tmp_path / "out.mcap"))
+    assert found.counters["odometry_used"] == found.counters["detections_used"] == 300
+    assert found.counters["landmarks_confirmed"] > 50
+    assert found.estimate.absolute.rmse_m < 1.05 * found.odometry.absolute.rmse_m

@@ -1,0 +1,369 @@
+"""Whole drives: what comes out is true where the input is, and is never better than the input allows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from logs.messages import (
+    DetectionAssociations,
+    DetectionTruth,
+    GroundTruthPose,
+    ObjectDetections,
+    ObjectMapRecord,
+    Odometry,
+    SlamPose,
+    StatusRecord,
+    Transform,
+)
+from slam.common.arrays import FloatArray
+from slam.common.config import Config
+from slam.common.errors import InputDataError
+from slam.common.geometry import invert, transform_from_xyz_yaw
+from slam.evaluation.evaluate import find_aliases
+from slam.evaluation.inputs.synchronization import clean_poses
+from slam.evaluation.metrics.association import evaluate_associations, label_detections
+from slam.simulation.config import KidnapConfig, SimulationConfig, TrafficConfig
+from slam.system import FinalMap, Slam
+from tests.helpers.short_drives import (
+    EXACT_SENSOR,
+    NO_DRIFT,
+    Entry,
+    block_world,
+    change,
+    drive,
+    keep_until,
+    map_in_memory,
+    odometry_of,
+    run,
+)
+
+TRUTHS = (GroundTruthPose, DetectionTruth, ObjectMapRecord)
+
+
+def finished(entries: list[Entry], config: Config | None = None) -> FinalMap:
+    return map_in_memory(entries, config).finish()
+
+
+def associations_of(entries: list[Entry], config: Config | None = None) -> list[DetectionAssociations]:
+    slam = Slam(config or Config())
+    updates = [update for _, _, record in entries for update in slam.process(record)]
+    return [update for update in updates if isinstance(update, DetectionAssociations)]
+
+
+def truth_of_landmarks(
+    entries: list[Entry], object_map: ObjectMapRecord, config: Config | None = None
+) -> dict[str, str]:
+    """True object of each landmark, by the detections that were assigned to it."""
+    path = clean_poses(
+        np.array([o.stamp_ns for o in odometry_of(entries)]), np.array([o.T_odom_body for o in odometry_of(entries)])
+    )
+    truths = [record for _, _, record in entries if isinstance(record, DetectionTruth)]
+    labelled = label_detections(associations_of(entries, config), truths, path, aliases=find_aliases(object_map))
+    return dict(evaluate_associations(labelled).landmark_object_ids)
+
+
+# Without noise
+
+
+def test_without_noise_everything_is_where_and_what_it_is(exact_drive, tmp_path):
+    found = run(exact_drive, tmp_path / "out.mcap")
+    assert found.estimate.absolute.rmse_m < 1e-6
+    assert found.online.absolute.rmse_m < 1e-6
+    assert found.associations.precision == 1.0
+    # What was seen once from afar and then hidden for long may begin again.
+    assert found.associations.recall > 0.999
+    assert found.associations.confirmed_landmark_count == len(block_world().object_ids)
+    assert found.associations.mean_confirmed_landmarks_per_object == 1.0
+    assert found.landmarks.global_frame.max_m < 1e-6
+    assert found.landmarks.class_right_count == len(block_world().object_ids)
+
+
+def test_twin_odometry_that_is_a_fifth_too_long_gives_a_bad_trajectory(exact_drive, tmp_path):
+    def stretch(_: int, odometry: Odometry) -> Odometry:
+        T = odometry.T_odom_body.copy()
+        T[:3, 3] *= 1.2
+        return replace(odometry, T_odom_body=T)
+
+    found = run(change(exact_drive, Odometry, stretch), tmp_path / "out.mcap")
+    assert found.estimate.absolute.rmse_m > 2.0
+    assert found.landmarks.global_frame.max_m > 1.0
+
+
+def test_twin_detections_mirrored_left_to_right_give_a_bad_map(exact_drive, tmp_path):
+    def mirror(_: int, detections: ObjectDetections) -> ObjectDetections:
+        return replace(detections, positions=detections.positions * [1.0, -1.0, 1.0])
+
+    found = run(change(exact_drive, ObjectDetections, mirror), tmp_path / "out.mcap")
+    assert found.landmarks.global_frame.rmse_m > 1.0
+
+
+# With noise
+
+
+def test_with_default_noise_detections_go_to_the_right_landmarks(noisy_drive, tmp_path):
+    found = run(noisy_drive, tmp_path / "out.mcap")
+    assert found.associations.precision > 0.995
+    assert found.associations.recall > 0.99
+    assert found.associations.confirmed_false_landmark_count == 0
+    assert found.associations.mean_confirmed_landmarks_per_object < 1.1
+    assert found.estimate.absolute.rmse_m < 0.6 * found.odometry.absolute.rmse_m
+    assert found.online.absolute.rmse_m < 0.8 * found.odometry.absolute.rmse_m
+    assert found.landmarks.windowed.rmse_m < 0.1
+
+
+def test_twin_labels_and_places_at_random_give_no_map(noisy_drive, tmp_path):
+    rng = np.random.default_rng(0)
+
+    def scatter(_: int, detections: ObjectDetections) -> ObjectDetections:
+        return replace(detections, positions=rng.uniform(-30.0, 30.0, detections.positions.shape))
+
+    found = run(change(noisy_drive, ObjectDetections, scatter), tmp_path / "out.mcap")
+    assert found.associations.recall < 0.2
+
+
+# Traffic
+
+TRAFFIC = TrafficConfig(vehicles=4, min_speed_mps=4.0)
+
+
+@pytest.fixture(scope="module")
+def traffic_drive() -> list[Entry]:
+    return drive(SimulationConfig(odometry=NO_DRIFT, sensor=EXACT_SENSOR, traffic=TRAFFIC), seed=3)
+
+
+def confirmed_objects(entries: list[Entry], config: Config | None = None) -> list[str]:
+    object_map = finished(entries, config).object_map
+    objects = truth_of_landmarks(entries, object_map, config)
+    return sorted(
+        objects[name] for name, state in zip(object_map.ids, object_map.states, strict=True) if state == "confirmed"
+    )
+
+
+def test_among_traffic_what_stands_still_stays_in_the_map_parked_vehicles_too(traffic_drive):
+    world = block_world()
+    assert "vehicle" in world.labels
+    assert set(world.object_ids) <= set(confirmed_objects(traffic_drive))
+
+
+def test_what_moves_is_not_confirmed():
+    """But for one: a vehicle that turns round at the end of the street goes nowhere for a second."""
+    found = confirmed_objects(drive(SimulationConfig(traffic=TRAFFIC), seed=1))
+    assert len([name for name in found if name.startswith("moving")]) <= 1
+
+
+def test_following_what_moves_keeps_most_slow_traffic_out_of_the_map():
+    entries = drive(SimulationConfig(traffic=TrafficConfig(vehicles=8, min_speed_mps=2.0, max_speed_mps=5.0)), seed=1)
+    nothing_moves = Config.model_validate({"landmark": {"moving_speed_mps": 50.0}})
+    followed, not_followed = (
+        len([name for name in confirmed_objects(entries, config) if name.startswith("moving")])
+        for config in (Config(), nothing_moves)
+    )
+    assert followed < 0.5 * not_followed
+
+
+# The truth is never read
+
+
+def same_results(a: FinalMap, b: FinalMap) -> None:
+    np.testing.assert_array_equal(a.trajectory.T_map_body, b.trajectory.T_map_body)
+    np.testing.assert_array_equal(a.object_map.positions, b.object_map.positions)
+    assert a.object_map.states == b.object_map.states
+    assert a.status.counters == b.status.counters
+
+
+def altered(record):
+    """A truth record turned into an untruth."""
+    match record:
+        case GroundTruthPose():
+            return replace(
+                record, T_world_body=transform_from_xyz_yaw(np.array([9.0, 9, 9]), 1.0) @ record.T_world_body
+            )
+        case DetectionTruth():
+            return replace(record, object_ids=tuple("liar" for _ in record.object_ids))
+        case ObjectMapRecord():
+            return replace(record, positions=record.positions + 50.0)
+
+
+def test_without_truth_or_with_another_truth_the_result_is_the_same(noisy_drive):
+    entries = keep_until(noisy_drive, 10.0)
+    reference = finished(entries)
+    without = [entry for entry in entries if not isinstance(entry[2], TRUTHS)]
+    untrue = [(t, ns, altered(r) if isinstance(r, TRUTHS) else r) for t, ns, r in entries]
+    assert len(without) < len(entries)
+    same_results(reference, finished(without))
+    same_results(reference, finished(untrue))
+
+
+def test_twin_other_detections_give_another_result(noisy_drive):
+    entries = keep_until(noisy_drive, 10.0)
+
+    def shift(_: int, detections: ObjectDetections) -> ObjectDetections:
+        return replace(detections, positions=detections.positions + 1e-3)
+
+    with pytest.raises(AssertionError):
+        same_results(finished(entries), finished(change(entries, ObjectDetections, shift)))
+
+
+# Frames and order
+
+
+def test_where_the_odometry_begins_does_not_matter(noisy_drive):
+    entries = keep_until(noisy_drive, 10.0)
+    T_new_odom = transform_from_xyz_yaw(np.array([30.0, -20.0, 5.0]), 1.2)
+
+    def move(_: int, odometry: Odometry) -> Odometry:
+        return replace(odometry, T_odom_body=T_new_odom @ odometry.T_odom_body)
+
+    here, there = finished(entries), finished(change(entries, Odometry, move))
+    np.testing.assert_allclose(there.trajectory.T_map_body, T_new_odom @ here.trajectory.T_map_body, atol=1e-4)
+    assert here.object_map.states == there.object_map.states
+
+
+def test_detections_in_a_sensor_frame_are_as_good_as_in_the_body_frame(noisy_drive):
+    entries = keep_until(noisy_drive, 10.0)
+    T_body_lidar = transform_from_xyz_yaw(np.array([1.2, 0.3, 1.7]), 0.5)
+
+    def to_lidar(_: int, detections: ObjectDetections) -> ObjectDetections:
+        homogeneous = np.pad(detections.positions, ((0, 0), (0, 1)), constant_values=1.0)
+        return replace(detections, frame_id="lidar", positions=(homogeneous @ invert(T_body_lidar).T)[:, :3])
+
+    mounted = [("/tf_static", entries[0][1], Transform(entries[0][1], "base_link", "lidar", T_body_lidar))]
+    a, b = finished(entries), finished([*mounted, *change(entries, ObjectDetections, to_lidar)])
+    np.testing.assert_allclose(a.trajectory.T_map_body, b.trajectory.T_map_body, atol=1e-5)
+    np.testing.assert_allclose(a.object_map.positions, b.object_map.positions, atol=1e-5)
+
+
+def test_detections_in_the_odometry_frame_are_brought_into_the_body_frame(exact_drive):
+    entries = keep_until(exact_drive, 8.0)
+    T_odom_body = {o.stamp_ns: o.T_odom_body for o in odometry_of(entries)}
+
+    def to_odom(_: int, detections: ObjectDetections) -> ObjectDetections:
+        T = T_odom_body[detections.stamp_ns]
+        return replace(detections, frame_id="odom", positions=detections.positions @ T[:3, :3].T + T[:3, 3])
+
+    a, b = finished(entries), finished(change(entries, ObjectDetections, to_odom))
+    np.testing.assert_allclose(a.object_map.positions, b.object_map.positions, atol=1e-6)
+
+
+def test_detections_between_two_odometry_messages_are_placed_between_them(exact_drive):
+    """Every second odometry message is left out, none of the detections."""
+    entries = keep_until(exact_drive, 4.0)
+    sparse = change(entries, Odometry, lambda i, odometry: odometry if i % 2 == 0 else None)
+    result = finished(sparse)
+    assert result.status.counters["detections_used"] == result.status.counters["odometry_used"] * 2 - 1
+    world = block_world()
+    nearest = [np.linalg.norm(world.positions - position, axis=1).min() for position in result.object_map.positions]
+    assert max(nearest) < 0.02
+
+
+def test_detections_that_are_logged_before_the_odometry_of_their_time_are_all_used(exact_drive):
+    entries = keep_until(exact_drive, 4.0)
+    swapped = sorted(entries, key=lambda entry: (entry[1], isinstance(entry[2], Odometry)))
+    a, b = finished(entries), finished(swapped)
+    assert b.status.counters["detections_used"] == 40
+    np.testing.assert_allclose(a.object_map.positions, b.object_map.positions, atol=1e-6)
+
+
+def test_one_detection_with_a_stamp_from_the_future_costs_only_itself(exact_drive):
+    entries = keep_until(exact_drive, 8.0)
+
+    def postdate(i: int, detections: ObjectDetections) -> ObjectDetections:
+        return replace(detections, stamp_ns=detections.stamp_ns + 3600 * 10**9) if i == 20 else detections
+
+    counters = finished(change(entries, ObjectDetections, postdate)).status.counters
+    assert counters["detections_used"] == 79
+
+
+def test_one_odometry_message_with_a_stamp_from_the_future_costs_only_itself(exact_drive):
+    entries = keep_until(exact_drive, 8.0)
+
+    def postdate(i: int, odometry: Odometry) -> Odometry:
+        return replace(odometry, stamp_ns=odometry.stamp_ns + 3600 * 10**9) if i == 20 else odometry
+
+    counters = finished(change(entries, Odometry, postdate)).status.counters
+    assert counters["odometry_used"] >= 79
+
+
+def test_a_first_odometry_message_from_the_future_costs_only_itself(exact_drive):
+    def postdate(i: int, odometry: Odometry) -> Odometry:
+        return replace(odometry, stamp_ns=odometry.stamp_ns + 3600 * 10**9) if i == 0 else odometry
+
+    counters = finished(change(keep_until(exact_drive, 8.0), Odometry, postdate)).status.counters
+    assert counters["odometry_used"] == 79
+    assert counters["odometry_out_of_order"] == 1
+
+
+def test_two_sensors_that_see_at_the_same_time_are_both_used(exact_drive):
+    """The left half of each scan comes from one sensor, the right half from another, at the same stamp."""
+    entries = keep_until(exact_drive, 8.0)
+    halves: list[Entry] = []
+    for topic, stamp_ns, record in entries:
+        if not isinstance(record, ObjectDetections):
+            halves.append((topic, stamp_ns, record))
+            continue
+        left = record.positions[:, 1] > 0.0
+        for sensor, chosen in (("left", left), ("right", ~left)):
+            labels = tuple(label for label, is_chosen in zip(record.labels, chosen, strict=True) if is_chosen)
+            half = replace(
+                record, frame_id=sensor, positions=record.positions[chosen], labels=labels,
+                scores=record.scores[chosen], covariances=None, sizes=None, track_ids=None,
+            )  # fmt: skip
+            halves.append((topic, stamp_ns, half))
+    both = Config.model_validate({"detection": {"assume_body_frame": True}})
+    whole, split = finished(entries, both), finished(halves, both)
+    assert split.status.counters["objects_used"] == whole.status.counters["objects_used"]
+    assert "detections_duplicated" not in split.status.counters
+    assert split.status.counters["landmarks_confirmed"] >= 0.95 * whole.status.counters["landmarks_confirmed"]
+
+
+# What it says meanwhile
+
+
+def test_there_is_a_pose_for_every_odometry_message_and_it_agrees_with_the_frames(noisy_drive):
+    slam = Slam(Config())
+    updates = [update for _, _, record in keep_until(noisy_drive, 5.0) for update in slam.process(record)]
+    odometry = odometry_of(keep_until(noisy_drive, 5.0))
+    poses = [update for update in updates if isinstance(update, SlamPose)]
+    assert [pose.stamp_ns for pose in poses] == [o.stamp_ns for o in odometry]
+    for pose, o in zip(poses, odometry, strict=True):
+        np.testing.assert_allclose(pose.T_map_body, pose.T_map_odom @ o.T_odom_body, atol=1e-12)
+    frames = [update for update in updates if isinstance(update, Transform) and update.parent_frame_id == "map"]
+    steps_told = [update for update in updates if isinstance(update, Transform) and update.parent_frame_id == "odom"]
+    assert [step.stamp_ns for step in steps_told] == [o.stamp_ns for o in odometry]
+    assert len(frames) == slam.counters["keyframes"]
+    assert {(frame.parent_frame_id, frame.child_frame_id) for frame in frames} == {("map", "odom")}
+
+
+EXACT_KIDNAP = SimulationConfig(odometry=NO_DRIFT, sensor=EXACT_SENSOR)
+
+
+@pytest.mark.parametrize("config", [SimulationConfig(), EXACT_KIDNAP], ids=["default noise", "without noise"])
+def test_a_kidnapping_is_told_and_both_parts_are_mapped(config):
+    entries = drive(config.model_copy(update={"kidnap": KidnapConfig(from_m=60.0, to_m=100.0, gap_s=30.0)}))
+    slam = Slam(Config())
+    told = [u for _, _, record in entries for u in slam.process(record) if isinstance(u, StatusRecord)]
+    assert [status.level for status in told] == ["info", "warning"]
+    final = slam.finish()
+    assert final.status.counters["odometry_breaks"] == 1
+    assert "covariances_missing" not in final.status.counters
+    assert np.linalg.eigvalsh(final.object_map.covariances)[:, 0].min() > 0.0
+    assert len(final.trajectory.stamps_ns) == len(odometry_of(entries))
+    assert np.isfinite(final.trajectory.T_map_body).all()
+
+
+def steps(T: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1))
+
+
+def test_the_final_trajectory_has_no_steps_that_the_odometry_has_not(noisy_drive):
+    final = finished(noisy_drive)
+    T_odom = np.array([o.T_odom_body for o in odometry_of(noisy_drive)])
+    assert np.abs(steps(final.trajectory.T_map_body) - steps(T_odom)).max() < 0.1
+
+
+def test_nothing_at_all_cannot_be_mapped():
+    with pytest.raises(InputDataError, match="no odometry"):
+        Slam(Config()).finish()

@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from logs.errors import UnwritableLogError
+from slam.common.errors import EvaluationError
+from slam.visualization.map_plot import LEGEND_CLASSES, MapPicture, draw_map, group_classes
+from tests.slam.evaluation.drives import straight_path, winding_path
+
+
+def full_picture() -> MapPicture:
+    rng = np.random.default_rng(0)
+    path = winding_path(300)[:, :3, 3]
+    return MapPicture(
+        estimate=path,
+        odometry=1.02 * path,
+        truth=path + 0.5,
+        landmarks=path[::2] + rng.uniform(-9, 9, (150, 3)),
+        labels=tuple(f"class {i}" for i in rng.integers(0, 20, 150)),
+        closures=np.stack([path[:3], path[-3:]], axis=1),
+        true_closures=np.stack([path[3:9], path[-9:-3]], axis=1),
+        false_closures=np.stack([path[9:10], path[-99:-98]], axis=1),
+        missed_revisits=path[-30:-10],
+        ate_m=0.5,
+        odometry_ate_m=3.0,
+    )
+
+
+def test_a_full_picture_has_the_asked_width_and_the_same_bytes_each_time(tmp_path: Path) -> None:
+    for name in ("a.png", "b.png"):
+        draw_map(tmp_path / name, full_picture(), width_px=800)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.png", "b.png"]
+    pixels = imread(tmp_path / "a.png")
+    assert pixels.shape[1] == 800
+    assert pixels[..., :3].std() > 0.05
+
+
+def test_false_closures_are_red_and_cannot_be_overlooked(tmp_path: Path) -> None:
+    path = straight_path(100)[:, :3, 3]
+    ends = np.array([[[10.0, 20.0, 0.0], [90.0, -20.0, 0.0]]])
+    pictures = {
+        "true": MapPicture(path, true_closures=ends),
+        "false": MapPicture(path, false_closures=ends),
+    }
+    red = {}
+    for name, picture in pictures.items():
+        draw_map(tmp_path / f"{name}.png", picture, width_px=800)
+        pixels = imread(tmp_path / f"{name}.png")[..., :3]
+        red[name] = int(((pixels[..., 0] > 0.95) & (pixels[..., 1:].max(axis=-1) < 0.05)).sum())
+    assert red["true"] < 10
+    assert red["false"] > 500
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [
+        MapPicture(estimate=np.zeros((1, 3))),
+        MapPicture(estimate=straight_path(9)[:, :3, 3]),
+        MapPicture(estimate=np.outer(np.arange(9.0), [0.0, 1.0, 0.0])),
+        MapPicture(estimate=np.zeros((0, 3)), landmarks=np.ones((1, 3)), labels=("tree",)),
+        MapPicture(estimate=np.zeros((0, 3)), truth=np.eye(3)),
+    ],
+)
+def test_little_to_draw(tmp_path: Path, picture: MapPicture) -> None:
+    draw_map(tmp_path / "a.png", picture, width_px=400)
+    shape = imread(tmp_path / "a.png").shape
+    assert shape[1] == 400
+    assert 150 <= shape[0] <= 400
+
+
+@pytest.mark.parametrize(
+    ("picture", "message"),
+    [
+        (MapPicture(estimate=np.zeros((0, 3))), "no position"),
+        (MapPicture(estimate=np.full((2, 3), np.nan)), "finite"),
+        (MapPicture(estimate=np.zeros((2, 3)), landmarks=np.zeros((2, 3)), labels=("a",)), "2 landmarks have 1"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(tmp_path: Path, picture: MapPicture, message: str) -> None:
+    with pytest.raises(EvaluationError, match=message):
+        draw_map(tmp_path / "a.png", picture)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_most_frequent_classes_are_named_and_the_rest_are_other() -> None:
+    labels = tuple(f"c{i:02d}" for i in range(20) for _ in range(1 + (i == 19)))
+    groups = group_classes(labels)
+    assert [name for name, _ in groups] == ["c19", *(f"c{i:02d}" for i in range(LEGEND_CLASSES - 1)), "other"]
+    assert sorted(np.concatenate([rows for _, rows in groups]).tolist()) == list(range(21))
+    assert group_classes(()) == []
+    assert [name for name, _ in group_classes(("a", "b", "b"))] == ["b", "a"]
+
+
+def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(UnwritableLogError, match="No such file"):
+        draw_map(tmp_path / "missing" / "a.png", full_picture())
+
+
+def test_pictures_need_no_global_plotting_state() -> None:
+    code = "import sys, slam.visualization.map_plot; sys.exit('matplotlib.pyplot' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,218 @@
+"""dslam benchmark relocalization."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tools.arguments import ConfigFile, Json, Settings, Topics, parse_topics
+
+if TYPE_CHECKING:
+    from slam.benchmarks.logged_relocalization import LoggedRelocalization
+    from slam.benchmarks.relocalization_figures import Figures, RelocalizationBenchmark
+    from slam.common.config import Config
+
+RIGHT = (4.0, 10.0)
+HEADINGS = ("drives", "found", "in map", "late", "wrong", "lost", "m", "95 %", "s", "off m", "95 % off", "deg", "kept")
+
+
+def relocalization(
+    objects: Annotated[
+        Path | None, typer.Option(metavar="CSV", help="Objects of a world: x_m,y_m,z_m,class,id.", show_default=False)
+    ] = None,
+    trajectory: Annotated[
+        Path | None, typer.Option(metavar="CSV", help="Tour that is mapped: x_m,y_m.", show_default=False)
+    ] = None,
+    log: Annotated[
+        Path | None,
+        typer.Option(metavar="LOG.mcap", help="A real drive with its truth instead of a world.", show_default=False),
+    ] = None,
+    map_until: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", min=1.0, help="With --log: what makes the map ends there.", show_default=False),
+    ] = None,
+    right: Annotated[
+        tuple[float, float], typer.Option(metavar="METRES DEGREES", help="With --log: most error of a right fix.")
+    ] = RIGHT,
+    kidnaps: Annotated[int, typer.Option(min=1, help="How often the robot is carried off.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the map, the places and all errors.")] = 0,
+    noise: Annotated[
+        float, typer.Option(min=0.0, max=10.0, help="Factor on the errors of the sensor after the map was made.")
+    ] = 1.0,
+    changed: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Share of the objects replaced after the map was made.")
+    ] = 0.0,
+    max_travel: Annotated[
+        float, typer.Option("--max-travel", metavar="METRES", min=5.0, help="How long each drive is.")
+    ] = 60.0,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes that search at a time; with --log one.")] = 1,
+    config_file: ConfigFile = None,
+    settings: Settings = None,
+    topics: Topics = None,
+    json: Json = False,
+) -> None:
+    """Map a tour, carry the robot off to random places of it, and tell how soon it knows where it is.
+
+    It drives from there along the tour or against it, until objects of the map are recognised, and 10 m more. Found: a
+    fix within 40 m that is right to 1 m and 3 deg in the world; in map: ... or in the map, which may itself be bent;
+    late: a right one after that; wrong: any other in the world; lost: none at all. Distance and time are medians of
+    right fixes, errors of all fixes; kept: right fixes that are still right 10 m on.
+
+    With --log the first part of a real drive makes the map, and the robot is put down at places of the rest, evenly
+    spread: some where the map has been, and some where it has not, at which it must not be found.
+
+    Example: dslam benchmark relocalization --objects objects.csv --trajectory trajectory.csv --noise 2 --changed 0.1
+
+    Example: dslam benchmark relocalization --log kitti00.mcap --map-until 311 --kidnaps 40
+    """
+    from slam.common.config import load_config
+
+    chosen = parse_topics(topics)
+    config = load_config(config_file, settings or ())
+    if log is not None:
+        if objects is not None or trajectory is not None or map_until is None:
+            raise typer.BadParameter(
+                "it goes with --map-until, and without --objects and --trajectory.", param_hint="--log"
+            )
+        if (seed, noise, changed, jobs) != (0, 1.0, 0.0, 1):
+            raise typer.BadParameter("a log is as it is; they go with --objects.", param_hint="--seed, --noise, ...")
+        if not min(right) > 0.0:
+            raise typer.BadParameter(f"{right[0]:g} m and {right[1]:g} deg must be above 0.", param_hint="--right")
+        _run_log(log, config, map_until, kidnaps, max_travel, right, chosen, as_json=json)
+        return
+    if objects is None or trajectory is None:
+        raise typer.BadParameter("give both, or --log with --map-until.", param_hint="--objects and --trajectory")
+    if map_until is not None or topics or right != RIGHT:
+        raise typer.BadParameter("they go with --log.", param_hint="--map-until, --right and --topic")
+    conditions = {"seed": seed, "noise": noise, "changed": changed, "max_travel_m": max_travel}
+    _run_world(objects, trajectory, config, kidnaps, jobs, conditions, as_json=json)
+
+
+def _run_world(
+    objects: Path,
+    trajectory: Path,
+    config: Config,
+    kidnaps: int,
+    jobs: int,
+    conditions: dict[str, Any],
+    *,
+    as_json: bool,
+) -> None:
+    from slam.benchmarks.relocalization import benchmark_relocalization
+    from slam.simulation.world import load_world
+    from tools import console
+
+    world = load_world(objects, trajectory)
+    with console.progress_bar("carrying off", "carrying off") as move:
+        result = benchmark_relocalization(world, config, kidnaps=kidnaps, jobs=jobs, on_progress=move, **conditions)
+    if as_json:
+        _show_json(result, conditions)
+    else:
+        _show(result, f"noise x {conditions['noise']:g}, {100 * conditions['changed']:g} % of the objects changed")
+
+
+def _run_log(
+    log: Path,
+    config: Config,
+    map_until_s: float,
+    kidnaps: int,
+    max_travel_m: float,
+    right: tuple[float, float],
+    topics: dict[str, str],
+    *,
+    as_json: bool,
+) -> None:
+    from dataclasses import asdict
+
+    from slam.benchmarks.logged_relocalization import benchmark_log
+    from slam.benchmarks.relocalization_figures import Tolerance
+    from tools import console
+
+    with console.progress_bar("carrying off", "carrying off") as move:
+        result = benchmark_log(
+            log,
+            config,
+            map_until_s=map_until_s,
+            kidnaps=kidnaps,
+            max_travel_m=max_travel_m,
+            tolerance=Tolerance(*right),
+            topics=topics,
+            on_progress=move,
+        )
+    if as_json:
+        elsewhere = {
+            "elsewhere_kidnaps": len(result.elsewhere),
+            "elsewhere_fixes": result.false_fixes,
+            "elsewhere_outcomes": [asdict(each) for each in result.elsewhere],
+        }
+        _show_json(
+            result.mapped, {"map_until_s": map_until_s, "max_travel_m": max_travel_m, "right": list(right), **elsewhere}
+        )
+        return
+    _show(result.mapped, f"right within {right[0]:g} m and {right[1]:g} deg")
+    _show_elsewhere(result)
+
+
+def _show_json(result: RelocalizationBenchmark, conditions: dict[str, Any]) -> None:
+    from dataclasses import asdict
+
+    from tools import console
+
+    told = asdict(result)
+    console.show_json({**told.pop("total"), **conditions, **told})
+
+
+def _show_elsewhere(result: LoggedRelocalization) -> None:
+    from tools import console
+
+    if not result.elsewhere:
+        console.show("the rest of the drive was never far from the map, so nothing can be said of fixes elsewhere")
+        return
+    console.show(f"where the map has never been: {result.false_fixes} false fixes in {len(result.elsewhere)} drives")
+
+
+def _show(result: RelocalizationBenchmark, conditions: str) -> None:
+    from tools import console
+
+    title = (
+        f"{result.world}: {result.tour_m:.0f} m, {result.landmarks} landmarks, map ATE {result.map_ate_m:.2f} m; "
+        f"{conditions}"
+    )
+    table = console.grid({"where": False, **dict.fromkeys(HEADINGS, True)}, title=title)
+    for name, figures in {"everywhere": result.total, **result.groups}.items():
+        table.add_row(name, *_row(figures))
+    console.show(
+        table,
+        "found, in map, late, wrong, lost and kept in per cent of the drives, kept of the right fixes",
+        f"fixes at another place than in the map: {_number(result.total.misplaced_rate, 1, 100.0)} %; the others that "
+        "are wrong are so because the map is",
+        f"wrong fixes put right within 10 m, in per cent: {_number(result.total.taken_back_rate, 0, 100.0)}",
+        f"taking in the map: {1e3 * result.load_s:.0f} ms; a search: {_number(result.query_ms, 1)} ms",
+    )
+
+
+def _row(figures: Figures) -> list[str]:
+    rates = (
+        figures.success_rate,
+        figures.success_in_map_rate,
+        figures.late_rate,
+        figures.wrong_rate,
+        figures.not_found_rate,
+    )
+    return [
+        str(figures.kidnaps),
+        *(_number(rate, 1, 100.0) for rate in rates),
+        _number(figures.median_distance_m, 1),
+        _number(figures.p95_distance_m, 1),
+        _number(figures.median_seconds, 1),
+        _number(figures.median_error_m, 2),
+        _number(figures.p95_error_m, 2),
+        _number(figures.median_error_deg, 2),
+        _number(figures.kept_rate, 0, 100.0),
+    ]
+
+
+def _number(value: float | None, digits: int, factor: float = 1.0) -> str:
+    return "-" if value is None else f"{factor * value:.{digits}f}"

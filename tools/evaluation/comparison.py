@@ -1,0 +1,116 @@
+"""dslam evaluate of several logs: runs side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tools.evaluation.evaluated_log import Truth, evaluate_log
+from tools.evaluation.output import Findings
+
+if TYPE_CHECKING:
+    from rich.table import Table
+    from rich.text import Text
+
+    from slam.evaluation.comparison import Comparison, Run
+    from slam.evaluation.metrics.statistics import ChiefFigure
+
+_BETTER, _WORSE = "green", "red"
+
+
+def compare_logs(logs: Sequence[Path], truth: Truth) -> Findings:
+    """Evaluate each log and set them side by side.
+
+    Raises:
+        LogError, SlamError: a log cannot be evaluated, or two are the same.
+    """
+    from slam.evaluation.comparison import NO_SPREAD, RULE, compare_runs
+
+    _refuse_copies(logs)
+    runs = [_evaluate(log, truth) for log in logs]
+    comparison = compare_runs(runs)
+    notes = [RULE if comparison.has_spread else NO_SPREAD]
+    if comparison.marked:
+        notes.insert(0, "* differs from the first column by more than the spread of the seeds")
+    return Findings(
+        results=comparison.to_json_dict(),
+        parts=[compare_table(comparison), "", *_members(comparison), *notes],
+        runs={run.name: run.results for run in runs},
+    )
+
+
+def _evaluate(log: Path, truth: Truth) -> Run:
+    from logs.reader import LogReader
+    from slam.evaluation.comparison import Run
+
+    _, evaluation = evaluate_log(log, truth)
+    with LogReader(log) as reader:
+        made = reader.metadata().get("dslam", {})
+    return Run(
+        name=str(log),
+        results=evaluation.to_json_dict(),
+        configuration=made.get("configuration", ""),
+        version=made.get("version", ""),
+        input_sha256=made.get("input_sha256", ""),
+        given_map=made.get("map_drives", "") + made.get("map_extended", ""),
+    )
+
+
+def _refuse_copies(logs: Sequence[Path]) -> None:
+    """The same run twice would have no spread, and everything else would seem to differ from it."""
+    from logs.digest import file_sha256
+    from slam.common.errors import EvaluationError
+
+    seen: dict[str, Path] = {}
+    for log in logs:
+        first = seen.setdefault(file_sha256(log), log)
+        if first is not log:
+            raise EvaluationError(f"{first} and {log} are the same run, byte for byte; give each run once")
+
+
+def compare_table(comparison: Comparison) -> Table:
+    """A column for each group, or for each run and their mean where there is one group."""
+    from rich.text import Text
+
+    from slam.evaluation.metrics.statistics import CHIEF_FIGURES, UNDEFINED
+    from tools import console
+
+    groups = comparison.groups
+    shown = list(groups) if len(groups) > 1 else []
+    runs = [] if shown else list(groups[0].runs)
+    headings = [group.label if len(group.runs) == 1 else f"{group.label}\n({len(group.runs)} runs)" for group in shown]
+    headings += [*(Path(run.name).stem for run in runs), *(["mean ± deviation"] if runs else [])]
+    table = console.grid({"": False})
+    for heading in headings:
+        table.add_column(Text(heading), justify="right", overflow="fold")
+    for figure in CHIEF_FIGURES:
+        if all(group.spreads[figure.key].mean is None for group in groups):
+            continue
+        if shown:
+            cells = [_cell(comparison, figure, number) for number in range(len(groups))]
+        else:
+            values = (figure.of(run.results) for run in runs)
+            cells = [Text(UNDEFINED if value is None else f"{value:.{figure.digits}f}") for value in values]
+            cells.append(Text(groups[0].spreads[figure.key].text(figure.digits)))
+        table.add_row(figure.heading, *cells)
+    return table
+
+
+def _cell(comparison: Comparison, figure: ChiefFigure, number: int) -> Text:
+    """Of one group; coloured and with a star where it differs from the first."""
+    from rich.text import Text
+
+    text = comparison.groups[number].spreads[figure.key].text(figure.digits)
+    mark = comparison.mark(figure.key, 0, number)
+    if mark is None:
+        return Text(text)
+    style = _BETTER if (mark.difference < 0.0) == figure.is_error else _WORSE
+    return Text(f"{text} *", style=style)
+
+
+def _members(comparison: Comparison) -> list[str]:
+    """Which runs are in which group, where that is not in the headings."""
+    if len(comparison.groups) == 1:
+        return []
+    return [f"{group.label}: {', '.join(run.name for run in group.runs)}" for group in comparison.groups]
