@@ -1,0 +1,209 @@
+"""The landmarks around the robot and the robot among them: a planar EKF-SLAM over a bounded number of landmarks.
+
+State: the robot's pose (x, y, heading) and the landmarks' positions (x, y), with their full covariance, in the *local*
+frame: upright, smooth, and as good as the odometry corrected by the landmarks in view. So a landmark that was out of
+sight for a while is expected where the landmarks that stayed in sight say, and how uncertain that is follows from the
+correlations (Smith, Self and Cheeseman, 1990; Dissanayake et al., IEEE T-RA 2001). Heights, roll and pitch are left to
+the odometry, which gravity holds.
+
+A measurement of landmark m from the pose (t, heading) is h = R^T (m - t), with R the rotation by the heading. Its
+Jacobians are -R^T and the rotation of h by -90 deg in the pose, R^T in the landmark.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.geometry import invert, transform_from_xyz_yaw, yaw_rad
+
+POSE = 3
+"""Entries of the state before the landmarks."""
+GATE = 9.21
+"""Chi-squared with 2 degrees of freedom at 99 %: a measurement farther off is weighted down by its distance."""
+
+
+class LocalMap:
+    """An EKF over the robot's pose and the landmarks that it holds, each known by an id of the caller's."""
+
+    def __init__(self) -> None:
+        self.start(np.eye(4))
+
+    def start(self, T_odom_body: FloatArray) -> None:
+        """Begin anew at a pose, without landmarks, as after a discontinuity of the odometry."""
+        self._pose = np.array([*T_odom_body[:2, 3], float(yaw_rad(T_odom_body))])
+        self._P = np.zeros((POSE, POSE))
+        self._ids = np.zeros(0, dtype=np.int64)
+        self._slots: dict[int, int] = {}
+        self._positions = np.zeros((0, 2))
+
+    @property
+    def ids(self) -> IntArray:
+        """Ids (L,) of the landmarks held."""
+        return self._ids
+
+    @property
+    def pose_covariance(self) -> FloatArray:
+        """Covariance (3, 3) of x, y [m] and the heading [rad], local frame."""
+        return self._P[:POSE, :POSE].copy()
+
+    def T_local_odom(self, T_odom_body: FloatArray) -> FloatArray:
+        """``T_local_odom`` (4, 4), upright, that puts the body where the filter has it."""
+        heading = float(self._pose[2] - yaw_rad(T_odom_body))
+        T = transform_from_xyz_yaw(np.zeros(3), heading)
+        T[:2, 3] = self._pose[:2] - (T @ T_odom_body)[:2, 3]
+        return T
+
+    def slots(self, ids: IntArray) -> IntArray:
+        """Where ids (K,) stand in the state; -1 for one that is not held."""
+        return np.array([self._slots.get(each, -1) for each in ids.tolist()], dtype=np.int64)
+
+    def advance(self, T_before_after: FloatArray, variances: FloatArray) -> None:
+        """Move the robot by a step of the odometry.
+
+        Args:
+            T_before_after: (4, 4) between the gravity frames of the body (upright) before and after.
+            variances: (2,) of the step: each horizontal coordinate [m^2] and the heading [rad^2].
+        """
+        heading = self._pose[2]
+        c, s = np.cos(heading), np.sin(heading)
+        x, y = T_before_after[:2, 3]
+        moved = np.array([c * x - s * y, s * x + c * y])
+        F = np.eye(POSE)
+        F[:2, 2] = -moved[1], moved[0]
+        self._pose[:2] += moved
+        self._pose[2] = _wrapped(heading + float(yaw_rad(T_before_after)))
+        self._P[:POSE] = F @ self._P[:POSE]
+        self._P[:, :POSE] = self._P[:, :POSE] @ F.T
+        self._P[[0, 1, 2], [0, 1, 2]] += [variances[0], variances[0], variances[1]]
+
+    def predict(self, slots: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Positions (K, 2) m and covariances (K, 2, 2) m^2 of landmarks relative to the robot, both in local axes.
+
+        The covariance is that of R h, the offset from the robot: what a measurement of it adds its own noise to.
+        """
+        offsets = self._positions[slots] - self._pose[:2]
+        G = _pose_jacobians(offsets)
+        columns = POSE + 2 * slots[:, None] + np.arange(2)
+        P_pose = self._P[:POSE, :POSE]
+        P_cross = self._P[:POSE][:, columns].transpose(1, 0, 2)  # (K, 3, 2)
+        P_own = self._P[columns[:, :, None], columns[:, None, :]]
+        mixed = G @ P_cross
+        covariances = G @ P_pose @ G.transpose(0, 2, 1) + mixed + mixed.transpose(0, 2, 1) + P_own
+        return self._positions[slots], covariances
+
+    def update(self, slots: IntArray, measured: FloatArray, covariances: FloatArray) -> None:
+        """Correct the state by landmarks seen at once.
+
+        Args:
+            slots: (K,) of the landmarks, none twice.
+            measured: (K, 2) m, offsets from the robot in local axes.
+            covariances: (K, 2, 2) m^2 of the measurements, in the same axes.
+        """
+        count = len(slots)
+        if count == 0:
+            return
+        offsets = self._positions[slots] - self._pose[:2]
+        G = _pose_jacobians(offsets)
+        columns = POSE + 2 * slots[:, None] + np.arange(2)
+        PH = np.einsum("dr,kir->dki", self._P[:, :POSE], G) + self._P[:, columns]
+        PH = PH.reshape(len(self._P), 2 * count)
+        S = np.einsum("kir,rc->kic", G, PH[:POSE]).reshape(2 * count, 2 * count) + PH[columns.ravel()]
+        innovation = (measured - offsets).ravel()
+        block = np.arange(2 * count).reshape(count, 2)
+        S[block[:, :, None], block[:, None, :]] += covariances
+        own = S[block[:, :, None], block[:, None, :]]
+        distances = np.einsum("ki,ki->k", innovation[block], np.linalg.solve(own, innovation[block][..., None])[..., 0])
+        excess = np.maximum(distances / GATE - 1.0, 0.0)  # Huber's weights on the measurements
+        S[block[:, :, None], block[:, None, :]] += excess[:, None, None] * covariances
+        lower = np.linalg.cholesky(S)
+        gain = np.linalg.solve(lower, PH.T)
+        change = gain.T @ np.linalg.solve(lower, innovation)
+        self._P -= gain.T @ gain
+        self._apply(change)
+
+    def insert(self, ids: IntArray, offsets: FloatArray, covariances: FloatArray) -> None:
+        """Take in landmarks (K,) at ``offsets`` (K, 2) m from the robot in local axes, known by (K, 2, 2) m^2."""
+        if len(ids) == 0:
+            return
+        size, count = len(self._P), len(ids)
+        G = _pose_jacobians(offsets).copy()
+        G[:, :, :2] *= -1.0  # a landmark moves with the robot that sees it, and turns with it
+        G[:, :, 2] *= -1.0
+        G = G.reshape(2 * count, POSE)
+        P = np.zeros((size + 2 * count, size + 2 * count))
+        P[:size, :size] = self._P
+        P[size:, :size] = G @ self._P[:POSE]
+        P[:size, size:] = P[size:, :size].T
+        P[size:, size:] = G @ self._P[:POSE, :POSE] @ G.T
+        block = size + np.arange(2 * count).reshape(count, 2)
+        P[block[:, :, None], block[:, None, :]] += covariances
+        self._P = P
+        self._positions = np.concatenate([self._positions, self._pose[:2] + offsets])
+        self._set_ids(np.concatenate([self._ids, ids]))
+
+    def remove(self, ids: IntArray) -> None:
+        """Let go of landmarks; those not held are passed over."""
+        kept = ~np.isin(self._ids, ids)
+        if kept.all():
+            return
+        columns = np.concatenate([np.arange(POSE), (POSE + 2 * np.flatnonzero(kept)[:, None] + np.arange(2)).ravel()])
+        self._P = self._P[np.ix_(columns, columns)]
+        self._positions = self._positions[kept]
+        self._set_ids(self._ids[kept])
+
+    def difference(self, first: IntArray, second: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Positions (K, 2) m of landmarks from others, slots (K,) each, and the covariances (K, 2, 2) m^2 of that."""
+        a, b = (POSE + 2 * slots[:, None] + np.arange(2) for slots in (first, second))
+        P_ab = self._P[a[:, :, None], b[:, None, :]]
+        P = self._P[a[:, :, None], a[:, None, :]] + self._P[b[:, :, None], b[:, None, :]]
+        return self._positions[first] - self._positions[second], P - P_ab - P_ab.transpose(0, 2, 1)
+
+    def merge(self, kept: int, dropped: int, variance: float) -> None:
+        """Make one of two landmarks (ids): they are in one place, up to ``variance`` [m^2], and one is let go."""
+        first, second = self.slots(np.array([kept])), self.slots(np.array([dropped]))
+        offset, covariance = self.difference(first, second)
+        a, b = (int(POSE + 2 * slots[0]) for slots in (first, second))
+        PH = self._P[:, a : a + 2] - self._P[:, b : b + 2]
+        S = covariance[0] + variance * np.eye(2)
+        gain = np.linalg.solve(S, PH.T).T
+        self._P -= gain @ S @ gain.T
+        self._apply(-gain @ offset[0])
+        self.remove(np.array([dropped]))
+
+    def positions(self) -> FloatArray:
+        """Positions (L, 2) m of all landmarks held, local frame."""
+        return self._positions.copy()
+
+    def _apply(self, change: FloatArray) -> None:
+        self._P = 0.5 * (self._P + self._P.T)
+        self._pose = self._pose + change[:POSE]
+        self._pose[2] = _wrapped(float(self._pose[2]))
+        self._positions = self._positions + change[POSE:].reshape(-1, 2)
+
+    def _set_ids(self, ids: IntArray) -> None:
+        self._ids = ids
+        self._slots = {each: slot for slot, each in enumerate(ids.tolist())}
+
+
+def upright_step(T_odom_before: FloatArray, T_odom_after: FloatArray) -> FloatArray:
+    """``T_before_after`` (4, 4) between the upright frames at two poses of the body."""
+    before, after = (transform_from_xyz_yaw(T[:3, 3], yaw_rad(T)) for T in (T_odom_before, T_odom_after))
+    return np.asarray(invert(before) @ after)
+
+
+def _pose_jacobians(offsets: FloatArray) -> FloatArray:
+    """(K, 2, 3) of the offsets of landmarks (K, 2) from the robot, in local axes, by the robot's pose.
+
+    By the position it is -I. A measured offset R z turns with the heading, so that a landmark that stays where it is
+    seems to turn the other way: the innovation R z - (m - t) changes by -J (m - t) with the heading, J = [0 -1; 1 0].
+    """
+    G = np.zeros((len(offsets), 2, POSE))
+    G[:, 0, 0] = G[:, 1, 1] = -1.0
+    G[:, 0, 2], G[:, 1, 2] = offsets[:, 1], -offsets[:, 0]
+    return G
+
+
+def _wrapped(angle_rad: float) -> float:
+    return float((angle_rad + np.pi) % (2.0 * np.pi) - np.pi)
+

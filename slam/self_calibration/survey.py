@@ -1,0 +1,180 @@
+"""The survey of a log: one pass over its beginning, from which noise and scales are estimated before it is mapped."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.messages import ObjectDetections, Odometry, Record, Transform
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.config import DetectionConfig
+from slam.common.geometry import apply, interpolate, invert, transform_from_xyz_yaw, yaw_rad
+from slam.frontend.scan import SensorFrames
+from slam.self_calibration.object_tracks import ObjectTracks, SurveyScan, follow_objects
+from slam.self_calibration.variance_components import ComponentEstimate, Motion, estimate_components
+
+MAX_DETECTIONS = 150_000
+"""The survey ends after that many detections; what it estimates has converged by then."""
+RANGE_QUANTILE = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """What the beginning of a log tells.
+
+    ``range_m``: the 95th percentile of the horizontal ranges of detections; ``spacing_m``: the median distance of a
+    detection from the nearest other one of its class in the same scan, NaN where classes never share a scan;
+    ``objects``: mean number a scan; ``interval_s``: median time between scans; ``claimed_ratio``: the variance of
+    detections by that which their messages claim, NaN where none does; ``height_sigma_m``: noise of heights.
+    ``components`` is None where too few objects could be tracked.
+    """
+
+    scans: int
+    detections: int
+    classes: int
+    range_m: float
+    spacing_m: float
+    objects: float
+    interval_s: float
+    travel_m: float
+    turn_rad: float
+    duration_s: float
+    claimed_ratio: float
+    components: ComponentEstimate | None
+
+
+def survey(records: Iterable[Record], config: DetectionConfig) -> Survey | None:
+    """The survey of the records of a log, in its order; None where no detection could be placed on the odometry."""
+    gathered = _Gathered()
+    for record in records:
+        if gathered.add(record, config) >= MAX_DETECTIONS:
+            break
+    scans = gathered.scans(config)
+    return summarize(scans) if scans else None
+
+
+def summarize(scans: list[SurveyScan]) -> Survey:
+    """What scans (one at least), in the order of their stamps, tell."""
+    poses = np.stack([scan.T_odom_body for scan in scans])
+    headings = np.unwrap(yaw_rad(poses))
+    stamps_s = np.array([(scan.stamp_ns - scans[0].stamp_ns) * 1e-9 for scan in scans])
+    motion = Motion(
+        np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1))]),
+        np.concatenate([[0.0], np.cumsum(np.abs(np.diff(headings)))]),
+        stamps_s,
+    )
+    ranges = np.concatenate([np.hypot(scan.positions[:, 0], scan.positions[:, 1]) for scan in scans])
+    tracks = follow_objects(scans, headings)
+    components = estimate_components(tracks, motion)
+    return Survey(
+        scans=len(scans),
+        detections=len(ranges),
+        classes=len(np.unique(np.concatenate([scan.labels for scan in scans]))),
+        range_m=float(np.quantile(ranges, RANGE_QUANTILE)),
+        spacing_m=_spacing(scans),
+        objects=len(ranges) / len(scans),
+        interval_s=float(np.median(np.diff(stamps_s))) if len(scans) > 1 else 0.0,
+        travel_m=float(motion.travel_m[-1]),
+        turn_rad=float(motion.turn_rad[-1]),
+        duration_s=float(stamps_s[-1]),
+        claimed_ratio=_claimed_ratio(tracks, components),
+        components=components,
+    )
+
+
+def _spacing(scans: list[SurveyScan]) -> float:
+    nearest = []
+    for scan in scans:
+        apart = np.linalg.norm(scan.positions[:, None, :2] - scan.positions[None, :, :2], axis=2)
+        apart[(scan.labels[:, None] != scan.labels[None]) | np.eye(len(apart), dtype=np.bool_)] = np.inf
+        nearest.append(apart.min(axis=1, initial=np.inf))
+    distances = np.concatenate(nearest)
+    distances = distances[np.isfinite(distances)]
+    return float(np.median(distances)) if len(distances) else float("nan")
+
+
+def _claimed_ratio(tracks: ObjectTracks, estimate: ComponentEstimate | None) -> float:
+    """Horizontal variance of detections as estimated, by that which their messages claim."""
+    claimed = tracks.claimed[np.isfinite(tracks.claimed)]
+    if estimate is None or len(claimed) == 0:
+        return float("nan")
+    found = estimate.variances
+    square = np.einsum("ni,ni->n", tracks.offsets, tracks.offsets)[np.isfinite(tracks.claimed)]
+    by_range = found.radial_by_range + found.tangential_by_range
+    return float(np.mean(0.5 * (found.radial + found.tangential + by_range * square)) / np.mean(claimed))
+
+
+class _Gathered:
+    """The records of a log that a survey needs."""
+
+    def __init__(self) -> None:
+        self._odometry: list[Odometry] = []
+        self._detections: list[ObjectDetections] = []
+        self._frames = SensorFrames()
+        self._count = 0
+
+    def add(self, record: Record, config: DetectionConfig) -> int:
+        """Take in a record; returns the detections so far."""
+        if isinstance(record, Odometry):
+            self._odometry.append(record)
+        elif isinstance(record, Transform):
+            self._frames.add(record)
+        elif isinstance(record, ObjectDetections):
+            self._detections.append(record)
+            self._count += len(record.positions)
+        return self._count
+
+    def scans(self, config: DetectionConfig) -> list[SurveyScan]:
+        """The scans that lie on the odometry, in the order of their stamps, without empty ones."""
+        stamps, poses = self._track()
+        if len(stamps) < 2:
+            return []
+        body_frame = self._odometry[0].child_frame_id
+        vocabulary: defaultdict[str, int] = defaultdict()
+        vocabulary.default_factory = vocabulary.__len__
+        usable = [d for d in self._detections if stamps[0] <= d.stamp_ns <= stamps[-1] and len(d.positions)]
+        usable.sort(key=lambda detections: detections.stamp_ns)
+        T_odom_body = interpolate(stamps, poses, np.array([d.stamp_ns for d in usable], dtype=np.int64))
+        scans = []
+        for detections, T in zip(usable, T_odom_body, strict=True):
+            frame = body_frame if config.assume_body_frame else detections.frame_id
+            T_body_sensor = self._frames.find(body_frame, frame)
+            if T_body_sensor is None:
+                continue
+            scans.append(_upright_scan(detections, T, T_body_sensor, vocabulary, config))
+        return scans
+
+    def _track(self) -> tuple[IntArray, FloatArray]:
+        """Stamps (K,), strictly increasing, and poses (K, 4, 4) of the odometry."""
+        stamps = np.array([odometry.stamp_ns for odometry in self._odometry], dtype=np.int64)
+        if len(stamps) == 0:
+            return stamps, np.zeros((0, 4, 4))
+        latest_before = np.concatenate([[np.iinfo(np.int64).min], np.maximum.accumulate(stamps)[:-1]])
+        used = stamps > latest_before
+        return stamps[used], np.stack([self._odometry[row].T_odom_body for row in np.flatnonzero(used).tolist()])
+
+
+def _upright_scan(
+    detections: ObjectDetections,
+    T_odom_body: FloatArray,
+    T_body_sensor: FloatArray,
+    vocabulary: defaultdict[str, int],
+    config: DetectionConfig,
+) -> SurveyScan:
+    T_odom_upright = transform_from_xyz_yaw(T_odom_body[:3, 3], yaw_rad(T_odom_body))
+    positions = apply(invert(T_odom_upright) @ T_odom_body @ T_body_sensor, detections.positions)
+    used = np.isfinite(positions).all(axis=1) & (detections.scores >= config.min_score)
+    variances = np.full(len(positions), np.nan)
+    if detections.covariances is not None:
+        variances = np.trace(detections.covariances, axis1=1, axis2=2) / 3.0
+        variances[variances == 0.0] = np.nan
+    return SurveyScan(
+        detections.stamp_ns,
+        T_odom_body,
+        positions[used],
+        np.array([vocabulary[label] for label in detections.labels], dtype=np.int64)[used],
+        variances[used],
+    )

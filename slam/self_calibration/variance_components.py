@@ -1,0 +1,223 @@
+"""The noise of odometry and detections, from how far tracked objects seem to move: variance components by moments.
+
+An object that stands still seems to move by d between two scans, in the odometry frame. Part of d is common to all
+objects of the two scans, the error of the odometry between them: a shift and, at the offset x of an object, a turn by
+J x. The rest is the detector's. With radial and tangential parts d_r, d_t of d at range r, travel L, turn A, time T and
+change of the viewing direction B between the two scans,
+
+    E[d_r^2] = 2 v_r + u_r (r1^2 + r2^2) + w B + common_t
+    E[d_t^2] = 2 v_t + u_t (r1^2 + r2^2) + w B + common_t + common_y r^2
+    E[d_k . d_l] = 2 common_t + common_y (x_k . x_l)                      for two objects k, l of the same two scans
+    E[(J x_k . d_k) (J x_l . d_l)] = common_t (x_k . x_l) + common_y r_k^2 r_l^2
+    common_t = 2 j_t + a_t L + b_t T,   common_y = 2 j_y + a_y L + c_y A + b_y T
+
+which is linear in the twelve variances. Means over scan pairs with lags of 1, 2, 4, ... scans give the equations, which
+non-negative least squares solves (least-squares variance component estimation: Teunissen and Amiri-Simkooei, J. Geodesy
+2008; here with the means' own sampling errors as weights). Displacements are clipped at four times their median, so
+that slips, wrong matches and moving objects count little. Uncertainty is found by leaving out a block of time at a time
+(the jackknife).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+
+import numpy as np
+from scipy.optimize import nnls
+
+from slam.common.arrays import FloatArray, IntArray
+from slam.self_calibration.object_tracks import ObjectTracks
+
+BLOCKS = 8
+"""Stretches of the log that the jackknife leaves out one at a time."""
+CLIP = 4.0
+"""Displacements are clipped at that many robust standard deviations."""
+LEAST_PAIRS = 100
+"""Lags with fewer tracked pairs are left out."""
+LEAST_IN_BIN = 20
+COMPONENTS = 12
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseComponents:
+    """Variances: of a detection along and across the ray, [m^2] and by range [m^2 / m^2], by the change of the viewing
+    direction [m^2 / rad]; of the odometry's jitter, [m^2] and [rad^2]; of its drift by travel, turn and time.
+    """
+
+    radial: float
+    radial_by_range: float
+    tangential: float
+    tangential_by_range: float
+    view: float
+    jitter: float
+    translation_by_travel: float
+    translation_by_time: float
+    heading_jitter: float
+    heading_by_travel: float
+    heading_by_turn: float
+    heading_by_time: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Travel [m], turn [rad] and time [s] up to each scan (K,), for their differences."""
+
+    travel_m: FloatArray
+    turn_rad: FloatArray
+    time_s: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class ComponentEstimate:
+    """``variances`` with their ``standard_errors``; from ``pairs`` tracked pairs of detections."""
+
+    variances: NoiseComponents
+    standard_errors: NoiseComponents
+    pairs: int
+
+
+def estimate_components(tracks: ObjectTracks, motion: Motion) -> ComponentEstimate | None:
+    """Variance components of a log; None where too few objects could be tracked."""
+    sums = [_equations(tracks, motion, first, second) for first, second in _lagged_pairs(tracks)]
+    if not sums:
+        return None
+    totals = np.concatenate(sums, axis=1)  # (BLOCKS, equations, COMPONENTS + 2)
+    solution = _solve(totals.sum(axis=0))
+    left_out = np.array([_solve(np.delete(totals, block, axis=0).sum(axis=0)) for block in range(BLOCKS)])
+    spread = np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((left_out - left_out.mean(axis=0)) ** 2, axis=0))
+    pairs = int(totals[:, :, -1].sum())
+    return ComponentEstimate(NoiseComponents(*solution.tolist()), NoiseComponents(*spread.tolist()), pairs)
+
+
+def component_names() -> tuple[str, ...]:
+    """Names of the components, in the order of the equations."""
+    return tuple(field.name for field in fields(NoiseComponents))
+
+
+def _lagged_pairs(tracks: ObjectTracks) -> Iterator[tuple[IntArray, IntArray]]:
+    """Rows (P,) of detections of one track that are 1, 2, 4, ... detections apart, as long as there are enough."""
+    lag = 1
+    while True:
+        first = np.arange(len(tracks.track) - lag) if lag < len(tracks.track) else np.zeros(0, dtype=np.int64)
+        first = first[tracks.track[first] == tracks.track[first + lag]]
+        if len(first) < LEAST_PAIRS:
+            return
+        yield first, first + lag
+        lag *= 2
+
+
+def _equations(tracks: ObjectTracks, motion: Motion, first: IntArray, second: IntArray) -> FloatArray:
+    """Sums (BLOCKS, E, COMPONENTS + 2) of the equations of one lag: regressors, value, count."""
+    d = _clipped(tracks.points[second] - tracks.points[first])
+    x, x_before = tracks.offsets[second], tracks.offsets[first]
+    scan, scan_before = tracks.scan[second], tracks.scan[first]
+    L, A, T = (each[scan] - each[scan_before] for each in (motion.travel_m, motion.turn_rad, motion.time_s))
+    block = np.minimum(scan * BLOCKS // (int(tracks.scan.max()) + 1), BLOCKS - 1)
+    return np.concatenate(
+        [_own_equations(d, x, x_before, L, A, T, block), _cross_equations(d, x, scan, scan_before, L, A, T, block)],
+        axis=1,
+    )
+
+
+def _own_equations(
+    d: FloatArray,
+    x: FloatArray,
+    x_before: FloatArray,
+    L: FloatArray,
+    A: FloatArray,
+    T: FloatArray,
+    block: IntArray,
+) -> FloatArray:
+    """What single objects say, in bins of range and of turn."""
+    square, square_before = (np.einsum("ni,ni->n", each, each) for each in (x, x_before))
+    r = np.sqrt(np.maximum(square, 1e-12))
+    radial = np.einsum("ni,ni->n", d, x) / r
+    tangential = (x[:, 0] * d[:, 1] - x[:, 1] * d[:, 0]) / r
+    angle = np.arctan2(x[:, 1], x[:, 0]) - np.arctan2(x_before[:, 1], x_before[:, 0])
+    view = np.abs((angle + np.pi) % (2.0 * np.pi) - np.pi)
+    zero, one, ranges = np.zeros_like(r), np.ones_like(r), square + square_before
+    translation, heading = [2.0 * one, L, T], [2.0 * square, square * L, square * A, square * T]
+    along = np.stack([2.0 * one, ranges, zero, zero, view, *translation, zero, zero, zero, zero, radial**2], axis=1)
+    across = np.stack([zero, zero, 2.0 * one, ranges, view, *translation, *heading, tangential**2], axis=1)
+    bins = _bin(square, (1 / 3, 2 / 3)) * 3 + _bin(A, (0.5, 0.85))
+    return np.concatenate([_binned(each, one, bins, block, 9) for each in (along, across)], axis=1)
+
+
+def _cross_equations(
+    d: FloatArray,
+    x: FloatArray,
+    scan: IntArray,
+    scan_before: IntArray,
+    L: FloatArray,
+    A: FloatArray,
+    T: FloatArray,
+    block: IntArray,
+) -> FloatArray:
+    """What pairs of objects of the same two scans have in common, in bins of turn."""
+    key = scan * (int(scan.max()) + 1) + scan_before
+    _, start, group, count = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
+
+    def total(values: FloatArray) -> FloatArray:
+        return np.bincount(group, values, minlength=len(start))
+
+    square = np.einsum("ni,ni->n", x, x)
+    torque = x[:, 0] * d[:, 1] - x[:, 1] * d[:, 0]
+    shifts = total(d[:, 0]) ** 2 + total(d[:, 1]) ** 2 - total(np.einsum("ni,ni->n", d, d))
+    torques = total(torque) ** 2 - total(torque**2)
+    offsets = total(x[:, 0]) ** 2 + total(x[:, 1]) ** 2 - total(square)
+    squares = total(square) ** 2 - total(square**2)
+    pairs = (count * (count - 1)).astype(np.float64)
+    L, A, T, block = L[start], A[start], T[start], block[start]
+    zero, one = np.zeros_like(L), np.ones_like(L)
+
+    def equation(by_shift: FloatArray, by_turn: FloatArray, value: FloatArray) -> FloatArray:
+        common = [by_shift * each for each in (2.0 * one, L, T)] + [by_turn * each for each in (2.0 * one, L, A, T)]
+        return np.stack([zero] * 5 + [*common, value], axis=1)
+
+    several = pairs > 0.0
+    bins = np.where(several, _bin(A, (1 / 3, 2 / 3, 0.9)), -1)
+    return np.concatenate(
+        [
+            _binned(equation(2.0 * pairs, offsets, shifts), 2.0 * pairs, bins, block, 4),
+            _binned(equation(offsets, squares, torques), squares, bins, block, 4),
+        ],
+        axis=1,
+    )
+
+
+def _binned(rows: FloatArray, weights: FloatArray, bins: IntArray, block: IntArray, count: int) -> FloatArray:
+    """Sums (BLOCKS, count, COMPONENTS + 2) of rows (P, COMPONENTS + 1) scaled to a mean weight of 1, and how many."""
+    used = bins >= 0
+    scale = np.zeros(count)
+    np.add.at(scale, bins[used], weights[used])
+    numbers = np.bincount(bins[used], minlength=count)
+    scale = np.where(numbers >= LEAST_IN_BIN, numbers / np.maximum(scale, 1e-300), 0.0)
+    sums = np.zeros((BLOCKS, count, COMPONENTS + 2))
+    np.add.at(sums, (block[used], bins[used]), np.column_stack([rows[used], np.ones(int(used.sum()))]))
+    sums[:, :, :-1] *= scale[:, None]
+    return sums
+
+
+def _solve(sums: FloatArray) -> FloatArray:
+    """Variances (COMPONENTS,) from the summed equations (E, COMPONENTS + 2)."""
+    counts = sums[:, -1]
+    used = counts >= LEAST_IN_BIN
+    means = sums[used, :-1] / counts[used, None]
+    X, y = means[:, :-1], means[:, -1]
+    # The relative sampling error of a mean square of n values is sqrt(2 / n).
+    weights = np.sqrt(counts[used]) / np.maximum(np.abs(y), 1e-300)
+    weights = np.minimum(weights, 10.0 * np.median(weights))
+    scale = np.maximum(np.linalg.norm(X * weights[:, None], axis=0), 1e-300)
+    solution, _ = nnls(X * weights[:, None] / scale, y * weights)
+    return np.asarray(solution / scale)
+
+
+def _clipped(d: FloatArray) -> FloatArray:
+    lengths = np.hypot(d[:, 0], d[:, 1])
+    limit = CLIP * 1.4826 * float(np.median(np.abs(d)))
+    return np.asarray(d * np.minimum(1.0, limit / np.maximum(lengths, 1e-300))[:, None])
+
+
+def _bin(values: FloatArray, quantiles: tuple[float, ...]) -> IntArray:
+    return np.digitize(values, np.quantile(values, quantiles)).astype(np.int64)
