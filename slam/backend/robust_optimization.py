@@ -96,10 +96,10 @@ def optimize_robustly(
         RuntimeError: GTSAM cannot solve the graph, e.g. because something hangs on closures only.
     """
     solver = _Solver(graph, initial, closures, max_iterations)
-    nothing = np.zeros(len(closures), dtype=np.bool_)
-    alone = solver.solve(nothing, initial, "the solution without closures" if len(closures) else "the solution")
+    none_kept = np.zeros(len(closures), dtype=np.bool_)
+    alone = solver.solve(none_kept, initial, "the solution without closures" if len(closures) else "the solution")
     if len(closures) == 0:
-        return solver.finish(alone, nothing, "")
+        return solver.finish(alone, none_kept, "")
     values, in_force = solver.solve_and_reject(alone)
     kept = in_force & (solver.weights(values) >= KEPT_WEIGHT)
     if 0 < np.count_nonzero(kept) < CLEAR_SHARE * np.count_nonzero(in_force):
@@ -109,7 +109,7 @@ def optimize_robustly(
     if solver.agree(kept, alone):
         return solver.finish(values, in_force, "")
     many = f"only {np.count_nonzero(kept)}" if kept.any() else "none"
-    return solver.finish(alone, nothing, f"{many} of {len(kept)} closures agree with the rest; all were rejected")
+    return solver.finish(alone, none_kept, f"{many} of {len(kept)} closures agree with the rest; all were rejected")
 
 
 class _Solver:

@@ -146,7 +146,7 @@ class OdometryTrack:
     def _starts_over(self, odometry: Odometry, seconds: float) -> bool:
         """Whether the odometry was started again: it is where it began, to the last digit, or at the identity.
 
-        A robot that was carried off may happen to go on near where its odometry thinks that it is; that alone no jump
+        A kidnapped robot may happen to go on near where its odometry thinks that it is; that alone no jump
         would tell.
         """
         T = odometry.T_odom_body
