@@ -95,11 +95,11 @@ def replay(
 
     Raises:
         LogError: the input cannot be read or the output cannot be written.
-        SlamError: the input cannot be mapped, or the given map was not recognised and none is saved.
+        SlamError: the input cannot be mapped, or the robot was not relocalized in the prior map and none is saved.
     """
     if map_path is not None and prior_map is not None and not extend:
         raise SavedMapError(
-            f"the given map stays as it is, so {map_path} would say nothing new; extend it, or save none"
+            f"the given map stays as it is, so {map_path} would be a copy of it; extend it, or save none"
         )
     started = time.perf_counter()
     with LogReader(source) as reader:

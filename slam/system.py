@@ -53,7 +53,7 @@ CLOSURE_COLOR = np.array([0.84, 0.15, 0.79, 0.9])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FinalMap:
-    """What a drive leaves behind. ``closures``: those whose verdict changed at the very end."""
+    """Results of a drive. ``closures``: those removed at the end as outliers."""
 
     trajectory: TrajectoryRecord
     object_map: ObjectMapRecord
@@ -308,7 +308,7 @@ class Slam:
             self.counters["detections_duplicated"] += 1
             return []
         pose = self._track.at(detections.stamp_ns)
-        # A scan from before a break says nothing about where the keyframes after it are.
+        # A scan from before a discontinuity does not constrain the keyframes after it.
         if pose is None or not self._mapper.keyframes or pose.segment != self._mapper.keyframes[-1].odometry.segment:
             self.counters["detections_without_odometry"] += 1
             return []
@@ -327,7 +327,7 @@ class Slam:
         return [self._mapper.add_scan(scan, pose)]
 
     def _sensor_pose(self, frame: str, pose: OdometryPose) -> FloatArray | None:
-        """``T_body_sensor`` for detections in ``frame``; None where the log does not tell it."""
+        """``T_body_sensor`` for detections in ``frame``; None where the log has no transform."""
         if frame in ("", self._body_frame) or self._config.detection.assume_body_frame:
             return np.eye(4)
         if frame == self._odom_frame:

@@ -1,15 +1,14 @@
-"""How sure an optimised graph is of its variables, when its noise was not quite what the configuration says.
+"""Covariances of an optimised graph whose noise differs from the configured noise.
 
-The marginals of least squares take the noise of every factor for granted. Here two things are mended, and the estimate
-is left as it is:
+The marginals of least squares assume that the configured noise of every factor is true. They are corrected in two ways;
+the estimate does not change:
 
-* The solver weighs observations and closures by robust kernels, about half in the mean where the noise is as it was
-  said to be. That says nothing about the noise: outliers apart, whose residuals have ``OUTLIER_PROBABILITY``, they have
-  their own. It does say how far the estimate follows them, their
-  ``kernel_weight``: the mean slope of the kernel's influence.
-* Odometry drifts as it likes. Errors of its scale, say, are the same for many steps, so that they add up to more than
-  the steps say of themselves. How large they were is asked of the drive: over stretches of 50 steps the residuals of
-  all steps are added up, axis by axis. Likewise how large those of closures were.
+* Robust kernels weight observations and closures, by about half in the mean where the configured noise is true. These
+  weights are not an estimate of the noise: all but outliers, whose residuals have ``OUTLIER_PROBABILITY``, keep the
+  configured noise. How far the estimate follows them is their ``kernel_weight``, the mean slope of the influence.
+* The errors of odometry are correlated. An error of its scale is the same for many steps, so the sum is larger than
+  the covariances of the steps predict. Its variance is estimated from the drive: over stretches of 50 steps the
+  residuals of all steps are added up, axis by axis. The variance of closures is estimated likewise.
 
 With rows a of the Jacobian, their kernel weights t and the factors f on their variance, the estimate has the covariance
 H^-1 M H^-1, H = sum t a a^T, M = sum t^2 f a a^T (the "sandwich": Huber 1967, The behavior of maximum likelihood
@@ -32,7 +31,7 @@ OUTLIER_PROBABILITY = 0.001
 STRETCH_STEPS = 50
 """Steps of the odometry over which its error is looked at: 100 m of keyframes every 2 m."""
 LEAST_SAMPLES, MOST_SAMPLES = 5, 20
-"""Of stretches or closures: fewer say too little, more would cost time and say little more."""
+"""Of stretches or closures: fewer are not significant, more would cost time and add little."""
 ROUNDS = 10
 """Of expectation and maximisation. They begin with the configured noise, and near none at all they are slow."""
 FACTOR_LIMITS = (1e-3, 1e2)
@@ -137,7 +136,7 @@ def _posterior_variances(system: LinearSystem, adding: sparse.csr_array) -> Floa
 
 
 def _maximize(residuals: FloatArray, posterior: FloatArray, measured: FloatArray) -> FloatArray:
-    """Variance (6,) of errors, from residuals (S, 6), variances (S, 6), and what (S, 6) other factors tell of them."""
+    """Variance (6,) of errors, from residuals (S, 6), variances (S, 6), and the information (S, 6) of other factors."""
     variance = np.ones(SIZE)
     for _ in range(ROUNDS):
         left = variance / (1.0 + variance * measured)
@@ -147,7 +146,7 @@ def _maximize(residuals: FloatArray, posterior: FloatArray, measured: FloatArray
 
 
 def _differs(residuals: FloatArray, posterior: FloatArray, measured: FloatArray) -> BoolArray:
-    """Whether (6,) the residuals say that the variance is not 1, by their sum and the redundancy."""
+    """Whether (6,) the residuals reject a variance of 1, by their sum and the redundancy."""
     redundancy = measured / (1.0 + measured)
     squares = np.where(measured > 0.0, (residuals / posterior) ** 2 / (1.0 + measured) ** 2, 0.0)
     chance = chi2.cdf(squares.sum(axis=0), np.maximum(redundancy.sum(axis=0), 1e-9))

@@ -402,7 +402,7 @@ class FactorGraph:
         )
 
     def _estimate(self) -> gtsam.Values:
-        """All variables; iSAM2 computes the ones that nobody asks for only here."""
+        """All variables; iSAM2 computes those not queried before only here."""
         if self._values is None:
             with self._solver("the estimate"):
                 self._values = self._isam.calculateEstimate()
@@ -508,7 +508,7 @@ class FactorGraph:
 
     @contextmanager
     def _solver(self, doing: str) -> Iterator[None]:
-        """Time what happens in GTSAM and say in our words what it throws."""
+        """Measure the time inside GTSAM, and convert its exceptions to ``FactorGraphError``."""
         started = time.perf_counter()
         try:
             yield

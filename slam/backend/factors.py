@@ -19,7 +19,7 @@ from slam.common.errors import FactorGraphError
 
 PRIOR_SIGMA_RAD = 1e-4
 PRIOR_SIGMA_M = 1e-3
-# Nearer than this a bearing says nothing: the object is on top of the sensor.
+# Nearer than this a bearing is not informative: the object is on top of the sensor.
 MIN_RANGE_M = 0.3
 ORTHONORMAL_TOLERANCE = 1e-6
 CLOSURE_KERNEL_WIDTH = 1.0

@@ -48,8 +48,8 @@ def compute_marginals(
 ) -> Marginals:
     """Covariances of all variables of an optimised graph, with the noise that the drive itself shows.
 
-    What is done about the noise is told in ``slam.backend.covariance_estimation``. GTSAM's own marginals eliminate anew
-    for each variable, which takes ten times as long where loops are closed.
+    The estimation of the noise is described in ``slam.backend.covariance_estimation``. GTSAM's own marginals
+    eliminate anew for each variable, which takes ten times as long where loops are closed.
 
     Args:
         graph: its factors, among them empty places.

@@ -14,7 +14,7 @@ from slam.common.geometry import invert, yaw_rad
 RECOVERED_WITHIN_M = 40.0
 """Travel within which a right fix is a success."""
 HOLDS_FOR_M = 10.0
-"""Travel after which it is seen whether a fix is still believed."""
+"""Travel after which a fix is checked again."""
 OBJECTS_IN_VIEW = ((0, 4), (5, 9), (10, 19), (20, None))
 
 
@@ -80,7 +80,7 @@ class Figures:
     drive was nearby: what relocalization does, whatever the error of the map. ``misplaced_rate``: share of fixes that
     are wrong by that measure.
     Distance and time are those of the right fixes, late ones included; errors those of all fixes, wrong ones included.
-    ``kept_rate``: share of the right fixes that are believed, and right, 10 m later; ``revoked_rate``: share of the
+    ``kept_rate``: share of the right fixes that are still right 10 m later; ``revoked_rate``: share of the
     wrong fixes that are revoked, or have become right, by then.
     """
 

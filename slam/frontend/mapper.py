@@ -33,7 +33,7 @@ MOVED_M = 0.1
 MOVED_RAD = 0.02
 # Least time over which a moving object is given to change its speed: 10 Hz scans leave it none, its noise does.
 MIN_SWERVE_S = 0.5
-# A speed is believed if it is that many of its standard deviations.
+# A speed is significant if it is that many of its standard deviations.
 MOVING_SIGMAS = 3.0
 
 

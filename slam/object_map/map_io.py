@@ -36,7 +36,7 @@ class SavedMap:
     """What a drive left behind for the next one: confirmed landmarks, and the graph that holds them together.
 
     Descriptors are not kept: to compute them again takes less time than to read them would save, and so a map serves
-    whatever descriptor is configured. ``metadata``: what the file says of itself and of the last drive; ``drives``:
+    whatever descriptor is configured. ``metadata``: format of the file and provenance of the last drive; ``drives``:
     ``input_sha256`` and ``version`` of each drive that went into the map, the first one first.
     """
 
@@ -101,7 +101,7 @@ def save_map(
 def _refuse_fault(path: Path, objects: ObjectMapRecord, graph: FactorGraphRecord) -> None:
     fault = find_fault(objects, graph)
     if fault:
-        raise SavedMapError(f"{path} was not written, nobody could use it: {fault}")
+        raise SavedMapError(f"{path} was not written, because it could not be used: {fault}")
 
 
 def load_map(path: Path) -> SavedMap:
@@ -146,7 +146,7 @@ def load_map(path: Path) -> SavedMap:
 
 
 def are_breaks(graph: FactorGraphRecord) -> NDArray[np.bool_]:
-    """Which edges (E,) say nothing, because the odometry broke there."""
+    """Which edges (E,) cross a discontinuity of the odometry and hold no information."""
     return np.asarray(graph.edge_covariances[:, 3, 3] > (0.5 * BREAK_SIGMA_M) ** 2)
 
 
@@ -199,7 +199,7 @@ def _observing(graph: FactorGraphRecord, objects: ObjectMapRecord, kept: NDArray
 
 
 def _covariance_inflations(graph: FactorGraphRecord) -> FloatArray:
-    """Of each observation (O,); a record that does not tell them widened none."""
+    """Covariance inflation of each observation (O,); 1 where the record has none."""
     inflations = graph.observation_redundancies
     return inflations if len(inflations) else np.ones(len(graph.observation_landmark_ids))
 

@@ -1,4 +1,4 @@
-"""The trajectory between keyframes: the odometry, bent to meet the optimised keyframes."""
+"""The trajectory between keyframes: the odometry, interpolated to meet the optimised keyframes."""
 
 from __future__ import annotations
 

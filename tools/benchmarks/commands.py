@@ -39,7 +39,7 @@ def replay(
     runs: Annotated[int, typer.Option(min=1, help="Runs of each log, each in a fresh process.")] = 1,
     json: Json = False,
 ) -> None:
-    """Replay logs and tell time, the share of it inside GTSAM, the longest stall and the memory.
+    """Replay logs and measure time, the share of it inside GTSAM, the largest latency and the memory.
 
     Example: dslam benchmark replay drive.mcap --runs 5
     """

@@ -53,7 +53,7 @@ def relocalization(
     topics: Topics = None,
     json: Json = False,
 ) -> None:
-    """Map a tour, carry the robot off to random places of it, and tell how soon it knows where it is.
+    """Map a tour, kidnap the robot to random places of it, and measure how soon it is relocalized.
 
     It drives from there along the tour or against it, until objects of the map are recognised, and 10 m more. Found: a
     fix within 40 m that is right to 1 m and 3 deg in the world; in map: ... or in the map, which may itself be bent;

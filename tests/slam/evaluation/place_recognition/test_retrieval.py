@@ -13,7 +13,7 @@ from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.place_recognition.retrieval import RetrievalQuality, evaluate_retrieval
 from slam.evaluation.place_recognition.revisits import find_revisits
-from slam.loop_closure.consistency import distinct
+from slam.loop_closure.consistency import suppress_non_maxima
 from tests.helpers.candidates import make_candidate
 from tests.slam.evaluation.loops import closure, keyframes, there_and_back
 
@@ -95,19 +95,19 @@ def test_logs_without_ranks_are_refused() -> None:
 def test_the_estimator_ranks_what_descriptors_propose_and_nothing_else(kidnapped: EvaluationRecords) -> None:
     ranks_of_query = defaultdict[int, set[int]](set)
     for record in kidnapped.closures:
-        if record.reason.startswith(("follows", "leads")) or record.stage == "retrieval":
+        if record.reason.startswith("propagated") or record.stage == "retrieval":
             assert record.rank == 0
         elif record.rank:
             ranks_of_query[record.query_keyframe_id].add(record.rank)
     assert len(ranks_of_query) > 10
     assert all(ranks <= {1, 2, 3} for ranks in ranks_of_query.values())
     assert sum(1 in ranks for ranks in ranks_of_query.values()) == len(ranks_of_query)
-    founders = [r for r in kidnapped.closures if r.accepted and not r.reason.startswith(("follows", "leads"))]
+    founders = [r for r in kidnapped.closures if r.accepted and not r.reason.startswith("propagated")]
     assert founders
     assert all(record.rank > 0 for record in founders)
 
 
 def test_places_that_become_one_keep_the_best_rank() -> None:
-    second, first = (replace(make_candidate(llrs={0: nats}), rank=rank) for nats, rank in ((30.0, 2), (20.0, 1)))
-    kept = distinct([first, second])
+    second, first = (replace(make_candidate(llrs={0: llr}), rank=rank) for llr, rank in ((30.0, 2), (20.0, 1)))
+    kept = suppress_non_maxima([first, second])
     assert [(candidate.rank, candidate.score) for candidate in kept] == [(1, 30.0)]
