@@ -81,6 +81,6 @@ def test_what_cannot_be_is_refused(dslam: Run, files: tuple[object, ...], tmp_pa
     ):
         assert_refused(dslam(*command, option, value), option)
     assert_refused(dslam(*command[:4]), "--trajectory")
-    assert_refused(dslam(*command, "--set", "loop_closure.neighbors=3"), "neighbours")
+    assert_refused(dslam(*command, "--set", "loop_closure.topk=3"), "loop_closure.top_k")
     (tmp_path / "trajectory.csv").write_text("x_m,y_m\n0,0\n0,0\n")
     assert_refused(dslam(*command), "tour")

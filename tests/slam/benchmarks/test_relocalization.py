@@ -197,7 +197,7 @@ def test_who_is_lost_is_found_without_descriptors(
     monkeypatch: pytest.MonkeyPatch,
 ):
     """Where descriptors propose nothing all places are tried, if that is wanted."""
-    monkeypatch.setattr(PlaceRetriever, "find", lambda *_, **__: [])
+    monkeypatch.setattr(PlaceRetriever, "retrieve", lambda *_, **__: [])
     closing = LoopClosureConfig(max_candidates_when_lost=max_candidates_when_lost)
     outcome = relocalize(replace(search, config=Config(loop_closure=closing)), kidnaps[0])
     assert outcome.verdict == verdict
