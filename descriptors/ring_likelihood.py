@@ -31,8 +31,8 @@ LEAST_DENSITY_PER_M = 1e-3
 class RingLikelihood:
     """Rings of ``ring_m`` out to ``radius_m``; kernels of ``sigmas_m`` in equal shares.
 
-    ``misses``: the share e above. ``objects_per_km2``: of one class at an average place. ``radius_m`` is the diameter
-    of what a sensor sees: for an object at its edge all others are neighbours.
+    ``miss_probability``: the share e above, 1 - P_D. ``objects_per_km2``: of one class at an average place.
+    ``radius_m`` is the diameter of what a sensor sees: for an object at its edge all others are neighbours.
     """
 
     name = "ring_likelihood"
@@ -42,7 +42,7 @@ class RingLikelihood:
         radius_m: float = 60.0,
         ring_m: float = 0.5,
         sigmas_m: tuple[float, float] = (0.3, 1.2),
-        misses: float = 0.1,
+        miss_probability: float = 0.1,
         objects_per_km2: float = 500.0,
     ) -> None:
         self.radius_m = radius_m
@@ -51,7 +51,7 @@ class RingLikelihood:
         self._sigmas_m = sigmas_m
         middles_m = (np.arange(self.rings) + 0.5) * ring_m
         expected = 2.0 * np.pi * middles_m * objects_per_km2 * 1e-6  # of one class, per metre of distance
-        self._odds = (1.0 - misses) / misses / (expected + LEAST_DENSITY_PER_M)
+        self._odds = (1.0 - miss_probability) / miss_probability / (expected + LEAST_DENSITY_PER_M)
 
     def describe(self, constellations: Constellations) -> NDArray[np.float32]:
         """Vectors (B, C * rings) in nats: for each class of the vocabulary the rings from the inside out."""

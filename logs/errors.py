@@ -16,7 +16,7 @@ class TopicSelectionError(LogError):
 
 
 class InvalidRecordError(LogError):
-    """A message decodes to values that no record may have (NaN, a rotation that is none); carries topic and time.
+    """A message decodes to values that no record may have (NaN, an invalid rotation); carries topic and time.
 
     ``reason`` is the same text for every message that is wrong in the same way, so that they can be counted.
     """

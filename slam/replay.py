@@ -50,24 +50,24 @@ _COPIED = (RecordKind.ODOMETRY, RecordKind.GROUND_TRUTH, RecordKind.DETECTION_TR
 class ReplaySummary:
     """How a replay went. Times are of this machine and go into no output log.
 
-    ``longest_stall_s``: the longest time that one message took; ``solver_s``: time inside GTSAM;
-    ``closing_median_s``: what looking for loops takes at a keyframe. ``fixes_s``, ``fixes_m``: after what time, and
-    after what travel, a robot that was lost knew where it is. ``keyframes_not_saved``: those that only a break of the
-    odometry ties to the map that was saved, and that are not in it. ``tracked_share``: of the odometry's poses those
-    that were known in the map when they came.
+    ``max_message_latency_s``: longest processing time of one message; ``solver_s``: time inside GTSAM;
+    ``loop_closure_median_s``: time of loop closing at a keyframe. ``relocalization_times_s``,
+    ``relocalization_distances_m``: time and travel of each relocalization since the start. ``keyframes_not_saved``:
+    those that only a discontinuity connects to the saved map, which are left out of it. ``tracked_ratio``: share of the
+    odometry messages with a pose in the map when they came.
     """
 
     counters: dict[str, int]
     log_s: float
     wall_s: float
     solver_s: float
-    longest_stall_s: float
-    closing_median_s: float
+    max_message_latency_s: float
+    loop_closure_median_s: float
     final_status: str
-    fixes_s: tuple[float, ...] = ()
-    fixes_m: tuple[float, ...] = ()
+    relocalization_times_s: tuple[float, ...] = ()
+    relocalization_distances_m: tuple[float, ...] = ()
     keyframes_not_saved: int = 0
-    tracked_share: float = 0.0
+    tracked_ratio: float = 0.0
 
 
 def replay(
@@ -76,7 +76,7 @@ def replay(
     config: Config,
     *,
     topics: Mapping[str, str] | None = None,
-    earlier: SavedMap | None = None,
+    prior_map: SavedMap | None = None,
     extend: bool = True,
     map_path: Path | None = None,
     progress: Callable[[float], None] | None = None,
@@ -88,18 +88,18 @@ def replay(
         output: replaced if it is there; written as NAME.part and renamed when finished.
         config: the effective configuration, which is written into the output.
         topics: kind -> topic, where the log leaves a choice.
-        earlier: a map to find the robot in.
+        prior_map: a map to localize in.
         extend: go on from that map and improve it; else it stays as it is.
         map_path: where to save the map, for later drives.
         progress: called with the fraction done, in [0, 1].
 
     Raises:
         LogError: the input cannot be read or the output cannot be written.
-        SlamError: the input cannot be mapped, or the given map was not recognised and none is saved.
+        SlamError: the input cannot be mapped, or the robot was not relocalized in the prior map and none is saved.
     """
-    if map_path is not None and earlier is not None and not extend:
+    if map_path is not None and prior_map is not None and not extend:
         raise SavedMapError(
-            f"the given map stays as it is, so {map_path} would say nothing new; extend it, or save none"
+            f"the given map stays as it is, so {map_path} would be a copy of it; extend it, or save none"
         )
     started = time.perf_counter()
     with LogReader(source) as reader:
@@ -113,11 +113,11 @@ def replay(
         copied |= set(selection.topics_of(RecordKind.TRANSFORMS)) - {_TOPICS[Transform]}
         mapped = Selection({topic: kinds for topic, kinds in selection.kinds.items() if set(kinds) & set(_MAPPED)})
         first_ns, last_ns = _span(reader, mapped)
-        slam = Slam(config, earlier, extend=extend)
-        longest_stall_s, tracked = 0.0, 0
+        slam = Slam(config, prior_map, extend=extend)
+        max_message_latency_s, tracked = 0.0, 0
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output) as writer:
-            provenance = _provenance(reader, config, selection) | _about_map(earlier, extend=extend)
+            provenance = _provenance(reader, config, selection) | _about_map(prior_map, extend=extend)
             writer.add_metadata("dslam", provenance)
             for item in reader.items(mapped, copy=copied):
                 if item.raw.topic in copied:
@@ -128,33 +128,33 @@ def replay(
                         # Everything is logged on the clock of the input, whatever its stamps are.
                         writer.write(_TOPICS[type(update)], update, item.raw.log_time_ns)
                         tracked += isinstance(update, SlamPose)
-                longest_stall_s = max(longest_stall_s, time.perf_counter() - before)
+                max_message_latency_s = max(max_message_latency_s, time.perf_counter() - before)
                 if progress is not None:
                     done = (item.raw.log_time_ns - first_ns) / max(last_ns - first_ns, 1)
                     progress(min(max(done, 0.0), 1.0))
             slam.counters.update(reader.counters)
             final = slam.finish()
             _write_final(writer, final, last_ns)
-        if map_path is not None and earlier is not None and not slam.fixes:
+        if map_path is not None and prior_map is not None and not slam.fixes:
             raise SavedMapError(
                 f"the given map was never recognised, so {map_path} would hold two places laid over each other and was "
                 f"not written; {output} is complete"
             )
         unsaved = 0
         if map_path is not None:
-            unsaved = save_map(map_path, final.object_map, final.graph, final.markers, provenance, earlier=earlier)
+            unsaved = save_map(map_path, final.object_map, final.graph, final.markers, provenance, prior_map=prior_map)
     return ReplaySummary(
         counters=dict(final.status.counters),
         log_s=(last_ns - first_ns) * 1e-9,
         wall_s=time.perf_counter() - started,
         solver_s=slam.solver_seconds,
-        longest_stall_s=longest_stall_s,
-        closing_median_s=float(np.median(slam.closing_seconds)) if slam.closing_seconds else 0.0,
+        max_message_latency_s=max_message_latency_s,
+        loop_closure_median_s=float(np.median(slam.closing_seconds)) if slam.closing_seconds else 0.0,
         final_status=final.status.message,
-        fixes_s=tuple((fix.stamp_ns - slam.first_stamp_ns) * 1e-9 for fix in slam.fixes),
-        fixes_m=tuple(fix.travel_m for fix in slam.fixes),
+        relocalization_times_s=tuple((fix.stamp_ns - slam.first_stamp_ns) * 1e-9 for fix in slam.fixes),
+        relocalization_distances_m=tuple(fix.travel_m for fix in slam.fixes),
         keyframes_not_saved=unsaved,
-        tracked_share=tracked / max(final.status.counters.get("odometry_used", 0), 1),
+        tracked_ratio=tracked / max(final.status.counters.get("odometry_used", 0), 1),
     )
 
 
@@ -180,11 +180,11 @@ def _provenance(reader: LogReader, config: Config, selection: Selection) -> dict
     }
 
 
-def _about_map(earlier: SavedMap | None, *, extend: bool) -> dict[str, str]:
+def _about_map(prior_map: SavedMap | None, *, extend: bool) -> dict[str, str]:
     """Which map the drive was given, by the drives that made it."""
-    if earlier is None:
+    if prior_map is None:
         return {}
-    return {"map_drives": json.dumps([dict(drive) for drive in earlier.drives]), "map_extended": json.dumps(extend)}
+    return {"map_drives": json.dumps([dict(drive) for drive in prior_map.drives]), "map_extended": json.dumps(extend)}
 
 
 def _span(reader: LogReader, selection: Selection) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""The whole system: records go in, what became known goes out.
+"""The SLAM system: input records in, estimates out.
 
 ``Slam.process`` is where to begin reading.
 """
@@ -36,23 +36,24 @@ from slam.frontend.mapper import Mapper
 from slam.frontend.scan import SensorFrames, make_scan
 from slam.localization.prior_map import SEGMENT, restore
 from slam.localization.state import Fix, State
-from slam.loop_closure.landmark_fusion import merge_coincident
+from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
 from slam.loop_closure.loop_closer import LoopCloser
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.object_map.map_io import SavedMap
-from slam.odometry.interpolation import bend_odometry
+from slam.odometry.interpolation import interpolate_between_keyframes
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.track import OdometryPose, OdometryTrack
 
 logger = logging.getLogger(__name__)
 
 MAP_FRAME = "map"
+CONTRADICTED = "localization lost: observations are inconsistent with the map"
 CLOSURE_COLOR = np.array([0.84, 0.15, 0.79, 0.9])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FinalMap:
-    """What a drive leaves behind. ``closures``: those whose verdict changed at the very end."""
+    """Results of a drive. ``closures``: those removed at the end as outliers."""
 
     trajectory: TrajectoryRecord
     object_map: ObjectMapRecord
@@ -66,16 +67,16 @@ class FinalMap:
 class Slam:
     """Maps a drive, record by record. The same records and configuration give the same results."""
 
-    def __init__(self, config: Config, earlier: SavedMap | None = None, *, extend: bool = True) -> None:
-        """``earlier``: a map to find the robot in; ``extend``: improve it, too, instead of leaving it as it is."""
+    def __init__(self, config: Config, prior_map: SavedMap | None = None, *, extend: bool = True) -> None:
+        """``prior_map``: a map to localize in; ``extend``: update it instead of keeping it fixed."""
         self._config = config
         self.counters: Counter[str] = Counter()
-        self._first_segment = 0 if earlier is None else SEGMENT + 1
+        self._first_segment = 0 if prior_map is None else SEGMENT + 1
         self._track = OdometryTrack(config.odometry, self.counters, first_segment=self._first_segment)
         self._frames = SensorFrames()
         self._object_map = ObjectMap(config.association)
         self._graph = FactorGraph(config.factor_graph)
-        known = restore(earlier, self._object_map, self._graph, fixed=not extend) if earlier is not None else []
+        known = restore(prior_map, self._object_map, self._graph, fixed=not extend) if prior_map is not None else []
         self._first_keyframe = len(known)
         self._extends = extend
         self._mapper = Mapper(config, self._object_map, self._graph, known)
@@ -89,8 +90,8 @@ class Slam:
         self._frames_missing: set[str] = set()
         self._poses: list[OdometryPose] = []
         self._T_map_odom = np.eye(4)
-        self._is_carried_off = False
-        self._state = State.MAPPING if earlier is None else State.LOST
+        self._is_kidnapped = False
+        self._state = State.MAPPING if prior_map is None else State.LOST
         self.fixes: list[Fix] = []
         self.closing_seconds: list[float] = []
         """Time that looking for loops took, keyframe by keyframe."""
@@ -102,7 +103,7 @@ class Slam:
 
     @property
     def state(self) -> State:
-        """What the robot knows of where it is."""
+        """The localization state of the robot."""
         return self._state
 
     @property
@@ -143,40 +144,40 @@ class Slam:
             )
         self.counters["detections_without_odometry"] += len(self._waiting)
         self._mapper.close_keyframe()
-        withdrawn, complaint = self._closer.finish()
+        removed, warning = self._closer.finish()
         if self._first_keyframe and self._extends:
             self._mapper.retire_gone(self._closer.missing_landmarks())
         if self._extends:
-            self._merge_coincident()
+            self._fuse_duplicate_landmarks()
         optimization = self._graph.optimize()
         self.counters["batch_iterations"] = optimization.iterations
         message = "optimised" if optimization.converged else (
             f"the final optimisation did not converge in {optimization.iterations} iterations"
         )  # fmt: skip
-        if complaint:
-            message += f"; closures: {complaint}"
+        if warning:
+            message += f"; closures: {warning}"
         unused = self.counters["odometry_out_of_order"] + self.counters["odometry_duplicated"]
         if unused > self.counters["odometry_used"]:
             message += "; most odometry messages were unusable: their stamps do not increase"
         object_map = self._map_record()
-        self.counters["closures_withdrawn"] = len(withdrawn)
-        self.counters["closures_doubted"] = self._closer.doubted_count
-        is_well = optimization.converged and not complaint and unused <= self.counters["odometry_used"]
+        self.counters["closures_removed"] = len(removed)
+        self.counters["closures_rejected_by_odometry"] = self._closer.rejected_by_odometry_count
+        is_well = optimization.converged and not warning and unused <= self.counters["odometry_used"]
         level = "info" if is_well and not self.counters["covariances_missing"] else "warning"
         confirmed = self._object_map.in_state(LandmarkState.CONFIRMED)
         return FinalMap(
             trajectory=self._trajectory(),
             object_map=object_map,
             graph=self._graph_record(),
-            closures=tuple(withdrawn),
+            closures=tuple(removed),
             closure_lines=self._closure_lines(),
             markers=self._markers(confirmed, self._object_map.rows["position_map"][confirmed], replaces=True),
             status=self._status(message, level=level),
         )
 
-    def _merge_coincident(self) -> None:
-        """Make one of the landmarks that turned out to stand at one place."""
-        self.counters["landmarks_merged_at_the_end"] = merge_coincident(
+    def _fuse_duplicate_landmarks(self) -> None:
+        """Merge landmarks that are duplicates in the optimised map."""
+        self.counters["landmarks_fused"] = fuse_duplicate_landmarks(
             self._object_map,
             self._graph,
             self._closer.keyframes_near_closures(),
@@ -204,8 +205,8 @@ class Slam:
     def _keyframe_updates(self, pose: OdometryPose, *, breaks: bool) -> list[Record]:
         keyframe = self._mapper.keyframes[-1]
         closures = self._close_loops(keyframe)
-        if self._closer.lost_since >= 0:
-            closures += self._give_place_up(keyframe)
+        if self._closer.lost_since_keyframe is not None:
+            closures += self._declare_lost(keyframe, self._closer.lost_since_keyframe)
         self._T_map_odom = self._graph.pose(keyframe.id) @ invert(pose.T_odom_body)
         changes = self._change_state(keyframe, self._why_lost(breaks=breaks))
         updates: list[Record] = [*closures, *changes, *self._relocalizations(closures)]
@@ -223,7 +224,7 @@ class Slam:
         return updates
 
     def _relocalizations(self, closures: list[LoopClosureRecord]) -> list[RelocalizationRecord]:
-        """Where keyframes are in the map of an earlier drive."""
+        """Poses of keyframes in the prior map, from closures with its keyframes."""
         found = [
             RelocalizationRecord(
                 stamp_ns=closure.stamp_ns,
@@ -242,44 +243,43 @@ class Slam:
         self.counters["keyframes_recognised"] += len(found)
         return found
 
-    def _give_place_up(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
-        """The map was contradicted for too long: either it was recognised wrongly, or the robot was carried off."""
-        first = self._mapper.keyframes[self._closer.lost_since]
-        taken_back, is_carried_off = self._closer.give_up(keyframe)
-        if is_carried_off:
-            self.counters["kidnappings_noticed"] += 1
+    def _declare_lost(self, keyframe: Keyframe, since: int) -> list[LoopClosureRecord]:
+        """Revoke a false relocalization, or begin a new segment after a kidnapping, from the keyframe ``since`` on."""
+        first = self._mapper.keyframes[since]
+        revoked, is_kidnapped = self._closer.declare_lost(keyframe, since)
+        if is_kidnapped:
+            self.counters["kidnappings_detected"] += 1
             self._mapper.retire_since(first)
             self._track.break_off()
-            self._is_carried_off = True
+            self._is_kidnapped = True
         else:
-            self.counters["relocalizations_taken_back"] += 1
-        return taken_back
+            self.counters["relocalizations_revoked"] += 1
+        return revoked
 
     def _why_lost(self, *, breaks: bool) -> str:
-        """What tore the odometry apart, if it did."""
+        """Why the segment ended, empty if it did not."""
         if not breaks:
             return ""
         self.counters["odometry_breaks"] += 1
-        broke = "the odometry jumped, fell silent or started over"
-        what = "the robot was carried off" if self._is_carried_off else broke
-        self._is_carried_off = False
-        return f"{what}: landmarks in view are let go"
+        cause = "kidnapped" if self._is_kidnapped else "odometry discontinuity (jump, gap or restart)"
+        self._is_kidnapped = False
+        return f"{cause}: active landmarks dropped"
 
     def _change_state(self, keyframe: Keyframe, why_lost: str) -> list[Record]:
-        """Lost or not, as odometry and closures tie the newest keyframe to the map or do not."""
-        if not self._closer.knows_where(keyframe):
+        """Update the localization state: lost unless odometry and closures connect the newest keyframe to the map."""
+        if not self._closer.is_localized(keyframe):
             was_lost, self._state = self._state == State.LOST, State.LOST
             if was_lost and not why_lost:
                 return []
-            return [self._status(why_lost or "the map was contradicted: the place is open again", level="warning")]
+            return [self._status(why_lost or CONTRADICTED, level="warning")]
         if self._state != State.LOST:
             return []
         self._state = State.RELOCALIZED
         self.fixes.append(Fix(keyframe.odometry.stamp_ns, keyframe.odometry.travel_m))
         self.counters["relocalizations"] += 1
-        found = self._status("objects of the map were recognised: the robot knows where it is", level="info")
+        found = self._status("relocalized in the map", level="info")
         self._state = State.MAPPING if self._first_keyframe == 0 else State.TRACKING
-        return [found, self._status("goes on from there", level="info")]
+        return [found, self._status("localization continues", level="info")]
 
     def _close_loops(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
         if not self._config.loop_closure.enabled:
@@ -308,7 +308,7 @@ class Slam:
             self.counters["detections_duplicated"] += 1
             return []
         pose = self._track.at(detections.stamp_ns)
-        # A scan from before a break says nothing about where the keyframes after it are.
+        # A scan from before a discontinuity does not constrain the keyframes after it.
         if pose is None or not self._mapper.keyframes or pose.segment != self._mapper.keyframes[-1].odometry.segment:
             self.counters["detections_without_odometry"] += 1
             return []
@@ -323,11 +323,11 @@ class Slam:
         scan = make_scan(detections, T_body_sensor, self._config.detection)
         self.counters["detections_used"] += 1
         self.counters["objects_used"] += len(scan.positions)
-        self.counters["objects_left_out"] += len(detections.positions) - len(scan.positions)
+        self.counters["objects_filtered"] += len(detections.positions) - len(scan.positions)
         return [self._mapper.add_scan(scan, pose)]
 
     def _sensor_pose(self, frame: str, pose: OdometryPose) -> FloatArray | None:
-        """``T_body_sensor`` for detections in ``frame``; None where the log does not tell it."""
+        """``T_body_sensor`` for detections in ``frame``; None where the log has no transform."""
         if frame in ("", self._body_frame) or self._config.detection.assume_body_frame:
             return np.eye(4)
         if frame == self._odom_frame:
@@ -343,7 +343,7 @@ class Slam:
     def _trajectory(self) -> TrajectoryRecord:
         stamps_ns = np.array([pose.stamp_ns for pose in self._poses], dtype=np.int64)
         keyframe_stamps_ns = [keyframe.odometry.stamp_ns for keyframe in self._own_keyframes]
-        T_map_body = bend_odometry(
+        T_map_body = interpolate_between_keyframes(
             stamps_ns,
             np.stack([pose.T_odom_body for pose in self._poses]),
             np.searchsorted(stamps_ns, keyframe_stamps_ns),
@@ -355,7 +355,7 @@ class Slam:
     def _map_record(self) -> ObjectMapRecord:
         landmarks = self._object_map.rows
         # What never got into the graph has no place in the map but where the odometry put it when it was last seen;
-        # what an earlier drive left there stays where it was.
+        # landmarks of a prior map stay where they were.
         own = landmarks["segment"] >= self._first_segment
         T_map_odom = self._T_map_odom_at(landmarks["last_seen_ns"][own])
         R = T_map_odom[:, :3, :3]
@@ -407,7 +407,7 @@ class Slam:
         )
 
     def _closure_lines(self) -> SceneMarkers:
-        """A line between the two keyframes of each closure that is believed."""
+        """A line between the two keyframes of each accepted closure."""
         positions = self._graph.poses()[:, :3, 3]
         lines = positions[self._closer.closed]
         return SceneMarkers(

@@ -129,10 +129,10 @@ def _show(output: Path, seed: int, summary: DegradationSummary) -> None:
 
     counts = summary.counts
     lost = {"out of view": "out_of_view", "of an unwanted class": "unwanted_label", "dropped out": "dropped_out"}
-    told = [f"{counts[name]} {how}" for how, name in lost.items() if counts[name]]
+    losses = [f"{counts[name]} {how}" for how, name in lost.items() if counts[name]]
     rows = {
         "kept": f"{counts['kept']} of {counts['detections']} detections",
-        "lost": ", ".join(told) or "none",
+        "lost": ", ".join(losses) or "none",
         "relabelled": str(counts["relabelled"]),
         "false positives": str(counts["false_positives"]),
         "warnings": ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in summary.left_out.items()) or "none",

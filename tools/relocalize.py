@@ -43,29 +43,30 @@ def relocalize(
     config = load_config(config_file, settings or ())
     known = load_map(map_log)
     with console.progress_bar("looking", "optimising") as progress:
-        summary = replay(source, output, config, topics=chosen, earlier=known, extend=False, progress=progress)
-    if picture is not None and summary.fixes_s:
+        summary = replay(source, output, config, topics=chosen, prior_map=known, extend=False, progress=progress)
+    if picture is not None and summary.relocalization_times_s:
         _draw(output, picture, known)
+    times_s, distances_m = summary.relocalization_times_s, summary.relocalization_distances_m
     found = {
         "output": str(output),
-        "found": bool(summary.fixes_s),
-        "first_fix_s": summary.fixes_s[0] if summary.fixes_s else None,
-        "first_fix_m": summary.fixes_m[0] if summary.fixes_m else None,
-        "fixes": len(summary.fixes_s),
-        "fixes_s": list(summary.fixes_s),
+        "found": bool(times_s),
+        "time_to_first_relocalization_s": times_s[0] if times_s else None,
+        "distance_to_first_relocalization_m": distances_m[0] if distances_m else None,
+        "relocalization_count": len(times_s),
+        "relocalization_times_s": list(times_s),
         "keyframes": summary.counters.get("keyframes", 0),
         "keyframes_recognised": summary.counters.get("keyframes_recognised", 0),
-        "recognised_share": _recognised_share(summary),
-        "tracked_share": summary.tracked_share,
-        "kidnappings_noticed": summary.counters.get("kidnappings_noticed", 0),
-        "relocalizations_taken_back": summary.counters.get("relocalizations_taken_back", 0),
-        "query_median_s": summary.closing_median_s,
+        "relocalized_keyframe_ratio": _relocalized_keyframe_ratio(summary),
+        "tracked_ratio": summary.tracked_ratio,
+        "kidnappings_detected": summary.counters.get("kidnappings_detected", 0),
+        "relocalizations_revoked": summary.counters.get("relocalizations_revoked", 0),
+        "query_median_s": summary.loop_closure_median_s,
     }
     if json:
         console.show_json(found)
     else:
-        _show(summary, output, picture if summary.fixes_s else None)
-    if not summary.fixes_s:
+        _show(summary, output, picture if summary.relocalization_times_s else None)
+    if not summary.relocalization_times_s:
         raise typer.Exit(NOT_FOUND)
 
 
@@ -83,7 +84,7 @@ def _draw(output: Path, picture: Path, known: SavedMap) -> None:
     draw_map(picture, replace(whole, landmarks=known.objects.positions[:0], labels=(), known=known.objects.positions))
 
 
-def _recognised_share(summary: ReplaySummary) -> float:
+def _relocalized_keyframe_ratio(summary: ReplaySummary) -> float:
     return summary.counters.get("keyframes_recognised", 0) / max(summary.counters.get("keyframes", 0), 1)
 
 
@@ -91,17 +92,18 @@ def _show(summary: ReplaySummary, output: Path, picture: Path | None) -> None:
     from tools import console
 
     counters = summary.counters
+    times_s, distances_m = summary.relocalization_times_s, summary.relocalization_distances_m
     rows = {
-        "first fix": f"after {summary.fixes_s[0]:.1f} s and {summary.fixes_m[0]:.1f} m"
-        if summary.fixes_s
+        "first fix": f"after {times_s[0]:.1f} s and {distances_m[0]:.1f} m"
+        if times_s
         else "none: the map was not recognised",
-        "later fixes": ", ".join(f"{time:.0f} s" for time in summary.fixes_s[1:]) or "none",
+        "later fixes": ", ".join(f"{time:.0f} s" for time in times_s[1:]) or "none",
         "recognised": f"{counters.get('keyframes_recognised', 0)} of {counters.get('keyframes', 0)} keyframes "
-        f"({100 * _recognised_share(summary):.0f} %)",
-        "tracked": f"{100 * summary.tracked_share:.0f} % of the poses were known in the map when they came",
-        "carried off": f"noticed {counters.get('kidnappings_noticed', 0)} times; "
-        f"{counters.get('relocalizations_taken_back', 0)} fixes taken back",
-        "a query takes": f"{1e3 * summary.closing_median_s:.1f} ms in the median",
+        f"({100 * _relocalized_keyframe_ratio(summary):.0f} %)",
+        "tracked": f"{100 * summary.tracked_ratio:.0f} % of the poses were known in the map when they came",
+        "kidnapped": f"detected {counters.get('kidnappings_detected', 0)} times; "
+        f"{counters.get('relocalizations_revoked', 0)} relocalizations revoked",
+        "a query takes": f"{1e3 * summary.loop_closure_median_s:.1f} ms in the median",
         "final status": summary.final_status,
         "written": str(output) + (f", {picture}" if picture else ""),
     }

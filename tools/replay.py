@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 # Everything else that is counted was used, or is a number of landmarks.
 _USED = ("odometry_used", "detections_used", "objects_used", "keyframes", "keyframes_recognised", "batch_iterations")
-_TOLD = ("landmarks_", "closures_", "relocalizations")
+_SHOWN = ("landmarks_", "closures_", "relocalizations")
 _LANDMARK_STATES = ("confirmed", "tentative", "retired")
 
 
@@ -50,15 +50,15 @@ def replay(
     from tools import console
 
     config = load_config(config_file, settings or ())
-    earlier = load_map(map_log) if map_log is not None else None
+    prior_map = load_map(map_log) if map_log is not None else None
     with console.progress_bar("mapping", "optimising everything at once") as progress:
         summary = replay_log(
-            source, output, config, topics=chosen, earlier=earlier, map_path=save_map, progress=progress
+            source, output, config, topics=chosen, prior_map=prior_map, map_path=save_map, progress=progress
         )
     if picture is not None:
         _draw(output, picture)
     if json:
-        console.show_json({"output": str(output), **asdict(summary), "x_real_time": _x_real_time(summary)})
+        console.show_json({"output": str(output), **asdict(summary), "real_time_factor": _real_time_factor(summary)})
     else:
         _show(output, picture, summary)
 
@@ -79,19 +79,19 @@ def _show(output: Path, picture: Path | None, summary: ReplaySummary) -> None:
     counters = summary.counters
     landmarks = [f"{counters.get(f'landmarks_{state}', 0)} {state}" for state in _LANDMARK_STATES]
     noted = [f"{name.replace('_', ' ')} {count}" for name, count in counters.items()
-             if count and not name.startswith(_TOLD) and name not in _USED]  # fmt: skip
-    x_real_time = _x_real_time(summary)
-    speed = f", {x_real_time:.1f} x real time" if x_real_time else ""
+             if count and not name.startswith(_SHOWN) and name not in _USED]  # fmt: skip
+    real_time_factor = _real_time_factor(summary)
+    speed = f", {real_time_factor:.1f} x real time" if real_time_factor else ""
     rows = {
         "log": f"{summary.log_s:.1f} s, mapped in {summary.wall_s:.1f} s{speed}",
         "used": f"{counters.get('odometry_used', 0)} odometry messages, {counters.get('detections_used', 0)} scans "
         f"with {counters.get('objects_used', 0)} objects",
         "keyframes": str(counters.get("keyframes", 0)),
         "landmarks": ", ".join(landmarks),
-        "loops": f"closed at {counters.get('closures_accepted', 0)} keyframes, "
-        f"by {counters.get('closures_inserted', 0)} factors; {counters.get('closures_withdrawn', 0)} taken out again"
-        + _doubted(counters.get("closures_doubted", 0)),
-        **({"found": _fixes(summary)} if summary.fixes_s else {}),
+        "loops": f"{counters.get('closures_accepted', 0)} loop closures accepted, "
+        f"{counters.get('closures_inserted', 0)} factors, {counters.get('closures_removed', 0)} removed as outliers"
+        + _rejected_by_odometry(counters.get("closures_rejected_by_odometry", 0)),
+        **({"found": _fixes(summary)} if summary.relocalization_times_s else {}),
         "warnings": ", ".join(noted) or "none",
         "final status": summary.final_status,
         "written": str(output) + (f", {picture}" if picture else ""),
@@ -100,17 +100,17 @@ def _show(output: Path, picture: Path | None, summary: ReplaySummary) -> None:
 
 
 def _fixes(summary: ReplaySummary) -> str:
-    """When a robot that was lost knew again where it is."""
-    fixes = zip(summary.fixes_s, summary.fixes_m, strict=True)
+    """Time and travel of each relocalization."""
+    fixes = zip(summary.relocalization_times_s, summary.relocalization_distances_m, strict=True)
     return ", ".join(f"after {seconds:.1f} s and {travel_m:.0f} m" for seconds, travel_m in fixes)
 
 
-def _doubted(count: int) -> str:
-    """Many of them mean that the odometry drifts more than the configuration says."""
+def _rejected_by_odometry(count: int) -> str:
+    """A large number means that the odometry drifts more than it is configured to."""
     if not count:
         return ""
-    return f"; {count} more look like a loop, but odometry.yaw_sigma and translation_sigma do not allow it"
+    return f"; {count} more rejected by the odometry penalty (odometry.yaw_sigma, translation_sigma)"
 
 
-def _x_real_time(summary: ReplaySummary) -> float | None:
+def _real_time_factor(summary: ReplaySummary) -> float | None:
     return summary.log_s / summary.wall_s if summary.wall_s > 0.0 else None

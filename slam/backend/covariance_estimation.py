@@ -1,16 +1,16 @@
-"""How sure an optimised graph is of its variables, when its noise was not quite what the configuration says.
+"""Covariances of an optimised graph whose noise differs from the configured noise.
 
-The marginals of least squares take the noise of every factor for granted. Here two things are mended, and the estimate
-is left as it is:
+The marginals of least squares assume that the configured noise of every factor is true. They are corrected in two ways;
+the estimate does not change:
 
-* The solver weighs observations and closures by robust kernels, about half in the mean where the noise is as it was
-  said to be. That says nothing about the noise: outliers apart, whose residuals have ``OUTLIER_PROBABILITY``, they have
-  their own. It does say how far the estimate follows them, their ``trust``: the mean slope of the kernel's influence.
-* Odometry drifts as it likes. Errors of its scale, say, are the same for many steps, so that they add up to more than
-  the steps say of themselves. How large they were is asked of the drive: over stretches of 50 steps the residuals of
-  all steps are added up, axis by axis. Likewise how large those of closures were.
+* Robust kernels weight observations and closures, by about half in the mean where the configured noise is true. These
+  weights are not an estimate of the noise: all but outliers, whose residuals have ``OUTLIER_PROBABILITY``, keep the
+  configured noise. How far the estimate follows them is their ``kernel_weight``, the mean slope of the influence.
+* The errors of odometry are correlated. An error of its scale is the same for many steps, so the sum is larger than
+  the covariances of the steps predict. Its variance is estimated from the drive: over stretches of 50 steps the
+  residuals of all steps are added up, axis by axis. The variance of closures is estimated likewise.
 
-With rows a of the Jacobian, their trust t and the factors f on their variance, the estimate has the covariance
+With rows a of the Jacobian, their kernel weights t and the factors f on their variance, the estimate has the covariance
 H^-1 M H^-1, H = sum t a a^T, M = sum t^2 f a a^T (the "sandwich": Huber 1967, The behavior of maximum likelihood
 estimates under nonstandard conditions).
 """
@@ -31,7 +31,7 @@ OUTLIER_PROBABILITY = 0.001
 STRETCH_STEPS = 50
 """Steps of the odometry over which its error is looked at: 100 m of keyframes every 2 m."""
 LEAST_SAMPLES, MOST_SAMPLES = 5, 20
-"""Of stretches or closures: fewer say too little, more would cost time and say little more."""
+"""Of stretches or closures: fewer are not significant, more would cost time and add little."""
 ROUNDS = 10
 """Of expectation and maximisation. They begin with the configured noise, and near none at all they are slow."""
 FACTOR_LIMITS = (1e-3, 1e2)
@@ -45,14 +45,15 @@ SIZE = 6
 class LinearSystem:
     """An optimised graph, linearised; every row is divided by its standard deviation.
 
-    jacobian (N, n) and residuals (N,); trust (N,) in (0, 1]: how much of the information in a row the solver takes;
+    jacobian (N, n) and residuals (N,); kernel_weight (N,) in (0, 1]: share of the information of a row that the
+    solver uses;
     odometry_rows (S, 6) and closure_rows (C, 6): those of the steps of the odometry, one after another, and of the
     closures, rotation first; owners (n,): which variable each column belongs to, from 0 without gaps, in their order.
     """
 
     jacobian: sparse.csr_array
     residuals: FloatArray
-    trust: FloatArray
+    kernel_weight: FloatArray
     odometry_rows: IntArray
     closure_rows: IntArray
     owners: IntArray
@@ -80,10 +81,13 @@ def variance_factors(system: LinearSystem) -> FloatArray:
     """
     factors = np.ones(len(system.residuals))
     stretches = len(system.odometry_rows) // STRETCH_STEPS
-    whole = system.odometry_rows[: stretches * STRETCH_STEPS].reshape(stretches, STRETCH_STEPS, SIZE)
+    full_stretches = system.odometry_rows[: stretches * STRETCH_STEPS].reshape(stretches, STRETCH_STEPS, SIZE)
     groups = [
         (rows, _spread_out(samples))
-        for rows, samples in ((system.odometry_rows, whole), (system.closure_rows, system.closure_rows[:, None]))
+        for rows, samples in (
+            (system.odometry_rows, full_stretches),
+            (system.closure_rows, system.closure_rows[:, None]),
+        )
         if len(samples) >= LEAST_SAMPLES
     ]
     if not groups:
@@ -95,7 +99,7 @@ def variance_factors(system: LinearSystem) -> FloatArray:
     for rows, samples in groups:
         part = slice(start, start + len(samples))
         # Their information beside that of the row itself; what is next to nothing is nothing.
-        measured = 1.0 / posterior[part] - system.trust[rows[0, 0]]
+        measured = 1.0 / posterior[part] - system.kernel_weight[rows[0, 0]]
         measured = np.where(measured < LEAST_INFORMATION, 0.0, measured)
         found = _maximize(residuals[part], posterior[part], measured)
         factors[rows] = np.where(_differs(residuals[part], posterior[part], measured), found, 1.0)
@@ -121,7 +125,7 @@ def _posterior_variances(system: LinearSystem, adding: sparse.csr_array) -> Floa
     sensitivity = (adding @ system.jacobian).toarray().T
     try:
         factorized = splu(
-            _information(system, system.trust),
+            _information(system, system.kernel_weight),
             permc_spec="MMD_AT_PLUS_A",
             diag_pivot_thresh=0.0,
             options={"SymmetricMode": True, "Equil": False},
@@ -132,7 +136,7 @@ def _posterior_variances(system: LinearSystem, adding: sparse.csr_array) -> Floa
 
 
 def _maximize(residuals: FloatArray, posterior: FloatArray, measured: FloatArray) -> FloatArray:
-    """Variance (6,) of errors, from residuals (S, 6), variances (S, 6), and what (S, 6) other factors tell of them."""
+    """Variance (6,) of errors, from residuals (S, 6), variances (S, 6), and the information (S, 6) of other factors."""
     variance = np.ones(SIZE)
     for _ in range(ROUNDS):
         left = variance / (1.0 + variance * measured)
@@ -142,7 +146,7 @@ def _maximize(residuals: FloatArray, posterior: FloatArray, measured: FloatArray
 
 
 def _differs(residuals: FloatArray, posterior: FloatArray, measured: FloatArray) -> BoolArray:
-    """Whether (6,) the residuals say that the variance is not 1, by their sum and the redundancy."""
+    """Whether (6,) the residuals reject a variance of 1, by their sum and the redundancy."""
     redundancy = measured / (1.0 + measured)
     squares = np.where(measured > 0.0, (residuals / posterior) ** 2 / (1.0 + measured) ** 2, 0.0)
     chance = chi2.cdf(squares.sum(axis=0), np.maximum(redundancy.sum(axis=0), 1e-9))
@@ -159,9 +163,9 @@ def covariance_blocks(system: LinearSystem, factors: FloatArray) -> FloatArray:
     Raises:
         np.linalg.LinAlgError: the graph does not determine all variables.
     """
-    information = _information(system, system.trust)
-    noise = system.trust**2 * factors
-    if np.any(noise != system.trust):
+    information = _information(system, system.kernel_weight)
+    noise = system.kernel_weight**2 * factors
+    if np.any(noise != system.kernel_weight):
         # The derivative of an inverse is -H^-1 M H^-1; a step along the imaginary axis gives it without a difference.
         information = sparse.csc_array(information + 1j * COMPLEX_STEP * _information(system, noise))
     rows, columns, entries = diagonal_blocks_of_inverse(information, system.owners)

@@ -1,6 +1,6 @@
-"""The factor graph: poses of keyframes, points of landmarks, and what ties them together.
+"""The factor graph: poses of keyframes, positions of landmarks, and the factors between them.
 
-With ``factors`` the only importer of gtsam; what GTSAM throws is told as which keyframe or landmark it is about.
+Errors of GTSAM become ``FactorGraphError`` with the keyframe or landmark they concern.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from gtsam.symbol_shorthand import L, X
 from logs.messages import FactorGraphRecord
 from slam.backend.factors import (
     MIN_RANGE_M,
-    Anchor,
     Edge,
     Factor,
-    LandmarkAnchor,
+    LandmarkPrior,
     Observation,
+    PosePrior,
     bearing_range_factors,
     between_factor,
     checked_pose,
@@ -72,9 +72,9 @@ class FactorGraph:
         self._landmark_factors: dict[int, list[int]] = {}  # by the landmark that was seen
         self._variables: dict[int, list[int]] = {}  # landmarks in the graph by the variable that they share
         self._merged_into: dict[int, int] = {}
-        self._held_poses: dict[int, FloatArray] = {}
-        self._held_positions: dict[int, FloatArray] = {}
-        self._landmark_anchors: dict[int, int] = {}  # factors that hold landmarks which are in the graph
+        self._fixed_poses: dict[int, FloatArray] = {}
+        self._fixed_positions: dict[int, FloatArray] = {}
+        self._landmark_priors: dict[int, int] = {}  # priors of the landmarks of a fixed map that are in the graph
         self._keyframes: list[int] = []
         self._next_factor = 0
         self.factors: dict[int, Factor] = {}
@@ -87,15 +87,15 @@ class FactorGraph:
 
     @property
     def landmarks(self) -> IntArray:
-        """Ids (L,) of the landmarks that are estimated, ascending; merged ones go by the kept one's, and those of a map
-        that stays as it is are none.
+        """Ids (L,) of the landmarks that are estimated, ascending; a merged one has the id of the landmark
+        it was merged into; those of a fixed map are constants and left out.
         """
-        return np.array(sorted(self._variables.keys() - self._held_positions.keys()), dtype=np.int64)
+        return np.array(sorted(self._variables.keys() - self._fixed_positions.keys()), dtype=np.int64)
 
     def add_first_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
         """Fix the map frame: a prior on the first keyframe."""
         self._insert_keyframe(keyframe, T_map_body)
-        self._add(Anchor(keyframe, T_map_body))
+        self._add(PosePrior(keyframe, T_map_body))
 
     def add_next_keyframe(self, edge: Edge) -> None:
         """Add the keyframe ``edge.to_keyframe``, placed from ``edge.from_keyframe`` by the edge."""
@@ -111,7 +111,7 @@ class FactorGraph:
         edges: Sequence[Edge],
         observations: Sequence[Observation],
     ) -> None:
-        """Take in the optimised graph of an earlier drive, into an empty one.
+        """Restore the optimised graph of a prior map, into an empty graph.
 
         Args:
             keyframes: ids; the first one fixes the map frame.
@@ -130,19 +130,21 @@ class FactorGraph:
         self.add_observations(observations)
         self.update()
 
-    def hold(self, keyframes: Sequence[int], T_map_body: FloatArray, landmarks: Mapping[int, FloatArray]) -> None:
-        """Take in a map that stays as it is, into an empty graph: what is seen of it tells where the robot is.
+    def add_fixed_map(
+        self, keyframes: Sequence[int], T_map_body: FloatArray, landmarks: Mapping[int, FloatArray]
+    ) -> None:
+        """Add a fixed map, for localization only, to an empty graph.
 
         Args:
             keyframes: ids.
-            T_map_body: (K, 4, 4), where they are.
-            landmarks: where they are, (3,) m by id; each enters the graph when something is merged into it.
+            T_map_body: (K, 4, 4), their poses.
+            landmarks: their positions, (3,) m by id; each enters the graph when something is merged into it.
         """
         for keyframe, T in zip(keyframes, T_map_body, strict=True):
             self._insert_keyframe(keyframe, T)
-            self._add(Anchor(keyframe, T))
-            self._held_poses[keyframe] = T
-        self._held_positions = dict(landmarks)
+            self._add(PosePrior(keyframe, T))
+            self._fixed_poses[keyframe] = T
+        self._fixed_positions = dict(landmarks)
         self.update()
 
     def add_edge(self, edge: Edge) -> int:
@@ -167,7 +169,7 @@ class FactorGraph:
             T_shift = T_from @ edge.T_from_to @ invert(T_to)
         else:
             T_shift = T_to @ invert(edge.T_from_to) @ invert(T_from)
-        with self._solver("the joining of two sessions"):
+        with self._solver("the joining of two segments"):
             values = self._moved(set(moved.tolist()), T_shift)
             numbers = list(self.factors)
             try:
@@ -182,7 +184,7 @@ class FactorGraph:
     def _moved(self, keyframes: set[int], T_shift: FloatArray) -> gtsam.Values:
         """The estimate with some keyframes, and the landmarks that no other saw, moved by ``T_shift`` (4, 4)."""
         stays = {
-            self._names(factor.landmark)[-1]
+            self._alias_chain(factor.landmark)[-1]
             for factor in self.factors.values()
             if isinstance(factor, Observation) and factor.keyframe not in keyframes
         }
@@ -192,7 +194,7 @@ class FactorGraph:
             values.insert(X(keyframe), shift.compose(pose) if keyframe in keyframes else pose)
         for variable in self._variables:
             point = estimate.atPoint3(L(variable))
-            is_kept = variable in stays or variable in self._held_positions
+            is_kept = variable in stays or variable in self._fixed_positions
             values.insert(L(variable), point if is_kept else shift.transformFrom(point))
         return values
 
@@ -204,7 +206,7 @@ class FactorGraph:
         """
         used = [each for each in observations if not np.linalg.norm(each.position) < MIN_RANGE_M]
         poses = {keyframe: self.pose(keyframe) for keyframe in dict.fromkeys(each.keyframe for each in used)}
-        factors = bearing_range_factors([self._named(each) for each in used], self._config)
+        factors = bearing_range_factors([self._canonical(each) for each in used], self._config)
         for observation, factor in zip(used, factors, strict=True):
             T_map_body = poses[observation.keyframe]
             if observation.landmark not in self._landmark_factors:
@@ -241,72 +243,74 @@ class FactorGraph:
 
         Nothing happens if it is not in it.
         """
-        for each in self._namesakes(landmark):
+        for each in self._aliases(landmark):
             for number in list(self._landmark_factors.get(each, ())):
                 self.remove_factor(number)
 
     def merge_landmarks(self, kept: int, dropped: int) -> None:
-        """Make two landmarks one: what sees ``dropped``, now or later, sees ``kept``.
+        """Merge two landmarks: observations of ``dropped``, now or later, are observations of ``kept``.
 
-        Both go by their own names, that is, neither has been merged into another.
+        Neither may have been merged into another before.
         """
         self._move(dropped, lambda: self._merged_into.update({dropped: kept}))
 
     def split_landmark(self, dropped: int) -> None:
-        """Undo ``merge_landmarks``: ``dropped`` stands for itself again, with all that had been merged into it."""
+        """Undo ``merge_landmarks``: ``dropped`` is its own landmark again, with all that had been merged into it."""
         self._move(dropped, lambda: self._merged_into.pop(dropped, None))
 
     def _move(self, landmark: int, rename: Callable[[], object]) -> None:
         """Take the observations of a landmark, and of those merged into it, along to its new variable."""
-        moved = self._namesakes(landmark)
+        moved = self._aliases(landmark)
         observations = [self.factors[number] for each in moved for number in self._landmark_factors.get(each, ())]
         self.remove_landmark(landmark)
         rename()
         self.add_observations([o for o in observations if isinstance(o, Observation)])
 
-    def _names(self, landmark: int) -> list[int]:
+    def _alias_chain(self, landmark: int) -> list[int]:
         """The landmark, what it was merged into, and so on; the last one is the variable in the graph."""
-        names = [landmark]
-        while names[-1] in self._merged_into:
-            names.append(self._merged_into[names[-1]])
-        return names
+        chain = [landmark]
+        while chain[-1] in self._merged_into:
+            chain.append(self._merged_into[chain[-1]])
+        return chain
 
-    def _namesakes(self, landmark: int) -> list[int]:
+    def _aliases(self, landmark: int) -> list[int]:
         """The landmark and all that were merged into it."""
         if landmark not in self._merged_into.values():
             return [landmark]
-        return list(dict.fromkeys(each for each in (landmark, *self._merged_into) if landmark in self._names(each)))
+        return list(
+            dict.fromkeys(each for each in (landmark, *self._merged_into) if landmark in self._alias_chain(each))
+        )
 
-    def _named(self, observation: Observation) -> Observation:
-        """The observation under the name that its landmark has in the graph."""
+    def _canonical(self, observation: Observation) -> Observation:
+        """The observation of the variable that its landmark has in the graph."""
         if observation.landmark not in self._merged_into:
             return observation
-        return replace(observation, landmark=self._names(observation.landmark)[-1])
+        return replace(observation, landmark=self._alias_chain(observation.landmark)[-1])
 
     def _enter(self, landmark: int, position_map: FloatArray) -> None:
         """Give a landmark a variable, where it has none."""
         if landmark in self._landmark_factors:
             return
-        variable = self._names(landmark)[-1]
+        variable = self._alias_chain(landmark)[-1]
         if variable not in self._variables:
             if variable in self._leaving:
                 self.update()
             self._variables[variable] = []
-            held = self._held_positions.get(variable)
-            self._pending_values.insert(L(variable), position_map if held is None else held)
-            if held is not None:
-                self._landmark_anchors[variable] = self._add(LandmarkAnchor(variable, held))
+            fixed = self._fixed_positions.get(variable)
+            self._pending_values.insert(L(variable), position_map if fixed is None else fixed)
+            if fixed is not None:
+                self._landmark_priors[variable] = self._add(LandmarkPrior(variable, fixed))
         self._variables[variable].append(landmark)
         self._landmark_factors[landmark] = []
 
     def _leave(self, landmark: int) -> None:
         del self._landmark_factors[landmark]
-        variable = self._names(landmark)[-1]
+        variable = self._alias_chain(landmark)[-1]
         self._variables[variable].remove(landmark)
         if not self._variables[variable]:
             del self._variables[variable]
-            if variable in self._landmark_anchors:
-                self.remove_factor(self._landmark_anchors.pop(variable))
+            if variable in self._landmark_priors:
+                self.remove_factor(self._landmark_priors.pop(variable))
             self._leaving.add(variable)
 
     def update(self) -> None:
@@ -346,8 +350,8 @@ class FactorGraph:
 
     def pose(self, keyframe: int) -> FloatArray:
         """``T_map_body`` (4, 4) of a keyframe."""
-        if keyframe in self._held_poses:
-            return self._held_poses[keyframe]
+        if keyframe in self._fixed_poses:
+            return self._fixed_poses[keyframe]
         key = X(keyframe)
         if self._pending_values.exists(key):
             return np.asarray(self._pending_values.atPose3(key).matrix())
@@ -362,8 +366,8 @@ class FactorGraph:
         """``T_map_body`` (K, 4, 4) of all keyframes, in the order of ``keyframes``."""
         self.update()
         values = self._estimate()
-        held = self._held_poses
-        return np.array([held.get(k, values.atPose3(X(k)).matrix()) for k in self._keyframes]).reshape(-1, 4, 4)
+        fixed = self._fixed_poses
+        return np.array([fixed.get(k, values.atPose3(X(k)).matrix()) for k in self._keyframes]).reshape(-1, 4, 4)
 
     def landmark_positions(self, landmarks: IntArray) -> FloatArray:
         """Positions (N, 3) m in the map of landmarks that are in the graph."""
@@ -388,15 +392,17 @@ class FactorGraph:
             edge_covariances=np.array([e.covariance for e in edges]).reshape(-1, 6, 6),
             edge_kinds=tuple(e.kind for e in edges),
             observation_keyframe_ids=np.array([o.keyframe for o in observations], dtype=np.int64),
-            observation_landmark_ids=tuple(str(self._names(o.landmark)[-1]) for o in observations),
+            observation_landmark_ids=tuple(str(self._alias_chain(o.landmark)[-1]) for o in observations),
             observation_positions=np.array([o.position for o in observations]).reshape(-1, 3),
-            observation_covariances=np.array([o.redundancy * o.covariance for o in observations]).reshape(-1, 3, 3),
+            observation_covariances=np.array([o.covariance_inflation * o.covariance for o in observations]).reshape(
+                -1, 3, 3
+            ),
             pose_covariances=self._pose_covariances_if_known(),
-            observation_redundancies=_redundancies(observations),
+            observation_redundancies=_covariance_inflations(observations),
         )
 
     def _estimate(self) -> gtsam.Values:
-        """All variables; iSAM2 computes the ones that nobody asks for only here."""
+        """All variables; iSAM2 computes those not queried before only here."""
         if self._values is None:
             with self._solver("the estimate"):
                 self._values = self._isam.calculateEstimate()
@@ -459,7 +465,7 @@ class FactorGraph:
             kept.insert(L(variable), values.atPoint3(L(variable)))
         graph = gtsam.NonlinearFactorGraph()
         records = [self.factors[number] for number in numbers]
-        observations = [self._named(record) for record in records if isinstance(record, Observation)]
+        observations = [self._canonical(record) for record in records if isinstance(record, Observation)]
         of_observations = iter(bearing_range_factors(observations, self._config))
         for record in records:
             graph.add(next(of_observations) if isinstance(record, Observation) else self._factor(record))
@@ -494,15 +500,15 @@ class FactorGraph:
             case Edge():
                 return between_factor(record)
             case Observation():
-                return bearing_range_factors([self._named(record)], self._config)[0]
-            case Anchor():
+                return bearing_range_factors([self._canonical(record)], self._config)[0]
+            case PosePrior():
                 return prior_factor(record)
-            case LandmarkAnchor():
+            case LandmarkPrior():
                 return landmark_prior_factor(record)
 
     @contextmanager
     def _solver(self, doing: str) -> Iterator[None]:
-        """Time what happens in GTSAM and say in our words what it throws."""
+        """Measure the time inside GTSAM, and convert its exceptions to ``FactorGraphError``."""
         started = time.perf_counter()
         try:
             yield
@@ -512,10 +518,10 @@ class FactorGraph:
             self.solver_seconds += time.perf_counter() - started
 
 
-def _redundancies(observations: Sequence[Observation]) -> FloatArray:
+def _covariance_inflations(observations: Sequence[Observation]) -> FloatArray:
     """Those of observations (O,), none where all are 1."""
-    redundancies = np.array([observation.redundancy for observation in observations], dtype=np.float64)
-    return redundancies if (redundancies != 1.0).any() else np.zeros(0)
+    inflations = np.array([observation.covariance_inflation for observation in observations], dtype=np.float64)
+    return inflations if (inflations != 1.0).any() else np.zeros(0)
 
 
 def _variable_in(message: str) -> str:

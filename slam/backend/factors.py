@@ -1,6 +1,6 @@
-"""What ties keyframes and landmarks together: records of our own, and the GTSAM factors that they become.
+"""Factors between keyframes and landmarks: records of our own, and the GTSAM factors that they become.
 
-Everything is checked here before GTSAM sees it, since GTSAM takes a rotation that is none without a word. Noise in
+Everything is checked here before GTSAM sees it, since GTSAM does not check that a rotation matrix is one. Noise in
 GTSAM's order: rotation, then translation.
 """
 
@@ -19,23 +19,23 @@ from slam.common.errors import FactorGraphError
 
 PRIOR_SIGMA_RAD = 1e-4
 PRIOR_SIGMA_M = 1e-3
-# Nearer than this a bearing says nothing: the object is on top of the sensor.
+# Nearer than this a bearing is not informative: the object is on top of the sensor.
 MIN_RANGE_M = 0.3
 ORTHONORMAL_TOLERANCE = 1e-6
 CLOSURE_KERNEL_WIDTH = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Anchor:
-    """Holds a keyframe at ``T_map_body`` (4, 4): what fixes the map frame."""
+class PosePrior:
+    """Prior on the pose ``T_map_body`` (4, 4) of a keyframe, which fixes the map frame."""
 
     keyframe: int
     T_map_body: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LandmarkAnchor:
-    """Holds a landmark at ``position`` (3,) m in the map: it belongs to a map that stays as it is."""
+class LandmarkPrior:
+    """Prior on the ``position`` (3,) m of a landmark of a fixed map."""
 
     landmark: int
     position: FloatArray
@@ -56,33 +56,33 @@ class Edge:
 class Observation:
     """A landmark seen from a keyframe: ``position`` (3,) m in the keyframe's body frame, covariance (3, 3) m^2.
 
-    ``redundancy``: how many such observations carry the information of one, because they share their errors.
+    ``covariance_inflation``: factor on the covariance for errors that observations share (effective sample size).
     """
 
     keyframe: int
     landmark: int
     position: FloatArray
     covariance: FloatArray
-    redundancy: float = 1.0
+    covariance_inflation: float = 1.0
 
 
-Factor = Edge | Observation | Anchor | LandmarkAnchor
+Factor = Edge | Observation | PosePrior | LandmarkPrior
 
 
-def prior_factor(anchor: Anchor) -> gtsam.NonlinearFactor:
-    """The GTSAM factor of an anchor."""
+def prior_factor(prior: PosePrior) -> gtsam.NonlinearFactor:
+    """The GTSAM factor of a pose prior."""
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([PRIOR_SIGMA_RAD, PRIOR_SIGMA_M], 3))
     return gtsam.PriorFactorPose3(
-        X(anchor.keyframe), checked_pose(anchor.T_map_body, f"keyframe {anchor.keyframe}"), noise
+        X(prior.keyframe), checked_pose(prior.T_map_body, f"keyframe {prior.keyframe}"), noise
     )
 
 
-def landmark_prior_factor(anchor: LandmarkAnchor) -> gtsam.NonlinearFactor:
-    """The GTSAM factor of a landmark that is held where it is."""
-    if not np.all(np.isfinite(anchor.position)):
-        raise FactorGraphError(f"landmark {anchor.landmark}: the position {anchor.position} is not finite")
+def landmark_prior_factor(prior: LandmarkPrior) -> gtsam.NonlinearFactor:
+    """The GTSAM factor of a landmark prior."""
+    if not np.all(np.isfinite(prior.position)):
+        raise FactorGraphError(f"landmark {prior.landmark}: the position {prior.position} is not finite")
     noise = gtsam.noiseModel.Isotropic.Sigma(3, PRIOR_SIGMA_M)
-    return gtsam.PriorFactorPoint3(L(anchor.landmark), anchor.position, noise)
+    return gtsam.PriorFactorPoint3(L(prior.landmark), prior.position, noise)
 
 
 def between_factor(edge: Edge) -> gtsam.NonlinearFactor:
@@ -120,12 +120,13 @@ def bearing_range_factors(
     # ahead for one. So the two bearing errors get one variance, the mean across the line of sight, and no axes.
     bearing_variances = (np.trace(covariances, axis1=1, axis2=2) - range_variances) / (2.0 * ranges_m**2)
     variances = np.stack([bearing_variances, bearing_variances, range_variances], axis=1)
-    variances *= np.array([observation.redundancy for observation in observations])[:, None]
-    kernels = {redundancy: _robust_kernel(config, redundancy) for redundancy in {o.redundancy for o in observations}}
+    variances *= np.array([observation.covariance_inflation for observation in observations])[:, None]
+    inflations = {observation.covariance_inflation for observation in observations}
+    kernels = {inflation: _robust_kernel(config, inflation) for inflation in inflations}
     factors: list[gtsam.NonlinearFactor] = []
     for observation, range_m, variance in zip(observations, ranges_m.tolist(), variances, strict=True):
         noise: gtsam.noiseModel.Base = gtsam.noiseModel.Diagonal.Variances(variance)
-        kernel = kernels[observation.redundancy]
+        kernel = kernels[observation.covariance_inflation]
         if kernel is not None:
             noise = gtsam.noiseModel.Robust.Create(kernel, noise)
         keys = X(observation.keyframe), L(observation.landmark)
@@ -166,9 +167,9 @@ def _name(observation: Observation) -> str:
     return f"observation of landmark {observation.landmark} from keyframe {observation.keyframe}"
 
 
-def _robust_kernel(config: FactorGraphConfig, redundancy: float) -> gtsam.noiseModel.mEstimator.Base | None:
-    """The kernel of observations: its width is meant in sigmas of one observation, before redundancy widens them."""
-    width = config.observation_kernel_width / np.sqrt(redundancy)
+def _robust_kernel(config: FactorGraphConfig, inflation: float) -> gtsam.noiseModel.mEstimator.Base | None:
+    """The kernel of observations; its width is in sigmas of one observation, before the inflation."""
+    width = config.observation_kernel_width / np.sqrt(inflation)
     match config.observation_kernel:
         case "cauchy":
             return gtsam.noiseModel.mEstimator.Cauchy.Create(width)

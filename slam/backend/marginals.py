@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from slam.backend.covariance_estimation import LinearSystem, covariance_blocks, outlier_limit, variance_factors
-from slam.backend.factors import CLOSURE_KERNEL_WIDTH, Edge, Factor, LandmarkAnchor, Observation
+from slam.backend.factors import CLOSURE_KERNEL_WIDTH, Edge, Factor, LandmarkPrior, Observation
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import FactorGraphConfig
 
@@ -48,8 +48,8 @@ def compute_marginals(
 ) -> Marginals:
     """Covariances of all variables of an optimised graph, with the noise that the drive itself shows.
 
-    What is done about the noise is told in ``slam.backend.covariance_estimation``. GTSAM's own marginals eliminate anew
-    for each variable, which takes ten times as long where loops are closed.
+    The estimation of the noise is described in ``slam.backend.covariance_estimation``. GTSAM's own marginals
+    eliminate anew for each variable, which takes ten times as long where loops are closed.
 
     Args:
         graph: its factors, among them empty places.
@@ -93,7 +93,7 @@ def _linearize(
     config: FactorGraphConfig,
     owners: IntArray,
 ) -> LinearSystem:
-    is_small = np.array([isinstance(each, Observation | LandmarkAnchor) for each in factors])
+    is_small = np.array([isinstance(each, Observation | LandmarkPrior) for each in factors])
     sizes = np.where(is_small, POINT_SIZE, POSE_SIZE)
     starts = np.cumsum(sizes) - sizes
     row, column, entry = np.asarray(graph.linearize(values).sparseJacobian_())
@@ -103,37 +103,40 @@ def _linearize(
     shape = (int(sizes.sum()), len(owners))
     weighted = np.zeros(shape[0])
     weighted[row[is_right]] = entry[is_right]
-    unweighting, trust = _undo_kernels(factors, np.add.reduceat(weighted**2, starts), config)
+    unweighting, kernel_weight = _undo_kernels(factors, np.add.reduceat(weighted**2, starts), config)
     scale = np.repeat(unweighting, sizes)
     places = (row[~is_right], column[~is_right])
     jacobian = sparse.csr_array((entry[~is_right] * scale[row[~is_right]], places), shape=shape)
     kinds = np.array([each.kind if isinstance(each, Edge) else "" for each in factors])
     rows = starts[:, None] + np.arange(POSE_SIZE)
-    trusts = np.repeat(trust, sizes)
-    return LinearSystem(jacobian, weighted * scale, trusts, rows[kinds == "odometry"], rows[kinds == "closure"], owners)
+    kernel_weights = np.repeat(kernel_weight, sizes)
+    return LinearSystem(
+        jacobian, weighted * scale, kernel_weights, rows[kinds == "odometry"], rows[kinds == "closure"], owners
+    )
 
 
 def _undo_kernels(
     factors: Sequence[Factor], squares: FloatArray, config: FactorGraphConfig
 ) -> tuple[FloatArray, FloatArray]:
-    """What takes the kernels' weights off the rows of factors (F,), but for those of outliers, and the factors' trust.
+    """What takes the kernels' weights off the rows of factors (F,), but for those of outliers, and the factors'
+    kernel weights.
 
     ``squares`` (F,) are their squared residuals after the weighing.
     """
-    scale, trust = np.ones(len(factors)), np.ones(len(factors))
+    scale, kernel_weight = np.ones(len(factors)), np.ones(len(factors))
     is_observation = np.array([isinstance(each, Observation) for each in factors])
-    redundancy = np.array([each.redundancy for each in factors if isinstance(each, Observation)])
+    inflations = np.array([each.covariance_inflation for each in factors if isinstance(each, Observation)])
     is_closure = np.array([isinstance(each, Edge) and each.kind == "closure" for each in factors])
     for chosen, kernel, width, own, size in (
-        (is_observation, config.observation_kernel, config.observation_kernel_width, redundancy, POINT_SIZE),
+        (is_observation, config.observation_kernel, config.observation_kernel_width, inflations, POINT_SIZE),
         (is_closure, "cauchy", CLOSURE_KERNEL_WIDTH, 1.0, POSE_SIZE),
     ):
         if chosen.any():
             weights, slopes = _kernel(kernel, squares[chosen] * own / width**2, size)
             is_outlier = squares[chosen] * own / weights > outlier_limit(size)
             scale[chosen] = np.where(is_outlier, 1.0, 1.0 / np.sqrt(weights))
-            trust[chosen] = slopes.mean()
-    return scale, trust
+            kernel_weight[chosen] = slopes.mean()
+    return scale, kernel_weight
 
 
 def _kernel(kernel: str, squares: FloatArray, size: int) -> tuple[FloatArray, FloatArray]:

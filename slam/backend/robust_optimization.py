@@ -38,14 +38,14 @@ INFLATION = 3.0
 FIT_QUANTILE = {3: 16.27, 6: 22.46}
 """99.9 % of the chi-squared distribution by its degrees of freedom."""
 MAX_SAMPLED = 60
-"""So many closures stand for all of them where it is asked how many fit all other factors."""
+"""Closures sampled to estimate how many agree with all other factors."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobustSolution:
     """``weights`` (C,) in [0, 1], one for each closure: 1 fits exactly, 0 was taken out.
 
-    ``message`` says what did not converge, and whether the closures were given up as a whole; it may be empty.
+    ``message`` says what did not converge, and whether all closures were rejected; it may be empty.
     The errors are those of the factors in force at the end, closures through their kernel: at the initial values and at
     the solution. ``iterations`` are those of all solutions together.
     """
@@ -71,7 +71,7 @@ def optimize_robustly(
     *,
     max_iterations: int = MAX_ITERATIONS,
 ) -> RobustSolution:
-    """Solve a graph, and tell the false closures in it from the true ones.
+    """Solve a graph, and reject the false closures in it.
 
     All closures get a Cauchy kernel: its weight falls with the square of the error (Black and Rangarajan 1996 on such
     kernels as outlier processes). It never falls to zero, though, and hundreds of false closures pull together;
@@ -96,10 +96,10 @@ def optimize_robustly(
         RuntimeError: GTSAM cannot solve the graph, e.g. because something hangs on closures only.
     """
     solver = _Solver(graph, initial, closures, max_iterations)
-    nothing = np.zeros(len(closures), dtype=np.bool_)
-    alone = solver.solve(nothing, initial, "the solution without closures" if len(closures) else "the solution")
+    none_kept = np.zeros(len(closures), dtype=np.bool_)
+    alone = solver.solve(none_kept, initial, "the solution without closures" if len(closures) else "the solution")
     if len(closures) == 0:
-        return solver.finish(alone, nothing, "")
+        return solver.finish(alone, none_kept, "")
     values, in_force = solver.solve_and_reject(alone)
     kept = in_force & (solver.weights(values) >= KEPT_WEIGHT)
     if 0 < np.count_nonzero(kept) < CLEAR_SHARE * np.count_nonzero(in_force):
@@ -109,7 +109,7 @@ def optimize_robustly(
     if solver.agree(kept, alone):
         return solver.finish(values, in_force, "")
     many = f"only {np.count_nonzero(kept)}" if kept.any() else "none"
-    return solver.finish(alone, nothing, f"{many} of {len(kept)} closures agree with the rest; all were rejected")
+    return solver.finish(alone, none_kept, f"{many} of {len(kept)} closures agree with the rest; all were rejected")
 
 
 class _Solver:
@@ -193,7 +193,7 @@ class _Solver:
         return len(rows) * float(np.mean(misfits < gates))
 
     def finish(self, values: gtsam.Values, in_force: BoolArray, note: str) -> RobustSolution:
-        """What there is to tell about a solution."""
+        """Warnings about a solution."""
         return RobustSolution(
             values=values,
             weights=np.where(in_force, self.weights(values), 0.0),

@@ -110,8 +110,8 @@ def benchmark_closures(
     Raises:
         EvaluationError: there is no true closure.
     """
-    nothing = Closures(np.zeros((0, 2), dtype=np.int64), np.zeros((0, 4, 4)), np.zeros((0, 6, 6)))
-    yield _run(drive, "odometry", 0, nothing, nothing)
+    no_closures = Closures(np.zeros((0, 2), dtype=np.int64), np.zeros((0, 4, 4)), np.zeros((0, 6, 6)))
+    yield _run(drive, "odometry", 0, no_closures, no_closures)
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
         right = drive.closures if spacing_m is None else make_true_closures(drive.T_world_body_gt, spacing_m, rng)
@@ -121,12 +121,12 @@ def benchmark_closures(
                 if spacing_m is None
                 else "the drive comes back to no place, so it has no true closure; give one that does"
             )
-        yield _run(drive, "clean", seed, right, nothing)
+        yield _run(drive, "clean", seed, right, no_closures)
         for kind in kinds:
             count = max(1, round(len(right) * false_share / (1.0 - false_share)))
             wrong = KINDS[kind](drive.T_world_body_gt, count, np.random.default_rng([seed, list(KINDS).index(kind)]))
             yield _run(drive, kind, seed, right, wrong)
-            yield _run(drive, kind, seed, nothing, wrong)
+            yield _run(drive, kind, seed, no_closures, wrong)
 
 
 def _run(drive: ClosureDrive, case: str, seed: int, right: Closures, wrong: Closures) -> ClosureRun:

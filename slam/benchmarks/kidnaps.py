@@ -1,4 +1,4 @@
-"""Places that a robot is carried off to, and how the world and its sensor differ there from when the map was made."""
+"""Places that a robot is kidnapped to, and how the world and its sensor differ there from when the map was made."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def draw_kidnaps(tour: FloatArray, *, count: int, length_m: float, rng: np.rando
     They lie on the tour as a whole; a tour shorter than that is driven from end to end.
 
     Raises:
-        SimulationError: no kidnapping, or a tour or length that is none.
+        SimulationError: no kidnapping, or a tour or length of zero.
     """
     along_m = _along_m(tour)
     if count < 1 or not (length_m > 0.0 and along_m[-1] > 0.0):

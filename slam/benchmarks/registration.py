@@ -72,7 +72,7 @@ class RegistrationBenchmark:
     """All cells, and for each peer that cannot be imported the reason."""
 
     cells: tuple[Cell, ...]
-    missing: dict[str, str]
+    unavailable: dict[str, str]
 
 
 def benchmark_registration(
@@ -84,15 +84,15 @@ def benchmark_registration(
     another, and a busy core would decide the result.
     """
     cells: list[Cell] = []
-    missing: dict[str, str] = {}
+    unavailable: dict[str, str] = {}
     for method in METHODS:
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _use_one_thread) as process:
             try:
                 cells += process.submit(measure_method, method, seed, trials, tuple(correspondences)).result()
             except ImportError as error:
-                missing[method] = str(error)
+                unavailable[method] = str(error)
     by_problem = sorted(cells, key=lambda c: (c.correspondences, c.false_share))
-    return RegistrationBenchmark(tuple(by_problem), missing)
+    return RegistrationBenchmark(tuple(by_problem), unavailable)
 
 
 def _use_one_thread() -> None:

@@ -1,4 +1,4 @@
-"""How soon a robot finds out where it is in a saved map, and whether it is right: it is carried off to random places.
+"""How soon a robot finds out where it is in a saved map, and whether it is right: it is kidnapped to random places.
 
 ``benchmark_relocalization`` is where to begin reading.
 """
@@ -29,7 +29,7 @@ TOLERANCE = Tolerance(1.0, 3.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Search:
-    """Where the robot is carried off: the map, the world as it is now, and how both are seen."""
+    """Where the robot is kidnapped to: the map, the world as it is now, and how both are seen."""
 
     known: KnownMap
     world: World

@@ -14,7 +14,7 @@ from slam.common.geometry import invert, yaw_rad
 RECOVERED_WITHIN_M = 40.0
 """Travel within which a right fix is a success."""
 HOLDS_FOR_M = 10.0
-"""Travel after which it is seen whether a fix is still believed."""
+"""Travel after which a fix is checked again."""
 OBJECTS_IN_VIEW = ((0, 4), (5, 9), (10, 19), (20, None))
 
 
@@ -80,15 +80,15 @@ class Figures:
     drive was nearby: what relocalization does, whatever the error of the map. ``misplaced_rate``: share of fixes that
     are wrong by that measure.
     Distance and time are those of the right fixes, late ones included; errors those of all fixes, wrong ones included.
-    ``kept_rate``: share of the right fixes that are believed, and right, 10 m later; ``taken_back_rate``: share of the
-    wrong fixes that are taken back, or have become right, by then.
+    ``kept_rate``: share of the right fixes that are still right 10 m later; ``revoked_rate``: share of the
+    wrong fixes that are revoked, or have become right, by then.
     """
 
     kidnaps: int
     success_rate: float | None
     success_in_map_rate: float | None
     late_rate: float | None
-    wrong_rate: float | None
+    false_relocalization_rate: float | None
     not_found_rate: float | None
     misplaced_rate: float | None
     median_distance_m: float | None
@@ -99,7 +99,7 @@ class Figures:
     median_error_deg: float | None
     p95_error_deg: float | None
     kept_rate: float | None
-    taken_back_rate: float | None
+    revoked_rate: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +169,7 @@ def figures(outcomes: Sequence[Outcome]) -> Figures:
         success_rate=shares[Verdict.RECOVERED],
         success_in_map_rate=_share(_is_found_in_map(each) for each in outcomes),
         late_rate=shares[Verdict.LATE],
-        wrong_rate=shares[Verdict.WRONG],
+        false_relocalization_rate=shares[Verdict.WRONG],
         not_found_rate=shares[Verdict.NOT_FOUND],
         misplaced_rate=_share(each.is_misplaced is True for each in outcomes),
         median_distance_m=_percentile((each.distance_m for each in right), 50.0),
@@ -180,7 +180,7 @@ def figures(outcomes: Sequence[Outcome]) -> Figures:
         median_error_deg=_percentile((each.error_deg for each in outcomes), 50.0),
         p95_error_deg=_percentile((each.error_deg for each in outcomes), 95.0),
         kept_rate=_share(each.later_right is True for each in right),
-        taken_back_rate=_share(each.later_right is not False for each in wrong),
+        revoked_rate=_share(each.later_right is not False for each in wrong),
     )
 
 

@@ -1,4 +1,4 @@
-"""One kidnapping: the robot is put down somewhere and drives until it knows where it is."""
+"""One kidnapping: the robot is put down somewhere and drives until it is relocalized."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def put_down(known: KnownMap, drive: Drive, config: Config, tolerance: Tolerance
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Trial:
-    """``fix``: the first pose in the map; ``last``: the one believed at the end; None if the robot is lost."""
+    """``fix``: the first pose in the map; ``last``: the one at the end; None if the robot is lost."""
 
     fix: SlamPose | None
     last: SlamPose | None

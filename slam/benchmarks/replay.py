@@ -20,15 +20,15 @@ from slam.common.errors import SlamError
 
 @dataclass(frozen=True, slots=True)
 class ReplayRun:
-    """One replay in a process of its own; ``solver_s`` is the time inside GTSAM, ``closing_median_s``
+    """One replay in a process of its own; ``solver_s`` is the time inside GTSAM, ``loop_closure_median_s``
     what looking for loops takes at a keyframe.
     """
 
     log_s: float
     wall_s: float
     solver_s: float
-    longest_stall_s: float
-    closing_median_s: float
+    max_message_latency_s: float
+    loop_closure_median_s: float
     peak_memory_bytes: int
 
 
@@ -42,11 +42,11 @@ class ReplayBenchmark:
     wall_s: float
     wall_min_s: float
     wall_max_s: float
-    x_real_time: float
+    real_time_factor: float
     solver_share: float
     own_share: float
-    longest_stall_s: float
-    closing_median_s: float
+    max_message_latency_s: float
+    loop_closure_median_s: float
     peak_memory_bytes: int
 
 
@@ -63,11 +63,11 @@ def benchmark_replay(log: Path, config: Config, *, runs: int) -> ReplayBenchmark
         wall_s=wall_s,
         wall_min_s=min(run.wall_s for run in measured),
         wall_max_s=max(run.wall_s for run in measured),
-        x_real_time=measured[0].log_s / wall_s,
+        real_time_factor=measured[0].log_s / wall_s,
         solver_share=solver_share,
         own_share=1.0 - solver_share,
-        longest_stall_s=statistics.median(run.longest_stall_s for run in measured),
-        closing_median_s=statistics.median(run.closing_median_s for run in measured),
+        max_message_latency_s=statistics.median(run.max_message_latency_s for run in measured),
+        loop_closure_median_s=statistics.median(run.loop_closure_median_s for run in measured),
         peak_memory_bytes=max(run.peak_memory_bytes for run in measured),
     )
 
@@ -104,7 +104,7 @@ def _measure(sender: Connection, log: Path, output: Path, config: Config) -> Non
     except (LogError, SlamError) as error:
         sender.send(error)
     else:
-        times = (done.log_s, done.wall_s, done.solver_s, done.longest_stall_s, done.closing_median_s)
+        times = (done.log_s, done.wall_s, done.solver_s, done.max_message_latency_s, done.loop_closure_median_s)
         sender.send(ReplayRun(*times, _peak_memory_bytes()))
 
 

@@ -42,13 +42,13 @@ class OdometryConfig(_Branch):
     min_translation_sigma_m: float = Field(default=0.002, gt=0, description="least translation noise of a step [m]")
     min_rotation_sigma_rad: float = Field(default=0.0001, gt=0, description="least rotation noise of a step [rad]")
     max_speed_mps: float = Field(
-        default=60.0, gt=0, description="a faster step is a jump, and ties nothing together [m/s]"
+        default=60.0, gt=0, description="a faster step is a discontinuity of the odometry [m/s]"
     )
     max_acceleration_mps2: float = Field(
-        default=5.0, gt=0, description="a step that would need more than that is a jump, too [m/s^2]"
+        default=5.0, gt=0, description="a step that would need more than that is one, too [m/s^2]"
     )
     max_gap_s: float = Field(
-        default=20.0, gt=0, description="a longer silence is a break: landmarks in view are let go [s]"
+        default=20.0, gt=0, description="a longer gap is a discontinuity: active landmarks are dropped [s]"
     )
 
 
@@ -62,13 +62,13 @@ class DetectionConfig(_Branch):
     common_sigma_m: float = Field(
         default=0.4,
         ge=0,
-        description="error that the sightings of one object from one keyframe share, e.g. of a centroid [m]",
+        description="error that the observations of one object from one keyframe share, e.g. of a centroid [m]",
     )
-    redundancy: float = Field(
+    covariance_inflation: float = Field(
         default=500.0,
         ge=1,
-        description="observations that carry the information of one, where the message has no covariance: "
-        "errors of centroids are shared by the objects in view and by the keyframes of a pass",
+        description="factor on covariances of observations, where the message has none, for correlated errors: "
+        "errors of centroids are shared by the objects in view and by the keyframes of a traversal",
     )
     min_sigma_m: float = Field(default=0.01, ge=0, description="added to the message's own covariances [m]")
     min_score: float = Field(default=0.0, ge=0, le=1, description="detections below this score are left out")
@@ -80,7 +80,7 @@ class DetectionConfig(_Branch):
 
 
 class AssociationConfig(_Branch):
-    """Which detection is which landmark."""
+    """Data association: which detection is which landmark."""
 
     gate_probability: float = Field(
         default=0.9995,
@@ -97,26 +97,31 @@ class AssociationConfig(_Branch):
         description="new objects and false positives a scan and cubic metre [1/m^3]; higher: fewer matches",
     )
     forget_distance_m: float = Field(
-        default=120.0, gt=0, description="landmarks unseen for that much travel are met again as new ones [m]"
+        default=120.0,
+        gt=0,
+        description="landmarks unseen for that much travel are no longer associated with detections [m]",
     )
 
 
 class LandmarkConfig(_Branch):
-    """The life of a landmark: tentative, confirmed, retired."""
+    """Life cycle of a landmark: tentative, confirmed, retired."""
 
-    confirm_observations: int = Field(default=4, ge=1, description="sightings that confirm a landmark")
+    confirm_observations: int = Field(default=4, ge=1, description="observations that confirm a landmark")
     confirm_fraction: float = Field(
-        default=0.4, ge=0, le=1, description="least share of the scans since its first sighting in which it was seen"
+        default=0.4,
+        ge=0,
+        le=1,
+        description="least share of the scans since its first observation in which it was observed",
     )
     confirm_age_s: float = Field(
         default=1.0,
         ge=0,
-        description="least time from its first to its last sighting: what drives by is gone by then [s]",
+        description="least time from its first to its last observation, to exclude passing objects [s]",
     )
-    give_up_distance_m: float = Field(
+    max_missed_distance_m: float = Field(
         default=15.0, gt=0, description="a tentative landmark unseen for that travel retires [m]"
     )
-    give_up_scans: int = Field(default=20, ge=1, description="... or for more than that many scans")
+    max_missed_scans: int = Field(default=20, ge=1, description="... or for more than that many scans")
     moving_speed_mps: float = Field(
         default=1.0, gt=0, description="what is faster, and faster than its noise explains, moves [m/s]"
     )
@@ -146,35 +151,42 @@ class FactorGraphConfig(_Branch):
 
 
 class SubmapConfig(_Branch):
-    """The landmarks of the last stretch of travel, as they are set beside those of an earlier one."""
+    """Submaps: landmarks of the last stretch of travel, registered with those of an earlier traversal."""
 
     travel_m: float = Field(default=50.0, gt=0, description="landmarks seen within that much travel make a submap [m]")
     landmark_sigma_m: float = Field(
-        default=0.35, gt=0, description="how far one pass may put a landmark from where another pass puts it [m]"
+        default=0.35, gt=0, description="position error of a landmark between two traversals [m]"
     )
     sigma_per_m: float = Field(
         default=0.01, ge=0, description="growth of that error with the distance from the keyframe [m / m]"
     )
 
 
-class EvidenceConfig(_Branch):
-    """What speaks for a place and what for accident; see slam/loop_closure/likelihood_ratio.py."""
+class LikelihoodRatioConfig(_Branch):
+    """The likelihood ratio of same place against clutter; see slam/loop_closure/likelihood_ratio.py."""
 
-    persistence: float = Field(
-        default=0.7, gt=0, lt=1, description="probability that an object seen on one pass is in the map of another"
+    detection_probability: float = Field(
+        default=0.7,
+        gt=0,
+        lt=1,
+        description="P_D: probability that an object of one traversal is in the map of another",
     )
-    covered_m: float = Field(
-        default=25.0, gt=0, description="an object is expected where the other pass saw any this near [m]"
+    coverage_radius_m: float = Field(
+        default=25.0, gt=0, description="a match is expected within that distance of any reference landmark [m]"
     )
-    around_m: float = Field(default=5.0, gt=0, description="radius within which like objects are counted [m]")
-    row_length_m: float = Field(
-        default=12.0, gt=0, description="like objects are also counted that far along the direction of travel [m]"
+    clutter_radius_m: float = Field(
+        default=5.0, gt=0, description="radius within which landmarks of the same class count as clutter [m]"
     )
-    row_sigma_m: float = Field(default=0.7, gt=0, description="... and about that far across it [m]")
+    clutter_along_track_m: float = Field(
+        default=12.0, gt=0, description="distance along the direction of travel within which they also count [m]"
+    )
+    clutter_cross_track_sigma_m: float = Field(
+        default=0.7, gt=0, description="... and standard deviation of the Gaussian profile across it [m]"
+    )
 
 
 class LoopClosureConfig(_Branch):
-    """Which places are taken for one, and what is made of it."""
+    """Retrieval, acceptance and insertion of loop closures. LLR: log-likelihood ratio of a candidate."""
 
     enabled: bool = Field(default=True, description="close loops")
     descriptor: str = Field(
@@ -182,54 +194,58 @@ class LoopClosureConfig(_Branch):
         description="descriptor of constellations: ring_likelihood, descriptellation, or one of the baselines",
     )
     min_travel_m: float = Field(
-        default=100.0, gt=0, description="places left behind less travel ago are no loop to close [m]"
+        default=100.0, gt=0, description="least travel between the two keyframes of a closure [m]"
     )
-    settle_travel_m: float = Field(
-        default=60.0, gt=0, description="a landmark unseen for that travel is entered into the index of places [m]"
+    inactive_travel_m: float = Field(
+        default=60.0, gt=0, description="a landmark unseen for that travel is added to the index of descriptors [m]"
     )
-    neighbours: int = Field(default=6, ge=1, description="nearest descriptors looked up for each object")
-    places: int = Field(default=3, ge=1, description="places that are verified for each keyframe")
-    lost_places: int = Field(
-        default=5, ge=0, description="... and those that one who is lost also tries, without descriptors"
+    top_k: int = Field(default=6, ge=1, description="nearest neighbours in descriptor space for each object")
+    max_candidates: int = Field(default=3, ge=1, description="candidates that are verified for each keyframe")
+    max_candidates_when_lost: int = Field(
+        default=5, ge=0, description="... and those of the exhaustive search that are verified while the robot is lost"
     )
-    min_objects: int = Field(default=4, ge=2, description="objects that must be seen again at the least")
-    supported_objects: int = Field(default=3, ge=2, description="... or next to a closure that is believed already")
-    threshold_nats: float = Field(
-        default=20.0, description="evidence from which a closure is believed on its own [nats]"
+    min_inliers: int = Field(default=4, ge=2, description="least number of matched objects of a closure")
+    min_inliers_tracked: int = Field(
+        default=3, ge=2, description="... and of one that an accepted closure nearby predicts"
     )
-    margin_nats: float = Field(
-        default=5.0, ge=0, description="... if no other place comes that near to it in evidence [nats]"
+    accept_llr: float = Field(
+        default=20.0, description="a closure is accepted if its LLR minus odometry penalty reaches that [nats]"
     )
-    waiting_nats: float = Field(
-        default=10.0, description="evidence from which a candidate waits for others that agree [nats]"
+    ambiguity_margin: float = Field(
+        default=5.0, ge=0, description="... and exceeds that of every other candidate pose by that much [nats]"
     )
-    supported_nats: float = Field(
-        default=6.0, description="evidence that suffices next to a closure that is believed already [nats]"
+    hypothesis_llr: float = Field(
+        default=10.0, description="LLR from which a candidate is kept as a hypothesis to accumulate others [nats]"
     )
-    max_doubt_nats: float = Field(
-        default=15.0, ge=0, description="most that the odometry can say against a candidate [nats]"
+    accept_llr_tracked: float = Field(
+        default=6.0, description="LLR that suffices for a closure that an accepted one nearby predicts [nats]"
     )
-    break_doubt_nats: float = Field(
-        default=2.5, ge=0, description="... and what is said against any place across a break of the odometry [nats]"
+    max_odometry_penalty: float = Field(
+        default=15.0, ge=0, description="upper limit of the odometry penalty of a candidate [nats]"
+    )
+    discontinuity_prior: float = Field(
+        default=2.5,
+        ge=0,
+        description="odometry penalty of every candidate across a discontinuity of the odometry [nats]",
     )
     odometry_inflation: float = Field(
-        default=3.0, gt=0, description="factor on the odometry's sigmas when it is asked about a candidate"
+        default=3.0, gt=0, description="factor on the sigmas of the odometry in the odometry penalty"
     )
-    follow_travel_m: float = Field(
-        default=50.0, ge=0, description="travel over which a closure predicts those before and after it [m]"
+    propagation_distance_m: float = Field(
+        default=50.0, ge=0, description="travel over which an accepted closure predicts those before and after it [m]"
     )
     insert_travel_m: float = Field(
-        default=20.0, ge=0, description="one closure in that much travel becomes a factor; the others say the same [m]"
+        default=20.0, ge=0, description="least travel between two closures that become factors of the graph [m]"
     )
     base_sigma_m: float = Field(
         default=0.3, gt=0, description="translation error of a closure that its inliers share [m]"
     )
     base_sigma_deg: float = Field(default=0.8, gt=0, description="heading error of a closure that they share [deg]")
-    tilt_sigma_deg: float = Field(default=1.0, gt=0, description="error of gravity between two passes [deg]")
+    tilt_sigma_deg: float = Field(default=1.0, gt=0, description="error of gravity between two traversals [deg]")
 
 
 class RegistrationConfig(_Branch):
-    """Where one constellation of objects lies in another."""
+    """Registration of one constellation of objects with another."""
 
     gate_sigma: float = Field(
         default=3.0, gt=0, description="residuals and differences of lengths beyond that many sigmas are no match"
@@ -279,7 +295,7 @@ class Config(_Branch):
     landmark: LandmarkConfig = LandmarkConfig()
     factor_graph: FactorGraphConfig = FactorGraphConfig()
     submap: SubmapConfig = SubmapConfig()
-    evidence: EvidenceConfig = EvidenceConfig()
+    likelihood_ratio: LikelihoodRatioConfig = LikelihoodRatioConfig()
     loop_closure: LoopClosureConfig = LoopClosureConfig()
     registration: RegistrationConfig = RegistrationConfig()
 

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from slam.common.errors import ConfigurationError
+from slam.common.renamed_settings import RENAMED_SETTINGS
 
 _Tree = TypeVar("_Tree", bound=BaseModel)
 
@@ -41,7 +42,8 @@ def load_tree(model: type[_Tree], path: Path | None, overrides: Sequence[str]) -
     """The tree that defaults, then the TOML file ``path``, then ``overrides`` ("branch.key=value") make.
 
     Raises:
-        ConfigurationError: a file that cannot be read, a key that does not exist (the nearest one is named), or a value
+        ConfigurationError: a file that cannot be read, a key that does not exist (the nearest
+            one is named, of a renamed one the new name), or a value
             that is not allowed (what is allowed is named).
     """
     data = {} if path is None else _read_toml(path)
@@ -173,6 +175,9 @@ def _deepest(key: str, value: object) -> str:
 
 def _hint(root: type[BaseModel], wanted: str) -> str:
     keys = list(_keys(root))
+    renamed = RENAMED_SETTINGS.get(wanted)
+    if renamed is not None and (renamed in keys or renamed in root.model_fields):
+        return f"it was renamed to {renamed}"
     near = difflib.get_close_matches(wanted, keys, n=1, cutoff=0.6)
     by_name = [key for key in keys if key.rpartition(".")[2] == wanted.rpartition(".")[2]]
     if by_name or near:

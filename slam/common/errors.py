@@ -12,7 +12,7 @@ class ConfigurationError(SlamError):
 
 
 class GeometryError(SlamError):
-    """A transform that is none, or geometry too degenerate to answer."""
+    """A matrix that is not a transform, or degenerate geometry."""
 
 
 class FactorGraphError(SlamError):

@@ -50,7 +50,7 @@ MERGED_INTO = re.compile(r"^merged into (?P<kept>\S+)$")
 def evaluate(
     records: EvaluationRecords, protocol: Protocol | None = None, *, map_alignment: FloatArray | None = None
 ) -> Evaluation:
-    """Measure all that the records allow; what they do not allow is absent, with its reason in ``missing``.
+    """Measure all that the records allow; what they do not allow is absent, with its reason in ``unavailable``.
 
     Args:
         records: of the log.
@@ -62,15 +62,15 @@ def evaluate(
     Raises:
         EvaluationError: a pose is not finite.
     """
-    return _Gathering(records, protocol or Protocol(), map_alignment).run()
+    return _Evaluator(records, protocol or Protocol(), map_alignment).run()
 
 
-class _Gathering:
+class _Evaluator:
     def __init__(self, records: EvaluationRecords, protocol: Protocol, map_alignment: FloatArray | None) -> None:
         self._records = records
         self._protocol = protocol
         self._map_alignment = map_alignment
-        self._missing: dict[str, str] = {}
+        self._unavailable: dict[str, str] = {}
         self._truth = _series([(r.stamp_ns, r.T_world_body) for r in records.true_poses])
         self._odometry = _series([(r.stamp_ns, r.T_odom_body) for r in records.odometry])
 
@@ -95,10 +95,10 @@ class _Gathering:
         T_world_map = best.alignment.T_world_map if best else None
         landmarks = self._landmarks(associations, T_world_map)
         closures = self._closures()
-        pairs, online_queries = self._published()
+        pairs, online_queries = self._literature_protocols()
         if records.status is None:
-            self._missing["counters"] = NO_STATUS
-        self._missing["run_time"] = NO_RUN_TIME
+            self._unavailable["counters"] = NO_STATUS
+        self._unavailable["run_time"] = NO_RUN_TIME
         return Evaluation(
             protocol=self._protocol,
             estimate=estimate,
@@ -113,12 +113,12 @@ class _Gathering:
             relocalization=self._relocalization(T_world_map),
             calibration=self._calibration(associations, closures),
             counters=dict(records.status.counters) if records.status else {},
-            missing=self._missing,
+            unavailable=self._unavailable,
         )
 
     def _trajectory(self, part: str, estimate: PoseSeries, absent: str) -> TrajectoryErrors | None:
         if len(estimate.stamps_ns) == 0 or len(self._truth.stamps_ns) == 0:
-            self._missing[part] = absent if len(estimate.stamps_ns) == 0 else NO_TRUTH
+            self._unavailable[part] = absent if len(estimate.stamps_ns) == 0 else NO_TRUTH
             return None
         try:
             return evaluate_trajectory(
@@ -130,7 +130,7 @@ class _Gathering:
                 start_step=self._protocol.relative_start_step,
             )
         except EvaluationError as error:
-            self._missing[part] = str(error)
+            self._unavailable[part] = str(error)
             return None
 
     def _associations(self) -> AssociationQuality | None:
@@ -142,8 +142,8 @@ class _Gathering:
             elif not records.detection_truths:
                 reason = "no truth of the detections: pass --reference LOG.mcap or record /ground_truth/detections"
             else:
-                reason = "neither odometry nor ground truth, so travel between sightings is unknown"
-            self._missing["associations"] = reason
+                reason = "neither odometry nor ground truth, so travel between measurements is unknown"
+            self._unavailable["associations"] = reason
             return None
         object_map = records.object_map
         confirmed = None
@@ -155,10 +155,10 @@ class _Gathering:
                 records.associations, records.detection_truths, path, aliases=find_aliases(object_map)
             )
         except EvaluationError as error:
-            self._missing["associations"] = str(error)
+            self._unavailable["associations"] = str(error)
             return None
         if detections.frame_count == 0:
-            self._missing["associations"] = (
+            self._unavailable["associations"] = (
                 f"none of {len(records.associations)} frames has the stamp of a truth: is the reference of this drive?"
             )
             return None
@@ -169,7 +169,7 @@ class _Gathering:
     ) -> LandmarkQuality | None:
         map_est, map_gt = self._records.object_map, self._records.true_objects
         if map_est is None or map_gt is None:
-            self._missing["landmarks"] = (
+            self._unavailable["landmarks"] = (
                 "no object map in the log (/slam/map)"
                 if map_est is None
                 else "no true objects: pass --reference LOG.mcap or record /ground_truth/objects"
@@ -181,7 +181,7 @@ class _Gathering:
         elif T_world_map is not None:
             matches = match_by_position(map_est, map_gt, T_world_map, max_distance_m=protocol.match_distance_m)
         else:
-            self._missing["landmarks"] = "neither a truth of the detections nor an aligned trajectory to match with"
+            self._unavailable["landmarks"] = "neither a truth of the detections nor an aligned trajectory to match with"
             return None
         try:
             return evaluate_landmarks(
@@ -197,26 +197,26 @@ class _Gathering:
                 least_detections=protocol.least_detections,
             )
         except EvaluationError as error:
-            self._missing["landmarks"] = str(error)
+            self._unavailable["landmarks"] = str(error)
             return None
 
     def _closures(self) -> ClosureQuality | None:
         graph, candidates = self._records.graph, self._records.closures
-        nothing = np.zeros(0, dtype=np.int64)
+        no_rows = np.zeros(0, dtype=np.int64)
         if not candidates and (graph is None or len(self._truth.stamps_ns) == 0):
-            self._missing["closures"] = "no loop-closure candidate in the log"
+            self._unavailable["closures"] = "no loop-closure candidate in the log"
             return None
         if len(self._truth.stamps_ns) == 0:
-            self._missing["closures"] = NO_TRUTH
+            self._unavailable["closures"] = NO_TRUTH
         elif graph is None:
-            self._missing["closures"] = NO_KEYFRAMES
+            self._unavailable["closures"] = NO_KEYFRAMES
         elif has_given_map(self._records):
-            self._missing["closures"] = IN_GIVEN_MAP
+            self._unavailable["closures"] = IN_GIVEN_MAP
             graph = None
         return evaluate_closures(
             candidates,
-            graph.keyframe_ids if graph else nothing,
-            graph.keyframe_stamps_ns if graph else nothing,
+            graph.keyframe_ids if graph else no_rows,
+            graph.keyframe_stamps_ns if graph else no_rows,
             self._truth,
             self._protocol,
         )
@@ -224,7 +224,7 @@ class _Gathering:
     def _retrieval(self, closures: ClosureQuality | None) -> RetrievalQuality | None:
         graph = self._records.graph
         if closures is None or closures.revisits is None or graph is None:
-            self._missing["retrieval"] = self._missing["closures"]
+            self._unavailable["retrieval"] = self._unavailable["closures"]
             return None
         try:
             return evaluate_retrieval(
@@ -236,13 +236,13 @@ class _Gathering:
                 place_count=self._records.verified_places,
             )
         except EvaluationError as error:
-            self._missing["retrieval"] = str(error)
+            self._unavailable["retrieval"] = str(error)
             return None
 
-    def _published(self) -> tuple[PairQuality, OnlineQuality] | tuple[None, None]:
+    def _literature_protocols(self) -> tuple[PairQuality, OnlineQuality] | tuple[None, None]:
         graph = self._records.graph
         if graph is None or len(self._truth.stamps_ns) == 0:
-            self._missing["published"] = NO_KEYFRAMES if graph is None else NO_TRUTH
+            self._unavailable["literature_protocols"] = NO_KEYFRAMES if graph is None else NO_TRUTH
             return None, None
         candidates = find_final_verdicts(self._records.closures)
         keyframes = compare_keyframes(candidates, graph, self._odometry.stamps_ns, self._truth, self._protocol)
@@ -251,11 +251,11 @@ class _Gathering:
     def _relocalization(self, T_world_estimate: FloatArray | None) -> RelocalizationQuality | None:
         records = self._records
         if not records.statuses:
-            self._missing["relocalization"] = NO_STATUS
+            self._unavailable["relocalization"] = NO_STATUS
             return None
         is_given = has_given_map(records)
         if self._map_alignment is not None and not is_given:
-            self._missing["map_alignment"] = "not used: in this log the robot made its own map and was given none"
+            self._unavailable["map_alignment"] = "not used: in this log the robot made its own map and was given none"
         is_located = is_given and self._map_alignment is not None
         quality = evaluate_relocalization(
             records,
@@ -267,7 +267,7 @@ class _Gathering:
         )
         if quality.undecided_count:
             reason = NO_TRUTH if len(self._truth.stamps_ns) == 0 else "no truth at their stamps"
-            self._missing["relocalization"] = f"{quality.undecided_count} of {quality.fix_count} fixes: {reason}"
+            self._unavailable["relocalization"] = f"{quality.undecided_count} of {quality.fix_count} fixes: {reason}"
         return quality
 
     def _calibration(
@@ -287,7 +287,7 @@ class _Gathering:
             self._protocol,
         )
         if missing:
-            self._missing["calibration"] = missing if len(self._truth.stamps_ns) else NO_TRUTH
+            self._unavailable["calibration"] = missing if len(self._truth.stamps_ns) else NO_TRUTH
         return quality
 
 

@@ -22,7 +22,7 @@ from slam.evaluation.place_recognition.revisits import DIRECTIONS
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
-    """What could be measured of one output log; a part that could not is None, and ``missing`` says why by its name.
+    """What could be measured of one output log; a part that could not is None, and ``unavailable`` has its reason.
 
     ``estimate`` is the final trajectory, ``odometry`` the input alone, ``online`` the poses as they were at their time.
     ``pairs`` and ``online_queries`` are the two protocols of papers on place recognition.
@@ -41,7 +41,7 @@ class Evaluation:
     relocalization: RelocalizationQuality | None = None
     calibration: CalibrationQuality | None = None
     counters: Mapping[str, int] = field(default_factory=dict)
-    missing: Mapping[str, str] = field(default_factory=dict)
+    unavailable: Mapping[str, str] = field(default_factory=dict)
 
     def to_json_dict(self) -> dict[str, Any]:
         """Plain dicts, lists, strings and finite numbers. Every key is always there; what is undefined is None."""
@@ -51,11 +51,11 @@ class Evaluation:
             "landmarks": _landmark_dict(self.landmarks),
             "closures": _closure_dict(self.closures),
             "retrieval": _retrieval_dict(self.retrieval),
-            "published": {"pairs": _pair_dict(self.pairs), "online": _online_dict(self.online_queries)},
+            "literature_protocols": {"pairs": _pair_dict(self.pairs), "online": _online_dict(self.online_queries)},
             "relocalization": _relocalization_dict(self.relocalization),
             "calibration": _calibration_dict(self.calibration),
             "counters": dict(self.counters),
-            "missing": dict(self.missing),
+            "unavailable": dict(self.unavailable),
             "protocol": {**_plain(asdict(self.protocol)), "rules": self.protocol.describe()},
         }
 
@@ -140,7 +140,7 @@ def _closure_dict(quality: ClosureQuality | None) -> dict[str, Any]:
         "median_heading_error_deg": errors.median_heading_deg if errors else None,
         "median_rotation_error_deg": errors.median_rotation_deg if errors else None,
         "p95_rotation_error_deg": errors.p95_rotation_deg if errors else None,
-        "within_revisit_spread_m": errors.within_revisit_spread_m if errors else None,
+        "intra_revisit_std_m": errors.intra_revisit_std_m if errors else None,
         **_sweep_dict(sweep),
         "missed_by_stage": dict(revisits.missed_by_stage) if revisits else {},
         "missed_at_place_count": revisits.missed_at_place_count if revisits else None,
@@ -164,7 +164,7 @@ def _sweep_dict(sweep: ScoreSweep | None) -> dict[str, Any]:
 def _retrieval_dict(quality: RetrievalQuality | None) -> dict[str, Any]:
     return {
         **{f"recall_at_{k}": quality.recall_at(k) if quality else None for k in RECALL_AT},
-        **_attributes(quality, ("asked_count", "place_count", "note")),
+        **_attributes(quality, ("query_count", "place_count", "note")),
     }
 
 
@@ -183,7 +183,10 @@ def _relocalization_dict(quality: RelocalizationQuality | None) -> dict[str, Any
     measures = [f"{kind}_{name}" for name in ("seconds", "distance_m") for kind in ("median", "max")]
     errors = [f"{kind}_error_{unit}" for unit in ("m", "deg") for kind in ("median", "p95")]
     return {
-        **_attributes(quality, ("success_rate", "wrong_rate", *counts, *measures, *errors, "lost_share", "method")),
+        **_attributes(
+            quality,
+            ("success_rate", "false_relocalization_rate", *counts, *measures, *errors, "lost_time_ratio", "method"),
+        ),
         "losses": [_plain(asdict(loss)) for loss in quality.losses] if quality else [],
     }
 

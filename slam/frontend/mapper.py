@@ -20,7 +20,7 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import relative, rotation_angle_rad
 from slam.frontend.data_association import Assignment, associate
-from slam.frontend.keyframe_observations import Sightings
+from slam.frontend.keyframe_observations import KeyframeObservations
 from slam.frontend.landmark_filter import predict_covariances, update_positions
 from slam.frontend.scan import Scan
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
@@ -28,12 +28,12 @@ from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import BREAK_SIGMA_M, BREAK_SIGMA_RAD, step_covariance
 from slam.odometry.track import OdometryPose
 
-# Less than that is standing still.
+# The robot stands still below that motion.
 MOVED_M = 0.1
 MOVED_RAD = 0.02
 # Least time over which a moving object is given to change its speed: 10 Hz scans leave it none, its noise does.
 MIN_SWERVE_S = 0.5
-# A speed is believed if it is that many of its standard deviations.
+# A speed is significant if it is that many of its standard deviations.
 MOVING_SIGMAS = 3.0
 
 
@@ -49,19 +49,19 @@ class Mapper:
     """Builds the object map and the factor graph; ``keyframes`` are all keyframes so far."""
 
     def __init__(
-        self, config: Config, object_map: ObjectMap, graph: FactorGraph, earlier: Sequence[Keyframe] = ()
+        self, config: Config, object_map: ObjectMap, graph: FactorGraph, prior_keyframes: Sequence[Keyframe] = ()
     ) -> None:
         self._config = config
         self._map = object_map
         self._graph = graph
         self._active = np.zeros(0, dtype=np.int64)
-        self._sightings = Sightings()
+        self._keyframe_observations = KeyframeObservations()
         self._held_back: defaultdict[int, list[Observation]] = defaultdict(list)
         self._newly_confirmed: list[int] = []
         self._message_count = 0
         self._sensors: set[str] = set()
         self._scan_count = 0
-        self.keyframes: list[Keyframe] = [*earlier]
+        self.keyframes: list[Keyframe] = [*prior_keyframes]
 
     def add_odometry(self, pose: OdometryPose) -> Keyframe | None:
         """Follow the track to its newest pose; returns the keyframe if one was made there."""
@@ -74,7 +74,7 @@ class Mapper:
             self.close_keyframe()
             self._graph.add_next_keyframe(self._odometry_edge(self.keyframes[-1], keyframe))
             if pose.segment != self.keyframes[-1].odometry.segment:
-                self._let_go(np.ones(len(self._active), dtype=np.bool_))
+                self._deactivate(np.ones(len(self._active), dtype=np.bool_))
         self.keyframes.append(keyframe)
         if keyframe.id % self._config.factor_graph.update_keyframes == 0:
             self._graph.update()
@@ -83,7 +83,7 @@ class Mapper:
     def add_scan(self, scan: Scan, pose: OdometryPose) -> DetectionAssociations:
         """Associate one scan, taken at ``pose``, with the landmarks around, and bring them up to date."""
         self._count_scan(scan.sensor)
-        self._forget(pose.travel_m)
+        self._deactivate_stale(pose.travel_m)
         T_keyframe_body = relative(self.keyframes[-1].odometry.T_odom_body, pose.T_odom_body)
         in_odom, in_keyframe = scan.seen_from(pose.T_odom_body), scan.seen_from(T_keyframe_body)
         labels = self._map.label_indices(scan.labels)
@@ -103,8 +103,8 @@ class Mapper:
             segment=pose.segment,
         )
         self._active = np.concatenate([self._active, rows[~known]])
-        self._sightings.add(rows, in_keyframe)
-        self._age(rows, in_odom.covariances)
+        self._keyframe_observations.add(rows, in_keyframe)
+        self._update_life_cycle(rows, in_odom.covariances)
         return _associations(scan, rows, ~known)
 
     def take_confirmed(self) -> IntArray:
@@ -113,13 +113,13 @@ class Mapper:
         return np.array(taken, dtype=np.int64)
 
     def retire_gone(self, rows: IntArray) -> None:
-        """End the life of landmarks that are where they stood no longer; what others became part of was seen again."""
-        rows = rows[~np.isin(rows, self._map.kept_of_merged)]
+        """Retire landmarks that no longer exist; a landmark that others were merged into was observed again."""
+        rows = rows[~np.isin(rows, self._map.merge_targets)]
         self._active = self._active[~np.isin(self._active, rows)]
         self._retire(rows, RetirementReason.GONE)
 
     def retire_since(self, keyframe: Keyframe) -> None:
-        """End the life of landmarks that were first seen after a keyframe, on its segment: they stand elsewhere."""
+        """Retire landmarks first observed after a keyframe, on its segment: their positions are wrong."""
         landmarks = self._map.rows
         rows = np.flatnonzero(
             (landmarks["first_seen_ns"] >= keyframe.odometry.stamp_ns)
@@ -130,9 +130,9 @@ class Mapper:
         self._retire(rows, RetirementReason.CONTRADICTED)
 
     def close_keyframe(self) -> None:
-        """Hand what was seen since the last keyframe to the graph; tentative landmarks are held back."""
-        observations = self._sightings.observations(self.keyframes[-1].id, self._config.detection)
-        self._sightings = Sightings()
+        """Add the observations since the last keyframe to the graph; those of tentative landmarks are held back."""
+        observations = self._keyframe_observations.observations(self.keyframes[-1].id, self._config.detection)
+        self._keyframe_observations = KeyframeObservations()
         states = self._map.rows["state"]
         for observation in observations:
             self._held_back[observation.landmark].append(observation)
@@ -186,7 +186,7 @@ class Mapper:
         return Prediction(positions, covariances + (swerve_m**2)[:, None, None] * np.eye(3))
 
     def _associate(self, scan: Scan, labels: IntArray, predicted: Prediction) -> Assignment:
-        """Assign the detections of a scan, in the odometry frame, to places in the active landmarks."""
+        """Assign the detections of a scan, in the odometry frame, to rows of the active landmarks."""
         common_variances = np.where(scan.has_own_covariance, 0.0, self._config.detection.common_sigma_m**2)
         return associate(
             scan.positions,
@@ -201,18 +201,18 @@ class Mapper:
     def _update(
         self, assignment: Assignment, predicted: Prediction, scan: Scan, labels: IntArray, pose: OdometryPose
     ) -> None:
-        """Move the landmarks that were seen to where they are seen, and count the sightings."""
+        """Update the filters of the observed landmarks, and count the observations."""
         known = assignment.matched
-        places = assignment.landmark_rows[known]
-        rows = self._active[places]
+        indices = assignment.landmark_rows[known]
+        rows = self._active[indices]
         landmarks = self._map.rows
         landmarks["position_odom"][rows], landmarks["covariance_odom"][rows] = update_positions(
-            predicted.positions[places],
-            predicted.covariances[places],
+            predicted.positions[indices],
+            predicted.covariances[indices],
             scan.positions[known],
             scan.covariances[known],
         )
-        self._map.record_sightings(
+        self._map.record_observations(
             rows,
             scan.positions[known],
             labels[known],
@@ -221,11 +221,11 @@ class Mapper:
             travel_m=pose.travel_m,
         )
 
-    def _age(self, seen: IntArray, covariances: FloatArray) -> None:
-        """Confirm what was seen often and long enough, and tell what moves.
+    def _update_life_cycle(self, seen: IntArray, covariances: FloatArray) -> None:
+        """Update the life cycle of the observed landmarks: confirm static ones, retire moving ones.
 
         What is faster than its noise explains is followed at its speed: a landmark that only seemed to move slows down
-        again as sightings gather, a vehicle goes far enough to be told.
+        again as observations accumulate, a vehicle goes far enough to be recognised.
         """
         limits = self._config.landmark
         landmarks = self._map.rows
@@ -254,25 +254,25 @@ class Mapper:
         self._map.confirm(confirmed)
         self._newly_confirmed += confirmed.tolist()
 
-    def _forget(self, travel_m: float) -> None:
-        """Let go of landmarks that were not seen for long; tentative and moving ones soon."""
+    def _deactivate_stale(self, travel_m: float) -> None:
+        """Deactivate landmarks that were not observed for long; tentative and moving ones sooner."""
         limits = self._config.landmark
         landmarks = self._map.rows[self._active]
         unseen_m = travel_m - landmarks["last_seen_travel_m"]
         unseen_scans = self._scan_count - landmarks["last_scan"]
-        lost = (unseen_m > limits.give_up_distance_m) | (unseen_scans > limits.give_up_scans)
-        given_up = lost & (landmarks["state"] != LandmarkState.CONFIRMED)
-        self._let_go(given_up | (unseen_m > self._config.association.forget_distance_m))
+        lost = (unseen_m > limits.max_missed_distance_m) | (unseen_scans > limits.max_missed_scans)
+        stale = lost & (landmarks["state"] != LandmarkState.CONFIRMED)
+        self._deactivate(stale | (unseen_m > self._config.association.forget_distance_m))
 
-    def _let_go(self, gone: NDArray[np.bool_]) -> None:
-        """Follow the active landmarks that are ``gone`` (A,) no longer; the life of tentative ones ends."""
+    def _deactivate(self, gone: NDArray[np.bool_]) -> None:
+        """Deactivate the landmarks ``gone`` (A,); tentative ones are retired."""
         rows = self._active[gone]
         tentative = self._map.rows["state"][rows] == LandmarkState.TENTATIVE
         self._retire(rows[tentative], RetirementReason.NOT_CONFIRMED)
         self._active = self._active[~gone]
 
     def _retire(self, rows: IntArray, reason: RetirementReason) -> None:
-        """End the life of landmarks; the graph forgets them."""
+        """Retire landmarks and remove them from the graph."""
         self._map.retire(rows, reason)
         for row in rows.tolist():
             self._held_back.pop(row, None)

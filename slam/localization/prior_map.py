@@ -1,4 +1,4 @@
-"""A saved map as the session before the first: to join it is what joins two sides of a break of the odometry."""
+"""A prior map as segment 0 of the odometry: relocalization in it is a closure across a discontinuity."""
 
 from __future__ import annotations
 
@@ -12,21 +12,20 @@ from slam.odometry.keyframe import Keyframe
 from slam.odometry.track import OdometryPose
 
 TRAVEL_M = -10_000.0
-"""Of everything in the map. An optimised map has no passes: all of it is consistent, whenever it was seen."""
+"""Travel of everything in the prior map. An optimised map has no traversals: all of it is consistent."""
 SEGMENT = 0
 STAMP_NS = -1
-"""The clock of the earlier drive has nothing to do with that of this one."""
+"""The clocks of the drives are unrelated."""
 
 
 def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed: bool) -> list[Keyframe]:
-    """Put a saved map into an empty object map and an empty graph; returns its keyframes, numbered anew from 0.
+    """Put a prior map into an empty object map and an empty graph; returns its keyframes, renumbered from 0.
 
     Args:
         saved: the map.
         object_map: empty.
         graph: empty.
-        fixed: keep the map as it is: neither its keyframes nor its landmarks move, and nothing need be known of how
-            they hang together.
+        fixed: keep the map as it is: its keyframes and landmarks are constants, and its factors are not restored.
     """
     rows = object_map.restore(saved.objects, travel_m=TRAVEL_M)
     keyframes = [
@@ -35,7 +34,7 @@ def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed
     ]
     if fixed:
         positions = dict(zip(rows.tolist(), saved.objects.positions, strict=True))
-        graph.hold(range(len(keyframes)), saved.graph.T_map_body, positions)
+        graph.add_fixed_map(range(len(keyframes)), saved.graph.T_map_body, positions)
         return keyframes
     row_of = dict(zip(saved.objects.ids, rows.tolist(), strict=True))
     record = saved.graph
@@ -55,8 +54,14 @@ def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed
             )
         ],
         [
-            Observation(number_of[int(keyframe)], row_of[landmark], position, covariance / redundancy, redundancy)
-            for keyframe, landmark, position, covariance, redundancy in zip(
+            Observation(
+                number_of[int(keyframe)],
+                row_of[landmark],
+                position,
+                covariance / covariance_inflation,
+                covariance_inflation,
+            )
+            for keyframe, landmark, position, covariance, covariance_inflation in zip(
                 record.observation_keyframe_ids,
                 record.observation_landmark_ids,
                 record.observation_positions,

@@ -1,4 +1,4 @@
-"""What the robot knows of where it is."""
+"""Localization state of the robot."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class State(StrEnum):
-    """What the robot knows of where it is: in the map that it makes, in one that it was given, or nothing."""
+    """Localization state: in the map being built (MAPPING), in a prior map (TRACKING), or lost."""
 
     MAPPING = "MAPPING"
     TRACKING = "TRACKING"
@@ -17,7 +17,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Fix:
-    """When the robot came to know where it is, and after how much travel."""
+    """A relocalization: when it happened, and after how much travel."""
 
     stamp_ns: int
     travel_m: float

@@ -1,4 +1,4 @@
-"""A loop-closure candidate: two keyframes, where one is seen from the other, and all that speaks for and against it."""
+"""A loop-closure candidate: two keyframes, their relative pose, its log-likelihood ratio and its odometry penalty."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NOWHERE = -1
 
 
 class Stage(StrEnum):
-    """Where the verdict on a candidate fell."""
+    """The stage at which a candidate was accepted or rejected."""
 
     RETRIEVAL = "retrieval"
     REGISTRATION = "registration"
@@ -28,11 +28,12 @@ class Stage(StrEnum):
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
     """``T_reference_query`` (4, 4) between the bodies, covariance (6, 6) rotation first; ``T_odom_query`` (4, 4) of the
-    query's gravity frame as the reference's pass saw the odometry frame.
+    query's gravity frame in the odometry frame of the reference's traversal.
 
-    ``rows`` (N,) and ``nats`` (N,): what each landmark of the query says; ``pairs`` (K, 2): landmarks of the query and
-    of the reference that meet. ``evidence_nats`` is their sum, ``doubt_nats`` what the odometry says against it.
-    ``leader``: the keyframe whose closure predicted this one, -1 if descriptors found it; ``rank``: as in
+    ``rows`` (N,): landmarks of the query; ``log_likelihood_ratios`` (N,): their LLR_i; ``pairs`` (K, 2): inliers, as
+    landmarks of the query and of the reference. ``log_likelihood_ratio`` is the sum of the LLR_i, ``odometry_penalty``
+    the negative log-likelihood of the odometry residual.
+    ``seed_closure``: the keyframe whose closure predicted this one, -1 if retrieval found it; ``rank``: as in
     :class:`slam.place_recognition.retrieval.Place`.
     """
 
@@ -45,30 +46,30 @@ class Candidate:
     T_odom_query: FloatArray
     covariance: FloatArray
     rows: IntArray
-    nats: FloatArray
+    log_likelihood_ratios: FloatArray
     pairs: IntArray
     matched_fraction: float
-    doubt_nats: float
+    odometry_penalty: float
     retrieval_distance: float
-    leader: int = -1
+    seed_closure: int = -1
     rank: int = 0
 
     @property
-    def evidence_nats(self) -> float:
-        """What the objects say, summed up."""
-        return float(self.nats.sum())
+    def log_likelihood_ratio(self) -> float:
+        """Sum of the LLR_i of the landmarks, in nats."""
+        return float(self.log_likelihood_ratios.sum())
 
     @property
-    def score_nats(self) -> float:
-        """Evidence less doubt: by this a candidate is judged."""
-        return self.evidence_nats - self.doubt_nats
+    def score(self) -> float:
+        """Log-likelihood ratio minus odometry penalty; compared with ``accept_llr``."""
+        return self.log_likelihood_ratio - self.odometry_penalty
 
     def edge(self) -> Edge:
         """The between-factor of this closure."""
         return Edge(self.reference, self.query, self.T_reference_query, self.covariance, "closure")
 
     def record(self, stage: Stage, reason: str, *, inserted: bool = False) -> LoopClosureRecord:
-        """The candidate with its verdict, as it goes into a log."""
+        """The candidate with the decision about it, as it goes into a log."""
         return LoopClosureRecord(
             stamp_ns=self.query_stamp_ns,
             query_keyframe_id=self.query,
@@ -79,7 +80,7 @@ class Candidate:
             retrieval_distance=self.retrieval_distance,
             inlier_count=len(self.pairs),
             inlier_fraction=self.matched_fraction,
-            score=self.score_nats,
+            score=self.score,
             T_reference_query=self.T_reference_query,
             covariance=self.covariance,
             reference_stamp_ns=self.reference_stamp_ns,
@@ -104,7 +105,7 @@ class Query:
     def refusal(
         self, stage: Stage, reason: str, reference: Keyframe | None = None, *, rank: int = 0
     ) -> LoopClosureRecord:
-        """The verdict on a candidate that never got a pose."""
+        """The record of a candidate that was rejected before it had a pose."""
         return LoopClosureRecord(
             stamp_ns=self.keyframe.odometry.stamp_ns,
             query_keyframe_id=self.keyframe.id,

@@ -1,4 +1,4 @@
-"""Which closures agree with the odometry, and with one another."""
+"""Consistency of loop-closure candidates with the odometry and with one another."""
 
 from __future__ import annotations
 
@@ -12,59 +12,65 @@ from slam.common.config import LoopClosureConfig
 from slam.common.geometry import invert, yaw_rad
 from slam.loop_closure.candidate import Candidate
 
-# Two closures are one if they place the query this near to each other: a wrong place is mostly a shift by one object of
-# a row or more.
+# Two candidates agree if they put the query this near to each other: a wrong pose is mostly shifted by the spacing of
+# the objects in a row, or more.
 AGREE_M = 2.0
 AGREE_RAD = np.deg2rad(5.0)
 
 
-def agree(T_a: FloatArray, T_b: FloatArray) -> bool:
-    """Whether two estimates (4, 4) of one pose are one place."""
+def poses_agree(T_a: FloatArray, T_b: FloatArray) -> bool:
+    """Whether two estimates (4, 4) of one pose differ by less than ``AGREE_M`` and ``AGREE_RAD``."""
     T_between = invert(T_a) @ T_b
     return bool(np.hypot(T_between[0, 3], T_between[1, 3]) < AGREE_M and abs(float(yaw_rad(T_between))) < AGREE_RAD)
 
 
-def distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The candidates of one query, best first, each place once; it has the best rank of those that came there."""
+def suppress_non_maxima(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Of the candidates of one query that agree on its pose, the one with the highest score, with the best rank of
+    them; sorted by falling score.
+    """
     kept: list[Candidate] = []
-    for candidate in sorted(candidates, key=lambda c: -c.score_nats):
-        same = (place for place, better in enumerate(kept) if agree(candidate.T_odom_query, better.T_odom_query))
-        place = next(same, None)
-        if place is None:
+    for candidate in sorted(candidates, key=lambda c: -c.score):
+        same = (i for i, better in enumerate(kept) if poses_agree(candidate.T_odom_query, better.T_odom_query))
+        index = next(same, None)
+        if index is None:
             kept.append(candidate)
-        elif candidate.rank < kept[place].rank:
-            kept[place] = replace(kept[place], rank=candidate.rank)
+        elif candidate.rank < kept[index].rank:
+            kept[index] = replace(kept[index], rank=candidate.rank)
     return kept
 
 
-def doubt_nats(
+def odometry_penalty(
     T_predicted: FloatArray, T_measured: FloatArray, drift_sigmas: tuple[float, float], config: LoopClosureConfig
 ) -> float:
-    """What the odometry says against a closure: half its squared Mahalanobis distance, up to the configured most.
+    """Negative log-likelihood of the odometry residual of a closure, at most ``max_odometry_penalty`` [nats].
 
-    Bounded, because the odometry may have failed without notice, and then evidence must be able to outweigh it. Across
-    a break the odometry says nothing, and any place of the map is possible: then a configured doubt is left.
+    Half the squared Mahalanobis distance between prediction and measurement. It is bounded, because the odometry may
+    have failed without notice, and then the LLR must be able to outweigh it. Across a discontinuity the odometry gives
+    no prediction; the penalty is the constant ``discontinuity_prior`` there.
 
     Args:
-        T_predicted: ``T_reference_query`` (4, 4) as the trajectory has it now.
+        T_predicted: ``T_reference_query`` (4, 4) from the current estimate of the trajectory.
         T_measured: ``T_reference_query`` (4, 4) of the closure.
-        drift_sigmas: of the odometry between the two: place [m] and heading [rad].
+        drift_sigmas: standard deviations of the odometry between the two: position [m] and heading [rad]; infinite
+            across a discontinuity.
         config: the limits.
     """
     if np.isinf(drift_sigmas[0]):
-        return config.break_doubt_nats
+        return config.discontinuity_prior
     sigma_m = config.odometry_inflation * np.hypot(drift_sigmas[0], config.base_sigma_m)
     sigma_rad = config.odometry_inflation * np.hypot(drift_sigmas[1], np.deg2rad(config.base_sigma_deg))
     off_m = float(np.hypot(*(T_measured[:2, 3] - T_predicted[:2, 3])))
     off_rad = abs(float(yaw_rad(invert(T_predicted) @ T_measured)))
-    return min(0.5 * float((off_m / sigma_m) ** 2 + (off_rad / sigma_rad) ** 2), config.max_doubt_nats)
+    return min(0.5 * float((off_m / sigma_m) ** 2 + (off_rad / sigma_rad) ** 2), config.max_odometry_penalty)
 
 
-def joint_score_nats(candidates: Sequence[Candidate]) -> float:
-    """Score of candidates (one at least) of different queries that agree: an object that several weigh counts once, by
-    the mean of what they say; the greatest doubt counts.
+def accumulated_llr(candidates: Sequence[Candidate]) -> float:
+    """Joint score of candidates (one at least) of different queries that agree on the pose.
+
+    A landmark that several queries contain counts once, with the mean of its LLR_i; the largest odometry penalty is
+    subtracted.
     """
-    _, places = np.unique(np.concatenate([each.rows for each in candidates]), return_inverse=True)
-    sums = np.bincount(places, weights=np.concatenate([each.nats for each in candidates]))
-    evidence = float(np.sum(sums / np.maximum(np.bincount(places), 1)))
-    return evidence - max(each.doubt_nats for each in candidates)
+    _, indices = np.unique(np.concatenate([each.rows for each in candidates]), return_inverse=True)
+    sums = np.bincount(indices, weights=np.concatenate([each.log_likelihood_ratios for each in candidates]))
+    llr = float(np.sum(sums / np.maximum(np.bincount(indices), 1)))
+    return llr - max(each.odometry_penalty for each in candidates)

@@ -1,9 +1,8 @@
-"""Whether what is seen goes on agreeing with the place where the robot is believed to be.
+"""Detection of a lost localization: CUSUM test on whether the expected landmarks of the map are observed.
 
-Every landmark of the map that comes near ahead is a question, asked once: is it seen? A robot that is where it is
-believed to be sees most of them, one that was carried off hardly any. The log likelihood ratio of the two is summed up
-and never falls below zero (Page's cumulative sum test, Biometrika 1954), so that a long time of agreement does not
-outweigh what happens now.
+Each landmark of the map that comes into the field of view contributes one log-likelihood ratio of "not localized"
+against "localized": negative if it is observed, positive if it is missed. The sum is clamped at zero (Page's cumulative
+sum test, Biometrika 1954), so a long time of consistent observations does not outweigh recent missed ones.
 """
 
 from __future__ import annotations
@@ -18,86 +17,90 @@ from slam.common.geometry import apply, invert
 from slam.object_map.submap import Submap
 
 NEAR_M, FAR_M = 3.0, 20.0
-"""What stands that far ahead is seen by any sensor that looks ahead, and so near that it is rarely missed."""
+"""Range at which any forward-looking sensor observes a landmark and rarely misses one."""
 AHEAD_RAD = np.deg2rad(60.0)
-MEETS_M = 3.0
+MATCH_RADIUS_M = 3.0
 KEYFRAMES_IN_VIEW = 3
-"""A landmark has been looked for once it was due at that many keyframes."""
-SEEN_HERE, SEEN_ELSEWHERE = 0.8, 0.1
-"""How likely a landmark is seen, as some are gone or hidden, and how likely another is taken for it."""
-MISSED_NATS = float(np.log((1.0 - SEEN_ELSEWHERE) / (1.0 - SEEN_HERE)))
-SEEN_NATS = float(np.log(SEEN_ELSEWHERE / SEEN_HERE))
-LOST_NATS = 9.0
-"""Six landmarks in a row that are not there."""
+"""A landmark is counted as observed or missed once it was expected at that many keyframes."""
+DETECTION_PROBABILITY, FALSE_MATCH_PROBABILITY = 0.8, 0.1
+"""Probability that an expected landmark is observed, and that another object is matched with it elsewhere."""
+MISSED_LLR = float(np.log((1.0 - FALSE_MATCH_PROBABILITY) / (1.0 - DETECTION_PROBABILITY)))
+SEEN_LLR = float(np.log(FALSE_MATCH_PROBABILITY / DETECTION_PROBABILITY))
+LOST_LLR = 9.0
+"""Threshold of the test: six missed landmarks in a row."""
 GONE_KEYFRAMES = 6
-"""A landmark that was due so often, and never met, is gone; that is some 12 m of travel towards it."""
-LEAST_OTHERS = 3
-"""Objects that the map does not have there: one who sees nothing at all is blind, not elsewhere."""
+"""A landmark expected at that many keyframes and never observed is gone; that is some 12 m of travel towards it."""
+MIN_UNEXPECTED = 3
+"""Least number of observed objects that the map does not have: without any the sensor may be blind."""
 
 
-class PlaceWatch:
-    """Asks for the landmarks that come near."""
+class LocalizationMonitor:
+    """The CUSUM statistic over the landmarks that are expected in view."""
 
     def __init__(self) -> None:
-        self._looked_for: Counter[int] = Counter()
-        self._ever_met: set[int] = set()
+        self._expected_count: Counter[int] = Counter()
+        self._ever_matched: set[int] = set()
         self.restart()
 
     def restart(self) -> None:
-        """Begin to ask anew."""
-        self._nats = 0.0
-        self._due: dict[int, int] = {}
-        self._met: set[int] = set()
-        self._asked: set[int] = set()
-        self._others: set[int] = set()
-        self._due_now: list[int] = []
-        self.doubted_since = -1
-        """The first keyframe of those that make the place doubtful now."""
+        """Reset the statistic and the landmarks in view."""
+        self._llr = 0.0
+        self._in_view: dict[int, int] = {}
+        self._matched: set[int] = set()
+        self._counted: set[int] = set()
+        self._unexpected: set[int] = set()
+        self._in_view_now: list[int] = []
+        self.inconsistent_since: int | None = None
+        """The first keyframe of the inconsistent observations that the statistic holds now."""
 
     @property
-    def doubts(self) -> bool:
-        """Whether the last landmarks asked for speak against the place."""
-        return self._nats > 0.0
+    def is_inconsistent(self) -> bool:
+        """Whether the latest landmarks were missed more often than a localized robot misses them."""
+        return self._llr > 0.0
 
-    def look(self, keyframe: int, seen: Submap, around: Submap, T_around_query: FloatArray) -> bool:
-        """Take in a keyframe; returns whether the robot is elsewhere.
+    def update(self, keyframe: int, observed: Submap, reference: Submap, T_reference_query: FloatArray) -> bool:
+        """Add the observations of a keyframe; returns whether the robot is lost.
 
         Args:
             keyframe: its id.
-            seen: what is in view, in its gravity frame.
-            around: the landmarks around the place, in another frame.
-            T_around_query: (4, 4) where the gravity frame is believed to be in that one.
+            observed: the landmarks in view, in the gravity frame of the keyframe.
+            reference: the landmarks of the map around the estimated pose, in another frame.
+            T_reference_query: (4, 4), estimated pose of the gravity frame in that frame.
         """
-        due = np.flatnonzero(_ahead(apply(invert(T_around_query), around.positions)))
-        placed = apply(T_around_query, seen.positions)
-        apart_m = np.linalg.norm(around.positions[:, None, :2] - placed[None, :, :2], axis=2)
-        meets = (apart_m < MEETS_M) & (around.labels[:, None] == seen.labels)
-        met = around.rows[meets.any(axis=1)].tolist()
-        self._met.update(met)
-        self._ever_met.update(met)
-        self._others.update(seen.rows[~meets.any(axis=0) & _ahead(seen.positions)].tolist())
-        self._due_now = around.rows[due].tolist()
-        for row in self._due_now:
-            self._due[row] = self._due.get(row, 0) + 1
-            if self._due[row] >= KEYFRAMES_IN_VIEW and row not in self._asked:
-                self._asked.add(row)
-                self._count(keyframe, row in self._met)
-        return self._nats >= LOST_NATS and len(self._others) >= LEAST_OTHERS
+        in_view = np.flatnonzero(_ahead(apply(invert(T_reference_query), reference.positions)))
+        placed = apply(T_reference_query, observed.positions)
+        apart_m = np.linalg.norm(reference.positions[:, None, :2] - placed[None, :, :2], axis=2)
+        matches = (apart_m < MATCH_RADIUS_M) & (reference.labels[:, None] == observed.labels)
+        matched = reference.rows[matches.any(axis=1)].tolist()
+        self._matched.update(matched)
+        self._ever_matched.update(matched)
+        self._unexpected.update(observed.rows[~matches.any(axis=0) & _ahead(observed.positions)].tolist())
+        self._in_view_now = reference.rows[in_view].tolist()
+        for row in self._in_view_now:
+            self._in_view[row] = self._in_view.get(row, 0) + 1
+            if self._in_view[row] >= KEYFRAMES_IN_VIEW and row not in self._counted:
+                self._counted.add(row)
+                self._count(keyframe, row in self._matched)
+        return self._llr >= LOST_LLR and len(self._unexpected) >= MIN_UNEXPECTED
 
     def confirm(self) -> None:
-        """The newest keyframe was recognised, so what was due there was looked for in the right place."""
-        self._looked_for.update(self._due_now)
+        """A closure confirmed the pose at the newest keyframe: count the landmarks that were expected there."""
+        self._expected_count.update(self._in_view_now)
 
     def missing(self) -> IntArray:
-        """Landmarks (K,) that were looked for at many keyframes and met at none."""
-        gone = [row for row, count in self._looked_for.items() if count >= GONE_KEYFRAMES and row not in self._ever_met]
+        """Landmarks (K,) that were expected at ``GONE_KEYFRAMES`` keyframes and never observed."""
+        gone = [
+            row
+            for row, count in self._expected_count.items()
+            if count >= GONE_KEYFRAMES and row not in self._ever_matched
+        ]
         return np.array(sorted(gone), dtype=np.int64)
 
-    def _count(self, keyframe: int, is_seen: bool) -> None:
-        if self._nats == 0.0:
-            self._others.clear()
-            self.doubted_since = max(keyframe - KEYFRAMES_IN_VIEW, 0)
-        self._nats = max(self._nats + (SEEN_NATS if is_seen else MISSED_NATS), 0.0)
+    def _count(self, keyframe: int, is_observed: bool) -> None:
+        if self._llr == 0.0:
+            self._unexpected.clear()
+            self.inconsistent_since = max(keyframe - KEYFRAMES_IN_VIEW, 0)
+        self._llr = max(self._llr + (SEEN_LLR if is_observed else MISSED_LLR), 0.0)
 
 
 def _ahead(positions: FloatArray) -> NDArray[np.bool_]:

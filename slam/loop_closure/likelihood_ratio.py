@@ -1,13 +1,22 @@
-"""How much speaks for a placement of one submap in another: a likelihood ratio, object by object.
+"""The log-likelihood ratio (LLR) of a loop-closure candidate: same place against clutter, object by object.
 
-Either the query is where it is placed, and then an object of it is seen again with the probability of persisting, at a
-distance that the noise explains; or it is elsewhere, and then an object of its class is there by accident, as often as
-such objects stand around. The ratio of the two, in nats, is what an object says; the sum over all objects that should
-be seen is the evidence (the log Bayes factor of place against accident).
+For object i of the query submap, placed at z_i by the pose of the candidate,
 
-How often objects stand around is counted near the place itself, and along the direction of travel more than across it:
-parked cars and trees stand in rows, so that a wrong place on a similar street repeats most of a row by accident.
-Without this, rows alone would close loops between parallel streets.
+    LLR_i = log[ (1 - P_D) + P_D N(z_i; m_i, S_i) / lambda_i ],        LLR = sum_i LLR_i,
+
+* m_i is the reference landmark that object i is matched with; without a match N(...) = 0, so LLR_i = log(1 - P_D);
+* N is the density of the horizontal error [1/m^2], isotropic with S_i = (sigma_query^2 + sigma_reference^2) I;
+* P_D (``detection_probability``) is the probability that an object of one traversal is in the map of another;
+* lambda_i is the clutter density: landmarks of the same class per m^2 near z_i, the matched one not counted.
+
+The sum runs over the objects that should have a match: those with any reference landmark within ``coverage_radius_m``.
+All others contribute 0. This is the likelihood ratio of target and clutter in multi-target tracking (Bar-Shalom and Li,
+Multitarget-Multisensor Tracking, 1995).
+
+lambda_i is the largest of three densities: that within ``clutter_radius_m``; that along the direction of travel, with a
+Gaussian profile across it; and the prior of half an object in the area that was searched. Parked cars and trees stand
+in rows, so a wrong pose on a parallel street matches most of a row; the density along the track is high there and
+the match is worth little.
 """
 
 from __future__ import annotations
@@ -17,88 +26,90 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import EvidenceConfig
+from slam.common.config import LikelihoodRatioConfig
 from slam.common.geometry import apply, yaw_rad
 from slam.object_map.submap import Submap
 
 LEAST_DENSITY = 1e-4
-"""Objects of a class per m^2, however rare it is: one on a hectare."""
+"""Least density of a class [1/m^2]: one object per hectare."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
-    """``nats`` (N,): what each object of the query says; zero where none should be seen. ``expected`` (N,): where one
-    should. ``matched_count``: how many are seen again.
+class LikelihoodRatio:
+    """``per_object`` (N,): LLR_i of each object of the query, zero where no match is expected. ``expected`` (N,): where
+    one is. ``matched_count``: number of matched objects.
     """
 
-    nats: FloatArray
+    per_object: FloatArray
     expected: FloatArray
     matched_count: int
 
     @property
     def total(self) -> float:
-        """The evidence, in nats."""
-        return float(self.nats.sum())
+        """The log-likelihood ratio, in nats."""
+        return float(self.per_object.sum())
 
     @property
     def matched_fraction(self) -> float:
-        """Share of the objects that should be seen again that are."""
+        """Share of the objects with an expected match that have one."""
         return self.matched_count / max(int(self.expected.sum()), 1)
 
 
-def weigh(
+def compute_log_likelihood_ratio(
     query: Submap,
     reference: Submap,
     T_reference_query: FloatArray,
     pairs: IntArray,
-    config: EvidenceConfig,
+    config: LikelihoodRatioConfig,
     class_shares: FloatArray | None = None,
-) -> Evidence:
-    """Evidence for ``T_reference_query`` (4, 4), under which the objects ``pairs`` (K, 2) of both submaps meet.
+) -> LikelihoodRatio:
+    """The LLR of ``T_reference_query`` (4, 4) with the inliers ``pairs`` (K, 2): rows of query and reference.
 
-    ``class_shares`` (C,), which sum to 1, say how common each class is in a whole map: an object that is alone of its
-    class in its neighbourhood says the more, the rarer that class is.
+    ``class_shares`` (C,), which sum to 1, are the frequencies of the classes in the whole map. With them the clutter
+    density of a class that does not occur near the object is the lower, the rarer the class is.
     """
     placed = apply(T_reference_query, query.positions)
     offsets = reference.positions[:, None, :2] - placed[None, :, :2]  # (M, N, 2)
     distances = np.hypot(offsets[..., 0], offsets[..., 1])
-    expected = np.any(distances < config.covered_m, axis=0)
-    densities = _accident_densities(
+    expected = np.any(distances < config.coverage_radius_m, axis=0)
+    densities = _clutter_densities(
         query, reference, offsets, distances, float(yaw_rad(T_reference_query)), pairs, config, class_shares
     )
-    seen_query, seen_reference = pairs[:, 0], pairs[:, 1]
-    variances = query.sigmas[seen_query] ** 2 + reference.sigmas[seen_reference] ** 2
-    squares = distances[seen_reference, seen_query] ** 2
-    again = np.zeros(len(query))
-    again[seen_query] = np.exp(-0.5 * squares / variances) / (2.0 * np.pi * variances)
-    ratios = 1.0 - config.persistence + config.persistence * again / densities
-    return Evidence(np.where(expected, np.log(ratios), 0.0), expected, len(pairs))
+    matched_query, matched_reference = pairs[:, 0], pairs[:, 1]
+    variances = query.sigmas[matched_query] ** 2 + reference.sigmas[matched_reference] ** 2
+    squares = distances[matched_reference, matched_query] ** 2
+    likelihoods = np.zeros(len(query))
+    likelihoods[matched_query] = np.exp(-0.5 * squares / variances) / (2.0 * np.pi * variances)
+    ratios = 1.0 - config.detection_probability + config.detection_probability * likelihoods / densities
+    return LikelihoodRatio(np.where(expected, np.log(ratios), 0.0), expected, len(pairs))
 
 
-def _accident_densities(
+def _clutter_densities(
     query: Submap,
     reference: Submap,
     offsets: FloatArray,
     distances: FloatArray,
     heading_rad: float,
     pairs: IntArray,
-    config: EvidenceConfig,
+    config: LikelihoodRatioConfig,
     class_shares: FloatArray | None,
 ) -> FloatArray:
-    """Objects (N,) of the same class per m^2 around each placed object of the query, the one it meets left out."""
+    """Landmarks (N,) of the same class per m^2 around each placed object of the query, without the matched one."""
     others = reference.labels[:, None] == query.labels[None, :]
     others[pairs[:, 1], pairs[:, 0]] = False
-    around_area = np.pi * config.around_m**2
-    around = np.sum(others & (distances < config.around_m), axis=0) / around_area
+    disc_area = np.pi * config.clutter_radius_m**2
+    in_disc = np.sum(others & (distances < config.clutter_radius_m), axis=0) / disc_area
     c, s = np.cos(heading_rad), np.sin(heading_rad)
     along = c * offsets[..., 0] + s * offsets[..., 1]
     across = c * offsets[..., 1] - s * offsets[..., 0]
-    row_area = 2.0 * config.row_length_m * config.row_sigma_m * np.sqrt(2.0 * np.pi)
-    in_row = others & (np.abs(along) < config.row_length_m)
-    rows = np.sum(in_row * np.exp(-0.5 * (across / config.row_sigma_m) ** 2), axis=0) / row_area
-    # Where none stands around, half a one might: in the circle, or in as much of the map as holds half a one.
-    area = np.full(len(query), around_area)
+    strip_area = 2.0 * config.clutter_along_track_m * config.clutter_cross_track_sigma_m * np.sqrt(2.0 * np.pi)
+    in_strip = others & (np.abs(along) < config.clutter_along_track_m)
+    along_track = (
+        np.sum(in_strip * np.exp(-0.5 * (across / config.clutter_cross_track_sigma_m) ** 2), axis=0) / strip_area
+    )
+    # Half an object as a pseudo-count: in the disc, or in as much of the map as holds half an object of the class.
+    area = np.full(len(query), disc_area)
     if class_shares is not None:
-        density = np.sum(distances < config.covered_m, axis=0) / (np.pi * config.covered_m**2)
+        density = np.sum(distances < config.coverage_radius_m, axis=0) / (np.pi * config.coverage_radius_m**2)
         area += 0.5 / np.maximum(density * class_shares[query.labels], LEAST_DENSITY)
-    return np.asarray(np.maximum(np.maximum(around, rows), 0.5 / area))
+    return np.asarray(np.maximum(np.maximum(in_disc, along_track), 0.5 / area))

@@ -1,4 +1,4 @@
-"""Loop closing: from a keyframe to the closures that are believed, with a verdict on every candidate.
+"""Loop closing: from a keyframe to accepted loop closures, with a record and a reason for every candidate.
 
 ``LoopCloser.close`` is where to begin reading.
 """
@@ -14,33 +14,33 @@ from scipy.spatial import cKDTree
 
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.outlier_rejection import judge_closures
+from slam.backend.outlier_rejection import reject_outlier_closures
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import invert
 from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.closure_graph import ClosedLoops
-from slam.loop_closure.consistency import agree, distinct, joint_score_nats
-from slam.loop_closure.divergence_monitor import PlaceWatch
+from slam.loop_closure.consistency import accumulated_llr, poses_agree, suppress_non_maxima
+from slam.loop_closure.divergence_monitor import LocalizationMonitor
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.submap import gravity_frame, recent_submap
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
-from slam.place_recognition.retrieval import PlaceFinder
+from slam.place_recognition.retrieval import PlaceRetriever
 
 logger = logging.getLogger(__name__)
 
 IN_VIEW_M = 4.0
-"""What was seen within that travel is in view."""
+"""Landmarks observed within that travel are in view."""
 ELSEWHERE_M = 15.0
-"""Farther than the odometry can drift while closures follow one another."""
+"""Farther than the odometry can drift between two propagated closures."""
 TRUSTED_AFTER_M = 60.0
-"""A place that was not contradicted for that long after it was recognised was right."""
+"""A relocalization that stayed consistent over that travel is taken to be true."""
 
 
 class LoopCloser:
-    """Finds, judges and inserts loop closures, keyframe by keyframe."""
+    """Finds, verifies, accepts and inserts loop closures, keyframe by keyframe."""
 
     def __init__(
         self, config: Config, object_map: ObjectMap, graph: FactorGraph, keyframes: Sequence[Keyframe]
@@ -50,132 +50,134 @@ class LoopCloser:
         self._map = object_map
         self._keyframes = keyframes
         self._track = KeyframeTrack(config.odometry)
-        for keyframe in keyframes:  # of an earlier drive
+        for keyframe in keyframes:  # of the prior map
             self._track.add(keyframe.odometry)
-        self._finder = PlaceFinder(config.loop_closure, config.submap, config.registration, object_map)
-        self._verifier = Verifier(config, self._finder, self._track, graph, keyframes)
+        self._retriever = PlaceRetriever(config.loop_closure, config.submap, config.registration, object_map)
+        self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes)
         self._graph = graph
         self._loops = ClosedLoops(object_map, graph, keyframes)
         self._recent: deque[Query] = deque()
-        self._waiting: deque[Candidate] = deque()
-        self._leader: Candidate | None = None
-        self._watch = PlaceWatch()
-        # A map that is only being made may itself be wrong where it contradicts; one that was given is not.
-        self._watches = len(keyframes) > 0
-        self.lost_since: int = -1
-        """The first of the keyframes that contradict where the robot is believed to be, if it is time to give up."""
+        self._hypotheses: deque[Candidate] = deque()
+        self._seed_closure: Candidate | None = None
+        self._monitor = LocalizationMonitor()
+        # Only a prior map is trusted more than the robot's pose; a map in the making may itself be wrong.
+        self._monitors_localization = len(keyframes) > 0
+        self.lost_since_keyframe: int | None = None
+        """The first keyframe that is inconsistent with the map, once the robot is lost; None while it is not."""
         self._closed: dict[int, int] = {}
-        self._doubted: set[int] = set()
-        self._believed: list[tuple[Candidate, int]] = []
-        """With the query of the closure that became a factor, its own or the one that says the same."""
+        self._rejected_by_odometry: set[int] = set()
+        self._accepted: list[tuple[Candidate, int]] = []
+        """With the query of the closure that became a factor: its own, or that of the closure that represents it."""
 
     @property
     def closed(self) -> IntArray:
-        """Query and reference keyframe (C, 2) of the closures that are believed."""
+        """Query and reference keyframe (C, 2) of the accepted closures."""
         return np.array(list(self._closed.items()), dtype=np.int64).reshape(-1, 2)
 
     @property
-    def doubted_count(self) -> int:
-        """Keyframes whose objects say that they are at a place, but the odometry's noise does not allow it."""
-        return len(self._doubted - self._closed.keys())
+    def rejected_by_odometry_count(self) -> int:
+        """Keyframes with a candidate whose LLR reaches ``accept_llr``, but its odometry penalty is too large."""
+        return len(self._rejected_by_odometry - self._closed.keys())
 
-    def knows_where(self, keyframe: Keyframe) -> bool:
-        """Whether odometry or closures tie a keyframe to the first one, and so to the map."""
-        return self._loops.are_joined(self._keyframes[0].id, keyframe.id)
+    def is_localized(self, keyframe: Keyframe) -> bool:
+        """Whether odometry or closures connect a keyframe to the first one, and so to the map."""
+        return self._loops.are_connected(self._keyframes[0].id, keyframe.id)
 
     def keyframes_near_closures(self) -> set[int]:
-        """Those, tied to the map, that closures hold so near to where they were before that places can be compared."""
+        """Localized keyframes within ``propagation_distance_m`` of a closure: their positions can be compared."""
         ends = np.unique(self.closed)
         segments = np.array([keyframe.odometry.segment for keyframe in self._keyframes])
         near: set[int] = set()
         for segment in np.unique(segments[ends]).tolist():
             members = np.flatnonzero(segments == segment)
             along = np.array([[self._keyframes[row].odometry.travel_m] for row in members.tolist()])
-            if np.ptp(along) == 0.0:  # a map that was given: it has places and no travel
+            if np.ptp(along) == 0.0:  # a prior map: its keyframes have positions and no travel
                 along = np.stack([self._keyframes[row].odometry.T_odom_body[:2, 3] for row in members.tolist()])
             distances_m = cKDTree(along[np.isin(members, ends)]).query(along)[0]
-            near.update(members[distances_m <= self._limits.follow_travel_m].tolist())
-        return {row for row in near if self.knows_where(self._keyframes[row])}
+            near.update(members[distances_m <= self._limits.propagation_distance_m].tolist())
+        return {row for row in near if self.is_localized(self._keyframes[row])}
 
     def missing_landmarks(self) -> IntArray:
-        """Rows (K,) of landmarks that were looked for where they stood, often, and never seen again."""
-        return self._watch.missing()
+        """Rows (K,) of landmarks that were often expected in view and never observed."""
+        return self._monitor.missing()
 
     def close(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
-        """Look for loops at the newest keyframe; returns every candidate with its verdict, revised ones included."""
+        """Look for loops at the newest keyframe; returns a record of every candidate, revised ones included."""
         self._track.add(keyframe.odometry)
-        self._finder.settle(keyframe.odometry.travel_m)
+        self._retriever.index_inactive_landmarks(keyframe.odometry.travel_m)
         query = self._take_query(keyframe)
         if self._verifier.latest_m(query) <= self._keyframes[0].odometry.travel_m:
             return []
-        if self._contradicts(query):
-            self.lost_since = self._watch.doubted_since
-            return [query.refusal(Stage.CONSISTENCY, "other objects are seen than stand where the robot should be")]
-        # 1. Next to a closure that is believed the place is known, and only to be verified.
-        followed = self._follow(query)
-        if followed is not None:
-            self._watch.confirm()
-            return [self._believe(followed, f"follows the closure of keyframe {followed.leader}")]
-        # 2. Elsewhere descriptors propose places.
-        if len(query.submap) < self._limits.min_objects:
-            return [query.refusal(Stage.RETRIEVAL, f"only {len(query.submap)} objects in view")]
-        places = self._finder.find(query.submap, before_m=self._verifier.latest_m(query), seed=keyframe.id)
+        if self._is_inconsistent(query):
+            self.lost_since_keyframe = self._monitor.inconsistent_since
+            return [query.refusal(Stage.CONSISTENCY, "expected landmarks not observed")]
+        # 1. Near an accepted closure the pose is predicted, and only verified.
+        propagated = self._propagate(query)
+        if propagated is not None:
+            self._monitor.confirm()
+            return [self._accept(propagated, f"propagated from the closure of keyframe {propagated.seed_closure}")]
+        # 2. Elsewhere retrieval by descriptors proposes candidates.
+        if len(query.submap) < self._limits.min_inliers:
+            reason = f"{len(query.submap)} landmarks in the submap, min_inliers is {self._limits.min_inliers}"
+            return [query.refusal(Stage.RETRIEVAL, reason)]
+        places = self._retriever.retrieve(query.submap, before_m=self._verifier.latest_m(query), seed=keyframe.id)
         verified = [self._verifier.verify(query, place) for place in places]
-        # 3. One who is lost, and not found by them, tries all places.
-        if not self.knows_where(keyframe) and not self._is_convincing(verified):
-            places = self._finder.find_anywhere(query.submap, segment=self._keyframes[0].odometry.segment)
+        # 3. If the robot is lost and none of them is acceptable, the whole map is searched.
+        if not self.is_localized(keyframe) and not self._any_acceptable(verified):
+            places = self._retriever.search_exhaustively(query.submap, segment=self._keyframes[0].odometry.segment)
             verified += [self._verifier.verify(query, place) for place in places]
         if not verified:
-            return [query.refusal(Stage.RETRIEVAL, "no descriptors that agree on a place")]
-        # 4. Each place was registered and weighed, and the best one is judged.
+            return [query.refusal(Stage.RETRIEVAL, "no consistent descriptor matches")]
+        # 4. The candidate with the highest score is accepted, kept as a hypothesis or rejected.
         refused = [each for each in verified if isinstance(each, LoopClosureRecord)]
-        candidates = distinct([each for each in verified if isinstance(each, Candidate)])
-        return refused + self._judge(query, candidates)
+        candidates = suppress_non_maxima([each for each in verified if isinstance(each, Candidate)])
+        return refused + self._decide(query, candidates)
 
-    def _is_convincing(self, verified: Sequence[Candidate | LoopClosureRecord]) -> bool:
-        """Whether one of the candidates is enough by itself."""
-        return any(isinstance(each, Candidate) and each.score_nats >= self._limits.threshold_nats for each in verified)
+    def _any_acceptable(self, verified: Sequence[Candidate | LoopClosureRecord]) -> bool:
+        """Whether the score of a candidate reaches ``accept_llr``."""
+        return any(isinstance(each, Candidate) and each.score >= self._limits.accept_llr for each in verified)
 
-    def give_up(self, keyframe: Keyframe) -> tuple[list[LoopClosureRecord], bool]:
-        """Begin anew after the place was contradicted; what was closed since then is taken back.
+    def declare_lost(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
+        """Reset to lost and revoke the closures from the keyframe ``since`` on, which are inconsistent with the map.
 
-        Where the sessions had been joined only just before, joining them was wrong, and is taken back, too; else the
-        robot was carried off. Returns the new verdicts, and whether it was carried off.
+        If the segment was connected to the map within the last ``TRUSTED_AFTER_M``, that relocalization was false and
+        all closures of the segment are revoked; otherwise the robot was kidnapped. Returns the records of the revoked
+        closures, and whether it was kidnapped.
         """
-        joining = [
+        connecting = [
             loop.candidate.travel_m
             for loop in self._loops.loops
             if self._crosses_break(loop.candidate)
             and self._keyframes[loop.candidate.query].odometry.segment == keyframe.odometry.segment
         ]
-        joined_m = min(joining, default=-np.inf)
-        is_carried_off = keyframe.odometry.travel_m - joined_m > TRUSTED_AFTER_M
-        since = self.lost_since
-        if not is_carried_off:
+        connected_m = min(connecting, default=-np.inf)
+        is_kidnapped = keyframe.odometry.travel_m - connected_m > TRUSTED_AFTER_M
+        if not is_kidnapped:
             since = next(k.id for k in self._keyframes if k.odometry.segment == keyframe.odometry.segment)
-        self._loops.withdraw([loop for loop in self._loops.loops if loop.candidate.query >= since])
-        gone = [each for each, _ in self._believed if each.query >= since]
-        self._believed = [each for each in self._believed if each[0].query < since]
-        for candidate in gone:
+        self._loops.remove([loop for loop in self._loops.loops if loop.candidate.query >= since])
+        revoked = [each for each, _ in self._accepted if each.query >= since]
+        self._accepted = [each for each in self._accepted if each[0].query < since]
+        for candidate in revoked:
             self._closed.pop(candidate.query, None)
-        self.lost_since = -1
-        self._watch.restart()
-        self._leader = None
-        self._waiting.clear()
+        self.lost_since_keyframe = None
+        self._monitor.restart()
+        self._seed_closure = None
+        self._hypotheses.clear()
         self._recent.clear()
-        reason = "taken back: other objects were seen than stand there"
-        return [candidate.record(Stage.CONSISTENCY, reason) for candidate in gone], is_carried_off
+        reason = "revoked: expected landmarks not observed"
+        return [candidate.record(Stage.CONSISTENCY, reason) for candidate in revoked], is_kidnapped
 
     def finish(self) -> tuple[list[LoopClosureRecord], str]:
-        """Take out the closures that all factors together contradict; returns their new verdicts and a message.
+        """Remove the closures that the robust optimisation of the pose graph rejects as outliers.
 
-        Those across a break of the odometry are left: nothing but closures says where its two sides are.
+        Closures across a discontinuity of the odometry are kept: without them nothing relates the two segments.
+        Returns the records of the removed closures and a warning, empty if there is none.
         """
         loops = {loop.factor: loop for loop in self._loops.loops if not self._crosses_break(loop.candidate)}
         if not loops:
             return [], ""
         graph = self._graph
-        judgement = judge_closures(
+        rejection = reject_outlier_closures(
             graph.factors,
             list(loops),
             graph.keyframes,
@@ -183,15 +185,15 @@ class LoopCloser:
             odometry_inflation=self._limits.odometry_inflation,
         )
         reasons = {
-            loop.candidate.query: f"taken out again: weight {judgement.weights[factor]:.2g} among all factors"
+            loop.candidate.query: f"removed as an outlier: kernel weight {rejection.weights[factor]:.2g}"
             for factor, loop in loops.items()
-            if not judgement.kept[factor]
+            if not rejection.kept[factor]
         }
-        self._loops.withdraw([loop for loop in loops.values() if loop.candidate.query in reasons])
-        gone = [(each, reasons[factor]) for each, factor in self._believed if factor in reasons]
-        for candidate, _ in gone:
+        self._loops.remove([loop for loop in loops.values() if loop.candidate.query in reasons])
+        removed = [(each, reasons[factor]) for each, factor in self._accepted if factor in reasons]
+        for candidate, _ in removed:
             self._closed.pop(candidate.query, None)
-        return [candidate.record(Stage.BACK_END, reason) for candidate, reason in gone], judgement.message
+        return [candidate.record(Stage.BACK_END, reason) for candidate, reason in removed], rejection.message
 
     def _crosses_break(self, candidate: Candidate) -> bool:
         reference, query = self._keyframes[candidate.reference], self._keyframes[candidate.query]
@@ -200,143 +202,148 @@ class LoopCloser:
     def _take_query(self, keyframe: Keyframe) -> Query:
         submap = recent_submap(self._map, keyframe.odometry, self._submap_config)
         query = Query(keyframe, submap, gravity_frame(keyframe.odometry.T_odom_body))
-        oldest_m = query.travel_m - self._limits.follow_travel_m
+        oldest_m = query.travel_m - self._limits.propagation_distance_m
         self._recent.append(query)
         while self._recent[0].travel_m < oldest_m:
             self._recent.popleft()
-        while self._waiting and self._waiting[0].travel_m < oldest_m:
-            self._waiting.popleft()
+        while self._hypotheses and self._hypotheses[0].travel_m < oldest_m:
+            self._hypotheses.popleft()
         return query
 
-    def _follow(self, query: Query) -> Candidate | None:
+    def _propagate(self, query: Query) -> Candidate | None:
         """The closure that the last one predicts; None where it cannot be verified."""
-        leader = self._recent_leader(query)
-        return None if leader is None else self._supported(leader, query)
+        seed_closure = self._recent_seed(query)
+        return None if seed_closure is None else self._verify_propagated(seed_closure, query)
 
-    def _recent_leader(self, query: Query) -> Candidate | None:
-        """The last closure, if it is near enough to tell where the query is."""
-        leader = self._leader
-        if leader is None or query.travel_m - leader.travel_m > self._limits.follow_travel_m:
+    def _recent_seed(self, query: Query) -> Candidate | None:
+        """The last closure, if it is near enough to predict the pose of the query."""
+        seed_closure = self._seed_closure
+        if seed_closure is None or query.travel_m - seed_closure.travel_m > self._limits.propagation_distance_m:
             return None
-        return leader
+        return seed_closure
 
-    def _contradicts(self, query: Query) -> bool:
-        """Whether the query, where the last closure puts it, has gone on seeing other things for too long."""
-        leader = self._recent_leader(query)
-        if not self._watches or leader is None:
-            self._watch.restart()
+    def _is_inconsistent(self, query: Query) -> bool:
+        """Whether the observations contradict the map at the pose that the last closure predicts."""
+        seed_closure = self._recent_seed(query)
+        if not self._monitors_localization or seed_closure is None:
+            self._monitor.restart()
             return False
-        place = self._verifier.predict(leader, query)
+        place = self._verifier.predict(seed_closure, query)
         if place is None:
             return False
-        around = self._finder.surroundings(place, before_m=self._verifier.latest_m(query))
+        reference = self._retriever.reference_submap(place, before_m=self._verifier.latest_m(query))
         seen_m = self._map.rows["last_seen_travel_m"][query.submap.rows]
-        seen = query.submap.of(np.flatnonzero(seen_m > query.travel_m - IN_VIEW_M))
-        return self._watch.look(query.keyframe.id, seen, around, place.T_odom_query)
+        observed = query.submap.of(np.flatnonzero(seen_m > query.travel_m - IN_VIEW_M))
+        return self._monitor.update(query.keyframe.id, observed, reference, place.T_odom_query)
 
     def _is_elsewhere(self, query: Query, candidate: Candidate) -> bool:
-        """Whether a candidate is far from where the last closure, not long ago, puts the query."""
-        leader = self._recent_leader(query)
-        if not self._watches or leader is None:
+        """Whether a candidate is far from the pose that the last closure, if it is recent, predicts."""
+        seed_closure = self._recent_seed(query)
+        if not self._monitors_localization or seed_closure is None:
             return False
-        place = self._verifier.predict(leader, query)
+        place = self._verifier.predict(seed_closure, query)
         if place is None or place.segment != self._keyframes[candidate.reference].odometry.segment:
             return False
         return float(np.linalg.norm((place.T_odom_query - candidate.T_odom_query)[:2, 3])) > ELSEWHERE_M
 
-    def _supported(self, leader: Candidate, query: Query) -> Candidate | None:
-        """The closure that one nearby predicts for a query, if the query's own objects bear it out."""
-        place = self._verifier.predict(leader, query)
+    def _verify_propagated(self, seed_closure: Candidate, query: Query) -> Candidate | None:
+        """The closure that ``seed_closure`` predicts for a query, if the LLR reaches ``accept_llr_tracked``."""
+        place = self._verifier.predict(seed_closure, query)
         if place is None:
             return None
-        candidate = self._verifier.verify(query, place, leader=leader.query)
-        if not isinstance(candidate, Candidate) or not agree(candidate.T_odom_query, place.T_odom_query):
+        candidate = self._verifier.verify(query, place, seed_closure=seed_closure.query)
+        if not isinstance(candidate, Candidate) or not poses_agree(candidate.T_odom_query, place.T_odom_query):
             return None
-        return candidate if candidate.evidence_nats >= self._limits.supported_nats else None
+        return candidate if candidate.log_likelihood_ratio >= self._limits.accept_llr_tracked else None
 
-    def _judge(self, query: Query, candidates: list[Candidate]) -> list[LoopClosureRecord]:
-        """Verdicts on the candidates of one query, best first."""
+    def _decide(self, query: Query, candidates: list[Candidate]) -> list[LoopClosureRecord]:
+        """Records of the candidates of one query, given by falling score."""
         if not candidates:
             return []
         best, others = candidates[0], candidates[1:]
-        verdicts = [each.record(Stage.ACCEPTANCE, "another place is likelier") for each in others]
-        rivals = [each for each in others if not self._verifier.can_both_hold(best, each)]
-        rival_nats = max((each.score_nats for each in rivals), default=0.0)
-        if best.score_nats < self._limits.threshold_nats:
-            return verdicts + self._wait(query, best)
-        ambiguity = self._ambiguity(query, best, rival_nats)
+        records = [each.record(Stage.ACCEPTANCE, "another candidate has a higher score") for each in others]
+        rivals = [each for each in others if not self._verifier.are_consistent(best, each)]
+        rival_score = max((each.score for each in rivals), default=0.0)
+        if best.score < self._limits.accept_llr:
+            return records + self._accumulate(query, best)
+        ambiguity = self._ambiguity(query, best, rival_score)
         if ambiguity:
-            return [*verdicts, best.record(Stage.ACCEPTANCE, ambiguity)]
+            return [*records, best.record(Stage.ACCEPTANCE, ambiguity)]
         if self._is_elsewhere(query, best):
-            self.lost_since = self._watch.doubted_since if self._watch.doubts else query.keyframe.id
-            return [*verdicts, best.record(Stage.CONSISTENCY, "the odometry cannot have come here: carried off")]
-        return [*verdicts, *self._believe_first(best, "")]
+            since = self._monitor.inconsistent_since if self._monitor.is_inconsistent else None
+            self.lost_since_keyframe = query.keyframe.id if since is None else since
+            return [*records, best.record(Stage.CONSISTENCY, "contradicts the odometry: kidnapped")]
+        return [*records, *self._accept_and_propagate(best, "")]
 
-    def _ambiguity(self, query: Query, candidate: Candidate, rival_nats: float) -> str:
-        """Why a candidate might as well be elsewhere; empty if it might not."""
-        if candidate.score_nats - rival_nats < self._limits.margin_nats:
-            return f"another place is as likely: {candidate.score_nats:.1f} against {rival_nats:.1f} nats"
-        slid_nats = self._verifier.rival_along_the_street(query, candidate)
-        if candidate.evidence_nats - slid_nats < self._limits.margin_nats:
-            return f"it fits as well further along: {candidate.evidence_nats:.1f} against {slid_nats:.1f} nats"
+    def _ambiguity(self, query: Query, candidate: Candidate, rival_score: float) -> str:
+        """Why a candidate is ambiguous; empty if it is not."""
+        if candidate.score - rival_score < self._limits.ambiguity_margin:
+            return f"ambiguous: score {candidate.score:.1f}, second best {rival_score:.1f}"
+        shifted_llr = self._verifier.max_llr_along_track(query, candidate)
+        if candidate.log_likelihood_ratio - shifted_llr < self._limits.ambiguity_margin:
+            return f"ambiguous along track: LLR {candidate.log_likelihood_ratio:.1f}, shifted {shifted_llr:.1f}"
         return ""
 
-    def _wait(self, query: Query, candidate: Candidate) -> list[LoopClosureRecord]:
-        """Verdict on a candidate that is not enough by itself: earlier ones may agree with it."""
-        said = f"evidence {candidate.evidence_nats:.1f}, doubt {candidate.doubt_nats:.1f}"
-        if candidate.evidence_nats < self._limits.waiting_nats:
-            return [candidate.record(Stage.ACCEPTANCE, f"{said}: below {self._limits.waiting_nats:g} nats")]
-        agreeing = [each for each in self._waiting if agree(self._carried(each, candidate), candidate.T_odom_query)]
-        together = joint_score_nats([*agreeing, candidate])
-        threshold = self._limits.threshold_nats
-        if together < threshold:
-            self._waiting.append(candidate)
-            if candidate.evidence_nats >= threshold:
-                self._doubted.add(candidate.query)
-            reason = f"{said}: waits for others that agree, {together:.1f} of {threshold:g} nats so far"
+    def _accumulate(self, query: Query, candidate: Candidate) -> list[LoopClosureRecord]:
+        """Records of a candidate below ``accept_llr``, which is accepted together with earlier ones that agree."""
+        llr, limits = candidate.log_likelihood_ratio, self._limits
+        values = f"LLR {llr:.1f}, odometry penalty {candidate.odometry_penalty:.1f}"
+        if llr < limits.hypothesis_llr:
+            return [candidate.record(Stage.ACCEPTANCE, f"{values}: hypothesis_llr is {limits.hypothesis_llr:g}")]
+        agreeing = [
+            each for each in self._hypotheses if poses_agree(self._carried(each, candidate), candidate.T_odom_query)
+        ]
+        joint_score = accumulated_llr([*agreeing, candidate])
+        if joint_score < limits.accept_llr:
+            self._hypotheses.append(candidate)
+            if llr >= limits.accept_llr:
+                self._rejected_by_odometry.add(candidate.query)
+            reason = f"{values}: accumulated score {joint_score:.1f}, accept_llr is {limits.accept_llr:g}"
             return [candidate.record(Stage.CONSISTENCY, reason)]
         ambiguity = self._ambiguity(query, candidate, -np.inf)
         if ambiguity:
             return [candidate.record(Stage.ACCEPTANCE, ambiguity)]
-        self._waiting = deque(each for each in self._waiting if each not in agreeing)
-        reason = f"{together:.1f} nats together with those of {len(agreeing)} other keyframes"
-        return [*(self._believe(each, reason) for each in agreeing), *self._believe_first(candidate, reason)]
+        self._hypotheses = deque(each for each in self._hypotheses if each not in agreeing)
+        reason = f"accumulated score {joint_score:.1f} with {len(agreeing)} other keyframes"
+        return [*(self._accept(each, reason) for each in agreeing), *self._accept_and_propagate(candidate, reason)]
 
     def _carried(self, earlier: Candidate, later: Candidate) -> FloatArray:
-        """``T_odom_query`` (4, 4) of a later candidate's query, as the earlier one has it."""
+        """``T_odom_query`` (4, 4) of a later candidate's query as an earlier candidate predicts it."""
         before = self._keyframes[earlier.query].odometry.T_odom_body
         after = self._keyframes[later.query].odometry.T_odom_body
         return earlier.T_odom_query @ invert(gravity_frame(before)) @ gravity_frame(after)
 
-    def _believe_first(self, candidate: Candidate, reason: str) -> list[LoopClosureRecord]:
-        """Believe a closure that descriptors found, and those of the keyframes before it that it bears out."""
+    def _accept_and_propagate(self, candidate: Candidate, reason: str) -> list[LoopClosureRecord]:
+        """Accept a retrieved closure, and those that it predicts for the keyframes before it and that are verified."""
         logger.info(
-            "closed a loop: keyframe %d is at keyframe %d (%.1f nats)",
+            "closed a loop: keyframe %d is at keyframe %d (score %.1f)",
             candidate.query,
             candidate.reference,
-            candidate.score_nats,
+            candidate.score,
         )
-        verdicts = [self._believe(candidate, reason)]
-        leader = candidate
+        records = [self._accept(candidate, reason)]
+        seed_closure = candidate
         for query in reversed(self._recent):
             if query.keyframe.id >= candidate.query or query.keyframe.id in self._closed:
                 continue
-            earlier = self._supported(leader, query)
-            if earlier is not None:
-                verdicts.append(self._believe(earlier, f"leads to the closure of keyframe {leader.query}"))
-                leader = earlier
-        self._leader = candidate
-        return verdicts
+            propagated = self._verify_propagated(seed_closure, query)
+            if propagated is not None:
+                records.append(
+                    self._accept(propagated, f"propagated from the closure of keyframe {seed_closure.query}")
+                )
+                seed_closure = propagated
+        self._seed_closure = candidate
+        return records
 
-    def _believe(self, candidate: Candidate, reason: str) -> LoopClosureRecord:
-        """Accept a closure; it becomes a factor unless one nearby says the same."""
+    def _accept(self, candidate: Candidate, reason: str) -> LoopClosureRecord:
+        """Accept a closure; it becomes a factor unless one within ``insert_travel_m`` represents it."""
         nearest = self._loops.nearest(candidate.travel_m)
         is_new = nearest is None or (
             abs(nearest.candidate.travel_m - candidate.travel_m) >= self._limits.insert_travel_m
         )
         if is_new:
             self._loops.insert(candidate)
-        self._believed.append((candidate, candidate.query if is_new or nearest is None else nearest.candidate.query))
+        self._accepted.append((candidate, candidate.query if is_new or nearest is None else nearest.candidate.query))
         self._closed[candidate.query] = candidate.reference
-        self._leader = candidate
+        self._seed_closure = candidate
         return candidate.record(Stage.ACCEPTED, reason, inserted=is_new)

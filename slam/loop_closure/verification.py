@@ -1,4 +1,4 @@
-"""From a place that a query may be to a candidate with all that speaks for and against it."""
+"""Verification: registers a query at a retrieved place and computes the log-likelihood ratio of the result."""
 
 from __future__ import annotations
 
@@ -13,70 +13,71 @@ from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.geometry import apply, invert
 from slam.loop_closure.candidate import NOWHERE, Candidate, Query, Stage
-from slam.loop_closure.consistency import agree, doubt_nats
-from slam.loop_closure.likelihood_ratio import weigh
-from slam.object_map.submap import PASS_TRAVEL_M, Submap, gravity_frame
+from slam.loop_closure.consistency import odometry_penalty, poses_agree
+from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratio
+from slam.object_map.submap import TRAVERSAL_LENGTH_M, Submap, gravity_frame
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
-from slam.place_recognition.retrieval import Place, PlaceFinder
+from slam.place_recognition.retrieval import Place, PlaceRetriever
 from slam.registration.registration import Registration, refine
 
-# A place this far from where the earlier pass drove is not one that it can tell much about.
+# Farther from the reference traversal its map is incomplete.
 MAX_REFERENCE_M = 20.0
-# Two candidates are told apart beyond three standard deviations of the odometry between their references.
-COMPATIBLE_NATS = 4.5
-# How far a query is slid along the street to see whether it fits there as well, and which of that is looked at closely.
-SLIDES_M = np.concatenate([np.arange(-40.0, -3.0), np.arange(4.0, 41.0)])
-SLIDE_REACH_M = 1.5
-SLIDES_TRIED = 4
+# Two candidates are consistent up to three standard deviations of the odometry between their references.
+MAX_CONSISTENT_PENALTY = 4.5
+# Along-track aliasing test: shifts of the query along its heading, the radius within which objects match after a shift,
+# and how many shifts with most matches are registered.
+ALONG_TRACK_SHIFTS_M = np.concatenate([np.arange(-40.0, -3.0), np.arange(4.0, 41.0)])
+ALONG_TRACK_MATCH_RADIUS_M = 1.5
+ALONG_TRACK_SHIFTS_TRIED = 4
 
 
 class Verifier:
-    """Registers queries at places and weighs the result."""
+    """Registers queries at retrieved places and computes log-likelihood ratios."""
 
     def __init__(
         self,
         config: Config,
-        finder: PlaceFinder,
+        retriever: PlaceRetriever,
         track: KeyframeTrack,
         graph: FactorGraph,
         keyframes: Sequence[Keyframe],
     ) -> None:
         self._config = config
-        self._finder = finder
+        self._retriever = retriever
         self._track = track
         self._graph = graph
         self._keyframes = keyframes
 
     def latest_m(self, query: Query) -> float:
-        """Travel up to which the past is a place to return to."""
+        """Travel up to which landmarks and keyframes may be the reference of a loop closure."""
         return query.travel_m - self._config.loop_closure.min_travel_m
 
-    def predict(self, leader: Candidate, query: Query) -> Place | None:
-        """Where a closure puts another keyframe nearby: they are as far apart as the odometry says."""
-        leading = self._keyframes[leader.query].odometry
-        if leading.segment != query.keyframe.odometry.segment:
+    def predict(self, seed_closure: Candidate, query: Query) -> Place | None:
+        """The pose that a closure predicts for another keyframe of its segment, by the odometry between the two."""
+        seed = self._keyframes[seed_closure.query].odometry
+        if seed.segment != query.keyframe.odometry.segment:
             return None
-        T_leader_query = invert(gravity_frame(leading.T_odom_body)) @ query.T_odom_gravity
-        T_odom_query = np.asarray(leader.T_odom_query @ T_leader_query)
-        led_to = self._keyframes[leader.reference].odometry
-        place = Place(T_odom_query, led_to.travel_m, led_to.segment, 0.0)
+        T_seed_query = invert(gravity_frame(seed.T_odom_body)) @ query.T_odom_gravity
+        T_odom_query = np.asarray(seed_closure.T_odom_query @ T_seed_query)
+        reference_pose = self._keyframes[seed_closure.reference].odometry
+        place = Place(T_odom_query, reference_pose.travel_m, reference_pose.segment, 0.0)
         reference = self._nearest(place, query)
         return replace(place, travel_m=reference.odometry.travel_m) if reference else None
 
-    def verify(self, query: Query, place: Place, *, leader: int = NOWHERE) -> Candidate | LoopClosureRecord:
-        """The candidate for a place, or the verdict that it is none."""
+    def verify(self, query: Query, place: Place, *, seed_closure: int = NOWHERE) -> Candidate | LoopClosureRecord:
+        """The candidate at a place, or the record with the reason for its rejection."""
         reference = self._nearest(place, query)
-        surroundings = self._finder.surroundings(place, before_m=self.latest_m(query))
+        reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
         registration = refine(
             query.submap.positions,
             query.submap.labels,
-            surroundings.positions,
-            surroundings.labels,
+            reference_submap.positions,
+            reference_submap.labels,
             place.T_odom_query,
             self._config.registration,
             query_sigmas=query.submap.sigmas,
-            reference_sigmas=surroundings.sigmas,
+            reference_sigmas=reference_submap.sigmas,
         )
         if registration.T_reference_query is None:
             return query.refusal(Stage.REGISTRATION, registration.reason, reference, rank=place.rank)
@@ -85,64 +86,65 @@ class Verifier:
             reason = f"no earlier keyframe within {MAX_REFERENCE_M:g} m of the place"
             return query.refusal(Stage.REGISTRATION, reason, rank=place.rank)
         limits = self._config.loop_closure
-        least = limits.min_objects if leader == NOWHERE else limits.supported_objects
+        setting = "min_inliers" if seed_closure == NOWHERE else "min_inliers_tracked"
+        least = limits.min_inliers if seed_closure == NOWHERE else limits.min_inliers_tracked
         if len(registration.pairs) < least:
-            reason = f"{len(registration.pairs)} objects meet, fewer than {least}"
+            reason = f"{len(registration.pairs)} inliers, {setting} is {least}"
             return query.refusal(Stage.REGISTRATION, reason, reference, rank=place.rank)
-        return self._candidate(query, place, surroundings, registration, reference, leader)
+        return self._candidate(query, place, reference_submap, registration, reference, seed_closure)
 
-    def can_both_hold(self, a: Candidate, b: Candidate) -> bool:
-        """Whether two candidates of one query are the same place, which two passes saw and the odometry has apart."""
+    def are_consistent(self, a: Candidate, b: Candidate) -> bool:
+        """Whether two candidates of one query may both be true: two traversals of one place, apart by drift."""
         first, second = sorted((a, b), key=lambda candidate: candidate.reference)
         T_implied = first.T_reference_query @ invert(second.T_reference_query)
         T_predicted = invert(self._graph.pose(first.reference)) @ self._graph.pose(second.reference)
         sigmas = self._track.drift_sigmas(first.reference, second.reference)
-        return doubt_nats(T_predicted, T_implied, sigmas, self._config.loop_closure) < COMPATIBLE_NATS
+        return odometry_penalty(T_predicted, T_implied, sigmas, self._config.loop_closure) < MAX_CONSISTENT_PENALTY
 
-    def rival_along_the_street(self, query: Query, candidate: Candidate) -> float:
-        """Most evidence [nats] of the query where it is slid along its heading: rows of objects repeat themselves.
+    def max_llr_along_track(self, query: Query, candidate: Candidate) -> float:
+        """Highest LLR [nats] of the query at poses shifted along its heading: rows of objects repeat themselves.
 
-        Where its objects meet others after a slide, it is registered and weighed there like anywhere.
+        The shifts after which most objects match are verified like any other pose.
         """
         pose = self._keyframes[candidate.reference].odometry
         place = Place(candidate.T_odom_query, pose.travel_m, pose.segment, 0.0)
-        surroundings = self._finder.surroundings(place, before_m=self.latest_m(query))
+        reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
         placed = apply(place.T_odom_query, query.submap.positions)
-        offsets = surroundings.positions[:, None, :2] - placed[None, :, :2]  # (M, N, 2)
-        same = surroundings.labels[:, None] == query.submap.labels
+        offsets = reference_submap.positions[:, None, :2] - placed[None, :, :2]  # (M, N, 2)
+        same = reference_submap.labels[:, None] == query.submap.labels
         heading = place.T_odom_query[:2, 0]
-        shifts = offsets[None] - SLIDES_M[:, None, None, None] * heading  # (S, M, N, 2)
-        near = same & (np.einsum("smni,smni->smn", shifts, shifts) < SLIDE_REACH_M**2)
-        meeting = near.any(axis=1).sum(axis=1)
-        rivals = [0.0]
-        for slide in np.argsort(-meeting, kind="stable")[:SLIDES_TRIED]:
-            T_slid = place.T_odom_query.copy()
-            T_slid[:2, 3] += SLIDES_M[slide] * heading
-            slid = self.verify(query, replace(place, T_odom_query=T_slid))
-            if isinstance(slid, Candidate) and not agree(slid.T_odom_query, candidate.T_odom_query):
-                rivals.append(slid.evidence_nats)
-        return max(rivals)
+        shifted_offsets = offsets[None] - ALONG_TRACK_SHIFTS_M[:, None, None, None] * heading  # (S, M, N, 2)
+        near = same & (np.einsum("smni,smni->smn", shifted_offsets, shifted_offsets) < ALONG_TRACK_MATCH_RADIUS_M**2)
+        match_counts = near.any(axis=1).sum(axis=1)
+        shifted_llrs = [0.0]
+        for shift in np.argsort(-match_counts, kind="stable")[:ALONG_TRACK_SHIFTS_TRIED]:
+            T_shifted = place.T_odom_query.copy()
+            T_shifted[:2, 3] += ALONG_TRACK_SHIFTS_M[shift] * heading
+            shifted = self.verify(query, replace(place, T_odom_query=T_shifted))
+            if isinstance(shifted, Candidate) and not poses_agree(shifted.T_odom_query, candidate.T_odom_query):
+                shifted_llrs.append(shifted.log_likelihood_ratio)
+        return max(shifted_llrs)
 
     def _candidate(
         self,
         query: Query,
         place: Place,
-        surroundings: Submap,
+        reference_submap: Submap,
         registration: Registration,
         reference: Keyframe,
-        leader: int,
+        seed_closure: int,
     ) -> Candidate:
         T_odom_gravity, covariance = registration.T_reference_query, registration.covariance
         assert T_odom_gravity is not None
         assert covariance is not None
         crosses_break = reference.odometry.segment != query.keyframe.odometry.segment
-        evidence = weigh(
+        ratio = compute_log_likelihood_ratio(
             query.submap,
-            surroundings,
+            reference_submap,
             T_odom_gravity,
             registration.pairs,
-            self._config.evidence,
-            self._finder.class_shares() if crosses_break else None,
+            self._config.likelihood_ratio,
+            self._retriever.class_shares() if crosses_break else None,
         )
         # The query's tilt is the odometry's; the registration is upright.
         T_gravity_body = invert(query.T_odom_gravity) @ query.keyframe.odometry.T_odom_body
@@ -159,29 +161,29 @@ class Verifier:
             T_odom_query=T_odom_gravity,
             covariance=self._covariance(covariance),
             rows=query.submap.rows,
-            nats=evidence.nats,
+            log_likelihood_ratios=ratio.per_object,
             pairs=np.column_stack(
-                [query.submap.rows[registration.pairs[:, 0]], surroundings.rows[registration.pairs[:, 1]]]
+                [query.submap.rows[registration.pairs[:, 0]], reference_submap.rows[registration.pairs[:, 1]]]
             ),
-            matched_fraction=evidence.matched_fraction,
-            doubt_nats=doubt_nats(T_predicted, T_reference_query, sigmas, self._config.loop_closure),
+            matched_fraction=ratio.matched_fraction,
+            odometry_penalty=odometry_penalty(T_predicted, T_reference_query, sigmas, self._config.loop_closure),
             retrieval_distance=place.retrieval_distance,
-            leader=leader,
+            seed_closure=seed_closure,
             rank=place.rank,
         )
 
     def _covariance(self, registered: FloatArray) -> FloatArray:
-        """That of the registration (6, 6) and the errors that all its inliers share."""
+        """Covariance (6, 6) of the registration plus that of the errors which all its inliers share."""
         limits = self._config.loop_closure
         tilt, yaw, shift = np.deg2rad(limits.tilt_sigma_deg), np.deg2rad(limits.base_sigma_deg), limits.base_sigma_m
         return np.asarray(registered + np.diag(np.array([tilt, tilt, yaw, shift, shift, shift]) ** 2))
 
     def _nearest(self, place: Place, query: Query) -> Keyframe | None:
-        """The keyframe of the place's pass that came nearest to it, if it came near."""
+        """The nearest keyframe of the reference traversal, if it is within ``MAX_REFERENCE_M``."""
         found = self._track.nearest(
             place.T_odom_query[:3, 3],
             segment=place.segment,
-            from_m=place.travel_m - PASS_TRAVEL_M,
-            to_m=min(place.travel_m + PASS_TRAVEL_M, self.latest_m(query)),
+            from_m=place.travel_m - TRAVERSAL_LENGTH_M,
+            to_m=min(place.travel_m + TRAVERSAL_LENGTH_M, self.latest_m(query)),
         )
         return self._keyframes[found[0]] if found is not None and found[1] <= MAX_REFERENCE_M else None

@@ -1,7 +1,7 @@
-"""The object map: every landmark with its place, its class and its life, as arrays with one row a landmark.
+"""The object map: position, class and life cycle of every landmark, as arrays with one row a landmark.
 
-A landmark's row is its id for good. Its life: ``TENTATIVE`` from its first sighting; ``CONFIRMED`` once it was seen
-often enough; ``RETIRED`` with a reason when it turns out to be no landmark, or to be another one.
+The row of a landmark is its id and never changes. Life cycle: ``TENTATIVE`` from its first observation; ``CONFIRMED``
+once it was observed often enough; ``RETIRED`` with a reason if it is not a static object, or a duplicate.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from slam.common.config import AssociationConfig
 
 
 class LandmarkState(IntEnum):
-    """Where a landmark stands in its life."""
+    """State in the life cycle of a landmark."""
 
     TENTATIVE = 0
     CONFIRMED = 1
@@ -26,7 +26,7 @@ class LandmarkState(IntEnum):
 
 
 class RetirementReason(StrEnum):
-    """Why a landmark is one no longer."""
+    """Why a landmark was retired."""
 
     NOT_CONFIRMED = "not_confirmed"
     MOVING = "moving"
@@ -52,7 +52,7 @@ LANDMARK = np.dtype(
         # Where it is in the optimised map.
         ("position_map", np.float64, 3),
         ("covariance_map", np.float64, (3, 3)),
-        # Sums over its sightings, of time since the first [s] and of position relative to the first [m].
+        # Sums over its measurements, of time since the first [s] and of position relative to the first [m].
         ("sum_t", np.float64),
         ("sum_tt", np.float64),
         ("sum_p", np.float64, 3),
@@ -63,8 +63,8 @@ LANDMARK = np.dtype(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Sightings:
-    """Sums over the sightings of each landmark, one row a landmark."""
+class _ObservationSums:
+    """Sums over the measurements of each landmark, one row a landmark."""
 
     observations: IntArray
     first_seen_ns: IntArray
@@ -167,13 +167,13 @@ class ObjectMap:
         return new
 
     def restore(self, saved: ObjectMapRecord, *, travel_m: float) -> IntArray:
-        """Take in the landmarks of an earlier drive, as seen on segment 0 after ``travel_m``; returns their rows (N,).
+        """Add the landmarks of a prior map, as observed on segment 0 at ``travel_m``; returns their rows (N,).
 
-        Where they are relative to the robot is where they are in the map; how sure that is the map's covariances do not
-        tell, which are about its origin: neighbours are sure of one another.
+        Their positions in the odometry frame are those in the map, with zero covariance: the covariances of the map are
+        relative to its origin, and those between neighbours are far smaller.
 
         Args:
-            saved: confirmed landmarks; their probabilities become as many sightings of a class as they had.
+            saved: confirmed landmarks; their probabilities become as many measurements of a class as they had.
         """
         labels = self.label_indices(saved.vocabulary)
         rows = self.add(
@@ -196,10 +196,10 @@ class ObjectMap:
         self._label_counts[np.ix_(rows, labels)] = counts
         return rows
 
-    def record_sightings(
+    def record_observations(
         self, rows: IntArray, measured_odom: FloatArray, labels: IntArray, *, stamp_ns: int, scan: int, travel_m: float
     ) -> None:
-        """Count one more sighting of each of ``rows`` (N,), at ``measured_odom`` (N, 3) m, with its label (N,)."""
+        """Count one more measurement of each of ``rows`` (N,), at ``measured_odom`` (N, 3) m, with its label (N,)."""
         landmarks = self.rows
         seconds = (stamp_ns - landmarks["first_seen_ns"][rows]) * 1e-9
         offset = measured_odom - landmarks["first_position_odom"][rows]
@@ -214,7 +214,7 @@ class ObjectMap:
         self._label_counts[rows, labels] += 1.0
 
     def velocities(self, rows: IntArray) -> FloatArray:
-        """Velocity (N, 3) m/s in the odometry frame: the least-squares line through all sightings."""
+        """Velocity (N, 3) m/s in the odometry frame: the least-squares line through all measurements."""
         landmarks = self.rows[rows]
         slope = (
             landmarks["sum_tp"] - landmarks["sum_t"][:, None] * landmarks["sum_p"] / landmarks["observations"][:, None]
@@ -222,11 +222,11 @@ class ObjectMap:
         return np.asarray(slope / self._time_spreads(rows)[:, None])
 
     def speed_sigmas(self, rows: IntArray, position_sigmas_m: FloatArray) -> FloatArray:
-        """Standard deviation (N,) m/s of each coordinate of the velocity, for that noise (N,) m of a sighting."""
+        """Standard deviation (N,) m/s of each coordinate of the velocity, for that noise (N,) m of a measurement."""
         return np.asarray(position_sigmas_m / np.sqrt(self._time_spreads(rows)))
 
     def _time_spreads(self, rows: IntArray) -> FloatArray:
-        """Sum of squared deviations (N,) s^2 of the times of the sightings from their mean, at least (1 ms)^2."""
+        """Sum of squared deviations (N,) s^2 of the times of the measurements from their mean, at least (1 ms)^2."""
         landmarks = self.rows[rows]
         return np.asarray(np.maximum(landmarks["sum_tt"] - landmarks["sum_t"] ** 2 / landmarks["observations"], 1e-6))
 
@@ -235,45 +235,45 @@ class ObjectMap:
         self.rows["state"][rows] = LandmarkState.CONFIRMED
 
     def retire(self, rows: IntArray, reason: RetirementReason) -> None:
-        """End the life of landmarks, and of all that was merged into them: they are one."""
+        """Retire landmarks and all that were merged into them."""
         ended = set(rows.tolist())
         if not ended.isdisjoint(self._merged_into.values()):
-            ended |= {row for row in self._merged_into if not ended.isdisjoint(self._names(row))}
+            ended |= {row for row in self._merged_into if not ended.isdisjoint(self._alias_chain(row))}
         self.rows["state"][sorted(ended)] = LandmarkState.RETIRED
         self._reasons.update(dict.fromkeys(ended, reason.value))
 
     def merge(self, kept: int, dropped: int) -> int | None:
-        """Make ``dropped`` another name of ``kept``: in the map they are one landmark from now on.
+        """Make ``dropped`` an alias of ``kept``: in the map they are one landmark from now on.
 
-        Returns the row that lost its name, for ``split``; None if the two were one already. Each goes on being followed
-        by its own row, because around the robot the odometry tells the two passes apart; their sightings are added up
-        when the map is handed out.
+        Returns the row that became an alias, for ``split``; None if the two were one already. Data association still
+        uses both rows, because in the odometry frame the two traversals differ by the drift; their observations are
+        added up in the record of the map.
         """
-        kept, dropped = self.current(kept), self.current(dropped)
+        kept, dropped = self.canonical_id(kept), self.canonical_id(dropped)
         if kept == dropped:
             return None
         self._merged_into[dropped] = kept
         return dropped
 
     @property
-    def kept_of_merged(self) -> IntArray:
-        """Rows (K,) that others were merged into."""
-        return np.array(sorted({self.current(row) for row in self._merged_into}), dtype=np.int64)
+    def merge_targets(self) -> IntArray:
+        """Rows (K,) of landmarks that others were merged into."""
+        return np.array(sorted({self.canonical_id(row) for row in self._merged_into}), dtype=np.int64)
 
     def split(self, dropped: int) -> None:
-        """Undo the merge by which ``dropped`` lost its name."""
+        """Undo the merge that made ``dropped`` an alias."""
         self._merged_into.pop(dropped, None)
 
-    def current(self, row: int) -> int:
-        """The row that a landmark goes by now, after merges."""
-        return self._names(row)[-1]
+    def canonical_id(self, row: int) -> int:
+        """The row of the landmark that a row was merged into, at the end of its alias chain."""
+        return self._alias_chain(row)[-1]
 
-    def _names(self, row: int) -> list[int]:
+    def _alias_chain(self, row: int) -> list[int]:
         """The row, what it was merged into, and so on."""
-        names = [row]
-        while names[-1] in self._merged_into:
-            names.append(self._merged_into[names[-1]])
-        return names
+        chain = [row]
+        while chain[-1] in self._merged_into:
+            chain.append(self._merged_into[chain[-1]])
+        return chain
 
     def to_record(self, stamp_ns: int) -> ObjectMapRecord:
         """All landmarks in the map frame, as they go into a log; those that never were confirmed are left out."""
@@ -282,7 +282,7 @@ class ObjectMap:
             dtype=np.int64,
         )
         landmarks = self.rows[kept]
-        whole = self._with_merged()
+        merged_totals = self._with_merged()
         return ObjectMapRecord(
             stamp_ns=stamp_ns,
             frame_id="map",
@@ -290,37 +290,37 @@ class ObjectMap:
             ids=tuple(str(row) for row in kept),
             positions=landmarks["position_map"].copy(),
             covariances=landmarks["covariance_map"].copy(),
-            class_probabilities=self._beliefs(whole.label_counts[kept]),
+            class_probabilities=self._beliefs(merged_totals.label_counts[kept]),
             states=tuple(self._state(int(row)).name.lower() for row in kept),
             reasons=tuple(self._reason(int(row)) for row in kept),
-            observation_counts=whole.observations[kept],
-            first_seen_ns=whole.first_seen_ns[kept],
-            last_seen_ns=whole.last_seen_ns[kept],
+            observation_counts=merged_totals.observations[kept],
+            first_seen_ns=merged_totals.first_seen_ns[kept],
+            last_seen_ns=merged_totals.last_seen_ns[kept],
         )
 
-    def _with_merged(self) -> _Sightings:
-        """What each landmark and all that were merged into it have seen of it."""
+    def _with_merged(self) -> _ObservationSums:
+        """Sums of the observations of each landmark and of all that were merged into it."""
         landmarks = self.rows
-        whole = _Sightings(
+        merged_totals = _ObservationSums(
             landmarks["observations"].copy(),
             landmarks["first_seen_ns"].copy(),
             landmarks["last_seen_ns"].copy(),
             self._label_counts[: self._size].copy(),
         )
         for row in self._merged_into:
-            kept = self.current(row)
-            whole.observations[kept] += landmarks["observations"][row]
-            whole.first_seen_ns[kept] = min(whole.first_seen_ns[kept], landmarks["first_seen_ns"][row])
-            whole.last_seen_ns[kept] = max(whole.last_seen_ns[kept], landmarks["last_seen_ns"][row])
-            whole.label_counts[kept] += self._label_counts[row]
-        return whole
+            kept = self.canonical_id(row)
+            merged_totals.observations[kept] += landmarks["observations"][row]
+            merged_totals.first_seen_ns[kept] = min(merged_totals.first_seen_ns[kept], landmarks["first_seen_ns"][row])
+            merged_totals.last_seen_ns[kept] = max(merged_totals.last_seen_ns[kept], landmarks["last_seen_ns"][row])
+            merged_totals.label_counts[kept] += self._label_counts[row]
+        return merged_totals
 
     def _state(self, row: int) -> LandmarkState:
         return LandmarkState.RETIRED if row in self._merged_into else LandmarkState(self.rows["state"][row])
 
     def _reason(self, row: int) -> str:
         if row in self._merged_into:
-            return f"{RetirementReason.MERGED.value} into {self.current(row)}"
+            return f"{RetirementReason.MERGED.value} into {self.canonical_id(row)}"
         return self._reasons.get(row, "")
 
     def _reserve(self, size: int) -> None:

@@ -36,7 +36,7 @@ class SavedMap:
     """What a drive left behind for the next one: confirmed landmarks, and the graph that holds them together.
 
     Descriptors are not kept: to compute them again takes less time than to read them would save, and so a map serves
-    whatever descriptor is configured. ``metadata``: what the file says of itself and of the last drive; ``drives``:
+    whatever descriptor is configured. ``metadata``: format of the file and provenance of the last drive; ``drives``:
     ``input_sha256`` and ``version`` of each drive that went into the map, the first one first.
     """
 
@@ -53,7 +53,7 @@ def save_map(
     markers: SceneMarkers,
     provenance: Mapping[str, str],
     *,
-    earlier: SavedMap | None = None,
+    prior_map: SavedMap | None = None,
 ) -> int:
     """Write a map log: NAME.part first, which is renamed when it is complete.
 
@@ -64,7 +64,7 @@ def save_map(
             left out, with what only it saw.
         markers: the landmarks for viewers.
         provenance: version, configuration and input of the drive.
-        earlier: the map that the drive went on from.
+        prior_map: the map that the drive went on from.
 
     Returns:
         How many keyframes were left out.
@@ -76,7 +76,7 @@ def save_map(
     kept = confirmed(objects)
     graph = _observing(graph, kept, np.ones(len(graph.keyframe_ids), dtype=np.bool_))
     _refuse_fault(path, kept, graph)
-    is_tied = _tied(graph, to_first=earlier is not None)
+    is_tied = _tied(graph, to_first=prior_map is not None)
     seen = set(graph.observation_landmark_ids)
     graph = _observing(graph, kept, is_tied)
     adrift = seen - set(graph.observation_landmark_ids)
@@ -88,7 +88,7 @@ def save_map(
             np.count_nonzero(~is_tied),
             len(adrift),
         )
-    drives = [*(earlier.drives if earlier is not None else ()), _drive(provenance)]
+    drives = [*(prior_map.drives if prior_map is not None else ()), _drive(provenance)]
     about = {"format_version": FORMAT_VERSION, "gravity": GRAVITY, **provenance, "drives": json.dumps(drives)}
     with LogWriter(path) as writer:
         writer.add_metadata(METADATA, about)
@@ -101,7 +101,7 @@ def save_map(
 def _refuse_fault(path: Path, objects: ObjectMapRecord, graph: FactorGraphRecord) -> None:
     fault = find_fault(objects, graph)
     if fault:
-        raise SavedMapError(f"{path} was not written, nobody could use it: {fault}")
+        raise SavedMapError(f"{path} was not written, because it could not be used: {fault}")
 
 
 def load_map(path: Path) -> SavedMap:
@@ -115,7 +115,7 @@ def load_map(path: Path) -> SavedMap:
         metadata = reader.metadata().get(METADATA)
         if metadata is None:
             raise SavedMapError(
-                f"{path} is damaged ({_listed(reader.counters)}); half a map is none, {MAKE_IT}"
+                f"{path} is damaged ({_listed(reader.counters)}); the map is incomplete, {MAKE_IT}"
                 if reader.counters
                 else f"{path} is a log, but no map; make one by 'dslam replay LOG -o OUT.mcap --save-map MAP.mcap'"
             )
@@ -132,7 +132,7 @@ def load_map(path: Path) -> SavedMap:
         except LogError as error:
             raise SavedMapError(f"{path} cannot be used as a map: {error}") from error
         if reader.counters:
-            raise SavedMapError(f"{path} is damaged ({_listed(reader.counters)}); half a map is none, {MAKE_IT}")
+            raise SavedMapError(f"{path} is damaged ({_listed(reader.counters)}); the map is incomplete, {MAKE_IT}")
     objects = [record for record in records if isinstance(record, ObjectMapRecord)]
     graphs = [record for record in records if isinstance(record, FactorGraphRecord)]
     if len(objects) != 1 or len(graphs) != 1:
@@ -146,7 +146,7 @@ def load_map(path: Path) -> SavedMap:
 
 
 def are_breaks(graph: FactorGraphRecord) -> NDArray[np.bool_]:
-    """Which edges (E,) say nothing, because the odometry broke there."""
+    """Which edges (E,) cross a discontinuity of the odometry and hold no information."""
     return np.asarray(graph.edge_covariances[:, 3, 3] > (0.5 * BREAK_SIGMA_M) ** 2)
 
 
@@ -192,16 +192,16 @@ def _observing(graph: FactorGraphRecord, objects: ObjectMapRecord, kept: NDArray
         observation_landmark_ids=tuple(graph.observation_landmark_ids[each] for each in observations),
         observation_positions=graph.observation_positions[observations],
         observation_covariances=graph.observation_covariances[observations],
-        observation_redundancies=_redundancies(graph)[observations],
+        observation_redundancies=_covariance_inflations(graph)[observations],
         # Nobody who goes on from a map needs to know how sure its poses were.
         pose_covariances=np.zeros((0, 6, 6)),
     )
 
 
-def _redundancies(graph: FactorGraphRecord) -> FloatArray:
-    """Of each observation (O,); a record that does not tell them widened none."""
-    told = graph.observation_redundancies
-    return told if len(told) else np.ones(len(graph.observation_landmark_ids))
+def _covariance_inflations(graph: FactorGraphRecord) -> FloatArray:
+    """Covariance inflation of each observation (O,); 1 where the record has none."""
+    inflations = graph.observation_redundancies
+    return inflations if len(inflations) else np.ones(len(graph.observation_landmark_ids))
 
 
 def _tied(graph: FactorGraphRecord, *, to_first: bool) -> NDArray[np.bool_]:

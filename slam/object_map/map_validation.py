@@ -52,7 +52,7 @@ def _fault_of_objects(objects: ObjectMapRecord) -> str:
     faults = {
         "is not confirmed": np.array([state != "confirmed" for state in objects.states]),
         "has a place that is not finite": ~np.isfinite(objects.positions).all(axis=1),
-        "has a covariance that is none": ~_are_covariances(objects.covariances),
+        "has a matrix that is not a covariance": ~_are_covariances(objects.covariances),
         "has class probabilities that do not sum to 1": (
             np.abs(probabilities.sum(axis=1) - 1.0) > PROBABILITY_TOLERANCE
         )
@@ -95,9 +95,9 @@ def _fault_of_graph(graph: FactorGraphRecord) -> str:
             f"its graph observes landmark {graph.observation_landmark_ids[row]} from keyframe "
             f"{graph.observation_keyframe_ids[row]} with a covariance that is not positive definite"
         )
-    told = graph.observation_redundancies
-    if len(told) and (len(told) != len(wrong) or (told < 1.0).any()):
-        return "the redundancies of the observations in its graph are not 1 or more for each"
+    inflations = graph.observation_redundancies
+    if len(inflations) and (len(inflations) != len(wrong) or (inflations < 1.0).any()):
+        return "the covariance inflations (redundancies) of the observations in its graph are not 1 or more for each"
     ends = graph.edge_keyframe_ids
     loops = ends[np.asarray(ends[:, 0] == ends[:, 1])]
     if len(loops):

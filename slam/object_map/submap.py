@@ -1,4 +1,4 @@
-"""Submaps: the landmarks around a pose as one pass along a street saw them.
+"""Submaps: the landmarks around a pose from one traversal.
 
 A submap lives in the odometry frame or in the gravity frame of a keyframe, never in the optimised map: over its few
 tens of metres the odometry is smooth, and what closes loops must not depend on the loops closed before.
@@ -16,8 +16,8 @@ from slam.common.geometry import apply, invert, transform_from_xyz_yaw, yaw_rad
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.track import OdometryPose
 
-# Landmarks that were last seen within that travel of each other belong to one pass along a street.
-PASS_TRAVEL_M = 110.0
+# Landmarks last seen within that travel of each other belong to one traversal.
+TRAVERSAL_LENGTH_M = 110.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,9 +34,9 @@ class Submap:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def of(self, places: IntArray) -> Submap:
-        """Some of the landmarks, by their places (K,) in it."""
-        return Submap(self.positions[places], self.sigmas[places], self.labels[places], self.rows[places])
+    def of(self, indices: IntArray) -> Submap:
+        """Some of the landmarks, by their indices (K,)."""
+        return Submap(self.positions[indices], self.sigmas[indices], self.labels[indices], self.rows[indices])
 
 
 def gravity_frame(T_odom_body: FloatArray) -> FloatArray:
@@ -56,7 +56,7 @@ def recent_submap(object_map: ObjectMap, pose: OdometryPose, config: SubmapConfi
 
 
 def placed_submap(object_map: ObjectMap, rows: IntArray, centre_odom: FloatArray, config: SubmapConfig) -> Submap:
-    """The landmarks ``rows`` (N,) as a pass near ``centre_odom`` (3,) saw them, in the odometry frame."""
+    """The landmarks ``rows`` (N,) from a traversal near ``centre_odom`` (3,), in the odometry frame."""
     return _submap(object_map, rows, object_map.rows["position_odom"][rows], centre_odom, config)
 
 

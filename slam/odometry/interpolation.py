@@ -1,4 +1,4 @@
-"""The trajectory between keyframes: the odometry, bent to meet the optimised keyframes."""
+"""The trajectory between keyframes: the odometry, interpolated to meet the optimised keyframes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import invert, make_transform
 
 
-def bend_odometry(
+def interpolate_between_keyframes(
     stamps_ns: IntArray,
     T_odom_body: FloatArray,
     keyframe_indices: IntArray,

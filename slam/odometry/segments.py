@@ -1,4 +1,4 @@
-"""Stretches between breaks of the odometry, and which of them closures have joined."""
+"""Connectivity of the segments of the odometry: which of them closures have connected."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ from slam.common.arrays import IntArray
 from slam.odometry.keyframe import Keyframe
 
 
-class Sessions:
-    """Groups of segments of the odometry; a group goes by its first segment."""
+class SegmentConnectivity:
+    """Connected components of the segments; each is identified by its first segment."""
 
     def __init__(self, keyframes: Sequence[Keyframe]) -> None:
         self._keyframes = keyframes
-        self._group: dict[int, int] = {}
+        self._component: dict[int, int] = {}
 
-    def are_joined(self, first: int, second: int) -> bool:
-        """Whether odometry or closures tie two keyframes together."""
-        return self._group_of(first) == self._group_of(second)
+    def are_connected(self, first: int, second: int) -> bool:
+        """Whether odometry or closures connect two keyframes."""
+        return self._component_of(first) == self._component_of(second)
 
-    def join(self, first: int, second: int) -> IntArray:
-        """Make one of the groups of two keyframes; returns the keyframes (K,) of the later one, none if it was one."""
-        kept, moved = sorted((self._group_of(first), self._group_of(second)))
+    def connect(self, first: int, second: int) -> IntArray:
+        """Merge the components of two keyframes; returns the keyframes (K,) of the later one, none if they were one."""
+        kept, moved = sorted((self._component_of(first), self._component_of(second)))
         if kept == moved:
             return np.zeros(0, dtype=np.int64)
-        moving = [keyframe.id for keyframe in self._keyframes if self._group_of(keyframe.id) == moved]
+        moving = [keyframe.id for keyframe in self._keyframes if self._component_of(keyframe.id) == moved]
         for segment in {self._keyframes[keyframe].odometry.segment for keyframe in moving}:
-            self._group[segment] = kept
+            self._component[segment] = kept
         return np.array(moving, dtype=np.int64)
 
-    def part(self) -> None:
-        """Forget all that was joined."""
-        self._group.clear()
+    def reset(self) -> None:
+        """Disconnect all segments."""
+        self._component.clear()
 
-    def _group_of(self, keyframe: int) -> int:
+    def _component_of(self, keyframe: int) -> int:
         segment = self._keyframes[keyframe].odometry.segment
-        return self._group.get(segment, segment)
+        return self._component.get(segment, segment)

@@ -146,8 +146,7 @@ class OdometryTrack:
     def _starts_over(self, odometry: Odometry, seconds: float) -> bool:
         """Whether the odometry was started again: it is where it began, to the last digit, or at the identity.
 
-        A robot that was carried off may happen to go on near where its odometry thinks that it is; that alone no jump
-        would tell.
+        A kidnapped robot may continue near the pose of its odometry by chance; that shows no jump.
         """
         T = odometry.T_odom_body
         if not any(np.abs(T - T_start).max() < RESTART_TOLERANCE for T_start in (self._T_odom_first, np.eye(4))):

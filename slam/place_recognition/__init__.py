@@ -1,1 +1,1 @@
-"""Which places of the map a query may be."""
+"""Retrieval of candidate places, and localization in a known map."""

@@ -236,8 +236,8 @@ class _Poses:
 
     @classmethod
     def none(cls) -> _Poses:
-        nothing = np.zeros(0, dtype=np.complex128)
-        return cls(nothing, nothing, np.zeros(0))
+        empty = np.zeros(0, dtype=np.complex128)
+        return cls(empty, empty, np.zeros(0))
 
     def joined(self, other: _Poses) -> _Poses:
         """These, then the best of the others."""

@@ -25,7 +25,7 @@ YAW_BINS = (24, 180)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ballot:
+class PoseHypotheses:
     """``poses`` (H, 6) as rows of :class:`Columns`, most ``votes`` (H,) first; ``compatible`` pairs in all."""
 
     poses: FloatArray
@@ -33,7 +33,7 @@ class Ballot:
     compatible: int
 
 
-def vote(columns: Columns, config: RegistrationConfig, *, rng: np.random.Generator, count: int) -> Ballot:
+def vote(columns: Columns, config: RegistrationConfig, *, rng: np.random.Generator, count: int) -> PoseHypotheses:
     """The poses with most votes, at most ``config.hypotheses`` times ``count``.
 
     All correspondences are seeds, in blocks of random order, until a pose with more support than the best one so far
@@ -42,10 +42,10 @@ def vote(columns: Columns, config: RegistrationConfig, *, rng: np.random.Generat
     correspondences = len(columns)
     rows = max(BLOCK_PAIRS // correspondences, 1)
     seeds = np.arange(correspondences) if rows >= correspondences else rng.permutation(correspondences)
-    booth = _Booth.of(columns, config)
+    voter = _YawVoter.of(columns, config)
     poses, votes, compatible, best = [], [], 0, 0
     for start in range(0, correspondences, rows):
-        block_poses, block_votes, pairs = booth.count(seeds[start : start + rows], BLOCK_POSES * count)
+        block_poses, block_votes, pairs = voter.count(seeds[start : start + rows], BLOCK_POSES * count)
         poses.append(block_poses)
         votes.append(block_votes)
         compatible += pairs
@@ -58,7 +58,7 @@ def vote(columns: Columns, config: RegistrationConfig, *, rng: np.random.Generat
     leading = np.argsort(-all_votes, kind="stable")
     if len(leading) > config.hypotheses * count:
         leading = leading[_first_of_cells(all_poses[leading], config)][: config.hypotheses * count]
-    return Ballot(all_poses[leading], all_votes[leading], compatible)
+    return PoseHypotheses(all_poses[leading], all_votes[leading], compatible)
 
 
 def _first_of_cells(poses: FloatArray, config: RegistrationConfig) -> IntArray:
@@ -73,7 +73,7 @@ def _first_of_cells(poses: FloatArray, config: RegistrationConfig) -> IntArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Booth:
+class _YawVoter:
     """The C correspondences, laid out so that the lengths of all pairs are two matrix products."""
 
     config: RegistrationConfig
@@ -91,7 +91,7 @@ class _Booth:
     """... and of these |q_i - q_j|^2 + |r_i - r_j|^2."""
 
     @classmethod
-    def of(cls, columns: Columns, config: RegistrationConfig) -> _Booth:
+    def of(cls, columns: Columns, config: RegistrationConfig) -> _YawVoter:
         planar = np.concatenate([columns.query[:, :2], columns.reference[:, :2]], axis=1)
         squared = planar * planar
         norm_query, norm_reference = squared[:, 0] + squared[:, 1], squared[:, 2] + squared[:, 3]
@@ -175,8 +175,8 @@ class _Booth:
         starts = np.flatnonzero(np.diff(row, prepend=-1))
         leading = row[starts]
         seed = seeds[leading]
-        ballots = np.stack([turn, self.query[partner], self.reference[partner], self.rise[partner] + 1j], axis=1)
-        sums = np.add.reduceat(ballots, starts, axis=0)
+        votes = np.stack([turn, self.query[partner], self.reference[partner], self.rise[partner] + 1j], axis=1)
+        sums = np.add.reduceat(votes, starts, axis=0)
         members = sums[:, 3].imag + 1.0
         rotation = sums[:, 0] / np.abs(sums[:, 0])
         mean_query = (sums[:, 1] + self.query[seed]) / members

@@ -174,7 +174,7 @@ def support(ratio: FloatArray, columns: Columns) -> FloatArray:
     return np.asarray(np.minimum(by_query, by_reference))
 
 
-def polish(
+def refine_poses(
     poses: FloatArray, columns: Columns, config: RegistrationConfig, *, radius_m: float
 ) -> tuple[FloatArray, Columns]:
     """Iterate association and least squares from the poses (H, 6); each pair enters if its two objects prefer it.

@@ -12,7 +12,7 @@ from slam.common.config import RegistrationConfig
 from slam.common.errors import GeometryError
 from slam.registration.estimate import Registration, estimate, not_found
 from slam.registration.pose_voting import vote
-from slam.registration.refinement import Columns, make_columns, polish, squared_residuals, support
+from slam.registration.refinement import Columns, make_columns, refine_poses, squared_residuals, support
 
 __all__ = ["Registration", "refine", "refine_many", "register"]
 
@@ -60,16 +60,16 @@ def register(
     if len(pairs) == 0:
         return [not_found("there are no correspondences")]
     columns = make_columns(query_positions, reference_positions, pairs, query_sigmas, reference_sigmas, config)
-    reason = _hopeless(columns, config)
+    reason = _degenerate(columns, config)
     if reason:
         return [not_found(reason)]
-    ballot = vote(columns, config, rng=rng, count=count)
-    if len(ballot.poses) == 0:
+    hypotheses = vote(columns, config, rng=rng, count=count)
+    if len(hypotheses.poses) == 0:
         return [not_found("no two correspondences have the same length, height difference and a sufficient baseline")]
-    poses, bounds = _ranked(ballot.poses, columns, config)
+    poses, bounds = _ranked(hypotheses.poses, columns, config)
     poses = poses[_distinct(poses, config, POLISHED * count)]
     radius = VOTED_RADIUS_SIGMAS * config.gate_sigma * float(columns.sigma[:, 0].mean())
-    poses, near = polish(poses, columns, config, radius_m=radius)
+    poses, near = refine_poses(poses, columns, config, radius_m=radius)
     poses, bounds = _ranked(poses, near, config)
     leaders = _distinct(poses, config, len(poses))
     return _best(poses[leaders], bounds[leaders], near, config, count)
@@ -143,7 +143,7 @@ def refine_many(
         return []
     columns = make_columns(query_positions, reference_positions, pairs, query_sigmas, reference_sigmas, config)
     poses = _pose_rows(T_initial, columns)
-    poses, near = polish(poses, columns, config, radius_m=config.search_radius_m)
+    poses, near = refine_poses(poses, columns, config, radius_m=config.search_radius_m)
     results = [estimate(pose, near, config) for pose in poses]
     return [
         Registration(r.T_reference_query, r.covariance, np.arange(len(r.pairs)), r.pairs, r.score, r.reason, r.scale)
@@ -166,7 +166,7 @@ def _check(name: str, positions: FloatArray, sigmas: FloatArray, indices: IntArr
         raise GeometryError(f"{name}: correspondences name {indices.min()} to {indices.max()} of {count} objects")
 
 
-def _hopeless(columns: Columns, config: RegistrationConfig) -> str:
+def _degenerate(columns: Columns, config: RegistrationConfig) -> str:
     """Why no pair of correspondences can determine a pose, or ""."""
     sides = (
         ("query", columns.query, columns.query_starts),

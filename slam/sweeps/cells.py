@@ -67,8 +67,8 @@ class Cell:
     @property
     def file_name(self) -> str:
         """For people the degradation and the seed, for the program the key."""
-        told = re.sub(r"[^\w.,=+-]", "_", self.degradation.name)[:_NAME_LENGTH]
-        return f"{told}_seed{self.seed}_{self.key[:_KEY_DIGITS]}.json"
+        safe_name = re.sub(r"[^\w.,=+-]", "_", self.degradation.name)[:_NAME_LENGTH]
+        return f"{safe_name}_seed{self.seed}_{self.key[:_KEY_DIGITS]}.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +119,7 @@ def _compute(cell: Cell, folder: Path, times: dict[str, float]) -> dict[str, Any
     times["evaluate_s"] = time.perf_counter() - replayed
     times["cpu_s"] = time.process_time() - began_s
     if summary.wall_s > 0.0:
-        times["x_real_time"] = summary.log_s / summary.wall_s
+        times["real_time_factor"] = summary.log_s / summary.wall_s
     return evaluation
 
 
@@ -165,9 +165,9 @@ class CellFolder:
     def finished(self, cell: Cell) -> CellResult | None:
         """The result of a cell that was computed before; one that failed or cannot be read is to be tried again."""
         try:
-            told = json.loads((self._cells / cell.file_name).read_text(encoding="utf-8"))
-            result = CellResult(told["evaluation"], told["error"], told["times"])
-            is_right = told["key"] == cell.key and isinstance(result.evaluation, dict)
+            stored = json.loads((self._cells / cell.file_name).read_text(encoding="utf-8"))
+            result = CellResult(stored["evaluation"], stored["error"], stored["times"])
+            is_right = stored["key"] == cell.key and isinstance(result.evaluation, dict)
         except (OSError, ValueError, TypeError, KeyError):
             return None
         return result if is_right else None
@@ -178,7 +178,7 @@ class CellFolder:
         Raises:
             UnwritableLogError: it cannot be written.
         """
-        told = {
+        stored = {
             "key": cell.key,
             "degradation": cell.degradation.config.in_effect(),
             "seed": cell.seed,
@@ -186,7 +186,7 @@ class CellFolder:
             "version": cell.drive.version,
             **asdict(result),
         }
-        write_text(self._cells / cell.file_name, json.dumps(told, indent=1, allow_nan=False) + "\n")
+        write_text(self._cells / cell.file_name, json.dumps(stored, indent=1, allow_nan=False) + "\n")
 
     def _clean_up(self) -> None:
         shutil.rmtree(self.scratch, ignore_errors=True)

@@ -113,9 +113,15 @@ def _draw_means(axis: Axes, chief: ChiefFigure, placed: _Placed) -> None:
     for x, row in placed:
         mean = row.spreads[chief.key].mean
         if mean is None:
-            told = "failed" if all(result.error for _, result in row.results) else "undefined"
+            outcome = "failed" if all(result.error for _, result in row.results) else "undefined"
             axis.annotate(
-                told, (x, 0.03), xycoords=("data", "axes fraction"), color=_BEFORE, rotation=90, ha="center", fontsize=8
+                outcome,
+                (x, 0.03),
+                xycoords=("data", "axes fraction"),
+                color=_BEFORE,
+                rotation=90,
+                ha="center",
+                fontsize=8,
             )
         else:
             axis.plot(x, mean, "D", color=_MEAN, markersize=5)

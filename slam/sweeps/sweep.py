@@ -45,9 +45,9 @@ class SweepRow:
         return {figure.key: Spread.over(figure.of(each) for each in evaluations) for figure in CHIEF_FIGURES}
 
     @property
-    def x_real_time(self) -> Spread:
+    def real_time_factor(self) -> Spread:
         """How many times as fast as it was driven the drive was mapped, on this machine."""
-        return Spread.over(result.times.get("x_real_time") for _, result in self.results)
+        return Spread.over(result.times.get("real_time_factor") for _, result in self.results)
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,7 +34,7 @@ def map_table(sweep: Sweep) -> list[list[str]]:
     """Headings, then a row for each degradation."""
     return [
         ["degradation", *_MAP.values(), _SPEED],
-        *([row.degradation.name, *_figures(row, _MAP), row.x_real_time.text(1)] for row in sweep.rows),
+        *([row.degradation.name, *_figures(row, _MAP), row.real_time_factor.text(1)] for row in sweep.rows),
     ]
 
 

@@ -51,7 +51,7 @@ class MapPicture:
     """What to draw, all in metres and in one frame (the map, into which the caller has aligned the others).
 
     estimate, odometry, truth (N, 3) positions along the path, N may be 0; landmarks (L, 3) with ``labels`` (L,);
-    closures, true_closures, false_closures (C, 2, 3) ends of accepted loop closures of which nobody knows whether they
+    closures, true_closures, false_closures (C, 2, 3) ends of accepted loop closures of which it is unknown whether they
     are right, that are, that are not; missed_revisits (M, 3) where a closure was possible and not made; known (K, 3)
     landmarks of a map that was given, drawn in grey; errors of estimate and odometry where they are known.
     """

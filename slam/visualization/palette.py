@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 ESTIMATE, ODOMETRY, TRUTH = "#0b5cad", "#d97706", "#111827"
 START, END = "#16a34a", "#dc2626"
 CLOSURE, TRUE_CLOSURE, FALSE_CLOSURE, MISSED = "#d6249f", "#14b8a6", "#ff0000", "#7c3aed"
-"""A closure of which nobody knows whether it is right, one that is, one that is not; a revisit without a closure."""
+"""A closure without a truth, a true one, a false one; a revisit without a closure."""
 CLASS_COLORS = (
     *("#2e9e5b", "#d64545", "#8456c4", "#8c6239", "#17a2b8", "#c9a50a"),
     *("#6b8e23", "#e377c2", "#4b5b8c", "#f4978e", "#00695c", "#b39ddb"),

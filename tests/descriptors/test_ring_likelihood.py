@@ -14,7 +14,7 @@ from slam.common.geometry import apply, transform_from_xyz_yaw
 from tests.descriptors.constellations import VOCABULARY, constellation, describe, scattered, street, thinned
 
 CLASSES = len(VOCABULARY)
-OTHERS = {"radius_m": 24.0, "ring_m": 0.8, "sigmas_m": (0.5, 2.0), "misses": 0.3, "objects_per_km2": 2000.0}
+OTHERS = {"radius_m": 24.0, "ring_m": 0.8, "sigmas_m": (0.5, 2.0), "miss_probability": 0.3, "objects_per_km2": 2000.0}
 
 
 def speaks(
@@ -22,7 +22,7 @@ def speaks(
     ring_m: float,
     *,
     sigmas_m: tuple[float, float] = (0.3, 1.2),
-    misses: float = 0.1,
+    miss_probability: float = 0.1,
     objects_per_km2: float = 500.0,
 ) -> tuple[float, float]:
     """What an object in a ring around ``ring_m`` says for one with others of its class (n,), and the odds, in nats.
@@ -36,7 +36,7 @@ def speaks(
             density += 0.5 * gauss
     circle_m2_per_m = np.pi * ((ring_m + 0.5) ** 2 - (ring_m - 0.5) ** 2)
     average = objects_per_km2 / 1e6 * circle_m2_per_m + 1e-3
-    odds = (1.0 - misses) / misses / average
+    odds = (1.0 - miss_probability) / miss_probability / average
     return float(np.log(1.0 + odds * density)), odds
 
 
@@ -109,7 +109,10 @@ def test_a_rare_place_says_more_than_one_that_is_full_everywhere():
 
 def test_more_misses_make_a_neighbour_say_less():
     query = constellation([(0, 30.25, 0.0)])
-    said = [RingLikelihood(misses=misses).most_nats(query)[0] for misses in (0.01, 0.1, 0.5, 0.9)]
+    said = [
+        RingLikelihood(miss_probability=miss_probability).most_nats(query)[0]
+        for miss_probability in (0.01, 0.1, 0.5, 0.9)
+    ]
     assert (np.diff(said) < -0.5).all()
 
 

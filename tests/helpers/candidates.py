@@ -1,4 +1,4 @@
-"""Loop-closure candidates for the tests of what judges and inserts them."""
+"""Loop-closure candidates for the tests of acceptance and insertion."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def make_candidate(
     T_reference_query: FloatArray = HERE,
     T_odom_query: FloatArray = HERE,
     sigma: float = 0.1,
-    nats: dict[int, float] | None = None,
+    llrs: dict[int, float] | None = None,
     pairs: Sequence[tuple[int, int]] = (),
-    doubt_nats: float = 0.0,
+    odometry_penalty: float = 0.0,
 ) -> Candidate:
-    """``nats``: what each landmark of the query says; ``sigma`` is that of angles [rad] and of places [m]."""
-    weighed = nats or {0: 25.0}
+    """``llrs``: LLR of each landmark of the query; ``sigma`` is that of angles [rad] and of positions [m]."""
+    llr_of = llrs or {0: 25.0}
     return Candidate(
         query=query,
         reference=reference,
@@ -35,10 +35,10 @@ def make_candidate(
         T_reference_query=T_reference_query,
         T_odom_query=T_odom_query,
         covariance=sigma**2 * np.eye(6),
-        rows=np.array(list(weighed), dtype=np.int64),
-        nats=np.array(list(weighed.values())),
+        rows=np.array(list(llr_of), dtype=np.int64),
+        log_likelihood_ratios=np.array(list(llr_of.values())),
         pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
         matched_fraction=1.0,
-        doubt_nats=doubt_nats,
+        odometry_penalty=odometry_penalty,
         retrieval_distance=0.5,
     )

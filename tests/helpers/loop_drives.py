@@ -23,13 +23,13 @@ CORNERS = {"A": (0, 0), "B": (80, 0), "C": (160, 0), "D": (160, 60), "E": (80, 6
 TWO_BLOCKS_ROUND_M, ONE_BLOCK_ROUND_M = 440.0, 280.0
 """Lengths of the first round."""
 
-BELIEVE_EVERYTHING = {
-    "threshold_nats": -1e9,
-    "waiting_nats": -1e9,
-    "supported_nats": -1e9,
-    "margin_nats": 0.0,
-    "max_doubt_nats": 0.0,
-    "min_objects": 2,
+ACCEPT_EVERYTHING = {
+    "accept_llr": -1e9,
+    "hypothesis_llr": -1e9,
+    "accept_llr_tracked": -1e9,
+    "ambiguity_margin": 0.0,
+    "max_odometry_penalty": 0.0,
+    "min_inliers": 2,
 }
 
 
@@ -45,7 +45,7 @@ class Outcome:
         return [record for record in records_of(self.path, "/slam/closures") if isinstance(record, LoopClosureRecord)]
 
     @property
-    def believed_count(self) -> int:
+    def accepted_count(self) -> int:
         """How many closures were accepted when they were found, whatever the back end said of them in the end."""
         return len({(r.query_keyframe_id, r.reference_keyframe_id) for r in self.records if r.accepted})
 

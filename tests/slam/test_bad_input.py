@@ -450,7 +450,7 @@ def test_positions_that_are_no_places_are_left_out(entries, output, value):
 
     counters = mapped(altered_scans(entries, spoil), output)
     assert counters["detections_used"] == 80
-    assert counters.get("dropped_objects", 0) + counters["objects_left_out"] == 80
+    assert counters.get("dropped_objects", 0) + counters["objects_filtered"] == 80
 
 
 def test_covariances_that_are_none_are_replaced(entries, output):

@@ -11,9 +11,17 @@ from tests.helpers.loop_drives import one_block
 from tests.tools.runs import Run, assert_refused
 
 FIGURES = {
-    *("kidnaps", "success_rate", "late_rate", "wrong_rate", "not_found_rate", "median_distance_m", "p95_distance_m"),
+    *(
+        "kidnaps",
+        "success_rate",
+        "late_rate",
+        "false_relocalization_rate",
+        "not_found_rate",
+        "median_distance_m",
+        "p95_distance_m",
+    ),
     *("median_seconds", "median_error_m", "p95_error_m", "median_error_deg", "p95_error_deg"),
-    *("misplaced_rate", "success_in_map_rate", "kept_rate", "taken_back_rate"),
+    *("misplaced_rate", "success_in_map_rate", "kept_rate", "revoked_rate"),
 }
 CONDITIONS = {"seed", "noise", "changed", "max_travel_m"}
 RESULT = {"world", "tour_m", "landmarks", "map_ate_m", "load_s", "query_ms", "groups", "outcomes"}
@@ -46,7 +54,7 @@ def test_json_has_every_figure(dslam: Run, files: tuple[object, ...], tmp_path: 
     assert set(told) == FIGURES | CONDITIONS | RESULT
     assert (told["seed"], told["noise"], told["changed"], told["max_travel_m"]) == (5, 1.5, 0.1, 25.0)
     assert (told["world"], told["kidnaps"], len(told["outcomes"])) == (tmp_path.name, 2, 2)
-    rates = ("success_rate", "late_rate", "wrong_rate", "not_found_rate")
+    rates = ("success_rate", "late_rate", "false_relocalization_rate", "not_found_rate")
     for group in (told, *told["groups"].values()):
         assert set(group) >= FIGURES
         assert group["kidnaps"] == 0 or sum(group[rate] for rate in rates) == pytest.approx(1.0)
@@ -73,6 +81,6 @@ def test_what_cannot_be_is_refused(dslam: Run, files: tuple[object, ...], tmp_pa
     ):
         assert_refused(dslam(*command, option, value), option)
     assert_refused(dslam(*command[:4]), "--trajectory")
-    assert_refused(dslam(*command, "--set", "loop_closure.neighbors=3"), "neighbours")
+    assert_refused(dslam(*command, "--set", "loop_closure.topk=3"), "loop_closure.top_k")
     (tmp_path / "trajectory.csv").write_text("x_m,y_m\n0,0\n0,0\n")
     assert_refused(dslam(*command), "tour")

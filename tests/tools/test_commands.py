@@ -161,7 +161,7 @@ class TestFromEndToEnd:
                     writer.write("/wheels", entry.record, entry.log_time_ns)
         assert dslam("replay", log, "-o", output, "--topic", "odometry=/tf").code == 0
         told = json.loads(dslam("evaluate", output, "--json").out)
-        assert "odometry" not in told["missing"]
+        assert "odometry" not in told["unavailable"]
         named = json.loads(dslam("evaluate", output, "--json", "--topic", "odometry=/tf").out)
         assert told["trajectory"]["odometry_ate_m"] == named["trajectory"]["odometry_ate_m"] > 0.0
 

@@ -56,12 +56,15 @@ class TestRelocalize:
         assert result.err == ""
         seconds, metres = map(float, re.search(r"first fix +after ([\d.]+) s and ([\d.]+) m", result.out).groups())
         told = json.loads(dslam(*arguments, "--json").out)
-        assert (round(told["first_fix_s"], 1), round(told["first_fix_m"], 1)) == (seconds, metres)
+        assert (
+            round(told["time_to_first_relocalization_s"], 1),
+            round(told["distance_to_first_relocalization_m"], 1),
+        ) == (seconds, metres)
         assert told["found"] is True
-        assert told["recognised_share"] == told["keyframes_recognised"] / told["keyframes"] > 0.5
-        assert 0.5 < told["tracked_share"] < 1.0
+        assert told["relocalized_keyframe_ratio"] == told["keyframes_recognised"] / told["keyframes"] > 0.5
+        assert 0.5 < told["tracked_ratio"] < 1.0
         assert f"recognised     {told['keyframes_recognised']} of {told['keyframes']} keyframes" in result.out
-        assert f"tracked        {100 * told['tracked_share']:.0f} % of the poses" in result.out
+        assert f"tracked        {100 * told['tracked_ratio']:.0f} % of the poses" in result.out
         assert town.read_bytes() == before
 
     def test_each_recognised_keyframe_is_in_the_log_with_its_covariance(self, found: Path) -> None:

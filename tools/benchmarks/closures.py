@@ -28,7 +28,7 @@ def closures(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Put false closures into the graph of a mapped log, and tell what they do to its trajectory.
+    """Put false closures into the graph of a mapped log, and measure what they do to its trajectory.
 
     random: two places that have nothing to do with each other; aliased: stretches of 20 to 40 m that are taken for
     another, all of one stretch in agreement; shifted: at true revisits, wrong by 5 to 20 m along the street. Each is

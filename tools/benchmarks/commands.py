@@ -39,7 +39,7 @@ def replay(
     runs: Annotated[int, typer.Option(min=1, help="Runs of each log, each in a fresh process.")] = 1,
     json: Json = False,
 ) -> None:
-    """Replay logs and tell time, the share of it inside GTSAM, the longest stall and the memory.
+    """Replay logs and measure time, the share of it inside GTSAM, the largest latency and the memory.
 
     Example: dslam benchmark replay drive.mcap --runs 5
     """
@@ -110,11 +110,11 @@ def _show(results: list[ReplayBenchmark]) -> None:
             Path(r.log).name,
             f"{r.log_s:.0f}",
             wall,
-            f"{r.x_real_time:.1f}",
+            f"{r.real_time_factor:.1f}",
             f"{100 * r.solver_share:.0f} %",
             f"{100 * r.own_share:.0f} %",
-            f"{1e3 * r.longest_stall_s:.0f}",
-            f"{1e3 * r.closing_median_s:.1f}",
+            f"{1e3 * r.max_message_latency_s:.0f}",
+            f"{1e3 * r.loop_closure_median_s:.1f}",
             f"{r.peak_memory_bytes / 1e6:.0f}",
         )
     console.show(table)
@@ -137,7 +137,7 @@ def _show_registration(result: RegistrationBenchmark) -> None:
             f"{c.median_ms:.2f}",
             f"{c.fastest_ms:.2f}",
         )
-    for name, why in result.missing.items():
+    for name, why in result.unavailable.items():
         table.add_row(f"{name}: not measured, {why}", *[""] * len(headings))
     console.show(table)
     console.show("Fewer than 3 true correspondences determine nothing that chance does not.")

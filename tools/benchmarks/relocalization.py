@@ -36,7 +36,7 @@ def relocalization(
     right: Annotated[
         tuple[float, float], typer.Option(metavar="METRES DEGREES", help="With --log: most error of a right fix.")
     ] = RIGHT,
-    kidnaps: Annotated[int, typer.Option(min=1, help="How often the robot is carried off.")] = 100,
+    kidnaps: Annotated[int, typer.Option(min=1, help="How often the robot is kidnapped.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the map, the places and all errors.")] = 0,
     noise: Annotated[
         float, typer.Option(min=0.0, max=10.0, help="Factor on the errors of the sensor after the map was made.")
@@ -53,7 +53,7 @@ def relocalization(
     topics: Topics = None,
     json: Json = False,
 ) -> None:
-    """Map a tour, carry the robot off to random places of it, and tell how soon it knows where it is.
+    """Map a tour, kidnap the robot to random places of it, and measure how soon it is relocalized.
 
     It drives from there along the tour or against it, until objects of the map are recognised, and 10 m more. Found: a
     fix within 40 m that is right to 1 m and 3 deg in the world; in map: ... or in the map, which may itself be bent;
@@ -160,8 +160,8 @@ def _show_json(result: RelocalizationBenchmark, conditions: dict[str, Any]) -> N
 
     from tools import console
 
-    told = asdict(result)
-    console.show_json({**told.pop("total"), **conditions, **told})
+    figures = asdict(result)
+    console.show_json({**figures.pop("total"), **conditions, **figures})
 
 
 def _show_elsewhere(result: LoggedRelocalization) -> None:
@@ -188,7 +188,7 @@ def _show(result: RelocalizationBenchmark, conditions: str) -> None:
         "found, in map, late, wrong, lost and kept in per cent of the drives, kept of the right fixes",
         f"fixes at another place than in the map: {_number(result.total.misplaced_rate, 1, 100.0)} %; the others that "
         "are wrong are so because the map is",
-        f"wrong fixes put right within 10 m, in per cent: {_number(result.total.taken_back_rate, 0, 100.0)}",
+        f"wrong fixes put right within 10 m, in per cent: {_number(result.total.revoked_rate, 0, 100.0)}",
         f"taking in the map: {1e3 * result.load_s:.0f} ms; a search: {_number(result.query_ms, 1)} ms",
     )
 
@@ -198,7 +198,7 @@ def _row(figures: Figures) -> list[str]:
         figures.success_rate,
         figures.success_in_map_rate,
         figures.late_rate,
-        figures.wrong_rate,
+        figures.false_relocalization_rate,
         figures.not_found_rate,
     )
     return [

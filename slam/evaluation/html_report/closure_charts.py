@@ -26,12 +26,12 @@ def draw_precision_recall(quality: ClosureQuality | None) -> Chart | None:
         return None
     traces = [_draw_curve(sweep)]
     if quality.precision is not None and revisits.recall is not None:
-        told = f"precision {format_percent(quality.precision)}, recall {format_percent(revisits.recall)}"
+        figures = f"precision {format_percent(quality.precision)}, recall {format_percent(revisits.recall)}"
         traces.append(
             {
                 "type": "scatter",
                 "mode": "markers",
-                "name": f"this run: {told}",
+                "name": f"this run: {figures}",
                 "x": plain_numbers([revisits.recall], 5),
                 "y": plain_numbers([quality.precision], 5),
                 "marker": {
@@ -40,7 +40,7 @@ def draw_precision_recall(quality: ClosureQuality | None) -> Chart | None:
                     "symbol": "circle",
                     "line": {"color": "--ink", "width": 1.5},
                 },
-                "hovertemplate": f"{told}<extra>this run</extra>",
+                "hovertemplate": f"{figures}<extra>this run</extra>",
                 "cliponaxis": False,
             }
         )
@@ -106,7 +106,7 @@ def _describe(judged: JudgedClosures, row: int) -> str:
     candidate = judged.candidates[row]
     earlier = "no place" if candidate.reference_keyframe_id < 0 else f"{candidate.reference_keyframe_id}"
     verdict = "undecided" if not judged.decided[row] else "true" if judged.true[row] else "false"
-    told = (
+    text = (
         f"keyframe {candidate.query_keyframe_id} → {earlier}<br>{escape_name(candidate.stage)}, {verdict} by the truth"
     )
-    return f"{told}<br>{escape_name(candidate.reason)}" if candidate.reason else told
+    return f"{text}<br>{escape_name(candidate.reason)}" if candidate.reason else text

@@ -58,7 +58,7 @@ def draw_object_map(object_map: ObjectMapRecord | None, paths: MapPaths) -> Char
         count = f"{len(members)}" if len(chosen) == len(members) else f"{len(chosen)} of {len(members)}"
         texts = [
             f"<b>{escape_name(names[row])}</b><br>{escape_name(object_map.ids[row])}<br>"
-            f"{int(object_map.observation_counts[row])} sightings"
+            f"{int(object_map.observation_counts[row])} measurements"
             for row in chosen
         ]
         marker = {"color": color, "symbol": symbol, "size": size, "line": {"color": "--surface", "width": 0.7}}
@@ -75,9 +75,9 @@ def _draw_paths(paths: MapPaths) -> list[Trace]:
         traces.append(draw_line(thinned, "odometry (before)", "--odometry", 1.5, hoverinfo="name"))
     if len(estimate.stamps_ns):
         rows = thin_rows(len(estimate.stamps_ns))
-        told = describe_moments(estimate, estimate.stamps_ns[rows])
+        moments = describe_moments(estimate, estimate.stamps_ns[rows])
         line = draw_line(estimate.positions[rows], "estimate (after)", "--estimate", 2.5)
-        traces.append(line | {"text": told, "hovertemplate": "%{text}<extra>estimate</extra>"})
+        traces.append(line | {"text": moments, "hovertemplate": "%{text}<extra>estimate</extra>"})
     if len(paths.truth):
         thinned = paths.truth[thin_rows(len(paths.truth))]
         traces.append(draw_line(thinned, "ground truth", "--truth", 1.2, dash="dash", hoverinfo="name"))

@@ -108,7 +108,7 @@ def compose_page(records: EvaluationRecords, evaluation: Evaluation, *, title: s
 
 def _compose_panels(records: EvaluationRecords, evaluation: Evaluation) -> list[Panel]:
     paths = bring_into_map(records, evaluation)
-    quality, missing = evaluation.closures, evaluation.missing
+    quality, missing = evaluation.closures, evaluation.unavailable
     start_ns = int(paths.estimate.stamps_ns[0]) if len(paths.estimate.stamps_ns) else 0
     without_closures = missing.get("closures", "")
     return [
@@ -194,7 +194,7 @@ def _describe_run(evaluation: Evaluation) -> str:
 def _render_missing(evaluation: Evaluation) -> str:
     items = "".join(
         f"<li><strong>{escape(name_of(part))}</strong>: {escape(why)}</li>\n"
-        for part, why in evaluation.missing.items()
+        for part, why in evaluation.unavailable.items()
     )
     return f"<h3>Not measured</h3>\n<ul>\n{items}</ul>\n" if items else ""
 

@@ -13,7 +13,7 @@ TITLES = {
     "landmarks": "Landmarks of the final map",
     "closures": "Loop closures",
     "retrieval": "Retrieval of places alone",
-    "published": "Two published protocols",
+    "literature_protocols": "Two published protocols",
 }
 LONGEST_LIST = 12
 """A longer list is a curve, which the charts show."""
@@ -28,7 +28,7 @@ _UNITS = {
     "_s": "s",
 }
 _WORDS = {"rmse": "RMSE", "ate": "ATE", "rpe": "RPE", "p95": "95\N{NO-BREAK SPACE}%", "f1": "F1", "nees": "NEES"}
-_APART = ("trajectory", "missing", "protocol")
+_APART = ("trajectory", "unavailable", "protocol")
 
 
 def render_tables(results: Mapping[str, Any]) -> str:

@@ -45,7 +45,7 @@ def _trajectory(evaluation: Evaluation) -> Tile:
     errors = evaluation.estimate or evaluation.online
     label = "Trajectory error (ATE)"
     if errors is None:
-        return Tile(label, UNDEFINED, evaluation.missing.get("trajectory", ""))
+        return Tile(label, UNDEFINED, evaluation.unavailable.get("trajectory", ""))
     stand_in = "" if evaluation.estimate else "poses as they were at their time; "
     return Tile(
         label,
@@ -57,7 +57,7 @@ def _trajectory(evaluation: Evaluation) -> Tile:
 def _odometry(evaluation: Evaluation) -> Tile:
     label = "Odometry alone (ATE)"
     if evaluation.odometry is None:
-        return Tile(label, UNDEFINED, evaluation.missing.get("odometry", ""))
+        return Tile(label, UNDEFINED, evaluation.unavailable.get("odometry", ""))
     before = evaluation.odometry.absolute
     after = (evaluation.estimate or evaluation.online or evaluation.odometry).absolute
     times = f"{before.rmse_m / after.rmse_m:.1f} times the estimate's, " if 0 < after.rmse_m < before.rmse_m else ""
@@ -67,9 +67,11 @@ def _odometry(evaluation: Evaluation) -> Tile:
 def _precision(evaluation: Evaluation) -> Tile:
     quality, label = evaluation.closures, "Closure precision"
     if quality is None:
-        return Tile(label, UNDEFINED, evaluation.missing.get("closures", ""))
+        return Tile(label, UNDEFINED, evaluation.unavailable.get("closures", ""))
     if quality.true_count is None or quality.false_count is None:
-        return Tile(label, UNDEFINED, f"{quality.accepted_count} accepted; {evaluation.missing.get('closures', '')}")
+        return Tile(
+            label, UNDEFINED, f"{quality.accepted_count} accepted; {evaluation.unavailable.get('closures', '')}"
+        )
     note = f"{quality.true_count} true, {quality.false_count} false"
     if quality.undecided_count:
         note += f", {quality.undecided_count} undecided"
@@ -79,7 +81,7 @@ def _precision(evaluation: Evaluation) -> Tile:
 def _recall(evaluation: Evaluation) -> Tile:
     revisits, label = (evaluation.closures.revisits if evaluation.closures else None), "Closure recall"
     if revisits is None:
-        return Tile(label, UNDEFINED, evaluation.missing.get("closures", ""))
+        return Tile(label, UNDEFINED, evaluation.unavailable.get("closures", ""))
     if not revisits.revisit_count:
         return Tile(label, UNDEFINED, "the drive comes back to no earlier place")
     directions = ", ".join(f"{count} {name}" for name, count in revisits.revisit_counts.items() if count)
@@ -99,7 +101,7 @@ def _landmarks(records: EvaluationRecords, evaluation: Evaluation) -> Tile:
         right = format_percent(quality.precision)
         return Tile(label, str(quality.confirmed_count), f"{off}{right} show an object{found}")
     if records.object_map is None:
-        return Tile(label, UNDEFINED, evaluation.missing.get("landmarks", ""))
+        return Tile(label, UNDEFINED, evaluation.unavailable.get("landmarks", ""))
     confirmed = sum(state == CONFIRMED for state in records.object_map.states)
     classes = {
         label
@@ -116,7 +118,7 @@ def _landmarks(records: EvaluationRecords, evaluation: Evaluation) -> Tile:
 def _relocalization(evaluation: Evaluation) -> Tile:
     quality, label = evaluation.relocalization, "Relocalization"
     if quality is None:
-        return Tile(label, UNDEFINED, evaluation.missing.get("relocalization", ""))
+        return Tile(label, UNDEFINED, evaluation.unavailable.get("relocalization", ""))
     if not quality.loss_count:
         return Tile(label, UNDEFINED, "the robot was never lost")
     note = f"{quality.right_count} right and {quality.wrong_count} wrong fixes of {quality.loss_count} losses"

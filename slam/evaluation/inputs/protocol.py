@@ -90,8 +90,8 @@ class Protocol:
             "object; a false positive is wrong.",
             "association_recall": f"Detections of an object that an earlier frame showed within the last "
             f"{self.revisit_m:g} m of travel, assigned to an existing landmark that shows the object.",
-            "landmark_error": f"Confirmed landmarks, grouped by first sighting into windows of {self.window_m:g} m of "
-            f"true path every {self.window_stride_m:g} m; yaw and translation aligned in each window with at least "
+            "landmark_error": f"Confirmed landmarks, grouped by first observation into windows of {self.window_m:g} m "
+            f"of true path every {self.window_stride_m:g} m; yaw and translation aligned in each window with at least "
             f"{self.window_least_landmarks} landmarks; statistics over the residuals of all windows.",
             "landmark_global_error": "Confirmed landmarks after the alignment of the trajectory.",
             "landmark_matching": "By the identity above; without a truth of the detections, the nearest true object of "
@@ -101,7 +101,7 @@ class Protocol:
             "landmark shows.",
             "class_accuracy": "Confirmed landmarks whose most probable class is that of their object.",
             **self._describe_closures(),
-            **self._describe_published(),
+            **self._describe_literature_protocols(),
             **self._describe_relocalization(),
             **self._describe_calibration(),
         }
@@ -136,18 +136,18 @@ class Protocol:
             "retrieval": "Revisits at which descriptors were asked for the place, with a right one among their first "
             f"k proposals: the reference keyframe within {self.revisit_distance_m:g} m of the query by the truth, or "
             "the transform true. Undefined for k above the number of proposals that the run verified for each "
-            "keyframe (loop_closure.places).",
+            "keyframe (loop_closure.max_candidates).",
         }
 
-    def _describe_published(self) -> dict[str, str]:
+    def _describe_literature_protocols(self) -> dict[str, str]:
         apart = f"more than {self.pair_frames} frames apart (odometry messages, or keyframes where the log has none)"
         return {
-            "published_pairs": f"Pairs of keyframes: positive less than {self.pair_positive_m:g} m and {apart}, "
+            "literature_pairs": f"Pairs of keyframes: positive less than {self.pair_positive_m:g} m and {apart}, "
             f"negative more than {self.pair_negative_m:g} m apart, between true positions in 3-D; others do not "
             "count. A pair has the score of the best candidate of the later keyframe that puts it, composed with the "
             f"final map, less than {self.pair_positive_m:g} m from the earlier one; all other pairs together the "
             "lowest score. Papers take every frame, and score every pair by its similarity.",
-            "published_online": f"Each keyframe as a query against all earlier ones {apart}. Its answer is the one of "
+            "literature_online": f"Each keyframe as a query against all earlier ones {apart}. Its answer is the one of "
             "those nearest to where its best-scoring candidate puts it in the final map, none if that is "
             f"{self.pair_positive_m:g} m away or more; right if they are less than {self.pair_positive_m:g} m apart "
             "by the truth. Recall is over the queries that have such a keyframe, recall at 1 whatever the score. "

@@ -71,7 +71,7 @@ class EvaluationRecords:
     def verified_places(self) -> int | None:
         """Proposals of descriptors that the run verified for each keyframe; None where the log does not tell."""
         loop_closure = self.configuration.get("loop_closure")
-        places = loop_closure.get("places") if isinstance(loop_closure, Mapping) else None
+        places = loop_closure.get("max_candidates") if isinstance(loop_closure, Mapping) else None
         return places if isinstance(places, int) else None
 
     def with_truth_of(self, reference: EvaluationRecords) -> EvaluationRecords:

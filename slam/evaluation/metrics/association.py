@@ -97,7 +97,7 @@ def label_detections(
     Args:
         associations: in any order; of several with one stamp, the k-th belongs to the k-th truth with that stamp.
         truths: in any order.
-        path: along which the distance between two sightings is measured (odometry or truth).
+        path: along which the distance between two measurements is measured (odometry or truth).
         aliases: landmark id -> id of the landmark into which it was merged; chains are followed.
 
     Raises:
@@ -172,12 +172,12 @@ def find_possible_associations(detections: LabelledDetections, *, revisit_m: flo
     if len(real) == 0:
         return possible
     frame_span = int(detections.frames[-1]) + 1
-    sightings, first, of_sighting = np.unique(
+    measurements, first, of_sighting = np.unique(
         detections.objects[real] * frame_span + detections.frames[real], return_index=True, return_inverse=True
     )
-    objects = sightings // frame_span
+    objects = measurements // frame_span
     travelled = detections.travelled_m[real[first]]
-    seen_before = np.zeros(len(sightings), dtype=np.bool_)
+    seen_before = np.zeros(len(measurements), dtype=np.bool_)
     seen_before[1:] = (objects[1:] == objects[:-1]) & (np.diff(travelled) <= revisit_m)
     possible[real] = seen_before[of_sighting]
     return possible

@@ -48,7 +48,7 @@ class Consistency:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationQuality:
-    """NEES of what a map holds; None where there is nothing to measure. ``planar_``: the same in the plane.
+    """NEES of what a map holds; None where there is zeros to measure. ``planar_``: the same in the plane.
 
     ``probability``: that of the regions whose coverage is counted.
     """
@@ -99,8 +99,8 @@ def _logarithm(T: FloatArray) -> FloatArray:
     rotation = Rotation.from_matrix(T[:, :3, :3]).as_rotvec()
     angle = np.linalg.norm(rotation, axis=1)
     x, y, z = rotation.T
-    nothing = np.zeros(len(T))
-    skew = np.stack([nothing, -z, y, z, nothing, -x, -y, x, nothing], axis=1).reshape(-1, 3, 3)
+    zeros = np.zeros(len(T))
+    skew = np.stack([zeros, -z, y, z, zeros, -x, -y, x, zeros], axis=1).reshape(-1, 3, 3)
     is_small = angle < 1e-4
     safe = np.where(is_small, 1.0, angle)
     # 1 / a^2 - cot(a / 2) / (2 a), which is 1 / 12 at 0.

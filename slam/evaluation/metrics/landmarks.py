@@ -153,7 +153,7 @@ def compute_windowed_errors(
     Args:
         positions_est: (N, 3) metres, map frame; N may be 0.
         positions_gt: (N, 3) metres, world frame.
-        seen_at_m: (N,) metres of true path at the first sighting; NaN where that is not known, which leaves it out.
+        seen_at_m: (N,) metres of true path at the first measurement; NaN where that is not known, which leaves it out.
         path_length_m: length of the true path.
         window_m: length of a window.
         stride_m: distance between the starts of two windows.

@@ -47,7 +47,7 @@ class RelocalizationQuality:
     """
 
     losses: tuple[Loss, ...]
-    lost_share: float | None
+    lost_time_ratio: float | None
     method: Method
 
     @property
@@ -81,7 +81,7 @@ class RelocalizationQuality:
         return self._rate(self.right_count)
 
     @property
-    def wrong_rate(self) -> float | None:
+    def false_relocalization_rate(self) -> float | None:
         """Losses with a wrong fix among those that were not undecided; None where there is none."""
         return self._rate(self.wrong_count)
 

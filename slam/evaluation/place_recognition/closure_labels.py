@@ -54,7 +54,7 @@ class JudgedClosures:
         return np.array([c.score for c in self.candidates], dtype=np.float64)
 
 
-def judge_closures(
+def label_closures(
     candidates: tuple[LoopClosureRecord, ...],
     stamp_of_keyframe: Mapping[int, int],
     truth: PoseSeries,

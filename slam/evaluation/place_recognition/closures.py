@@ -13,7 +13,7 @@ from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
-from slam.evaluation.place_recognition.closure_labels import JudgedClosures, judge_closures
+from slam.evaluation.place_recognition.closure_labels import JudgedClosures, label_closures
 from slam.evaluation.place_recognition.precision_recall import ScoreSweep, sweep_scores
 from slam.evaluation.place_recognition.revisits import DIRECTIONS, Revisits, find_revisits
 
@@ -25,7 +25,7 @@ class ClosureErrors:
     """Errors of ``count`` >= 1 accepted true closures. Planar ones are those in the plane of the body, for some truths
     drift in height, that of KITTI among them.
 
-    ``within_revisit_spread_m`` is the median over the runs of at least two closures, None where there is no such run.
+    ``intra_revisit_std_m`` is the median over the runs of at least two closures, None where there is no such run.
     """
 
     count: int
@@ -35,7 +35,7 @@ class ClosureErrors:
     p95_rotation_deg: float
     median_planar_m: float
     median_heading_deg: float
-    within_revisit_spread_m: float | None
+    intra_revisit_std_m: float | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,7 +157,7 @@ def evaluate_closures(
         protocol: the thresholds.
     """
     stamp_of_keyframe = dict(zip(keyframe_ids.tolist(), keyframe_stamps_ns.tolist(), strict=True))
-    judged = judge_closures(find_final_verdicts(records), stamp_of_keyframe, truth, protocol)
+    judged = label_closures(find_final_verdicts(records), stamp_of_keyframe, truth, protocol)
     has_truth = len(truth.stamps_ns) > 0
     revisits = None
     if has_truth and len(keyframe_ids):
@@ -219,7 +219,7 @@ def _summarize_errors(judged: JudgedClosures, protocol: Protocol) -> ClosureErro
         p95_rotation_deg=float(np.percentile(rotations_deg, 95.0)),
         median_planar_m=float(np.median(np.hypot(*judged.planar_errors[rows, :2].T))),
         median_heading_deg=float(np.rad2deg(np.median(np.abs(judged.planar_errors[rows, 2])))),
-        within_revisit_spread_m=_measure_spread(
+        intra_revisit_std_m=_measure_spread(
             judged.errors_xyz[rows], judged.travelled_m[rows], protocol.closure_run_gap_m
         ),
     )

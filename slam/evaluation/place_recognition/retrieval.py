@@ -13,7 +13,7 @@ from slam.common.arrays import IntArray
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
-from slam.evaluation.place_recognition.closure_labels import judge_closures
+from slam.evaluation.place_recognition.closure_labels import label_closures
 from slam.evaluation.place_recognition.revisits import Revisits
 
 RECALL_AT = (1, 5, 25)
@@ -22,11 +22,11 @@ RETRIEVAL = "retrieval"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RetrievalQuality:
-    """``asked_count`` revisits at which descriptors were asked for the place; ``hit_counts``: k -> those of them where
+    """``query_count`` revisits at which descriptors were asked for the place; ``hit_counts``: k -> those of them where
     one of the first k proposals is right. ``place_count``: proposals that the run verified for each keyframe.
     """
 
-    asked_count: int
+    query_count: int
     hit_counts: Mapping[int, int]
     place_count: int
 
@@ -40,19 +40,19 @@ class RetrievalQuality:
             None where descriptors were never asked at a revisit, or fewer than ``k`` proposals were verified, the
             others being unknown.
         """
-        return self.hit_counts[k] / self.asked_count if self.asked_count and k <= self.place_count else None
+        return self.hit_counts[k] / self.query_count if self.query_count and k <= self.place_count else None
 
     @property
     def note(self) -> str:
         """Why a recall is undefined; "" where none is."""
-        if not self.asked_count:
+        if not self.query_count:
             return "descriptors were asked at no revisit"
         unknown = [str(k) for k in RECALL_AT if k > self.place_count]
         if not unknown:
             return ""
         return (
             f"recall at {' and '.join(unknown)} is undefined: {self.place_count} places were verified a keyframe; "
-            f"replay with --set loop_closure.places={RECALL_AT[-1]} --set loop_closure.follow_travel_m=0"
+            f"replay with --set loop_closure.max_candidates={RECALL_AT[-1]} --set loop_closure.propagation_distance_m=0"
         )
 
 
@@ -94,11 +94,11 @@ def evaluate_retrieval(
     asked_ids = np.array(
         [name for name in revisits.keyframe_ids[revisits.is_revisit].tolist() if name in asked], dtype=np.int64
     )
-    judged = judge_closures(proposals, stamp_of_keyframe, truth, protocol)
+    judged = label_closures(proposals, stamp_of_keyframe, truth, protocol)
     ranks = np.array([r.rank for r in proposals], dtype=np.int64)
     right = judged.true | judged.same_place
     return RetrievalQuality(
-        asked_count=len(asked_ids),
+        query_count=len(asked_ids),
         hit_counts={k: _count_hits(asked_ids, judged.query_ids[right & (ranks <= k)]) for k in RECALL_AT},
         place_count=int(ranks.max(initial=0)) if place_count is None else place_count,
     )

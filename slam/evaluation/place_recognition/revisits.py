@@ -78,8 +78,8 @@ def find_revisits(keyframe_ids: IntArray, stamps_ns: IntArray, truth: PoseSeries
     rows = np.flatnonzero(known)
     rows = rows[np.lexsort((keyframe_ids[rows], stamps_ns[rows]))]
     if len(rows) == 0:
-        nothing = np.zeros(0, dtype=np.int64)
-        return Revisits(nothing, nothing, nothing)
+        no_rows = np.zeros(0, dtype=np.int64)
+        return Revisits(no_rows, no_rows, no_rows)
     T_world_body = T_world_body[rows]
     travelled_m = truth.travelled_at_m(stamps_ns[rows])
     queries = _thin(travelled_m, (1.0 - SPACING_TOLERANCE) * protocol.query_spacing_m)

@@ -12,7 +12,7 @@ from slam.evaluation.metrics.association import AssociationQuality
 from slam.evaluation.metrics.calibration import CalibrationQuality
 from slam.evaluation.metrics.landmarks import LandmarkQuality
 from slam.evaluation.metrics.trajectory import TrajectoryErrors
-from slam.evaluation.report.text_closures import closure_table, published_table, relocalization_table
+from slam.evaluation.report.text_closures import closure_table, literature_table, relocalization_table
 from slam.evaluation.report.text_tables import (
     UNDEFINED,
     count,
@@ -53,20 +53,20 @@ def render(evaluation: Evaluation, *, with_rules: bool = True) -> list[Renderabl
     if evaluation.closures is not None:
         parts.append(closure_table(evaluation.closures, evaluation.retrieval))
     if evaluation.pairs is not None and evaluation.online_queries is not None:
-        parts.append(published_table(evaluation.pairs, evaluation.online_queries))
+        parts.append(literature_table(evaluation.pairs, evaluation.online_queries))
     if evaluation.relocalization is not None and evaluation.relocalization.loss_count:
         parts.append(relocalization_table(evaluation.relocalization))
     if evaluation.calibration is not None:
         parts.append(_calibration_table(evaluation.calibration))
     if evaluation.counters:
         parts.append(pairs_table("Counters", {name: str(value) for name, value in evaluation.counters.items()}))
-    parts += _missing_lines(evaluation.missing)
+    parts += _unavailable_lines(evaluation.unavailable)
     if with_rules:
         parts.append(pairs_table("Rules", evaluation.protocol.describe()))
     return parts
 
 
-def _missing_lines(missing: Mapping[str, str]) -> list[Text]:
+def _unavailable_lines(missing: Mapping[str, str]) -> list[Text]:
     """A line for each reason, with the parts that it keeps from being measured."""
     parts_of: dict[str, list[str]] = {}
     for part, reason in missing.items():

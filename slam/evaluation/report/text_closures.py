@@ -34,7 +34,7 @@ def closure_table(quality: ClosureQuality, retrieval: RetrievalQuality | None = 
     return pairs_table("Loop closures", rows)
 
 
-def published_table(pairs: PairQuality, online: OnlineQuality) -> Table:
+def literature_table(pairs: PairQuality, online: OnlineQuality) -> Table:
     """Place recognition by the two protocols of papers."""
     claims = (
         f"candidates claim {pairs.claimed_positive_count} of {pairs.positive_count} positive and "
@@ -61,9 +61,9 @@ def relocalization_table(quality: RelocalizationQuality) -> Table:
         "trajectory": "after the alignment of this drive",
     }
     rows = {
-        "lost, found again": f"{losses}, {fixes}; {_percent(quality.lost_share)} of the time lost",
+        "lost, found again": f"{losses}, {fixes}; {_percent(quality.lost_time_ratio)} of the time lost",
         "right fixes": fraction(quality.success_rate, quality.right_count, decided),
-        "wrong fixes": fraction(quality.wrong_rate, quality.wrong_count, decided),
+        "wrong fixes": fraction(quality.false_relocalization_rate, quality.wrong_count, decided),
     }
     if fixes:
         rows["time to a fix"] = f"median {number(quality.median_seconds)} s, max {number(quality.max_seconds)} s"
@@ -88,11 +88,11 @@ def _sweep(sweep: ScoreSweep | None) -> str:
 
 
 def _retrieval(retrieval: RetrievalQuality, revisit_count: int) -> str:
-    if not retrieval.asked_count:
+    if not retrieval.query_count:
         return f"{UNDEFINED} ({retrieval.note})"
     recalls = [f"{_percent(retrieval.recall_at(k))} at {k}" for k in RECALL_AT]
     note = f" ({retrieval.note})" if retrieval.note else ""
-    return f"{', '.join(recalls)}, asked at {retrieval.asked_count} of {revisit_count} revisits{note}"
+    return f"{', '.join(recalls)}, asked at {retrieval.query_count} of {revisit_count} revisits{note}"
 
 
 def _percent(share: float | None) -> str:
@@ -124,7 +124,7 @@ def _missed(revisits: RevisitQuality) -> str:
 
 
 def _closure_error(errors: ClosureErrors) -> str:
-    spread = errors.within_revisit_spread_m
+    spread = errors.intra_revisit_std_m
     return (
         f"median {errors.median_translation_m:.3f} m, {errors.median_rotation_deg:.3f} deg; "
         f"in the plane {errors.median_planar_m:.3f} m, {errors.median_heading_deg:.3f} deg; "

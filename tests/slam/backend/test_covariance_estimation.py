@@ -44,11 +44,11 @@ def chain(poses: int, closures: int = 0) -> LinearSystem:
 
 def solve(system: LinearSystem, noise: FloatArray) -> tuple[LinearSystem, FloatArray]:
     """The system at its optimum for measurements with that noise (N,), and the errors (n,) of the estimate."""
-    weighted = system.jacobian.T @ sparse.diags_array(system.trust)
+    weighted = system.jacobian.T @ sparse.diags_array(system.kernel_weight)
     errors = sparse.linalg.spsolve(sparse.csc_array(weighted @ system.jacobian), weighted @ noise)
     residuals = noise - system.jacobian @ errors
     return LinearSystem(
-        system.jacobian, residuals, system.trust, system.odometry_rows, system.closure_rows, system.owners
+        system.jacobian, residuals, system.kernel_weight, system.odometry_rows, system.closure_rows, system.owners
     ), errors
 
 
@@ -67,8 +67,8 @@ def nees_of_axes(blocks: FloatArray, errors: FloatArray) -> FloatArray:
 
 def dense_sandwich(system: LinearSystem, factors: FloatArray) -> FloatArray:
     J = system.jacobian.toarray()
-    inverse = np.linalg.inv(J.T @ (system.trust[:, None] * J))
-    whole = inverse @ (J.T @ ((system.trust**2 * factors)[:, None] * J)) @ inverse
+    inverse = np.linalg.inv(J.T @ (system.kernel_weight[:, None] * J))
+    whole = inverse @ (J.T @ ((system.kernel_weight**2 * factors)[:, None] * J)) @ inverse
     return np.stack([whole[i : i + AXES, i : i + AXES] for i in range(0, len(whole), AXES)])
 
 
@@ -77,7 +77,7 @@ def test_the_blocks_are_those_of_the_sandwich(is_trusted: bool) -> None:
     rng = np.random.default_rng(0)
     system = chain(40, closures=3)
     if not is_trusted:
-        system.trust[:] = rng.uniform(0.2, 1.0, len(system.trust))
+        system.kernel_weight[:] = rng.uniform(0.2, 1.0, len(system.kernel_weight))
     factors = rng.uniform(0.1, 10.0, len(system.residuals))
     expected = dense_sandwich(system, factors)
     np.testing.assert_allclose(covariance_blocks(system, factors), expected, rtol=1e-9, atol=1e-12)
@@ -155,7 +155,7 @@ def test_a_drive_that_measures_nothing_keeps_the_noise_that_it_was_given() -> No
 def test_what_is_not_determined_is_refused() -> None:
     system = chain(6 * STRETCH_STEPS)
     empty = LinearSystem(
-        0.0 * system.jacobian, system.residuals, system.trust, *[system.odometry_rows] * 2, system.owners
+        0.0 * system.jacobian, system.residuals, system.kernel_weight, *[system.odometry_rows] * 2, system.owners
     )
     with pytest.raises(np.linalg.LinAlgError):
         variance_factors(empty)

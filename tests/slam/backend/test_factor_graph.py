@@ -177,14 +177,16 @@ def test_twin_a_closure_the_wrong_way_round_does_not_close():
 # Noise
 
 
-def chi_squared_of(position: FloatArray, off: FloatArray, covariance: FloatArray, redundancy: float = 1.0) -> float:
-    """What an observation costs whose landmark is held at ``position`` by another one, 2000 times tighter."""
+def chi_squared_of(
+    position: FloatArray, off: FloatArray, covariance: FloatArray, covariance_inflation: float = 1.0
+) -> float:
+    """What an observation costs whose landmark is fixed at ``position`` by another one, 2000 times tighter."""
     graph = FactorGraph(PLAIN)
     graph.add_first_keyframe(0, np.eye(4))
     graph.add_observations(
         [
             Observation(0, 1, position, 1e-12 * np.eye(3)),
-            Observation(0, 1, position + off, covariance, redundancy),
+            Observation(0, 1, position + off, covariance, covariance_inflation),
         ]
     )
     return 2.0 * graph.optimize().error_after
@@ -223,19 +225,19 @@ def test_noise_that_differs_across_the_line_of_sight_counts_as_its_mean(position
         np.testing.assert_allclose(chi_squared_of(position, off, covariance), expected, rtol=0.05)
 
 
-@pytest.mark.parametrize("redundancy", [1.0, 9.0])
-def test_the_covariance_of_a_landmark_seen_once_is_that_of_its_sighting_in_the_map(redundancy):
+@pytest.mark.parametrize("covariance_inflation", [1.0, 9.0])
+def test_the_covariance_of_a_landmark_seen_once_is_that_of_its_sighting_in_the_map(covariance_inflation):
     rng = np.random.default_rng(5)
     T = make_transform(Rotation.random(random_state=rng).as_matrix(), np.array([100.0, -40.0, 3.0]))
     position = np.array([12.0, 5.0, 2.0])
     covariance = sight_covariance(position, 0.1, 0.2)
     graph = FactorGraph(PLAIN)
     graph.add_first_keyframe(0, T)
-    graph.add_observations([Observation(0, 3, position, covariance, redundancy)])
+    graph.add_observations([Observation(0, 3, position, covariance, covariance_inflation)])
     graph.update()
     R = T[:3, :3]
     np.testing.assert_allclose(
-        graph.landmark_covariances(np.array([3]))[0], redundancy * R @ covariance @ R.T, atol=1e-5
+        graph.landmark_covariances(np.array([3]))[0], covariance_inflation * R @ covariance @ R.T, atol=1e-5
     )
 
 
@@ -276,11 +278,11 @@ def test_an_object_on_top_of_the_sensor_is_passed_over():
 
 
 @pytest.mark.parametrize(
-    "redundancy",
+    "covariance_inflation",
     [1.0, 50.0],
 )
-def test_merged_landmarks_are_as_if_all_had_seen_one(redundancy):
-    observations = [replace(o, redundancy=redundancy) for o in sightings()]
+def test_merged_landmarks_are_as_if_all_had_seen_one(covariance_inflation):
+    observations = [replace(o, covariance_inflation=covariance_inflation) for o in sightings()]
     split = [replace(o, landmark=99) if o.landmark == OFTEN_SEEN and o.keyframe % 2 else o for o in observations]
     assert sum(o.landmark == 99 for o in split) > 1
     merged, whole = build(noisy_edges(), split), build(noisy_edges(), observations)
@@ -348,7 +350,7 @@ def test_an_update_with_nothing_new_changes_nothing():
 
 
 def test_the_record_holds_the_graph():
-    observations = [replace(o, redundancy=3.0) for o in sightings()]
+    observations = [replace(o, covariance_inflation=3.0) for o in sightings()]
     graph = build(noisy_edges(), observations)
     graph.optimize()
     record = graph.to_record(9, np.arange(KEYFRAMES))

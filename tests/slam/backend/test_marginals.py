@@ -11,7 +11,15 @@ from gtsam.symbol_shorthand import L, X
 from scipy.spatial.transform import Rotation
 
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import Anchor, Edge, Factor, Observation, bearing_range_factor, between_factor, prior_factor
+from slam.backend.factors import (
+    Edge,
+    Factor,
+    Observation,
+    PosePrior,
+    bearing_range_factor,
+    between_factor,
+    prior_factor,
+)
 from slam.backend.marginals import compute_marginals
 from slam.common.arrays import FloatArray
 from slam.common.config import FactorGraphConfig
@@ -67,7 +75,7 @@ def gtsam_marginals(graph: FactorGraph) -> gtsam.Marginals:
 
 def as_gtsam(record: Factor) -> gtsam.NonlinearFactor:
     match record:
-        case Anchor():
+        case PosePrior():
             return prior_factor(record)
         case Edge():
             return between_factor(record)
@@ -112,8 +120,10 @@ def test_the_record_holds_them_and_they_follow_the_graph() -> None:
 
 
 @pytest.mark.parametrize("kernel", ["none", "huber", "cauchy"])
-@pytest.mark.parametrize("redundancy", [1.0, 50.0])
-def test_a_landmark_seen_often_has_the_covariance_that_it_is_told_to_have(kernel: str, redundancy: float) -> None:
+@pytest.mark.parametrize("covariance_inflation", [1.0, 50.0])
+def test_a_landmark_seen_often_has_the_covariance_that_it_is_told_to_have(
+    kernel: str, covariance_inflation: float
+) -> None:
     """By the kernels' own weights it would be told twice too large."""
     rng = np.random.default_rng(5)
     config = FactorGraphConfig(observation_kernel=kernel)
@@ -122,11 +132,11 @@ def test_a_landmark_seen_often_has_the_covariance_that_it_is_told_to_have(kernel
         graph = FactorGraph(config)
         graph.add_first_keyframe(0, np.eye(4))
         seen = place + rng.normal(scale=0.1, size=(30, 3))
-        graph.add_observations([Observation(0, 0, each, SEEN_COVARIANCE, redundancy) for each in seen])
+        graph.add_observations([Observation(0, 0, each, SEEN_COVARIANCE, covariance_inflation) for each in seen])
         graph.optimize()
         row = np.array([0])
         error, covariance = graph.landmark_positions(row)[0] - place, graph.landmark_covariances(row)[0]
-        squares.append(float(error @ np.linalg.solve(covariance, error)) * redundancy / 3.0)
+        squares.append(float(error @ np.linalg.solve(covariance, error)) * covariance_inflation / 3.0)
     assert np.mean(squares) == pytest.approx(1.0, abs=0.3)
 
 

@@ -87,7 +87,7 @@ def test_the_truth_only_judges(entries: list[Entry], tmp_path: Path, measured: L
             assert each.error_m == pytest.approx(by_number[each.number].error_m, abs=1e-6)
     assert again.mapped.total.success_rate == 1.0
     strict = run(tmp_path, entries, kidnaps=1, tolerance=Tolerance(1e-6, 1e-6))
-    assert strict.mapped.total.wrong_rate == 1.0
+    assert strict.mapped.total.false_relocalization_rate == 1.0
 
 
 def test_what_cannot_be_measured_is_said(entries: list[Entry], tmp_path: Path) -> None:

@@ -36,7 +36,7 @@ from slam.common.config import Config, LoopClosureConfig
 from slam.common.errors import SimulationError
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.localization.state import State
-from slam.place_recognition.retrieval import PlaceFinder
+from slam.place_recognition.retrieval import PlaceRetriever
 from slam.simulation.config import DriveConfig, SensorConfig, SimulationConfig
 from slam.simulation.world import World
 from slam.system import Slam
@@ -188,13 +188,17 @@ def test_what_is_believed_after_the_fix_is_told_apart_from_it(
     assert (outcome.verdict, outcome.error_m) == (plain.verdict, plain.error_m)
 
 
-@pytest.mark.parametrize(("lost_places", "verdict"), [(5, Verdict.RECOVERED), (0, Verdict.NOT_FOUND)])
+@pytest.mark.parametrize(("max_candidates_when_lost", "verdict"), [(5, Verdict.RECOVERED), (0, Verdict.NOT_FOUND)])
 def test_who_is_lost_is_found_without_descriptors(
-    search: Search, kidnaps: list[Kidnap], lost_places: int, verdict: Verdict, monkeypatch: pytest.MonkeyPatch
+    search: Search,
+    kidnaps: list[Kidnap],
+    max_candidates_when_lost: int,
+    verdict: Verdict,
+    monkeypatch: pytest.MonkeyPatch,
 ):
     """Where descriptors propose nothing all places are tried, if that is wanted."""
-    monkeypatch.setattr(PlaceFinder, "find", lambda *_, **__: [])
-    closing = LoopClosureConfig(lost_places=lost_places)
+    monkeypatch.setattr(PlaceRetriever, "retrieve", lambda *_, **__: [])
+    closing = LoopClosureConfig(max_candidates_when_lost=max_candidates_when_lost)
     outcome = relocalize(replace(search, config=Config(loop_closure=closing)), kidnaps[0])
     assert outcome.verdict == verdict
 
@@ -308,7 +312,7 @@ MADE_UP = [
 
 def test_figures_of_outcomes_by_hand():
     told = figures(MADE_UP)
-    rates = (told.success_rate, told.late_rate, told.wrong_rate, told.not_found_rate)
+    rates = (told.success_rate, told.late_rate, told.false_relocalization_rate, told.not_found_rate)
     assert rates == (3 / 8, 1 / 8, 3 / 8, 1 / 8)
     assert (told.kidnaps, told.median_distance_m, told.median_seconds) == (8, 20.0, 2.5)
     assert told.p95_distance_m == pytest.approx(47.0)
@@ -317,7 +321,7 @@ def test_figures_of_outcomes_by_hand():
     assert told.misplaced_rate == 1 / 8
     assert told.success_in_map_rate == 5 / 8, "three right ones, and two that only a bent map made wrong"
     assert told.kept_rate == 2 / 4
-    assert told.taken_back_rate == pytest.approx(2 / 3)
+    assert told.revoked_rate == pytest.approx(2 / 3)
 
 
 def test_figures_of_nothing_are_none():

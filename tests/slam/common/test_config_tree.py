@@ -7,6 +7,7 @@ import pytest
 from slam.common.config import Config, load_config
 from slam.common.config_tree import changes, settings_of, to_toml
 from slam.common.errors import ConfigurationError
+from slam.common.renamed_settings import RENAMED_SETTINGS
 from slam.simulation.config import SimulationConfig, load_simulation_config
 
 OVERRIDES = ("keyframe.distance_m=1.5", "factor_graph.observation_kernel=huber", "landmark.confirm_observations=3")
@@ -127,3 +128,27 @@ def test_what_is_missing_is_told_with_who_began_the_branch(tmp_path: Path) -> No
     with pytest.raises(ConfigurationError) as caught:
         load_simulation_config(path, ["sensor.dropout=0.1"])
     assert str(caught.value).startswith(f"{path}: kidnap.from_m is missing")
+
+
+@pytest.mark.parametrize(("old", "new"), RENAMED_SETTINGS.items())
+def test_a_renamed_setting_is_refused_with_its_new_name(tmp_path: Path, old: str, new: str) -> None:
+    branch, _, name = old.rpartition(".")
+    path = written(tmp_path, f"[{branch}]\n{name} = 3\n" if branch else f"[{name}]\n")
+    for given in ((None, [f"{old}=3"]), (path,)):
+        with pytest.raises(ConfigurationError) as caught:
+            load_config(*given)
+        assert str(caught.value).endswith(f"there is no '{old}'; it was renamed to {new}")
+        assert "\n" not in str(caught.value)
+
+
+def test_the_new_names_of_settings_exist_and_the_old_ones_do_not() -> None:
+    branches = set(Config.model_fields)
+    keys = {setting.key for setting in settings_of(Config())} | branches
+    assert set(RENAMED_SETTINGS.values()) <= keys
+    assert keys.isdisjoint(RENAMED_SETTINGS)
+
+
+def test_a_renamed_setting_is_not_hinted_at_in_a_tree_without_it() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        load_simulation_config(None, ["evidence.persistence=0.5"])
+    assert "renamed" not in str(caught.value)

@@ -42,5 +42,5 @@ def relocalized(tmp_path_factory: pytest.TempPathFactory) -> Relocalized:
     first = write_log(folder / "first.mcap", drive(simulation, seed=1))
     second = write_log(folder / "second.mcap", drive(simulation, seed=2))
     replay(first, folder / "mapped.mcap", Config(), map_path=folder / "map.mcap")
-    replay(second, folder / "found.mcap", Config(), earlier=load_map(folder / "map.mcap"), extend=False)
+    replay(second, folder / "found.mcap", Config(), prior_map=load_map(folder / "map.mcap"), extend=False)
     return Relocalized(read_records(folder / "mapped.mcap"), read_records(folder / "found.mcap"))

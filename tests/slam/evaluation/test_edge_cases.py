@@ -44,7 +44,7 @@ def drive(closures: Sequence[LoopClosureRecord] = (), *, truth: EvaluationRecord
         closures=tuple(closures),
         graph=replace(graph(stamps_ns[::2], T_map_body[::2]), keyframe_ids=np.arange(0, 241, 2)),
         statuses=(StatusRecord(at_ns(0), "MAPPING", "info", ""),),
-        configuration={"loop_closure": {"places": 3}},
+        configuration={"loop_closure": {"max_candidates": 3}},
     )
     true = truth or EvaluationRecords(true_poses=poses_of(stamps_ns, TRUTH.T_world_body))
     return replace(records, true_poses=true.true_poses)
@@ -67,7 +67,7 @@ def measures(result: Evaluation, part: str) -> dict[str, object]:
     return {name: at_json(result, f"{part}.{name}") for name in names}
 
 
-SWEPT = ("closures", "published.pairs", "published.online")
+SWEPT = ("closures", "literature_protocols.pairs", "literature_protocols.online")
 UNDEFINED = dict.fromkeys(("average_precision", "f1_max", "recall_at_full_precision", "extended_precision"))
 
 
@@ -76,7 +76,7 @@ def test_no_closures() -> None:
     assert at_json(result, "closures.precision") is None
     assert at_json(result, "closures.recall") == 0.0
     assert at_json(result, "retrieval.recall_at_1") is None
-    assert at_json(result, "published.online.recall_at_1") == 0.0
+    assert at_json(result, "literature_protocols.online.recall_at_1") == 0.0
     for part in SWEPT:
         assert measures(result, part) == UNDEFINED
         assert at_json(result, f"{part}.precision_recall_curve") == {"thresholds": [], "precision": [], "recall": []}
@@ -99,7 +99,7 @@ def test_no_revisits() -> None:
     assert at_json(result, "closures.precision") == 1.0
     assert at_json(result, "closures.recall") is None
     assert at_json(result, "retrieval.recall_at_1") is None
-    assert at_json(result, "published.online.recall_at_1") is None
+    assert at_json(result, "literature_protocols.online.recall_at_1") is None
     for part in SWEPT:
         assert measures(result, part) == UNDEFINED
     assert "(no revisit)" in printed(result)
@@ -115,9 +115,9 @@ def test_all_true() -> None:
     assert isinstance(curve, dict)
     assert curve["precision"] == [1.0] * len(REVISITS)
     assert curve["recall"][-1] == 1.0
-    assert at_json(result, "published.pairs.claimed_negative_count") == 0
-    assert at_json(result, "published.online.recall_at_full_precision") == at_json(
-        result, "published.online.recall_at_1"
+    assert at_json(result, "literature_protocols.pairs.claimed_negative_count") == 0
+    assert at_json(result, "literature_protocols.online.recall_at_full_precision") == at_json(
+        result, "literature_protocols.online.recall_at_1"
     )
 
 
@@ -125,11 +125,11 @@ def test_all_false() -> None:
     result = evaluate(drive(WRONG))
     assert (at_json(result, "closures.precision"), at_json(result, "closures.recall")) == (0.0, 0.0)
     assert at_json(result, "retrieval.recall_at_1") == 0.0
-    assert at_json(result, "published.online.found_count") == 0
-    for part in ("closures", "published.online"):
+    assert at_json(result, "literature_protocols.online.found_count") == 0
+    for part in ("closures", "literature_protocols.online"):
         assert measures(result, part) == dict.fromkeys(UNDEFINED, 0.0)
     # All other pairs follow at the lowest score, the positive ones among them.
-    pairs = measures(result, "published.pairs")
+    pairs = measures(result, "literature_protocols.pairs")
     assert isinstance(pairs["average_precision"], float)
     assert 0.0 < pairs["average_precision"] < 0.1
     assert pairs["extended_precision"] == 0.0
@@ -147,8 +147,8 @@ def test_ties_in_score_do_not_depend_on_the_order_of_the_log(order: int) -> None
 
 def test_no_ground_truth() -> None:
     result = evaluate(drive(RIGHT, truth=EvaluationRecords()))
-    for part in ("trajectory", "closures", "retrieval", "published"):
-        assert "no ground truth" in result.missing[part]
+    for part in ("trajectory", "closures", "retrieval", "literature_protocols"):
+        assert "no ground truth" in result.unavailable[part]
     assert at_json(result, "closures.accepted_count") == len(RIGHT)
     assert at_json(result, "relocalization.loss_count") == 0
     text = printed(result)
@@ -203,10 +203,10 @@ def test_one_pose() -> None:
         graph=graph(TRUTH.stamps_ns[:1], TRUTH.T_world_body[:1]),
     )
     result = evaluate(one)
-    assert "at least 2" in result.missing["trajectory"]
+    assert "at least 2" in result.unavailable["trajectory"]
     assert at_json(result, "closures.revisit_count") == 0
-    assert at_json(result, "published.pairs.negative_count") == 0
-    assert at_json(result, "relocalization.lost_share") is None
+    assert at_json(result, "literature_protocols.pairs.negative_count") == 0
+    assert at_json(result, "relocalization.lost_time_ratio") is None
     assert printed(result)
 
 
@@ -221,7 +221,7 @@ def test_duplicated_stamps_change_nothing_but_their_count() -> None:
     )
     result = evaluate(doubled)
     assert at_json(result, "trajectory.estimate.duplicate_count") == 241
-    for part in ("closures", "retrieval", "published", "relocalization"):
+    for part in ("closures", "retrieval", "literature_protocols", "relocalization"):
         assert at_json(result, part) == at_json(plain, part)
     assert at_json(result, "trajectory.ate_m") == at_json(plain, "trajectory.ate_m")
 
@@ -241,7 +241,7 @@ def test_every_key_about_places_is_documented() -> None:
     text = (Path(__file__).parents[3] / "docs" / "evaluation.md").read_text(encoding="utf-8")
     results = evaluate(EvaluationRecords()).to_json_dict()
     parts = [results[name] for name in ("closures", "retrieval", "relocalization")]
-    parts += [results["published"]["pairs"], results["published"]["online"]]
+    parts += [results["literature_protocols"]["pairs"], results["literature_protocols"]["online"]]
     keys = {key for part in parts for key in part if not key.startswith("revisit_count_")}
     assert len(keys) > 50
     assert {key for key in keys if key not in text} == set()

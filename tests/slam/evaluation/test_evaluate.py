@@ -30,7 +30,7 @@ from tests.slam.evaluation.results import at_json, graph, printed
 COUNT = 400
 PARTS = {
     *("trajectory", "odometry", "online", "associations", "landmarks"),
-    *("closures", "retrieval", "published", "relocalization", "counters"),
+    *("closures", "retrieval", "literature_protocols", "relocalization", "counters"),
 }
 T_WORLD_MAP = transform_from_xyz_yaw(np.array([20.0, 30.0, 1.0]), 0.7)
 
@@ -82,7 +82,7 @@ def made_log() -> list[tuple[str, Record]]:
 
 def test_all_parts_of_a_complete_log() -> None:
     result = evaluate(collect_records(made_log()))
-    assert PARTS.isdisjoint(result.missing)
+    assert PARTS.isdisjoint(result.unavailable)
     assert at_json(result, "trajectory.ate_m") == pytest.approx(0.0, abs=1e-9)
     assert at_json(result, "trajectory.online_ate_m") == pytest.approx(0.0, abs=1e-9)
     # 1 % of the straight distance, which on a winding road is a little less than the path.
@@ -126,16 +126,16 @@ def test_without_truth_everything_is_null_and_says_why() -> None:
     result = evaluate(collect_records(log))
     for path in ("trajectory.ate_m", "associations.precision", "landmarks.median_error_m", "landmarks.confirmed_count"):
         assert at_json(result, path) is None
-    assert PARTS & set(result.missing) == PARTS - {"relocalization", "counters"}
+    assert PARTS & set(result.unavailable) == PARTS - {"relocalization", "counters"}
     assert at_json(result, "closures.accepted_count") == 2
     assert at_json(result, "closures.precision") is None
-    assert "--reference" in result.missing["trajectory"]
+    assert "--reference" in result.unavailable["trajectory"]
 
 
 def test_nothing_at_all() -> None:
     result = evaluate(EvaluationRecords())
     assert at_json(result, "trajectory.ate_m") is None
-    assert set(result.missing) >= PARTS
+    assert set(result.unavailable) >= PARTS
 
 
 def test_the_keys_do_not_depend_on_what_is_there() -> None:
@@ -144,13 +144,13 @@ def test_the_keys_do_not_depend_on_what_is_there() -> None:
     for part in ("trajectory", "associations", "landmarks", "closures", "retrieval", "relocalization", "protocol"):
         assert full[part].keys() == empty[part].keys()
     for part in ("pairs", "online"):
-        assert full["published"][part].keys() == empty["published"][part].keys()
+        assert full["literature_protocols"][part].keys() == empty["literature_protocols"][part].keys()
 
 
 def test_an_unfinished_run_is_measured_by_its_online_poses() -> None:
     log = [(t, r) for t, r in made_log() if not isinstance(r, TrajectoryRecord)]
     result = evaluate(collect_records(log))
-    assert "finished" in result.missing["trajectory"]
+    assert "finished" in result.unavailable["trajectory"]
     assert at_json(result, "trajectory.online_ate_m") == pytest.approx(0.0, abs=1e-9)
     assert at_json(result, "landmarks.global_median_error_m") == pytest.approx(0.0, abs=1e-9)
 
@@ -162,7 +162,7 @@ def test_without_truth_of_the_detections_landmarks_are_matched_by_position() -> 
     assert result.landmarks.method == "nearest"
     assert result.landmarks.matched_count == 9  # the pole is called a tree
     assert at_json(result, "landmarks.class_accuracy") is None
-    assert "detections" in result.missing["associations"]
+    assert "detections" in result.unavailable["associations"]
 
 
 def test_a_reference_of_another_drive_is_told() -> None:
@@ -172,8 +172,8 @@ def test_a_reference_of_another_drive_is_told() -> None:
     other = EvaluationRecords(true_poses=tuple(late), detection_truths=tuple(truths))
     result = evaluate(records.with_truth_of(other))
     assert at_json(result, "trajectory.ate_m") is None
-    assert "truth of this drive" in result.missing["trajectory"]
-    assert "this drive" in result.missing["associations"]
+    assert "truth of this drive" in result.unavailable["trajectory"]
+    assert "this drive" in result.unavailable["associations"]
 
 
 def test_merged_landmarks_are_read_from_the_reasons() -> None:
@@ -204,10 +204,10 @@ def test_from_a_file_and_a_reference(tmp_path: Path) -> None:
                 writer.write(topic, record)
     in_memory = evaluate(collect_records(made_log()))
     from_file = evaluate(read_records(out, reference=reference))
-    assert PARTS.isdisjoint(from_file.missing)
+    assert PARTS.isdisjoint(from_file.unavailable)
     for path in ("trajectory.odometry_ate_m", "associations.recall", "landmarks.class_accuracy"):
         assert at_json(from_file, path) == pytest.approx(at_json(in_memory, path), rel=1e-6)
-    assert "--reference" in evaluate(read_records(out)).missing["trajectory"]
+    assert "--reference" in evaluate(read_records(out)).unavailable["trajectory"]
 
 
 @pytest.mark.parametrize("records", [EvaluationRecords(), collect_records(made_log())])
@@ -215,7 +215,7 @@ def test_the_report_can_be_printed(records: EvaluationRecords) -> None:
     result = evaluate(records)
     text = printed(result)
     assert "nan" not in text.lower().split()
-    for reason in result.missing.values():
+    for reason in result.unavailable.values():
         assert reason[:40] in text
     if result.closures is not None:
         assert "95.00 % (19 of 20)" in text
@@ -246,7 +246,7 @@ def test_a_record_of_topics_that_is_none_is_passed_over(tmp_path: Path, recorded
 
 @pytest.mark.parametrize(
     ("recorded", "places"),
-    [('{"loop_closure": {"places": 25}}', 25), ("{}", None), ("no json", None), ('{"loop_closure": 3}', None)],
+    [('{"loop_closure": {"max_candidates": 25}}', 25), ("{}", None), ("no json", None), ('{"loop_closure": 3}', None)],
 )
 def test_the_configuration_of_a_run_is_read(tmp_path: Path, recorded: str, places: int | None) -> None:
     path = tmp_path / "log.mcap"

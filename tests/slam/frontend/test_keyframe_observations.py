@@ -1,4 +1,4 @@
-"""Sightings between two keyframes: their sum is the information-weighted mean."""
+"""KeyframeObservations between two keyframes: their sum is the information-weighted mean."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from slam.common.config import DetectionConfig
-from slam.frontend.keyframe_observations import MAX_SIGHTINGS, Sightings
+from slam.frontend.keyframe_observations import MAX_MEASUREMENTS, KeyframeObservations
 from slam.frontend.scan import Scan
 from tests.logs.examples import random_covariance
 
-CONFIG = DetectionConfig(common_sigma_m=0.3, redundancy=25.0)
+CONFIG = DetectionConfig(common_sigma_m=0.3, covariance_inflation=25.0)
 
 
 def random_sightings(rng, landmarks: int = 5, scans: int = 8):
@@ -25,14 +25,14 @@ def random_sightings(rng, landmarks: int = 5, scans: int = 8):
 
 
 def summed(scans, *, own: bool = True):
-    sightings = Sightings()
+    measurements = KeyframeObservations()
     for rows, positions, covariances in scans:
         flags = np.full(len(rows), own)
         scan = Scan(
             0, "lidar", positions, covariances, ("tree",) * len(rows), np.ones(len(rows), dtype=np.bool_), flags
         )
-        sightings.add(rows, scan)
-    return {observation.landmark: observation for observation in sightings.observations(7, CONFIG)}
+        measurements.add(rows, scan)
+    return {observation.landmark: observation for observation in measurements.observations(7, CONFIG)}
 
 
 def test_the_sum_is_the_information_weighted_mean():
@@ -48,7 +48,7 @@ def test_the_sum_is_the_information_weighted_mean():
         np.testing.assert_allclose(observation.position, mean, atol=1e-10)
         np.testing.assert_allclose(observation.covariance, covariance, atol=1e-10)
         assert observation.keyframe == 7
-        assert observation.redundancy == 1.0
+        assert observation.covariance_inflation == 1.0
 
 
 def test_the_order_of_scans_does_not_matter():
@@ -66,19 +66,19 @@ def test_without_covariances_of_its_own_the_error_that_all_share_is_added():
     for row, observation in guessed.items():
         np.testing.assert_allclose(observation.position, own[row].position, atol=1e-12)
         np.testing.assert_allclose(observation.covariance, own[row].covariance + 0.3**2 * np.eye(3), atol=1e-12)
-        assert observation.redundancy == 25.0
+        assert observation.covariance_inflation == 25.0
 
 
 def test_no_average_gets_better_than_what_all_sightings_share():
     one = (np.array([0]), np.zeros((1, 3)), 0.5**2 * np.eye(3)[None])
     (observation,) = summed([one] * 10_000, own=False).values()
-    assert np.sqrt(observation.covariance[0, 0]) == pytest.approx(np.hypot(0.3, 0.5 / np.sqrt(MAX_SIGHTINGS)))
+    assert np.sqrt(observation.covariance[0, 0]) == pytest.approx(np.hypot(0.3, 0.5 / np.sqrt(MAX_MEASUREMENTS)))
     (own,) = summed([one] * 10_000).values()
-    assert np.sqrt(own.covariance[0, 0]) == pytest.approx(0.5 / np.sqrt(MAX_SIGHTINGS), rel=1e-3)
+    assert np.sqrt(own.covariance[0, 0]) == pytest.approx(0.5 / np.sqrt(MAX_MEASUREMENTS), rel=1e-3)
 
 
 def test_nothing_seen_gives_no_observation():
-    assert Sightings().observations(0, CONFIG) == []
+    assert KeyframeObservations().observations(0, CONFIG) == []
     assert summed([(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)))]) == {}
 
 

@@ -150,7 +150,7 @@ def test_a_landmark_is_not_confirmed_before_it_was_seen_for_long_enough():
 
 
 def test_what_is_seen_too_seldom_is_not_confirmed():
-    bench = Bench(landmark={"confirm_observations": 2, "confirm_fraction": 0.5, "give_up_scans": 50})
+    bench = Bench(landmark={"confirm_observations": 2, "confirm_fraction": 0.5, "max_missed_scans": 50})
     for i in range(12):
         bench.move(0.1 * i, 0.1 * i)
         bench.see(0.1 * i, *((OBJECTS, LABELS) if i % 4 == 0 else (OBJECTS[:1], LABELS[:1])))
@@ -159,7 +159,7 @@ def test_what_is_seen_too_seldom_is_not_confirmed():
 
 @pytest.mark.parametrize(("scans", "step_m"), [(20, 0.01), (3, 5.0)], ids=["scans", "distance"])
 def test_a_tentative_landmark_that_is_seen_no_more_is_given_up(scans, step_m):
-    bench = Bench(landmark={"give_up_scans": 20, "give_up_distance_m": 15.0})
+    bench = Bench(landmark={"max_missed_scans": 20, "max_missed_distance_m": 15.0})
     bench.drive(1, step_m=step_m)
     bench.drive(scans, start=1, step_m=step_m, objects=OBJECTS[:0], labels=())
     assert bench.states() == [LandmarkState.TENTATIVE] * 4

@@ -77,7 +77,7 @@ def test_a_map_comes_back_as_the_graph_that_it_was(saved: SavedMap) -> None:
 
 
 def test_observations_that_share_their_errors_come_back_as_robust_as_they_were() -> None:
-    """An object seen far beside where others see it: the kernel, narrowed by redundancy, shuts it out."""
+    """An object seen far beside where others see it: the kernel, narrowed by covariance_inflation, shuts it out."""
     config = FactorGraphConfig(observation_kernel="cauchy")
     graph = FactorGraph(config)
     graph.add_first_keyframe(0, POSES[0])
@@ -85,7 +85,7 @@ def test_observations_that_share_their_errors_come_back_as_robust_as_they_were()
         graph.add_next_keyframe(Edge(k - 1, k, invert(POSES[k - 1]) @ POSES[k], SURE, "odometry"))
     for k, T in enumerate(POSES):
         places = dict(enumerate(OBJECTS + (k == 2) * np.array([0.0, 1.0, 0.0])))
-        graph.add_observations([replace(each, redundancy=500.0) for each in seen_from(T, k, places)])
+        graph.add_observations([replace(each, covariance_inflation=500.0) for each in seen_from(T, k, places)])
     graph.optimize()
     before = graph.landmark_positions(np.arange(4))
     objects = ObjectMap(AssociationConfig())
@@ -149,7 +149,7 @@ def test_what_was_merged_into_such_a_map_can_be_taken_apart_again(saved: SavedMa
     np.testing.assert_allclose(graph.pose(3)[:3, 3], NEW_POSE[:3, 3] - OFFSET, atol=0.03)
 
 
-def test_such_a_map_does_not_move_with_a_session_that_is_joined_to_it(saved: SavedMap) -> None:
+def test_a_fixed_map_does_not_move_with_a_segment_that_is_connected_to_it(saved: SavedMap) -> None:
     _, graph = loaded(saved, fixed=True)
     see_again(graph)
     far = transform_from_xyz_yaw(np.array([[40.0, 9.0, 0.0]]), np.array([1.0]))[0]

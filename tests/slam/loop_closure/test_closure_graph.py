@@ -82,7 +82,7 @@ class Street:
         self.graph.update()
 
     def names(self) -> list[int]:
-        return [self.map.current(row) for row in range(len(self.map))]
+        return [self.map.canonical_id(row) for row in range(len(self.map))]
 
     def facts(self) -> dict[str, object]:
         """All that the records of the map and the graph say, in an order of its own, estimates apart."""
@@ -169,7 +169,7 @@ def test_withdrawing_a_closure_restores_the_graph_and_the_map(street):
     street.close(7, 2, SAME_STATIONS)
     assert street.facts() != before
     assert np.abs(street.estimate()[: PASSES * STATIONS] - estimate[: PASSES * STATIONS]).max() > 2.0
-    street.loops.withdraw([street.loops.loops[0]])
+    street.loops.remove([street.loops.loops[0]])
     assert street.loops.loops == []
     assert street.facts() == before
     np.testing.assert_allclose(street.estimate(), estimate, atol=1e-3)
@@ -179,7 +179,7 @@ def test_withdrawing_one_of_two_closures_leaves_the_other(street):
     street.close(7, 2, SAME_STATIONS)
     only = street.facts()
     street.close(12, 2, [(10 + station, station) for station in range(STATIONS)])
-    street.loops.withdraw([street.loops.loops[1]])
+    street.loops.remove([street.loops.loops[1]])
     assert street.facts() == only
 
 
@@ -189,14 +189,14 @@ def test_withdrawing_closures_in_the_order_of_their_insertion_restores_everythin
     street.close(12, 7, [(10 + station, STATIONS + station) for station in range(STATIONS)])
     assert set(street.names()) == set(range(STATIONS))
     for loop in list(street.loops.loops):
-        street.loops.withdraw([loop])
+        street.loops.remove([loop])
     assert street.facts() == before
 
 
 def test_what_a_closure_merged_stays_merged_where_one_that_it_built_on_is_withdrawn(street):
     street.close(7, 2, [(7, 2)])
     street.close(12, 7, [(12, 7)])
-    street.loops.withdraw([street.loops.loops[0]])
+    street.loops.remove([street.loops.loops[0]])
     names = street.names()
     assert names[12] == names[7] != names[2]
 

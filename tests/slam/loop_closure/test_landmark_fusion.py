@@ -9,7 +9,7 @@ from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation
 from slam.common.config import AssociationConfig, FactorGraphConfig
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
-from slam.loop_closure.landmark_fusion import find_coincident, merge_coincident
+from slam.loop_closure.landmark_fusion import find_duplicate_landmarks, fuse_duplicate_landmarks
 from slam.object_map.landmarks import ObjectMap
 
 KEYFRAMES = 6
@@ -38,7 +38,7 @@ def mapped(landmarks: list[Seen], tentative: tuple[int, ...] = ()) -> tuple[Obje
 
 
 def found(landmarks: list[Seen], keyframes: range = range(KEYFRAMES), **more: tuple[int, ...]) -> list[tuple[int, int]]:
-    return find_coincident(*mapped(landmarks, **more), keyframes, radius_m=0.7)
+    return find_duplicate_landmarks(*mapped(landmarks, **more), keyframes, radius_m=0.7)
 
 
 FIRST: Seen = ("tree", (5.0, 4.0, 0.0), (0, 1, 2))
@@ -82,22 +82,22 @@ def test_three_passes_make_one_landmark_and_what_stands_alone_stays() -> None:
         ("tree", (9.0, 4.0, 0.0), (4, 5)),
     ]
     object_map, graph = mapped(landmarks)
-    assert merge_coincident(object_map, graph, range(KEYFRAMES), radius_m=0.7) == 2
+    assert fuse_duplicate_landmarks(object_map, graph, range(KEYFRAMES), radius_m=0.7) == 2
     graph.optimize()
     assert graph.landmarks.tolist() == [0, 3]
     assert graph.observers() == {0: {0, 1, 2, 3, 4, 5}, 3: {4, 5}}
-    assert [object_map.current(row) for row in range(4)] == [0, 0, 0, 3]
+    assert [object_map.canonical_id(row) for row in range(4)] == [0, 0, 0, 3]
     # Three observations at 5.0, one at 5.2 and two at 5.05: the landmark is between, as sure as all six together.
     np.testing.assert_allclose(graph.landmark_positions(np.array([0]))[0, 0], 5.05, atol=0.03)
-    assert merge_coincident(object_map, graph, range(KEYFRAMES), radius_m=0.7) == 0
+    assert fuse_duplicate_landmarks(object_map, graph, range(KEYFRAMES), radius_m=0.7) == 0
 
 
 def test_what_stays_as_it_is_is_not_merged_among_itself() -> None:
     object_map, _ = mapped([FIRST, ("tree", (5.3, 3.8, 0.2), (3, 4))])
     graph = FactorGraph(FactorGraphConfig())
     T = np.tile(np.eye(4), (2, 1, 1))
-    graph.hold([0, 1], T, {0: np.array([5.0, 4, 0]), 1: np.array([5.3, 3.8, 0.2])})
+    graph.add_fixed_map([0, 1], T, {0: np.array([5.0, 4, 0]), 1: np.array([5.3, 3.8, 0.2])})
     for row in (0, 1):
         graph.add_observations([Observation(row, row, np.array([5.0, 4.0, 0.0]), SEEN)])
     graph.update()
-    assert find_coincident(object_map, graph, range(2), radius_m=0.7) == []
+    assert find_duplicate_landmarks(object_map, graph, range(2), radius_m=0.7) == []

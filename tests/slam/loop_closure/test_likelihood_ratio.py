@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import EvidenceConfig
+from slam.common.config import LikelihoodRatioConfig
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
-from slam.loop_closure.likelihood_ratio import weigh
+from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratio
 from slam.object_map.submap import Submap
 
-CONFIG = EvidenceConfig()
+CONFIG = LikelihoodRatioConfig()
 T_REFERENCE_QUERY = transform_from_xyz_yaw(np.array([30.0, -20.0, 1.0]), 0.7)
 NO_PAIRS = np.zeros((0, 2), dtype=np.int64)
-AROUND_AREA_M2 = np.pi * CONFIG.around_m**2
+AROUND_AREA_M2 = np.pi * CONFIG.clutter_radius_m**2
 
 
 def submap(positions: FloatArray, labels: IntArray | int = 0, sigma_m: float = 0.35) -> Submap:
@@ -41,39 +41,45 @@ def seen_again(
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_place_with_all_objects_seen_again_has_clearly_positive_evidence(seed):
+def test_a_place_with_all_objects_seen_again_has_a_clearly_positive_llr(seed):
     positions, labels = scattered(15, seed=seed)
     query = submap(seen_again(positions, seed=seed), labels)
-    evidence = weigh(query, submap(positions, labels), T_REFERENCE_QUERY, each_with_its_own(15), CONFIG)
-    assert evidence.total > 2.0 * 15
-    assert evidence.total == pytest.approx(evidence.nats.sum())
-    assert evidence.expected.all()
-    assert evidence.matched_count == 15
-    assert evidence.matched_fraction == 1.0
+    ratio = compute_log_likelihood_ratio(
+        query, submap(positions, labels), T_REFERENCE_QUERY, each_with_its_own(15), CONFIG
+    )
+    assert ratio.total > 2.0 * 15
+    assert ratio.total == pytest.approx(ratio.per_object.sum())
+    assert ratio.expected.all()
+    assert ratio.matched_count == 15
+    assert ratio.matched_fraction == 1.0
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_wrong_place_has_clearly_negative_evidence_though_some_objects_meet(seed):
+def test_a_wrong_place_has_a_clearly_negative_llr_though_some_objects_match(seed):
     positions, labels = scattered(15, seed=seed)
     others, other_labels = scattered(15, seed=seed + 100)
     placed = np.linalg.norm(positions[:, None, :2] - others[None, :, :2], axis=2)
     near = (placed < 1.0) & (labels[:, None] == other_labels[None, :])
     query = submap(apply(invert(T_REFERENCE_QUERY), positions), labels)
-    evidence = weigh(query, submap(others, other_labels), T_REFERENCE_QUERY, np.argwhere(near), CONFIG)
-    assert evidence.matched_count < 4
-    assert evidence.total < -0.3 * evidence.expected.sum() < -3.0
+    ratio = compute_log_likelihood_ratio(
+        query, submap(others, other_labels), T_REFERENCE_QUERY, np.argwhere(near), CONFIG
+    )
+    assert ratio.matched_count < 4
+    assert ratio.total < -0.3 * ratio.expected.sum() < -3.0
 
 
-def test_an_object_that_is_missing_says_what_its_persistence_tells():
+def test_the_llr_of_an_object_without_a_match_is_that_of_a_missed_detection():
     positions, labels = scattered(6, seed=0)
     query = submap(apply(invert(T_REFERENCE_QUERY), positions), labels)
-    evidence = weigh(query, submap(positions, labels), T_REFERENCE_QUERY, each_with_its_own(6)[1:], CONFIG)
-    assert evidence.nats[0] == pytest.approx(np.log(1.0 - CONFIG.persistence))
-    assert np.all(evidence.nats[1:] > 0.0)
-    assert evidence.matched_fraction == pytest.approx(5 / 6)
+    ratio = compute_log_likelihood_ratio(
+        query, submap(positions, labels), T_REFERENCE_QUERY, each_with_its_own(6)[1:], CONFIG
+    )
+    assert ratio.per_object[0] == pytest.approx(np.log(1.0 - CONFIG.detection_probability))
+    assert np.all(ratio.per_object[1:] > 0.0)
+    assert ratio.matched_fraction == pytest.approx(5 / 6)
 
 
-def row_evidence(count: int, spacing_m: float, *, row_heading_rad: float, heading_rad: float) -> float:
+def row_llr(count: int, spacing_m: float, *, row_heading_rad: float, heading_rad: float) -> float:
     """Evidence of a row of equal objects, placed with that heading, wrongly: shifted by one object along the row."""
     row = np.zeros((count, 3))
     row[:, 0] = spacing_m * np.arange(count)
@@ -82,89 +88,95 @@ def row_evidence(count: int, spacing_m: float, *, row_heading_rad: float, headin
     T_wrong = T_right.copy()
     T_wrong[:3, 3] = row[1]
     pairs = np.column_stack([np.arange(count - 1), np.arange(1, count)])
-    return weigh(submap(apply(invert(T_right), row)), submap(row), T_wrong, pairs, CONFIG).total
+    return compute_log_likelihood_ratio(submap(apply(invert(T_right), row)), submap(row), T_wrong, pairs, CONFIG).total
 
 
 @pytest.mark.parametrize("heading_rad", [0.0, 0.9, np.pi])
 def test_a_row_of_parked_cars_shifted_by_one_car_says_far_less_than_scattered_objects(heading_rad):
     positions, labels = scattered(10, seed=1)
     query = submap(apply(invert(T_REFERENCE_QUERY), positions), labels)
-    apart = weigh(query, submap(positions, labels), T_REFERENCE_QUERY, each_with_its_own(10)[1:], CONFIG).total
-    row = row_evidence(10, 6.0, row_heading_rad=heading_rad, heading_rad=heading_rad)
+    apart = compute_log_likelihood_ratio(
+        query, submap(positions, labels), T_REFERENCE_QUERY, each_with_its_own(10)[1:], CONFIG
+    ).total
+    row = row_llr(10, 6.0, row_heading_rad=heading_rad, heading_rad=heading_rad)
     assert row < 0.6 * apart
 
 
 def test_objects_in_a_row_across_the_direction_of_travel_say_more_than_those_along_it():
-    along = row_evidence(10, 6.0, row_heading_rad=0.4, heading_rad=0.4)
-    across = row_evidence(10, 6.0, row_heading_rad=0.4, heading_rad=0.4 + np.pi / 2)
+    along = row_llr(10, 6.0, row_heading_rad=0.4, heading_rad=0.4)
+    across = row_llr(10, 6.0, row_heading_rad=0.4, heading_rad=0.4 + np.pi / 2)
     assert along < 0.7 * across
 
 
 def test_the_denser_a_row_the_less_each_of_its_objects_says():
-    totals = [row_evidence(10, spacing_m, row_heading_rad=0.0, heading_rad=0.0) for spacing_m in (2.0, 3.0, 6.0, 15.0)]
+    totals = [row_llr(10, spacing_m, row_heading_rad=0.0, heading_rad=0.0) for spacing_m in (2.0, 3.0, 6.0, 15.0)]
     assert totals == sorted(totals)
     assert totals[0] < 0.5 * totals[-1]
 
 
 def test_objects_where_the_other_pass_saw_nothing_say_nothing():
     positions, labels = scattered(8, seed=2)
-    outside = np.array([[0.0, 25.0 + CONFIG.covered_m + 1.0, 0.0], [300.0, 0.0, 0.0]])
+    outside = np.array([[0.0, 25.0 + CONFIG.coverage_radius_m + 1.0, 0.0], [300.0, 0.0, 0.0]])
     reference = submap(positions, labels)
-    alone = weigh(submap(positions, labels), reference, np.eye(4), each_with_its_own(8), CONFIG)
+    alone = compute_log_likelihood_ratio(submap(positions, labels), reference, np.eye(4), each_with_its_own(8), CONFIG)
     query = submap(np.concatenate([positions, outside]), np.append(labels, [0, 1]))
-    both = weigh(query, reference, np.eye(4), each_with_its_own(8), CONFIG)
-    np.testing.assert_allclose(both.nats, [*alone.nats, 0.0, 0.0], atol=1e-12)
+    both = compute_log_likelihood_ratio(query, reference, np.eye(4), each_with_its_own(8), CONFIG)
+    np.testing.assert_allclose(both.per_object, [*alone.per_object, 0.0, 0.0], atol=1e-12)
     np.testing.assert_array_equal(both.expected, [True] * 8 + [False] * 2)
     assert both.matched_fraction == 1.0
 
 
 def test_an_object_is_expected_only_within_reach_of_what_the_other_pass_saw():
-    query = submap(np.array([[CONFIG.covered_m - 0.1, 0.0, 0.0], [CONFIG.covered_m + 0.1, 0.0, 0.0]]))
-    evidence = weigh(query, submap(np.zeros((1, 3)), 1), np.eye(4), NO_PAIRS, CONFIG)
-    np.testing.assert_array_equal(evidence.expected, [True, False])
+    query = submap(np.array([[CONFIG.coverage_radius_m - 0.1, 0.0, 0.0], [CONFIG.coverage_radius_m + 0.1, 0.0, 0.0]]))
+    ratio = compute_log_likelihood_ratio(query, submap(np.zeros((1, 3)), 1), np.eye(4), NO_PAIRS, CONFIG)
+    np.testing.assert_array_equal(ratio.expected, [True, False])
 
 
 def test_permuting_the_objects_permutes_what_they_say():
     positions, labels = scattered(12, seed=3)
     seen = seen_again(positions, seed=3)
     pairs = each_with_its_own(12)[2:]
-    before = weigh(submap(seen, labels), submap(positions, labels), T_REFERENCE_QUERY, pairs, CONFIG)
+    before = compute_log_likelihood_ratio(
+        submap(seen, labels), submap(positions, labels), T_REFERENCE_QUERY, pairs, CONFIG
+    )
     rng = np.random.default_rng(0)
     order, other_order = rng.permutation(12), rng.permutation(12)
     permuted = np.column_stack([np.argsort(order)[pairs[:, 0]], np.argsort(other_order)[pairs[:, 1]]])
-    after = weigh(
+    after = compute_log_likelihood_ratio(
         submap(seen[order], labels[order]),
         submap(positions[other_order], labels[other_order]),
         T_REFERENCE_QUERY,
         permuted,
         CONFIG,
     )
-    np.testing.assert_allclose(after.nats, before.nats[order], rtol=1e-9)
-    assert len(np.unique(np.round(before.nats, 6))) > 6
+    np.testing.assert_allclose(after.per_object, before.per_object[order], rtol=1e-9)
+    assert len(np.unique(np.round(before.per_object, 6))) > 6
 
 
-def nats_of_a_perfect_match(density: float, sigma_m: float = 0.35) -> float:
+def llr_of_a_perfect_match(density: float, sigma_m: float = 0.35) -> float:
     again = 1.0 / (2.0 * np.pi * 2.0 * sigma_m**2)
-    return float(np.log(1.0 - CONFIG.persistence + CONFIG.persistence * again / density))
+    return float(np.log(1.0 - CONFIG.detection_probability + CONFIG.detection_probability * again / density))
 
 
-def test_the_object_that_is_met_is_no_accident():
-    lone = weigh(submap(np.zeros((1, 3))), submap(np.zeros((1, 3))), np.eye(4), each_with_its_own(1), CONFIG)
-    assert lone.total == pytest.approx(nats_of_a_perfect_match(0.5 / AROUND_AREA_M2))
+def test_the_matched_object_is_no_clutter():
+    lone = compute_log_likelihood_ratio(
+        submap(np.zeros((1, 3))), submap(np.zeros((1, 3))), np.eye(4), each_with_its_own(1), CONFIG
+    )
+    assert lone.total == pytest.approx(llr_of_a_perfect_match(0.5 / AROUND_AREA_M2))
 
 
 @pytest.mark.parametrize(("label", "density"), [(0, 2.0 / AROUND_AREA_M2), (1, 0.5 / AROUND_AREA_M2)])
 def test_others_count_only_if_they_are_like_it(label, density):
     """Two of them across the direction of travel, 4 m away."""
     reference = submap(np.array([[0.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, -4.0, 0.0]]), np.array([0, label, label]))
-    evidence = weigh(submap(np.zeros((1, 3))), reference, np.eye(4), each_with_its_own(1), CONFIG)
-    assert evidence.total == pytest.approx(nats_of_a_perfect_match(density), abs=1e-5)
+    ratio = compute_log_likelihood_ratio(submap(np.zeros((1, 3))), reference, np.eye(4), each_with_its_own(1), CONFIG)
+    assert ratio.total == pytest.approx(llr_of_a_perfect_match(density), abs=1e-5)
 
 
-def test_the_more_noise_the_less_evidence():
+def test_more_noise_means_a_lower_llr():
     positions, labels = scattered(10, seed=4)
     totals = [
-        weigh(
+        compute_log_likelihood_ratio(
             submap(positions, labels, sigma_m),
             submap(positions, labels, sigma_m),
             np.eye(4),
@@ -180,7 +192,9 @@ def test_the_farther_from_where_it_should_be_the_less_an_object_says():
     reference = submap(np.zeros((1, 3)))
     offsets_m = (0.0, 0.5, 1.0, 2.0)
     totals = [
-        weigh(submap(np.array([[x, 0.0, 0.0]])), reference, np.eye(4), each_with_its_own(1), CONFIG).total
+        compute_log_likelihood_ratio(
+            submap(np.array([[x, 0.0, 0.0]])), reference, np.eye(4), each_with_its_own(1), CONFIG
+        ).total
         for x in offsets_m
     ]
     assert np.all(np.diff(totals) < 0.0)
@@ -189,12 +203,12 @@ def test_the_farther_from_where_it_should_be_the_less_an_object_says():
 
 
 @pytest.mark.parametrize(("seen", "known"), [(0, 5), (5, 0), (0, 0)])
-def test_nothing_seen_or_nothing_known_is_no_evidence(seen, known):
+def test_the_llr_of_an_empty_query_or_reference_is_zero(seen, known):
     query, reference = submap(scattered(seen, seed=0)[0]), submap(scattered(known, seed=1)[0])
-    evidence = weigh(query, reference, np.eye(4), NO_PAIRS, CONFIG)
-    assert evidence.total == 0.0
-    assert evidence.matched_fraction == 0.0
-    assert len(evidence.nats) == seen
+    ratio = compute_log_likelihood_ratio(query, reference, np.eye(4), NO_PAIRS, CONFIG)
+    assert ratio.total == 0.0
+    assert ratio.matched_fraction == 0.0
+    assert len(ratio.per_object) == seen
 
 
 def test_where_none_stands_around_a_rare_class_says_more_than_a_common_one():
@@ -205,18 +219,18 @@ def test_where_none_stands_around_a_rare_class_says_more_than_a_common_one():
     reference = submap(positions, labels)
     pairs = each_with_its_own(1)
 
-    def nats(*shares: float) -> float:
-        return weigh(query, reference, T_REFERENCE_QUERY, pairs, CONFIG, np.array(shares)).total
+    def llr(*shares: float) -> float:
+        return compute_log_likelihood_ratio(query, reference, T_REFERENCE_QUERY, pairs, CONFIG, np.array(shares)).total
 
-    plain = weigh(query, reference, T_REFERENCE_QUERY, pairs, CONFIG).total
-    assert nats(0.99, 0.01) > nats(0.8, 0.2) > nats(0.01, 0.99) > plain
+    plain = compute_log_likelihood_ratio(query, reference, T_REFERENCE_QUERY, pairs, CONFIG).total
+    assert llr(0.99, 0.01) > llr(0.8, 0.2) > llr(0.01, 0.99) > plain
     # However rare, no more than a class of which a hectare has one.
-    assert nats(1.0, 0.0) < plain + np.log(0.5 / 1e-4 / AROUND_AREA_M2 + 1.0) + 1e-6
+    assert llr(1.0, 0.0) < plain + np.log(0.5 / 1e-4 / AROUND_AREA_M2 + 1.0) + 1e-6
 
 
 def test_where_others_of_the_class_stand_around_its_share_in_the_map_does_not_matter():
     positions = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
     query, reference = submap(positions[:1]), submap(positions)
-    alone = weigh(query, reference, np.eye(4), each_with_its_own(1), CONFIG)
-    rare = weigh(query, reference, np.eye(4), each_with_its_own(1), CONFIG, np.array([0.001]))
+    alone = compute_log_likelihood_ratio(query, reference, np.eye(4), each_with_its_own(1), CONFIG)
+    rare = compute_log_likelihood_ratio(query, reference, np.eye(4), each_with_its_own(1), CONFIG, np.array([0.001]))
     assert rare.total == alone.total

@@ -15,7 +15,7 @@ from slam.common.config import Config
 from slam.replay import replay
 from slam.simulation.config import KidnapConfig
 from tests.helpers.loop_drives import (
-    BELIEVE_EVERYTHING,
+    ACCEPT_EVERYTHING,
     ONE_BLOCK_ROUND_M,
     TWO_BLOCKS_ROUND_M,
     Outcome,
@@ -29,7 +29,7 @@ from tests.helpers.loop_drives import (
 from tests.helpers.short_drives import final_status
 
 # So that each keyframe depends on the descriptors alone, and no lucky find spreads to its neighbours.
-ONE_TRY = {"neighbours": 1, "places": 2, "follow_travel_m": 0.0}
+ONE_TRY = {"top_k": 1, "max_candidates": 2, "propagation_distance_m": 0.0}
 
 
 @pytest.fixture(scope="module")
@@ -112,8 +112,8 @@ def test_a_drive_without_revisits_accepts_nothing(straying):
 
 
 def test_twin_without_a_verdict_a_drive_without_revisits_accepts_much_all_of_it_false(tmp_path):
-    outcome = replay_drive(tmp_path, winding_street(), **BELIEVE_EVERYTHING)
-    assert outcome.believed_count > 20
+    outcome = replay_drive(tmp_path, winding_street(), **ACCEPT_EVERYTHING)
+    assert outcome.accepted_count > 20
     assert outcome.closures.true_count == 0
 
 
@@ -125,8 +125,8 @@ def test_two_streets_of_lamps_in_dense_rows_are_not_taken_for_one(tmp_path):
 
 
 def test_twin_without_a_verdict_two_streets_of_lamps_are_taken_for_one(tmp_path):
-    outcome = replay_drive(tmp_path, rows_of_lamps(8.0), **BELIEVE_EVERYTHING)
-    assert outcome.believed_count > 20
+    outcome = replay_drive(tmp_path, rows_of_lamps(8.0), **ACCEPT_EVERYTHING)
+    assert outcome.accepted_count > 20
     assert outcome.closures.true_count == 0
 
 
@@ -137,7 +137,7 @@ def test_no_closure_between_two_streets_of_lamps_in_sparse_rows_stays_in_the_gra
 
 
 def test_two_streets_of_lamps_in_sparse_rows_are_not_taken_for_one(sparse_lamps):
-    assert sparse_lamps.believed_count == 0
+    assert sparse_lamps.accepted_count == 0
 
 
 # What it says
@@ -189,7 +189,7 @@ def test_a_world_of_three_objects_is_mapped_and_the_ledger_says_why_no_loop_is_c
     assert final_status(outcome.path).counters["landmarks_confirmed"] >= 3
     assert outcome.closures.accepted_count == 0
     assert Counter(record.stage for record in outcome.records).keys() == {"retrieval"}
-    assert all("objects in view" in record.reason for record in outcome.records)
+    assert all("min_inliers is" in record.reason for record in outcome.records)
 
 
 def test_two_runs_write_the_same_bytes(looped, tmp_path):

@@ -32,7 +32,7 @@ def see_new(object_map: ObjectMap, positions, label: int = 0):
 def see(
     object_map: ObjectMap, row: int, label: int = 0, *, position=(0.0, 0.0, 0.0), seconds: float = 0.0, scan: int = 2
 ):
-    object_map.record_sightings(
+    object_map.record_observations(
         np.array([row]),
         np.array([position]),
         np.array([label]),
@@ -122,7 +122,7 @@ def test_merged_landmarks_are_one_in_the_map_and_two_around_the_robot():
     assert object_map.rows["observations"].tolist() == [2, 2, 1]
     assert object_map.merge(2, 1) == 0
     assert object_map.merge(0, 2) is None
-    assert [object_map.current(row) for row in range(3)] == [2, 2, 2]
+    assert [object_map.canonical_id(row) for row in range(3)] == [2, 2, 2]
     assert object_map.in_state(LandmarkState.TENTATIVE).tolist() == [2]
     record = object_map.to_record(0)
     assert record.states == ("retired", "retired", "tentative")

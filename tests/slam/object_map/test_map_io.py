@@ -16,7 +16,7 @@ from slam.common.errors import SavedMapError
 from slam.localization.state import State
 from slam.object_map.landmarks import RetirementReason
 from slam.object_map.map_io import METADATA, SavedMap, confirmed, load_map, save_map
-from slam.place_recognition.retrieval import PlaceFinder
+from slam.place_recognition.retrieval import PlaceRetriever
 from slam.replay import replay
 from slam.simulation.config import SimulationConfig
 from slam.system import FinalMap, Slam
@@ -25,8 +25,8 @@ from tests.helpers.short_drives import Entry, block_world, drive, keep_until, re
 PROVENANCE = {"version": "test"}
 
 
-def mapped(entries: list[Entry], earlier: SavedMap | None = None, *, extend: bool = True) -> tuple[Slam, FinalMap]:
-    slam = Slam(Config(), earlier, extend=extend)
+def mapped(entries: list[Entry], prior_map: SavedMap | None = None, *, extend: bool = True) -> tuple[Slam, FinalMap]:
+    slam = Slam(Config(), prior_map, extend=extend)
     for _, _, record in entries:
         slam.process(record)
     return slam, slam.finish()
@@ -156,14 +156,16 @@ def test_twin_in_another_town_the_robot_stays_lost(known: SavedMap, elsewhere: t
 def test_a_drive_without_a_map_never_leaves_mapping() -> None:
     slam, _ = mapped(drive(SimulationConfig(), seed=2))
     assert slam.state == State.MAPPING
-    assert slam.counters["kidnappings_noticed"] == 0
+    assert slam.counters["kidnappings_detected"] == 0
 
 
 def test_the_same_drive_in_the_same_map_gives_the_same_bytes(path: Path, tmp_path: Path, second: list[Entry]) -> None:
     log = write_log(tmp_path / "in.mcap", keep_until(second, 15.0))
     outputs = []
     for name in ("a", "b"):
-        replay(log, tmp_path / f"{name}.mcap", Config(), earlier=load_map(path), map_path=tmp_path / f"{name}_map.mcap")
+        replay(
+            log, tmp_path / f"{name}.mcap", Config(), prior_map=load_map(path), map_path=tmp_path / f"{name}_map.mcap"
+        )
         outputs.append((tmp_path / f"{name}.mcap").read_bytes() + (tmp_path / f"{name}_map.mcap").read_bytes())
     assert outputs[0] == outputs[1]
     assert len(records_of(tmp_path / "a.mcap", "/slam/relocalizations")) > 0
@@ -239,7 +241,7 @@ def test_a_landmark_that_ended_after_others_became_part_of_it_leaves_a_map_that_
     slam = Slam(Config(), known)
     for _, _, record in second[: len(second) // 2]:
         slam.process(record)
-    ended = slam._object_map.kept_of_merged[:1]
+    ended = slam._object_map.merge_targets[:1]
     assert len(ended) == 1
     slam._mapper._retire(ended, RetirementReason.CONTRADICTED)
     final = slam.finish()
@@ -255,10 +257,10 @@ def test_a_map_that_stays_as_it_is_cannot_be_saved_again(
     target = tmp_path / "again.mcap"
     known = load_map(path)
     with pytest.raises(SavedMapError, match="stays as it is"):
-        replay(log, tmp_path / "out.mcap", Config(), earlier=known, extend=False, map_path=target)
+        replay(log, tmp_path / "out.mcap", Config(), prior_map=known, extend=False, map_path=target)
     final = kept[1]
     with pytest.raises(SavedMapError, match="no edge ties keyframe 1 to the first one"):
-        save_map(target, final.object_map, final.graph, final.markers, PROVENANCE, earlier=known)
+        save_map(target, final.object_map, final.graph, final.markers, PROVENANCE, prior_map=known)
     assert not target.exists()
 
 
@@ -268,15 +270,15 @@ def test_a_stretch_that_nothing_ties_to_the_map_is_not_saved(
     """The second drive is in another town: nobody knows where its landmarks are in the first one's map."""
     _, final = elsewhere
     path = tmp_path / "both.mcap"
-    left_out = save_map(path, final.object_map, final.graph, final.markers, PROVENANCE, earlier=known)
+    left_out = save_map(path, final.object_map, final.graph, final.markers, PROVENANCE, prior_map=known)
     loaded = load_map(path)
     assert left_out == len(final.graph.keyframe_ids) - len(known.graph.keyframe_ids)
     assert len(loaded.objects.ids) == len(known.objects.ids) < final.object_map.states.count("confirmed")
     np.testing.assert_allclose(loaded.objects.positions, known.objects.positions, atol=0.02)
 
 
-def candidate_scores(entries: list[Entry], earlier: SavedMap) -> list[float]:
-    slam = Slam(Config(), earlier)
+def candidate_scores(entries: list[Entry], prior_map: SavedMap) -> list[float]:
+    slam = Slam(Config(), prior_map)
     updates = [update for _, _, record in entries for update in slam.process(record)]
     return [
         each.score for each in updates if isinstance(each, LoopClosureRecord) and each.T_reference_query is not None
@@ -286,13 +288,13 @@ def candidate_scores(entries: list[Entry], earlier: SavedMap) -> list[float]:
 def test_in_a_given_map_it_counts_how_common_a_class_is(known: SavedMap, monkeypatch: pytest.MonkeyPatch) -> None:
     entries = keep_until(drive(SimulationConfig(), seed=2), 6.0)
     with_shares = candidate_scores(entries, known)
-    monkeypatch.setattr(PlaceFinder, "class_shares", lambda _: None)
+    monkeypatch.setattr(PlaceRetriever, "class_shares", lambda _: None)
     assert with_shares[0] > candidate_scores(entries, known)[0] + 1.0
 
 
 def test_only_that_part_of_a_given_map_is_well_placed_which_was_recognised(known: SavedMap) -> None:
     follow_m = 8.0
-    slam = Slam(Config(loop_closure=LoopClosureConfig(follow_travel_m=follow_m)), known)
+    slam = Slam(Config(loop_closure=LoopClosureConfig(propagation_distance_m=follow_m)), known)
     for _, _, record in keep_until(drive(SimulationConfig(), seed=2), 6.0):
         slam.process(record)
     closer = slam._closer

@@ -35,7 +35,7 @@ OBJECT_FAULTS = {
     "class bench is in its vocabulary more than once": lambda o: replace(o, vocabulary=("bench",) * len(o.vocabulary)),
     "is not confirmed": lambda o: replace(o, states=set_first(o.states, "tentative")),
     "damaged": lambda o: replace(o, positions=set_first(o.positions, np.nan)),
-    "has a covariance that is none": lambda o: replace(o, covariances=set_first(o.covariances, -np.eye(3))),
+    "has a matrix that is not a covariance": lambda o: replace(o, covariances=set_first(o.covariances, -np.eye(3))),
     "class probabilities": lambda o: replace(o, class_probabilities=0.5 * o.class_probabilities),
     "was never seen": lambda o: replace(o, observation_counts=set_first(o.observation_counts, 0)),
 }

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
 from slam.common.geometry import invert, make_transform, transform_from_xyz_yaw
-from slam.odometry.interpolation import bend_odometry
+from slam.odometry.interpolation import interpolate_between_keyframes
 from tests.logs.examples import random_transform
 from tests.slam.evaluation.drives import stamps, winding_path
 
@@ -20,7 +20,7 @@ def odometry() -> FloatArray:
 
 
 def bend(keyframes: list[int], T_map_keyframe: FloatArray, segments=NO_BREAKS, T=None) -> FloatArray:
-    return bend_odometry(
+    return interpolate_between_keyframes(
         stamps(COUNT), odometry() if T is None else T, np.array(keyframes), T_map_keyframe, np.asarray(segments)
     )
 

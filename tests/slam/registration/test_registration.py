@@ -512,7 +512,7 @@ def test_refinement_of_nothing() -> None:
 def test_the_benchmark_goes_on_without_its_peers() -> None:
     result = benchmark_registration(seed=0, trials=1, correspondences=())
     assert result.cells == ()
-    assert set(result.missing) <= set(METHODS) - {"dslam"}
+    assert set(result.unavailable) <= set(METHODS) - {"dslam"}
 
 
 def test_a_missing_peer_is_an_import_error(monkeypatch: pytest.MonkeyPatch) -> None:

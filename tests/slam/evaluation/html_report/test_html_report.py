@@ -150,7 +150,7 @@ def test_a_page_holds_every_part_in_its_order(page: str) -> None:
         "were lost: no true candidate 34, consistency 1",
         "2 true, 1 false, 1 undecided, of 6 candidates",
         "2 of 37",
-        "closures.within_revisit_spread_m",
+        "closures.intra_revisit_std_m",
     ):
         assert text in parsed.text
     for rule in evaluate(collect_records(drive())).protocol.describe().values():

@@ -222,7 +222,7 @@ def test_what_is_missing_is_named_and_the_rest_is_measured(left_out: str, part: 
     assert getattr(result.calibration, part) is None
     assert at_json(result, f"calibration.{part}_coverage") is None
     assert at_json(result, f"calibration.{part}_count") == 0
-    assert reason in result.missing["calibration"]
+    assert reason in result.unavailable["calibration"]
     assert sum(getattr(result.calibration, name) is not None for name in PARTS) >= 2
 
 
@@ -235,7 +235,7 @@ def test_a_log_without_covariances_of_poses_says_so() -> None:
         for topic, record in log_of_a_drive(poses=40, landmarks=40)
     ]
     result = evaluate(collect_records(log))
-    assert "poses: no covariances" in result.missing["calibration"]
+    assert "poses: no covariances" in result.unavailable["calibration"]
     assert at_json(result, "calibration.pose_nees") is None
     assert at_json(result, "calibration.landmark_count") == 40
 
@@ -248,14 +248,14 @@ def test_without_a_truth_at_the_first_keyframe_only_closures_are_measured() -> N
     assert at_json(result, "calibration.pose_coverage") is None
     assert at_json(result, "calibration.landmark_coverage") is None
     assert at_json(result, "calibration.closure_count") == 19
-    assert "first keyframe" in result.missing["calibration"]
+    assert "first keyframe" in result.unavailable["calibration"]
 
 
 def test_without_truth_nothing_is_measured() -> None:
     log = [(topic, record) for topic, record in log_of_a_drive(poses=40) if not topic.startswith("/ground_truth")]
     result = evaluate(collect_records(log))
     assert result.calibration is None
-    assert "--reference" in result.missing["calibration"]
+    assert "--reference" in result.unavailable["calibration"]
     assert at_json(result, "calibration.planar_closure_nees") is None
 
 

@@ -86,23 +86,28 @@ def test_losses_by_hand() -> None:
         (None, None),
     ]
     assert (found.loss_count, found.fix_count, found.right_count, found.wrong_count) == (3, 2, 2, 0)
-    assert (found.success_rate, found.wrong_rate) == (pytest.approx(2 / 3), 0.0)
+    assert (found.success_rate, found.false_relocalization_rate) == (pytest.approx(2 / 3), 0.0)
     assert (found.median_seconds, found.max_seconds) == (pytest.approx(25.0), pytest.approx(40.0))
     assert (found.median_distance_m, found.max_distance_m) == (pytest.approx(25.0), pytest.approx(40.0))
-    assert found.lost_share == pytest.approx((10 + 40 + 40) / 240)
+    assert found.lost_time_ratio == pytest.approx((10 + 40 + 40) / 240)
     assert found.median_error_m == pytest.approx(0.0, abs=1e-9)
 
 
 def test_never_lost() -> None:
     found = measure(made((0, "MAPPING")))
-    assert (found.loss_count, found.lost_share, found.success_rate, found.wrong_rate) == (0, 0.0, None, None)
+    assert (found.loss_count, found.lost_time_ratio, found.success_rate, found.false_relocalization_rate) == (
+        0,
+        0.0,
+        None,
+        None,
+    )
     assert found.median_seconds is found.median_error_m is None
 
 
 def test_never_found() -> None:
     found = measure(made((0, "LOST")))
-    assert (found.loss_count, found.fix_count, found.success_rate, found.wrong_rate) == (1, 0, 0.0, 0.0)
-    assert found.lost_share == 1.0
+    assert (found.loss_count, found.fix_count, found.success_rate, found.false_relocalization_rate) == (1, 0, 0.0, 0.0)
+    assert found.lost_time_ratio == 1.0
 
 
 @pytest.mark.parametrize(
@@ -116,7 +121,7 @@ def test_a_fix_is_right_within_both_thresholds(shift_m: float, turn_deg: float, 
     found = measure(made(*events), T_world_map=off)
     assert found.losses[0].is_right is is_right
     assert (found.right_count, found.wrong_count) == (int(is_right), int(not is_right))
-    assert found.wrong_rate == float(not is_right)
+    assert found.false_relocalization_rate == float(not is_right)
     tight = Protocol(relocalization_translation_m=0.001, relocalization_rotation_deg=0.001)
     assert measure(made(*events), T_world_map=off, protocol=tight).success_rate == 0.0
 
@@ -150,7 +155,7 @@ def test_without_truth_fixes_are_undecided_and_still_timed() -> None:
     found = measure(made(*events), truth=NO_POSES)
     assert (found.fix_count, found.undecided_count, found.right_count, found.wrong_count) == (1, 1, 0, 0)
     # The loss that ended in no fix is no success, whatever the truth would say.
-    assert (found.success_rate, found.wrong_rate) == (0.0, 0.0)
+    assert (found.success_rate, found.false_relocalization_rate) == (0.0, 0.0)
     assert (found.median_seconds, found.median_distance_m) == (pytest.approx(10.0), None)
     assert measure(made(*events[:3]), truth=NO_POSES).success_rate is None
     along = evaluate_relocalization(made(*events), NO_POSES, TRUTH, Protocol(), method="map")
@@ -159,7 +164,7 @@ def test_without_truth_fixes_are_undecided_and_still_timed() -> None:
 
 def test_a_drive_of_one_status() -> None:
     found = measure(EvaluationRecords(statuses=statuses((0, "LOST"))))
-    assert (found.loss_count, found.lost_share) == (1, None)
+    assert (found.loss_count, found.lost_time_ratio) == (1, None)
     assert find_losses(()) == []
 
 
@@ -175,11 +180,11 @@ def test_who_was_given_a_map() -> None:
 
 def test_a_robot_that_is_kidnapped_while_it_maps(kidnapped: EvaluationRecords) -> None:
     result = evaluate(kidnapped)
-    assert "relocalization" not in result.missing
+    assert "relocalization" not in result.unavailable
     assert at_json(result, "relocalization.method") == "closure"
     assert at_json(result, "relocalization.loss_count") == 1
     assert at_json(result, "relocalization.success_rate") == 1.0
-    assert at_json(result, "relocalization.wrong_rate") == 0.0
+    assert at_json(result, "relocalization.false_relocalization_rate") == 0.0
     for key, low, high in (("median_distance_m", 1.0, 60.0), ("median_seconds", 0.1, 30.0), ("p95_error_m", 0.0, 1.0)):
         value = at_json(result, f"relocalization.{key}")
         assert isinstance(value, float)
@@ -225,7 +230,7 @@ def test_an_offset_of_the_whole_is_seen_only_where_the_map_is_known(relocalized:
     assert at_json(hidden, "relocalization.success_rate") == 1.0
     located = evaluate(shifted, map_alignment=locate_map(relocalized.mapping))
     assert at_json(located, "relocalization.success_rate") == 0.0
-    assert at_json(located, "relocalization.wrong_rate") == 1.0
+    assert at_json(located, "relocalization.false_relocalization_rate") == 1.0
 
 
 def test_where_a_map_lies_must_be_known_and_of_use(relocalized: Relocalized, kidnapped: EvaluationRecords) -> None:
@@ -233,8 +238,8 @@ def test_where_a_map_lies_must_be_known_and_of_use(relocalized: Relocalized, kid
         locate_map(replace(relocalized.mapping, true_poses=()))
     with pytest.raises(EvaluationError, match="no final trajectory"):
         locate_map(replace(relocalized.mapping, trajectory=None))
-    assert "given none" in evaluate(kidnapped, map_alignment=np.eye(4)).missing["map_alignment"]
+    assert "given none" in evaluate(kidnapped, map_alignment=np.eye(4)).unavailable["map_alignment"]
     without = evaluate(replace(relocalized.found, true_poses=()))
-    assert "1 of 1 fixes: no ground truth" in without.missing["relocalization"]
+    assert "1 of 1 fixes: no ground truth" in without.unavailable["relocalization"]
     assert at_json(without, "relocalization.success_rate") is None
     assert at_json(without, "relocalization.fix_count") == 1

@@ -231,12 +231,12 @@ def test_errors_and_their_spread_within_a_revisit() -> None:
     assert errors.median_translation_m == pytest.approx(1.5)
     assert errors.p95_translation_m == pytest.approx(np.percentile([1, 1, 1, 2, 2.6, 3.5], 95))
     assert errors.median_rotation_deg == pytest.approx(0.0, abs=1e-6)
-    assert errors.within_revisit_spread_m == pytest.approx(0.5 * (0.0 + 0.3))
+    assert errors.intra_revisit_std_m == pytest.approx(0.5 * (0.0 + 0.3))
     single = judge([closure(200, 40, truth=TRUTH, turn_rad=np.deg2rad(3.0))], TRUTH).errors
     assert single is not None
     assert single.p95_rotation_deg == pytest.approx(3.0)
     assert single.median_heading_deg == pytest.approx(3.0)
-    assert single.within_revisit_spread_m is None
+    assert single.intra_revisit_std_m is None
 
 
 def test_errors_in_the_plane_leave_out_height_and_tilt() -> None:

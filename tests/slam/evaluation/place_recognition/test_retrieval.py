@@ -13,7 +13,7 @@ from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.place_recognition.retrieval import RetrievalQuality, evaluate_retrieval
 from slam.evaluation.place_recognition.revisits import find_revisits
-from slam.loop_closure.consistency import distinct
+from slam.loop_closure.consistency import suppress_non_maxima
 from tests.helpers.candidates import make_candidate
 from tests.slam.evaluation.loops import closure, keyframes, there_and_back
 
@@ -38,7 +38,7 @@ def test_recall_counts_the_best_rank_of_a_right_proposal() -> None:
             closure(230, 100, truth=TRUTH, shift_m=50.0, rank=1),
         ]
     )
-    assert found.asked_count == 4
+    assert found.query_count == 4
     assert [found.recall_at(k) for k in (1, 5, 25)] == [0.25, 0.5, 0.75]
     assert found.note == ""
 
@@ -57,7 +57,7 @@ def test_only_revisits_at_which_descriptors_were_asked_count() -> None:
     no_revisit = closure(100, 20, truth=TRUTH, shift_m=30.0, rank=1)
     thinned_out = closure(211, 29, truth=TRUTH, rank=1)
     found = measure([followed, nothing_found, no_revisit, thinned_out, closure(220, 20, truth=TRUTH, rank=1)])
-    assert (found.asked_count, found.hit_counts[1]) == (2, 1)
+    assert (found.query_count, found.hit_counts[1]) == (2, 1)
 
 
 def test_a_proposal_counts_though_a_later_closure_of_the_two_was_predicted() -> None:
@@ -70,7 +70,7 @@ def test_beyond_the_places_that_were_verified_recall_is_undefined() -> None:
     found = measure(records, place_count=3)
     assert [found.recall_at(k) for k in (1, 5, 25)] == [0.0, None, None]
     assert "recall at 5 and 25 is undefined: 3 places" in found.note
-    assert "--set loop_closure.places=25 --set loop_closure.follow_travel_m=0" in found.note
+    assert "--set loop_closure.max_candidates=25 --set loop_closure.propagation_distance_m=0" in found.note
     # A log that does not tell its configuration tells the largest rank.
     assert measure(records, place_count=None).place_count == 3
     assert measure([*records, closure(100, 20, truth=TRUTH, rank=25)], place_count=None).recall_at(25) == 1.0
@@ -78,13 +78,13 @@ def test_beyond_the_places_that_were_verified_recall_is_undefined() -> None:
 
 def test_never_asked() -> None:
     found = measure([])
-    assert (found.asked_count, found.recall_at(1)) == (0, None)
+    assert (found.query_count, found.recall_at(1)) == (0, None)
     assert "asked at no revisit" in found.note
 
 
 def test_nothing_was_ever_proposed() -> None:
     found = measure([closure(200, -1, stage="retrieval"), closure(210, -1, stage="retrieval")])
-    assert (found.asked_count, found.recall_at(1), found.recall_at(25)) == (2, 0.0, 0.0)
+    assert (found.query_count, found.recall_at(1), found.recall_at(25)) == (2, 0.0, 0.0)
 
 
 def test_logs_without_ranks_are_refused() -> None:
@@ -95,19 +95,19 @@ def test_logs_without_ranks_are_refused() -> None:
 def test_the_estimator_ranks_what_descriptors_propose_and_nothing_else(kidnapped: EvaluationRecords) -> None:
     ranks_of_query = defaultdict[int, set[int]](set)
     for record in kidnapped.closures:
-        if record.reason.startswith(("follows", "leads")) or record.stage == "retrieval":
+        if record.reason.startswith("propagated") or record.stage == "retrieval":
             assert record.rank == 0
         elif record.rank:
             ranks_of_query[record.query_keyframe_id].add(record.rank)
     assert len(ranks_of_query) > 10
     assert all(ranks <= {1, 2, 3} for ranks in ranks_of_query.values())
     assert sum(1 in ranks for ranks in ranks_of_query.values()) == len(ranks_of_query)
-    founders = [r for r in kidnapped.closures if r.accepted and not r.reason.startswith(("follows", "leads"))]
+    founders = [r for r in kidnapped.closures if r.accepted and not r.reason.startswith("propagated")]
     assert founders
     assert all(record.rank > 0 for record in founders)
 
 
 def test_places_that_become_one_keep_the_best_rank() -> None:
-    second, first = (replace(make_candidate(nats={0: nats}), rank=rank) for nats, rank in ((30.0, 2), (20.0, 1)))
-    kept = distinct([first, second])
-    assert [(candidate.rank, candidate.score_nats) for candidate in kept] == [(1, 30.0)]
+    second, first = (replace(make_candidate(llrs={0: llr}), rank=rank) for llr, rank in ((30.0, 2), (20.0, 1)))
+    kept = suppress_non_maxima([first, second])
+    assert [(candidate.rank, candidate.score) for candidate in kept] == [(1, 30.0)]

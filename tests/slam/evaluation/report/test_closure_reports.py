@@ -73,7 +73,7 @@ def test_revisits_without_a_candidate_are_missed() -> None:
 )
 def test_what_revisits_need_is_told(left_out: type, reason: str) -> None:
     result = evaluate(collect_records((t, r) for t, r in there_and_back_log() if not isinstance(r, left_out)))
-    assert reason in result.missing["closures"]
+    assert reason in result.unavailable["closures"]
     assert at_json(result, "closures.candidate_count") == 3
     assert at_json(result, "closures.recall") is None
     assert at_json(result, "closures.missed_by_stage") == {}
