@@ -217,7 +217,8 @@ class Slam:
         self.counters["closures_inserted"] += sum(closure.inserted for closure in closures)
         confirmed = self._mapper.take_confirmed()
         if len(confirmed):
-            positions = apply(self._T_map_odom, self._object_map.rows["position_odom"][confirmed])
+            T_map_local = self._graph.pose(keyframe.id) @ invert(keyframe.T_local_body)
+            positions = apply(T_map_local, self._object_map.rows["position_local"][confirmed])
             updates.append(self._markers(confirmed, positions, replaces=False))
         if len(self._mapper.keyframes) == self._first_keyframe + 1:
             updates.append(self._status("first odometry", level="info"))
@@ -357,12 +358,12 @@ class Slam:
         # What never got into the graph has no place in the map but where the odometry put it when it was last seen;
         # landmarks of a prior map stay where they were.
         own = landmarks["segment"] >= self._first_segment
-        T_map_odom = self._T_map_odom_at(landmarks["last_seen_ns"][own])
-        R = T_map_odom[:, :3, :3]
+        T_map_local = self._T_map_local_at(landmarks["last_seen_ns"][own])
+        R = T_map_local[:, :3, :3]
         landmarks["position_map"][own] = (
-            np.einsum("nij,nj->ni", R, landmarks["position_odom"][own]) + T_map_odom[:, :3, 3]
+            np.einsum("nij,nj->ni", R, landmarks["position_local"][own]) + T_map_local[:, :3, 3]
         )
-        landmarks["covariance_map"][own] = R @ landmarks["covariance_odom"][own] @ np.swapaxes(R, 1, 2)
+        landmarks["covariance_map"][own] = R @ landmarks["covariance_local"][own] @ np.swapaxes(R, 1, 2)
         in_graph = self._graph.landmarks
         landmarks["position_map"][in_graph] = self._graph.landmark_positions(in_graph)
         try:
@@ -373,14 +374,14 @@ class Slam:
             self.counters["covariances_missing"] = len(in_graph)
         return self._object_map.to_record(self._now_ns)
 
-    def _T_map_odom_at(self, stamps_ns: IntArray) -> FloatArray:
-        """``T_map_odom`` (N, 4, 4) of the last keyframes before the stamps (N,)."""
+    def _T_map_local_at(self, stamps_ns: IntArray) -> FloatArray:
+        """``T_map_local`` (N, 4, 4) of the last keyframes before the stamps (N,)."""
         keyframes = self._own_keyframes
-        T_odom_body = np.stack([keyframe.odometry.T_odom_body for keyframe in keyframes])
+        T_local_body = np.stack([keyframe.T_local_body for keyframe in keyframes])
         keyframe_stamps_ns = [keyframe.odometry.stamp_ns for keyframe in keyframes]
         before = np.maximum(np.searchsorted(keyframe_stamps_ns, stamps_ns, side="right") - 1, 0)
         T_map_body = self._graph.poses()[self._first_keyframe :]
-        return np.asarray((T_map_body @ invert(T_odom_body))[before])
+        return np.asarray((T_map_body @ invert(T_local_body))[before])
 
     @property
     def _own_keyframes(self) -> list[Keyframe]:

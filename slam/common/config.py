@@ -34,6 +34,16 @@ class OdometryConfig(_Branch):
         default=0.05, gt=0, description="translation noise after 1 m of travel [m / sqrt(m)]"
     )
     yaw_sigma: float = Field(default=0.001, gt=0, description="heading noise after 1 m of travel [rad / sqrt(m)]")
+    yaw_sigma_by_turn: float = Field(
+        default=0.00316, ge=0, description="heading noise after turning by 1 rad [rad / sqrt(rad)]"
+    )
+    translation_sigma_by_time: float = Field(default=0.0, ge=0, description="translation noise after 1 s [m / sqrt(s)]")
+    yaw_sigma_by_time: float = Field(default=0.0, ge=0, description="heading noise after 1 s [rad / sqrt(s)]")
+    inflation: float = Field(
+        default=3.0,
+        ge=1,
+        description="factor on these sigmas where a match is in question, for slips and errors that add up",
+    )
     tilt_sigma: float = Field(
         default=0.0003,
         gt=0,
@@ -96,10 +106,22 @@ class AssociationConfig(_Branch):
         gt=0,
         description="new objects and false positives a scan and cubic metre [1/m^3]; higher: fewer matches",
     )
+    new_object_gate_probability: float = Field(
+        default=0.999999,
+        gt=0,
+        lt=1,
+        description="a detection outside the gate of every landmark, but not as far off as that, is left out",
+    )
     forget_distance_m: float = Field(
         default=120.0,
         gt=0,
         description="landmarks unseen for that much travel are no longer associated with detections [m]",
+    )
+    confusion_distance_m: float = Field(
+        default=4.0, gt=0, description="distance between objects of a class, up to which they can be confused [m]"
+    )
+    max_landmarks: int = Field(
+        default=200, ge=10, description="landmarks around the robot that are kept for association, the latest seen"
     )
 
 
@@ -227,9 +249,6 @@ class LoopClosureConfig(_Branch):
         default=2.5,
         ge=0,
         description="odometry penalty of every candidate across a discontinuity of the odometry [nats]",
-    )
-    odometry_inflation: float = Field(
-        default=3.0, gt=0, description="factor on the sigmas of the odometry in the odometry penalty"
     )
     propagation_distance_m: float = Field(
         default=50.0, ge=0, description="travel over which an accepted closure predicts those before and after it [m]"

@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 RENAMED_SETTINGS: Mapping[str, str] = MappingProxyType(
     {
+        "loop_closure.odometry_inflation": "odometry.inflation",
         "detection.redundancy": "detection.covariance_inflation",
         "landmark.give_up_distance_m": "landmark.max_missed_distance_m",
         "landmark.give_up_scans": "landmark.max_missed_scans",

@@ -20,10 +20,13 @@ from scipy.special import chdtri
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import AssociationConfig
 
+NEW, AMBIGUOUS = -1, -2
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Assignment:
-    """``landmark_rows`` (D,) int64: the row of each detection's landmark, -1 where it has none."""
+    """``landmark_rows`` (D,) int64: the row of each detection's landmark, ``NEW`` where it has none,
+    ``AMBIGUOUS`` where it has none although one is near: it may be a bad measurement of that."""
 
     landmark_rows: IntArray
 
@@ -31,6 +34,11 @@ class Assignment:
     def matched(self) -> NDArray[np.bool_]:
         """(D,) whether the detection has a landmark."""
         return self.landmark_rows >= 0
+
+    @property
+    def new(self) -> NDArray[np.bool_]:
+        """(D,) whether the detection is of no landmark; the others are too near to one to say."""
+        return np.equal(self.landmark_rows, NEW)
 
 
 def associate(
@@ -56,11 +64,12 @@ def associate(
     Returns:
         The assignment; nothing is assigned twice. D = 0 or L = 0 gives no match.
     """
-    rows = np.full(len(positions), -1, dtype=np.int64)
+    rows = np.full(len(positions), NEW, dtype=np.int64)
     if len(positions) == 0 or len(landmark_positions) == 0:
         return Assignment(rows)
     gate = float(chdtri(3, 1.0 - config.gate_probability))
-    detection, landmark = _near_pairs(positions, covariances, landmark_positions, landmark_covariances, gate)
+    outer_gate = max(float(chdtri(3, 1.0 - config.new_object_gate_probability)), gate)
+    detection, landmark = _near_pairs(positions, covariances, landmark_positions, landmark_covariances, outer_gate)
     if len(detection) == 0:
         return Assignment(rows)
     innovation = positions[detection] - landmark_positions[landmark]
@@ -72,6 +81,8 @@ def associate(
     none_cost = -2.0 * np.log(config.new_object_density / classes)
 
     inside = distance_squared <= gate
+    likely = landmark_beliefs[landmark, labels[detection]] >= 0.5
+    rows[detection[likely & (distance_squared <= outer_gate)]] = AMBIGUOUS
     rows_used, column = np.unique(landmark[inside], return_inverse=True)
     count = len(positions)
     edges_row = np.concatenate([detection[inside], np.arange(count)])

@@ -11,30 +11,25 @@ from __future__ import annotations
 import numpy as np
 
 from slam.common.arrays import FloatArray
-from slam.common.config import OdometryConfig
 
 
-def predict_covariances(
-    covariances: FloatArray, offsets: FloatArray, travel_since_m: FloatArray, config: OdometryConfig
-) -> FloatArray:
+def predict_covariances(covariances: FloatArray, offsets: FloatArray, variances: FloatArray) -> FloatArray:
     """Covariances (N, 3, 3) m^2 of landmarks relative to the robot after it moved on.
 
     Args:
-        covariances: (N, 3, 3) m^2 when each was last seen.
-        offsets: (N, 3) m, from the robot to each landmark, odometry frame.
-        travel_since_m: (N,) travel since then.
-        config: noise of the odometry.
+        covariances: (N, 3, 3) m^2 before.
+        offsets: (N, 3) m, from the robot to each landmark, local frame.
+        variances: (3,) of the step, as in :func:`slam.odometry.noise.step_variances`.
 
     A rotation error e of the robot moves a landmark at offset r by e x r, so a covariance Q of e becomes [r] Q [r]^T.
     """
-    translation_variance = config.translation_sigma**2 * travel_since_m
-    rotation_variances = np.array([config.tilt_sigma, config.tilt_sigma, config.yaw_sigma]) ** 2
+    translation, tilt, heading = variances
     cross = np.zeros_like(covariances)
     for axis, (first, second) in enumerate(((1, 2), (2, 0), (0, 1))):
         cross[:, second, first] = offsets[:, axis]
         cross[:, first, second] = -offsets[:, axis]
-    turned = (cross * rotation_variances) @ np.swapaxes(cross, -1, -2) * travel_since_m[:, None, None]
-    return np.asarray(covariances + translation_variance[:, None, None] * np.eye(3) + turned)
+    turned = (cross * np.array([tilt, tilt, heading])) @ np.swapaxes(cross, -1, -2)
+    return np.asarray(covariances + translation * np.eye(3) + turned)
 
 
 def update_positions(

@@ -206,4 +206,3 @@ def _pose_jacobians(offsets: FloatArray) -> FloatArray:
 
 def _wrapped(angle_rad: float) -> float:
     return float((angle_rad + np.pi) % (2.0 * np.pi) - np.pi)
-

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +18,9 @@ from slam.backend.factors import Edge, Observation
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import relative, rotation_angle_rad
-from slam.frontend.data_association import Assignment, associate
+from slam.frontend.active_landmarks import ActiveLandmarks
+from slam.frontend.data_association import associate
 from slam.frontend.keyframe_observations import KeyframeObservations
-from slam.frontend.landmark_filter import predict_covariances, update_positions
 from slam.frontend.scan import Scan
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from slam.odometry.keyframe import Keyframe
@@ -31,18 +30,8 @@ from slam.odometry.track import OdometryPose
 # The robot stands still below that motion.
 MOVED_M = 0.1
 MOVED_RAD = 0.02
-# Least time over which a moving object is given to change its speed: 10 Hz scans leave it none, its noise does.
-MIN_SWERVE_S = 0.5
 # A speed is significant if it is that many of its standard deviations.
 MOVING_SIGMAS = 3.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
-    """Where landmarks should be seen: positions (A, 3) m, covariances (A, 3, 3) m^2 relative to the robot."""
-
-    positions: FloatArray
-    covariances: FloatArray
 
 
 class Mapper:
@@ -54,7 +43,7 @@ class Mapper:
         self._config = config
         self._map = object_map
         self._graph = graph
-        self._active = np.zeros(0, dtype=np.int64)
+        self._active = ActiveLandmarks(config, object_map)
         self._keyframe_observations = KeyframeObservations()
         self._held_back: defaultdict[int, list[Observation]] = defaultdict(list)
         self._newly_confirmed: list[int] = []
@@ -67,14 +56,15 @@ class Mapper:
         """Follow the track to its newest pose; returns the keyframe if one was made there."""
         if self.keyframes and not self._keyframe_due(pose):
             return None
-        keyframe = Keyframe(len(self.keyframes), pose)
+        if self.keyframes and pose.segment != self.keyframes[-1].odometry.segment:
+            self._deactivate(np.ones(len(self._active.rows), dtype=np.bool_))
+            self._active.restart(pose)
+        keyframe = Keyframe(len(self.keyframes), pose, self._active.advance(pose))
         if not self.keyframes:
             self._graph.add_first_keyframe(keyframe.id, pose.T_odom_body)
         else:
             self.close_keyframe()
             self._graph.add_next_keyframe(self._odometry_edge(self.keyframes[-1], keyframe))
-            if pose.segment != self.keyframes[-1].odometry.segment:
-                self._deactivate(np.ones(len(self._active), dtype=np.bool_))
         self.keyframes.append(keyframe)
         if keyframe.id % self._config.factor_graph.update_keyframes == 0:
             self._graph.update()
@@ -85,27 +75,46 @@ class Mapper:
         self._count_scan(scan.sensor)
         self._deactivate_stale(pose.travel_m)
         T_keyframe_body = relative(self.keyframes[-1].odometry.T_odom_body, pose.T_odom_body)
-        in_odom, in_keyframe = scan.seen_from(pose.T_odom_body), scan.seen_from(T_keyframe_body)
+        in_local, in_keyframe = scan.seen_from(self._active.advance(pose)), scan.seen_from(T_keyframe_body)
         labels = self._map.label_indices(scan.labels)
-        predicted = self._predict(scan, pose)
-        assignment = self._associate(in_odom, labels, predicted)
-        known = assignment.matched
+        predicted = self._active.predict(scan.stamp_ns)
+        covariances = in_local.covariances + self._common_covariances(scan)
+        assignment = associate(
+            in_local.positions,
+            covariances,
+            labels,
+            predicted.positions,
+            predicted.covariances,
+            self._map.beliefs(self._active.rows),
+            self._config.association,
+        )
+        known, new = assignment.matched, assignment.new
         rows = np.full(len(known), -1, dtype=np.int64)
-        rows[known] = self._active[assignment.landmark_rows[known]]
-        self._update(assignment, predicted, in_odom, labels, pose)
-        rows[~known] = self._map.add(
-            in_odom.positions[~known],
-            in_odom.covariances[~known],
-            labels[~known],
+        rows[known] = self._active.rows[assignment.landmark_rows[known]]
+        self._active.update(assignment.landmark_rows[known], predicted, in_local.of(known), covariances[known])
+        self._map.record_observations(
+            rows[known],
+            in_local.positions[known],
+            labels[known],
+            stamp_ns=scan.stamp_ns,
+            scan=self._scan_count,
+            travel_m=pose.travel_m,
+        )
+        in_local = scan.seen_from(self._active.T_local_body)
+        rows[new] = self._map.add(
+            in_local.positions[new],
+            in_local.covariances[new],
+            labels[new],
             stamp_ns=scan.stamp_ns,
             scan=self._scan_count,
             travel_m=pose.travel_m,
             segment=pose.segment,
         )
-        self._active = np.concatenate([self._active, rows[~known]])
-        self._keyframe_observations.add(rows, in_keyframe)
-        self._update_life_cycle(rows, in_odom.covariances)
-        return _associations(scan, rows, ~known)
+        self._active.add(rows[new])
+        used = known | new
+        self._keyframe_observations.add(rows[used], in_keyframe.of(used))
+        self._update_life_cycle(rows[used], in_local.covariances[used])
+        return _associations(scan, rows, new)
 
     def take_confirmed(self) -> IntArray:
         """Rows of the landmarks that were confirmed since the last call."""
@@ -115,7 +124,6 @@ class Mapper:
     def retire_gone(self, rows: IntArray) -> None:
         """Retire landmarks that no longer exist; a landmark that others were merged into was observed again."""
         rows = rows[~np.isin(rows, self._map.merge_targets)]
-        self._active = self._active[~np.isin(self._active, rows)]
         self._retire(rows, RetirementReason.GONE)
 
     def retire_since(self, keyframe: Keyframe) -> None:
@@ -126,11 +134,12 @@ class Mapper:
             & (landmarks["segment"] == keyframe.odometry.segment)
             & (landmarks["state"] != LandmarkState.RETIRED)
         )
-        self._active = self._active[~np.isin(self._active, rows)]
         self._retire(rows, RetirementReason.CONTRADICTED)
 
     def close_keyframe(self) -> None:
         """Add the observations since the last keyframe to the graph; those of tentative landmarks are held back."""
+        for kept, dropped in self._active.merge_duplicates():
+            self._merge(kept, dropped)
         observations = self._keyframe_observations.observations(self.keyframes[-1].id, self._config.detection)
         self._keyframe_observations = KeyframeObservations()
         states = self._map.rows["state"]
@@ -143,6 +152,12 @@ class Mapper:
             elif states[row] == LandmarkState.RETIRED:
                 del self._held_back[row]
         self._graph.add_observations(ready)
+
+    def _merge(self, kept: int, dropped: int) -> None:
+        """Make one of two landmarks of the local map."""
+        kept, dropped = self._map.canonical_id(kept), self._map.canonical_id(dropped)
+        if self._map.merge(kept, dropped) is not None:
+            self._graph.merge_landmarks(kept, dropped)
 
     def _count_scan(self, sensor: str) -> None:
         """Several sensors share the view: a scan is counted when each has given one."""
@@ -164,62 +179,15 @@ class Mapper:
 
     def _odometry_edge(self, previous: Keyframe, keyframe: Keyframe) -> Edge:
         T_previous_keyframe = relative(previous.odometry.T_odom_body, keyframe.odometry.T_odom_body)
-        travel_m = keyframe.odometry.travel_m - previous.odometry.travel_m
-        covariance = step_covariance(T_previous_keyframe, travel_m, self._config.odometry)
+        covariance = step_covariance(previous.odometry, keyframe.odometry, self._config.odometry)
         if keyframe.odometry.segment != previous.odometry.segment:
             covariance = np.diag(np.repeat([BREAK_SIGMA_RAD**2, BREAK_SIGMA_M**2], 3))
         return Edge(previous.id, keyframe.id, T_previous_keyframe, covariance, "odometry")
 
-    def _predict(self, scan: Scan, pose: OdometryPose) -> Prediction:
-        """Where the active landmarks should be now; those that seem to move go on moving."""
-        landmarks = self._map.rows[self._active]
-        seconds = (scan.stamp_ns - landmarks["last_seen_ns"]) * 1e-9
-        positions = landmarks["position_odom"] + seconds[:, None] * landmarks["velocity_odom"]
-        covariances = predict_covariances(
-            landmarks["covariance_odom"],
-            positions - pose.T_odom_body[:3, 3],
-            pose.travel_m - landmarks["last_seen_travel_m"],
-            self._config.odometry,
-        )
-        moves = np.any(landmarks["velocity_odom"] != 0.0, axis=1)
-        swerve_m = moves * self._config.landmark.moving_acceleration_mps2 * seconds * np.maximum(seconds, MIN_SWERVE_S)
-        return Prediction(positions, covariances + (swerve_m**2)[:, None, None] * np.eye(3))
-
-    def _associate(self, scan: Scan, labels: IntArray, predicted: Prediction) -> Assignment:
-        """Assign the detections of a scan, in the odometry frame, to rows of the active landmarks."""
-        common_variances = np.where(scan.has_own_covariance, 0.0, self._config.detection.common_sigma_m**2)
-        return associate(
-            scan.positions,
-            scan.covariances + common_variances[:, None, None] * np.eye(3),
-            labels,
-            predicted.positions,
-            predicted.covariances,
-            self._map.beliefs(self._active),
-            self._config.association,
-        )
-
-    def _update(
-        self, assignment: Assignment, predicted: Prediction, scan: Scan, labels: IntArray, pose: OdometryPose
-    ) -> None:
-        """Update the filters of the observed landmarks, and count the observations."""
-        known = assignment.matched
-        indices = assignment.landmark_rows[known]
-        rows = self._active[indices]
-        landmarks = self._map.rows
-        landmarks["position_odom"][rows], landmarks["covariance_odom"][rows] = update_positions(
-            predicted.positions[indices],
-            predicted.covariances[indices],
-            scan.positions[known],
-            scan.covariances[known],
-        )
-        self._map.record_observations(
-            rows,
-            scan.positions[known],
-            labels[known],
-            stamp_ns=scan.stamp_ns,
-            scan=self._scan_count,
-            travel_m=pose.travel_m,
-        )
+    def _common_covariances(self, scan: Scan) -> FloatArray:
+        """(N, 3, 3) m^2 of the errors that observations of an object share, where the message has no covariance."""
+        variances = np.where(scan.has_own_covariance, 0.0, self._config.detection.common_sigma_m**2)
+        return np.asarray(variances[:, None, None] * np.eye(3))
 
     def _update_life_cycle(self, seen: IntArray, covariances: FloatArray) -> None:
         """Update the life cycle of the observed landmarks: confirm static ones, retire moving ones.
@@ -239,10 +207,10 @@ class Mapper:
         far = speeds * seconds > limits.moving_distance_m
         moving = too_fast & far & (observations >= limits.moving_observations)
         followed = too_fast & (landmarks["state"][seen] != LandmarkState.CONFIRMED) & (observations >= 3)
-        landmarks["velocity_odom"][seen] = np.where((followed | moving)[:, None], velocities, 0.0)
+        landmarks["velocity_local"][seen] = np.where((followed | moving)[:, None], velocities, 0.0)
         stopped = (landmarks["state"][seen] == LandmarkState.RETIRED) & ~too_fast
-        self._active = self._active[~np.isin(self._active, seen[stopped])]
-        self._retire(seen[moving], RetirementReason.MOVING)
+        self._active.drop(seen[stopped])
+        self._retire(seen[moving], RetirementReason.MOVING, stays_active=True)
 
         tentative = landmarks["state"][seen] == LandmarkState.TENTATIVE
         enough = observations >= limits.confirm_observations
@@ -252,28 +220,33 @@ class Mapper:
             tentative & enough & steady & (speeds <= limits.moving_speed_mps) & (seconds >= limits.confirm_age_s)
         ]
         self._map.confirm(confirmed)
+        self._active.confirm(confirmed)
         self._newly_confirmed += confirmed.tolist()
 
     def _deactivate_stale(self, travel_m: float) -> None:
         """Deactivate landmarks that were not observed for long; tentative and moving ones sooner."""
         limits = self._config.landmark
-        landmarks = self._map.rows[self._active]
+        landmarks = self._map.rows[self._active.rows]
         unseen_m = travel_m - landmarks["last_seen_travel_m"]
         unseen_scans = self._scan_count - landmarks["last_scan"]
         lost = (unseen_m > limits.max_missed_distance_m) | (unseen_scans > limits.max_missed_scans)
         stale = lost & (landmarks["state"] != LandmarkState.CONFIRMED)
-        self._deactivate(stale | (unseen_m > self._config.association.forget_distance_m))
+        self._deactivate(stale | (unseen_m > self._config.association.forget_distance_m) | self._active.uncertain())
 
     def _deactivate(self, gone: NDArray[np.bool_]) -> None:
         """Deactivate the landmarks ``gone`` (A,); tentative ones are retired."""
-        rows = self._active[gone]
+        rows = self._active.rows[gone]
         tentative = self._map.rows["state"][rows] == LandmarkState.TENTATIVE
         self._retire(rows[tentative], RetirementReason.NOT_CONFIRMED)
-        self._active = self._active[~gone]
+        self._active.drop(rows)
 
-    def _retire(self, rows: IntArray, reason: RetirementReason) -> None:
-        """Retire landmarks and remove them from the graph."""
+    def _retire(self, rows: IntArray, reason: RetirementReason, *, stays_active: bool = False) -> None:
+        """Retire landmarks and remove them from the graph; moving ones are still followed, out of the local map."""
         self._map.retire(rows, reason)
+        if stays_active:
+            self._active.release(rows)
+        else:
+            self._active.drop(rows)
         for row in rows.tolist():
             self._held_back.pop(row, None)
             self._graph.remove_landmark(row)
@@ -284,6 +257,6 @@ def _associations(scan: Scan, rows: IntArray, created: NDArray[np.bool_]) -> Det
     landmark_ids = [""] * len(scan.used)
     created_of_all = np.zeros(len(scan.used), dtype=np.bool_)
     created_of_all[scan.used] = created
-    for place, row in zip(np.flatnonzero(scan.used), rows, strict=True):
-        landmark_ids[place] = str(row)
+    for place, row in zip(np.flatnonzero(scan.used), rows.tolist(), strict=True):
+        landmark_ids[place] = str(row) if row >= 0 else ""
     return DetectionAssociations(scan.stamp_ns, tuple(landmark_ids), created_of_all)

@@ -30,6 +30,16 @@ class Scan:
     used: NDArray[np.bool_]
     has_own_covariance: NDArray[np.bool_]
 
+    def of(self, chosen: NDArray[np.bool_]) -> Scan:
+        """Some of the detections, chosen by (N,); ``used`` stays that of the whole message."""
+        return replace(
+            self,
+            positions=self.positions[chosen],
+            covariances=self.covariances[chosen],
+            labels=tuple(label for label, is_chosen in zip(self.labels, chosen, strict=True) if is_chosen),
+            has_own_covariance=self.has_own_covariance[chosen],
+        )
+
     def seen_from(self, T_frame_body: FloatArray) -> Scan:
         """The same scan with its positions and covariances in another frame."""
         R = T_frame_body[:3, :3]

@@ -29,7 +29,7 @@ def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed
     """
     rows = object_map.restore(saved.objects, travel_m=TRAVEL_M)
     keyframes = [
-        Keyframe(number, OdometryPose(STAMP_NS, T_map_body, TRAVEL_M, SEGMENT, np.inf))
+        Keyframe(number, OdometryPose(STAMP_NS, T_map_body, TRAVEL_M, SEGMENT, np.inf), T_map_body)
         for number, T_map_body in enumerate(saved.graph.T_map_body)
     ]
     if fixed:

@@ -27,8 +27,8 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """``T_reference_query`` (4, 4) between the bodies, covariance (6, 6) rotation first; ``T_odom_query`` (4, 4) of the
-    query's gravity frame in the odometry frame of the reference's traversal.
+    """``T_reference_query`` (4, 4) between the bodies, covariance (6, 6) rotation first; ``T_local_query`` (4, 4) of
+    the query's gravity frame in the local frame of the reference's traversal.
 
     ``rows`` (N,): landmarks of the query; ``log_likelihood_ratios`` (N,): their LLR_i; ``pairs`` (K, 2): inliers, as
     landmarks of the query and of the reference. ``log_likelihood_ratio`` is the sum of the LLR_i, ``odometry_penalty``
@@ -43,7 +43,7 @@ class Candidate:
     reference_stamp_ns: int
     travel_m: float
     T_reference_query: FloatArray
-    T_odom_query: FloatArray
+    T_local_query: FloatArray
     covariance: FloatArray
     rows: IntArray
     log_likelihood_ratios: FloatArray
@@ -95,7 +95,7 @@ class Query:
 
     keyframe: Keyframe
     submap: Submap
-    T_odom_gravity: FloatArray
+    T_local_gravity: FloatArray
 
     @property
     def travel_m(self) -> float:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from slam.common.arrays import FloatArray
-from slam.common.config import LoopClosureConfig
+from slam.common.config import Config
 from slam.common.geometry import invert, yaw_rad
 from slam.loop_closure.candidate import Candidate
 
@@ -30,7 +30,7 @@ def suppress_non_maxima(candidates: Sequence[Candidate]) -> list[Candidate]:
     """
     kept: list[Candidate] = []
     for candidate in sorted(candidates, key=lambda c: -c.score):
-        same = (i for i, better in enumerate(kept) if poses_agree(candidate.T_odom_query, better.T_odom_query))
+        same = (i for i, better in enumerate(kept) if poses_agree(candidate.T_local_query, better.T_local_query))
         index = next(same, None)
         if index is None:
             kept.append(candidate)
@@ -40,7 +40,7 @@ def suppress_non_maxima(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 
 def odometry_penalty(
-    T_predicted: FloatArray, T_measured: FloatArray, drift_sigmas: tuple[float, float], config: LoopClosureConfig
+    T_predicted: FloatArray, T_measured: FloatArray, drift_sigmas: tuple[float, float], config: Config
 ) -> float:
     """Negative log-likelihood of the odometry residual of a closure, at most ``max_odometry_penalty`` [nats].
 
@@ -56,12 +56,13 @@ def odometry_penalty(
         config: the limits.
     """
     if np.isinf(drift_sigmas[0]):
-        return config.discontinuity_prior
-    sigma_m = config.odometry_inflation * np.hypot(drift_sigmas[0], config.base_sigma_m)
-    sigma_rad = config.odometry_inflation * np.hypot(drift_sigmas[1], np.deg2rad(config.base_sigma_deg))
+        return config.loop_closure.discontinuity_prior
+    limits, inflation = config.loop_closure, config.odometry.inflation
+    sigma_m = inflation * np.hypot(drift_sigmas[0], limits.base_sigma_m)
+    sigma_rad = inflation * np.hypot(drift_sigmas[1], np.deg2rad(limits.base_sigma_deg))
     off_m = float(np.hypot(*(T_measured[:2, 3] - T_predicted[:2, 3])))
     off_rad = abs(float(yaw_rad(invert(T_predicted) @ T_measured)))
-    return min(0.5 * float((off_m / sigma_m) ** 2 + (off_rad / sigma_rad) ** 2), config.max_odometry_penalty)
+    return min(0.5 * float((off_m / sigma_m) ** 2 + (off_rad / sigma_rad) ** 2), limits.max_odometry_penalty)
 
 
 def accumulated_llr(candidates: Sequence[Candidate]) -> float:

@@ -47,11 +47,12 @@ class LoopCloser:
     ) -> None:
         self._submap_config = config.submap
         self._limits = config.loop_closure
+        self._odometry_inflation = config.odometry.inflation
         self._map = object_map
         self._keyframes = keyframes
         self._track = KeyframeTrack(config.odometry)
         for keyframe in keyframes:  # of the prior map
-            self._track.add(keyframe.odometry)
+            self._track.add(keyframe)
         self._retriever = PlaceRetriever(config.loop_closure, config.submap, config.registration, object_map)
         self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes)
         self._graph = graph
@@ -92,7 +93,7 @@ class LoopCloser:
             members = np.flatnonzero(segments == segment)
             along = np.array([[self._keyframes[row].odometry.travel_m] for row in members.tolist()])
             if np.ptp(along) == 0.0:  # a prior map: its keyframes have positions and no travel
-                along = np.stack([self._keyframes[row].odometry.T_odom_body[:2, 3] for row in members.tolist()])
+                along = np.stack([self._keyframes[row].T_local_body[:2, 3] for row in members.tolist()])
             distances_m = cKDTree(along[np.isin(members, ends)]).query(along)[0]
             near.update(members[distances_m <= self._limits.propagation_distance_m].tolist())
         return {row for row in near if self.is_localized(self._keyframes[row])}
@@ -103,7 +104,7 @@ class LoopCloser:
 
     def close(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
         """Look for loops at the newest keyframe; returns a record of every candidate, revised ones included."""
-        self._track.add(keyframe.odometry)
+        self._track.add(keyframe)
         self._retriever.index_inactive_landmarks(keyframe.odometry.travel_m)
         query = self._take_query(keyframe)
         if self._verifier.latest_m(query) <= self._keyframes[0].odometry.travel_m:
@@ -182,7 +183,7 @@ class LoopCloser:
             list(loops),
             graph.keyframes,
             graph.poses(),
-            odometry_inflation=self._limits.odometry_inflation,
+            odometry_inflation=self._odometry_inflation,
         )
         reasons = {
             loop.candidate.query: f"removed as an outlier: kernel weight {rejection.weights[factor]:.2g}"
@@ -200,8 +201,8 @@ class LoopCloser:
         return reference.odometry.segment != query.odometry.segment
 
     def _take_query(self, keyframe: Keyframe) -> Query:
-        submap = recent_submap(self._map, keyframe.odometry, self._submap_config)
-        query = Query(keyframe, submap, gravity_frame(keyframe.odometry.T_odom_body))
+        submap = recent_submap(self._map, keyframe, self._submap_config)
+        query = Query(keyframe, submap, gravity_frame(keyframe.T_local_body))
         oldest_m = query.travel_m - self._limits.propagation_distance_m
         self._recent.append(query)
         while self._recent[0].travel_m < oldest_m:
@@ -234,7 +235,7 @@ class LoopCloser:
         reference = self._retriever.reference_submap(place, before_m=self._verifier.latest_m(query))
         seen_m = self._map.rows["last_seen_travel_m"][query.submap.rows]
         observed = query.submap.of(np.flatnonzero(seen_m > query.travel_m - IN_VIEW_M))
-        return self._monitor.update(query.keyframe.id, observed, reference, place.T_odom_query)
+        return self._monitor.update(query.keyframe.id, observed, reference, place.T_local_query)
 
     def _is_elsewhere(self, query: Query, candidate: Candidate) -> bool:
         """Whether a candidate is far from the pose that the last closure, if it is recent, predicts."""
@@ -244,7 +245,7 @@ class LoopCloser:
         place = self._verifier.predict(seed_closure, query)
         if place is None or place.segment != self._keyframes[candidate.reference].odometry.segment:
             return False
-        return float(np.linalg.norm((place.T_odom_query - candidate.T_odom_query)[:2, 3])) > ELSEWHERE_M
+        return float(np.linalg.norm((place.T_local_query - candidate.T_local_query)[:2, 3])) > ELSEWHERE_M
 
     def _verify_propagated(self, seed_closure: Candidate, query: Query) -> Candidate | None:
         """The closure that ``seed_closure`` predicts for a query, if the LLR reaches ``accept_llr_tracked``."""
@@ -252,7 +253,7 @@ class LoopCloser:
         if place is None:
             return None
         candidate = self._verifier.verify(query, place, seed_closure=seed_closure.query)
-        if not isinstance(candidate, Candidate) or not poses_agree(candidate.T_odom_query, place.T_odom_query):
+        if not isinstance(candidate, Candidate) or not poses_agree(candidate.T_local_query, place.T_local_query):
             return None
         return candidate if candidate.log_likelihood_ratio >= self._limits.accept_llr_tracked else None
 
@@ -291,7 +292,7 @@ class LoopCloser:
         if llr < limits.hypothesis_llr:
             return [candidate.record(Stage.ACCEPTANCE, f"{values}: hypothesis_llr is {limits.hypothesis_llr:g}")]
         agreeing = [
-            each for each in self._hypotheses if poses_agree(self._carried(each, candidate), candidate.T_odom_query)
+            each for each in self._hypotheses if poses_agree(self._carried(each, candidate), candidate.T_local_query)
         ]
         joint_score = accumulated_llr([*agreeing, candidate])
         if joint_score < limits.accept_llr:
@@ -308,10 +309,10 @@ class LoopCloser:
         return [*(self._accept(each, reason) for each in agreeing), *self._accept_and_propagate(candidate, reason)]
 
     def _carried(self, earlier: Candidate, later: Candidate) -> FloatArray:
-        """``T_odom_query`` (4, 4) of a later candidate's query as an earlier candidate predicts it."""
-        before = self._keyframes[earlier.query].odometry.T_odom_body
-        after = self._keyframes[later.query].odometry.T_odom_body
-        return earlier.T_odom_query @ invert(gravity_frame(before)) @ gravity_frame(after)
+        """``T_local_query`` (4, 4) of a later candidate's query as an earlier candidate predicts it."""
+        before = self._keyframes[earlier.query].T_local_body
+        after = self._keyframes[later.query].T_local_body
+        return earlier.T_local_query @ invert(gravity_frame(before)) @ gravity_frame(after)
 
     def _accept_and_propagate(self, candidate: Candidate, reason: str) -> list[LoopClosureRecord]:
         """Accept a retrieved closure, and those that it predicts for the keyframes before it and that are verified."""

@@ -55,13 +55,13 @@ class Verifier:
 
     def predict(self, seed_closure: Candidate, query: Query) -> Place | None:
         """The pose that a closure predicts for another keyframe of its segment, by the odometry between the two."""
-        seed = self._keyframes[seed_closure.query].odometry
-        if seed.segment != query.keyframe.odometry.segment:
+        seed = self._keyframes[seed_closure.query]
+        if seed.odometry.segment != query.keyframe.odometry.segment:
             return None
-        T_seed_query = invert(gravity_frame(seed.T_odom_body)) @ query.T_odom_gravity
-        T_odom_query = np.asarray(seed_closure.T_odom_query @ T_seed_query)
+        T_seed_query = invert(gravity_frame(seed.T_local_body)) @ query.T_local_gravity
+        T_local_query = np.asarray(seed_closure.T_local_query @ T_seed_query)
         reference_pose = self._keyframes[seed_closure.reference].odometry
-        place = Place(T_odom_query, reference_pose.travel_m, reference_pose.segment, 0.0)
+        place = Place(T_local_query, reference_pose.travel_m, reference_pose.segment, 0.0)
         reference = self._nearest(place, query)
         return replace(place, travel_m=reference.odometry.travel_m) if reference else None
 
@@ -74,14 +74,14 @@ class Verifier:
             query.submap.labels,
             reference_submap.positions,
             reference_submap.labels,
-            place.T_odom_query,
+            place.T_local_query,
             self._config.registration,
             query_sigmas=query.submap.sigmas,
             reference_sigmas=reference_submap.sigmas,
         )
         if registration.T_reference_query is None:
             return query.refusal(Stage.REGISTRATION, registration.reason, reference, rank=place.rank)
-        reference = self._nearest(replace(place, T_odom_query=registration.T_reference_query), query)
+        reference = self._nearest(replace(place, T_local_query=registration.T_reference_query), query)
         if reference is None:
             reason = f"no earlier keyframe within {MAX_REFERENCE_M:g} m of the place"
             return query.refusal(Stage.REGISTRATION, reason, rank=place.rank)
@@ -99,7 +99,7 @@ class Verifier:
         T_implied = first.T_reference_query @ invert(second.T_reference_query)
         T_predicted = invert(self._graph.pose(first.reference)) @ self._graph.pose(second.reference)
         sigmas = self._track.drift_sigmas(first.reference, second.reference)
-        return odometry_penalty(T_predicted, T_implied, sigmas, self._config.loop_closure) < MAX_CONSISTENT_PENALTY
+        return odometry_penalty(T_predicted, T_implied, sigmas, self._config) < MAX_CONSISTENT_PENALTY
 
     def max_llr_along_track(self, query: Query, candidate: Candidate) -> float:
         """Highest LLR [nats] of the query at poses shifted along its heading: rows of objects repeat themselves.
@@ -107,21 +107,21 @@ class Verifier:
         The shifts after which most objects match are verified like any other pose.
         """
         pose = self._keyframes[candidate.reference].odometry
-        place = Place(candidate.T_odom_query, pose.travel_m, pose.segment, 0.0)
+        place = Place(candidate.T_local_query, pose.travel_m, pose.segment, 0.0)
         reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
-        placed = apply(place.T_odom_query, query.submap.positions)
+        placed = apply(place.T_local_query, query.submap.positions)
         offsets = reference_submap.positions[:, None, :2] - placed[None, :, :2]  # (M, N, 2)
         same = reference_submap.labels[:, None] == query.submap.labels
-        heading = place.T_odom_query[:2, 0]
+        heading = place.T_local_query[:2, 0]
         shifted_offsets = offsets[None] - ALONG_TRACK_SHIFTS_M[:, None, None, None] * heading  # (S, M, N, 2)
         near = same & (np.einsum("smni,smni->smn", shifted_offsets, shifted_offsets) < ALONG_TRACK_MATCH_RADIUS_M**2)
         match_counts = near.any(axis=1).sum(axis=1)
         shifted_llrs = [0.0]
         for shift in np.argsort(-match_counts, kind="stable")[:ALONG_TRACK_SHIFTS_TRIED]:
-            T_shifted = place.T_odom_query.copy()
+            T_shifted = place.T_local_query.copy()
             T_shifted[:2, 3] += ALONG_TRACK_SHIFTS_M[shift] * heading
-            shifted = self.verify(query, replace(place, T_odom_query=T_shifted))
-            if isinstance(shifted, Candidate) and not poses_agree(shifted.T_odom_query, candidate.T_odom_query):
+            shifted = self.verify(query, replace(place, T_local_query=T_shifted))
+            if isinstance(shifted, Candidate) and not poses_agree(shifted.T_local_query, candidate.T_local_query):
                 shifted_llrs.append(shifted.log_likelihood_ratio)
         return max(shifted_llrs)
 
@@ -134,21 +134,21 @@ class Verifier:
         reference: Keyframe,
         seed_closure: int,
     ) -> Candidate:
-        T_odom_gravity, covariance = registration.T_reference_query, registration.covariance
-        assert T_odom_gravity is not None
+        T_local_gravity, covariance = registration.T_reference_query, registration.covariance
+        assert T_local_gravity is not None
         assert covariance is not None
         crosses_break = reference.odometry.segment != query.keyframe.odometry.segment
         ratio = compute_log_likelihood_ratio(
             query.submap,
             reference_submap,
-            T_odom_gravity,
+            T_local_gravity,
             registration.pairs,
             self._config.likelihood_ratio,
             self._retriever.class_shares() if crosses_break else None,
         )
         # The query's tilt is the odometry's; the registration is upright.
-        T_gravity_body = invert(query.T_odom_gravity) @ query.keyframe.odometry.T_odom_body
-        T_reference_query = invert(reference.odometry.T_odom_body) @ T_odom_gravity @ T_gravity_body
+        T_gravity_body = invert(query.T_local_gravity) @ query.keyframe.T_local_body
+        T_reference_query = invert(reference.T_local_body) @ T_local_gravity @ T_gravity_body
         T_predicted = invert(self._graph.pose(reference.id)) @ self._graph.pose(query.keyframe.id)
         sigmas = self._track.drift_sigmas(reference.id, query.keyframe.id)
         return Candidate(
@@ -158,7 +158,7 @@ class Verifier:
             reference_stamp_ns=reference.odometry.stamp_ns,
             travel_m=query.travel_m,
             T_reference_query=T_reference_query,
-            T_odom_query=T_odom_gravity,
+            T_local_query=T_local_gravity,
             covariance=self._covariance(covariance),
             rows=query.submap.rows,
             log_likelihood_ratios=ratio.per_object,
@@ -166,7 +166,7 @@ class Verifier:
                 [query.submap.rows[registration.pairs[:, 0]], reference_submap.rows[registration.pairs[:, 1]]]
             ),
             matched_fraction=ratio.matched_fraction,
-            odometry_penalty=odometry_penalty(T_predicted, T_reference_query, sigmas, self._config.loop_closure),
+            odometry_penalty=odometry_penalty(T_predicted, T_reference_query, sigmas, self._config),
             retrieval_distance=place.retrieval_distance,
             seed_closure=seed_closure,
             rank=place.rank,
@@ -181,7 +181,7 @@ class Verifier:
     def _nearest(self, place: Place, query: Query) -> Keyframe | None:
         """The nearest keyframe of the reference traversal, if it is within ``MAX_REFERENCE_M``."""
         found = self._track.nearest(
-            place.T_odom_query[:3, 3],
+            place.T_local_query[:3, 3],
             segment=place.segment,
             from_m=place.travel_m - TRAVERSAL_LENGTH_M,
             to_m=min(place.travel_m + TRAVERSAL_LENGTH_M, self.latest_m(query)),

@@ -46,9 +46,9 @@ LANDMARK = np.dtype(
         ("last_seen_travel_m", np.float64),
         ("segment", np.int64),  # of the odometry: positions of one segment have nothing to do with those of another
         # Where it is relative to the robot: a filter in the odometry frame, which is smooth around the robot.
-        ("position_odom", np.float64, 3),
-        ("covariance_odom", np.float64, (3, 3)),
-        ("velocity_odom", np.float64, 3),  # zero unless it seems to move
+        ("position_local", np.float64, 3),
+        ("covariance_local", np.float64, (3, 3)),
+        ("velocity_local", np.float64, 3),  # zero unless it seems to move
         # Where it is in the optimised map.
         ("position_map", np.float64, 3),
         ("covariance_map", np.float64, (3, 3)),
@@ -57,7 +57,7 @@ LANDMARK = np.dtype(
         ("sum_tt", np.float64),
         ("sum_p", np.float64, 3),
         ("sum_tp", np.float64, 3),
-        ("first_position_odom", np.float64, 3),
+        ("first_position_local", np.float64, 3),
     ]
 )
 
@@ -138,8 +138,8 @@ class ObjectMap:
 
     def add(
         self,
-        positions_odom: FloatArray,
-        covariances_odom: FloatArray,
+        positions_local: FloatArray,
+        covariances_local: FloatArray,
         labels: IntArray,
         *,
         stamp_ns: int,
@@ -148,9 +148,9 @@ class ObjectMap:
         segment: int = 0,
     ) -> IntArray:
         """Make tentative landmarks of detections (N, 3) m with (N, 3, 3) m^2; returns their rows (N,)."""
-        new = np.arange(self._size, self._size + len(positions_odom))
-        self._reserve(self._size + len(positions_odom))
-        self._size += len(positions_odom)
+        new = np.arange(self._size, self._size + len(positions_local))
+        self._reserve(self._size + len(positions_local))
+        self._size += len(positions_local)
         landmarks = self.rows
         landmarks["state"][new] = LandmarkState.TENTATIVE
         landmarks["observations"][new] = 1
@@ -160,9 +160,9 @@ class ObjectMap:
         landmarks["last_seen_ns"][new] = stamp_ns
         landmarks["last_seen_travel_m"][new] = travel_m
         landmarks["segment"][new] = segment
-        landmarks["position_odom"][new] = positions_odom
-        landmarks["first_position_odom"][new] = positions_odom
-        landmarks["covariance_odom"][new] = covariances_odom
+        landmarks["position_local"][new] = positions_local
+        landmarks["first_position_local"][new] = positions_local
+        landmarks["covariance_local"][new] = covariances_local
         self._label_counts[new, labels] = 1.0
         return new
 
@@ -197,12 +197,12 @@ class ObjectMap:
         return rows
 
     def record_observations(
-        self, rows: IntArray, measured_odom: FloatArray, labels: IntArray, *, stamp_ns: int, scan: int, travel_m: float
+        self, rows: IntArray, measured_local: FloatArray, labels: IntArray, *, stamp_ns: int, scan: int, travel_m: float
     ) -> None:
-        """Count one more measurement of each of ``rows`` (N,), at ``measured_odom`` (N, 3) m, with its label (N,)."""
+        """Count one more measurement of each of ``rows`` (N,), at ``measured_local`` (N, 3) m, with its label (N,)."""
         landmarks = self.rows
         seconds = (stamp_ns - landmarks["first_seen_ns"][rows]) * 1e-9
-        offset = measured_odom - landmarks["first_position_odom"][rows]
+        offset = measured_local - landmarks["first_position_local"][rows]
         landmarks["observations"][rows] += 1
         landmarks["last_scan"][rows] = scan
         landmarks["last_seen_ns"][rows] = stamp_ns

@@ -14,7 +14,7 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import SubmapConfig
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw, yaw_rad
 from slam.object_map.landmarks import LandmarkState, ObjectMap
-from slam.odometry.track import OdometryPose
+from slam.odometry.keyframe import Keyframe
 
 # Landmarks last seen within that travel of each other belong to one traversal.
 TRAVERSAL_LENGTH_M = 110.0
@@ -39,31 +39,31 @@ class Submap:
         return Submap(self.positions[indices], self.sigmas[indices], self.labels[indices], self.rows[indices])
 
 
-def gravity_frame(T_odom_body: FloatArray) -> FloatArray:
-    """``T_odom_gravity`` (..., 4, 4): at the body, heading as it does, but upright."""
-    return transform_from_xyz_yaw(T_odom_body[..., :3, 3], yaw_rad(T_odom_body))
+def gravity_frame(T_local_body: FloatArray) -> FloatArray:
+    """``T_local_gravity`` (..., 4, 4): at the body, heading as it does, but upright."""
+    return transform_from_xyz_yaw(T_local_body[..., :3, 3], yaw_rad(T_local_body))
 
 
-def recent_submap(object_map: ObjectMap, pose: OdometryPose, config: SubmapConfig) -> Submap:
-    """The confirmed landmarks of the last stretch of travel, in the gravity frame of ``pose`` (the paper's QLSM)."""
-    landmarks = object_map.rows
+def recent_submap(object_map: ObjectMap, keyframe: Keyframe, config: SubmapConfig) -> Submap:
+    """The confirmed landmarks of the last stretch of travel, in the gravity frame of a keyframe (the paper's QLSM)."""
+    landmarks, pose = object_map.rows, keyframe.odometry
     recent = (landmarks["last_seen_travel_m"] > pose.travel_m - config.travel_m) & (
         landmarks["segment"] == pose.segment
     )
     rows = np.flatnonzero(recent & (landmarks["state"] == LandmarkState.CONFIRMED))
-    positions = apply(invert(gravity_frame(pose.T_odom_body)), landmarks["position_odom"][rows])
+    positions = apply(invert(gravity_frame(keyframe.T_local_body)), landmarks["position_local"][rows])
     return _submap(object_map, rows, positions, np.zeros(3), config)
 
 
-def placed_submap(object_map: ObjectMap, rows: IntArray, centre_odom: FloatArray, config: SubmapConfig) -> Submap:
-    """The landmarks ``rows`` (N,) from a traversal near ``centre_odom`` (3,), in the odometry frame."""
-    return _submap(object_map, rows, object_map.rows["position_odom"][rows], centre_odom, config)
+def placed_submap(object_map: ObjectMap, rows: IntArray, centre_local: FloatArray, config: SubmapConfig) -> Submap:
+    """The landmarks ``rows`` (N,) from a traversal near ``centre_local`` (3,), in the local frame."""
+    return _submap(object_map, rows, object_map.rows["position_local"][rows], centre_local, config)
 
 
 def _submap(
     object_map: ObjectMap, rows: IntArray, positions: FloatArray, centre: FloatArray, config: SubmapConfig
 ) -> Submap:
     distances = np.hypot(positions[:, 0] - centre[0], positions[:, 1] - centre[1])
-    own_variances = np.trace(object_map.rows["covariance_odom"][rows][:, :2, :2], axis1=1, axis2=2) / 2.0
+    own_variances = np.trace(object_map.rows["covariance_local"][rows][:, :2, :2], axis1=1, axis2=2) / 2.0
     variances = config.landmark_sigma_m**2 + (config.sigma_per_m * distances) ** 2 + own_variances
     return Submap(positions, np.sqrt(variances), object_map.classes(rows), rows)

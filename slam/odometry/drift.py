@@ -6,14 +6,17 @@ import numpy as np
 
 from slam.common.arrays import FloatArray
 from slam.common.config import OdometryConfig
+from slam.odometry.keyframe import Keyframe
+from slam.odometry.noise import step_variances
 from slam.odometry.track import OdometryPose
 
 _KEYFRAME = np.dtype(
     [
         ("travel_m", np.float64),
         ("segment", np.int64),
-        ("position_odom", np.float64, 3),
-        # Sums over the track so far, weighted by travel: of one, of the horizontal position, of its square.
+        ("position_local", np.float64, 3),
+        ("translation_variance", np.float64),  # summed up over the track so far, as are:
+        # sums weighted by the heading variance of each step: of one, of the horizontal position, of its square.
         ("sum_one", np.float64),
         ("sum_position", np.float64, 2),
         ("sum_square", np.float64),
@@ -28,22 +31,27 @@ class KeyframeTrack:
         self._config = config
         self._rows = np.zeros(64, dtype=_KEYFRAME)
         self._size = 0
+        self._latest: OdometryPose | None = None
 
-    def add(self, pose: OdometryPose) -> None:
+    def add(self, keyframe: Keyframe) -> None:
         """Take in the next keyframe."""
         if self._size == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
+        pose, position = keyframe.odometry, keyframe.T_local_body[:3, 3]
         previous, row = self._rows[self._size - 1], self._rows[self._size]
-        position = pose.T_odom_body[:3, 3]
-        step_m = pose.travel_m - previous["travel_m"] if self._size else 0.0
-        row["travel_m"], row["segment"], row["position_odom"] = pose.travel_m, pose.segment, position
-        row["sum_one"] = previous["sum_one"] + step_m
-        row["sum_position"] = previous["sum_position"] + step_m * position[:2]
-        row["sum_square"] = previous["sum_square"] + step_m * float(position[:2] @ position[:2])
+        translation, _, heading = np.zeros(3)
+        if self._latest is not None and self._latest.segment == pose.segment:
+            translation, _, heading = step_variances(self._latest, pose, self._config)
+        row["travel_m"], row["segment"], row["position_local"] = pose.travel_m, pose.segment, position
+        row["translation_variance"] = previous["translation_variance"] + translation
+        row["sum_one"] = previous["sum_one"] + heading
+        row["sum_position"] = previous["sum_position"] + heading * position[:2]
+        row["sum_square"] = previous["sum_square"] + heading * float(position[:2] @ position[:2])
+        self._latest = pose
         self._size += 1
 
     def nearest(
-        self, position_odom: FloatArray, *, segment: int, from_m: float, to_m: float
+        self, position_local: FloatArray, *, segment: int, from_m: float, to_m: float
     ) -> tuple[int, float] | None:
         """Id and distance [m] of the keyframe nearest to a place (3,) among those of a segment of the odometry and of
         that travel; None if none is.
@@ -54,7 +62,7 @@ class KeyframeTrack:
         last = min(last, np.searchsorted(rows["segment"], segment, side="right"))
         if first >= last:
             return None
-        offsets = rows["position_odom"][first:last, :2] - position_odom[:2]
+        offsets = rows["position_local"][first:last, :2] - position_local[:2]
         squares = np.einsum("ij,ij->i", offsets, offsets)
         best = int(np.argmin(squares))
         return int(first) + best, float(np.sqrt(squares[best]))
@@ -64,16 +72,15 @@ class KeyframeTrack:
         ``first``, by the odometry between them; infinite across a break.
 
         A heading error moves all later keyframes by its lever arm, so the variance of the place is the integral of the
-        squared lever arms over the travel, which the running sums give for any two keyframes.
+        squared lever arms over the heading's variance, which the running sums give for any two keyframes.
         """
         a, b = self._rows[first], self._rows[last]
         if a["segment"] != b["segment"]:
             return np.inf, np.inf
-        travel_m = float(b["sum_one"] - a["sum_one"])
-        position = b["position_odom"][:2]
+        yaw_variance = float(b["sum_one"] - a["sum_one"])
+        position = b["position_local"][:2]
         cross = float(position @ (b["sum_position"] - a["sum_position"]))
         square = float(b["sum_square"] - a["sum_square"])
-        levers = max(travel_m * float(position @ position) - 2.0 * cross + square, 0.0)
-        yaw_variance = self._config.yaw_sigma**2 * travel_m
-        variance = self._config.translation_sigma**2 * travel_m + 0.5 * self._config.yaw_sigma**2 * levers
+        levers = max(yaw_variance * float(position @ position) - 2.0 * cross + square, 0.0)
+        variance = float(b["translation_variance"] - a["translation_variance"]) + 0.5 * levers
         return float(np.sqrt(variance)), float(np.sqrt(yaw_variance))

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from slam.common.arrays import FloatArray
 from slam.odometry.track import OdometryPose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Keyframe:
-    """A pose of the track that the graph knows."""
+    """A pose of the track that the graph knows; ``T_local_body`` (4, 4): where landmarks around have it, see
+    :mod:`slam.frontend.local_map`.
+    """
 
     id: int
     odometry: OdometryPose
+    T_local_body: FloatArray

@@ -1,4 +1,4 @@
-"""Covariances of steps of the odometry."""
+"""Covariances of steps of the odometry: a random walk by travel, by turning and by time."""
 
 from __future__ import annotations
 
@@ -6,21 +6,38 @@ import numpy as np
 
 from slam.common.arrays import FloatArray
 from slam.common.config import OdometryConfig
-from slam.common.geometry import rotation_angle_rad
+from slam.common.geometry import relative, rotation_angle_rad
+from slam.odometry.track import OdometryPose
 
 # A break in the odometry ties nothing together, but the graph must stay connected until a closure does it.
 BREAK_SIGMA_RAD = 1.0
 BREAK_SIGMA_M = 100.0
-# How many metres of travel a turn counts for in the noise of the heading.
-METRES_PER_RADIAN = 10.0
 
 
-def step_covariance(T_from_to: FloatArray, travel_m: float, config: OdometryConfig) -> FloatArray:
-    """Covariance (6, 6) of a step of the odometry, rotation first, for its travel (at least its straight length)."""
-    length_m = max(travel_m, float(np.linalg.norm(T_from_to[:3, 3])))
-    # A turn is not free of error either, not even on the spot.
-    turn_root = np.sqrt(length_m + METRES_PER_RADIAN * float(rotation_angle_rad(T_from_to)))
-    tilt = max(config.min_rotation_sigma_rad, config.tilt_sigma * turn_root)
-    yaw = max(config.min_rotation_sigma_rad, config.yaw_sigma * turn_root)
-    translation = max(config.min_translation_sigma_m, config.translation_sigma * np.sqrt(length_m))
-    return np.diag(np.array([tilt, tilt, yaw, translation, translation, translation]) ** 2)
+def step_variances(before: OdometryPose, after: OdometryPose, config: OdometryConfig) -> FloatArray:
+    """Variances (3,) of the step between two poses of one segment.
+
+    They are those of each coordinate of the position [m^2], of roll and pitch [rad^2], and of the heading [rad^2].
+    """
+    T_before_after = relative(before.T_odom_body, after.T_odom_body)
+    length_m = max(abs(after.travel_m - before.travel_m), float(np.linalg.norm(T_before_after[:3, 3])))
+    turn_rad = float(rotation_angle_rad(T_before_after))
+    seconds = abs(after.stamp_ns - before.stamp_ns) * 1e-9
+    return np.array(
+        [
+            max(config.min_translation_sigma_m**2, config.translation_sigma**2 * length_m)
+            + config.translation_sigma_by_time**2 * seconds,
+            max(config.min_rotation_sigma_rad**2, config.tilt_sigma**2 * length_m),
+            max(
+                config.min_rotation_sigma_rad**2,
+                config.yaw_sigma**2 * length_m + config.yaw_sigma_by_turn**2 * turn_rad,
+            )
+            + config.yaw_sigma_by_time**2 * seconds,
+        ]
+    )
+
+
+def step_covariance(before: OdometryPose, after: OdometryPose, config: OdometryConfig) -> FloatArray:
+    """Covariance (6, 6) of the step between two poses of one segment, rotation first."""
+    translation, tilt, yaw = step_variances(before, after, config)
+    return np.diag([tilt, tilt, yaw, translation, translation, translation])

@@ -35,14 +35,14 @@ INDEX_EVERY_M = 10.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
-    """A candidate pose of a query: ``T_odom_query`` (4, 4), in the odometry frame of the traversal around ``travel_m``
+    """A candidate pose of a query: ``T_local_query`` (4, 4), in the odometry frame of the traversal around ``travel_m``
     of a ``segment``.
 
     ``retrieval_distance``: mean distance of the agreeing matches in descriptor space; ``rank``: from 1, among the
     places retrieved for a query, 0 for a place that was not retrieved by descriptors.
     """
 
-    T_odom_query: FloatArray
+    T_local_query: FloatArray
     travel_m: float
     segment: int
     retrieval_distance: float
@@ -89,7 +89,7 @@ class PlaceRetriever:
             & (landmarks["last_seen_travel_m"] > earliest_m)
         )
         constellations = gather_constellations(
-            landmarks["position_odom"][around],
+            landmarks["position_local"][around],
             self._map.classes(around),
             self._map.vocabulary,
             radius_m=self._index.radius_m,
@@ -170,19 +170,19 @@ class PlaceRetriever:
             logger.warning("no exhaustive search, retrieval by descriptors alone: %s", error)
             return None
 
-    def _place(self, T_odom_query: FloatArray, rows: IntArray, distances: NDArray[np.float32]) -> Place:
+    def _place(self, T_local_query: FloatArray, rows: IntArray, distances: NDArray[np.float32]) -> Place:
         """The place of a pose on which matches with the landmarks ``rows`` (K,) agree."""
         landmarks = self._map.rows[rows]
         segments, counts = np.unique(landmarks["segment"], return_counts=True)
         segment = int(segments[np.argmax(counts)])
         travels_m = landmarks["last_seen_travel_m"][landmarks["segment"] == segment]
-        return Place(T_odom_query, float(np.median(travels_m)), segment, float(distances.mean()))
+        return Place(T_local_query, float(np.median(travels_m)), segment, float(distances.mean()))
 
     def reference_submap(self, place: Place, *, before_m: float) -> Submap:
         """The landmarks around a place from its traversal, in the odometry frame."""
         landmarks = self._map.rows
-        centre = place.T_odom_query[:3, 3]
-        offsets = landmarks["position_odom"][:, :2] - centre[:2]
+        centre = place.T_local_query[:3, 3]
+        offsets = landmarks["position_local"][:, :2] - centre[:2]
         rows = np.flatnonzero(
             (np.abs(landmarks["last_seen_travel_m"] - place.travel_m) < TRAVERSAL_LENGTH_M)
             & (landmarks["last_seen_travel_m"] < before_m)

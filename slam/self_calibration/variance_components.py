@@ -159,7 +159,7 @@ def _cross_equations(
     _, start, group, count = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
 
     def total(values: FloatArray) -> FloatArray:
-        return np.bincount(group, values, minlength=len(start))
+        return np.bincount(group, values, minlength=len(start)).astype(np.float64)
 
     square = np.einsum("ni,ni->n", x, x)
     torque = x[:, 0] * d[:, 1] - x[:, 1] * d[:, 0]

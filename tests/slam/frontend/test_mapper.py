@@ -109,7 +109,7 @@ def test_objects_are_the_same_landmarks_in_every_scan():
     for associations in rest:
         assert associations.landmark_ids == first.landmark_ids
         assert not associations.created.any()
-    np.testing.assert_allclose(bench.map.rows["position_odom"], OBJECTS, atol=1e-9)
+    np.testing.assert_allclose(bench.map.rows["position_local"], OBJECTS, atol=1e-9)
     assert [bench.map.vocabulary[i] for i in bench.map.beliefs(np.arange(4)).argmax(axis=1)] == list(LABELS)
 
 

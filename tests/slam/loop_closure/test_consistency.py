@@ -97,11 +97,11 @@ def test_across_a_break_it_does_not_matter_what_the_odometry_predicts():
 
 
 def test_of_equal_places_the_best_is_kept_and_the_best_place_comes_first():
-    weak = make_candidate(query=1, T_odom_query=T_BASE, llrs={0: 11.0})
-    strong = make_candidate(query=2, T_odom_query=moved(T_BASE, 0.5), llrs={0: 30.0})
-    penalized = make_candidate(query=3, T_odom_query=moved(T_BASE, -0.5), llrs={0: 40.0}, odometry_penalty=15.0)
-    elsewhere = make_candidate(query=4, T_odom_query=moved(T_BASE, 30.0), llrs={0: 20.0})
-    turned = make_candidate(query=5, T_odom_query=moved(T_BASE, turn_rad=np.pi), llrs={0: 35.0})
+    weak = make_candidate(query=1, T_local_query=T_BASE, llrs={0: 11.0})
+    strong = make_candidate(query=2, T_local_query=moved(T_BASE, 0.5), llrs={0: 30.0})
+    penalized = make_candidate(query=3, T_local_query=moved(T_BASE, -0.5), llrs={0: 40.0}, odometry_penalty=15.0)
+    elsewhere = make_candidate(query=4, T_local_query=moved(T_BASE, 30.0), llrs={0: 20.0})
+    turned = make_candidate(query=5, T_local_query=moved(T_BASE, turn_rad=np.pi), llrs={0: 35.0})
     found = suppress_non_maxima([weak, elsewhere, penalized, strong, turned])
     assert [candidate.query for candidate in found] == [5, 2, 4]
     assert suppress_non_maxima([]) == []

@@ -1,0 +1,206 @@
+"""The landmarks around the robot that detections are associated with, and the robot among them.
+
+Confirmed landmarks are held by the EKF of :mod:`slam.frontend.local_map`, which corrects the robot's pose by them;
+tentative ones have a small Kalman filter each and correct nothing. A confirmed landmark is let go when it is no longer
+certain which of its like it is: when its position relative to the robot is known no better than a third of the distance
+between objects of its class. From then on its place has to be recognised, which is what loop closing does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtri
+
+from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.common.config import Config
+from slam.frontend.landmark_filter import predict_covariances, update_positions
+from slam.frontend.local_map import LocalMap, upright_step
+from slam.frontend.scan import Scan
+from slam.object_map.landmarks import ObjectMap
+from slam.odometry.noise import step_variances
+from slam.odometry.track import OdometryPose
+
+CERTAIN_SIGMAS = 3.0
+"""A landmark can be confused with another that is nearer than so many standard deviations of where it is expected."""
+SAME_PROBABILITY = 0.99
+"""Probability from which two landmarks are one object."""
+# Least time over which a moving object is given to change its speed: 10 Hz scans leave it none, its noise does.
+MIN_SWERVE_S = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """Where landmarks should be seen: positions (A, 3) m, covariances (A, 3, 3) m^2 relative to the robot."""
+
+    positions: FloatArray
+    covariances: FloatArray
+
+
+class ActiveLandmarks:
+    """``rows`` (A,) of the object map that are active."""
+
+    def __init__(self, config: Config, object_map: ObjectMap) -> None:
+        self._config = config
+        self._map = object_map
+        self._local = LocalMap()
+        self._pose: OdometryPose | None = None
+        self.rows = np.zeros(0, dtype=np.int64)
+
+    @property
+    def T_local_body(self) -> FloatArray:
+        """(4, 4) of the last pose that was advanced to."""
+        assert self._pose is not None
+        return np.asarray(self._local.T_local_odom(self._pose.T_odom_body) @ self._pose.T_odom_body)
+
+    def restart(self, pose: OdometryPose) -> None:
+        """Begin anew at a pose, without landmarks."""
+        self._local.start(pose.T_odom_body)
+        self._pose = pose
+        self.rows = np.zeros(0, dtype=np.int64)
+
+    def advance(self, pose: OdometryPose) -> FloatArray:
+        """Follow the odometry to a pose of the same segment; returns ``T_local_body`` (4, 4) there."""
+        before = self._pose
+        if before is None:
+            self.restart(pose)
+        elif pose.stamp_ns != before.stamp_ns:
+            variances = self._config.odometry.inflation**2 * step_variances(before, pose, self._config.odometry)
+            self._local.advance(upright_step(before.T_odom_body, pose.T_odom_body), variances[[0, 2]])
+            self._pose = pose
+            rows = self.rows[self._slots < 0]
+            landmarks = self._map.rows
+            offsets = landmarks["position_local"][rows] - self.T_local_body[:3, 3]
+            landmarks["covariance_local"][rows] = predict_covariances(
+                landmarks["covariance_local"][rows], offsets, variances
+            )
+        return self.T_local_body
+
+    def predict(self, stamp_ns: int) -> Prediction:
+        """Where the active landmarks should be at a time; those that seem to move go on moving."""
+        landmarks = self._map.rows[self.rows]
+        seconds = (stamp_ns - landmarks["last_seen_ns"]) * 1e-9
+        positions = landmarks["position_local"] + seconds[:, None] * landmarks["velocity_local"]
+        covariances = landmarks["covariance_local"].copy()
+        moves = np.any(landmarks["velocity_local"] != 0.0, axis=1)
+        swerve_m = moves * self._config.landmark.moving_acceleration_mps2 * seconds * np.maximum(seconds, MIN_SWERVE_S)
+        covariances += (swerve_m**2)[:, None, None] * np.eye(3)
+        slots = self._slots
+        held = slots >= 0
+        if held.any() and self._pose is not None:
+            positions[held, :2], planar = self._local.predict(slots[held])
+            travel_m = np.abs(self._pose.travel_m - landmarks["last_seen_travel_m"][held])
+            heights = covariances[held, 2, 2] + self._config.odometry.translation_sigma**2 * travel_m
+            covariances[held] = 0.0
+            covariances[held, :2, :2] = planar
+            covariances[held, 2, 2] = heights
+        return Prediction(positions, covariances)
+
+    def update(self, indices: IntArray, predicted: Prediction, seen: Scan, covariances: FloatArray) -> None:
+        """Correct landmarks and robot by detections of them.
+
+        Args:
+            indices: (K,) into ``rows``.
+            predicted: of all active landmarks.
+            seen: K detections, local frame.
+            covariances: (K, 3, 3) m^2 of them, with the errors that sightings of an object share.
+        """
+        rows = self.rows[indices]
+        landmarks = self._map.rows
+        positions, filtered = update_positions(
+            predicted.positions[indices], predicted.covariances[indices], seen.positions, seen.covariances
+        )
+        slots = self._slots[indices]
+        held = slots >= 0
+        offsets = seen.positions[held, :2] - self.T_local_body[:2, 3]
+        self._local.update(slots[held], offsets, covariances[held, :2, :2])
+        landmarks["position_local"][rows], landmarks["covariance_local"][rows] = positions, filtered
+        landmarks["position_local"][self._local.ids, :2] = self._local.positions()
+        if held.any():
+            block = np.zeros((int(held.sum()), 3, 3))
+            block[:, :2, :2] = self._local.predict(slots[held])[1]
+            block[:, 2, 2] = filtered[held, 2, 2]
+            landmarks["covariance_local"][rows[held]] = block
+
+    def add(self, rows: IntArray) -> None:
+        """Make landmarks active; they are tentative until they are confirmed."""
+        self.rows = np.concatenate([self.rows, rows])
+
+    def confirm(self, rows: IntArray) -> None:
+        """Let confirmed landmarks (K,), active and in view, correct the robot's pose from now on."""
+        landmarks = self._map.rows[rows]
+        offsets = landmarks["position_local"][:, :2] - self.T_local_body[:2, 3]
+        self._local.insert(rows, offsets, landmarks["covariance_local"][:, :2, :2])
+
+    def drop(self, rows: IntArray) -> None:
+        """Make landmarks inactive."""
+        self.rows = self.rows[~np.isin(self.rows, rows)]
+        self._local.remove(rows)
+
+    def release(self, rows: IntArray) -> None:
+        """Let landmarks correct the robot's pose no longer, but go on following them."""
+        self._local.remove(rows)
+
+    def uncertain(self) -> BoolArray:
+        """(A,) which confirmed landmarks may be confused with others of their class by now, or are too many to keep."""
+        slots = self._slots
+        uncertain = np.zeros(len(self.rows), dtype=np.bool_)
+        held = np.flatnonzero(slots >= 0)
+        if len(held) == 0:
+            return uncertain
+        covariances = self._local.predict(slots[held])[1]
+        sigmas = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
+        uncertain[held] = CERTAIN_SIGMAS * sigmas > self._config.association.confusion_distance_m
+        excess = len(held) - self._config.association.max_landmarks
+        if excess > 0:
+            oldest = np.argsort(self._map.rows["last_seen_ns"][self.rows[held]], kind="stable")[:excess]
+            uncertain[held[oldest]] = True
+        return uncertain
+
+    def merge_duplicates(self) -> list[tuple[int, int]]:
+        """Merge confirmed landmarks that are one object; returns rows (kept, dropped).
+
+        Two are one if that is ``SAME_PROBABILITY`` likely: by the density at zero of their difference against the
+        density at which objects of the class stand around.
+        """
+        merged = []
+        while (pair := self._duplicate()) is not None:
+            kept, dropped = pair
+            self._local.merge(kept, dropped, self._config.detection.min_sigma_m**2)
+            self.rows = self.rows[self.rows != dropped]
+            self._map.rows["position_local"][self._local.ids, :2] = self._local.positions()
+            merged.append(pair)
+        return merged
+
+    def _duplicate(self) -> tuple[int, int] | None:
+        """The likeliest pair of landmarks that are one, the older one first."""
+        ids = self._local.ids
+        if len(ids) < 2:
+            return None
+        classes = self._map.classes(ids)
+        positions = self._local.positions()
+        area = float(np.prod(np.maximum(np.ptp(positions, axis=0), 1e-3)))
+        first, second = np.triu_indices(len(ids), 1)
+        near = classes[first] == classes[second]
+        first, second = first[near], second[near]
+        difference, covariances = self._local.difference(first, second)
+        covariances = covariances + self._config.detection.min_sigma_m**2 * np.eye(2)
+        near = np.einsum("ki,ki->k", difference, difference) < 14.0 * np.trace(covariances, axis1=1, axis2=2)
+        first, second, difference, covariances = first[near], second[near], difference[near], covariances[near]
+        if len(first) == 0:
+            return None
+        distances = np.einsum("ki,ki->k", difference, np.linalg.solve(covariances, difference[..., None])[..., 0])
+        clutter = np.bincount(classes)[classes[first]] / area
+        llr = -0.5 * (distances + np.log(np.linalg.det(2.0 * np.pi * covariances))) - np.log(clutter)
+        llr[distances > float(chdtri(2, 1.0 - self._config.association.gate_probability))] = -np.inf
+        best = int(np.argmax(llr))
+        if llr[best] < np.log(SAME_PROBABILITY / (1.0 - SAME_PROBABILITY)):
+            return None
+        kept, dropped = sorted((int(ids[first[best]]), int(ids[second[best]])))
+        return kept, dropped
+
+    @property
+    def _slots(self) -> IntArray:
+        """(A,) of the active landmarks in the EKF; -1 for those that it does not hold."""
+        return self._local.slots(self.rows)
