@@ -83,6 +83,11 @@ class DetectionConfig(_Branch):
     min_sigma_m: float = Field(default=0.01, ge=0, description="added to the message's own covariances [m]")
     min_score: float = Field(default=0.0, ge=0, le=1, description="detections below this score are left out")
     max_range_m: float = Field(default=80.0, gt=0, description="detections farther away are left out [m]")
+    sensor_range_m: float = Field(
+        default=30.0,
+        gt=0,
+        description="range within which 95 % of the detections are; lengths that are not settings are fractions of it [m]",
+    )
 
     assume_body_frame: bool = Field(
         default=False, description="take every detection to be in the body frame, whatever frame its message names"
