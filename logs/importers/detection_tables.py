@@ -41,8 +41,8 @@ class DetectionTable:
 
     positions (R, 3) m in the frame of each row; scores (R,) in [0, 1]; covariances (R, 3, 3) m^2, zeros where not
     known; sizes (R, 3) m, NaN where not known; ``true_ids``: the object that each shows, "" for a false positive, None
-    where the file tells none; ``is_empty`` (R,): rows that have a stamp alone, for scans in which nothing was seen;
-    ``left_out``: the columns that have no place in a log.
+    where the file tells none; ``is_empty`` (R,): rows without position and label, for scans in which nothing was seen;
+    ``left_out``: the columns that have no place in a log; ``unlabelled_count``: how many became ``ONLY_LABEL``.
     """
 
     stamps: Stamps
@@ -56,6 +56,7 @@ class DetectionTable:
     true_ids: tuple[str, ...] | None
     is_empty: NDArray[np.bool_]
     left_out: tuple[str, ...]
+    unlabelled_count: int
 
     def scans(self, stamps_ns: IntArray) -> Iterator[tuple[ObjectDetections, DetectionTruth | None]]:
         """The detections of each stamp and frame, and their truth, in the order of ``stamps_ns`` (R,)."""
@@ -106,11 +107,12 @@ class _Reading:
         stamps = read_stamps(self._table)
         self._used.add(stamps.column.name)
         stamps.check_increasing(strictly=False)
-        is_empty, positions = self._positions()
+        is_empty, positions = self._positions(stamps)
+        labels = self._texts(_LABELS) or ("",) * len(positions)
         return DetectionTable(
             stamps=stamps,
             positions=positions,
-            labels=tuple(label or ONLY_LABEL for label in self._texts(_LABELS) or [""] * len(positions)),
+            labels=tuple(label or ONLY_LABEL for label in labels),
             scores=self._scores(),
             covariances=self._covariances(),
             sizes=self._sizes(),
@@ -119,6 +121,7 @@ class _Reading:
             true_ids=self._true_ids(),
             is_empty=is_empty,
             left_out=tuple(name for name in self._table.columns if name not in self._used),
+            unlabelled_count=sum(not label and not empty for label, empty in zip(labels, is_empty, strict=True)),
         )
 
     def _find(self, fields: tuple[str, ...], units: tuple[str, ...] = ("",)) -> Column | None:
@@ -135,8 +138,8 @@ class _Reading:
         ids = self._texts(_TRUE_IDS)
         return None if ids is None else tuple("" if name in _FALSE_POSITIVES else name for name in ids)
 
-    def _positions(self) -> tuple[NDArray[np.bool_], FloatArray]:
-        """Which rows (R,) have no position at all, and the positions (R, 3), zeros there."""
+    def _positions(self, stamps: Stamps) -> tuple[NDArray[np.bool_], FloatArray]:
+        """Which rows (R,) have neither position nor label, and the positions (R, 3), zeros there."""
         table = self._table
         columns: list[Column | None] = []
         for name in "xyz":
@@ -144,8 +147,9 @@ class _Reading:
             if name != "z":
                 table.need(name, f"{name}_m", fields, LENGTH_UNITS)
             columns.append(self._find(fields, tuple(LENGTH_UNITS)))
-        there = [column for column in columns if column is not None]
+        there = [column for column in (*columns, self._find(_LABELS)) if column is not None]
         is_empty = np.array([not any(cells) for cells in zip(*(table.columns[c.name] for c in there), strict=True)])
+        self._check_alone(stamps, is_empty, there[0])
         positions = np.zeros((len(is_empty), 3))
         for i, column in enumerate(columns):
             if column is None:
@@ -153,17 +157,24 @@ class _Reading:
             values = table.numbers(column, LENGTH_UNITS, empty_is_nan=True)
             missing = np.flatnonzero(np.isnan(values) & ~is_empty)
             if len(missing):
-                raise table.error(
-                    int(missing[0]), column, "empty; give a number (a row without any position is an empty scan)"
-                )
+                remedy = "give a number (only a row with neither position nor label is a scan without objects)"
+                raise table.error(int(missing[0]), column, f"empty; {remedy}")
             positions[:, i] = np.where(is_empty, 0.0, values)
-            self._check_range(column, positions[:, i])
+            self._check_range(column, values)
         return is_empty, positions
 
+    def _check_alone(self, stamps: Stamps, is_empty: NDArray[np.bool_], column: Column) -> None:
+        """A row without a position says that its scan is empty; beside others of the scan it is a mistake."""
+        _, scans, counts = np.unique(stamps.stamps_ns, return_inverse=True, return_counts=True)
+        wrong = np.flatnonzero(is_empty & (counts[scans] > 1))
+        if len(wrong):
+            raise self._table.error(int(wrong[0]), column, "empty, in a scan that has other rows; give a position")
+
     def _check_range(self, column: Column, values: FloatArray) -> None:
-        median_m = float(np.median(np.abs(values)))
+        known = np.abs(values[np.isfinite(values)])
+        median_m = float(np.median(known)) if len(known) else 0.0
         if median_m > FARTHEST_M:
-            row = int(np.argmax(np.abs(values) >= median_m))
+            row = int(np.nanargmax(np.abs(values) >= median_m))
             raise self._table.error(
                 row,
                 column,

@@ -19,6 +19,7 @@ TIME_UNITS: Mapping[str, int] = {"": 9, "s": 9, "ms": 6, "us": 3, "ns": 0}
 _UNIT_NAMES = {9: "seconds", 6: "milliseconds", 3: "microseconds", 0: "nanoseconds"}
 _SUFFIXES = {9: "s", 6: "ms", 3: "us", 0: "ns"}
 _LAST_NS = 2**63 - 1
+_FIRST_EPOCH_S, _LAST_EPOCH_S = 10**9, 4 * 10**9  # 2001 to 2096: what clocks of robots tell, counted from 1970
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,8 +39,14 @@ class Stamps:
         """Power of ten that makes nanoseconds of the column."""
         return TIME_UNITS[self.column.unit]
 
+    @property
+    def unit_name(self) -> str:
+        """Name of the unit of the column."""
+        return _UNIT_NAMES[self.unit]
+
     def check_increasing(self, *, strictly: bool) -> None:
-        """
+        """See that the rows are in the order of time.
+
         Raises:
             DatasetError: a stamp is before the one of the row before or, if ``strictly``, equal to it.
         """
@@ -73,9 +80,8 @@ def read_stamps(table: Table) -> Stamps:
         stamp_ns = known.get(cell)
         if stamp_ns is None:
             exact = _decimal(table, row, column, cell)
-            exponent = exact.as_tuple().exponent
-            finest = min(finest, unit + int(exponent))
-            stamp_ns = known[cell] = int((exact.scaleb(unit)).to_integral_value())
+            finest = min(finest, unit + int(exact.as_tuple().exponent))
+            stamp_ns = known[cell] = int(exact.scaleb(unit).to_integral_value())
         stamps_ns[row] = stamp_ns
     written_ns = 10 ** max(finest, 0)
     double_ns = int(np.ceil(np.spacing(float(stamps_ns.max()))))
@@ -131,13 +137,19 @@ def _decimal(table: Table, row: int, column: Column, cell: str) -> Decimal:
     unit = TIME_UNITS[column.unit]
     if exact < 0:
         raise table.error(row, column, f"{cell} is before 0, which no log can hold; add a constant to all stamps")
+    if unit == 0 and exact != exact.to_integral_value():
+        raise table.error(
+            row,
+            column,
+            f"{cell} are no whole nanoseconds; name the columns and call this one stamp_s if it holds seconds",
+        )
     if exact.scaleb(unit) <= _LAST_NS:
         return exact
-    fitting = next((u for u in (6, 3, 0) if u < unit and exact.scaleb(u) <= _LAST_NS), None)
-    remedy = "correct it"
-    if fitting is not None:
-        name = _UNIT_NAMES[fitting]
-        remedy = (
-            f"they look like {name}: write seconds, or name the columns and call this one stamp_{_SUFFIXES[fitting]}"
-        )
-    raise table.error(row, column, f"{cell} {_UNIT_NAMES[unit]} is a time after the year 2262; {remedy}")
+    epochs = [u for u in (6, 3, 0) if u < unit and _FIRST_EPOCH_S <= exact.scaleb(u - 9) <= _LAST_EPOCH_S]
+    remedy = f"they look like {_UNIT_NAMES[epochs[0]]}: " if epochs else ""
+    raise table.error(
+        row,
+        column,
+        f"{cell} {_UNIT_NAMES[unit]} is a time after the year 2262; {remedy}write seconds, or name the columns and "
+        f"call this one {'stamp_' + _SUFFIXES[epochs[0]] if epochs else 'by its unit: stamp_ms, stamp_us or stamp_ns'}",
+    )

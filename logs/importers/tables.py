@@ -40,6 +40,11 @@ class SourceText:
         stripped = ((i, line.strip()) for i, line in enumerate(self.text.splitlines(), start=1))
         return [(i, line) for i, line in stripped if line and not line.startswith("#")]
 
+    def header_above(self, line: int) -> str | None:
+        """The comment nearest above ``line`` that may name columns; None for none."""
+        above = self.text.splitlines()[: line - 1]
+        return next((text for text in reversed(above) if any(delimiter in text for delimiter in _DELIMITERS)), None)
+
 
 def read_source_text(path: Path) -> SourceText:
     """The file at ``path`` as text, unpacked if it is gzip.
@@ -170,35 +175,28 @@ def table_of_rows(source: SourceText, names: Sequence[str], rows: Iterable[tuple
 
 
 def _read_csv(source: SourceText) -> Table:
-    lines = source.text.splitlines()
-    first = _header_line(source, lines)
-    header = lines[first].strip().lstrip("#").strip()
+    line, first = next(iter(source.lines()), (0, ""))
+    if not line:
+        raise DatasetError(f"{source.name}: no line in it; expected a header and at least one line")
+    above = source.header_above(line) if _is_number(re.split(r"[,;\t]", first)[0].strip()) else None
+    header = first if above is None else above.strip().lstrip("#")
     delimiter = max(_DELIMITERS, key=header.count)
     names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
     if all(_is_number(name) for name in names):
         raise DatasetError(
-            f"{source.name}, line {first + 1}: numbers where the names of the columns are expected; "
+            f"{source.name}, line {line}: numbers where the names of the columns are expected; "
             "begin the file with a header such as stamp_s,label,x_m,y_m,z_m"
         )
     twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
     if twice is not None:
-        raise DatasetError(f"{source.name}, line {first + 1}: column {twice} stands there twice; rename or remove one")
-    reader = csv.reader(lines[first + 1 :], delimiter=delimiter)
-    rows = ((first + 1 + reader.line_num, row) for row in reader if row and not row[0].startswith("#"))
+        raise DatasetError(f"{source.name}, line {line}: column {twice} stands there twice; rename or remove one")
+    passed = line - 1 if above is not None else line
+    reader = csv.reader(source.text.splitlines()[passed:], delimiter=delimiter)
+    rows = ((passed + reader.line_num, row) for row in reader if row and not row[0].lstrip().startswith("#"))
     try:
         return table_of_rows(source, names, rows)
     except csv.Error as error:
-        raise DatasetError(f"{source.name}, line {first + 1 + reader.line_num}: not CSV ({error})") from error
-
-
-def _header_line(source: SourceText, lines: Sequence[str]) -> int:
-    """Index of the line that names the columns: the first that is no comment, or the comment above numbers."""
-    first = next((i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None)
-    if first is None:
-        raise DatasetError(f"{source.name}: no line in it; expected a header and at least one line")
-    begins_with_number = _is_number(re.split(r"[,;\t]", lines[first])[0].strip())
-    above = [i for i in range(first) if any(delimiter in lines[i] for delimiter in _DELIMITERS)]
-    return above[-1] if begins_with_number and above else first
+        raise DatasetError(f"{source.name}, line {passed + reader.line_num}: not CSV ({error})") from error
 
 
 def _read_json_lines(source: SourceText) -> Table:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.errors import DatasetError
-from logs.importers.detection_tables import BODY_FRAME, DetectionTable, read_detections
+from logs.importers.detection_tables import BODY_FRAME, ONLY_LABEL, DetectionTable, read_detections
 from logs.importers.imported_log import ImportedRecord, ImportSummary, write_imported_log
 from logs.importers.stamps import match_clock, snap_to_span
 from logs.importers.tables import SourceText, read_source_text, read_table
@@ -108,7 +108,7 @@ def read_text_log(
     for role, text in sources.items():
         source |= {role: Path(text.name).name, f"{role}_sha256": text.sha256}
     stamps_ns = snap_to_span(table.stamps.stamps_ns, inside, path.stamps)
-    notes = (*_outside_note(table, inside), *_frame_note(table), *_camera_note(sources, path))
+    notes = (*_outside_note(table, inside), *_label_note(table), *_frame_note(table), *_camera_note(sources, path))
     return TextLog(path, table, stamps_ns, truth, source, notes)
 
 
@@ -164,6 +164,13 @@ def _outside_note(table: DetectionTable, inside: NDArray[np.bool_]) -> list[str]
         f"{text.name}, line {text.lines[row]}, column {table.stamps.column.name}: {len(outside)} of {len(inside)} "
         "detections, this one first, are outside the odometry's time; a replay leaves them out"
     ]
+
+
+def _label_note(table: DetectionTable) -> list[str]:
+    count = table.unlabelled_count
+    return (
+        [f"{count} of {len(table.labels)} detections have no label and are of the class {ONLY_LABEL}"] if count else []
+    )
 
 
 def _frame_note(table: DetectionTable) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -9,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from logs.errors import DatasetError
-from logs.importers.kitti_poses import body_poses, parse_calibration, parse_poses, parse_times
+from logs.importers.kitti_poses import body_poses, parse_calibration, parse_poses
 from logs.importers.stamps import Stamps, read_stamps
 from logs.importers.tables import LENGTH_UNITS, SourceText, Table, read_table, table_of_rows
 from logs.importers.text_files import TextFile
@@ -19,11 +20,15 @@ from logs.validation import QUATERNION_NORM_TOLERANCE
 SLOWEST_STEP_S = 20.0
 """A median step longer than that is no odometry: a replay takes every such gap for a break (odometry.max_gap_s)."""
 
+FASTEST_STEP_S = 1e-6
+"""A median step shorter than that is that of no sensor."""
+
 GREATEST_SPEED_MPS = 100.0
 """A median speed beyond it is that of no robot on the ground; a replay takes steps faster than 60 m/s for jumps."""
 
 _TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
 _EUROC = ("stamp_ns", "x", "y", "z", "qw", "qx", "qy", "qz")
+_EUROC_NAME = "p_rs_r_x"
 _QUATERNION = ("qx", "qy", "qz", "qw")
 
 
@@ -43,8 +48,10 @@ class TrajectoryFormat(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """Poses (N, 4, 4) of the body, metres, at strictly increasing ``stamps``."""
+    """Poses (N, 4, 4) of the body, metres, at strictly increasing ``stamps``; ``lines`` (N,) of the file ``name``."""
 
+    name: str
+    lines: Sequence[int]
     stamps: Stamps
     T_world_body: FloatArray
     format: TrajectoryFormat
@@ -81,8 +88,9 @@ def read_trajectory(
         table = _pose_table(source, chosen)
         stamps = read_stamps(table)
         stamps.check_increasing(strictly=True)
-        trajectory = Trajectory(stamps, _poses(table), chosen)
-    _check_units(trajectory)
+        trajectory = Trajectory(source.name, table.lines, stamps, _poses(table), chosen)
+    _check_steps(trajectory)
+    _check_speed(trajectory)
     return trajectory
 
 
@@ -93,11 +101,13 @@ def find_format(source: SourceText) -> TrajectoryFormat:
         DatasetError: it fits none.
     """
     line, first = next(iter(source.lines()), (0, ""))
-    fields = first.replace(",", " ").split()
-    if "," in first:
-        return TrajectoryFormat.EUROC if _are_numbers(fields) else TrajectoryFormat.CSV
     if first.startswith("{"):
         return TrajectoryFormat.CSV
+    if "," in first:
+        header = source.header_above(line) if _are_numbers(first.split(",")[:1]) else first
+        is_euroc = header is None or _EUROC_NAME in header.lower()
+        return TrajectoryFormat.EUROC if is_euroc else TrajectoryFormat.CSV
+    fields = first.split()
     if len(fields) == len(_TUM) and _are_numbers(fields[:1]):
         return TrajectoryFormat.TUM
     if len(fields) == 12 and _are_numbers(fields[:1]):
@@ -119,7 +129,7 @@ def _pose_table(source: SourceText, format: TrajectoryFormat) -> Table:
     if format == TrajectoryFormat.TUM:
         return _some_rows(source, table_of_rows(source, _TUM, ((i, line.split()) for i, line in source.lines())))
     if format == TrajectoryFormat.EUROC:
-        rows = ((i, line.split(",")) for i, line in source.lines())
+        rows = ((i, line.split(",")) for i, line in source.lines() if _EUROC_NAME not in line.lower())
         return _some_rows(source, table_of_rows(source, _EUROC, ((i, row[: len(_EUROC)]) for i, row in rows)))
     return read_table(source)
 
@@ -145,7 +155,8 @@ def _poses(table: Table) -> FloatArray:
 def _rotations(table: Table) -> FloatArray:
     yaw = table.find(("yaw", "heading", "theta"), ("", "rad"))
     if yaw is not None and table.find(("qw",)) is None:
-        return np.asarray(Rotation.from_euler("z", table.numbers(yaw, {"": 1.0, "rad": 1.0})).as_matrix())
+        yaw_rad = table.numbers(yaw, {"": 1.0, "rad": 1.0})
+        return np.asarray(Rotation.from_euler("z", yaw_rad[:, None]).as_matrix())
     columns = [table.need(f"the quaternion's {name}", name, (name, f"orientation_{name[1]}")) for name in _QUATERNION]
     q_xyzw = np.stack([table.numbers(column) for column in columns], axis=1)
     norms = np.linalg.norm(q_xyzw, axis=1)
@@ -166,44 +177,51 @@ def _read_kitti(source: SourceText, times: SourceText | None, calib: SourceText 
             f"{source.name}: poses in KITTI's format have no stamps; give the file of their times (--times)"
         )
     T = parse_poses(_plain_file(source))
-    stamps_ns = parse_times(_plain_file(times))
-    if len(T) != len(stamps_ns) or not stamps_ns:
+    table = table_of_rows(times, ("stamp_s",), ((line, [text]) for line, text in times.lines()))
+    if len(T) != len(table.lines) or not len(T):
         raise DatasetError(
-            f"{source.name} has {len(T)} poses, {times.name} {len(stamps_ns)} times; give files of one drive"
+            f"{source.name} has {len(T)} poses, {times.name} {len(table.lines)} times; give files of one drive"
         )
+    stamps = read_stamps(table)
+    stamps.check_increasing(strictly=True)
     if calib is not None:
         T = body_poses(T, parse_calibration(_plain_file(calib)))
-    table = table_of_rows(times, ("stamp_s",), ((line, [text]) for line, text in times.lines()))
-    return Trajectory(read_stamps(table), T, TrajectoryFormat.KITTI)
+    lines = [line for line, _ in source.lines()]
+    return Trajectory(source.name, lines, stamps, T, TrajectoryFormat.KITTI)
 
 
 def _plain_file(source: SourceText) -> TextFile:
-    return TextFile(source.name, source.text.encode("utf-8"))
+    """For the parsers of KITTI's files: without comments, each line in its place."""
+    lines = ("" if line.lstrip().startswith("#") else line for line in source.text.splitlines())
+    return TextFile(source.name, "\n".join(lines).encode("utf-8"))
 
 
-def _check_units(trajectory: Trajectory) -> None:
+def _check_steps(trajectory: Trajectory) -> None:
     stamps = trajectory.stamps
-    steps_s = np.diff(stamps.stamps_ns) * 1e-9
-    if len(steps_s) == 0:
-        raise DatasetError(f"{stamps.table.name}: one pose only; a drive needs at least two")
-    median_s = float(np.median(steps_s))
-    if median_s > SLOWEST_STEP_S:
-        raise stamps.table.error(
-            1,
-            stamps.column,
-            f"poses are {median_s:.4g} s apart (median), too far for odometry; are the stamps milli-, micro- or "
-            "nanoseconds? Write seconds, or name the columns and call this one stamp_ms, stamp_us or stamp_ns",
-        )
+    if len(stamps.stamps_ns) < 2:
+        raise DatasetError(f"{trajectory.name}: one pose only; a drive has at least two")
+    median_s = float(np.median(np.diff(stamps.stamps_ns))) * 1e-9
+    if FASTEST_STEP_S <= median_s <= SLOWEST_STEP_S:
+        return
+    raise stamps.table.error(
+        1,
+        stamps.column,
+        f"poses are {median_s:.3g} s apart (median), which no odometry is; give the stamps in {stamps.unit_name}, or "
+        "name the columns and call this one by its unit: stamp_s, stamp_ms, stamp_us or stamp_ns",
+    )
+
+
+def _check_speed(trajectory: Trajectory) -> None:
     moved_m = _steps_m(trajectory.T_world_body)
-    moving = moved_m > 0.0
-    speed_mps = float(np.median(moved_m[moving] / steps_s[moving])) if moving.any() else 0.0
-    if speed_mps > GREATEST_SPEED_MPS:
-        raise stamps.table.error(
-            1,
-            "x y z",
-            f"the body moves at {speed_mps:.4g} m/s (median); positions are metres (are these millimetres?) and stamps "
-            "seconds: correct the unit",
-        )
+    moving = np.flatnonzero(moved_m > 0.0)
+    speeds_mps = moved_m[moving] / (np.diff(trajectory.stamps.stamps_ns)[moving] * 1e-9)
+    if not len(moving) or np.median(speeds_mps) <= GREATEST_SPEED_MPS:
+        return
+    line = trajectory.lines[int(moving[np.argmax(speeds_mps > GREATEST_SPEED_MPS)]) + 1]
+    raise DatasetError(
+        f"{trajectory.name}, line {line}, columns x y z: the body moves at {np.median(speeds_mps):.4g} m/s (median); "
+        "positions are metres: divide them by 1000 if these are millimetres, and see that the stamps are right"
+    )
 
 
 def _steps_m(T: FloatArray) -> FloatArray:
