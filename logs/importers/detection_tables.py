@@ -154,7 +154,7 @@ class _Reading:
         for i, column in enumerate(columns):
             if column is None:
                 continue
-            values = table.numbers(column, LENGTH_UNITS, empty_is_nan=True)
+            values = table.optional_numbers(column, LENGTH_UNITS, remedy="correct or remove the line")
             missing = np.flatnonzero(np.isnan(values) & ~is_empty)
             if len(missing):
                 remedy = "give a number (only a row with neither position nor label is a scan without objects)"
@@ -187,7 +187,7 @@ class _Reading:
         column = self._find(_SCORES)
         if column is None:
             return np.ones(len(self._table.lines))
-        scores = self._table.numbers(column, empty_is_nan=True)
+        scores = self._table.optional_numbers(column)
         scores = np.where(np.isnan(scores), 1.0, scores)
         wrong = np.flatnonzero((scores < 0.0) | (scores > 1.0))
         if len(wrong):
@@ -234,7 +234,7 @@ class _Reading:
         P = np.zeros((len(table.lines), 3, 3))
         for (i, j), column in entries.items():
             if column is not None:
-                P[:, i, j] = P[:, j, i] = table.numbers(column, _AREA_UNITS, empty_is_nan=True)
+                P[:, i, j] = P[:, j, i] = table.optional_numbers(column, _AREA_UNITS)
         if entries[2, 2] is None:
             # A planar detector: as for sigmas.
             P[:, 2, 2] = 0.5 * (P[:, 0, 0] + P[:, 1, 1])
@@ -266,7 +266,7 @@ class _Reading:
 
     def _lengths(self, column: Column) -> FloatArray:
         """Lengths (R,) m, NaN where a cell is empty or 0."""
-        values = self._table.numbers(column, LENGTH_UNITS, empty_is_nan=True)
+        values = self._table.optional_numbers(column, LENGTH_UNITS)
         negative = np.flatnonzero(values < 0.0)
         if len(negative):
             row = int(negative[0])

@@ -6,6 +6,7 @@ import csv
 import gzip
 import hashlib
 import json
+import math
 import re
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
@@ -108,37 +109,45 @@ class Table:
             raise DatasetError(f"{self.name}: no column for {what} among {there}; call the one that holds it {example}")
         return column
 
-    def numbers(
-        self, column: Column, units: Mapping[str, float] = NO_UNITS, *, empty_is_nan: bool = False
-    ) -> FloatArray:
+    def numbers(self, column: Column, units: Mapping[str, float] = NO_UNITS) -> FloatArray:
         """The cells (R,) as finite numbers, times what ``units`` says of the unit of the column.
 
         Raises:
-            DatasetError: a cell is no finite number; an empty one neither, unless ``empty_is_nan``.
+            DatasetError: a cell is no finite number.
         """
-        cells = self.columns[column.name]
-        try:
-            values = np.array([float(cell) if cell or not empty_is_nan else np.nan for cell in cells], dtype=np.float64)
-        except ValueError:
-            raise self._not_a_number(column, is_optional=empty_is_nan) from None
-        bad = ~np.isfinite(values)
-        if empty_is_nan:
-            bad &= np.array([bool(cell) for cell in cells], dtype=np.bool_)
-        if bad.any():
-            raise self._not_a_number(column, is_optional=empty_is_nan)
-        scaled: FloatArray = values * units[column.unit]
-        return scaled
+        values = self._parse(column, units, "correct or remove the line")
+        empty = np.flatnonzero(np.isnan(values))
+        if len(empty):
+            raise self.error(int(empty[0]), column, "empty; give a number, or remove the line")
+        return values
+
+    def optional_numbers(
+        self,
+        column: Column,
+        units: Mapping[str, float] = NO_UNITS,
+        *,
+        remedy: str = "correct it, or leave it empty if it is not known",
+    ) -> FloatArray:
+        """Like ``numbers``, but NaN for an empty cell.
+
+        Raises:
+            DatasetError: a cell that is not empty is no finite number.
+        """
+        return self._parse(column, units, remedy)
+
+    def _parse(self, column: Column, units: Mapping[str, float], remedy: str) -> FloatArray:
+        values = np.full(len(self.lines), np.nan)
+        for row, cell in enumerate(self.columns[column.name]):
+            if cell and not _is_number(cell):
+                raise self.error(row, column, f"{cell!r} is not a finite number; {remedy}")
+            if cell:
+                values[row] = float(cell)
+        return values * units[column.unit]
 
     def error(self, row: int, columns: Column | str, fault: str) -> DatasetError:
         """What is wrong with a cell (or with several columns of a row), with its place."""
         name = columns if isinstance(columns, str) else columns.name
         return DatasetError(f"{self.name}, line {self.lines[row]}, column {name}: {fault}")
-
-    def _not_a_number(self, column: Column, *, is_optional: bool) -> DatasetError:
-        row = next(i for i, cell in enumerate(self.columns[column.name]) if not _is_good(cell, is_optional))
-        cell = self.columns[column.name][row]
-        remedy = "correct it, or leave it empty if it is not known" if is_optional else "correct or remove the line"
-        return self.error(row, column, f"{cell!r} is not a finite number; {remedy}")
 
 
 def read_table(source: SourceText) -> Table:
@@ -234,13 +243,7 @@ def _plain(name: str) -> str:
 
 
 def _is_number(text: str) -> bool:
-    return _is_good(text, is_optional=False)
-
-
-def _is_good(text: str, is_optional: bool) -> bool:
-    if not text:
-        return is_optional
     try:
-        return bool(np.isfinite(float(text)))
+        return math.isfinite(float(text))
     except ValueError:
         return False
