@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.importers.tables import Column, Table
-from logs.messages import IntArray
+from logs.messages import FloatArray, IntArray
 
 STAMP_NAMES = ("stamp", "timestamp", "time", "t")
 TIME_UNITS: Mapping[str, int] = {"": 9, "s": 9, "ms": 6, "us": 3, "ns": 0}
@@ -95,8 +95,9 @@ def match_clock(stamps: Stamps, odometry: Stamps) -> NDArray[np.bool_]:
         DatasetError: fewer than half of them do: another unit or another clock.
     """
     first_ns, last_ns = int(odometry.stamps_ns[0]), int(odometry.stamps_ns[-1])
-    tolerance_ns = max(stamps.resolution_ns, odometry.resolution_ns)
-    inside = _within(stamps.stamps_ns.astype(np.float64), first_ns - tolerance_ns, last_ns + tolerance_ns)
+    # Each file rounds by at most half a unit of its last digit.
+    tolerance_ns = (stamps.resolution_ns + odometry.resolution_ns + 1) // 2
+    inside = _within(stamps.stamps_ns, first_ns - tolerance_ns, last_ns + tolerance_ns)
     if 2 * np.count_nonzero(inside) >= len(inside):
         return inside
     row = int(np.flatnonzero(~inside)[0])
@@ -115,7 +116,7 @@ def snap_to_span(stamps_ns: IntArray, inside: NDArray[np.bool_], odometry: Stamp
     return np.where(inside, np.clip(stamps_ns, first_ns, last_ns), stamps_ns)
 
 
-def _within(stamps_ns: NDArray[np.float64], first_ns: int, last_ns: int) -> NDArray[np.bool_]:
+def _within(stamps_ns: IntArray | FloatArray, first_ns: int, last_ns: int) -> NDArray[np.bool_]:
     return np.asarray((stamps_ns >= first_ns) & (stamps_ns <= last_ns))
 
 

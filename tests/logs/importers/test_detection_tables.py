@@ -52,6 +52,12 @@ def test_labels_may_be_of_any_alphabet_and_quoted() -> None:
     assert table.labels == ("pole; tall", "\N{GREEK SMALL LETTER PI}")
 
 
+def test_the_header_may_be_a_comment_and_comments_may_be_anywhere() -> None:
+    table = read("# from a detector, in the hall\n# stamp_s,x,y\n0,1,2\n# pause\n0.1,3,4\n")
+    np.testing.assert_array_equal(table.positions, [[1, 2, 0], [3, 4, 0]])
+    assert list(table.stamps.table.lines) == [3, 5]
+
+
 def test_scans_are_stamps_and_frames_and_may_be_empty() -> None:
     table = read(
         "stamp_s,label,x,y,frame,track_id,object_id\n0,a,1,2,front,4,1\n0,b,3,4,rear,5,-1\n0,c,5,6,front,6,3\n1,,,,,,\n"

@@ -85,6 +85,17 @@ def test_a_stamp_that_only_rounding_puts_outside_becomes_the_end_of_the_odometry
     log = read_text_log(**drive.files())
     assert log.stamps_ns[-1] == 100_400_000_000
     assert log.notes == ()
+    drive.write("detections.csv", DETECTIONS.replace("100.400", "100.4006"))
+    assert len(read_text_log(**drive.files()).notes) == 1
+
+
+def test_so_does_one_that_differs_by_what_a_double_of_that_size_cannot_tell(drive: TextDrive) -> None:
+    # 1.7e9 s are known to a double to 238 ns only, however many digits are written of it.
+    drive.write("odometry.tum", TUM.replace("\n100.", "\n1700000000."))
+    drive.write("detections.csv", DETECTIONS.replace("100.", "1700000000.").replace(".400,", ".400000200,"))
+    assert read_text_log(**drive.files(ground_truth=None)).stamps_ns[-1] == 1_700_000_000_400_000_000
+    drive.write("odometry.tum", TUM.replace("\n100.", "\n1700000000.").replace(".400 ", ".400000000 "))
+    assert read_text_log(**drive.files(ground_truth=None)).stamps_ns[-1] == 1_700_000_000_400_000_000
 
 
 def test_stamps_really_outside_stay_and_are_told(drive: TextDrive) -> None:
