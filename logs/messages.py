@@ -36,7 +36,7 @@ class ObjectDetections:
     """Objects seen in one sensor frame: ``positions`` (N, 3) m in ``frame_id``, a label and a score in [0, 1] each.
 
     ``covariances`` (N, 3, 3) m^2 and ``sizes`` (N, 3) m are None where the detector gives none; a covariance of
-    zeros is unknown.
+    zeros is unknown, and so is a side of a size that is NaN.
     """
 
     stamp_ns: int

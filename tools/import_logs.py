@@ -11,6 +11,7 @@ from tools.arguments import Json, NewLog, check_outputs
 
 if TYPE_CHECKING:
     from logs.importers.imported_log import ImportSummary
+    from logs.importers.text_log import TextLogSummary
 
 app = typer.Typer(help="Turn data of others into a log that 'dslam replay' reads.", no_args_is_help=True)
 
@@ -72,7 +73,55 @@ def victoria_park(
     _tell(output, import_victoria_park(output, path=file), json=json)
 
 
-def _tell(output: Path, summary: ImportSummary, *, json: bool) -> None:
+@app.command("csv")
+def csv(
+    output: NewLog,
+    odometry: Annotated[Path, typer.Option(metavar="POSES", help="Odometry of the body: TUM, KITTI, EuRoC or CSV.")],
+    detections: Annotated[
+        Path, typer.Option(metavar="TABLE", help="CSV with a header, or JSON lines; positions in the body frame.")
+    ],
+    ground_truth: Annotated[
+        Path | None, typer.Option(metavar="POSES", help="True poses of the body; for evaluation only.")
+    ] = None,
+    times: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Seconds of each pose, for KITTI's format.")
+    ] = None,
+    calib: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="KITTI's calib.txt, if poses in that format are of the left camera."),
+    ] = None,
+    pose_format: Annotated[
+        str | None,
+        typer.Option("--format", metavar="tum|kitti|euroc|csv", help="Of the poses; else found in the files."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Text files: poses of the odometry, a table of detections, true poses. Files may be packed by gzip.
+
+    Columns of detections: stamp_s, x_m, y_m, and where known z_m, label, score, sigma_x_m ... or cxx ..., diameter_m,
+    track_id, frame, object_id (the truth). Others are named and left out.
+
+    Example: dslam import csv drive.mcap --odometry odometry.tum --detections detections.csv.gz
+    """
+    check_outputs([output], [odometry, detections, ground_truth, times, calib])
+    from logs.importers.text_log import import_text_log
+    from logs.importers.trajectory_files import TrajectoryFormat
+
+    if pose_format is not None and pose_format not in list(TrajectoryFormat):
+        raise typer.BadParameter(f"{pose_format!r} is none of {', '.join(TrajectoryFormat)}.", param_hint="--format")
+    summary = import_text_log(
+        output,
+        odometry=odometry,
+        detections=detections,
+        ground_truth=ground_truth,
+        times=times,
+        calib=calib,
+        format=TrajectoryFormat(pose_format) if pose_format is not None else None,
+    )
+    _tell(output, summary.written, json=json, text=summary)
+
+
+def _tell(output: Path, summary: ImportSummary, *, json: bool, text: TextLogSummary | None = None) -> None:
     from tools import console
 
     duration_s = ((summary.last_stamp_ns or 0) - (summary.first_stamp_ns or 0)) * 1e-9
@@ -83,6 +132,7 @@ def _tell(output: Path, summary: ImportSummary, *, json: bool) -> None:
                 "duration_s": duration_s,
                 "detection_count": summary.detection_count,
                 "message_counts": summary.message_counts,
+                **_text_fields(text),
             }
         )
         return
@@ -90,4 +140,28 @@ def _tell(output: Path, summary: ImportSummary, *, json: bool) -> None:
         f"{output}: {duration_s:.0f} s",
         console.pairs({f"  {topic}": f"{count} messages" for topic, count in summary.message_counts.items()}),
         f"  {summary.detection_count} objects detected",
+        *_text_lines(text, duration_s),
     )
+
+
+def _text_fields(text: TextLogSummary | None) -> dict[str, object]:
+    if text is None:
+        return {}
+    return {
+        "odometry_format": text.odometry_format,
+        "odometry_length_m": text.odometry_length_m,
+        "columns_left_out": list(text.columns_left_out),
+        "notes": list(text.notes),
+    }
+
+
+def _text_lines(text: TextLogSummary | None, duration_s: float) -> list[str]:
+    if text is None:
+        return []
+    speed = f" ({text.odometry_length_m / duration_s:.2f} m/s)" if duration_s > 0.0 else ""
+    left_out = [f"  columns left out: {', '.join(text.columns_left_out)}"] if text.columns_left_out else []
+    return [
+        f"  odometry in {text.odometry_format} format, {text.odometry_length_m:.0f} m{speed}",
+        *left_out,
+        *(f"  note: {note}" for note in text.notes),
+    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -78,8 +79,6 @@ def _show(output: Path, picture: Path | None, summary: ReplaySummary) -> None:
 
     counters = summary.counters
     landmarks = [f"{counters.get(f'landmarks_{state}', 0)} {state}" for state in _LANDMARK_STATES]
-    noted = [f"{name.replace('_', ' ')} {count}" for name, count in counters.items()
-             if count and not name.startswith(_SHOWN) and name not in _USED]  # fmt: skip
     real_time_factor = _real_time_factor(summary)
     speed = f", {real_time_factor:.1f} x real time" if real_time_factor else ""
     rows = {
@@ -92,11 +91,20 @@ def _show(output: Path, picture: Path | None, summary: ReplaySummary) -> None:
         f"{counters.get('closures_inserted', 0)} factors, {counters.get('closures_removed', 0)} removed as outliers"
         + _rejected_by_odometry(counters.get("closures_rejected_by_odometry", 0)),
         **({"found": _fixes(summary)} if summary.relocalization_times_s else {}),
-        "warnings": ", ".join(noted) or "none",
+        "warnings": ", ".join(noted_counters(counters)) or "none",
         "final status": summary.final_status,
         "written": str(output) + (f", {picture}" if picture else ""),
     }
     console.show(console.pairs(rows))
+
+
+def noted_counters(counters: Mapping[str, int]) -> list[str]:
+    """What a user is warned of: the counters, other than zeros, of what was not simply used."""
+    return [
+        f"{name.replace('_', ' ')} {count}"
+        for name, count in counters.items()
+        if count and not name.startswith(_SHOWN) and name not in _USED
+    ]
 
 
 def _fixes(summary: ReplaySummary) -> str:

@@ -107,7 +107,8 @@ def detections_record(
     """The record of N detections, without those whose position or score is NaN or Inf ("dropped_objects").
 
     Scores are clipped to [0, 1]. Covariances that cannot weigh a measurement become zero, which means unknown
-    ("ignored_covariances"), and None where none is known; sizes become None if one is not finite ("ignored_sizes").
+    ("ignored_covariances"), and None where none is known. So it is with sizes: NaN is unknown, infinite ones become NaN
+    ("ignored_sizes").
     """
     good = np.isfinite(positions).all(axis=1) & np.isfinite(scores)
     if not good.all():
@@ -120,9 +121,11 @@ def detections_record(
     if covariances is not None and len(covariances):
         covariances = usable_covariances(covariances, counters)
         covariances = covariances if covariances.any() else None
-    if sizes is not None and not np.isfinite(sizes).all():
-        counters["ignored_sizes"] += 1
-        sizes = None
+    if sizes is not None:
+        infinite = np.isinf(sizes)
+        counters.update({"ignored_sizes": int(infinite.sum())} if infinite.any() else {})
+        sizes = np.where(infinite, np.nan, sizes)
+        sizes = None if np.isnan(sizes).all() else sizes
     return ObjectDetections(
         stamp_ns,
         frame_id,

@@ -7,7 +7,6 @@ import resource
 import signal
 import statistics
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -53,7 +52,7 @@ class ReplayBenchmark:
 def benchmark_replay(log: Path, config: Config, *, runs: int) -> ReplayBenchmark:
     """Replay ``log`` ``runs`` times, each in a fresh process, into a temporary folder."""
     with TemporaryDirectory() as folder:
-        measured = list(_runs(log, Path(folder) / "output.mcap", config, runs))
+        measured = [measure_replay(log, Path(folder) / "output.mcap", config) for _ in range(runs)]
     wall_s = statistics.median(run.wall_s for run in measured)
     solver_share = statistics.median(run.solver_s / run.wall_s for run in measured)
     return ReplayBenchmark(
@@ -72,26 +71,31 @@ def benchmark_replay(log: Path, config: Config, *, runs: int) -> ReplayBenchmark
     )
 
 
-def _runs(log: Path, output: Path, config: Config, runs: int) -> Iterator[ReplayRun]:
+def measure_replay(log: Path, output: Path, config: Config) -> ReplayRun:
+    """Replay ``log`` into ``output`` in a process of its own.
+
+    Raises:
+        LogError: the log cannot be read, or the output cannot be written.
+        SlamError: the log cannot be mapped, or the process ended without a result.
+    """
     context = multiprocessing.get_context("spawn")
-    for _ in range(runs):
-        receiver, sender = context.Pipe(duplex=False)
-        process = context.Process(target=_measure, args=(sender, log, output, config), daemon=True)
-        process.start()
-        sender.close()
-        try:
-            outcome = receiver.recv()
-        except EOFError as error:
-            process.join()
-            raise SlamError(
-                f"the replay of {log} ended without a result (exit code {process.exitcode}); was the memory enough?"
-            ) from error
-        finally:
-            process.terminate()
-            process.join()
-        if not isinstance(outcome, ReplayRun):
-            raise outcome
-        yield outcome
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_measure, args=(sender, log, output, config), daemon=True)
+    process.start()
+    sender.close()
+    try:
+        outcome = receiver.recv()
+    except EOFError as error:
+        process.join()
+        raise SlamError(
+            f"the replay of {log} ended without a result (exit code {process.exitcode}); was the memory enough?"
+        ) from error
+    finally:
+        process.terminate()
+        process.join()
+    if not isinstance(outcome, ReplayRun):
+        raise outcome
+    return outcome
 
 
 def _measure(sender: Connection, log: Path, output: Path, config: Config) -> None:

@@ -135,6 +135,20 @@ def test_objects_without_a_position_are_dropped_and_counted():
     assert record.covariances.shape == (2, 3, 3)
 
 
+def test_a_size_may_be_known_in_part():
+    unknown = [math.nan] * 3
+    fields = {"stamp_ns": 1, "positions": [0.0] * 6, "labels": ["a", "b"], "scores": [1.0, 1.0]}
+    counters = Counter()
+    (record,) = decode(raw(pb.ObjectDetections(**fields, sizes=[0.3, 0.3, math.nan, *unknown])), "detections", counters)
+    assert counters == {}
+    np.testing.assert_array_equal(record.sizes, [[0.3, 0.3, np.nan], unknown])
+    (record,) = decode(raw(pb.ObjectDetections(**fields, sizes=[0.3, math.inf, 1.0, *unknown])), "detections", counters)
+    assert counters == {"ignored_sizes": 1}
+    np.testing.assert_array_equal(record.sizes, [[0.3, np.nan, 1.0], unknown])
+    (record,) = decode(raw(pb.ObjectDetections(**fields, sizes=unknown * 2)), "detections")
+    assert record.sizes is None
+
+
 @pytest.mark.parametrize(
     "change",
     [

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings
-from tools.benchmarks import closures, descriptors, relocalization
+from tools.benchmarks import closures, descriptors, relocalization, robots
 
 if TYPE_CHECKING:
     from slam.benchmarks.registration import RegistrationBenchmark
@@ -21,6 +21,7 @@ app.command()(closures.closures)
 app.command()(descriptors.descriptors)
 app.command("map-size")(descriptors.map_size)
 app.command()(relocalization.relocalization)
+app.command()(robots.robots)
 
 
 @app.callback()

@@ -1,0 +1,249 @@
+"""Rows under named columns, from CSV with a header or JSON lines; what is wrong is told with its line and column."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import hashlib
+import json
+import math
+import re
+import zlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from logs.errors import DatasetError
+from logs.importers.text_files import read_text_file
+from logs.messages import FloatArray
+
+LENGTH_UNITS: Mapping[str, float] = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3}
+"""Suffix of a column -> metres."""
+
+NO_UNITS: Mapping[str, float] = {"": 1.0}
+
+_GZIP = b"\x1f\x8b"
+_DELIMITERS = (",", ";", "\t")
+
+
+@dataclass(frozen=True, slots=True)
+class SourceText:
+    """A text file in memory; ``name`` is what messages call it, ``sha256`` that of the file as it is, packed or not."""
+
+    name: str
+    text: str
+    sha256: str
+
+    def lines(self) -> list[tuple[int, str]]:
+        """Number (from 1) and text of each line that is neither blank nor a comment (#)."""
+        stripped = ((i, line.strip()) for i, line in enumerate(self.text.splitlines(), start=1))
+        return [(i, line) for i, line in stripped if line and not line.startswith("#")]
+
+    def header_above(self, line: int) -> str | None:
+        """The comment nearest above ``line`` that may name columns; None for none."""
+        above = self.text.splitlines()[: line - 1]
+        return next((text for text in reversed(above) if any(delimiter in text for delimiter in _DELIMITERS)), None)
+
+
+def read_source_text(path: Path) -> SourceText:
+    """The file at ``path`` as text, unpacked if it is gzip.
+
+    Raises:
+        DatasetError: it is missing, cannot be read or unpacked, or is no UTF-8 text.
+    """
+    content = read_text_file(path).content
+    digest = hashlib.sha256(content).hexdigest()
+    if content.startswith(_GZIP):
+        try:
+            content = gzip.decompress(content)
+        except (OSError, EOFError, zlib.error) as error:
+            raise DatasetError(f"{path}: cannot be unpacked ({error}); copy or pack it again") from error
+    try:
+        return SourceText(str(path), content.decode("utf-8-sig"), digest)
+    except UnicodeDecodeError as error:
+        raise DatasetError(f"{path}: not a text file (byte {error.start}); give CSV, JSON lines or poses") from error
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column of a table: its name as the file has it, and the unit that the name ends in ("" for none)."""
+
+    name: str
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """Cells as text, ``columns[name][row]``; ``lines`` (R,) is where each row stands in the file."""
+
+    name: str
+    columns: Mapping[str, Sequence[str]]
+    lines: Sequence[int]
+
+    def find(self, fields: Iterable[str], units: Iterable[str] = ("",)) -> Column | None:
+        """The column that bears one of the names ``fields``, followed by one of ``units``; None if there is none.
+
+        Upper and lower case are one, and so are ``x_m``, ``x [m]`` and ``x (m)``.
+
+        Raises:
+            DatasetError: several columns do.
+        """
+        wanted = {f"{field}_{unit}" if unit else field: unit for field in fields for unit in units}
+        found = [Column(name, wanted[_plain(name)]) for name in self.columns if _plain(name) in wanted]
+        if len(found) > 1:
+            names = " and ".join(column.name for column in found)
+            raise DatasetError(f"{self.name}: columns {names} say the same; remove or rename all but one")
+        return found[0] if found else None
+
+    def need(self, what: str, example: str, fields: Iterable[str], units: Iterable[str] = ("",)) -> Column:
+        """Like ``find``, for a column that must be there; ``example`` is the name to give it.
+
+        Raises:
+            DatasetError: there is none, or there are several.
+        """
+        column = self.find(fields, units)
+        if column is None:
+            there = ", ".join(self.columns)
+            raise DatasetError(f"{self.name}: no column for {what} among {there}; call the one that holds it {example}")
+        return column
+
+    def numbers(self, column: Column, units: Mapping[str, float] = NO_UNITS) -> FloatArray:
+        """The cells (R,) as finite numbers, times what ``units`` says of the unit of the column.
+
+        Raises:
+            DatasetError: a cell is no finite number.
+        """
+        values = self._parse(column, units, "correct or remove the line")
+        empty = np.flatnonzero(np.isnan(values))
+        if len(empty):
+            raise self.error(int(empty[0]), column, "empty; give a number, or remove the line")
+        return values
+
+    def optional_numbers(
+        self,
+        column: Column,
+        units: Mapping[str, float] = NO_UNITS,
+        *,
+        remedy: str = "correct it, or leave it empty if it is not known",
+    ) -> FloatArray:
+        """Like ``numbers``, but NaN for an empty cell.
+
+        Raises:
+            DatasetError: a cell that is not empty is no finite number.
+        """
+        return self._parse(column, units, remedy)
+
+    def _parse(self, column: Column, units: Mapping[str, float], remedy: str) -> FloatArray:
+        values = np.full(len(self.lines), np.nan)
+        for row, cell in enumerate(self.columns[column.name]):
+            if cell and not _is_number(cell):
+                raise self.error(row, column, f"{cell!r} is not a finite number; {remedy}")
+            if cell:
+                values[row] = float(cell)
+        return values * units[column.unit]
+
+    def error(self, row: int, columns: Column | str, fault: str) -> DatasetError:
+        """What is wrong with a cell (or with several columns of a row), with its place."""
+        name = columns if isinstance(columns, str) else columns.name
+        return DatasetError(f"{self.name}, line {self.lines[row]}, column {name}: {fault}")
+
+
+def read_table(source: SourceText) -> Table:
+    """The table in ``source``: JSON lines if it begins with a brace, else CSV whose first line names the columns.
+
+    Raises:
+        DatasetError: neither of the two, no row, or a row that does not fit the columns.
+    """
+    start = source.text.lstrip()[:1]
+    if start == "[":
+        raise DatasetError(f"{source.name}: a JSON array; write one object a line (JSON lines), or CSV with a header")
+    table = _read_json_lines(source) if start == "{" else _read_csv(source)
+    if not table.lines:
+        raise DatasetError(f"{source.name}: no row in it; expected a header and at least one line")
+    return table
+
+
+def table_of_rows(source: SourceText, names: Sequence[str], rows: Iterable[tuple[int, Sequence[str]]]) -> Table:
+    """A table of rows of cells, each with its line.
+
+    Raises:
+        DatasetError: a row has another number of cells than there are names.
+    """
+    lines, cells = [], []
+    for line, row in rows:
+        if len(row) != len(names):
+            raise DatasetError(
+                f"{source.name}, line {line}: {len(row)} values where {len(names)} are expected ({', '.join(names)})"
+            )
+        lines.append(line)
+        cells.append(row)
+    columns = {name: [row[i].strip() for row in cells] for i, name in enumerate(names)}
+    return Table(source.name, columns, lines)
+
+
+def _read_csv(source: SourceText) -> Table:
+    line, first = next(iter(source.lines()), (0, ""))
+    if not line:
+        raise DatasetError(f"{source.name}: no line in it; expected a header and at least one line")
+    above = source.header_above(line) if _is_number(re.split(r"[,;\t]", first)[0].strip()) else None
+    header = first if above is None else above.strip().lstrip("#")
+    delimiter = max(_DELIMITERS, key=header.count)
+    names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
+    if all(_is_number(name) for name in names):
+        raise DatasetError(
+            f"{source.name}, line {line}: numbers where the names of the columns are expected; "
+            "begin the file with a header such as stamp_s,label,x_m,y_m,z_m"
+        )
+    twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+    if twice is not None:
+        raise DatasetError(f"{source.name}, line {line}: column {twice} stands there twice; rename or remove one")
+    passed = line - 1 if above is not None else line
+    reader = csv.reader(source.text.splitlines()[passed:], delimiter=delimiter)
+    rows = ((passed + reader.line_num, row) for row in reader if row and not row[0].lstrip().startswith("#"))
+    try:
+        return table_of_rows(source, names, rows)
+    except csv.Error as error:
+        raise DatasetError(f"{source.name}, line {passed + reader.line_num}: not CSV ({error})") from error
+
+
+def _read_json_lines(source: SourceText) -> Table:
+    objects: list[tuple[int, dict[str, str]]] = []
+    for line, text in source.lines():
+        try:
+            # Numbers stay text, so that stamps keep all their digits.
+            value = json.loads(text, parse_float=str, parse_int=str, parse_constant=str)
+        except json.JSONDecodeError as error:
+            raise DatasetError(
+                f"{source.name}, line {line}: not JSON ({error.msg}, character {error.colno}); write one object a line"
+            ) from error
+        if not isinstance(value, dict):
+            raise DatasetError(f'{source.name}, line {line}: not an object; write {{"stamp_s": 0.1, "x_m": 1.0, ...}}')
+        objects.append((line, {key: _cell(source, line, key, cell) for key, cell in value.items()}))
+    names = list(dict.fromkeys(name for _, value in objects for name in value))
+    return table_of_rows(source, names, ((line, [value.get(name, "") for name in names]) for line, value in objects))
+
+
+def _cell(source: SourceText, line: int, key: str, value: object) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, str):
+        return value
+    raise DatasetError(
+        f"{source.name}, line {line}, column {key}: {json.dumps(value)[:40]} is neither a number nor a text; "
+        "write each number under a name of its own, such as x_m, y_m and z_m"
+    )
+
+
+def _plain(name: str) -> str:
+    """The name in the form in which columns are compared."""
+    words = re.findall(r"[a-z0-9]+", name.lower())
+    return "_".join(words)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False

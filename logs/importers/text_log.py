@@ -1,0 +1,189 @@
+"""A drive in plain text files: poses of the odometry, a table of detections and, for evaluation, the true poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from heapq import merge
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.errors import DatasetError
+from logs.importers.detection_tables import BODY_FRAME, ONLY_LABEL, DetectionTable, read_detections
+from logs.importers.imported_log import ImportedRecord, ImportSummary, write_imported_log
+from logs.importers.stamps import match_clock, snap_to_span
+from logs.importers.tables import SourceText, read_source_text, read_table
+from logs.importers.trajectory_files import Trajectory, TrajectoryFormat, read_trajectory
+from logs.messages import GroundTruthPose, IntArray, Odometry
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TextLog:
+    """A validated drive; ``stamps_ns`` (R,) are those of the detections. ``notes``: what a user should know of it."""
+
+    odometry: Trajectory
+    detections: DetectionTable
+    stamps_ns: IntArray
+    ground_truth: Trajectory | None
+    source: dict[str, str]
+    notes: tuple[str, ...]
+
+    def records(self) -> Iterator[ImportedRecord]:
+        """Everything in the order of the stamps; at one stamp odometry, detections, the true pose, the true objects."""
+        streams: list[Iterable[ImportedRecord]] = [self._odometry(), self._detections(), self._truth()]
+        return merge(*streams, key=lambda record: record.stamp_ns)
+
+    def _odometry(self) -> Iterator[Odometry]:
+        for stamp_ns, T in zip(self.odometry.stamps.stamps_ns.tolist(), self.odometry.T_world_body, strict=True):
+            yield Odometry(stamp_ns, T)
+
+    def _truth(self) -> Iterator[GroundTruthPose]:
+        if self.ground_truth is not None:
+            truth = self.ground_truth
+            for stamp_ns, T in zip(truth.stamps.stamps_ns.tolist(), truth.T_world_body, strict=True):
+                yield GroundTruthPose(stamp_ns, T)
+
+    def _detections(self) -> Iterator[ImportedRecord]:
+        for detections, truth in self.detections.scans(self.stamps_ns):
+            yield detections
+            if truth is not None:
+                yield truth
+
+
+@dataclass(frozen=True, slots=True)
+class TextLogSummary:
+    """What was written, and what a user should know of it."""
+
+    written: ImportSummary
+    odometry_format: str
+    odometry_length_m: float
+    columns_left_out: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def read_text_log(
+    *,
+    odometry: Path,
+    detections: Path,
+    ground_truth: Path | None = None,
+    times: Path | None = None,
+    calib: Path | None = None,
+    format: TrajectoryFormat | None = None,
+) -> TextLog:
+    """Read and validate a drive.
+
+    Args:
+        odometry: poses of the body in a smooth frame; see :class:`TrajectoryFormat`.
+        detections: CSV with a header or JSON lines, positions in the body frame; see :func:`read_detections`.
+        ground_truth: true poses of the body.
+        times: seconds of each pose of the trajectories in KITTI's format.
+        calib: KITTI's calibration, if those poses are of the left camera.
+        format: of the trajectories; by default found in each.
+
+    Raises:
+        DatasetError: a file is missing or wrong; names the file, the line, the column and the remedy.
+    """
+    paths = {
+        "odometry": odometry,
+        "detections": detections,
+        "ground_truth": ground_truth,
+        "times": times,
+        "calib": calib,
+    }
+    sources = {role: read_source_text(path) for role, path in paths.items() if path is not None}
+
+    def trajectory(role: str) -> Trajectory:
+        return read_trajectory(sources[role], times=sources.get("times"), calib=sources.get("calib"), format=format)
+
+    path = trajectory("odometry")
+    truth = trajectory("ground_truth") if ground_truth is not None else None
+    _check_used(sources, [path] if truth is None else [path, truth])
+    table = read_detections(read_table(sources["detections"]))
+    inside = match_clock(table.stamps, path.stamps)
+    if truth is not None:
+        match_clock(truth.stamps, path.stamps)
+    source = {"dataset": "text"}
+    for role, text in sources.items():
+        source |= {role: Path(text.name).name, f"{role}_sha256": text.sha256}
+    stamps_ns = snap_to_span(table.stamps.stamps_ns, inside, path.stamps)
+    notes = (*_outside_note(table, inside), *_label_note(table), *_frame_note(table), *_camera_note(sources, path))
+    return TextLog(path, table, stamps_ns, truth, source, notes)
+
+
+def import_text_log(
+    output: Path,
+    *,
+    odometry: Path,
+    detections: Path,
+    ground_truth: Path | None = None,
+    times: Path | None = None,
+    calib: Path | None = None,
+    format: TrajectoryFormat | None = None,
+) -> TextLogSummary:
+    """Write a drive (see :func:`read_text_log`) as a log, with the names and the SHA-256 of its files.
+
+    Raises:
+        DatasetError: the input is missing or wrong; nothing is written then.
+        UnwritableLogError: the log cannot be written.
+    """
+    drive = read_text_log(
+        odometry=odometry,
+        detections=detections,
+        ground_truth=ground_truth,
+        times=times,
+        calib=calib,
+        format=format,
+    )
+    return TextLogSummary(
+        written=write_imported_log(output, drive.records(), drive.source),
+        odometry_format=drive.odometry.format.value,
+        odometry_length_m=drive.odometry.length_m,
+        columns_left_out=drive.detections.left_out,
+        notes=drive.notes,
+    )
+
+
+def _check_used(sources: dict[str, SourceText], trajectories: list[Trajectory]) -> None:
+    for role in ("times", "calib"):
+        if role in sources and not any(t.format == TrajectoryFormat.KITTI for t in trajectories):
+            raise DatasetError(
+                f"{sources[role].name}: {role} are for poses in KITTI's format, but no trajectory has it; leave it out "
+                "or say --format kitti"
+            )
+
+
+def _outside_note(table: DetectionTable, inside: NDArray[np.bool_]) -> list[str]:
+    outside = np.flatnonzero(~inside)
+    if len(outside) == 0:
+        return []
+    row = int(outside[0])
+    text = table.stamps.table
+    return [
+        f"{text.name}, line {text.lines[row]}, column {table.stamps.column.name}: {len(outside)} of {len(inside)} "
+        "detections, this one first, are outside the odometry's time; a replay leaves them out"
+    ]
+
+
+def _label_note(table: DetectionTable) -> list[str]:
+    count = table.unlabelled_count
+    return (
+        [f"{count} of {len(table.labels)} detections have no label and are of the class {ONLY_LABEL}"] if count else []
+    )
+
+
+def _frame_note(table: DetectionTable) -> list[str]:
+    frames = sorted(set(table.frames) - {BODY_FRAME})
+    if not frames:
+        return []
+    return [
+        f"detections are in {', '.join(frames)}, but these files do not tell where that sits on the body: replay with "
+        "--set detection.assume_body_frame=true if it is the body"
+    ]
+
+
+def _camera_note(sources: dict[str, SourceText], path: Trajectory) -> list[str]:
+    if path.format != TrajectoryFormat.KITTI or "calib" in sources:
+        return []
+    return ["poses are taken for those of the body (x forward, z up); give --calib if they are of KITTI's left camera"]

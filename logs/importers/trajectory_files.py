@@ -1,0 +1,228 @@
+"""Trajectories in the text formats of others: TUM, KITTI, EuRoC, and CSV with named columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from logs.errors import DatasetError
+from logs.importers.kitti_poses import body_poses, parse_calibration, parse_poses
+from logs.importers.stamps import Stamps, read_stamps
+from logs.importers.tables import LENGTH_UNITS, SourceText, Table, read_table, table_of_rows
+from logs.importers.text_files import TextFile
+from logs.messages import FloatArray
+from logs.validation import QUATERNION_NORM_TOLERANCE
+
+SLOWEST_STEP_S = 20.0
+"""A median step longer than that is no odometry: a replay takes every such gap for a break (odometry.max_gap_s)."""
+
+FASTEST_STEP_S = 1e-6
+"""A median step shorter than that is that of no sensor."""
+
+GREATEST_SPEED_MPS = 100.0
+"""A median speed beyond it is that of no robot on the ground; a replay takes steps faster than 60 m/s for jumps."""
+
+_TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
+_EUROC = ("stamp_ns", "x", "y", "z", "qw", "qx", "qy", "qz")
+_EUROC_NAME = "p_rs_r_x"
+_QUATERNION = ("qx", "qy", "qz", "qw")
+
+
+class TrajectoryFormat(StrEnum):
+    """How a trajectory is written.
+
+    TUM: ``stamp_s x y z qx qy qz qw``. KITTI: 12 numbers, the rows of a 3x4 pose, times apart. EuRoC: CSV of
+    ``stamp_ns, x, y, z, qw, qx, qy, qz``, more columns being passed over. CSV: a header names stamp, x, y, z and
+    qx, qy, qz, qw or yaw (radians).
+    """
+
+    TUM = "tum"
+    KITTI = "kitti"
+    EUROC = "euroc"
+    CSV = "csv"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """Poses (N, 4, 4) of the body, metres, at strictly increasing ``stamps``; ``lines`` (N,) of the file ``name``."""
+
+    name: str
+    lines: Sequence[int]
+    stamps: Stamps
+    T_world_body: FloatArray
+    format: TrajectoryFormat
+
+    @property
+    def length_m(self) -> float:
+        """Length of the path."""
+        return float(_steps_m(self.T_world_body).sum())
+
+
+def read_trajectory(
+    source: SourceText,
+    *,
+    times: SourceText | None = None,
+    calib: SourceText | None = None,
+    format: TrajectoryFormat | None = None,
+) -> Trajectory:
+    """The trajectory in ``source``, in the format that it is found to have or that is given.
+
+    Args:
+        source: the file.
+        times: seconds of each pose, one a line; only for KITTI's format, which has none.
+        calib: KITTI's calibration, if the poses in KITTI's format are of the left camera: the body is then the
+            velodyne, and the poses are given in its frame at the origin.
+        format: for a file whose content leaves it open.
+
+    Raises:
+        DatasetError: a file is wrong, the stamps do not increase, or stamps or positions are in an impossible unit.
+    """
+    chosen = format or find_format(source)
+    if chosen == TrajectoryFormat.KITTI:
+        trajectory = _read_kitti(source, times, calib)
+    else:
+        table = _pose_table(source, chosen)
+        stamps = read_stamps(table)
+        stamps.check_increasing(strictly=True)
+        trajectory = Trajectory(source.name, table.lines, stamps, _poses(table), chosen)
+    _check_steps(trajectory)
+    _check_speed(trajectory)
+    return trajectory
+
+
+def find_format(source: SourceText) -> TrajectoryFormat:
+    """The format that the content has.
+
+    Raises:
+        DatasetError: it fits none.
+    """
+    line, first = next(iter(source.lines()), (0, ""))
+    if first.startswith("{"):
+        return TrajectoryFormat.CSV
+    if "," in first:
+        header = source.header_above(line) if _are_numbers(first.split(",")[:1]) else first
+        is_euroc = header is None or _EUROC_NAME in header.lower()
+        return TrajectoryFormat.EUROC if is_euroc else TrajectoryFormat.CSV
+    fields = first.split()
+    if len(fields) == len(_TUM) and _are_numbers(fields[:1]):
+        return TrajectoryFormat.TUM
+    if len(fields) == 12 and _are_numbers(fields[:1]):
+        return TrajectoryFormat.KITTI
+    raise DatasetError(
+        f"{source.name}, line {line}: {len(fields)} values ({first[:40]!r}) are no pose; expected 8 (TUM: stamp x y z "
+        "qx qy qz qw), 12 (KITTI: 3x4), CSV of EuRoC, or CSV with a header; say --format if it is one of them"
+    )
+
+
+def _are_numbers(fields: list[str]) -> bool:
+    try:
+        return all(np.isfinite(float(field)) for field in fields)
+    except ValueError:
+        return False
+
+
+def _pose_table(source: SourceText, format: TrajectoryFormat) -> Table:
+    if format == TrajectoryFormat.TUM:
+        return _some_rows(source, table_of_rows(source, _TUM, ((i, line.split()) for i, line in source.lines())))
+    if format == TrajectoryFormat.EUROC:
+        rows = ((i, line.split(",")) for i, line in source.lines() if _EUROC_NAME not in line.lower())
+        return _some_rows(source, table_of_rows(source, _EUROC, ((i, row[: len(_EUROC)]) for i, row in rows)))
+    return read_table(source)
+
+
+def _some_rows(source: SourceText, table: Table) -> Table:
+    if not table.lines:
+        raise DatasetError(f"{source.name}: no pose in it")
+    return table
+
+
+def _poses(table: Table) -> FloatArray:
+    T = np.tile(np.eye(4), (len(table.lines), 1, 1))
+    for i, name in enumerate("xyz"):
+        column = table.find((name, f"position_{name}", f"p{name}", f"t{name}"), LENGTH_UNITS)
+        if column is not None:
+            T[:, i, 3] = table.numbers(column, LENGTH_UNITS)
+        elif name != "z":
+            table.need(name, f"{name}_m", (name,), LENGTH_UNITS)
+    T[:, :3, :3] = _rotations(table)
+    return T
+
+
+def _rotations(table: Table) -> FloatArray:
+    yaw = table.find(("yaw", "heading", "theta"), ("", "rad"))
+    if yaw is not None and table.find(("qw",)) is None:
+        yaw_rad = table.numbers(yaw, {"": 1.0, "rad": 1.0})
+        return np.asarray(Rotation.from_euler("z", yaw_rad[:, None]).as_matrix())
+    columns = [table.need(f"the quaternion's {name}", name, (name, f"orientation_{name[1]}")) for name in _QUATERNION]
+    q_xyzw = np.stack([table.numbers(column) for column in columns], axis=1)
+    norms = np.linalg.norm(q_xyzw, axis=1)
+    wrong = np.abs(norms - 1.0) > QUATERNION_NORM_TOLERANCE
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise table.error(
+            row,
+            " ".join(column.name for column in columns),
+            f"a quaternion of norm {norms[row]:.4g} is no rotation; its norm must be 1",
+        )
+    return np.asarray(Rotation.from_quat(q_xyzw).as_matrix())
+
+
+def _read_kitti(source: SourceText, times: SourceText | None, calib: SourceText | None) -> Trajectory:
+    if times is None:
+        raise DatasetError(
+            f"{source.name}: poses in KITTI's format have no stamps; give the file of their times (--times)"
+        )
+    T = parse_poses(_plain_file(source))
+    table = table_of_rows(times, ("stamp_s",), ((line, [text]) for line, text in times.lines()))
+    if len(T) != len(table.lines) or not len(T):
+        raise DatasetError(
+            f"{source.name} has {len(T)} poses, {times.name} {len(table.lines)} times; give files of one drive"
+        )
+    stamps = read_stamps(table)
+    stamps.check_increasing(strictly=True)
+    if calib is not None:
+        T = body_poses(T, parse_calibration(_plain_file(calib)))
+    lines = [line for line, _ in source.lines()]
+    return Trajectory(source.name, lines, stamps, T, TrajectoryFormat.KITTI)
+
+
+def _plain_file(source: SourceText) -> TextFile:
+    """For the parsers of KITTI's files: without comments, each line in its place."""
+    lines = ("" if line.lstrip().startswith("#") else line for line in source.text.splitlines())
+    return TextFile(source.name, "\n".join(lines).encode("utf-8"))
+
+
+def _check_steps(trajectory: Trajectory) -> None:
+    stamps = trajectory.stamps
+    if len(stamps.stamps_ns) < 2:
+        raise DatasetError(f"{trajectory.name}: one pose only; a drive has at least two")
+    median_s = float(np.median(np.diff(stamps.stamps_ns))) * 1e-9
+    if FASTEST_STEP_S <= median_s <= SLOWEST_STEP_S:
+        return
+    raise stamps.table.error(
+        1,
+        stamps.column,
+        f"poses are {median_s:.3g} s apart (median), which no odometry is; give the stamps in {stamps.unit_name}, or "
+        "name the columns and call this one by its unit: stamp_s, stamp_ms, stamp_us or stamp_ns",
+    )
+
+
+def _check_speed(trajectory: Trajectory) -> None:
+    moved_m = _steps_m(trajectory.T_world_body)
+    moving = np.flatnonzero(moved_m > 0.0)
+    speeds_mps = moved_m[moving] / (np.diff(trajectory.stamps.stamps_ns)[moving] * 1e-9)
+    if not len(moving) or np.median(speeds_mps) <= GREATEST_SPEED_MPS:
+        return
+    line = trajectory.lines[int(moving[np.argmax(speeds_mps > GREATEST_SPEED_MPS)]) + 1]
+    raise DatasetError(
+        f"{trajectory.name}, line {line}, columns x y z: the body moves at {np.median(speeds_mps):.4g} m/s (median); "
+        "positions are metres: divide them by 1000 if these are millimetres, and see that the stamps are right"
+    )
+
+
+def _steps_m(T: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1), dtype=np.float64)

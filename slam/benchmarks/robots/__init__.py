@@ -1,0 +1,1 @@
+"""Whole drives of several robots: what mapping makes of each."""

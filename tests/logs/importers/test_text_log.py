@@ -1,0 +1,197 @@
+from __future__ import annotations
+
+import hashlib
+import os
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from logs.errors import DatasetError
+from logs.importers.text_log import import_text_log, read_text_log
+from logs.importers.trajectory_files import TrajectoryFormat
+from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, Odometry
+from logs.reader import LogReader
+from logs.selection import select_topics
+from tests.logs.importers.text_drives import DETECTIONS, TUM, TextDrive
+
+ROBOTS = Path(os.environ.get("DSLAM_DATA", Path(__file__).parents[3] / ".." / "shared" / "data")) / "robots"
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> TextDrive:
+    return TextDrive.make(tmp_path)
+
+
+def test_records_come_in_the_order_of_time_and_rows_of_one_stamp_are_one_scan(drive: TextDrive) -> None:
+    records = list(read_text_log(**drive.files()).records())
+    scan = [Odometry, ObjectDetections, DetectionTruth, GroundTruthPose]
+    plain = [Odometry, GroundTruthPose]
+    assert [type(record) for record in records] == scan + scan + plain + plain + scan
+    assert [record.stamp_ns for record in records[:5]] == [100_000_000_000] * 4 + [100_100_000_000]
+    assert isinstance(records[1], ObjectDetections)
+    assert records[1].labels == ("pole", "tree")
+    assert records[1].frame_id == "base_link"
+    np.testing.assert_array_equal(records[1].positions, [[1, 2, 3], [4, 5, 6]])
+    assert isinstance(records[2], DetectionTruth)
+    assert records[2].object_ids == ("7", "")
+
+
+def test_log_reads_back_and_names_its_files_without_folders(drive: TextDrive) -> None:
+    summary = import_text_log(drive.output, **drive.files())
+    with LogReader(drive.output) as reader:
+        entries = list(reader.records(select_topics(reader.topics())))
+        source = reader.metadata()["source"]
+    expected = list(read_text_log(**drive.files()).records())
+    assert [(type(e.record), e.record.stamp_ns) for e in entries] == [(type(r), r.stamp_ns) for r in expected]
+    assert summary.written.message_counts == {
+        "/odom": 5, "/detections": 3, "/ground_truth/detections": 3, "/ground_truth": 5
+    }  # fmt: skip
+    assert (summary.odometry_format, summary.odometry_length_m, summary.notes) == ("tum", 4.0, ())
+    assert source["detections"] == "detections.csv"
+    assert source["detections_sha256"] == hashlib.sha256(DETECTIONS.encode()).hexdigest()
+    assert not any(str(drive.root) in value for value in source.values())
+
+
+def test_packed_files_give_the_same_records_and_the_same_bytes_each_time(drive: TextDrive) -> None:
+    drive.write("odometry.tum.gz", TUM)
+    drive.write("detections.csv.gz", DETECTIONS)
+    packed = drive.files(odometry="odometry.tum.gz", detections="detections.csv.gz")
+    import_text_log(drive.output, **packed)
+    first = drive.output.read_bytes()
+    import_text_log(drive.output, **packed)
+    assert drive.output.read_bytes() == first
+    plain, unpacked = (list(read_text_log(**files).records()) for files in (drive.files(), packed))
+    for a, b in zip(plain, unpacked, strict=True):
+        assert (type(a), a.stamp_ns) == (type(b), b.stamp_ns)
+
+
+def test_a_damaged_archive_is_refused(drive: TextDrive) -> None:
+    path = drive.write("odometry.tum.gz", TUM)
+    path.write_bytes(path.read_bytes()[:-9])
+    with pytest.raises(DatasetError, match=r"odometry\.tum\.gz: cannot be unpacked .*again"):
+        read_text_log(**drive.files(odometry="odometry.tum.gz"))
+
+
+def test_truth_may_be_missing(drive: TextDrive) -> None:
+    summary = import_text_log(drive.output, **drive.files(ground_truth=None))
+    assert "/ground_truth" not in summary.written.message_counts
+
+
+def test_a_stamp_that_only_rounding_puts_outside_becomes_the_end_of_the_odometry(drive: TextDrive) -> None:
+    # The odometry ends at 100.400; a detector that writes two digits more knows it as 100.4003.
+    drive.write("detections.csv", DETECTIONS.replace("100.400", "100.4003"))
+    log = read_text_log(**drive.files())
+    assert log.stamps_ns[-1] == 100_400_000_000
+    assert log.notes == ()
+    drive.write("detections.csv", DETECTIONS.replace("100.400", "100.4006"))
+    assert len(read_text_log(**drive.files()).notes) == 1
+
+
+def test_so_does_one_that_differs_by_what_a_double_of_that_size_cannot_tell(drive: TextDrive) -> None:
+    # 1.7e9 s are known to a double to 238 ns only, however many digits are written of it.
+    drive.write("odometry.tum", TUM.replace("\n100.", "\n1700000000."))
+    drive.write("detections.csv", DETECTIONS.replace("100.", "1700000000.").replace(".400,", ".400000200,"))
+    assert read_text_log(**drive.files(ground_truth=None)).stamps_ns[-1] == 1_700_000_000_400_000_000
+    drive.write("odometry.tum", TUM.replace("\n100.", "\n1700000000.").replace(".400 ", ".400000000 "))
+    assert read_text_log(**drive.files(ground_truth=None)).stamps_ns[-1] == 1_700_000_000_400_000_000
+
+
+def test_stamps_really_outside_stay_and_are_told(drive: TextDrive) -> None:
+    drive.write("detections.csv", DETECTIONS.replace("100.400", "100.402"))
+    log = read_text_log(**drive.files())
+    assert log.stamps_ns[-1] == 100_402_000_000
+    (note,) = log.notes
+    assert "detections.csv, line 5, column stamp_s: 1 of 4 detections" in note
+
+
+@pytest.mark.parametrize(
+    ("scale", "remedy"),
+    [
+        (1e3, "seems to hold milliseconds: call it stamp_ms"),
+        (1e6, "seems to hold microseconds: call it stamp_us"),
+    ],
+)
+def test_stamps_in_another_unit_than_seconds_are_named(drive: TextDrive, scale: float, remedy: str) -> None:
+    rows = [f"{seconds * scale:.0f},1,2" for seconds in (100, 100.1, 100.4)]
+    drive.write("detections.csv", "\n".join(["time,x_m,y_m", *rows]))
+    with pytest.raises(DatasetError, match=rf"detections\.csv, line 2, column time: .*{remedy}"):
+        read_text_log(**drive.files())
+
+
+def test_another_clock_is_named_with_both_spans(drive: TextDrive) -> None:
+    drive.write("detections.csv", DETECTIONS.replace("100.", "1700000000."))
+    with pytest.raises(DatasetError, match=r"line 2, .* lasts from 100 s to 100\.4 s; give both by one clock"):
+        read_text_log(**drive.files())
+
+
+def test_a_truth_of_another_time_is_refused(drive: TextDrive) -> None:
+    drive.write("truth.tum", TUM.replace("\n100.", "\n900."))
+    with pytest.raises(DatasetError, match=r"truth\.tum, line 2, column stamp: .*one clock"):
+        read_text_log(**drive.files())
+
+
+def test_columns_without_a_place_are_named(drive: TextDrive) -> None:
+    drive.write("detections.csv", "stamp_s,x_m,y_m,yaw,colour\n100,1,2,0.5,red\n")
+    summary = import_text_log(drive.output, **drive.files())
+    assert summary.columns_left_out == ("yaw", "colour")
+    assert summary.notes == ("1 of 1 detections have no label and are of the class object",)
+
+
+def test_a_frame_whose_place_is_unknown_is_told(drive: TextDrive) -> None:
+    drive.write("detections.csv", "stamp_s,label,x_m,y_m,frame\n100,a,1,2,lidar\n100,a,1,2,\n")
+    log = read_text_log(**drive.files())
+    assert [record.frame_id for record in log.records() if isinstance(record, ObjectDetections)] == [
+        "lidar", "base_link"
+    ]  # fmt: skip
+    assert "detections are in lidar" in log.notes[0]
+    assert "detection.assume_body_frame=true" in log.notes[0]
+
+
+def test_times_are_refused_where_no_trajectory_needs_them(drive: TextDrive) -> None:
+    drive.write("times.txt", "0\n")
+    with pytest.raises(DatasetError, match=r"times\.txt: times are for poses in KITTI's format"):
+        read_text_log(**drive.files(times="times.txt"))
+
+
+def test_kitti_without_a_calibration_is_told_to_be_the_body(drive: TextDrive) -> None:
+    drive.write("poses.txt", "".join(f"1 0 0 {i} 0 1 0 0 0 0 1 0\n" for i in range(5)))
+    drive.write("times.txt", "".join(f"{100 + 0.1 * i:.3f}\n" for i in range(5)))
+    log = read_text_log(**drive.files(odometry="poses.txt", times="times.txt"))
+    assert "give --calib" in log.notes[0]
+    with pytest.raises(DatasetError, match=r"truth\.tum, line 2: 8 values where 12"):
+        read_text_log(**drive.files(odometry="poses.txt", times="times.txt"), format=TrajectoryFormat.KITTI)
+
+
+def test_a_missing_file_is_refused_and_nothing_is_written(drive: TextDrive) -> None:
+    with pytest.raises(DatasetError, match=r"nowhere\.csv: cannot be read"):
+        import_text_log(drive.output, **drive.files(detections="nowhere.csv"))
+    assert not list(drive.root.glob("out.mcap*"))
+
+
+@pytest.mark.parametrize(
+    ("name", "pose_count", "detection_count", "length_m", "object_count"),
+    [
+        ("lost_in_the_woods", 12609, 61_086, 341.9, 17),
+        ("mrclam6/robot1", 20595, 1534, 48.4, 15),
+        ("evo", 2335, 118_149, 1530.1, 0),
+    ],
+)
+def test_real_drives(name: str, pose_count: int, detection_count: int, length_m: float, object_count: int) -> None:
+    folder = ROBOTS / name
+    if not folder.is_dir():
+        pytest.skip(f"no drive in {folder}; set DSLAM_DATA to the folder that holds robots")
+    log = read_text_log(
+        odometry=folder / "odometry.tum.gz",
+        detections=folder / "detections.csv.gz",
+        ground_truth=folder / "groundtruth.tum.gz",
+    )
+    records = list(log.records())
+    assert sum(isinstance(record, Odometry) for record in records) == pose_count
+    assert sum(len(record.labels) for record in records if isinstance(record, ObjectDetections)) == detection_count
+    assert log.odometry.length_m == pytest.approx(length_m, abs=0.1)
+    truths = [record.object_ids for record in records if isinstance(record, DetectionTruth)]
+    assert len({name for ids in truths for name in ids}) == object_count
+    assert (log.notes, log.detections.left_out) == ((), ())
+    assert all(a.stamp_ns <= b.stamp_ns for a, b in pairwise(records))

@@ -1,0 +1,118 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from logs.errors import DatasetError
+from logs.importers.tables import SourceText
+from logs.importers.trajectory_files import TrajectoryFormat, read_trajectory
+
+TUM = "0.1 1 2 3 0 0 0.6 0.8\n0.2 1 2 4 0 0 0 1\n"
+EUROC_HEADER = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
+EUROC = "100000000, 1, 2, 3, 0.8, 0, 0, 0.6, 0.1, 0.2\n200000000, 1, 2, 4, 1, 0, 0, 0, 0.1, 0.2\n"
+HALF_TURN = np.array([[0.28, -0.96, 0.0], [0.96, 0.28, 0.0], [0.0, 0.0, 1.0]])
+"""Rotation of the quaternion (0, 0, 0.6, 0.8)."""
+
+
+def source(text: str, name: str = "poses.txt") -> SourceText:
+    return SourceText(name, text, "")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (TUM, "tum"),
+        (f"# a comment, with a comma\n\n{TUM}", "tum"),
+        (EUROC, "euroc"),
+        (f"{EUROC_HEADER}\n{EUROC}", "euroc"),
+        (f"{EUROC_HEADER[1:]}\n{EUROC}", "euroc"),
+        ("stamp_s,x_m,y_m,z_m,qx,qy,qz,qw\n0.1,1,2,3,0,0,0.6,0.8\n0.2,1,2,4,0,0,0,1\n", "csv"),
+        ("# stamp_s,x_m,y_m,z_m,qx,qy,qz,qw\n0.1,1,2,3,0,0,0.6,0.8\n0.2,1,2,4,0,0,0,1\n", "csv"),
+        ("qw;qz;qy;qx;z [mm];y [mm];x [mm];t [ms]\n.8;.6;0;0;3000;2000;1000;100\n1;0;0;0;4000;2000;1000;200\n", None),
+        ('{"t": 0.1, "x": 1, "y": 2, "z": 3, "qx": 0, "qy": 0, "qz": 0.6, "qw": 0.8}\n'
+         '{"t": 0.2, "x": 1, "y": 2, "z": 4, "qx": 0, "qy": 0, "qz": 0, "qw": 1}\n', "csv"),
+    ],
+)  # fmt: skip
+def test_every_format_gives_the_same_poses(text: str, expected: str | None) -> None:
+    given = TrajectoryFormat.CSV if expected is None else None
+    trajectory = read_trajectory(source(text), format=given)
+    assert trajectory.format == (expected or "csv")
+    np.testing.assert_array_equal(trajectory.stamps.stamps_ns, [100_000_000, 200_000_000])
+    np.testing.assert_allclose(trajectory.T_world_body[:, :3, 3], [[1, 2, 3], [1, 2, 4]])
+    np.testing.assert_allclose(trajectory.T_world_body[0, :3, :3], HALF_TURN, atol=1e-12)
+    np.testing.assert_allclose(trajectory.T_world_body[1, :3, :3], np.eye(3), atol=1e-12)
+    assert trajectory.length_m == pytest.approx(1.0)
+
+
+def test_a_planar_table_needs_neither_z_nor_a_quaternion() -> None:
+    trajectory = read_trajectory(source("stamp_s,x_m,y_m,yaw_rad\n0,1,2,0\n0.1,1,2,1.5707963267948966\n"))
+    np.testing.assert_array_equal(trajectory.T_world_body[:, 2, 3], [0, 0])
+    np.testing.assert_allclose(trajectory.T_world_body[1, :3, :3] @ [1, 0, 0], [0, 1, 0], atol=1e-12)
+
+
+def test_kitti_takes_its_stamps_from_the_times_and_the_body_from_the_calibration() -> None:
+    # The camera moves along its z, which is forward: x of the body.
+    poses = source("".join(f"1 0 0 0 0 1 0 0 0 0 1 {z}\n" for z in range(3)))
+    times = source("0.0\n1.037359e-01\n0.2\n", "times.txt")
+    calib = source("Tr: 0 -1 0 0.1 0 0 -1 0.2 1 0 0 -0.3\n", "calib.txt")
+    trajectory = read_trajectory(poses, times=times, calib=calib)
+    np.testing.assert_array_equal(trajectory.stamps.stamps_ns, [0, 103_735_900, 200_000_000])
+    np.testing.assert_allclose(trajectory.T_world_body[:, :3, 3], [[0, 0, 0], [1, 0, 0], [2, 0, 0]], atol=1e-12)
+    np.testing.assert_allclose(read_trajectory(poses, times=times).T_world_body[2, :3, 3], [0, 0, 2], atol=1e-12)
+
+
+def test_stamps_keep_every_digit() -> None:
+    trajectory = read_trajectory(source("1700000000.123456789 0 0 0 0 0 0 1\n1700000000.2 0 0 1 0 0 0 1\n"))
+    assert trajectory.stamps.stamps_ns[0] == 1_700_000_000_123_456_789
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", r"poses\.txt, line 0: 0 values"),
+        ("1 2 3\n", r"poses\.txt, line 1: 3 values .*expected 8 .TUM.*--format"),
+        (TUM + "0.3 1 2 3 0 0 1\n", r"poses\.txt, line 3: 7 values where 8 are expected .stamp, x"),
+        (TUM + "0.3 1 2 three 0 0 0 1\n", r"poses\.txt, line 3, column z: 'three' is not a finite number; correct"),
+        (TUM + "0.3 1 nan 3 0 0 0 1\n", r"poses\.txt, line 3, column y: 'nan' is not a finite number"),
+        (TUM + "# pause\nnow 1 2 3 0 0 0 1\n", r"poses\.txt, line 4, column stamp: 'now' is not a time"),
+        (TUM + "0.3 1 2 3 0 0 0 0.5\n", r"poses\.txt, line 3, column qx qy qz qw: a quaternion of norm 0\.5"),
+        (TUM + "0.15 1 2 3 0 0 0 1\n", r"poses\.txt, line 3, column stamp: 0\.15 comes after 0\.2; sort"),
+        (TUM + "0.2 1 2 3 0 0 0 1\n", r"poses\.txt, line 3, column stamp: 0\.2 stands there twice; remove"),
+        ("-1 0 0 0 0 0 0 1\n" + TUM, r"poses\.txt, line 1, column stamp: -1 is before 0.*add a constant"),
+        ("0.1 0 0 0 0 0 0 1\n", r"poses\.txt: one pose only"),
+        ("stamp_s,x_m,z_m,yaw\n0,1,2,3\n", r"poses\.txt: no column for y among stamp_s, x_m, z_m, yaw; call .* y_m"),
+        ("stamp_s,x_m,y_m\n0,1,2\n", r"poses\.txt: no column for the quaternion's qx"),
+        ("when,x_m,y_m,yaw\n0,1,2,3\n", r"poses\.txt: no column for the stamp among when, .*call .*stamp_s"),
+        ("stamp_s,x,x_m,y,yaw\n0,1,1,2,3\n", r"poses\.txt: columns x and x_m say the same"),
+        ("0.1,1,2,3,0,0,0,1\n0.2,1,2,3,0,0,0,1\n", r"line 1, column stamp_ns: 0\.1 are no whole nanoseconds"),
+        ("0,1,2,3,1,0,0,0\n1,1,2,3,1,0,0,0\n", r"line 2, column stamp_ns: poses are 1e-09 s apart"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n", r"poses\.txt: poses in KITTI's format have no stamps; .*--times"),
+    ],
+)
+def test_what_is_wrong_is_told_with_its_place(text: str, message: str) -> None:
+    with pytest.raises(DatasetError, match=message) as caught:
+        read_trajectory(source(text))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("scale", "name"), [(1e3, "milli"), (1e6, "micro"), (1e9, "nano")])
+@pytest.mark.parametrize("start_s", [0.0, 1_700_000_000.0])
+def test_tum_stamps_that_are_not_seconds_are_refused(scale: float, name: str, start_s: float) -> None:
+    text = "".join(f"{(start_s + 0.1 * i) * scale:.0f} {i} 0 0 0 0 0 1\n" for i in range(5))
+    suffix = {"milli": "ms", "micro": "us", "nano": "ns"}[name]
+    epoch = f"line 1, column stamp: .*year 2262; they look like {name}seconds: write seconds, .*stamp_{suffix}"
+    since_start = r"line 2, column stamp: poses are 1.*0.* s apart .*give the stamps in seconds"
+    message = epoch if start_s else since_start
+    with pytest.raises(DatasetError, match=message):
+        read_trajectory(source(text))
+
+
+def test_positions_in_millimetres_are_refused_where_the_body_first_moves() -> None:
+    text = "".join(f"{0.1 * i:.1f} {100 * max(i - 2, 0)} 0 0 0 0 0 1\n" for i in range(9))
+    with pytest.raises(DatasetError, match=r"line 4, columns x y z: the body moves at 1000 m/s .*divide them by 1000"):
+        read_trajectory(source(text))
+
+
+def test_numbers_of_poses_and_times_must_agree() -> None:
+    with pytest.raises(DatasetError, match=r"poses\.txt has 1 poses, times\.txt 2 times"):
+        read_trajectory(source("1 0 0 0 0 1 0 0 0 0 1 0\n"), times=source("0\n1\n", "times.txt"))

@@ -1,0 +1,81 @@
+"""dslam import csv, as it is typed, and what docs/import.md says of it."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.logs.importers.text_drives import DETECTIONS, TextDrive
+from tests.tools.runs import ROOT, Run, assert_refused
+
+DOCS = (ROOT / "docs" / "import.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> TextDrive:
+    return TextDrive.make(tmp_path)
+
+
+def options(drive: TextDrive) -> tuple[object, ...]:
+    return tuple(part for role, path in drive.files().items() for part in (f"--{role.replace('_', '-')}", path))
+
+
+def test_text_files_become_a_log_that_can_be_replayed_and_evaluated(dslam: Run, drive: TextDrive) -> None:
+    result = dslam("import", "csv", drive.output, *options(drive))
+    assert (result.code, result.err) == (0, "")
+    assert "4 objects detected" in result.out
+    assert "odometry in tum format, 4 m (10.00 m/s)" in result.out
+    replayed = drive.root / "map.mcap"
+    assert dslam("replay", drive.output, "-o", replayed).code == 0
+    told = json.loads(dslam("evaluate", replayed, "--json").out)
+    assert told["associations"]["detection_count"] == 4
+    assert told["associations"]["false_positive_count"] == 1
+    assert told["trajectory"]["ate_m"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_json_tells_the_same(dslam: Run, drive: TextDrive) -> None:
+    drive.write("detections.csv", DETECTIONS.replace("object_id", "species"))
+    told = json.loads(dslam("import", "csv", drive.output, *options(drive), "--json").out)
+    assert told["detection_count"] == 4
+    assert told["message_counts"] == {"/odom": 5, "/detections": 3, "/ground_truth": 5}
+    assert told["odometry_format"] == "tum"
+    assert told["columns_left_out"] == ["species"]
+    assert told["notes"] == []
+
+
+def test_what_is_left_out_is_told(dslam: Run, drive: TextDrive) -> None:
+    drive.write("detections.csv", DETECTIONS.replace("object_id", "species").replace("100.400", "101"))
+    out = dslam("import", "csv", drive.output, *options(drive)).out
+    assert "columns left out: species" in out
+    assert "note: " in out
+    assert "1 of 4 detections, this one first, are outside the odometry's time" in " ".join(out.split())
+
+
+def test_faults_are_one_line(dslam: Run, drive: TextDrive) -> None:
+    assert_refused(dslam("import", "csv", drive.output, *options(drive), "--format", "bvh"), "--format", "tum, kitti")
+    drive.write("detections.csv", DETECTIONS.replace("4,5,6", "4,five,6"))
+    result = dslam("import", "csv", drive.output, *options(drive))
+    assert_refused(result, "detections.csv, line 3, column y_m: 'five' is not a finite number; correct or remove")
+    assert not drive.output.exists()
+    assert_refused(dslam("import", "csv", drive.files()["odometry"], *options(drive)), "is the input")
+
+
+def test_the_lines_of_the_docs_write_a_log_that_can_be_replayed(
+    dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (code,) = re.findall(r"```python\n(.*?)```", DOCS, flags=re.DOTALL)
+    assert sum(bool(line.strip()) for line in code.splitlines()) == 10
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, "docs/import.md", "exec"), {})
+    told = json.loads(dslam("replay", "drive.mcap", "-o", "map.mcap", "--json").out)
+    assert told["counters"]["odometry_used"] == 100
+    assert told["counters"]["objects_used"] == 200
+    assert told["counters"]["landmarks_confirmed"] == 2
+
+
+@pytest.mark.parametrize("word", ["stamp_s", "x_m", "diameter_m", "object_id", "sigma_x_m", "cxx", "track_id", "frame"])
+def test_the_help_names_the_columns(dslam: Run, word: str) -> None:
+    assert word in dslam("import", "csv", "--help").out
