@@ -30,6 +30,8 @@ from logs.writer import LogWriter, partial_path
 from slam.common.config import Config
 from slam.common.errors import InputDataError, SavedMapError
 from slam.object_map.map_io import METADATA, SavedMap, save_map
+from slam.self_calibration.calibration import calibrate
+from slam.self_calibration.survey import survey
 from slam.system import FinalMap, Slam
 
 _TOPICS: Mapping[type[Record], str] = {
@@ -113,6 +115,9 @@ def replay(
         copied |= set(selection.topics_of(RecordKind.TRANSFORMS)) - {_TOPICS[Transform]}
         mapped = Selection({topic: kinds for topic, kinds in selection.kinds.items() if set(kinds) & set(_MAPPED)})
         first_ns, last_ns = _span(reader, mapped)
+        if config.calibration.enabled:
+            records = (entry.record for entry in reader.records(mapped))
+            config = calibrate(config, survey(records, config.detection)).config
         slam = Slam(config, prior_map, extend=extend)
         max_message_latency_s, tracked = 0.0, 0
         # One thread: the products are small, and threads would add them up in another order on another machine.

@@ -86,7 +86,7 @@ class DetectionConfig(_Branch):
     sensor_range_m: float = Field(
         default=30.0,
         gt=0,
-        description="range within which 95 % of the detections are; lengths that are not settings are fractions of it [m]",
+        description="range that 95 % of the detections keep; lengths that are no settings are fractions of it [m]",
     )
 
     assume_body_frame: bool = Field(
@@ -309,9 +309,18 @@ class RegistrationConfig(_Branch):
     scale_sigma: float = Field(default=0.05, gt=0, lt=1, description="how far that scale is from 1")
 
 
+class CalibrationConfig(_Branch):
+    """What a replay estimates from the log before it maps it."""
+
+    enabled: bool = Field(
+        default=True, description="estimate lengths and noise from the log, but for those that are set by hand"
+    )
+
+
 class Config(_Branch):
     """Everything that can be set."""
 
+    calibration: CalibrationConfig = CalibrationConfig()
     keyframe: KeyframeConfig = KeyframeConfig()
     odometry: OdometryConfig = OdometryConfig()
     detection: DetectionConfig = DetectionConfig()

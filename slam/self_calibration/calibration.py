@@ -1,0 +1,164 @@
+"""Settings from a survey: lengths from the sensor range, noise from the variance components.
+
+A setting that was given by hand stays as it is. Where the log tells too little, the noise is taken to be large: a prior
+in units of the sensor range, not that of a good sensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import BaseModel
+
+from slam.common.config import Config, DetectionConfig
+from slam.self_calibration.survey import Survey
+from slam.self_calibration.variance_components import NoiseComponents
+
+LENGTHS: Mapping[str, int] = {
+    "keyframe.distance_m": 1,
+    "detection.max_range_m": 1,
+    "detection.sensor_range_m": 1,
+    "detection.min_sigma_m": 1,
+    "odometry.max_speed_mps": 1,
+    "odometry.max_acceleration_mps2": 1,
+    "association.forget_distance_m": 1,
+    "association.new_object_density": -3,
+    "landmark.max_missed_distance_m": 1,
+    "landmark.moving_speed_mps": 1,
+    "landmark.moving_distance_m": 1,
+    "landmark.moving_acceleration_mps2": 1,
+    "submap.travel_m": 1,
+    "likelihood_ratio.coverage_radius_m": 1,
+    "likelihood_ratio.clutter_radius_m": 1,
+    "likelihood_ratio.clutter_along_track_m": 1,
+    "likelihood_ratio.clutter_cross_track_sigma_m": 1,
+    "loop_closure.min_travel_m": 1,
+    "loop_closure.inactive_travel_m": 1,
+    "loop_closure.propagation_distance_m": 1,
+    "loop_closure.insert_travel_m": 1,
+    "registration.height_sigma_m": 1,
+    "registration.min_baseline_m": 1,
+    "registration.search_radius_m": 1,
+    "registration.distinct_m": 1,
+}
+"""Settings that are lengths, and the power of the length that their default scales with."""
+
+PRIOR_NOISE = NoiseComponents(
+    radial=0.02**2,
+    radial_by_range=0.0,
+    tangential=0.02**2,
+    tangential_by_range=0.0,
+    view=0.02**2,
+    jitter=0.0,
+    translation_by_travel=0.05**2,
+    translation_by_time=0.0,
+    heading_jitter=0.0,
+    heading_by_travel=0.2**2,
+    heading_by_turn=0.1**2,
+    heading_by_time=0.0,
+)
+"""Variances where a log tells nothing, lengths in sensor ranges: detections are off by 2 % of the range, the odometry
+by 5 % of it, and by 11 deg, after as much travel, and by 6 deg after turning by 1 rad.
+"""
+DEFAULT_RANGE_M = float(DetectionConfig.model_fields["sensor_range_m"].get_default())
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """``config``: the effective configuration; ``estimated``: the settings that the log decided, with their values."""
+
+    config: Config
+    estimated: Mapping[str, float]
+
+
+def calibrate(config: Config, survey: Survey | None) -> Calibration:
+    """The configuration for a log: settings that were not given by hand are derived from its survey."""
+    if survey is None:
+        return Calibration(config, {})
+    values = _lengths(config, survey) | _noise(config, survey)
+    estimated = {key: value for key, value in values.items() if not _is_given(config, key)}
+    branches: dict[str, dict[str, float]] = {}
+    for key, value in estimated.items():
+        branch, name = key.split(".")
+        branches.setdefault(branch, {})[name] = value
+    changed = {name: getattr(config, name).model_copy(update=update) for name, update in branches.items()}
+    return Calibration(config.model_copy(update=changed), estimated)
+
+
+def _is_given(config: Config, key: str) -> bool:
+    branch, name = key.split(".")
+    part: BaseModel = getattr(config, branch)
+    return name in part.model_fields_set
+
+
+def _lengths(config: Config, survey: Survey) -> dict[str, float]:
+    range_m = config.detection.sensor_range_m if _is_given(config, "detection.sensor_range_m") else survey.range_m
+    scale = range_m / DEFAULT_RANGE_M
+    values = {}
+    for key, power in LENGTHS.items():
+        branch, name = key.split(".")
+        values[key] = float(type(getattr(config, branch)).model_fields[name].get_default()) * scale**power
+    values["association.confusion_distance_m"] = survey.spacing_m if np.isfinite(survey.spacing_m) else 1e3 * range_m
+    return values
+
+
+def _noise(config: Config, survey: Survey) -> dict[str, float]:
+    """Standard deviations; of each variance its estimate and one standard error, so that little data make it large."""
+    found = _components(survey)
+    white = 0.5 * (found.radial + found.tangential)
+    by_range = 0.5 * (found.radial_by_range + found.tangential_by_range)
+    submap_m = _lengths(config, survey)["submap.travel_m"]
+    between_passes = found.view + 0.5 * submap_m * found.translation_by_travel
+    floor_m = 1e-4 * survey.range_m
+    return {
+        "odometry.translation_sigma": max(np.sqrt(found.translation_by_travel), 1e-2 * np.sqrt(floor_m)),
+        "odometry.translation_sigma_by_time": np.sqrt(found.translation_by_time),
+        "odometry.yaw_sigma": max(np.sqrt(found.heading_by_travel), 1e-5),
+        "odometry.yaw_sigma_by_turn": np.sqrt(found.heading_by_turn),
+        "odometry.yaw_sigma_by_time": np.sqrt(found.heading_by_time),
+        "odometry.min_translation_sigma_m": max(np.sqrt(2.0 * found.jitter), floor_m),
+        "odometry.min_rotation_sigma_rad": max(np.sqrt(2.0 * found.heading_jitter), 1e-4),
+        "detection.base_sigma_m": max(np.sqrt(white), floor_m),
+        "detection.sigma_per_m": np.sqrt(by_range),
+        "detection.common_sigma_m": np.sqrt(found.view),
+        "detection.covariance_inflation": max(_keyframes_per_view(config, survey), 1.0),
+        "submap.landmark_sigma_m": max(np.sqrt(between_passes), floor_m),
+        "loop_closure.base_sigma_m": max(np.sqrt(between_passes), floor_m),
+    }
+
+
+def _keyframes_per_view(config: Config, survey: Survey) -> float:
+    """Keyframes from which an object is seen in about the same way: while the viewing direction changes by 1 rad.
+
+    The errors that observations share are those of one view, so that so many observations carry the information of one.
+    """
+    distance_m = _lengths(config, survey)["keyframe.distance_m"]
+    if _is_given(config, "keyframe.distance_m"):
+        distance_m = config.keyframe.distance_m
+    return survey.median_range_m / distance_m
+
+
+def _components(survey: Survey) -> NoiseComponents:
+    estimate = survey.components
+    if estimate is None:
+        square = survey.range_m**2
+        prior = PRIOR_NOISE
+        return NoiseComponents(
+            radial=prior.radial * square,
+            radial_by_range=0.0,
+            tangential=prior.tangential * square,
+            tangential_by_range=0.0,
+            view=prior.view * square,
+            jitter=0.0,
+            translation_by_travel=prior.translation_by_travel * survey.range_m,
+            translation_by_time=0.0,
+            heading_jitter=0.0,
+            heading_by_travel=prior.heading_by_travel / survey.range_m,
+            heading_by_turn=prior.heading_by_turn,
+            heading_by_time=0.0,
+        )
+    found, errors = estimate.variances, estimate.standard_errors
+    names = NoiseComponents.__dataclass_fields__
+    return NoiseComponents(**{name: getattr(found, name) + getattr(errors, name) for name in names})
