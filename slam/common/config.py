@@ -117,11 +117,6 @@ class AssociationConfig(_Branch):
         lt=1,
         description="a detection outside the gate of every landmark, but not as far off as that, is left out",
     )
-    forget_distance_m: float = Field(
-        default=120.0,
-        gt=0,
-        description="landmarks unseen for that much travel are no longer associated with detections [m]",
-    )
     confusion_distance_m: float = Field(
         default=4.0, gt=0, description="distance between objects of a class, up to which they can be confused [m]"
     )

@@ -167,7 +167,7 @@ class ActiveLandmarks:
         merged = []
         while (pair := self._duplicate()) is not None:
             kept, dropped = pair
-            self._local.merge(kept, dropped, self._config.detection.min_sigma_m**2)
+            self._local.merge(kept, dropped, self._view_variance)
             self.rows = self.rows[self.rows != dropped]
             self._map.rows["position_local"][self._local.ids, :2] = self._local.positions()
             merged.append(pair)
@@ -185,7 +185,7 @@ class ActiveLandmarks:
         near = classes[first] == classes[second]
         first, second = first[near], second[near]
         difference, covariances = self._local.difference(first, second)
-        covariances = covariances + self._config.detection.min_sigma_m**2 * np.eye(2)
+        covariances = covariances + self._view_variance * np.eye(2)
         near = np.einsum("ki,ki->k", difference, difference) < 14.0 * np.trace(covariances, axis1=1, axis2=2)
         first, second, difference, covariances = first[near], second[near], difference[near], covariances[near]
         if len(first) == 0:
@@ -199,6 +199,11 @@ class ActiveLandmarks:
             return None
         kept, dropped = sorted((int(ids[first[best]]), int(ids[second[best]])))
         return kept, dropped
+
+    @property
+    def _view_variance(self) -> float:
+        """By how much [m^2] two views of an object differ in where they put it."""
+        return 2.0 * max(self._config.detection.common_sigma_m, self._config.detection.min_sigma_m) ** 2
 
     @property
     def _slots(self) -> IntArray:

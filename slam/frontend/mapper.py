@@ -231,7 +231,7 @@ class Mapper:
         unseen_scans = self._scan_count - landmarks["last_scan"]
         lost = (unseen_m > limits.max_missed_distance_m) | (unseen_scans > limits.max_missed_scans)
         stale = lost & (landmarks["state"] != LandmarkState.CONFIRMED)
-        self._deactivate(stale | (unseen_m > self._config.association.forget_distance_m) | self._active.uncertain())
+        self._deactivate(stale | self._active.uncertain())
 
     def _deactivate(self, gone: NDArray[np.bool_]) -> None:
         """Deactivate the landmarks ``gone`` (A,); tentative ones are retired."""

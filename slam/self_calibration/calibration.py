@@ -23,7 +23,6 @@ LENGTHS: Mapping[str, int] = {
     "detection.min_sigma_m": 1,
     "odometry.max_speed_mps": 1,
     "odometry.max_acceleration_mps2": 1,
-    "association.forget_distance_m": 1,
     "association.new_object_density": -3,
     "landmark.max_missed_distance_m": 1,
     "landmark.moving_speed_mps": 1,

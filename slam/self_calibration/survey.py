@@ -25,7 +25,8 @@ RANGE_QUANTILE = 0.95
 class Survey:
     """What the beginning of a log tells.
 
-    ``range_m``, ``median_range_m``: the 95th percentile and the median of the horizontal ranges of detections; ``spacing_m``: the median distance of a
+    ``range_m``, ``median_range_m``: the 95th percentile and the median of the horizontal ranges of detections;
+    ``spacing_m``: the median distance of a
     detection from the nearest other one of its class in the same scan, NaN where classes never share a scan;
     ``objects``: mean number a scan; ``interval_s``: median time between scans; ``claimed_ratio``: the variance of
     detections by that which their messages claim, NaN where none does; ``height_sigma_m``: noise of heights.
