@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -78,8 +79,6 @@ def _show(output: Path, picture: Path | None, summary: ReplaySummary) -> None:
 
     counters = summary.counters
     landmarks = [f"{counters.get(f'landmarks_{state}', 0)} {state}" for state in _LANDMARK_STATES]
-    noted = [f"{name.replace('_', ' ')} {count}" for name, count in counters.items()
-             if count and not name.startswith(_TOLD) and name not in _USED]  # fmt: skip
     x_real_time = _x_real_time(summary)
     speed = f", {x_real_time:.1f} x real time" if x_real_time else ""
     rows = {
@@ -90,13 +89,22 @@ def _show(output: Path, picture: Path | None, summary: ReplaySummary) -> None:
         "landmarks": ", ".join(landmarks),
         "loops": f"closed at {counters.get('closures_accepted', 0)} keyframes, "
         f"by {counters.get('closures_inserted', 0)} factors; {counters.get('closures_withdrawn', 0)} taken out again"
-        + _doubted(counters.get("closures_doubted", 0)),
+        + doubted_note(counters.get("closures_doubted", 0)),
         **({"found": _fixes(summary)} if summary.fixes_s else {}),
-        "warnings": ", ".join(noted) or "none",
+        "warnings": ", ".join(noted_counters(counters)) or "none",
         "final status": summary.final_status,
         "written": str(output) + (f", {picture}" if picture else ""),
     }
     console.show(console.pairs(rows))
+
+
+def noted_counters(counters: Mapping[str, int]) -> list[str]:
+    """What a user is warned of: the counters, other than zeros, of what was not simply used."""
+    return [
+        f"{name.replace('_', ' ')} {count}"
+        for name, count in counters.items()
+        if count and not name.startswith(_TOLD) and name not in _USED
+    ]
 
 
 def _fixes(summary: ReplaySummary) -> str:
@@ -105,7 +113,7 @@ def _fixes(summary: ReplaySummary) -> str:
     return ", ".join(f"after {seconds:.1f} s and {travel_m:.0f} m" for seconds, travel_m in fixes)
 
 
-def _doubted(count: int) -> str:
+def doubted_note(count: int) -> str:
     """Many of them mean that the odometry drifts more than the configuration says."""
     if not count:
         return ""
