@@ -66,10 +66,13 @@ def faults(
 
 
 def told_of(run: FaultRun) -> str:
-    """What 'dslam replay' prints of the run beside its numbers: final status, warnings and doubts."""
+    """What 'dslam replay' prints of the run beside its numbers: final status, warnings, closures taken out, doubts."""
     warnings = ", ".join(noted_counters(run.counters)) or "none"
     doubted = doubted_note(run.counters.get("closures_doubted", 0)).removeprefix("; ")
-    said = [f"status: {run.final_status}", f"warnings: {warnings}", *([doubted] if doubted else [])]
+    withdrawn = run.counters.get("closures_withdrawn", 0)
+    said = [f"status: {run.final_status}", f"warnings: {warnings}"]
+    said += [f"{withdrawn} closures taken out again"] if withdrawn else []
+    said += [doubted] if doubted else []
     return "; ".join([*said, *(f"on the way: {text}" for text in run.warnings if text != run.final_status)])
 
 
