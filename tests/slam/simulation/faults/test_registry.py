@@ -8,7 +8,7 @@ from slam.common.errors import ConfigurationError, SimulationError
 from slam.simulation.faults.faulty_log import apply_faults
 from slam.simulation.faults.registry import FAULTS, all_cases, parse_fault, parse_faults
 from slam.simulation.faults.stream import Entry
-from tests.slam.simulation.faults.streams import changed_topics, drive, faulty
+from tests.slam.simulation.faults.streams import changed_topics, drive, faulty, positions
 
 TOPICS = {
     RecordKind.ODOMETRY: "/odom",
@@ -68,8 +68,8 @@ def test_random_numbers_do_not_depend_on_the_faults_before() -> None:
 
 
 def test_a_fault_that_comes_twice_draws_anew() -> None:
-    noise = [contents(faulty(*["position_noise"] * times)) for times in (1, 2)]
-    assert noise[0] != noise[1]
+    once, twice = (positions(faulty(*["position_noise"] * times)) - positions(drive()) for times in (1, 2))
+    assert twice.std() == pytest.approx(np.sqrt(2.0) * once.std(), rel=0.1)
 
 
 def test_names_and_values() -> None:
