@@ -10,11 +10,24 @@ import typer
 from tools.arguments import InputLog, Json, Topics, check_outputs, parse_topics
 
 if TYPE_CHECKING:
+    from slam.simulation.degradation import DegradationConfig
     from slam.simulation.degraded_log import DegradationSummary
+    from slam.simulation.faults.faulty_log import FaultSummary
+    from slam.simulation.faults.registry import FaultCase
 
 _VIEW = "What the sensor sees"
 _DETECTOR = "How well it detects"
 _DRIVE = "Odometry and time"
+_FAULTS = "Faults"
+
+
+def _list_faults(wanted: bool) -> None:
+    if wanted:
+        from slam.simulation.faults.registry import FAULTS
+        from tools import console
+
+        console.show(console.pairs({fault.usage: fault.meaning for fault in FAULTS.values()}))
+        raise typer.Exit
 
 
 def degrade(
@@ -69,6 +82,24 @@ def degrade(
     is_reversed: Annotated[
         bool, typer.Option("--reversed", help="Play the drive backwards, in reverse gear.", rich_help_panel=_DRIVE)
     ] = False,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME[=VALUE]",
+            help="Put that fault into the log, several values joined by a colon. Repeatable.",
+            rich_help_panel=_FAULTS,
+        ),
+    ] = None,
+    _listed: Annotated[
+        bool,
+        typer.Option(
+            "--list-faults",
+            help="List the faults with their values and their meaning.",
+            callback=_list_faults,
+            is_eager=True,
+            rich_help_panel=_FAULTS,
+        ),
+    ] = False,
     seed: Annotated[int, typer.Option(help="Seed of all that is random.")] = 0,
     topics: Topics = None,
     json: Json = False,
@@ -79,7 +110,8 @@ def degrade(
     shifted, then come view and labels, dropout, confusion, noise, and false
     positives, which lie where most detections in view do and have their heights
     and labels. Each has random numbers of its own. The truth stays as it is. At
-    least one option has to be given, if only --dropout 0.
+    least one option has to be given, if only --dropout 0. Faults are put in after
+    all that, in their order.
 
     Example: dslam degrade drive.mcap -o harder.mcap --dropout 0.3 --position-noise 0.2
     """
@@ -98,30 +130,86 @@ def degrade(
         "reversed": is_reversed or None,
     }
     given = {name: value for name, value in options.items() if value is not None}
-    if not given:
+    if not given and not fault:
         raise typer.BadParameter("nothing to do; say how to degrade the log, for example by --dropout 0.3")
     chosen = parse_topics(topics)
     check_outputs([output], [source])
     from slam.simulation.degradation import make_degradation
+    from slam.simulation.faults.registry import parse_faults
+
+    config, cases = make_degradation(given), parse_faults(fault or ())
+    summary, faulty = _write(source, output, config, cases, seed, chosen)
+    if json:
+        _show_json(output, seed, config, summary, cases, faulty)
+        return
+    if summary is not None:
+        _show(output, seed, summary)
+    if faulty is not None:
+        _show_faults(output, seed, cases, faulty)
+
+
+def _write(
+    source: Path,
+    output: Path,
+    config: DegradationConfig,
+    cases: list[FaultCase],
+    seed: int,
+    topics: dict[str, str],
+) -> tuple[DegradationSummary | None, FaultSummary | None]:
+    """Degrade, put faults in, or the one and then the other by way of a temporary log."""
+    from tempfile import TemporaryDirectory
+
     from slam.simulation.degraded_log import write_degraded
+    from slam.simulation.faults.faulty_log import write_faulty
     from tools import console
 
-    config = make_degradation(given)
-    with console.progress_bar("degrading", "finishing") as progress:
-        summary = write_degraded(source, output, config, seed=seed, topics=chosen, progress=progress)
-    if json:
-        console.show_json(
-            {
-                "output": str(output),
-                "seed": seed,
-                "options": config.in_effect(),
-                **summary.counts,
-                "message_counts": summary.message_counts,
-                "left_out": summary.left_out,
-            }
-        )
-    else:
-        _show(output, seed, summary)
+    summary = faulty = None
+    with TemporaryDirectory() as folder, console.progress_bar("degrading", "finishing") as progress:
+        if config.in_effect() or not cases:
+            degraded = Path(folder) / "degraded.mcap" if cases else output
+            summary = write_degraded(
+                source, degraded, config, seed=seed, topics=topics, progress=None if cases else progress
+            )
+            source = degraded
+        if cases:
+            faulty = write_faulty(source, output, cases, seed=seed, topics=topics, progress=progress)
+    return summary, faulty
+
+
+def _show_json(
+    output: Path,
+    seed: int,
+    config: DegradationConfig,
+    summary: DegradationSummary | None,
+    cases: list[FaultCase],
+    faulty: FaultSummary | None,
+) -> None:
+    from tools import console
+
+    written = faulty or summary  # of both, the faults wrote the output
+    console.show_json(
+        {
+            "output": str(output),
+            "seed": seed,
+            "options": config.in_effect(),
+            **(summary.counts if summary is not None else {}),
+            **({"faults": [case.name for case in cases]} if faulty is not None else {}),
+            "message_counts": written.message_counts if written is not None else {},
+            "left_out": {**(summary.left_out if summary else {}), **(faulty.left_out if faulty else {})},
+        }
+    )
+
+
+def _show_faults(output: Path, seed: int, cases: list[FaultCase], summary: FaultSummary) -> None:
+    from tools import console
+
+    told = [f"{case.name}: {case.fault.meaning}" for case in cases]
+    rows = {
+        "faults": "\n".join(told),
+        "warnings": ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in summary.left_out.items()) or "none",
+        "written": f"{output} (seed {seed})",
+    }
+    console.show(console.pairs(rows))
 
 
 def _show(output: Path, seed: int, summary: DegradationSummary) -> None:

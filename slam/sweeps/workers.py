@@ -27,7 +27,7 @@ class Death:
 
 
 def compute_all(
-    compute: Callable[[_Task], _Outcome], tasks: Sequence[_Task], *, jobs: int
+    compute: Callable[[_Task], _Outcome], tasks: Sequence[_Task], *, jobs: int, fresh: bool = False
 ) -> Generator[tuple[_Task, _Outcome | Death], None, None]:
     """Each task with its outcome, as they finish; with one job in this process and in their order.
 
@@ -35,8 +35,9 @@ def compute_all(
         compute: a function of a module, which raises nothing; it runs on one thread.
         tasks: that can be pickled.
         jobs: processes at a time.
+        fresh: a process of its own for each task, with one job too.
     """
-    if jobs == 1:
+    if jobs == 1 and not fresh:
         with threadpool_limits(1):
             for task in tasks:
                 yield task, compute(task)
@@ -50,7 +51,7 @@ def compute_all(
             for ready in wait(list(busy)):
                 worker = busy[ready]  # type: ignore[index]
                 finished = worker.finish()
-                if isinstance(finished[1], Death):
+                if fresh or isinstance(finished[1], Death):
                     workers.remove(worker)
                     worker.stop()
                     if waiting:

@@ -14,7 +14,7 @@ COMMANDS = (
     *("simulate", "degrade", "import kitti-objects", "import victoria-park", "info", "replay", "evaluate"),
     *("optimize", "export", "config", "benchmark registration", "benchmark closures"),
     *("relocalize", "train", "benchmark replay", "benchmark descriptors", "benchmark map-size"),
-    "benchmark relocalization",
+    *("benchmark relocalization", "benchmark faults"),
 )
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings
-from tools.benchmarks import closures, descriptors, relocalization, robots
+from tools.benchmarks import closures, descriptors, faults, relocalization, robots
 
 if TYPE_CHECKING:
     from slam.benchmarks.registration import RegistrationBenchmark
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Measure speed, memory and success.", no_args_is_help=True)
 app.command()(closures.closures)
 app.command()(descriptors.descriptors)
+app.command()(faults.faults)
 app.command("map-size")(descriptors.map_size)
 app.command()(relocalization.relocalization)
 app.command()(robots.robots)

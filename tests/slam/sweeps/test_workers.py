@@ -42,6 +42,14 @@ def test_every_task_is_computed(jobs: int) -> None:
     assert dict(compute_all(square, range(7), jobs=jobs)) == {number: number**2 for number in range(7)}
 
 
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_process_of_its_own_for_each_task(jobs: int) -> None:
+    outcomes = dict(compute_all(die_over_three, [1, 2, 3, 4], jobs=jobs, fresh=True))
+    assert outcomes.pop(3) == Death(-signal.SIGKILL)
+    processes = {outcome[1] for outcome in outcomes.values() if not isinstance(outcome, Death)}
+    assert len(processes | {os.getpid()}) == 4
+
+
 def test_nothing_to_do() -> None:
     assert list(compute_all(square, [], jobs=2)) == []
 

@@ -1,0 +1,143 @@
+"""Faults of stamps, rates and gaps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from logs.messages import DetectionTruth, ObjectDetections, Odometry
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.geometry import apply, invert
+from slam.simulation.faults.stream import (
+    HALF,
+    Entry,
+    Scan,
+    Stream,
+    body_frames_of,
+    by_log_time,
+    keep_scans,
+    odometry_of,
+    poses_at,
+    restamp_scans,
+    scans_of,
+    seconds_ns,
+    stamp_at,
+)
+
+_NS_PER_US = 1000
+
+
+def stamp_late(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:
+    """Detections are stamped later than they were made."""
+    return restamp_scans(stream, lambda stamp_ns: stamp_ns + seconds_ns(seconds))
+
+
+def stamp_early(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:
+    """Detections are stamped earlier than they were made."""
+    return restamp_scans(stream, lambda stamp_ns: stamp_ns - seconds_ns(seconds))
+
+
+def set_clock_back(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:
+    """From the half on, the clock of the detections is behind."""
+    begin_ns = stamp_at(stream, HALF)
+    return restamp_scans(stream, lambda stamp_ns: stamp_ns - seconds_ns(seconds) * (stamp_ns >= begin_ns))
+
+
+def stamp_in_microseconds(stream: Stream, rng: np.random.Generator) -> list[Entry]:
+    """The stamps of detections count microseconds where nanoseconds are meant."""
+    return restamp_scans(stream, lambda stamp_ns: stamp_ns // _NS_PER_US)
+
+
+def thin_scans(stream: Stream, rng: np.random.Generator, rate_hz: float) -> list[Entry]:
+    """Detections come no more often than at a rate; the odometry as before."""
+    stamps_ns = np.unique([s.detections.stamp_ns for s in scans_of(stream)])
+    kept = set(_thinned(stamps_ns, rate_hz).tolist())
+    return keep_scans(stream, lambda stamp_ns: stamp_ns in kept)
+
+
+def change_rate(stream: Stream, rng: np.random.Generator, rate_hz: float) -> list[Entry]:
+    """Odometry and detections come at a rate: thinned, or filled in.
+
+    Filled-in odometry is interpolated. Filled-in scans repeat the objects of the scan before as they would be seen from
+    where the odometry is by then, errors and all.
+    """
+    stamps_ns = np.unique([s.detections.stamp_ns for s in scans_of(stream)])
+    if len(stamps_ns) > 1 and rate_hz * 1e-9 * float(np.median(np.diff(stamps_ns))) > 1.0:
+        return _filled(stream, rate_hz)
+    kept_odometry = set(_thinned(np.unique(odometry_of(stream)[0]), rate_hz).tolist())
+    thinned = [e for e in stream if not isinstance(e.content, Odometry) or e.content.stamp_ns in kept_odometry]
+    return thin_scans(thinned, rng, rate_hz)
+
+
+def pause_odometry(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:
+    """From the half on, no odometry comes for a while."""
+    begin_ns = stamp_at(stream, HALF)
+    end_ns = begin_ns + seconds_ns(seconds)
+    return [e for e in stream if not (isinstance(e.content, Odometry) and begin_ns <= e.content.stamp_ns < end_ns)]
+
+
+def run_backwards(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:
+    """From the half on, the stamps of the odometry fall instead of rising, for a while."""
+    begin_ns = stamp_at(stream, HALF)
+    end_ns = begin_ns + seconds_ns(seconds)
+    return [
+        e.having(replace(e.content, stamp_ns=begin_ns + end_ns - e.content.stamp_ns))
+        if isinstance(e.content, Odometry) and begin_ns <= e.content.stamp_ns < end_ns
+        else e
+        for e in stream
+    ]
+
+
+def _thinned(stamps_ns: IntArray, rate_hz: float) -> IntArray:
+    """Of the rising stamps (N,), the first of each period of the rate."""
+    if len(stamps_ns) == 0:
+        return stamps_ns
+    # Half a nanosecond more keeps stamps that stand exactly at the period's ends.
+    periods = np.floor((stamps_ns - stamps_ns[0] + 0.5) * 1e-9 * rate_hz).astype(np.int64)
+    return np.asarray(stamps_ns[np.unique(periods, return_index=True)[1]])
+
+
+def _filled(stream: Stream, rate_hz: float) -> list[Entry]:
+    entries = list(stream)
+    stamps_ns, poses = odometry_of(stream)
+    odometry = [(e, e.content) for e in entries if isinstance(e.content, Odometry)]
+    for (entry, before), (_, after) in pairwise(odometry):
+        between_ns = _between(before.stamp_ns, after.stamp_ns, rate_hz)
+        for stamp_ns, T in zip(between_ns.tolist(), poses_at(stamps_ns, poses, between_ns), strict=True):
+            record = replace(before, stamp_ns=stamp_ns, T_odom_body=T)
+            entries.append(entry.having(record, entry.log_time_ns + stamp_ns - before.stamp_ns))
+    frame = body_frames_of(stream)
+    scans = scans_of(stream)
+    for scan, later in pairwise(scans):
+        between_ns = _between(scan.detections.stamp_ns, later.detections.stamp_ns, rate_hz)
+        T_odom_body = poses_at(stamps_ns, poses, np.concatenate([[scan.detections.stamp_ns], between_ns]))
+        T_body_sensor = frame(scan.detections.frame_id)
+        for stamp_ns, T in zip(between_ns.tolist(), T_odom_body[1:], strict=True):
+            T_now_then = invert(T @ T_body_sensor) @ T_odom_body[0] @ T_body_sensor
+            entries += _repeated(stream, scan, stamp_ns, T_now_then)
+    return by_log_time(entries)
+
+
+def _between(first_ns: int, last_ns: int, rate_hz: float) -> IntArray:
+    """Stamps inside an interval that make messages of at least the rate, evenly."""
+    pieces = int(np.ceil((last_ns - first_ns) * 1e-9 * rate_hz - 1e-6))
+    return np.linspace(first_ns, last_ns, max(pieces, 1) + 1)[1:-1].round().astype(np.int64)
+
+
+def _repeated(stream: Stream, scan: Scan, stamp_ns: int, T_now_then: FloatArray) -> list[Entry]:
+    """Detections, and their true ids, once more at a later stamp."""
+    shift_ns = stamp_ns - scan.detections.stamp_ns
+    R, covariances = T_now_then[:3, :3], scan.detections.covariances
+    detections: ObjectDetections = replace(
+        scan.detections,
+        stamp_ns=stamp_ns,
+        positions=apply(T_now_then, scan.detections.positions),
+        covariances=None if covariances is None else R @ covariances @ R.T,
+    )
+    entries = [stream[scan.row].having(detections, stream[scan.row].log_time_ns + shift_ns)]
+    if scan.truth_row is not None and scan.object_ids is not None:
+        truth = stream[scan.truth_row]
+        entries.append(truth.having(DetectionTruth(stamp_ns, scan.object_ids), truth.log_time_ns + shift_ns))
+    return entries

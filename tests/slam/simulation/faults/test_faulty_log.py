@@ -1,0 +1,70 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from logs.errors import UnwritableLogError
+from logs.messages import Transform
+from logs.reader import LogReader
+from logs.writer import LogWriter
+from slam.common.errors import SimulationError
+from slam.simulation.faults.faulty_log import write_faulty
+from slam.simulation.faults.registry import parse_faults
+from tests.slam.simulation.degraded import raw_messages
+from tests.slam.simulation.faults.streams import START_NS, T_BODY_SENSOR, drive
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("log") / "log.mcap"
+    with LogWriter(path) as writer:
+        writer.add_metadata("source", {"dataset": "made up"})
+        for entry in drive():
+            assert not hasattr(entry.content, "channel")
+            writer.write(entry.topic, entry.content, entry.log_time_ns + 5)  # type: ignore[arg-type]
+    return path
+
+
+def test_topics_that_no_fault_changes_keep_their_bytes(log: Path, tmp_path: Path) -> None:
+    output = tmp_path / "out.mcap"
+    summary = write_faulty(log, output, parse_faults(["heading_jump=30"]), seed=0)
+    same = ("/detections", "/ground_truth", "/ground_truth/detections", "/ground_truth/objects", "/tf_static")
+    assert raw_messages(output, *same) == raw_messages(log, *same)
+    assert len(raw_messages(output, "/odom")) == len(raw_messages(log, "/odom")) == summary.message_counts["/odom"]
+    assert raw_messages(output, "/odom") != raw_messages(log, "/odom")
+
+
+def test_the_same_input_gives_the_same_bytes(log: Path, tmp_path: Path) -> None:
+    first, second, other = (tmp_path / f"{name}.mcap" for name in "abc")
+    for output, seed in ((first, 1), (second, 1), (other, 2)):
+        write_faulty(log, output, parse_faults(["labels_random", "odometry_jumps"]), seed=seed)
+    assert first.read_bytes() == second.read_bytes() != other.read_bytes()
+
+
+def test_what_was_done_stands_in_the_log(log: Path, tmp_path: Path) -> None:
+    once, twice = tmp_path / "once.mcap", tmp_path / "twice.mcap"
+    write_faulty(log, once, parse_faults(["detections_late", "gyro_bias=30:1"]), seed=4)
+    write_faulty(once, twice, parse_faults(["labels_unique"]), seed=5)
+    with LogReader(twice) as reader:
+        told = reader.metadata()
+    assert told["source"] == {"dataset": "made up"}
+    assert (told["faults"]["faults"], told["faults"]["seed"]) == ("detections_late=0.1 gyro_bias=30:1", "4")
+    assert (told["faults_2"]["faults"], told["faults_2"]["seed"]) == ("labels_unique", "5")
+
+
+def test_the_input_is_never_overwritten(log: Path) -> None:
+    with pytest.raises(UnwritableLogError, match="overwrite the input"):
+        write_faulty(log, log, parse_faults(["labels_unique"]), seed=0)
+
+
+def test_a_topic_that_plays_two_parts_is_refused(log: Path, tmp_path: Path) -> None:
+    frames = tmp_path / "frames.mcap"
+    with LogWriter(frames) as writer:
+        for i in range(3):
+            writer.write("/tf", Transform(START_NS + i, "odom", "base_link", T_BODY_SENSOR))
+        for entry in drive():
+            if entry.topic == "/detections":
+                writer.write(entry.topic, entry.content)  # type: ignore[arg-type]
+    with pytest.raises(SimulationError, match="cannot be rewritten"):
+        write_faulty(frames, tmp_path / "out.mcap", parse_faults(["gyro_bias"]), seed=0, topics={"odometry": "/tf"})
