@@ -89,7 +89,7 @@ def _show(output: Path, picture: Path | None, summary: ReplaySummary) -> None:
         "landmarks": ", ".join(landmarks),
         "loops": f"{counters.get('closures_accepted', 0)} loop closures accepted, "
         f"{counters.get('closures_inserted', 0)} factors, {counters.get('closures_removed', 0)} removed as outliers"
-        + _rejected_by_odometry(counters.get("closures_rejected_by_odometry", 0)),
+        + rejected_by_odometry_note(counters.get("closures_rejected_by_odometry", 0)),
         **({"found": _fixes(summary)} if summary.relocalization_times_s else {}),
         "warnings": ", ".join(noted_counters(counters)) or "none",
         "final status": summary.final_status,
@@ -113,7 +113,7 @@ def _fixes(summary: ReplaySummary) -> str:
     return ", ".join(f"after {seconds:.1f} s and {travel_m:.0f} m" for seconds, travel_m in fixes)
 
 
-def _rejected_by_odometry(count: int) -> str:
+def rejected_by_odometry_note(count: int) -> str:
     """A large number means that the odometry drifts more than it is configured to."""
     if not count:
         return ""

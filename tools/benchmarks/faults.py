@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tools.arguments import ConfigFile, InputLog, Json, Settings, Topics, check_outputs, parse_topics
-from tools.replay import doubted_note, noted_counters
+from tools.replay import noted_counters, rejected_by_odometry_note
 
 if TYPE_CHECKING:
     from slam.benchmarks.faults.run import FaultRun
@@ -68,10 +68,10 @@ def faults(
 def told_of(run: FaultRun) -> str:
     """What 'dslam replay' prints of the run beside its numbers: final status, warnings, closures taken out, doubts."""
     warnings = ", ".join(noted_counters(run.counters)) or "none"
-    doubted = doubted_note(run.counters.get("closures_doubted", 0)).removeprefix("; ")
-    withdrawn = run.counters.get("closures_withdrawn", 0)
+    doubted = rejected_by_odometry_note(run.counters.get("closures_rejected_by_odometry", 0)).removeprefix("; ")
+    withdrawn = run.counters.get("closures_removed", 0)
     said = [f"status: {run.final_status}", f"warnings: {warnings}"]
-    said += [f"{withdrawn} closures taken out again"] if withdrawn else []
+    said += [f"{withdrawn} closures removed as outliers"] if withdrawn else []
     said += [doubted] if doubted else []
     return "; ".join([*said, *(f"on the way: {text}" for text in run.warnings if text != run.final_status)])
 
