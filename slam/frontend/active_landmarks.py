@@ -2,8 +2,8 @@
 
 Confirmed landmarks are held by the EKF of :mod:`slam.frontend.local_map`, which corrects the robot's pose by them;
 tentative ones have a small Kalman filter each and correct nothing. A confirmed landmark is let go when it is no longer
-certain which of its like it is: when its position relative to the robot is known no better than a third of the distance
-between objects of its class. From then on its place has to be recognised, which is what loop closing does.
+certain which of its like it is: when the standard deviation of its position relative to the robot, with the inflated
+noise of the odometry, exceeds the distance between objects of its class. From then on its place has to be recognised, which is what loop closing does.
 """
 
 from __future__ import annotations
@@ -22,8 +22,6 @@ from slam.object_map.landmarks import ObjectMap
 from slam.odometry.noise import step_variances
 from slam.odometry.track import OdometryPose
 
-CERTAIN_SIGMAS = 3.0
-"""A landmark can be confused with another that is nearer than so many standard deviations of where it is expected."""
 SAME_PROBABILITY = 0.99
 """Probability from which two landmarks are one object."""
 # Least time over which a moving object is given to change its speed: 10 Hz scans leave it none, its noise does.
@@ -151,7 +149,7 @@ class ActiveLandmarks:
             return uncertain
         covariances = self._local.predict(slots[held])[1]
         sigmas = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
-        uncertain[held] = CERTAIN_SIGMAS * sigmas > self._config.association.confusion_distance_m
+        uncertain[held] = sigmas > self._config.association.confusion_distance_m
         excess = len(held) - self._config.association.max_landmarks
         if excess > 0:
             oldest = np.argsort(self._map.rows["last_seen_ns"][self.rows[held]], kind="stable")[:excess]
