@@ -80,6 +80,9 @@ class DetectionConfig(_Branch):
         description="factor on covariances of observations, where the message has none, for correlated errors: "
         "errors of centroids are shared by the objects in view and by the keyframes of a traversal",
     )
+    scans_per_view: float = Field(
+        default=20.0, ge=1, description="scans in a row in which the errors that observations share stay the same"
+    )
     min_sigma_m: float = Field(default=0.01, ge=0, description="added to the message's own covariances [m]")
     min_score: float = Field(default=0.0, ge=0, le=1, description="detections below this score are left out")
     max_range_m: float = Field(default=80.0, gt=0, description="detections farther away are left out [m]")
@@ -119,6 +122,9 @@ class AssociationConfig(_Branch):
     )
     confusion_distance_m: float = Field(
         default=4.0, gt=0, description="distance between objects of a class, up to which they can be confused [m]"
+    )
+    active_radius_m: float = Field(
+        default=60.0, gt=0, description="landmarks farther from the robot are no longer associated with detections [m]"
     )
     max_landmarks: int = Field(
         default=200, ge=10, description="landmarks around the robot that are kept for association, the latest seen"

@@ -3,7 +3,8 @@
 Confirmed landmarks are held by the EKF of :mod:`slam.frontend.local_map`, which corrects the robot's pose by them;
 tentative ones have a small Kalman filter each and correct nothing. A confirmed landmark is let go when it is no longer
 certain which of its like it is: when the standard deviation of its position relative to the robot, with the inflated
-noise of the odometry, exceeds the distance between objects of its class. From then on its place has to be recognised, which is what loop closing does.
+noise of the odometry, exceeds the distance between objects of its class; or when nothing that is seen here can be seen
+from there, so that only the odometry relates the two. From then on its place has to be recognised, which is what loop closing does.
 """
 
 from __future__ import annotations
@@ -102,7 +103,7 @@ class ActiveLandmarks:
             indices: (K,) into ``rows``.
             predicted: of all active landmarks.
             seen: K detections, local frame.
-            covariances: (K, 3, 3) m^2 of them, with the errors that sightings of an object share.
+            covariances: (K, 3, 3) m^2 with which they correct the robot's pose and confirmed landmarks.
         """
         rows = self.rows[indices]
         landmarks = self._map.rows
@@ -149,7 +150,10 @@ class ActiveLandmarks:
             return uncertain
         covariances = self._local.predict(slots[held])[1]
         sigmas = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
-        uncertain[held] = sigmas > self._config.association.confusion_distance_m
+        distances = np.linalg.norm(self._local.positions()[slots[held]] - self.T_local_body[:2, 3], axis=1)
+        uncertain[held] = (sigmas > self._config.association.confusion_distance_m) | (
+            distances > self._config.association.active_radius_m
+        )
         excess = len(held) - self._config.association.max_landmarks
         if excess > 0:
             oldest = np.argsort(self._map.rows["last_seen_ns"][self.rows[held]], kind="stable")[:excess]

@@ -78,7 +78,8 @@ class Mapper:
         in_local, in_keyframe = scan.seen_from(self._active.advance(pose)), scan.seen_from(T_keyframe_body)
         labels = self._map.label_indices(scan.labels)
         predicted = self._active.predict(scan.stamp_ns)
-        covariances = in_local.covariances + self._common_covariances(scan)
+        common = self._common_covariances(scan)
+        covariances = in_local.covariances + common
         assignment = associate(
             in_local.positions,
             covariances,
@@ -91,7 +92,9 @@ class Mapper:
         known, new = assignment.matched, assignment.new
         rows = np.full(len(known), -1, dtype=np.int64)
         rows[known] = self._active.rows[assignment.landmark_rows[known]]
-        self._active.update(assignment.landmark_rows[known], predicted, in_local.of(known), covariances[known])
+        # Errors that the scans of one view share are not averaged out by them.
+        independent = in_local.covariances + self._config.detection.scans_per_view * common
+        self._active.update(assignment.landmark_rows[known], predicted, in_local.of(known), independent[known])
         self._map.record_observations(
             rows[known],
             in_local.positions[known],

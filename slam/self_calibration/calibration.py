@@ -99,6 +99,7 @@ def _lengths(config: Config, survey: Survey) -> dict[str, float]:
     for key, power in LENGTHS.items():
         branch, name = key.split(".")
         values[key] = float(type(getattr(config, branch)).model_fields[name].get_default()) * scale**power
+    values["association.active_radius_m"] = 2.0 * survey.max_range_m
     values["association.confusion_distance_m"] = survey.spacing_m if np.isfinite(survey.spacing_m) else 1e3 * range_m
     return values
 
@@ -117,12 +118,12 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         "odometry.yaw_sigma": max(np.sqrt(found.heading_by_travel), 1e-5),
         "odometry.yaw_sigma_by_turn": np.sqrt(found.heading_by_turn),
         "odometry.yaw_sigma_by_time": np.sqrt(found.heading_by_time),
-        "odometry.min_translation_sigma_m": max(np.sqrt(2.0 * found.jitter), floor_m),
-        "odometry.min_rotation_sigma_rad": max(np.sqrt(2.0 * found.heading_jitter), 1e-4),
+        "odometry.min_translation_sigma_m": floor_m,
         "detection.base_sigma_m": max(np.sqrt(white), floor_m),
         "detection.sigma_per_m": np.sqrt(by_range),
         "detection.common_sigma_m": np.sqrt(found.view),
         "detection.covariance_inflation": max(_keyframes_per_view(config, survey), 1.0),
+        "detection.scans_per_view": max(survey.median_range_m / max(survey.travel_m / survey.scans, 1e-9), 1.0),
         "submap.landmark_sigma_m": max(np.sqrt(between_passes), floor_m),
         "loop_closure.base_sigma_m": max(np.sqrt(between_passes), floor_m),
     }

@@ -25,7 +25,7 @@ RANGE_QUANTILE = 0.95
 class Survey:
     """What the beginning of a log tells.
 
-    ``range_m``, ``median_range_m``: the 95th percentile and the median of the horizontal ranges of detections;
+    ``range_m``, ``median_range_m``, ``max_range_m``: the 95th percentile, the median and the maximum of the horizontal ranges of detections;
     ``spacing_m``: the median distance of a
     detection from the nearest other one of its class in the same scan, NaN where classes never share a scan;
     ``objects``: mean number a scan; ``interval_s``: median time between scans; ``claimed_ratio``: the variance of
@@ -38,6 +38,7 @@ class Survey:
     classes: int
     range_m: float
     median_range_m: float
+    max_range_m: float
     spacing_m: float
     objects: float
     interval_s: float
@@ -77,6 +78,7 @@ def summarize(scans: list[SurveyScan]) -> Survey:
         classes=len(np.unique(np.concatenate([scan.labels for scan in scans]))),
         range_m=float(np.quantile(ranges, RANGE_QUANTILE)),
         median_range_m=float(np.median(ranges)),
+        max_range_m=float(ranges.max()),
         spacing_m=_spacing(scans),
         objects=len(ranges) / len(scans),
         interval_s=float(np.median(np.diff(stamps_s))) if len(scans) > 1 else 0.0,
