@@ -20,7 +20,7 @@ from slam.common.config import Config
 from slam.common.geometry import invert
 from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.closure_graph import ClosedLoops
-from slam.loop_closure.consistency import accumulated_llr, poses_agree, suppress_non_maxima
+from slam.loop_closure.consistency import accumulated_llr, suppress_non_maxima
 from slam.loop_closure.divergence_monitor import LocalizationMonitor
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
@@ -31,12 +31,12 @@ from slam.place_recognition.retrieval import PlaceRetriever
 
 logger = logging.getLogger(__name__)
 
-IN_VIEW_M = 4.0
-"""Landmarks observed within that travel are in view."""
-ELSEWHERE_M = 15.0
-"""Farther than the odometry can drift between two propagated closures."""
-TRUSTED_AFTER_M = 60.0
-"""A relocalization that stayed consistent over that travel is taken to be true."""
+IN_VIEW_RANGES = 4.0 / 30.0
+"""Landmarks observed within that travel, in sensor ranges, are in view."""
+ELSEWHERE_RANGES = 15.0 / 30.0
+"""Farther, in sensor ranges, than the odometry can drift between two propagated closures."""
+TRUSTED_AFTER_RANGES = 60.0 / 30.0
+"""A relocalization that stayed consistent over that travel, in sensor ranges, is taken to be true."""
 
 
 class LoopCloser:
@@ -47,20 +47,21 @@ class LoopCloser:
     ) -> None:
         self._submap_config = config.submap
         self._limits = config.loop_closure
+        self._sensor_range_m = config.detection.sensor_range_m
         self._odometry_inflation = config.odometry.inflation
         self._map = object_map
         self._keyframes = keyframes
         self._track = KeyframeTrack(config.odometry)
         for keyframe in keyframes:  # of the prior map
             self._track.add(keyframe)
-        self._retriever = PlaceRetriever(config.loop_closure, config.submap, config.registration, object_map)
+        self._retriever = PlaceRetriever(config, object_map)
         self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes)
         self._graph = graph
         self._loops = ClosedLoops(object_map, graph, keyframes)
         self._recent: deque[Query] = deque()
         self._hypotheses: deque[Candidate] = deque()
         self._seed_closure: Candidate | None = None
-        self._monitor = LocalizationMonitor()
+        self._monitor = LocalizationMonitor(self._sensor_range_m)
         # Only a prior map is trusted more than the robot's pose; a map in the making may itself be wrong.
         self._monitors_localization = len(keyframes) > 0
         self.lost_since_keyframe: int | None = None
@@ -131,7 +132,9 @@ class LoopCloser:
             return [query.refusal(Stage.RETRIEVAL, "no consistent descriptor matches")]
         # 4. The candidate with the highest score is accepted, kept as a hypothesis or rejected.
         refused = [each for each in verified if isinstance(each, LoopClosureRecord)]
-        candidates = suppress_non_maxima([each for each in verified if isinstance(each, Candidate)])
+        candidates = suppress_non_maxima(
+            [each for each in verified if isinstance(each, Candidate)], sensor_range_m=self._sensor_range_m
+        )
         return refused + self._decide(query, candidates)
 
     def _any_acceptable(self, verified: Sequence[Candidate | LoopClosureRecord]) -> bool:
@@ -141,9 +144,9 @@ class LoopCloser:
     def declare_lost(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
         """Reset to lost and revoke the closures from the keyframe ``since`` on, which are inconsistent with the map.
 
-        If the segment was connected to the map within the last ``TRUSTED_AFTER_M``, that relocalization was false and
-        all closures of the segment are revoked; otherwise the robot was kidnapped. Returns the records of the revoked
-        closures, and whether it was kidnapped.
+        If the segment was connected to the map within the last ``TRUSTED_AFTER_RANGES``, that relocalization was false
+        and all closures of the segment are revoked; otherwise the robot was kidnapped. Returns the records of the
+        revoked closures, and whether it was kidnapped.
         """
         connecting = [
             loop.candidate.travel_m
@@ -152,7 +155,7 @@ class LoopCloser:
             and self._keyframes[loop.candidate.query].odometry.segment == keyframe.odometry.segment
         ]
         connected_m = min(connecting, default=-np.inf)
-        is_kidnapped = keyframe.odometry.travel_m - connected_m > TRUSTED_AFTER_M
+        is_kidnapped = keyframe.odometry.travel_m - connected_m > TRUSTED_AFTER_RANGES * self._sensor_range_m
         if not is_kidnapped:
             since = next(k.id for k in self._keyframes if k.odometry.segment == keyframe.odometry.segment)
         self._loops.remove([loop for loop in self._loops.loops if loop.candidate.query >= since])
@@ -234,7 +237,7 @@ class LoopCloser:
             return False
         reference = self._retriever.reference_submap(place, before_m=self._verifier.latest_m(query))
         seen_m = self._map.rows["last_seen_travel_m"][query.submap.rows]
-        observed = query.submap.of(np.flatnonzero(seen_m > query.travel_m - IN_VIEW_M))
+        observed = query.submap.of(np.flatnonzero(seen_m > query.travel_m - IN_VIEW_RANGES * self._sensor_range_m))
         return self._monitor.update(query.keyframe.id, observed, reference, place.T_local_query)
 
     def _is_elsewhere(self, query: Query, candidate: Candidate) -> bool:
@@ -245,7 +248,8 @@ class LoopCloser:
         place = self._verifier.predict(seed_closure, query)
         if place is None or place.segment != self._keyframes[candidate.reference].odometry.segment:
             return False
-        return float(np.linalg.norm((place.T_local_query - candidate.T_local_query)[:2, 3])) > ELSEWHERE_M
+        apart_m = float(np.linalg.norm((place.T_local_query - candidate.T_local_query)[:2, 3]))
+        return apart_m > ELSEWHERE_RANGES * self._sensor_range_m
 
     def _verify_propagated(self, seed_closure: Candidate, query: Query) -> Candidate | None:
         """The closure that ``seed_closure`` predicts for a query, if the LLR reaches ``accept_llr_tracked``."""
@@ -253,7 +257,9 @@ class LoopCloser:
         if place is None:
             return None
         candidate = self._verifier.verify(query, place, seed_closure=seed_closure.query)
-        if not isinstance(candidate, Candidate) or not poses_agree(candidate.T_local_query, place.T_local_query):
+        if not isinstance(candidate, Candidate) or not self._verifier.agree(
+            candidate.T_local_query, place.T_local_query
+        ):
             return None
         return candidate if candidate.log_likelihood_ratio >= self._limits.accept_llr_tracked else None
 
@@ -292,7 +298,9 @@ class LoopCloser:
         if llr < limits.hypothesis_llr:
             return [candidate.record(Stage.ACCEPTANCE, f"{values}: hypothesis_llr is {limits.hypothesis_llr:g}")]
         agreeing = [
-            each for each in self._hypotheses if poses_agree(self._carried(each, candidate), candidate.T_local_query)
+            each
+            for each in self._hypotheses
+            if self._verifier.agree(self._carried(each, candidate), candidate.T_local_query)
         ]
         joint_score = accumulated_llr([*agreeing, candidate])
         if joint_score < limits.accept_llr:

@@ -27,9 +27,10 @@ SURE_INLIERS = 4
 Two would do, were each of their pairs long enough to propose the pose well."""
 OBJECTS_A_ROUND = 3
 """Objects after which poses that cannot become one of the best are let go."""
-CELL_M = 0.5
-FARTHEST_GATE_M = 6.0
-"""Objects farther from where they should be count as missing, however large the noise."""
+CELL_FRACTION = 0.25
+"""Edge of a cell of the raster, as a fraction of ``distinct_m``."""
+FARTHEST_GATE_FACTOR = 3.0
+"""Objects that many times ``distinct_m`` from where they should be count as missing, however large the noise."""
 LEADERS = 16
 """Distinct poses with the best scores, which are refined."""
 CROWD = 8
@@ -72,7 +73,14 @@ class ExhaustiveSearch:
         self._plane = planar[:, 0] + 1j * planar[:, 1]
         self._tree = cKDTree(planar)
         self._pairs = MapPairs.of(self._plane, classes, self._tree, len(self._vocabulary), reach_m)
-        self._raster = make_class_raster(planar, classes, len(self._vocabulary), reach_m=FARTHEST_GATE_M, cell_m=CELL_M)
+        self._farthest_gate_m = FARTHEST_GATE_FACTOR * config.distinct_m
+        self._raster = make_class_raster(
+            planar,
+            classes,
+            len(self._vocabulary),
+            reach_m=self._farthest_gate_m,
+            cell_m=CELL_FRACTION * config.distinct_m,
+        )
         # The last object is the one that is not there: infinitely far, with any noise.
         self._looked_up = np.append(self._plane, complex(np.inf, np.inf))
         self._variances = np.append(map_sigmas**2, 1.0)
@@ -199,7 +207,7 @@ class ExhaustiveSearch:
         middles = leaders.turn * centre + leaders.shift
         # Each leader has an object within the farthest gate, so that no part is empty.
         near = self._tree.query_ball_point(
-            np.column_stack([middles.real, middles.imag]), sizes * radius_m + 2.0 * FARTHEST_GATE_M
+            np.column_stack([middles.real, middles.imag]), sizes * radius_m + 2.0 * self._farthest_gate_m
         )
         part = np.unique(np.concatenate([np.asarray(objects, np.int64) for objects in near]))
         heights = np.array([np.median(self._positions[objects, 2]) for objects in near])

@@ -9,8 +9,8 @@ from slam.common.arrays import FloatArray
 from slam.common.config import LoopClosureConfig
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.loop_closure.consistency import (
-    AGREE_M,
     AGREE_RAD,
+    AGREE_RANGES,
     accumulated_llr,
     odometry_penalty,
     poses_agree,
@@ -19,6 +19,7 @@ from slam.loop_closure.consistency import (
 from tests.helpers.candidates import make_candidate
 
 CONFIG = LoopClosureConfig()
+RANGE_M = 30.0
 DRIFT = (0.8, 0.02)
 T_BASE = transform_from_xyz_yaw(np.array([40.0, -7.0, 1.0]), 2.5)
 
@@ -37,21 +38,23 @@ def moved(T: FloatArray, x_m: float = 0.0, y_m: float = 0.0, turn_rad: float = 0
 def test_places_agree_up_to_the_limit_in_every_direction(direction_rad):
     c, s = np.cos(direction_rad), np.sin(direction_rad)
     for factor, expected in ((0.99, True), (1.01, False)):
-        other = moved(T_BASE, factor * AGREE_M * c, factor * AGREE_M * s)
-        assert poses_agree(T_BASE, other) is expected
-        assert poses_agree(other, T_BASE) is expected
+        for sensor_range_m in (1.5, 30.0, 600.0):
+            off_m = factor * AGREE_RANGES * sensor_range_m
+            other = moved(T_BASE, off_m * c, off_m * s)
+            assert poses_agree(T_BASE, other, sensor_range_m=sensor_range_m) is expected
+            assert poses_agree(other, T_BASE, sensor_range_m=sensor_range_m) is expected
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_headings_agree_up_to_the_limit_also_across_half_a_turn(sign):
     for yaw_rad in (0.0, 2.5, np.pi - 0.01, -np.pi + 0.01):
         T = transform_from_xyz_yaw(np.array([3.0, 4.0, 0.0]), yaw_rad)
-        assert poses_agree(T, moved(T, turn_rad=0.99 * sign * AGREE_RAD))
-        assert not poses_agree(T, moved(T, turn_rad=1.01 * sign * AGREE_RAD))
+        assert poses_agree(T, moved(T, turn_rad=0.99 * sign * AGREE_RAD), sensor_range_m=RANGE_M)
+        assert not poses_agree(T, moved(T, turn_rad=1.01 * sign * AGREE_RAD), sensor_range_m=RANGE_M)
 
 
 def test_heights_are_not_compared():
-    assert poses_agree(T_BASE, moved(T_BASE, z_m=10.0))
+    assert poses_agree(T_BASE, moved(T_BASE, z_m=10.0), sensor_range_m=RANGE_M)
 
 
 # Odometry penalty
@@ -102,9 +105,9 @@ def test_of_equal_places_the_best_is_kept_and_the_best_place_comes_first():
     penalized = make_candidate(query=3, T_local_query=moved(T_BASE, -0.5), llrs={0: 40.0}, odometry_penalty=15.0)
     elsewhere = make_candidate(query=4, T_local_query=moved(T_BASE, 30.0), llrs={0: 20.0})
     turned = make_candidate(query=5, T_local_query=moved(T_BASE, turn_rad=np.pi), llrs={0: 35.0})
-    found = suppress_non_maxima([weak, elsewhere, penalized, strong, turned])
+    found = suppress_non_maxima([weak, elsewhere, penalized, strong, turned], sensor_range_m=RANGE_M)
     assert [candidate.query for candidate in found] == [5, 2, 4]
-    assert suppress_non_maxima([]) == []
+    assert suppress_non_maxima([], sensor_range_m=RANGE_M) == []
 
 
 def test_a_landmark_of_several_queries_counts_once_by_the_mean_of_its_llr():
