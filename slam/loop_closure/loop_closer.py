@@ -57,7 +57,7 @@ class LoopCloser:
         self._retriever = PlaceRetriever(config, object_map)
         self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes)
         self._graph = graph
-        self._loops = ClosedLoops(object_map, graph, keyframes)
+        self._loops = ClosedLoops(object_map, graph, keyframes, min_travel_m=config.loop_closure.min_travel_m)
         self._recent: deque[Query] = deque()
         self._hypotheses: deque[Candidate] = deque()
         self._seed_closure: Candidate | None = None

@@ -15,7 +15,7 @@ from slam.common.geometry import apply, invert
 from slam.loop_closure.candidate import NOWHERE, Candidate, Query, Stage
 from slam.loop_closure.consistency import odometry_penalty, poses_agree
 from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratio
-from slam.object_map.submap import TRAVERSAL_LENGTH_M, Submap, gravity_frame
+from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, gravity_frame
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.retrieval import Place, PlaceRetriever
@@ -191,10 +191,11 @@ class Verifier:
 
     def _nearest(self, place: Place, query: Query) -> Keyframe | None:
         """The nearest keyframe of the reference traversal, if it is within ``MAX_REFERENCE_RANGES``."""
+        extent_m = TRAVERSAL_EXTENT * self._config.loop_closure.min_travel_m
         found = self._track.nearest(
             place.T_local_query[:3, 3],
             segment=place.segment,
-            from_m=place.travel_m - TRAVERSAL_LENGTH_M,
-            to_m=min(place.travel_m + TRAVERSAL_LENGTH_M, self.latest_m(query)),
+            from_m=place.travel_m - extent_m,
+            to_m=min(place.travel_m + extent_m, self.latest_m(query)),
         )
         return self._keyframes[found[0]] if found is not None and found[1] <= self._max_reference_m else None

@@ -19,7 +19,7 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import GeometryError
 from slam.object_map.landmarks import LandmarkState, ObjectMap
-from slam.object_map.submap import TRAVERSAL_LENGTH_M, Submap, placed_submap
+from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, placed_submap
 from slam.registration.exhaustive_search import ExhaustiveSearch
 from slam.registration.registration import register
 
@@ -61,6 +61,7 @@ class PlaceRetriever:
         self._submap_config = config.submap
         self._registration_config = config.registration
         self._sensor_range_m = config.detection.sensor_range_m
+        self._extent_m = TRAVERSAL_EXTENT * config.loop_closure.min_travel_m
         self._map = object_map
         self._index = make_index(config.loop_closure.descriptor)
         self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
@@ -81,7 +82,7 @@ class PlaceRetriever:
 
     def _enter(self, new: IntArray, segment: int) -> None:
         landmarks = self._map.rows
-        earliest_m = landmarks["last_seen_travel_m"][new].min() - TRAVERSAL_LENGTH_M
+        earliest_m = landmarks["last_seen_travel_m"][new].min() - self._extent_m
         around = np.flatnonzero(
             (landmarks["state"] == LandmarkState.CONFIRMED)
             & (landmarks["segment"] == segment)
@@ -195,7 +196,7 @@ class PlaceRetriever:
         radius_m = PLACE_RADIUS_RANGES * self._sensor_range_m
         offsets = landmarks["position_local"][:, :2] - centre[:2]
         rows = np.flatnonzero(
-            (np.abs(landmarks["last_seen_travel_m"] - place.travel_m) < TRAVERSAL_LENGTH_M)
+            (np.abs(landmarks["last_seen_travel_m"] - place.travel_m) < self._extent_m)
             & (landmarks["last_seen_travel_m"] < before_m)
             & (landmarks["segment"] == place.segment)
             & (landmarks["state"] == LandmarkState.CONFIRMED)

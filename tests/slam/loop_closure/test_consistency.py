@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
-from slam.common.config import LoopClosureConfig
+from slam.common.config import Config
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.loop_closure.consistency import (
     AGREE_RAD,
@@ -18,7 +18,7 @@ from slam.loop_closure.consistency import (
 )
 from tests.helpers.candidates import make_candidate
 
-CONFIG = LoopClosureConfig()
+CONFIG = Config()
 RANGE_M = 30.0
 DRIFT = (0.8, 0.02)
 T_BASE = transform_from_xyz_yaw(np.array([40.0, -7.0, 1.0]), 2.5)
@@ -68,10 +68,12 @@ def test_there_is_no_odometry_penalty_at_the_prediction():
     ("x_m", "y_m", "turn_rad"), [(1.5, 0.0, 0.0), (0.0, -2.0, 0.0), (0.0, 0.0, 0.06), (1, 2, -0.05)]
 )
 def test_the_penalty_near_the_prediction_is_half_the_squared_mahalanobis_distance(x_m, y_m, turn_rad):
-    place_variance = CONFIG.odometry_inflation**2 * (DRIFT[0] ** 2 + CONFIG.base_sigma_m**2)
-    heading_variance = CONFIG.odometry_inflation**2 * (DRIFT[1] ** 2 + np.deg2rad(CONFIG.base_sigma_deg) ** 2)
+    place_variance = CONFIG.odometry.inflation**2 * (DRIFT[0] ** 2 + CONFIG.loop_closure.base_sigma_m**2)
+    heading_variance = CONFIG.odometry.inflation**2 * (
+        DRIFT[1] ** 2 + np.deg2rad(CONFIG.loop_closure.base_sigma_deg) ** 2
+    )
     expected = 0.5 * ((x_m**2 + y_m**2) / place_variance + turn_rad**2 / heading_variance)
-    assert 0.0 < expected < CONFIG.max_odometry_penalty
+    assert 0.0 < expected < CONFIG.loop_closure.max_odometry_penalty
     measured = moved(T_BASE, x_m, y_m, turn_rad)
     assert odometry_penalty(T_BASE, measured, DRIFT, CONFIG) == pytest.approx(expected, rel=1e-6)
 
@@ -79,8 +81,11 @@ def test_the_penalty_near_the_prediction_is_half_the_squared_mahalanobis_distanc
 def test_the_penalty_is_bounded_and_never_falls_with_the_distance():
     penalties = [odometry_penalty(T_BASE, moved(T_BASE, x_m), DRIFT, CONFIG) for x_m in np.linspace(0.0, 500.0, 60)]
     assert np.all(np.diff(penalties) >= 0.0)
-    assert penalties[-1] == CONFIG.max_odometry_penalty
-    assert odometry_penalty(T_BASE, moved(T_BASE, turn_rad=np.pi), DRIFT, CONFIG) == CONFIG.max_odometry_penalty
+    assert penalties[-1] == CONFIG.loop_closure.max_odometry_penalty
+    assert (
+        odometry_penalty(T_BASE, moved(T_BASE, turn_rad=np.pi), DRIFT, CONFIG)
+        == CONFIG.loop_closure.max_odometry_penalty
+    )
 
 
 def test_more_drift_means_less_penalty():
@@ -93,7 +98,7 @@ def test_across_a_break_it_does_not_matter_what_the_odometry_predicts():
     infinite = (np.inf, np.inf)
     penalties = {odometry_penalty(T_BASE, moved(T_BASE, x_m), infinite, CONFIG) for x_m in (0.0, 5.0, 500.0)}
     assert len(penalties) == 1
-    assert 0.0 <= penalties.pop() < CONFIG.max_odometry_penalty
+    assert 0.0 <= penalties.pop() < CONFIG.loop_closure.max_odometry_penalty
 
 
 # Several candidates
