@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -18,7 +18,7 @@ from slam.backend.outlier_rejection import reject_outlier_closures
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import invert
-from slam.loop_closure.candidate import Candidate, Query, Stage
+from slam.loop_closure.candidate import Accepted, Candidate, Query, Stage
 from slam.loop_closure.closure_graph import ClosedLoops
 from slam.loop_closure.consistency import accumulated_llr, suppress_non_maxima
 from slam.loop_closure.divergence_monitor import LocalizationMonitor
@@ -68,8 +68,7 @@ class LoopCloser:
         """The first keyframe that is inconsistent with the map, once the robot is lost; None while it is not."""
         self._closed: dict[int, int] = {}
         self._rejected_by_odometry: set[int] = set()
-        self._accepted: list[tuple[Candidate, int]] = []
-        """With the query of the closure that became a factor: its own, or that of the closure that represents it."""
+        self._accepted: list[Accepted] = []
 
     @property
     def closed(self) -> IntArray:
@@ -117,7 +116,7 @@ class LoopCloser:
         propagated = self._propagate(query)
         if propagated is not None:
             self._monitor.confirm()
-            return [self._accept(propagated, f"propagated from the closure of keyframe {propagated.seed_closure}")]
+            return [self.accept(propagated, f"propagated from the closure of keyframe {propagated.seed_closure}")]
         # 2. Elsewhere retrieval by descriptors proposes candidates.
         if len(query.submap) < self._limits.min_inliers:
             reason = f"{len(query.submap)} landmarks in the submap, min_inliers is {self._limits.min_inliers}"
@@ -159,17 +158,15 @@ class LoopCloser:
         if not is_kidnapped:
             since = next(k.id for k in self._keyframes if k.odometry.segment == keyframe.odometry.segment)
         self._loops.remove([loop for loop in self._loops.loops if loop.candidate.query >= since])
-        revoked = [each for each, _ in self._accepted if each.query >= since]
-        self._accepted = [each for each in self._accepted if each[0].query < since]
-        for candidate in revoked:
-            self._closed.pop(candidate.query, None)
+        # A closure goes with the factor that represents it, and one that is inconsistent itself goes anyhow.
+        revoked = self._revoke(lambda each: max(each.candidate.query, each.represented_by) >= since)
         self.lost_since_keyframe = None
         self._monitor.restart()
         self._seed_closure = None
         self._hypotheses.clear()
         self._recent.clear()
         reason = "revoked: expected landmarks not observed"
-        return [candidate.record(Stage.CONSISTENCY, reason) for candidate in revoked], is_kidnapped
+        return [each.candidate.record(Stage.CONSISTENCY, reason) for each in revoked], is_kidnapped
 
     def finish(self) -> tuple[list[LoopClosureRecord], str]:
         """Remove the closures that the robust optimisation of the pose graph rejects as outliers.
@@ -194,10 +191,17 @@ class LoopCloser:
             if not rejection.kept[factor]
         }
         self._loops.remove([loop for loop in loops.values() if loop.candidate.query in reasons])
-        removed = [(each, reasons[factor]) for each, factor in self._accepted if factor in reasons]
-        for candidate, _ in removed:
-            self._closed.pop(candidate.query, None)
-        return [candidate.record(Stage.BACK_END, reason) for candidate, reason in removed], rejection.message
+        removed = self._revoke(lambda each: each.represented_by in reasons)
+        records = [each.candidate.record(Stage.BACK_END, reasons[each.represented_by]) for each in removed]
+        return records, rejection.message
+
+    def _revoke(self, is_revoked: Callable[[Accepted], bool]) -> list[Accepted]:
+        """Take accepted closures back; their factors are removed elsewhere."""
+        revoked = [each for each in self._accepted if is_revoked(each)]
+        self._accepted = [each for each in self._accepted if not is_revoked(each)]
+        for each in revoked:
+            self._closed.pop(each.candidate.query, None)
+        return revoked
 
     def _crosses_break(self, candidate: Candidate) -> bool:
         reference, query = self._keyframes[candidate.reference], self._keyframes[candidate.query]
@@ -314,7 +318,7 @@ class LoopCloser:
             return [candidate.record(Stage.ACCEPTANCE, ambiguity)]
         self._hypotheses = deque(each for each in self._hypotheses if each not in agreeing)
         reason = f"accumulated score {joint_score:.1f} with {len(agreeing)} other keyframes"
-        return [*(self._accept(each, reason) for each in agreeing), *self._accept_and_propagate(candidate, reason)]
+        return [*(self.accept(each, reason) for each in agreeing), *self._accept_and_propagate(candidate, reason)]
 
     def _carried(self, earlier: Candidate, later: Candidate) -> FloatArray:
         """``T_local_query`` (4, 4) of a later candidate's query as an earlier candidate predicts it."""
@@ -330,21 +334,19 @@ class LoopCloser:
             candidate.reference,
             candidate.score,
         )
-        records = [self._accept(candidate, reason)]
+        records = [self.accept(candidate, reason)]
         seed_closure = candidate
         for query in reversed(self._recent):
             if query.keyframe.id >= candidate.query or query.keyframe.id in self._closed:
                 continue
             propagated = self._verify_propagated(seed_closure, query)
             if propagated is not None:
-                records.append(
-                    self._accept(propagated, f"propagated from the closure of keyframe {seed_closure.query}")
-                )
+                records.append(self.accept(propagated, f"propagated from the closure of keyframe {seed_closure.query}"))
                 seed_closure = propagated
         self._seed_closure = candidate
         return records
 
-    def _accept(self, candidate: Candidate, reason: str) -> LoopClosureRecord:
+    def accept(self, candidate: Candidate, reason: str) -> LoopClosureRecord:
         """Accept a closure; it becomes a factor unless one within ``insert_travel_m`` represents it."""
         nearest = self._loops.nearest(candidate.travel_m)
         is_new = nearest is None or (
@@ -352,7 +354,8 @@ class LoopCloser:
         )
         if is_new:
             self._loops.insert(candidate)
-        self._accepted.append((candidate, candidate.query if is_new or nearest is None else nearest.candidate.query))
+        represented_by = candidate.query if is_new or nearest is None else nearest.candidate.query
+        self._accepted.append(Accepted(candidate, represented_by))
         self._closed[candidate.query] = candidate.reference
         self._seed_closure = candidate
         return candidate.record(Stage.ACCEPTED, reason, inserted=is_new)
