@@ -40,6 +40,8 @@ from slam.common.geometry import apply, invert
 logger = logging.getLogger(__name__)
 
 MAX_BATCH_ITERATIONS = 50
+RELINEARIZE_UNIT_RANGES = 1.0 / 30.0
+"""Unit of length in which a position changes by as much as a rotation in radians, in sensor ranges."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +65,7 @@ class FactorGraph:
         self._config = config
         self._min_range_m = MIN_RANGE_RANGES * sensor_range_m
         self._prior_sigma_m = PRIOR_SIGMA_RANGES * sensor_range_m
+        self._relinearize_unit_m = RELINEARIZE_UNIT_RANGES * sensor_range_m
         self._isam = self._new_isam("CHOLESKY")
         self._values: gtsam.Values | None = None
         self._marginals: tuple[gtsam.Values, Marginals] | None = None
@@ -450,10 +453,19 @@ class FactorGraph:
 
     def _new_isam(self, factorization: str) -> gtsam.ISAM2:
         parameters = gtsam.ISAM2Params()
-        parameters.setRelinearizeThreshold(self._config.relinearize_threshold)
+        parameters.setRelinearizeThreshold(self._relinearize_thresholds())
         parameters.relinearizeSkip = self._config.relinearize_skip
         parameters.setFactorization(factorization)
         return gtsam.ISAM2(parameters)
+
+    def _relinearize_thresholds(self) -> gtsam.ISAM2ThresholdMap:
+        """``relinearize_threshold`` in radians and in units of length that are a fraction of the sensor range."""
+        rotation = self._config.relinearize_threshold
+        translation = rotation * self._relinearize_unit_m
+        thresholds = gtsam.ISAM2ThresholdMap()
+        thresholds.insert(("x", np.repeat([rotation, translation], 3)))
+        thresholds.insert(("l", np.repeat(translation, 3)))
+        return thresholds
 
     def _start_over(self, numbers: list[int], values: gtsam.Values, factorization: str) -> gtsam.ISAM2Result:
         """Put all factors into a fresh iSAM2.
