@@ -31,6 +31,8 @@ CELL_FRACTION = 0.25
 """Edge of a cell of the raster, as a fraction of ``distinct_m``."""
 FARTHEST_GATE_FACTOR = 3.0
 """Objects that many times ``distinct_m`` from where they should be count as missing, however large the noise."""
+REACH_FACTOR = 30.0
+"""Longest pairs that are compared, in multiples of ``distinct_m``, where no other length is asked for."""
 LEADERS = 16
 """Distinct poses with the best scores, which are refined."""
 CROWD = 8
@@ -44,7 +46,8 @@ class ExhaustiveSearch:
         positions: (M, 3) m, gravity-aligned.
         labels: (M,).
         config: gates and limits, ``estimate_scale`` among them.
-        reach_m: the longest pairs that are compared: the diameter of the query.
+        reach_m: the longest pairs that are compared: the diameter of the query; by default ``REACH_FACTOR`` times
+            ``distinct_m``.
         map_sigmas: (M,) m, noise of a position along any axis.
 
     Raises:
@@ -58,7 +61,7 @@ class ExhaustiveSearch:
         labels: IntArray,
         config: RegistrationConfig,
         *,
-        reach_m: float = 60.0,
+        reach_m: float | None = None,
         map_sigmas: FloatArray,
     ) -> None:
         _check("map", positions, labels, map_sigmas)
@@ -72,7 +75,8 @@ class ExhaustiveSearch:
         planar = positions[:, :2] - self._middle[:2]
         self._plane = planar[:, 0] + 1j * planar[:, 1]
         self._tree = cKDTree(planar)
-        self._pairs = MapPairs.of(self._plane, classes, self._tree, len(self._vocabulary), reach_m)
+        longest_m = REACH_FACTOR * config.distinct_m if reach_m is None else reach_m
+        self._pairs = MapPairs.of(self._plane, classes, self._tree, len(self._vocabulary), longest_m)
         self._farthest_gate_m = FARTHEST_GATE_FACTOR * config.distinct_m
         self._raster = make_class_raster(
             planar,

@@ -21,11 +21,13 @@ from logs.messages import (
 )
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
+from slam.object_map.map_io import SavedMap, load_map, save_map
 from slam.simulation.config import DriveConfig, SimulationConfig
 from slam.system import FinalMap, Slam
-from tests.helpers.loop_drives import one_block
+from tests.helpers.loop_drives import one_block, with_objects
 from tests.helpers.short_drives import Entry, drive
 
+SCALES = (0.05, 20.0)
 POWER_OF_UNIT = {
     "m": 1.0,
     "m^2": 2.0,
@@ -87,9 +89,9 @@ class Result:
     final: FinalMap
 
 
-def mapped(entries: Iterable[Entry], scale: float) -> Result:
+def mapped(entries: Iterable[Entry], scale: float, prior_map: SavedMap | None = None, *, extend: bool = True) -> Result:
     """The result for a drive whose lengths, and those of the settings, are scaled."""
-    slam = Slam(Config.model_validate(scaled_config(Config(), scale)))
+    slam = Slam(Config.model_validate(scaled_config(Config(), scale)), prior_map, extend=extend)
     made = [update for _, _, record in entries for update in slam.process(scaled(record, scale))]
     final = slam.finish()
     return Result(
@@ -125,9 +127,35 @@ def test_the_drive_closes_loops(unscaled):
     assert sum(stage == "accepted" for _, _, stage, *_ in unscaled.closures) > 10
 
 
-@pytest.mark.parametrize("scale", [0.05, 20.0])
+@pytest.mark.parametrize("scale", SCALES)
 def test_a_scaled_drive_has_the_scaled_map(entries, unscaled, scale):
-    result = mapped(entries, scale)
+    _assert_alike(mapped(entries, scale), unscaled, scale)
+
+
+@pytest.fixture(scope="module")
+def maps(entries, unscaled, tmp_path_factory) -> dict[float, SavedMap]:
+    """Maps of that drive at each scale."""
+    finals = {1.0: unscaled.final, **{scale: mapped(entries, scale).final for scale in SCALES}}
+    loaded = {}
+    for scale, final in finals.items():
+        path = tmp_path_factory.mktemp("maps") / "map.mcap"
+        save_map(path, final.object_map, final.graph, final.markers, {"version": "0", "input_sha256": "0"})
+        loaded[scale] = load_map(path)
+    return loaded
+
+
+@pytest.mark.parametrize(("scale", "extend"), [(0.05, True), (20.0, False)])
+def test_a_robot_finds_itself_in_a_scaled_map(maps, scale, extend):
+    """Some objects are gone, so that what is expected in view is not all seen."""
+    world = one_block()
+    fewer = with_objects(world, [row for row in range(len(world.labels)) if row % 5])
+    again = drive(SimulationConfig(drive=DriveConfig(rate_hz=5.0)), seed=2, world=fewer)
+    expected = mapped(again, 1.0, maps[1.0], extend=extend)
+    assert expected.final.status.counters["relocalizations"] > 0
+    _assert_alike(mapped(again, scale, maps[scale], extend=extend), expected, scale)
+
+
+def _assert_alike(result: Result, unscaled: Result, scale: float) -> None:
     assert result.associations == unscaled.associations
     assert result.closures == unscaled.closures
     expected, final = unscaled.final, result.final
