@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pytest
-from pydantic import BaseModel
 
 from logs.messages import (
     DetectionAssociations,
@@ -25,34 +23,10 @@ from slam.object_map.map_io import SavedMap, load_map, save_map
 from slam.simulation.config import DriveConfig, SimulationConfig
 from slam.system import FinalMap, Slam
 from tests.helpers.loop_drives import one_block, with_objects
+from tests.helpers.scaled_settings import scaled_config
 from tests.helpers.short_drives import Entry, drive
 
 SCALES = (0.05, 20.0)
-POWER_OF_UNIT = {
-    "m": 1.0,
-    "m^2": 2.0,
-    "1/m^3": -3.0,
-    "m/s": 1.0,
-    "m/s^2": 1.0,
-    "rad / sqrt(m)": -0.5,
-    "m / sqrt(m)": 0.5,
-    "m / sqrt(s)": 1.0,
-}
-UNIT = re.compile(r"\[([^\]]+)\]")
-
-
-def scaled_config(branch: Any, scale: float) -> dict[str, Any]:
-    """The settings of a branch, with each length scaled."""
-    values: dict[str, Any] = {}
-    for name, info in type(branch).model_fields.items():
-        value = getattr(branch, name)
-        if isinstance(value, BaseModel):
-            values[name] = scaled_config(value, scale)
-            continue
-        unit = UNIT.search(info.description or "")
-        power = POWER_OF_UNIT.get(unit.group(1), 0.0) if unit else 0.0
-        values[name] = value * scale**power if power else value
-    return values
 
 
 def scaled_pose(T: FloatArray, scale: float) -> FloatArray:
