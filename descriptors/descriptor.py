@@ -11,7 +11,10 @@ from descriptors.constellation import Constellations
 
 
 class Descriptor(Protocol):
-    """Turns constellations into vectors that are near where constellations are alike."""
+    """Turns constellations into vectors that are near where constellations are alike.
+
+    Its lengths are those for a sensor that sees 30 m; constellations of any other are scaled before it sees them.
+    """
 
     @property
     def name(self) -> str:

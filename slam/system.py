@@ -72,10 +72,15 @@ class Slam:
         self._config = config
         self.counters: Counter[str] = Counter()
         self._first_segment = 0 if prior_map is None else SEGMENT + 1
-        self._track = OdometryTrack(config.odometry, self.counters, first_segment=self._first_segment)
+        self._track = OdometryTrack(
+            config.odometry,
+            self.counters,
+            first_segment=self._first_segment,
+            sensor_range_m=config.detection.sensor_range_m,
+        )
         self._frames = SensorFrames()
         self._object_map = ObjectMap(config.association)
-        self._graph = FactorGraph(config.factor_graph)
+        self._graph = FactorGraph(config.factor_graph, sensor_range_m=config.detection.sensor_range_m)
         known = restore(prior_map, self._object_map, self._graph, fixed=not extend) if prior_map is not None else []
         self._first_keyframe = len(known)
         self._extends = extend

@@ -18,7 +18,8 @@ from gtsam.symbol_shorthand import L, X
 
 from logs.messages import FactorGraphRecord
 from slam.backend.factors import (
-    MIN_RANGE_M,
+    MIN_RANGE_RANGES,
+    PRIOR_SIGMA_RANGES,
     Edge,
     Factor,
     LandmarkPrior,
@@ -32,13 +33,15 @@ from slam.backend.factors import (
 )
 from slam.backend.marginals import Marginals, compute_marginals, marginals_one_by_one
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import FactorGraphConfig
+from slam.common.config import DetectionConfig, FactorGraphConfig
 from slam.common.errors import FactorGraphError
 from slam.common.geometry import apply, invert
 
 logger = logging.getLogger(__name__)
 
 MAX_BATCH_ITERATIONS = 50
+RELINEARIZE_UNIT_RANGES = 1.0 / 30.0
+"""Unit of length in which a position changes by as much as a rotation in radians, in sensor ranges."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +58,14 @@ class FactorGraph:
     """Incremental estimate by iSAM2 (Kaess et al. 2012) while the drive goes on, one batch solution at its end.
 
     ``factors`` maps a number that never changes to each factor that is in force.
-    ``solver_seconds`` is the time spent inside GTSAM.
+    ``solver_seconds`` is the time spent inside GTSAM. ``sensor_range_m`` is that of the detections.
     """
 
-    def __init__(self, config: FactorGraphConfig) -> None:
+    def __init__(self, config: FactorGraphConfig, *, sensor_range_m: float = DetectionConfig().sensor_range_m) -> None:
         self._config = config
+        self._min_range_m = MIN_RANGE_RANGES * sensor_range_m
+        self._prior_sigma_m = PRIOR_SIGMA_RANGES * sensor_range_m
+        self._relinearize_unit_m = RELINEARIZE_UNIT_RANGES * sensor_range_m
         self._isam = self._new_isam("CHOLESKY")
         self._values: gtsam.Values | None = None
         self._marginals: tuple[gtsam.Values, Marginals] | None = None
@@ -95,7 +101,7 @@ class FactorGraph:
     def add_first_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
         """Fix the map frame: a prior on the first keyframe."""
         self._insert_keyframe(keyframe, T_map_body)
-        self._add(PosePrior(keyframe, T_map_body))
+        self._add(PosePrior(keyframe, T_map_body, self._prior_sigma_m))
 
     def add_next_keyframe(self, edge: Edge) -> None:
         """Add the keyframe ``edge.to_keyframe``, placed from ``edge.from_keyframe`` by the edge."""
@@ -142,7 +148,7 @@ class FactorGraph:
         """
         for keyframe, T in zip(keyframes, T_map_body, strict=True):
             self._insert_keyframe(keyframe, T)
-            self._add(PosePrior(keyframe, T))
+            self._add(PosePrior(keyframe, T, self._prior_sigma_m))
             self._fixed_poses[keyframe] = T
         self._fixed_positions = dict(landmarks)
         self.update()
@@ -202,9 +208,9 @@ class FactorGraph:
         """Tie landmarks to the keyframes that saw them; returns how many were used.
 
         A landmark enters the graph with its first observation, which gives it all three coordinates, so none is ever
-        under-constrained. Observations nearer than ``MIN_RANGE_M``, whose bearing is undefined, are passed over.
+        under-constrained. Observations nearer than ``MIN_RANGE_RANGES``, whose bearing is undefined, are passed over.
         """
-        used = [each for each in observations if not np.linalg.norm(each.position) < MIN_RANGE_M]
+        used = [each for each in observations if not np.linalg.norm(each.position) < self._min_range_m]
         poses = {keyframe: self.pose(keyframe) for keyframe in dict.fromkeys(each.keyframe for each in used)}
         factors = bearing_range_factors([self._canonical(each) for each in used], self._config)
         for observation, factor in zip(used, factors, strict=True):
@@ -299,7 +305,7 @@ class FactorGraph:
             fixed = self._fixed_positions.get(variable)
             self._pending_values.insert(L(variable), position_map if fixed is None else fixed)
             if fixed is not None:
-                self._landmark_priors[variable] = self._add(LandmarkPrior(variable, fixed))
+                self._landmark_priors[variable] = self._add(LandmarkPrior(variable, fixed, self._prior_sigma_m))
         self._variables[variable].append(landmark)
         self._landmark_factors[landmark] = []
 
@@ -447,10 +453,19 @@ class FactorGraph:
 
     def _new_isam(self, factorization: str) -> gtsam.ISAM2:
         parameters = gtsam.ISAM2Params()
-        parameters.setRelinearizeThreshold(self._config.relinearize_threshold)
+        parameters.setRelinearizeThreshold(self._relinearize_thresholds())
         parameters.relinearizeSkip = self._config.relinearize_skip
         parameters.setFactorization(factorization)
         return gtsam.ISAM2(parameters)
+
+    def _relinearize_thresholds(self) -> gtsam.ISAM2ThresholdMap:
+        """``relinearize_threshold`` in radians and in units of length that are a fraction of the sensor range."""
+        rotation = self._config.relinearize_threshold
+        translation = rotation * self._relinearize_unit_m
+        thresholds = gtsam.ISAM2ThresholdMap()
+        thresholds.insert(("x", np.repeat([rotation, translation], 3)))
+        thresholds.insert(("l", np.repeat(translation, 3)))
+        return thresholds
 
     def _start_over(self, numbers: list[int], values: gtsam.Values, factorization: str) -> gtsam.ISAM2Result:
         """Put all factors into a fresh iSAM2.

@@ -18,27 +18,30 @@ from slam.common.config import FactorGraphConfig
 from slam.common.errors import FactorGraphError
 
 PRIOR_SIGMA_RAD = 1e-4
-PRIOR_SIGMA_M = 1e-3
-# Nearer than this a bearing is not informative: the object is on top of the sensor.
-MIN_RANGE_M = 0.3
+# In sensor ranges.
+PRIOR_SIGMA_RANGES = 1e-3 / 30.0
+# Nearer than this, in sensor ranges, a bearing is not informative: the object is on top of the sensor.
+MIN_RANGE_RANGES = 0.3 / 30.0
 ORTHONORMAL_TOLERANCE = 1e-6
 CLOSURE_KERNEL_WIDTH = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosePrior:
-    """Prior on the pose ``T_map_body`` (4, 4) of a keyframe, which fixes the map frame."""
+    """Prior on the pose ``T_map_body`` (4, 4) of a keyframe, which fixes the map frame; ``sigma_m`` of its position."""
 
     keyframe: int
     T_map_body: FloatArray
+    sigma_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkPrior:
-    """Prior on the ``position`` (3,) m of a landmark of a fixed map."""
+    """Prior on the ``position`` (3,) m of a landmark of a fixed map, with ``sigma_m`` of each coordinate."""
 
     landmark: int
     position: FloatArray
+    sigma_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +74,7 @@ Factor = Edge | Observation | PosePrior | LandmarkPrior
 
 def prior_factor(prior: PosePrior) -> gtsam.NonlinearFactor:
     """The GTSAM factor of a pose prior."""
-    noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([PRIOR_SIGMA_RAD, PRIOR_SIGMA_M], 3))
+    noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([PRIOR_SIGMA_RAD, prior.sigma_m], 3))
     return gtsam.PriorFactorPose3(
         X(prior.keyframe), checked_pose(prior.T_map_body, f"keyframe {prior.keyframe}"), noise
     )
@@ -81,7 +84,7 @@ def landmark_prior_factor(prior: LandmarkPrior) -> gtsam.NonlinearFactor:
     """The GTSAM factor of a landmark prior."""
     if not np.all(np.isfinite(prior.position)):
         raise FactorGraphError(f"landmark {prior.landmark}: the position {prior.position} is not finite")
-    noise = gtsam.noiseModel.Isotropic.Sigma(3, PRIOR_SIGMA_M)
+    noise = gtsam.noiseModel.Isotropic.Sigma(3, prior.sigma_m)
     return gtsam.PriorFactorPoint3(L(prior.landmark), prior.position, noise)
 
 
@@ -97,14 +100,14 @@ def between_factor(edge: Edge) -> gtsam.NonlinearFactor:
 
 
 def bearing_range_factor(observation: Observation, config: FactorGraphConfig) -> gtsam.NonlinearFactor:
-    """The GTSAM factor of an observation, which is at least ``MIN_RANGE_M`` away."""
+    """The GTSAM factor of an observation, which is at least ``MIN_RANGE_RANGES`` away."""
     return bearing_range_factors([observation], config)[0]
 
 
 def bearing_range_factors(
     observations: Sequence[Observation], config: FactorGraphConfig
 ) -> list[gtsam.NonlinearFactor]:
-    """The GTSAM factors of observations that are at least ``MIN_RANGE_M`` away."""
+    """The GTSAM factors of observations that are at least ``MIN_RANGE_RANGES`` away."""
     if not observations:
         return []
     positions = np.array([observation.position for observation in observations])

@@ -11,8 +11,9 @@ from slam.object_map.map_io import SavedMap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.track import OdometryPose
 
-TRAVEL_M = -10_000.0
-"""Travel of everything in the prior map. An optimised map has no traversals: all of it is consistent."""
+TRAVEL_M = -1e9
+"""Travel of everything in the prior map. An optimised map has no traversals: all of it is consistent.
+Longer ago than any drive is long."""
 SEGMENT = 0
 STAMP_NS = -1
 """The clocks of the drives are unrelated."""

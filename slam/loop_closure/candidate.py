@@ -89,6 +89,16 @@ class Candidate:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Accepted:
+    """An accepted closure; ``represented_by``: the query keyframe of the closure whose factor stands for it in the
+    graph, its own or one nearby.
+    """
+
+    candidate: Candidate
+    represented_by: int
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Query:
     """A keyframe and the landmarks around it, in its gravity frame."""

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from slam.backend.factor_graph import FactorGraph
 from slam.loop_closure.candidate import Candidate
 from slam.object_map.landmarks import LandmarkState, ObjectMap
-from slam.object_map.submap import TRAVERSAL_LENGTH_M
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.segments import SegmentConnectivity
 
@@ -24,9 +23,15 @@ class ClosedLoop:
 
 
 class ClosedLoops:
-    """Inserts closures into graph and map, and removes them."""
+    """Inserts closures into graph and map, and removes them.
 
-    def __init__(self, object_map: ObjectMap, graph: FactorGraph, keyframes: Sequence[Keyframe]) -> None:
+    Landmarks whose travel differs by less than ``min_travel_m`` are of one traversal: no closure can relate them.
+    """
+
+    def __init__(
+        self, object_map: ObjectMap, graph: FactorGraph, keyframes: Sequence[Keyframe], *, min_travel_m: float
+    ) -> None:
+        self._min_travel_m = min_travel_m
         self._segments = SegmentConnectivity(keyframes)
         self._map = object_map
         self._graph = graph
@@ -86,7 +91,7 @@ class ClosedLoops:
         same_traversal = [
             row
             for row in (kept, *self._aliases[kept])
-            if abs(landmarks["last_seen_travel_m"][row] - landmarks["last_seen_travel_m"][query]) < TRAVERSAL_LENGTH_M
+            if abs(landmarks["last_seen_travel_m"][row] - landmarks["last_seen_travel_m"][query]) < self._min_travel_m
         ]
         if same_traversal or landmarks["state"][kept] != LandmarkState.CONFIRMED:
             return None

@@ -13,24 +13,29 @@ from slam.common.geometry import invert, yaw_rad
 from slam.loop_closure.candidate import Candidate
 
 # Two candidates agree if they put the query this near to each other: a wrong pose is mostly shifted by the spacing of
-# the objects in a row, or more.
-AGREE_M = 2.0
+# the objects in a row, or more. In sensor ranges.
+AGREE_RANGES = 2.0 / 30.0
 AGREE_RAD = np.deg2rad(5.0)
 
 
-def poses_agree(T_a: FloatArray, T_b: FloatArray) -> bool:
-    """Whether two estimates (4, 4) of one pose differ by less than ``AGREE_M`` and ``AGREE_RAD``."""
+def poses_agree(T_a: FloatArray, T_b: FloatArray, *, sensor_range_m: float) -> bool:
+    """Whether two estimates (4, 4) of one pose differ by less than ``AGREE_RANGES`` and ``AGREE_RAD``."""
     T_between = invert(T_a) @ T_b
-    return bool(np.hypot(T_between[0, 3], T_between[1, 3]) < AGREE_M and abs(float(yaw_rad(T_between))) < AGREE_RAD)
+    apart_m = np.hypot(T_between[0, 3], T_between[1, 3])
+    return bool(apart_m < AGREE_RANGES * sensor_range_m and abs(float(yaw_rad(T_between))) < AGREE_RAD)
 
 
-def suppress_non_maxima(candidates: Sequence[Candidate]) -> list[Candidate]:
+def suppress_non_maxima(candidates: Sequence[Candidate], *, sensor_range_m: float) -> list[Candidate]:
     """Of the candidates of one query that agree on its pose, the one with the highest score, with the best rank of
     them; sorted by falling score.
     """
     kept: list[Candidate] = []
     for candidate in sorted(candidates, key=lambda c: -c.score):
-        same = (i for i, better in enumerate(kept) if poses_agree(candidate.T_local_query, better.T_local_query))
+        same = (
+            i
+            for i, better in enumerate(kept)
+            if poses_agree(candidate.T_local_query, better.T_local_query, sensor_range_m=sensor_range_m)
+        )
         index = next(same, None)
         if index is None:
             kept.append(candidate)

@@ -16,10 +16,11 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, invert
 from slam.object_map.submap import Submap
 
-NEAR_M, FAR_M = 3.0, 20.0
-"""Range at which any forward-looking sensor observes a landmark and rarely misses one."""
+NEAR_RANGES, FAR_RANGES = 3.0 / 30.0, 20.0 / 30.0
+"""Distances, in sensor ranges, at which a forward-looking sensor observes a landmark and rarely misses one."""
 AHEAD_RAD = np.deg2rad(60.0)
-MATCH_RADIUS_M = 3.0
+MATCH_RADIUS_RANGES = 3.0 / 30.0
+"""An object that near to a landmark of the map, in sensor ranges, is taken for it."""
 KEYFRAMES_IN_VIEW = 3
 """A landmark is counted as observed or missed once it was expected at that many keyframes."""
 DETECTION_PROBABILITY, FALSE_MATCH_PROBABILITY = 0.8, 0.1
@@ -29,7 +30,7 @@ SEEN_LLR = float(np.log(FALSE_MATCH_PROBABILITY / DETECTION_PROBABILITY))
 LOST_LLR = 9.0
 """Threshold of the test: six missed landmarks in a row."""
 GONE_KEYFRAMES = 6
-"""A landmark expected at that many keyframes and never observed is gone; that is some 12 m of travel towards it."""
+"""A landmark expected at that many keyframes and never observed is gone."""
 MIN_UNEXPECTED = 3
 """Least number of observed objects that the map does not have: without any the sensor may be blind."""
 
@@ -37,7 +38,8 @@ MIN_UNEXPECTED = 3
 class LocalizationMonitor:
     """The CUSUM statistic over the landmarks that are expected in view."""
 
-    def __init__(self) -> None:
+    def __init__(self, sensor_range_m: float) -> None:
+        self._sensor_range_m = sensor_range_m
         self._expected_count: Counter[int] = Counter()
         self._ever_matched: set[int] = set()
         self.restart()
@@ -67,14 +69,16 @@ class LocalizationMonitor:
             reference: the landmarks of the map around the estimated pose, in another frame.
             T_reference_query: (4, 4), estimated pose of the gravity frame in that frame.
         """
-        in_view = np.flatnonzero(_ahead(apply(invert(T_reference_query), reference.positions)))
+        in_view = np.flatnonzero(self._ahead(apply(invert(T_reference_query), reference.positions)))
         placed = apply(T_reference_query, observed.positions)
         apart_m = np.linalg.norm(reference.positions[:, None, :2] - placed[None, :, :2], axis=2)
-        matches = (apart_m < MATCH_RADIUS_M) & (reference.labels[:, None] == observed.labels)
+        matches = (apart_m < MATCH_RADIUS_RANGES * self._sensor_range_m) & (
+            reference.labels[:, None] == observed.labels
+        )
         matched = reference.rows[matches.any(axis=1)].tolist()
         self._matched.update(matched)
         self._ever_matched.update(matched)
-        self._unexpected.update(observed.rows[~matches.any(axis=0) & _ahead(observed.positions)].tolist())
+        self._unexpected.update(observed.rows[~matches.any(axis=0) & self._ahead(observed.positions)].tolist())
         self._in_view_now = reference.rows[in_view].tolist()
         for row in self._in_view_now:
             self._in_view[row] = self._in_view.get(row, 0) + 1
@@ -102,9 +106,9 @@ class LocalizationMonitor:
             self.inconsistent_since = max(keyframe - KEYFRAMES_IN_VIEW, 0)
         self._llr = max(self._llr + (SEEN_LLR if is_observed else MISSED_LLR), 0.0)
 
-
-def _ahead(positions: FloatArray) -> NDArray[np.bool_]:
-    """Which points (N,) of a body's gravity frame any sensor that looks ahead should see."""
-    ranges = np.hypot(positions[:, 0], positions[:, 1])
-    bearings = np.abs(np.arctan2(positions[:, 1], positions[:, 0]))
-    return np.asarray((ranges > NEAR_M) & (ranges < FAR_M) & (bearings < AHEAD_RAD))
+    def _ahead(self, positions: FloatArray) -> NDArray[np.bool_]:
+        """Which points (N,) of a body's gravity frame a sensor that looks ahead should see."""
+        ranges = np.hypot(positions[:, 0], positions[:, 1])
+        bearings = np.abs(np.arctan2(positions[:, 1], positions[:, 0]))
+        near_m, far_m = NEAR_RANGES * self._sensor_range_m, FAR_RANGES * self._sensor_range_m
+        return np.asarray((ranges > near_m) & (ranges < far_m) & (bearings < AHEAD_RAD))

@@ -16,8 +16,9 @@ from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 
-MAX_HEIGHT_M = 1.0
-"""Heights are less exact: the centre of a partly visible object moves up and down."""
+MAX_HEIGHT_RADII = 1.0 / 0.7
+"""Largest difference of the heights of duplicates, in horizontal radii: heights are less exact, as the centre of a
+partly visible object moves up and down."""
 
 
 def find_duplicate_landmarks(
@@ -71,7 +72,7 @@ def _nearest_alike(positions: FloatArray, classes: IntArray, radius_m: float) ->
     nearest = np.full(len(positions), -1, dtype=np.int64)
     pairs = cKDTree(positions[:, :2]).query_pairs(radius_m, output_type="ndarray").astype(np.int64)
     alike = (classes[pairs[:, 0]] == classes[pairs[:, 1]]) & (
-        np.abs(positions[pairs[:, 0], 2] - positions[pairs[:, 1], 2]) < MAX_HEIGHT_M
+        np.abs(positions[pairs[:, 0], 2] - positions[pairs[:, 1], 2]) < MAX_HEIGHT_RADII * radius_m
     )
     pairs = np.concatenate([pairs[alike], pairs[alike][:, ::-1]])
     apart_m = np.linalg.norm(positions[pairs[:, 0], :2] - positions[pairs[:, 1], :2], axis=1)

@@ -30,8 +30,8 @@ from slam.common.config import LikelihoodRatioConfig
 from slam.common.geometry import apply, yaw_rad
 from slam.object_map.submap import Submap
 
-LEAST_DENSITY = 1e-4
-"""Least density of a class [1/m^2]: one object per hectare."""
+LEAST_COUNT = 0.0625
+"""Least density of a class: so many objects in a square with sides of ``coverage_radius_m``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,5 +111,6 @@ def _clutter_densities(
     area = np.full(len(query), disc_area)
     if class_shares is not None:
         density = np.sum(distances < config.coverage_radius_m, axis=0) / (np.pi * config.coverage_radius_m**2)
-        area += 0.5 / np.maximum(density * class_shares[query.labels], LEAST_DENSITY)
+        least_density = LEAST_COUNT / config.coverage_radius_m**2
+        area += 0.5 / np.maximum(density * class_shares[query.labels], least_density)
     return np.asarray(np.maximum(np.maximum(in_disc, along_track), 0.5 / area))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -18,9 +18,9 @@ from slam.backend.outlier_rejection import reject_outlier_closures
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import invert
-from slam.loop_closure.candidate import Candidate, Query, Stage
+from slam.loop_closure.candidate import Accepted, Candidate, Query, Stage
 from slam.loop_closure.closure_graph import ClosedLoops
-from slam.loop_closure.consistency import accumulated_llr, poses_agree, suppress_non_maxima
+from slam.loop_closure.consistency import accumulated_llr, suppress_non_maxima
 from slam.loop_closure.divergence_monitor import LocalizationMonitor
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
@@ -31,12 +31,12 @@ from slam.place_recognition.retrieval import PlaceRetriever
 
 logger = logging.getLogger(__name__)
 
-IN_VIEW_M = 4.0
-"""Landmarks observed within that travel are in view."""
-ELSEWHERE_M = 15.0
-"""Farther than the odometry can drift between two propagated closures."""
-TRUSTED_AFTER_M = 60.0
-"""A relocalization that stayed consistent over that travel is taken to be true."""
+IN_VIEW_RANGES = 4.0 / 30.0
+"""Landmarks observed within that travel, in sensor ranges, are in view."""
+ELSEWHERE_RANGES = 15.0 / 30.0
+"""Farther, in sensor ranges, than the odometry can drift between two propagated closures."""
+TRUSTED_AFTER_RANGES = 60.0 / 30.0
+"""A relocalization that stayed consistent over that travel, in sensor ranges, is taken to be true."""
 
 
 class LoopCloser:
@@ -47,28 +47,28 @@ class LoopCloser:
     ) -> None:
         self._submap_config = config.submap
         self._limits = config.loop_closure
+        self._sensor_range_m = config.detection.sensor_range_m
         self._odometry_inflation = config.odometry.inflation
         self._map = object_map
         self._keyframes = keyframes
         self._track = KeyframeTrack(config.odometry)
         for keyframe in keyframes:  # of the prior map
             self._track.add(keyframe)
-        self._retriever = PlaceRetriever(config.loop_closure, config.submap, config.registration, object_map)
+        self._retriever = PlaceRetriever(config, object_map)
         self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes)
         self._graph = graph
-        self._loops = ClosedLoops(object_map, graph, keyframes)
+        self._loops = ClosedLoops(object_map, graph, keyframes, min_travel_m=config.loop_closure.min_travel_m)
         self._recent: deque[Query] = deque()
         self._hypotheses: deque[Candidate] = deque()
         self._seed_closure: Candidate | None = None
-        self._monitor = LocalizationMonitor()
+        self._monitor = LocalizationMonitor(self._sensor_range_m)
         # Only a prior map is trusted more than the robot's pose; a map in the making may itself be wrong.
         self._monitors_localization = len(keyframes) > 0
         self.lost_since_keyframe: int | None = None
         """The first keyframe that is inconsistent with the map, once the robot is lost; None while it is not."""
         self._closed: dict[int, int] = {}
         self._rejected_by_odometry: set[int] = set()
-        self._accepted: list[tuple[Candidate, int]] = []
-        """With the query of the closure that became a factor: its own, or that of the closure that represents it."""
+        self._accepted: list[Accepted] = []
 
     @property
     def closed(self) -> IntArray:
@@ -116,7 +116,7 @@ class LoopCloser:
         propagated = self._propagate(query)
         if propagated is not None:
             self._monitor.confirm()
-            return [self._accept(propagated, f"propagated from the closure of keyframe {propagated.seed_closure}")]
+            return [self.accept(propagated, f"propagated from the closure of keyframe {propagated.seed_closure}")]
         # 2. Elsewhere retrieval by descriptors proposes candidates.
         if len(query.submap) < self._limits.min_inliers:
             reason = f"{len(query.submap)} landmarks in the submap, min_inliers is {self._limits.min_inliers}"
@@ -131,7 +131,9 @@ class LoopCloser:
             return [query.refusal(Stage.RETRIEVAL, "no consistent descriptor matches")]
         # 4. The candidate with the highest score is accepted, kept as a hypothesis or rejected.
         refused = [each for each in verified if isinstance(each, LoopClosureRecord)]
-        candidates = suppress_non_maxima([each for each in verified if isinstance(each, Candidate)])
+        candidates = suppress_non_maxima(
+            [each for each in verified if isinstance(each, Candidate)], sensor_range_m=self._sensor_range_m
+        )
         return refused + self._decide(query, candidates)
 
     def _any_acceptable(self, verified: Sequence[Candidate | LoopClosureRecord]) -> bool:
@@ -141,9 +143,9 @@ class LoopCloser:
     def declare_lost(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
         """Reset to lost and revoke the closures from the keyframe ``since`` on, which are inconsistent with the map.
 
-        If the segment was connected to the map within the last ``TRUSTED_AFTER_M``, that relocalization was false and
-        all closures of the segment are revoked; otherwise the robot was kidnapped. Returns the records of the revoked
-        closures, and whether it was kidnapped.
+        If the segment was connected to the map within the last ``TRUSTED_AFTER_RANGES``, that relocalization was false
+        and all closures of the segment are revoked; otherwise the robot was kidnapped. Returns the records of the
+        revoked closures, and whether it was kidnapped.
         """
         connecting = [
             loop.candidate.travel_m
@@ -152,21 +154,19 @@ class LoopCloser:
             and self._keyframes[loop.candidate.query].odometry.segment == keyframe.odometry.segment
         ]
         connected_m = min(connecting, default=-np.inf)
-        is_kidnapped = keyframe.odometry.travel_m - connected_m > TRUSTED_AFTER_M
+        is_kidnapped = keyframe.odometry.travel_m - connected_m > TRUSTED_AFTER_RANGES * self._sensor_range_m
         if not is_kidnapped:
             since = next(k.id for k in self._keyframes if k.odometry.segment == keyframe.odometry.segment)
         self._loops.remove([loop for loop in self._loops.loops if loop.candidate.query >= since])
-        revoked = [each for each, _ in self._accepted if each.query >= since]
-        self._accepted = [each for each in self._accepted if each[0].query < since]
-        for candidate in revoked:
-            self._closed.pop(candidate.query, None)
+        # A closure goes with the factor that represents it, and one that is inconsistent itself goes anyhow.
+        revoked = self._revoke(lambda each: max(each.candidate.query, each.represented_by) >= since)
         self.lost_since_keyframe = None
         self._monitor.restart()
         self._seed_closure = None
         self._hypotheses.clear()
         self._recent.clear()
         reason = "revoked: expected landmarks not observed"
-        return [candidate.record(Stage.CONSISTENCY, reason) for candidate in revoked], is_kidnapped
+        return [each.candidate.record(Stage.CONSISTENCY, reason) for each in revoked], is_kidnapped
 
     def finish(self) -> tuple[list[LoopClosureRecord], str]:
         """Remove the closures that the robust optimisation of the pose graph rejects as outliers.
@@ -191,10 +191,17 @@ class LoopCloser:
             if not rejection.kept[factor]
         }
         self._loops.remove([loop for loop in loops.values() if loop.candidate.query in reasons])
-        removed = [(each, reasons[factor]) for each, factor in self._accepted if factor in reasons]
-        for candidate, _ in removed:
-            self._closed.pop(candidate.query, None)
-        return [candidate.record(Stage.BACK_END, reason) for candidate, reason in removed], rejection.message
+        removed = self._revoke(lambda each: each.represented_by in reasons)
+        records = [each.candidate.record(Stage.BACK_END, reasons[each.represented_by]) for each in removed]
+        return records, rejection.message
+
+    def _revoke(self, is_revoked: Callable[[Accepted], bool]) -> list[Accepted]:
+        """Take accepted closures back; their factors are removed elsewhere."""
+        revoked = [each for each in self._accepted if is_revoked(each)]
+        self._accepted = [each for each in self._accepted if not is_revoked(each)]
+        for each in revoked:
+            self._closed.pop(each.candidate.query, None)
+        return revoked
 
     def _crosses_break(self, candidate: Candidate) -> bool:
         reference, query = self._keyframes[candidate.reference], self._keyframes[candidate.query]
@@ -234,7 +241,7 @@ class LoopCloser:
             return False
         reference = self._retriever.reference_submap(place, before_m=self._verifier.latest_m(query))
         seen_m = self._map.rows["last_seen_travel_m"][query.submap.rows]
-        observed = query.submap.of(np.flatnonzero(seen_m > query.travel_m - IN_VIEW_M))
+        observed = query.submap.of(np.flatnonzero(seen_m > query.travel_m - IN_VIEW_RANGES * self._sensor_range_m))
         return self._monitor.update(query.keyframe.id, observed, reference, place.T_local_query)
 
     def _is_elsewhere(self, query: Query, candidate: Candidate) -> bool:
@@ -245,7 +252,8 @@ class LoopCloser:
         place = self._verifier.predict(seed_closure, query)
         if place is None or place.segment != self._keyframes[candidate.reference].odometry.segment:
             return False
-        return float(np.linalg.norm((place.T_local_query - candidate.T_local_query)[:2, 3])) > ELSEWHERE_M
+        apart_m = float(np.linalg.norm((place.T_local_query - candidate.T_local_query)[:2, 3]))
+        return apart_m > ELSEWHERE_RANGES * self._sensor_range_m
 
     def _verify_propagated(self, seed_closure: Candidate, query: Query) -> Candidate | None:
         """The closure that ``seed_closure`` predicts for a query, if the LLR reaches ``accept_llr_tracked``."""
@@ -253,7 +261,9 @@ class LoopCloser:
         if place is None:
             return None
         candidate = self._verifier.verify(query, place, seed_closure=seed_closure.query)
-        if not isinstance(candidate, Candidate) or not poses_agree(candidate.T_local_query, place.T_local_query):
+        if not isinstance(candidate, Candidate) or not self._verifier.agree(
+            candidate.T_local_query, place.T_local_query
+        ):
             return None
         return candidate if candidate.log_likelihood_ratio >= self._limits.accept_llr_tracked else None
 
@@ -292,7 +302,9 @@ class LoopCloser:
         if llr < limits.hypothesis_llr:
             return [candidate.record(Stage.ACCEPTANCE, f"{values}: hypothesis_llr is {limits.hypothesis_llr:g}")]
         agreeing = [
-            each for each in self._hypotheses if poses_agree(self._carried(each, candidate), candidate.T_local_query)
+            each
+            for each in self._hypotheses
+            if self._verifier.agree(self._carried(each, candidate), candidate.T_local_query)
         ]
         joint_score = accumulated_llr([*agreeing, candidate])
         if joint_score < limits.accept_llr:
@@ -306,7 +318,7 @@ class LoopCloser:
             return [candidate.record(Stage.ACCEPTANCE, ambiguity)]
         self._hypotheses = deque(each for each in self._hypotheses if each not in agreeing)
         reason = f"accumulated score {joint_score:.1f} with {len(agreeing)} other keyframes"
-        return [*(self._accept(each, reason) for each in agreeing), *self._accept_and_propagate(candidate, reason)]
+        return [*(self.accept(each, reason) for each in agreeing), *self._accept_and_propagate(candidate, reason)]
 
     def _carried(self, earlier: Candidate, later: Candidate) -> FloatArray:
         """``T_local_query`` (4, 4) of a later candidate's query as an earlier candidate predicts it."""
@@ -322,21 +334,19 @@ class LoopCloser:
             candidate.reference,
             candidate.score,
         )
-        records = [self._accept(candidate, reason)]
+        records = [self.accept(candidate, reason)]
         seed_closure = candidate
         for query in reversed(self._recent):
             if query.keyframe.id >= candidate.query or query.keyframe.id in self._closed:
                 continue
             propagated = self._verify_propagated(seed_closure, query)
             if propagated is not None:
-                records.append(
-                    self._accept(propagated, f"propagated from the closure of keyframe {seed_closure.query}")
-                )
+                records.append(self.accept(propagated, f"propagated from the closure of keyframe {seed_closure.query}"))
                 seed_closure = propagated
         self._seed_closure = candidate
         return records
 
-    def _accept(self, candidate: Candidate, reason: str) -> LoopClosureRecord:
+    def accept(self, candidate: Candidate, reason: str) -> LoopClosureRecord:
         """Accept a closure; it becomes a factor unless one within ``insert_travel_m`` represents it."""
         nearest = self._loops.nearest(candidate.travel_m)
         is_new = nearest is None or (
@@ -344,7 +354,8 @@ class LoopCloser:
         )
         if is_new:
             self._loops.insert(candidate)
-        self._accepted.append((candidate, candidate.query if is_new or nearest is None else nearest.candidate.query))
+        represented_by = candidate.query if is_new or nearest is None else nearest.candidate.query
+        self._accepted.append(Accepted(candidate, represented_by))
         self._closed[candidate.query] = candidate.reference
         self._seed_closure = candidate
         return candidate.record(Stage.ACCEPTED, reason, inserted=is_new)

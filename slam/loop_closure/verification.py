@@ -15,20 +15,20 @@ from slam.common.geometry import apply, invert
 from slam.loop_closure.candidate import NOWHERE, Candidate, Query, Stage
 from slam.loop_closure.consistency import odometry_penalty, poses_agree
 from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratio
-from slam.object_map.submap import TRAVERSAL_LENGTH_M, Submap, gravity_frame
+from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, gravity_frame
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.retrieval import Place, PlaceRetriever
 from slam.registration.registration import Registration, refine
 
-# Farther from the reference traversal its map is incomplete.
-MAX_REFERENCE_M = 20.0
+# Farther from the reference traversal, in sensor ranges, its map is incomplete.
+MAX_REFERENCE_RANGES = 20.0 / 30.0
 # Two candidates are consistent up to three standard deviations of the odometry between their references.
 MAX_CONSISTENT_PENALTY = 4.5
-# Along-track aliasing test: shifts of the query along its heading, the radius within which objects match after a shift,
-# and how many shifts with most matches are registered.
-ALONG_TRACK_SHIFTS_M = np.concatenate([np.arange(-40.0, -3.0), np.arange(4.0, 41.0)])
-ALONG_TRACK_MATCH_RADIUS_M = 1.5
+# Along-track aliasing test: shifts of the query along its heading and the radius within which objects match after a
+# shift, in sensor ranges; and how many shifts with most matches are registered.
+ALONG_TRACK_SHIFTS_RANGES = np.concatenate([np.arange(-40.0, -3.0), np.arange(4.0, 41.0)]) / 30.0
+ALONG_TRACK_MATCH_RANGES = 1.5 / 30.0
 ALONG_TRACK_SHIFTS_TRIED = 4
 
 
@@ -44,6 +44,7 @@ class Verifier:
         keyframes: Sequence[Keyframe],
     ) -> None:
         self._config = config
+        self._sensor_range_m = config.detection.sensor_range_m
         self._retriever = retriever
         self._track = track
         self._graph = graph
@@ -83,7 +84,7 @@ class Verifier:
             return query.refusal(Stage.REGISTRATION, registration.reason, reference, rank=place.rank)
         reference = self._nearest(replace(place, T_local_query=registration.T_reference_query), query)
         if reference is None:
-            reason = f"no earlier keyframe within {MAX_REFERENCE_M:g} m of the place"
+            reason = f"no earlier keyframe within {self._max_reference_m:g} m of the place"
             return query.refusal(Stage.REGISTRATION, reason, rank=place.rank)
         limits = self._config.loop_closure
         setting = "min_inliers" if seed_closure == NOWHERE else "min_inliers_tracked"
@@ -101,6 +102,10 @@ class Verifier:
         sigmas = self._track.drift_sigmas(first.reference, second.reference)
         return odometry_penalty(T_predicted, T_implied, sigmas, self._config) < MAX_CONSISTENT_PENALTY
 
+    def agree(self, T_a: FloatArray, T_b: FloatArray) -> bool:
+        """Whether two estimates (4, 4) of one pose agree; see :func:`poses_agree`."""
+        return poses_agree(T_a, T_b, sensor_range_m=self._sensor_range_m)
+
     def max_llr_along_track(self, query: Query, candidate: Candidate) -> float:
         """Highest LLR [nats] of the query at poses shifted along its heading: rows of objects repeat themselves.
 
@@ -113,15 +118,17 @@ class Verifier:
         offsets = reference_submap.positions[:, None, :2] - placed[None, :, :2]  # (M, N, 2)
         same = reference_submap.labels[:, None] == query.submap.labels
         heading = place.T_local_query[:2, 0]
-        shifted_offsets = offsets[None] - ALONG_TRACK_SHIFTS_M[:, None, None, None] * heading  # (S, M, N, 2)
-        near = same & (np.einsum("smni,smni->smn", shifted_offsets, shifted_offsets) < ALONG_TRACK_MATCH_RADIUS_M**2)
+        shifts_m = ALONG_TRACK_SHIFTS_RANGES * self._sensor_range_m
+        radius_m = ALONG_TRACK_MATCH_RANGES * self._sensor_range_m
+        shifted_offsets = offsets[None] - shifts_m[:, None, None, None] * heading  # (S, M, N, 2)
+        near = same & (np.einsum("smni,smni->smn", shifted_offsets, shifted_offsets) < radius_m**2)
         match_counts = near.any(axis=1).sum(axis=1)
         shifted_llrs = [0.0]
         for shift in np.argsort(-match_counts, kind="stable")[:ALONG_TRACK_SHIFTS_TRIED]:
             T_shifted = place.T_local_query.copy()
-            T_shifted[:2, 3] += ALONG_TRACK_SHIFTS_M[shift] * heading
+            T_shifted[:2, 3] += shifts_m[shift] * heading
             shifted = self.verify(query, replace(place, T_local_query=T_shifted))
-            if isinstance(shifted, Candidate) and not poses_agree(shifted.T_local_query, candidate.T_local_query):
+            if isinstance(shifted, Candidate) and not self.agree(shifted.T_local_query, candidate.T_local_query):
                 shifted_llrs.append(shifted.log_likelihood_ratio)
         return max(shifted_llrs)
 
@@ -178,12 +185,17 @@ class Verifier:
         tilt, yaw, shift = np.deg2rad(limits.tilt_sigma_deg), np.deg2rad(limits.base_sigma_deg), limits.base_sigma_m
         return np.asarray(registered + np.diag(np.array([tilt, tilt, yaw, shift, shift, shift]) ** 2))
 
+    @property
+    def _max_reference_m(self) -> float:
+        return MAX_REFERENCE_RANGES * self._sensor_range_m
+
     def _nearest(self, place: Place, query: Query) -> Keyframe | None:
-        """The nearest keyframe of the reference traversal, if it is within ``MAX_REFERENCE_M``."""
+        """The nearest keyframe of the reference traversal, if it is within ``MAX_REFERENCE_RANGES``."""
+        extent_m = TRAVERSAL_EXTENT * self._config.loop_closure.min_travel_m
         found = self._track.nearest(
             place.T_local_query[:3, 3],
             segment=place.segment,
-            from_m=place.travel_m - TRAVERSAL_LENGTH_M,
-            to_m=min(place.travel_m + TRAVERSAL_LENGTH_M, self.latest_m(query)),
+            from_m=place.travel_m - extent_m,
+            to_m=min(place.travel_m + extent_m, self.latest_m(query)),
         )
-        return self._keyframes[found[0]] if found is not None and found[1] <= MAX_REFERENCE_M else None
+        return self._keyframes[found[0]] if found is not None and found[1] <= self._max_reference_m else None

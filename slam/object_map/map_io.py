@@ -20,7 +20,7 @@ from logs.writer import LogWriter
 from slam.common.arrays import FloatArray
 from slam.common.errors import SavedMapError
 from slam.object_map.map_validation import find_fault, parts
-from slam.odometry.noise import BREAK_SIGMA_M
+from slam.odometry.noise import BREAK_SIGMA_RAD
 
 logger = logging.getLogger(__name__)
 
@@ -147,7 +147,7 @@ def load_map(path: Path) -> SavedMap:
 
 def are_breaks(graph: FactorGraphRecord) -> NDArray[np.bool_]:
     """Which edges (E,) cross a discontinuity of the odometry and hold no information."""
-    return np.asarray(graph.edge_covariances[:, 3, 3] > (0.5 * BREAK_SIGMA_M) ** 2)
+    return np.asarray(graph.edge_covariances[:, 0, 0] > (0.5 * BREAK_SIGMA_RAD) ** 2)
 
 
 def confirmed(objects: ObjectMapRecord) -> ObjectMapRecord:

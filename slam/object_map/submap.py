@@ -16,8 +16,8 @@ from slam.common.geometry import apply, invert, transform_from_xyz_yaw, yaw_rad
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
 
-# Landmarks last seen within that travel of each other belong to one traversal.
-TRAVERSAL_LENGTH_M = 110.0
+# A traversal reaches that far before and after a place, in multiples of the least travel between two traversals.
+TRAVERSAL_EXTENT = 1.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)

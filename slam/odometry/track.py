@@ -10,21 +10,21 @@ import numpy as np
 
 from logs.messages import Odometry
 from slam.common.arrays import FloatArray
-from slam.common.config import OdometryConfig
+from slam.common.config import DetectionConfig, OdometryConfig
 from slam.common.geometry import interpolate
 
 # Scans wait for the odometry message that follows them; older ones than this many messages have lost their pose.
 HISTORY = 6000
 # The speed before a step is the greatest of that many steps, because a single one is noisy.
 RECENT_STEPS = 10
-# Odometry may be that far off from one message to the next without being called broken.
-JUMP_SLACK_M = 2.0
-# Travel is counted in steps of at least that length.
-JITTER_M = 0.05
+# Odometry may be that far off from one message to the next without being called broken, in sensor ranges.
+JUMP_SLACK_RANGES = 2.0 / 30.0
+# Travel is counted in steps of at least that length, in sensor ranges.
+JITTER_RANGES = 0.05 / 30.0
 # A pose that is the first one to so many metres (and about as many radians) is the first one again,
 RESTART_TOLERANCE = 1e-6
-# unless the body was on its way there: no farther off than that from going on as before.
-RESTART_SLACK_M = 0.25
+# unless the body was on its way there: no farther off than that from going on as before, in sensor ranges.
+RESTART_SLACK_RANGES = 0.25 / 30.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,11 +44,21 @@ class OdometryPose:
 class OdometryTrack:
     """The recent past of the odometry, for poses at the times of scans.
 
-    ``counters`` is where it counts the messages that it cannot use.
+    ``counters`` is where it counts the messages that it cannot use; ``sensor_range_m`` is that of the detections.
     """
 
-    def __init__(self, config: OdometryConfig, counters: Counter[str] | None = None, *, first_segment: int = 0) -> None:
+    def __init__(
+        self,
+        config: OdometryConfig,
+        counters: Counter[str] | None = None,
+        *,
+        first_segment: int = 0,
+        sensor_range_m: float = DetectionConfig().sensor_range_m,
+    ) -> None:
         self._config = config
+        self._jitter_m = JITTER_RANGES * sensor_range_m
+        self._jump_slack_m = JUMP_SLACK_RANGES * sensor_range_m
+        self._restart_slack_m = RESTART_SLACK_RANGES * sensor_range_m
         self._first_segment = first_segment
         self._breaks_next = False
         self._poses: deque[OdometryPose] = deque(maxlen=HISTORY)
@@ -131,12 +141,12 @@ class OdometryTrack:
             self._breaks_next = False
             # The jitter of a standing body is no travel.
             counted_m = float(np.linalg.norm(xyz_m - self._counted_xyz_m))
-            if breaks or counted_m >= JITTER_M:
+            if breaks or counted_m >= self._jitter_m:
                 self._counted_xyz_m = xyz_m
             pose = OdometryPose(
                 odometry.stamp_ns,
                 odometry.T_odom_body,
-                travel_m=last.travel_m + (counted_m if counted_m >= JITTER_M and not breaks else 0.0),
+                travel_m=last.travel_m + (counted_m if counted_m >= self._jitter_m and not breaks else 0.0),
                 segment=last.segment + breaks,
                 speed_mps=self._config.max_speed_mps if breaks else step_m / seconds,
             )
@@ -156,13 +166,13 @@ class OdometryTrack:
         passed_s = (last.stamp_ns - before.stamp_ns) * 1e-9
         velocity = (last.T_odom_body - before.T_odom_body)[:3, 3] / passed_s if passed_s > 0.0 else np.zeros(3)
         goes_on = last.T_odom_body[:3, 3] + velocity * seconds
-        return float(np.linalg.norm(T[:3, 3] - goes_on)) > RESTART_SLACK_M
+        return float(np.linalg.norm(T[:3, 3] - goes_on)) > self._restart_slack_m
 
     def _farthest_step_m(self, seconds: float) -> float:
         """How far the body can have come since the last pose; farther is a jump of the odometry."""
         speed_mps = max(pose.speed_mps for pose in islice(reversed(self._poses), RECENT_STEPS))
         reachable_mps = speed_mps + self._config.max_acceleration_mps2 * seconds
-        return min(reachable_mps, self._config.max_speed_mps) * seconds + JUMP_SLACK_M
+        return min(reachable_mps, self._config.max_speed_mps) * seconds + self._jump_slack_m
 
 
 def _between(before: OdometryPose, after: OdometryPose, stamp_ns: int) -> OdometryPose:

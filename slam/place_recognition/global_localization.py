@@ -19,8 +19,8 @@ NEIGHBOURS = 100
 """Candidates of each object; the registration takes about a millisecond for a hundred correspondences."""
 POSES = 5
 """Poses that are compared on all objects around them and not on the candidates alone."""
-SURROUNDINGS_M = 15.0
-"""How far beyond the farthest object of the query the map is looked at."""
+SURROUNDINGS_FACTOR = 5.0
+"""How far beyond the farthest object of the query the map is looked at, in multiples of ``search_radius_m``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +111,8 @@ class GlobalLocalizer:
         if not poses:
             return found[0]
         T_map_query = np.stack(poses)
-        near = self._around(T_map_query, float(np.linalg.norm(positions[:, :2], axis=1).max()) + SURROUNDINGS_M)
+        farthest_m = float(np.linalg.norm(positions[:, :2], axis=1).max())
+        near = self._around(T_map_query, farthest_m + SURROUNDINGS_FACTOR * config.search_radius_m)
         refined = refine_many(
             positions,
             labels,

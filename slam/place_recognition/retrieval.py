@@ -13,24 +13,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptors.constellation import gather_constellations
+from descriptors.constellation import Constellations, gather_constellations
 from descriptors.registry import make_index
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import LoopClosureConfig, RegistrationConfig, SubmapConfig
+from slam.common.config import Config
 from slam.common.errors import GeometryError
 from slam.object_map.landmarks import LandmarkState, ObjectMap
-from slam.object_map.submap import TRAVERSAL_LENGTH_M, Submap, placed_submap
+from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, placed_submap
 from slam.registration.exhaustive_search import ExhaustiveSearch
 from slam.registration.registration import register
 
 logger = logging.getLogger(__name__)
 
-# Radius of a reference submap.
-PLACE_RADIUS_M = 90.0
+# Radius of a reference submap, in sensor ranges.
+PLACE_RADIUS_RANGES = 90.0 / 30.0
+# Sensor range for which the descriptors are made: their rings, kernels and radii are lengths of their own.
+DESCRIPTOR_RANGE_M = 30.0
+# Longest pair of objects of a query in the exhaustive search, in sensor ranges: the diameter of what a sensor sees.
+SEARCHED_PAIR_RANGES = 2.0
 # Objects of a query in the exhaustive search, whose time grows with the square of their number.
 SEARCHED_OBJECTS = 25
-# Least travel between two updates of the index.
-INDEX_EVERY_M = 10.0
+# Least travel between two updates of the index, in sensor ranges.
+INDEX_EVERY_RANGES = 10.0 / 30.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,25 +56,21 @@ class Place:
 class PlaceRetriever:
     """Retrieves places from an index of inactive landmarks."""
 
-    def __init__(
-        self,
-        config: LoopClosureConfig,
-        submap_config: SubmapConfig,
-        registration_config: RegistrationConfig,
-        object_map: ObjectMap,
-    ) -> None:
-        self._config = config
-        self._submap_config = submap_config
-        self._registration_config = registration_config
+    def __init__(self, config: Config, object_map: ObjectMap) -> None:
+        self._config = config.loop_closure
+        self._submap_config = config.submap
+        self._registration_config = config.registration
+        self._sensor_range_m = config.detection.sensor_range_m
+        self._extent_m = TRAVERSAL_EXTENT * config.loop_closure.min_travel_m
         self._map = object_map
-        self._index = make_index(config.descriptor)
+        self._index = make_index(config.loop_closure.descriptor)
         self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
         self._indexed_m = -np.inf
         self._searches: dict[int, tuple[IntArray, ExhaustiveSearch | None]] = {}
 
     def index_inactive_landmarks(self, travel_m: float) -> None:
         """Add the landmarks unseen for ``inactive_travel_m`` to the index."""
-        if travel_m - self._indexed_m < INDEX_EVERY_M:
+        if travel_m - self._indexed_m < INDEX_EVERY_RANGES * self._sensor_range_m:
             return
         self._indexed_m = travel_m
         landmarks = self._map.rows
@@ -82,21 +82,28 @@ class PlaceRetriever:
 
     def _enter(self, new: IntArray, segment: int) -> None:
         landmarks = self._map.rows
-        earliest_m = landmarks["last_seen_travel_m"][new].min() - TRAVERSAL_LENGTH_M
+        earliest_m = landmarks["last_seen_travel_m"][new].min() - self._extent_m
         around = np.flatnonzero(
             (landmarks["state"] == LandmarkState.CONFIRMED)
             & (landmarks["segment"] == segment)
             & (landmarks["last_seen_travel_m"] > earliest_m)
         )
-        constellations = gather_constellations(
+        constellations = self._constellations(
             landmarks["position_local"][around],
             self._map.classes(around),
-            self._map.vocabulary,
-            radius_m=self._index.radius_m,
-            centres=np.asarray(np.searchsorted(around, new)),
+            np.asarray(np.searchsorted(around, new)),
         )
         self._index.add(constellations)
         self._rows = np.concatenate([self._rows, new])
+
+    def _constellations(
+        self, positions: FloatArray, labels: IntArray, centres: IntArray | None = None
+    ) -> Constellations:
+        """Constellations of objects (N, 3) m, scaled to a sensor that sees as far as the descriptors are made for."""
+        scaled = positions * (DESCRIPTOR_RANGE_M / self._sensor_range_m)
+        return gather_constellations(
+            scaled, labels, self._map.vocabulary, radius_m=self._index.radius_m, centres=centres
+        )
 
     def class_shares(self) -> FloatArray:
         """Frequency (C,) of each class among the indexed landmarks, with a pseudo-count of 1."""
@@ -107,9 +114,7 @@ class PlaceRetriever:
         """The best places of a query, given in its gravity frame, among landmarks last seen before that travel."""
         landmarks = self._map.rows
         usable = (landmarks["last_seen_travel_m"] < before_m) & (landmarks["state"] == LandmarkState.CONFIRMED)
-        constellations = gather_constellations(
-            query.positions, query.labels, self._map.vocabulary, radius_m=self._index.radius_m
-        )
+        constellations = self._constellations(query.positions, query.labels)
         matches = self._index.search(constellations, self._config.top_k, usable[self._rows])
         if not len(matches.queries):
             return []
@@ -165,7 +170,13 @@ class PlaceRetriever:
         reference = placed_submap(self._map, rows, np.zeros(3), self._submap_config)
         sigmas = np.full(len(rows), self._submap_config.landmark_sigma_m)
         try:
-            return ExhaustiveSearch(reference.positions, reference.labels, self._registration_config, map_sigmas=sigmas)
+            return ExhaustiveSearch(
+                reference.positions,
+                reference.labels,
+                self._registration_config,
+                reach_m=SEARCHED_PAIR_RANGES * self._sensor_range_m,
+                map_sigmas=sigmas,
+            )
         except GeometryError as error:
             logger.warning("no exhaustive search, retrieval by descriptors alone: %s", error)
             return None
@@ -182,12 +193,13 @@ class PlaceRetriever:
         """The landmarks around a place from its traversal, in the odometry frame."""
         landmarks = self._map.rows
         centre = place.T_local_query[:3, 3]
+        radius_m = PLACE_RADIUS_RANGES * self._sensor_range_m
         offsets = landmarks["position_local"][:, :2] - centre[:2]
         rows = np.flatnonzero(
-            (np.abs(landmarks["last_seen_travel_m"] - place.travel_m) < TRAVERSAL_LENGTH_M)
+            (np.abs(landmarks["last_seen_travel_m"] - place.travel_m) < self._extent_m)
             & (landmarks["last_seen_travel_m"] < before_m)
             & (landmarks["segment"] == place.segment)
             & (landmarks["state"] == LandmarkState.CONFIRMED)
-            & (np.einsum("ij,ij->i", offsets, offsets) < PLACE_RADIUS_M**2)
+            & (np.einsum("ij,ij->i", offsets, offsets) < radius_m**2)
         )
         return placed_submap(self._map, rows, centre, self._submap_config)

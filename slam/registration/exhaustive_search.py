@@ -27,9 +27,12 @@ SURE_INLIERS = 4
 Two would do, were each of their pairs long enough to propose the pose well."""
 OBJECTS_A_ROUND = 3
 """Objects after which poses that cannot become one of the best are let go."""
-CELL_M = 0.5
-FARTHEST_GATE_M = 6.0
-"""Objects farther from where they should be count as missing, however large the noise."""
+CELL_FRACTION = 0.25
+"""Edge of a cell of the raster, as a fraction of ``distinct_m``."""
+FARTHEST_GATE_FACTOR = 3.0
+"""Objects that many times ``distinct_m`` from where they should be count as missing, however large the noise."""
+REACH_FACTOR = 30.0
+"""Longest pairs that are compared, in multiples of ``distinct_m``, where no other length is asked for."""
 LEADERS = 16
 """Distinct poses with the best scores, which are refined."""
 CROWD = 8
@@ -43,7 +46,8 @@ class ExhaustiveSearch:
         positions: (M, 3) m, gravity-aligned.
         labels: (M,).
         config: gates and limits, ``estimate_scale`` among them.
-        reach_m: the longest pairs that are compared: the diameter of the query.
+        reach_m: the longest pairs that are compared: the diameter of the query; by default ``REACH_FACTOR`` times
+            ``distinct_m``.
         map_sigmas: (M,) m, noise of a position along any axis.
 
     Raises:
@@ -57,7 +61,7 @@ class ExhaustiveSearch:
         labels: IntArray,
         config: RegistrationConfig,
         *,
-        reach_m: float = 60.0,
+        reach_m: float | None = None,
         map_sigmas: FloatArray,
     ) -> None:
         _check("map", positions, labels, map_sigmas)
@@ -71,8 +75,16 @@ class ExhaustiveSearch:
         planar = positions[:, :2] - self._middle[:2]
         self._plane = planar[:, 0] + 1j * planar[:, 1]
         self._tree = cKDTree(planar)
-        self._pairs = MapPairs.of(self._plane, classes, self._tree, len(self._vocabulary), reach_m)
-        self._raster = make_class_raster(planar, classes, len(self._vocabulary), reach_m=FARTHEST_GATE_M, cell_m=CELL_M)
+        longest_m = REACH_FACTOR * config.distinct_m if reach_m is None else reach_m
+        self._pairs = MapPairs.of(self._plane, classes, self._tree, len(self._vocabulary), longest_m)
+        self._farthest_gate_m = FARTHEST_GATE_FACTOR * config.distinct_m
+        self._raster = make_class_raster(
+            planar,
+            classes,
+            len(self._vocabulary),
+            reach_m=self._farthest_gate_m,
+            cell_m=CELL_FRACTION * config.distinct_m,
+        )
         # The last object is the one that is not there: infinitely far, with any noise.
         self._looked_up = np.append(self._plane, complex(np.inf, np.inf))
         self._variances = np.append(map_sigmas**2, 1.0)
@@ -199,7 +211,7 @@ class ExhaustiveSearch:
         middles = leaders.turn * centre + leaders.shift
         # Each leader has an object within the farthest gate, so that no part is empty.
         near = self._tree.query_ball_point(
-            np.column_stack([middles.real, middles.imag]), sizes * radius_m + 2.0 * FARTHEST_GATE_M
+            np.column_stack([middles.real, middles.imag]), sizes * radius_m + 2.0 * self._farthest_gate_m
         )
         part = np.unique(np.concatenate([np.asarray(objects, np.int64) for objects in near]))
         heights = np.array([np.median(self._positions[objects, 2]) for objects in near])

@@ -19,8 +19,8 @@ PRODUCT_SIZE = 2**18
 """Larger matrix products OpenBLAS spreads over threads, which wait for one another where a core is busy."""
 FEW_PAIRS = 200
 """So few are not worth sorting out."""
-CONVERGED_M = 1e-3
-"""A pose that moves no object by more stands still."""
+CONVERGED_FRACTION = 5e-4
+"""A pose that moves no object by more than this fraction of ``distinct_m`` stands still."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,7 +199,7 @@ def refine_poses(
         moved = least_squares(poses, _weights(ratio, columns), columns, config)
         change_m = float((np.abs(moved - poses) * leverage).max())
         poses = moved
-        if change_m < CONVERGED_M and radius <= noise_gate_m:
+        if change_m < CONVERGED_FRACTION * config.distinct_m and radius <= noise_gate_m:
             break
     return poses, columns
 
@@ -241,7 +241,7 @@ def least_squares(poses: FloatArray, weights: FloatArray, columns: Columns, conf
     if config.estimate_scale:
         prior = config.scale_sigma**-2
         scale = (length + prior) / (spread + prior)
-    turns = length > 1e-9 * (moments[:, 7] + weight)  # below that it is rounding
+    turns = length > 1e-9 * (moments[:, 7] + weight * (0.5 * config.distinct_m) ** 2)  # below that it is rounding
     if not turns.all():
         before = poses[:, :2].copy().view(np.complex128)[:, 0] / poses[:, 5]
         covariance, length = np.where(turns, covariance, before), np.where(turns, length, 1.0)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from slam.backend.factor_graph import MIN_RANGE_M, Edge, FactorGraph, Observation
+from slam.backend.factor_graph import MIN_RANGE_RANGES, Edge, FactorGraph, Observation
 from slam.common.arrays import FloatArray
 from slam.common.config import FactorGraphConfig
 from slam.common.errors import FactorGraphError
@@ -267,9 +267,12 @@ def test_the_covariance_of_a_landmark_behind_an_edge_holds_the_edges_noise_too()
 # Landmarks come and go
 
 
-def test_an_object_on_top_of_the_sensor_is_passed_over():
-    graph = build(noisy_edges(), [])
-    near, far = np.array([0.99 * MIN_RANGE_M, 0, 0]), np.array([0, 1.01 * MIN_RANGE_M, 0])
+@pytest.mark.parametrize("sensor_range_m", [1.5, 30.0, 600.0])
+def test_an_object_on_top_of_the_sensor_is_passed_over(sensor_range_m):
+    graph = FactorGraph(PLAIN, sensor_range_m=sensor_range_m)
+    graph.add_first_keyframe(0, np.eye(4))
+    least_m = MIN_RANGE_RANGES * sensor_range_m
+    near, far = np.array([0.99 * least_m, 0, 0]), np.array([0, 1.01 * least_m, 0])
     assert graph.add_observations([Observation(0, 50, near, SEEN_COVARIANCE)]) == 0
     assert graph.add_observations([Observation(0, 51, np.zeros(3), SEEN_COVARIANCE)]) == 0
     assert graph.add_observations([Observation(0, 52, far, SEEN_COVARIANCE)]) == 1

@@ -37,11 +37,12 @@ class Street:
     but the odometry puts it 3 m ahead. Keyframe and landmark ``5 * pass + station`` belong together.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, pass_m: float = PASS_M, min_travel_m: float = 100.0) -> None:
+        self.pass_m = pass_m
         self.map = ObjectMap(AssociationConfig())
         self.graph = FactorGraph(FactorGraphConfig(observation_kernel="none"))
         self.keyframes: list[Keyframe] = []
-        self.loops = ClosedLoops(self.map, self.graph, self.keyframes)
+        self.loops = ClosedLoops(self.map, self.graph, self.keyframes, min_travel_m=min_travel_m)
         self.graph.add_first_keyframe(0, pose(0.0))
         for number in range(PASSES * STATIONS):
             self._visit(number)
@@ -55,8 +56,10 @@ class Street:
             self.graph.add_next_keyframe(edge(number - 1, number, back_m, 0.01 if station else 5.0))
         odom_m = drive * DRIFT_M + station * SPACING_M
         labels = self.map.label_indices(("lamp" if station % 2 else "tree",))
-        travel_m = drive * PASS_M + station * SPACING_M
-        self.keyframes.append(Keyframe(number, OdometryPose(10**9 * number, pose(odom_m), travel_m, 0, 5.0)))
+        travel_m = drive * self.pass_m + station * SPACING_M
+        self.keyframes.append(
+            Keyframe(number, OdometryPose(10**9 * number, pose(odom_m), travel_m, 0, 5.0), pose(odom_m))
+        )
         self.map.add(
             np.array([[odom_m, 4.0, 0.0]]),
             0.01 * np.eye(3)[None],
@@ -73,7 +76,7 @@ class Street:
         candidate = make_candidate(
             query=query,
             reference=reference,
-            travel_m=query // STATIONS * PASS_M + query % STATIONS * SPACING_M,
+            travel_m=query // STATIONS * self.pass_m + query % STATIONS * SPACING_M,
             T_reference_query=pose(apart_m),
             sigma=0.3,
             pairs=pairs,
@@ -156,6 +159,19 @@ def test_two_objects_of_one_pass_never_become_one(street, closures):
     names = street.names()
     for drive in range(PASSES):
         assert len(set(names[STATIONS * drive : STATIONS * (drive + 1)])) == STATIONS
+
+
+@pytest.mark.parametrize(("round_m", "min_travel_m"), [(105.0, 100.0), (50.0, 40.0)])
+def test_landmarks_are_merged_by_every_loop_that_may_be_closed(round_m, min_travel_m):
+    street = Street(pass_m=round_m, min_travel_m=min_travel_m)
+    street.close(7, 2, SAME_STATIONS)
+    assert street.names() == [*range(5), *range(5), *range(10, 15)]
+
+
+def test_landmarks_are_not_merged_by_a_shorter_loop_than_may_be_closed():
+    street = Street(pass_m=105.0, min_travel_m=110.0)
+    street.close(7, 2, SAME_STATIONS)
+    assert street.names() == list(range(PASSES * STATIONS))
 
 
 def test_a_retired_landmark_is_merged_with_nothing(street):

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
-from slam.common.config import LoopClosureConfig
+from slam.common.config import Config
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.loop_closure.consistency import (
-    AGREE_M,
     AGREE_RAD,
+    AGREE_RANGES,
     accumulated_llr,
     odometry_penalty,
     poses_agree,
@@ -18,7 +18,8 @@ from slam.loop_closure.consistency import (
 )
 from tests.helpers.candidates import make_candidate
 
-CONFIG = LoopClosureConfig()
+CONFIG = Config()
+RANGE_M = 30.0
 DRIFT = (0.8, 0.02)
 T_BASE = transform_from_xyz_yaw(np.array([40.0, -7.0, 1.0]), 2.5)
 
@@ -37,21 +38,23 @@ def moved(T: FloatArray, x_m: float = 0.0, y_m: float = 0.0, turn_rad: float = 0
 def test_places_agree_up_to_the_limit_in_every_direction(direction_rad):
     c, s = np.cos(direction_rad), np.sin(direction_rad)
     for factor, expected in ((0.99, True), (1.01, False)):
-        other = moved(T_BASE, factor * AGREE_M * c, factor * AGREE_M * s)
-        assert poses_agree(T_BASE, other) is expected
-        assert poses_agree(other, T_BASE) is expected
+        for sensor_range_m in (1.5, 30.0, 600.0):
+            off_m = factor * AGREE_RANGES * sensor_range_m
+            other = moved(T_BASE, off_m * c, off_m * s)
+            assert poses_agree(T_BASE, other, sensor_range_m=sensor_range_m) is expected
+            assert poses_agree(other, T_BASE, sensor_range_m=sensor_range_m) is expected
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_headings_agree_up_to_the_limit_also_across_half_a_turn(sign):
     for yaw_rad in (0.0, 2.5, np.pi - 0.01, -np.pi + 0.01):
         T = transform_from_xyz_yaw(np.array([3.0, 4.0, 0.0]), yaw_rad)
-        assert poses_agree(T, moved(T, turn_rad=0.99 * sign * AGREE_RAD))
-        assert not poses_agree(T, moved(T, turn_rad=1.01 * sign * AGREE_RAD))
+        assert poses_agree(T, moved(T, turn_rad=0.99 * sign * AGREE_RAD), sensor_range_m=RANGE_M)
+        assert not poses_agree(T, moved(T, turn_rad=1.01 * sign * AGREE_RAD), sensor_range_m=RANGE_M)
 
 
 def test_heights_are_not_compared():
-    assert poses_agree(T_BASE, moved(T_BASE, z_m=10.0))
+    assert poses_agree(T_BASE, moved(T_BASE, z_m=10.0), sensor_range_m=RANGE_M)
 
 
 # Odometry penalty
@@ -65,10 +68,12 @@ def test_there_is_no_odometry_penalty_at_the_prediction():
     ("x_m", "y_m", "turn_rad"), [(1.5, 0.0, 0.0), (0.0, -2.0, 0.0), (0.0, 0.0, 0.06), (1, 2, -0.05)]
 )
 def test_the_penalty_near_the_prediction_is_half_the_squared_mahalanobis_distance(x_m, y_m, turn_rad):
-    place_variance = CONFIG.odometry_inflation**2 * (DRIFT[0] ** 2 + CONFIG.base_sigma_m**2)
-    heading_variance = CONFIG.odometry_inflation**2 * (DRIFT[1] ** 2 + np.deg2rad(CONFIG.base_sigma_deg) ** 2)
+    place_variance = CONFIG.odometry.inflation**2 * (DRIFT[0] ** 2 + CONFIG.loop_closure.base_sigma_m**2)
+    heading_variance = CONFIG.odometry.inflation**2 * (
+        DRIFT[1] ** 2 + np.deg2rad(CONFIG.loop_closure.base_sigma_deg) ** 2
+    )
     expected = 0.5 * ((x_m**2 + y_m**2) / place_variance + turn_rad**2 / heading_variance)
-    assert 0.0 < expected < CONFIG.max_odometry_penalty
+    assert 0.0 < expected < CONFIG.loop_closure.max_odometry_penalty
     measured = moved(T_BASE, x_m, y_m, turn_rad)
     assert odometry_penalty(T_BASE, measured, DRIFT, CONFIG) == pytest.approx(expected, rel=1e-6)
 
@@ -76,8 +81,11 @@ def test_the_penalty_near_the_prediction_is_half_the_squared_mahalanobis_distanc
 def test_the_penalty_is_bounded_and_never_falls_with_the_distance():
     penalties = [odometry_penalty(T_BASE, moved(T_BASE, x_m), DRIFT, CONFIG) for x_m in np.linspace(0.0, 500.0, 60)]
     assert np.all(np.diff(penalties) >= 0.0)
-    assert penalties[-1] == CONFIG.max_odometry_penalty
-    assert odometry_penalty(T_BASE, moved(T_BASE, turn_rad=np.pi), DRIFT, CONFIG) == CONFIG.max_odometry_penalty
+    assert penalties[-1] == CONFIG.loop_closure.max_odometry_penalty
+    assert (
+        odometry_penalty(T_BASE, moved(T_BASE, turn_rad=np.pi), DRIFT, CONFIG)
+        == CONFIG.loop_closure.max_odometry_penalty
+    )
 
 
 def test_more_drift_means_less_penalty():
@@ -90,7 +98,7 @@ def test_across_a_break_it_does_not_matter_what_the_odometry_predicts():
     infinite = (np.inf, np.inf)
     penalties = {odometry_penalty(T_BASE, moved(T_BASE, x_m), infinite, CONFIG) for x_m in (0.0, 5.0, 500.0)}
     assert len(penalties) == 1
-    assert 0.0 <= penalties.pop() < CONFIG.max_odometry_penalty
+    assert 0.0 <= penalties.pop() < CONFIG.loop_closure.max_odometry_penalty
 
 
 # Several candidates
@@ -102,9 +110,9 @@ def test_of_equal_places_the_best_is_kept_and_the_best_place_comes_first():
     penalized = make_candidate(query=3, T_local_query=moved(T_BASE, -0.5), llrs={0: 40.0}, odometry_penalty=15.0)
     elsewhere = make_candidate(query=4, T_local_query=moved(T_BASE, 30.0), llrs={0: 20.0})
     turned = make_candidate(query=5, T_local_query=moved(T_BASE, turn_rad=np.pi), llrs={0: 35.0})
-    found = suppress_non_maxima([weak, elsewhere, penalized, strong, turned])
+    found = suppress_non_maxima([weak, elsewhere, penalized, strong, turned], sensor_range_m=RANGE_M)
     assert [candidate.query for candidate in found] == [5, 2, 4]
-    assert suppress_non_maxima([]) == []
+    assert suppress_non_maxima([], sensor_range_m=RANGE_M) == []
 
 
 def test_a_landmark_of_several_queries_counts_once_by_the_mean_of_its_llr():

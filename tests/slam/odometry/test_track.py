@@ -138,3 +138,20 @@ def test_who_drives_or_stands_at_the_start_of_its_odometry_goes_on():
     there_and_back = [*range(11), *range(9, -1, -1), -1, -2]
     assert segments(*((0.1 * i, 0.5 * x) for i, x in enumerate(there_and_back))) == [0] * len(there_and_back)
     assert segments(*((0.1 * i, 0.0) for i in range(5)), (3.0, 0.0), (3.1, 0.4)) == [0] * 7
+
+
+@pytest.mark.parametrize(("sensor_range_m", "breaks"), [(30.0, 0), (1.5, 1)])
+def test_what_is_a_jump_depends_on_how_far_the_sensor_sees(sensor_range_m, breaks):
+    made = OdometryTrack(CONFIG, sensor_range_m=sensor_range_m)
+    for step in range(20):  # the speed before the first step is not known
+        made.add(odometry(0.1 * step, 0.1 * step))
+    made.add(odometry(2.0, 3.5))
+    assert made.latest.segment == breaks
+
+
+@pytest.mark.parametrize(("sensor_range_m", "travel_m"), [(30.0, 0.0), (1.5, 0.05)])
+def test_what_is_jitter_depends_on_how_far_the_sensor_sees(sensor_range_m, travel_m):
+    made = OdometryTrack(CONFIG, sensor_range_m=sensor_range_m)
+    for seconds, x in ((0.0, 0.0), (0.1, 0.03), (0.2, 0.01)):
+        made.add(odometry(seconds, x))
+    assert made.latest.travel_m == pytest.approx(travel_m)

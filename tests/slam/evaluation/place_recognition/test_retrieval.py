@@ -109,5 +109,5 @@ def test_the_estimator_ranks_what_descriptors_propose_and_nothing_else(kidnapped
 
 def test_places_that_become_one_keep_the_best_rank() -> None:
     second, first = (replace(make_candidate(llrs={0: llr}), rank=rank) for llr, rank in ((30.0, 2), (20.0, 1)))
-    kept = suppress_non_maxima([first, second])
+    kept = suppress_non_maxima([first, second], sensor_range_m=30.0)
     assert [(candidate.rank, candidate.score) for candidate in kept] == [(1, 30.0)]
