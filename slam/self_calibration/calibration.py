@@ -122,7 +122,7 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         "detection.base_sigma_m": max(np.sqrt(white), floor_m),
         "detection.sigma_per_m": np.sqrt(by_range),
         "detection.common_sigma_m": np.sqrt(found.view),
-        "detection.covariance_inflation": max(_keyframes_per_view(config, survey), 1.0),
+        "detection.covariance_inflation": max(_keyframes_per_view(config, survey) * survey.objects, 1.0),
         "detection.scans_per_view": max(survey.median_range_m / max(survey.travel_m / survey.scans, 1e-9), 1.0),
         "submap.landmark_sigma_m": max(np.sqrt(between_passes), floor_m),
         "loop_closure.base_sigma_m": max(np.sqrt(between_passes), floor_m),
