@@ -8,6 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from slam.common.arrays import IntArray
+
 
 @dataclass(frozen=True, slots=True)
 class Merge:
@@ -65,9 +69,7 @@ class UnionFind:
         first, second = self._root(kept), self._root(dropped)
         if first == second:
             return None
-        merge = Merge(
-            kept, dropped, self._representative.get(first, first), self._representative.get(second, second)
-        )
+        merge = Merge(kept, dropped, self._representative.get(first, first), self._representative.get(second, second))
         sizes = self._size.get(first, 1), self._size.get(second, 1)
         root, attached = (first, second) if sizes[0] >= sizes[1] else (second, first)
         self._parent[attached] = root
@@ -110,3 +112,11 @@ class UnionFind:
         while item in self._parent:
             item = self._parent[item]
         return item
+
+
+def find_components(count: int, pairs: IntArray) -> IntArray:
+    """The least item (N,) of the connected component of each of N = ``count`` items that pairs (K, 2) connect."""
+    sets = UnionFind()
+    for first, second in pairs.tolist():
+        sets.merge(*sorted((sets.find(first), sets.find(second))))
+    return np.array([sets.find(item) for item in range(count)], dtype=np.int64)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slam.common.union_find import Merge, UnionFind
+from slam.common.union_find import Merge, UnionFind, find_components
 
 ITEMS = 9
 PAIRS = st.tuples(st.integers(0, ITEMS - 1), st.integers(0, ITEMS - 1))
@@ -107,3 +108,14 @@ def test_a_long_chain_of_merges_stays_shallow():
     for item in reversed(range(count)):
         sets.merge(item, item + 1)
     assert {sets.find(item) for item in range(count + 1)} == {0}
+
+
+@given(st.lists(PAIRS, max_size=20))
+def test_a_component_has_the_name_of_its_least_item(pairs):
+    names = find_components(ITEMS, np.array(pairs, dtype=np.int64).reshape(-1, 2))
+    reached = np.eye(ITEMS, dtype=np.bool_)
+    for first, second in pairs:
+        reached[first, second] = reached[second, first] = True
+    for _ in range(ITEMS):
+        reached = reached @ reached
+    np.testing.assert_array_equal(names, reached.argmax(axis=1))
