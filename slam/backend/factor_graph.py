@@ -20,6 +20,7 @@ from logs.messages import FactorGraphRecord
 from slam.backend.factors import (
     MIN_RANGE_M,
     Edge,
+    EdgeKind,
     Factor,
     LandmarkPrior,
     Observation,
@@ -147,6 +148,18 @@ class FactorGraph:
             self._fixed_poses[keyframe] = T
         self._fixed_positions = dict(landmarks)
         self.update()
+
+    def mark_discontinuity(self, keyframe: int) -> None:
+        """Make the odometry edge by which a keyframe was added one of kind ``DISCONTINUITY``.
+
+        Raises:
+            FactorGraphError: no such edge is in the graph.
+        """
+        for number, factor in self.factors.items():
+            if isinstance(factor, Edge) and factor.to_keyframe == keyframe and factor.kind == EdgeKind.ODOMETRY:
+                self.factors[number] = replace(factor, kind=EdgeKind.DISCONTINUITY)
+                return
+        raise FactorGraphError(f"no odometry edge leads to keyframe {keyframe}")
 
     def add_edge(self, edge: Edge) -> int:
         """Tie two keyframes together; returns the factor's number."""
@@ -385,7 +398,7 @@ class FactorGraph:
             ),
             edge_transforms=np.array([e.T_from_to for e in edges]).reshape(-1, 4, 4),
             edge_covariances=np.array([e.covariance for e in edges]).reshape(-1, 6, 6),
-            edge_kinds=tuple(e.kind for e in edges),
+            edge_kinds=tuple(str(e.kind) for e in edges),
             observation_keyframe_ids=np.array([o.keyframe for o in observations], dtype=np.int64),
             observation_landmark_ids=tuple(str(self._aliases.find(o.landmark)) for o in observations),
             observation_positions=np.array([o.position for o in observations]).reshape(-1, 3),

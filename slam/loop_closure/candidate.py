@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from logs.messages import LoopClosureRecord
-from slam.backend.factors import Edge
+from slam.backend.factors import Edge, EdgeKind
 from slam.common.arrays import FloatArray, IntArray
 from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
@@ -66,7 +66,7 @@ class Candidate:
 
     def edge(self) -> Edge:
         """The between-factor of this closure."""
-        return Edge(self.reference, self.query, self.T_reference_query, self.covariance, "closure")
+        return Edge(self.reference, self.query, self.T_reference_query, self.covariance, EdgeKind.LOOP_CLOSURE)
 
     def record(self, stage: Stage, reason: str, *, inserted: bool = False) -> LoopClosureRecord:
         """The candidate with the decision about it, as it goes into a log."""

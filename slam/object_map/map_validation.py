@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
+from slam.backend.factors import EdgeKind
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.union_find import find_components
 
-EDGE_KINDS = {"odometry", "closure"}
 PROBABILITY_TOLERANCE = 1e-6
 SEMIDEFINITE_TOLERANCE = 1e-6
 """How far below zero, in parts of the trace, rounding may put an eigenvalue of a landmark's covariance."""
@@ -75,7 +75,7 @@ def _fault_of_names(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
     missing = set(graph.observation_landmark_ids) - set(objects.ids)
     if missing:
         return f"its graph observes landmark {min(missing)}, which it does not have"
-    kinds = set(graph.edge_kinds) - EDGE_KINDS
+    kinds = set(graph.edge_kinds) - set(EdgeKind)
     return f"its graph has edges of a kind {min(kinds)!r} that is not known" if kinds else ""
 
 
