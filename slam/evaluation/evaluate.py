@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
 from logs.closures import find_final_verdicts
@@ -44,7 +42,6 @@ NO_RUN_TIME = (
 )
 NO_TRUTH = "no ground truth: pass --reference LOG.mcap or record /ground_truth"
 IN_GIVEN_MAP = "closures go to the keyframes of a given map, of which this log holds no truth: see relocalization"
-MERGED_INTO = re.compile(r"^merged into (?P<kept>\S+)$")
 
 
 def evaluate(
@@ -292,11 +289,10 @@ class _Evaluator:
 
 
 def find_aliases(object_map: ObjectMapRecord | None) -> dict[str, str]:
-    """Id of each merged landmark -> id of the one it became, from the reasons of a map ("merged into ID")."""
-    if object_map is None:
+    """Id of each merged landmark -> id of the one that stands for it."""
+    if object_map is None or not object_map.merged_into:
         return {}
-    matches = ((name, MERGED_INTO.match(why)) for name, why in zip(object_map.ids, object_map.reasons, strict=True))
-    return {name: match["kept"] for name, match in matches if match}
+    return {name: kept for name, kept in zip(object_map.ids, object_map.merged_into, strict=True) if kept}
 
 
 def _series(stamped_poses: list[tuple[int, FloatArray]]) -> PoseSeries:

@@ -294,6 +294,7 @@ class ObjectMap:
             class_probabilities=self._beliefs(merged_totals.label_counts[kept]),
             states=tuple(self._state(int(row)).name.lower() for row in kept),
             reasons=tuple(self._reason(int(row)) for row in kept),
+            merged_into=tuple(self._merged_into(int(row)) for row in kept) if self._aliases else (),
             observation_counts=merged_totals.observations[kept],
             first_seen_ns=merged_totals.first_seen_ns[kept],
             last_seen_ns=merged_totals.last_seen_ns[kept],
@@ -318,6 +319,9 @@ class ObjectMap:
 
     def _state(self, row: int) -> LandmarkState:
         return LandmarkState.RETIRED if self._aliases.is_dropped(row) else LandmarkState(self.rows["state"][row])
+
+    def _merged_into(self, row: int) -> str:
+        return str(self.canonical_id(row)) if self._aliases.is_dropped(row) else ""
 
     def _reason(self, row: int) -> str:
         if self._aliases.is_dropped(row):

@@ -169,6 +169,7 @@ def _of_rows(objects: ObjectMapRecord, kept: NDArray[np.bool_]) -> ObjectMapReco
         observation_counts=objects.observation_counts[rows],
         first_seen_ns=objects.first_seen_ns[rows],
         last_seen_ns=objects.last_seen_ns[rows],
+        merged_into=(),  # what others stand for is retired, and not in a map
     )
 
 

@@ -128,6 +128,7 @@ def test_merged_landmarks_are_one_in_the_map_and_two_around_the_robot():
     record = object_map.to_record(0)
     assert record.states == ("retired", "retired", "tentative")
     assert record.reasons == ("merged into 2", "merged into 2", "")
+    assert record.merged_into == ("2", "2", "")
     assert record.observation_counts.tolist() == [2, 2, 5]
     assert record.last_seen_ns[2] == 7 * SECOND_NS
     together = new_map(count=1)
