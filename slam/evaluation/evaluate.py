@@ -21,7 +21,7 @@ from slam.evaluation.metrics.landmarks import (
     match_by_detections,
     match_by_position,
 )
-from slam.evaluation.metrics.relocalization import RelocalizationQuality, evaluate_relocalization, has_given_map
+from slam.evaluation.metrics.relocalization import RelocalizationQuality, evaluate_relocalization
 from slam.evaluation.metrics.trajectory import TrajectoryErrors, evaluate_trajectory
 from slam.evaluation.place_recognition.closures import ClosureQuality, evaluate_closures
 from slam.evaluation.place_recognition.place_pairs import (
@@ -207,7 +207,7 @@ class _Evaluator:
             self._unavailable["closures"] = NO_TRUTH
         elif graph is None:
             self._unavailable["closures"] = NO_KEYFRAMES
-        elif has_given_map(self._records):
+        elif self._records.has_prior_map:
             self._unavailable["closures"] = IN_GIVEN_MAP
             graph = None
         return evaluate_closures(
@@ -250,7 +250,7 @@ class _Evaluator:
         if not records.statuses:
             self._unavailable["relocalization"] = NO_STATUS
             return None
-        is_given = has_given_map(records)
+        is_given = records.has_prior_map
         if self._map_alignment is not None and not is_given:
             self._unavailable["map_alignment"] = "not used: in this log the robot made its own map and was given none"
         is_located = is_given and self._map_alignment is not None

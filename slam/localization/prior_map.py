@@ -12,7 +12,9 @@ from slam.odometry.keyframe import Keyframe
 from slam.odometry.track import OdometryPose
 
 TRAVEL_M = -10_000.0
-"""Travel of everything in the prior map. An optimised map has no traversals: all of it is consistent."""
+"""Travel of everything in the prior map: earlier than any of the drive. An optimised map has no traversals: all of it
+is consistent.
+"""
 SEGMENT = 0
 STAMP_NS = -1
 """The clocks of the drives are unrelated."""
@@ -29,7 +31,7 @@ def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed
     """
     rows = object_map.restore(saved.objects, travel_m=TRAVEL_M)
     keyframes = [
-        Keyframe(number, OdometryPose(STAMP_NS, T_map_body, TRAVEL_M, SEGMENT, np.inf), T_map_body)
+        Keyframe(number, OdometryPose(STAMP_NS, T_map_body, TRAVEL_M, SEGMENT, np.inf), T_map_body, is_prior=True)
         for number, T_map_body in enumerate(saved.graph.T_map_body)
     ]
     if fixed:

@@ -63,7 +63,7 @@ class LoopCloser:
         self._seed_closure: Candidate | None = None
         self._monitor = LocalizationMonitor()
         # Only a prior map is trusted more than the robot's pose; a map in the making may itself be wrong.
-        self._monitors_localization = len(keyframes) > 0
+        self._monitors_localization = any(keyframe.is_prior for keyframe in keyframes)
         self.lost_since_keyframe: int | None = None
         """The first keyframe that is inconsistent with the map, once the robot is lost; None while it is not."""
         self._closed: dict[int, int] = {}
@@ -92,9 +92,10 @@ class LoopCloser:
         near: set[int] = set()
         for segment in np.unique(segments[ends]).tolist():
             members = np.flatnonzero(segments == segment)
-            along = np.array([[self._keyframes[row].odometry.travel_m] for row in members.tolist()])
-            if np.ptp(along) == 0.0:  # a prior map: its keyframes have positions and no travel
-                along = np.stack([self._keyframes[row].T_local_body[:2, 3] for row in members.tolist()])
+            of_segment = [self._keyframes[row] for row in members.tolist()]
+            along = np.array([[keyframe.odometry.travel_m] for keyframe in of_segment])
+            if of_segment[0].is_prior:  # those have positions and no travel
+                along = np.stack([keyframe.T_local_body[:2, 3] for keyframe in of_segment])
             distances_m = cKDTree(along[np.isin(members, ends)]).query(along)[0]
             near.update(members[distances_m <= self._limits.propagation_distance_m].tolist())
         return {row for row in near if self.is_localized(self._keyframes[row])}
