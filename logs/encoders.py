@@ -132,6 +132,7 @@ def _object_map(r: m.ObjectMapRecord) -> Message:
         observation_counts=_flat(r.observation_counts),
         first_seen_ns=_flat(r.first_seen_ns),
         last_seen_ns=_flat(r.last_seen_ns),
+        merged_into=r.merged_into,
     )
 
 
@@ -180,6 +181,12 @@ def _loop_closure(r: m.LoopClosureRecord) -> Message:
         reference_stamp_ns=int(r.reference_stamp_ns),
         inserted=bool(r.inserted),
         rank=int(r.rank),
+        log_likelihood_ratio=r.log_likelihood_ratio,
+        odometry_penalty=r.odometry_penalty,
+        accumulated_log_likelihood_ratio=r.accumulated_log_likelihood_ratio,
+        best_rival_log_likelihood_ratio=r.best_rival_log_likelihood_ratio,
+        seed_query_keyframe_id=r.seed_query_keyframe_id,
+        represented_by_keyframe_id=r.represented_by_keyframe_id,
     )
 
 

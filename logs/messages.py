@@ -82,7 +82,8 @@ class ObjectMapRecord:
 
     positions (N, 3) m in ``frame_id``; covariances (N, 3, 3) m^2; class_probabilities (N, C) over ``vocabulary``
     (rows sum to 1); states: "tentative" | "confirmed" | "retired"; reasons: why it has that state, "" if plain;
-    observation_counts (N,); first_seen_ns, last_seen_ns (N,).
+    observation_counts (N,); first_seen_ns, last_seen_ns (N,). merged_into: id of the landmark that stands for each, ""
+    for itself; empty where none was merged.
     """
 
     stamp_ns: int
@@ -97,6 +98,7 @@ class ObjectMapRecord:
     observation_counts: IntArray
     first_seen_ns: IntArray
     last_seen_ns: IntArray
+    merged_into: tuple[str, ...] = ()
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -147,7 +149,7 @@ class FactorGraphRecord:
     keyframe_ids (K,), keyframe_stamps_ns (K,), T_map_body (K, 4, 4); pose_covariances (K, 6, 6), the marginals of the
     poses, in the map whose frame the first keyframe holds; (0, 6, 6) where they are not known.
     edge_keyframe_ids (E, 2) as (from, to) with edge_transforms (E, 4, 4) = T_from_to, edge_covariances (E, 6, 6),
-    edge_kinds: "odometry" | "closure".
+    edge_kinds: "odometry" | "discontinuity" (of the odometry: no information) | "closure".
     observation_keyframe_ids (O,), observation_landmark_ids, observation_positions (O, 3) m in the body frame of the
     keyframe, observation_covariances (O, 3, 3) m^2; observation_redundancies (O,), by which those covariances were
     widened because so many observations share their errors; (0,) where none was.
@@ -178,6 +180,14 @@ class LoopClosureRecord:
     keyframes replaces an earlier one. ``inserted``: the closure is a factor of the graph; an accepted one that repeats
     what another says already is none. ``rank``: place of the proposal, from 1, among those that descriptors made for
     this query; 0 where another closure predicted the place or nothing was proposed.
+
+    What the decision is made from, None where it was not computed; log-likelihood ratios in nats:
+    ``log_likelihood_ratio`` of the place against chance; ``odometry_penalty``: the negative log-likelihood of the
+    odometry residual, ``score`` is the difference of the two; ``accumulated_log_likelihood_ratio`` of this and earlier
+    candidates that agree with it, less the largest of their penalties; ``best_rival_log_likelihood_ratio`` of another
+    candidate that contradicts it, or of itself shifted along the track, whichever is larger;
+    ``seed_query_keyframe_id``: query of the closure that predicted this one; ``represented_by_keyframe_id``: query of
+    the closure that is the factor for an accepted one, its own where it was inserted.
     """
 
     stamp_ns: int
@@ -195,6 +205,12 @@ class LoopClosureRecord:
     reference_stamp_ns: int = 0
     inserted: bool = False
     rank: int = 0
+    log_likelihood_ratio: float | None = None
+    odometry_penalty: float | None = None
+    accumulated_log_likelihood_ratio: float | None = None
+    best_rival_log_likelihood_ratio: float | None = None
+    seed_query_keyframe_id: int | None = None
+    represented_by_keyframe_id: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

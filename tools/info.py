@@ -20,6 +20,12 @@ if TYPE_CHECKING:
     from logs.summary import LogSummary, TopicSummary
 
 _MOST_CLASSES = 12
+_DECIDED_FROM = (
+    "log_likelihood_ratio",
+    "odometry_penalty",
+    "accumulated_log_likelihood_ratio",
+    "best_rival_log_likelihood_ratio",
+)
 _LONGEST_VALUE = 300
 _MOST_CANDIDATES = 40
 _MOST_REASONS = 30
@@ -75,7 +81,9 @@ def _plain(summary: LogSummary) -> dict[str, Any]:
 
 def _plain_candidate(summary: LogSummary, candidate: LoopClosureRecord) -> dict[str, Any]:
     T = candidate.T_reference_query
-    numbers = {name: getattr(candidate, name) for name in ("retrieval_distance", "inlier_fraction", "score")}
+    numbers = {
+        name: getattr(candidate, name) for name in ("retrieval_distance", "inlier_fraction", "score", *_DECIDED_FROM)
+    }
     return {
         "time_s": _time_s(summary, candidate),
         "stamp_ns": candidate.stamp_ns,
@@ -87,7 +95,9 @@ def _plain_candidate(summary: LogSummary, candidate: LoopClosureRecord) -> dict[
         "stage": candidate.stage,
         "reason": candidate.reason,
         "inlier_count": candidate.inlier_count,
-        **{name: value if isfinite(value) else None for name, value in numbers.items()},
+        **{name: value if value is not None and isfinite(value) else None for name, value in numbers.items()},
+        "seed_query_keyframe_id": candidate.seed_query_keyframe_id,
+        "represented_by_keyframe_id": candidate.represented_by_keyframe_id,
         "T_reference_query": None if T is None else T.tolist(),
     }
 
@@ -213,7 +223,7 @@ def _candidate_table(summary: LogSummary, candidates: Sequence[LoopClosureRecord
 
     from tools import console
 
-    numbers = dict.fromkeys(("time s", "query", "reference", "score", "inliers"), True)
+    numbers = dict.fromkeys(("time s", "query", "reference", "score", "LLR", "penalty", "inliers"), True)
     table = console.grid({**numbers, "verdict": False, "stage": False, "reason": False}, "Candidates by query keyframe")
     for column in table.columns[:-1]:
         column.no_wrap = True
@@ -223,12 +233,18 @@ def _candidate_table(summary: LogSummary, candidates: Sequence[LoopClosureRecord
             str(candidate.query_keyframe_id),
             str(candidate.reference_keyframe_id),
             f"{candidate.score:.3g}",
+            _number(candidate.log_likelihood_ratio),
+            _number(candidate.odometry_penalty),
             str(candidate.inlier_count),
             _verdict(accepted=candidate.accepted),
             candidate.stage,
             escape(candidate.reason),
         )
     return table
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g}"
 
 
 def _verdict(*, accepted: bool) -> str:

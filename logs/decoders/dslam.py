@@ -70,6 +70,8 @@ def _associations(r: Any, kind: RecordKind, log_time_ns: int, counters: Counter[
 def _object_map(r: Any, kind: RecordKind, log_time_ns: int, counters: Counter[str]) -> tuple[m.Record, ...]:
     n, classes = len(r.ids), len(r.vocabulary)
     _same_length(n, states=r.states, reasons=r.reasons)
+    if r.merged_into:
+        _same_length(n, merged_into=r.merged_into)
     return (
         m.ObjectMapRecord(
             stamp_ns=r.stamp_ns,
@@ -86,6 +88,7 @@ def _object_map(r: Any, kind: RecordKind, log_time_ns: int, counters: Counter[st
             observation_counts=_integers(r.observation_counts, n, "observation_counts"),
             first_seen_ns=_integers(r.first_seen_ns, n, "first_seen_ns"),
             last_seen_ns=_integers(r.last_seen_ns, n, "last_seen_ns"),
+            merged_into=tuple(r.merged_into),
         ),
     )
 
@@ -142,6 +145,10 @@ def _optional_covariance(values: Sequence[float], counters: Counter[str]) -> Flo
     return usable_covariance(matrix_rows(values, 6, 6, "covariance"), counters)
 
 
+def _optional(r: Any, name: str) -> Any:
+    return getattr(r, name) if r.HasField(name) else None
+
+
 def _loop_closure(r: Any, kind: RecordKind, log_time_ns: int, counters: Counter[str]) -> tuple[m.Record, ...]:
     return (
         m.LoopClosureRecord(
@@ -160,6 +167,12 @@ def _loop_closure(r: Any, kind: RecordKind, log_time_ns: int, counters: Counter[
             reference_stamp_ns=r.reference_stamp_ns,
             inserted=r.inserted,
             rank=r.rank,
+            log_likelihood_ratio=_optional(r, "log_likelihood_ratio"),
+            odometry_penalty=_optional(r, "odometry_penalty"),
+            accumulated_log_likelihood_ratio=_optional(r, "accumulated_log_likelihood_ratio"),
+            best_rival_log_likelihood_ratio=_optional(r, "best_rival_log_likelihood_ratio"),
+            seed_query_keyframe_id=_optional(r, "seed_query_keyframe_id"),
+            represented_by_keyframe_id=_optional(r, "represented_by_keyframe_id"),
         ),
     )
 

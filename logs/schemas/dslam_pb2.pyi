@@ -45,7 +45,7 @@ class DetectionAssociations(_message.Message):
     def __init__(self, stamp_ns: _Optional[int] = ..., landmark_ids: _Optional[_Iterable[str]] = ..., created: _Optional[_Iterable[bool]] = ...) -> None: ...
 
 class ObjectMap(_message.Message):
-    __slots__ = ("stamp_ns", "frame_id", "vocabulary", "ids", "positions", "covariances", "class_probabilities", "states", "reasons", "observation_counts", "first_seen_ns", "last_seen_ns")
+    __slots__ = ("stamp_ns", "frame_id", "vocabulary", "ids", "positions", "covariances", "class_probabilities", "states", "reasons", "observation_counts", "first_seen_ns", "last_seen_ns", "merged_into")
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     FRAME_ID_FIELD_NUMBER: _ClassVar[int]
     VOCABULARY_FIELD_NUMBER: _ClassVar[int]
@@ -58,6 +58,7 @@ class ObjectMap(_message.Message):
     OBSERVATION_COUNTS_FIELD_NUMBER: _ClassVar[int]
     FIRST_SEEN_NS_FIELD_NUMBER: _ClassVar[int]
     LAST_SEEN_NS_FIELD_NUMBER: _ClassVar[int]
+    MERGED_INTO_FIELD_NUMBER: _ClassVar[int]
     stamp_ns: int
     frame_id: str
     vocabulary: _containers.RepeatedScalarFieldContainer[str]
@@ -70,7 +71,8 @@ class ObjectMap(_message.Message):
     observation_counts: _containers.RepeatedScalarFieldContainer[int]
     first_seen_ns: _containers.RepeatedScalarFieldContainer[int]
     last_seen_ns: _containers.RepeatedScalarFieldContainer[int]
-    def __init__(self, stamp_ns: _Optional[int] = ..., frame_id: _Optional[str] = ..., vocabulary: _Optional[_Iterable[str]] = ..., ids: _Optional[_Iterable[str]] = ..., positions: _Optional[_Iterable[float]] = ..., covariances: _Optional[_Iterable[float]] = ..., class_probabilities: _Optional[_Iterable[float]] = ..., states: _Optional[_Iterable[str]] = ..., reasons: _Optional[_Iterable[str]] = ..., observation_counts: _Optional[_Iterable[int]] = ..., first_seen_ns: _Optional[_Iterable[int]] = ..., last_seen_ns: _Optional[_Iterable[int]] = ...) -> None: ...
+    merged_into: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, stamp_ns: _Optional[int] = ..., frame_id: _Optional[str] = ..., vocabulary: _Optional[_Iterable[str]] = ..., ids: _Optional[_Iterable[str]] = ..., positions: _Optional[_Iterable[float]] = ..., covariances: _Optional[_Iterable[float]] = ..., class_probabilities: _Optional[_Iterable[float]] = ..., states: _Optional[_Iterable[str]] = ..., reasons: _Optional[_Iterable[str]] = ..., observation_counts: _Optional[_Iterable[int]] = ..., first_seen_ns: _Optional[_Iterable[int]] = ..., last_seen_ns: _Optional[_Iterable[int]] = ..., merged_into: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class Trajectory(_message.Message):
     __slots__ = ("stamp_ns", "frame_id", "stamps_ns", "map_body")
@@ -117,7 +119,7 @@ class FactorGraph(_message.Message):
     def __init__(self, stamp_ns: _Optional[int] = ..., keyframe_ids: _Optional[_Iterable[int]] = ..., keyframe_stamps_ns: _Optional[_Iterable[int]] = ..., map_body: _Optional[_Iterable[float]] = ..., edge_keyframe_ids: _Optional[_Iterable[int]] = ..., edge_from_to: _Optional[_Iterable[float]] = ..., edge_covariances: _Optional[_Iterable[float]] = ..., edge_kinds: _Optional[_Iterable[str]] = ..., observation_keyframe_ids: _Optional[_Iterable[int]] = ..., observation_landmark_ids: _Optional[_Iterable[str]] = ..., observation_positions: _Optional[_Iterable[float]] = ..., observation_covariances: _Optional[_Iterable[float]] = ..., pose_covariances: _Optional[_Iterable[float]] = ..., observation_redundancies: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class LoopClosure(_message.Message):
-    __slots__ = ("stamp_ns", "query_keyframe_id", "reference_keyframe_id", "accepted", "stage", "reason", "retrieval_distance", "inlier_count", "inlier_fraction", "score", "reference_query", "covariance", "reference_stamp_ns", "inserted", "rank")
+    __slots__ = ("stamp_ns", "query_keyframe_id", "reference_keyframe_id", "accepted", "stage", "reason", "retrieval_distance", "inlier_count", "inlier_fraction", "score", "reference_query", "covariance", "reference_stamp_ns", "inserted", "rank", "log_likelihood_ratio", "odometry_penalty", "accumulated_log_likelihood_ratio", "best_rival_log_likelihood_ratio", "seed_query_keyframe_id", "represented_by_keyframe_id")
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     QUERY_KEYFRAME_ID_FIELD_NUMBER: _ClassVar[int]
     REFERENCE_KEYFRAME_ID_FIELD_NUMBER: _ClassVar[int]
@@ -133,6 +135,12 @@ class LoopClosure(_message.Message):
     REFERENCE_STAMP_NS_FIELD_NUMBER: _ClassVar[int]
     INSERTED_FIELD_NUMBER: _ClassVar[int]
     RANK_FIELD_NUMBER: _ClassVar[int]
+    LOG_LIKELIHOOD_RATIO_FIELD_NUMBER: _ClassVar[int]
+    ODOMETRY_PENALTY_FIELD_NUMBER: _ClassVar[int]
+    ACCUMULATED_LOG_LIKELIHOOD_RATIO_FIELD_NUMBER: _ClassVar[int]
+    BEST_RIVAL_LOG_LIKELIHOOD_RATIO_FIELD_NUMBER: _ClassVar[int]
+    SEED_QUERY_KEYFRAME_ID_FIELD_NUMBER: _ClassVar[int]
+    REPRESENTED_BY_KEYFRAME_ID_FIELD_NUMBER: _ClassVar[int]
     stamp_ns: int
     query_keyframe_id: int
     reference_keyframe_id: int
@@ -148,7 +156,13 @@ class LoopClosure(_message.Message):
     reference_stamp_ns: int
     inserted: bool
     rank: int
-    def __init__(self, stamp_ns: _Optional[int] = ..., query_keyframe_id: _Optional[int] = ..., reference_keyframe_id: _Optional[int] = ..., accepted: bool = ..., stage: _Optional[str] = ..., reason: _Optional[str] = ..., retrieval_distance: _Optional[float] = ..., inlier_count: _Optional[int] = ..., inlier_fraction: _Optional[float] = ..., score: _Optional[float] = ..., reference_query: _Optional[_Iterable[float]] = ..., covariance: _Optional[_Iterable[float]] = ..., reference_stamp_ns: _Optional[int] = ..., inserted: bool = ..., rank: _Optional[int] = ...) -> None: ...
+    log_likelihood_ratio: float
+    odometry_penalty: float
+    accumulated_log_likelihood_ratio: float
+    best_rival_log_likelihood_ratio: float
+    seed_query_keyframe_id: int
+    represented_by_keyframe_id: int
+    def __init__(self, stamp_ns: _Optional[int] = ..., query_keyframe_id: _Optional[int] = ..., reference_keyframe_id: _Optional[int] = ..., accepted: bool = ..., stage: _Optional[str] = ..., reason: _Optional[str] = ..., retrieval_distance: _Optional[float] = ..., inlier_count: _Optional[int] = ..., inlier_fraction: _Optional[float] = ..., score: _Optional[float] = ..., reference_query: _Optional[_Iterable[float]] = ..., covariance: _Optional[_Iterable[float]] = ..., reference_stamp_ns: _Optional[int] = ..., inserted: bool = ..., rank: _Optional[int] = ..., log_likelihood_ratio: _Optional[float] = ..., odometry_penalty: _Optional[float] = ..., accumulated_log_likelihood_ratio: _Optional[float] = ..., best_rival_log_likelihood_ratio: _Optional[float] = ..., seed_query_keyframe_id: _Optional[int] = ..., represented_by_keyframe_id: _Optional[int] = ...) -> None: ...
 
 class Relocalization(_message.Message):
     __slots__ = ("stamp_ns", "success", "reason", "map_body", "covariance", "inlier_count", "score")

@@ -21,6 +21,7 @@ from slam.backend.factors import (
     MIN_RANGE_RANGES,
     PRIOR_SIGMA_RANGES,
     Edge,
+    EdgeKind,
     Factor,
     LandmarkPrior,
     Observation,
@@ -36,6 +37,7 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import DetectionConfig, FactorGraphConfig
 from slam.common.errors import FactorGraphError
 from slam.common.geometry import apply, invert
+from slam.common.union_find import UnionFind
 
 logger = logging.getLogger(__name__)
 
@@ -77,7 +79,7 @@ class FactorGraph:
         self._slots: dict[int, int] = {}
         self._landmark_factors: dict[int, list[int]] = {}  # by the landmark that was seen
         self._variables: dict[int, list[int]] = {}  # landmarks in the graph by the variable that they share
-        self._merged_into: dict[int, int] = {}
+        self._aliases = UnionFind()
         self._fixed_poses: dict[int, FloatArray] = {}
         self._fixed_positions: dict[int, FloatArray] = {}
         self._landmark_priors: dict[int, int] = {}  # priors of the landmarks of a fixed map that are in the graph
@@ -153,6 +155,18 @@ class FactorGraph:
         self._fixed_positions = dict(landmarks)
         self.update()
 
+    def mark_discontinuity(self, keyframe: int) -> None:
+        """Make the odometry edge by which a keyframe was added one of kind ``DISCONTINUITY``.
+
+        Raises:
+            FactorGraphError: no such edge is in the graph.
+        """
+        for number, factor in self.factors.items():
+            if isinstance(factor, Edge) and factor.to_keyframe == keyframe and factor.kind == EdgeKind.ODOMETRY:
+                self.factors[number] = replace(factor, kind=EdgeKind.DISCONTINUITY)
+                return
+        raise FactorGraphError(f"no odometry edge leads to keyframe {keyframe}")
+
     def add_edge(self, edge: Edge) -> int:
         """Tie two keyframes together; returns the factor's number."""
         for keyframe in (edge.from_keyframe, edge.to_keyframe):
@@ -190,7 +204,7 @@ class FactorGraph:
     def _moved(self, keyframes: set[int], T_shift: FloatArray) -> gtsam.Values:
         """The estimate with some keyframes, and the landmarks that no other saw, moved by ``T_shift`` (4, 4)."""
         stays = {
-            self._alias_chain(factor.landmark)[-1]
+            self._aliases.find(factor.landmark)
             for factor in self.factors.values()
             if isinstance(factor, Observation) and factor.keyframe not in keyframes
         }
@@ -249,55 +263,49 @@ class FactorGraph:
 
         Nothing happens if it is not in it.
         """
-        for each in self._aliases(landmark):
+        for each in (landmark, *self._aliases.absorbed(landmark)):
             for number in list(self._landmark_factors.get(each, ())):
                 self.remove_factor(number)
 
     def merge_landmarks(self, kept: int, dropped: int) -> None:
         """Merge two landmarks: observations of ``dropped``, now or later, are observations of ``kept``.
 
-        Neither may have been merged into another before.
+        What they were merged into before is merged; nothing happens if they are one already.
         """
-        self._move(dropped, lambda: self._merged_into.update({dropped: kept}))
+        moved = self._aliases.find(dropped)
+        if moved != self._aliases.find(kept):
+            self._move(moved, lambda: self._aliases.merge(kept, dropped))
 
-    def split_landmark(self, dropped: int) -> None:
-        """Undo ``merge_landmarks``: ``dropped`` is its own landmark again, with all that had been merged into it."""
-        self._move(dropped, lambda: self._merged_into.pop(dropped, None))
+    def undo_merge(self) -> None:
+        """Undo the last merge in force: what was dropped is its own landmark again, with all that it had absorbed.
+
+        Raises:
+            FactorGraphError: no merge is in force.
+        """
+        if not self._aliases:
+            raise FactorGraphError("no landmarks are merged, so no merge can be undone")
+        last = self._aliases.history[-1]
+        self._move(last.dropped, lambda: self._aliases.undo(last))
 
     def _move(self, landmark: int, rename: Callable[[], object]) -> None:
         """Take the observations of a landmark, and of those merged into it, along to its new variable."""
-        moved = self._aliases(landmark)
+        moved = [landmark, *self._aliases.absorbed(landmark)]
         observations = [self.factors[number] for each in moved for number in self._landmark_factors.get(each, ())]
         self.remove_landmark(landmark)
         rename()
         self.add_observations([o for o in observations if isinstance(o, Observation)])
 
-    def _alias_chain(self, landmark: int) -> list[int]:
-        """The landmark, what it was merged into, and so on; the last one is the variable in the graph."""
-        chain = [landmark]
-        while chain[-1] in self._merged_into:
-            chain.append(self._merged_into[chain[-1]])
-        return chain
-
-    def _aliases(self, landmark: int) -> list[int]:
-        """The landmark and all that were merged into it."""
-        if landmark not in self._merged_into.values():
-            return [landmark]
-        return list(
-            dict.fromkeys(each for each in (landmark, *self._merged_into) if landmark in self._alias_chain(each))
-        )
-
     def _canonical(self, observation: Observation) -> Observation:
         """The observation of the variable that its landmark has in the graph."""
-        if observation.landmark not in self._merged_into:
+        if not self._aliases.is_dropped(observation.landmark):
             return observation
-        return replace(observation, landmark=self._alias_chain(observation.landmark)[-1])
+        return replace(observation, landmark=self._aliases.find(observation.landmark))
 
     def _enter(self, landmark: int, position_map: FloatArray) -> None:
         """Give a landmark a variable, where it has none."""
         if landmark in self._landmark_factors:
             return
-        variable = self._alias_chain(landmark)[-1]
+        variable = self._aliases.find(landmark)
         if variable not in self._variables:
             if variable in self._leaving:
                 self.update()
@@ -311,7 +319,7 @@ class FactorGraph:
 
     def _leave(self, landmark: int) -> None:
         del self._landmark_factors[landmark]
-        variable = self._alias_chain(landmark)[-1]
+        variable = self._aliases.find(landmark)
         self._variables[variable].remove(landmark)
         if not self._variables[variable]:
             del self._variables[variable]
@@ -396,9 +404,9 @@ class FactorGraph:
             ),
             edge_transforms=np.array([e.T_from_to for e in edges]).reshape(-1, 4, 4),
             edge_covariances=np.array([e.covariance for e in edges]).reshape(-1, 6, 6),
-            edge_kinds=tuple(e.kind for e in edges),
+            edge_kinds=tuple(str(e.kind) for e in edges),
             observation_keyframe_ids=np.array([o.keyframe for o in observations], dtype=np.int64),
-            observation_landmark_ids=tuple(str(self._alias_chain(o.landmark)[-1]) for o in observations),
+            observation_landmark_ids=tuple(str(self._aliases.find(o.landmark)) for o in observations),
             observation_positions=np.array([o.position for o in observations]).reshape(-1, 3),
             observation_covariances=np.array([o.covariance_inflation * o.covariance for o in observations]).reshape(
                 -1, 3, 3

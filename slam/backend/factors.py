@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
 
 import gtsam
 import numpy as np
@@ -44,15 +46,33 @@ class LandmarkPrior:
     sigma_m: float
 
 
+class EdgeKind(StrEnum):
+    """Where an edge comes from; the values are those of logs.
+
+    ``DISCONTINUITY``: the odometry jumped, paused or restarted, so the edge holds no information, but keeps the graph
+    connected until a closure does it.
+    """
+
+    ODOMETRY = "odometry"
+    DISCONTINUITY = "discontinuity"
+    LOOP_CLOSURE = "closure"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Edge:
-    """A between-factor: ``T_from_to`` (4, 4) with its covariance (6, 6); ``kind`` is "odometry" or "closure"."""
+    """A between-factor: ``T_from_to`` (4, 4) with its covariance (6, 6).
+
+    ``kind`` becomes an ``EdgeKind`` where the value of one is given; ValueError for any other string.
+    """
 
     from_keyframe: int
     to_keyframe: int
     T_from_to: FloatArray
     covariance: FloatArray
-    kind: str
+    kind: EdgeKind | Literal["odometry"]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kind", EdgeKind(self.kind))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,11 +109,11 @@ def landmark_prior_factor(prior: LandmarkPrior) -> gtsam.NonlinearFactor:
 
 
 def between_factor(edge: Edge) -> gtsam.NonlinearFactor:
-    """The GTSAM factor of an edge; closures are robust, odometry is not."""
+    """The GTSAM factor of an edge; closures are robust, the others are not."""
     what = f"edge {edge.from_keyframe} -> {edge.to_keyframe}"
     covariance = _checked_covariance(edge.covariance, 6, what)
     noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(covariance)
-    if edge.kind == "closure":
+    if edge.kind == EdgeKind.LOOP_CLOSURE:
         noise = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(CLOSURE_KERNEL_WIDTH), noise)
     pose = checked_pose(edge.T_from_to, what)
     return gtsam.BetweenFactorPose3(X(edge.from_keyframe), X(edge.to_keyframe), pose, noise)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from slam.backend.covariance_estimation import LinearSystem, covariance_blocks, outlier_limit, variance_factors
-from slam.backend.factors import CLOSURE_KERNEL_WIDTH, Edge, Factor, LandmarkPrior, Observation
+from slam.backend.factors import CLOSURE_KERNEL_WIDTH, Edge, EdgeKind, Factor, LandmarkPrior, Observation
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import FactorGraphConfig
 
@@ -110,8 +110,9 @@ def _linearize(
     kinds = np.array([each.kind if isinstance(each, Edge) else "" for each in factors])
     rows = starts[:, None] + np.arange(POSE_SIZE)
     kernel_weights = np.repeat(kernel_weight, sizes)
+    is_closure = kinds == EdgeKind.LOOP_CLOSURE
     return LinearSystem(
-        jacobian, weighted * scale, kernel_weights, rows[kinds == "odometry"], rows[kinds == "closure"], owners
+        jacobian, weighted * scale, kernel_weights, rows[(kinds != "") & ~is_closure], rows[is_closure], owners
     )
 
 
@@ -126,7 +127,7 @@ def _undo_kernels(
     scale, kernel_weight = np.ones(len(factors)), np.ones(len(factors))
     is_observation = np.array([isinstance(each, Observation) for each in factors])
     inflations = np.array([each.covariance_inflation for each in factors if isinstance(each, Observation)])
-    is_closure = np.array([isinstance(each, Edge) and each.kind == "closure" for each in factors])
+    is_closure = np.array([isinstance(each, Edge) and each.kind == EdgeKind.LOOP_CLOSURE for each in factors])
     for chosen, kernel, width, own, size in (
         (is_observation, config.observation_kernel, config.observation_kernel_width, inflations, POINT_SIZE),
         (is_closure, "cauchy", CLOSURE_KERNEL_WIDTH, 1.0, POSE_SIZE),

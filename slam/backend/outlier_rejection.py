@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from slam.backend.factors import Edge, Factor, PosePrior, between_factor, prior_factor
+from slam.backend.factors import Edge, EdgeKind, Factor, PosePrior, between_factor, prior_factor
 from slam.backend.robust_optimization import optimize_robustly
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import FactorGraphError
@@ -54,11 +54,11 @@ def reject_outlier_closures(
         match factor:
             case PosePrior():
                 graph.add(prior_factor(factor))
-            case Edge() if factor.kind != "closure":
+            case Edge() if factor.kind != EdgeKind.LOOP_CLOSURE:
                 graph.add(between_factor(replace(factor, covariance=odometry_inflation**2 * factor.covariance)))
             case Edge() if number in tested:
                 at[number] = graph.size()
-                graph.add(between_factor(replace(factor, kind="odometry")))
+                graph.add(between_factor(replace(factor, kind=EdgeKind.ODOMETRY)))
     values = gtsam.Values()
     for keyframe, T in zip(keyframes.tolist(), T_map_body, strict=True):
         values.insert(X(keyframe), gtsam.Pose3(T))

@@ -10,6 +10,7 @@ import numpy as np
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.errors import InputDataError
+from slam.common.union_find import UnionFind, find_components
 
 MAX_NAMED = 5
 
@@ -55,11 +56,11 @@ class PoseGraph:
         """
         closures = ~self.find_neighbours()
         ends = self.rows_of(self.edges).tolist()
-        parts = _Parts(len(self.vertex_ids))
+        parts = UnionFind()
         for row in np.flatnonzero(~closures):
-            parts.join(*ends[row])
+            parts.merge(*ends[row])
         for row in np.flatnonzero(closures):
-            closures[row] = not parts.join(*ends[row])
+            closures[row] = parts.merge(*ends[row]) is None
         return np.asarray(closures)
 
 
@@ -98,10 +99,7 @@ def make_pose_graph(
 
 
 def _check_connected(graph: PoseGraph) -> None:
-    parts = _Parts(len(graph.vertex_ids))
-    for first, second in graph.rows_of(graph.edges).tolist():
-        parts.join(first, second)
-    roots = np.array([parts.root(row) for row in range(len(graph.vertex_ids))])
+    roots = find_components(len(graph.vertex_ids), graph.rows_of(graph.edges))
     apart = np.sort(graph.vertex_ids[roots != np.bincount(roots).argmax()])
     if len(apart):
         more = f" and {len(apart) - MAX_NAMED} more" if len(apart) > MAX_NAMED else ""
@@ -140,22 +138,3 @@ def _place(graph: PoseGraph, name_edge: Callable[[int], str]) -> None:
             f"{name_edge(naming)}: vertex {lost} is not in the graph, nor does a chain of edges between consecutive "
             "ids lead to it; add the vertex, or mend the id"
         )
-
-
-class _Parts:
-    """Which of N things hang together: union and find."""
-
-    def __init__(self, count: int) -> None:
-        self._parent = list(range(count))
-
-    def root(self, item: int) -> int:
-        while self._parent[item] != item:
-            self._parent[item] = self._parent[self._parent[item]]
-            item = self._parent[item]
-        return item
-
-    def join(self, first: int, second: int) -> bool:
-        """Join two parts; whether they were apart."""
-        a, b = self.root(first), self.root(second)
-        self._parent[max(a, b)] = min(a, b)
-        return a != b

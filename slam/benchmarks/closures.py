@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slam.backend.factors import EdgeKind
 from slam.backend.pose_graph import PoseGraph, make_pose_graph
 from slam.backend.pose_graph_optimization import optimize_pose_graph
 from slam.benchmarks.false_closures import KINDS, Closures, make_true_closures
@@ -76,7 +77,7 @@ def make_drive(records: EvaluationRecords) -> ClosureDrive:
     known, T_world_body = find_true_poses(truth, graph.keyframe_stamps_ns[order], max_gap_s=Protocol().max_truth_gap_s)
     if not known.all() or len(ids) < 3:
         raise EvaluationError(f"{np.count_nonzero(known)} of {len(ids)} keyframes have a true pose; all must have one")
-    is_closure = np.array([kind == "closure" for kind in graph.edge_kinds], dtype=np.bool_)
+    is_closure = np.array([kind == EdgeKind.LOOP_CLOSURE for kind in graph.edge_kinds], dtype=np.bool_)
     row_of = {keyframe: row for row, keyframe in enumerate(ids.tolist())}
     pairs = np.array([[row_of[i] for i in edge] for edge in graph.edge_keyframe_ids.tolist()], dtype=np.int64)
     T_true = invert(T_world_body[pairs[:, 0]]) @ T_world_body[pairs[:, 1]]

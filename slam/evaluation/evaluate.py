@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
 from logs.closures import find_final_verdicts
@@ -23,7 +21,7 @@ from slam.evaluation.metrics.landmarks import (
     match_by_detections,
     match_by_position,
 )
-from slam.evaluation.metrics.relocalization import RelocalizationQuality, evaluate_relocalization, has_given_map
+from slam.evaluation.metrics.relocalization import RelocalizationQuality, evaluate_relocalization
 from slam.evaluation.metrics.trajectory import TrajectoryErrors, evaluate_trajectory
 from slam.evaluation.place_recognition.closures import ClosureQuality, evaluate_closures
 from slam.evaluation.place_recognition.place_pairs import (
@@ -44,7 +42,6 @@ NO_RUN_TIME = (
 )
 NO_TRUTH = "no ground truth: pass --reference LOG.mcap or record /ground_truth"
 IN_GIVEN_MAP = "closures go to the keyframes of a given map, of which this log holds no truth: see relocalization"
-MERGED_INTO = re.compile(r"^merged into (?P<kept>\S+)$")
 
 
 def evaluate(
@@ -210,7 +207,7 @@ class _Evaluator:
             self._unavailable["closures"] = NO_TRUTH
         elif graph is None:
             self._unavailable["closures"] = NO_KEYFRAMES
-        elif has_given_map(self._records):
+        elif self._records.has_prior_map:
             self._unavailable["closures"] = IN_GIVEN_MAP
             graph = None
         return evaluate_closures(
@@ -253,7 +250,7 @@ class _Evaluator:
         if not records.statuses:
             self._unavailable["relocalization"] = NO_STATUS
             return None
-        is_given = has_given_map(records)
+        is_given = records.has_prior_map
         if self._map_alignment is not None and not is_given:
             self._unavailable["map_alignment"] = "not used: in this log the robot made its own map and was given none"
         is_located = is_given and self._map_alignment is not None
@@ -292,11 +289,10 @@ class _Evaluator:
 
 
 def find_aliases(object_map: ObjectMapRecord | None) -> dict[str, str]:
-    """Id of each merged landmark -> id of the one it became, from the reasons of a map ("merged into ID")."""
-    if object_map is None:
+    """Id of each merged landmark -> id of the one that stands for it."""
+    if object_map is None or not object_map.merged_into:
         return {}
-    matches = ((name, MERGED_INTO.match(why)) for name, why in zip(object_map.ids, object_map.reasons, strict=True))
-    return {name: match["kept"] for name, match in matches if match}
+    return {name: kept for name, kept in zip(object_map.ids, object_map.merged_into, strict=True) if kept}
 
 
 def _series(stamped_poses: list[tuple[int, FloatArray]]) -> PoseSeries:

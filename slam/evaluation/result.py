@@ -13,6 +13,7 @@ from slam.evaluation.metrics.calibration import CalibrationQuality, Consistency
 from slam.evaluation.metrics.landmarks import LandmarkQuality
 from slam.evaluation.metrics.relocalization import RelocalizationQuality
 from slam.evaluation.metrics.trajectory import ErrorStatistics, RelativeErrors, TrajectoryErrors
+from slam.evaluation.place_recognition.closure_labels import JudgedClosures
 from slam.evaluation.place_recognition.closures import ClosureQuality
 from slam.evaluation.place_recognition.place_pairs import OnlineQuality, PairQuality
 from slam.evaluation.place_recognition.precision_recall import ScoreSweep
@@ -146,7 +147,29 @@ def _closure_dict(quality: ClosureQuality | None) -> dict[str, Any]:
         "missed_at_place_count": revisits.missed_at_place_count if revisits else None,
         "missed_without_candidate_count": revisits.missed_without_candidate_count if revisits else None,
         "stage_counts": quality.stage_counts if quality else {},
+        "verified_candidates": _verified_candidates(quality.judged) if quality else [],
     }
+
+
+def _verified_candidates(judged: JudgedClosures) -> list[dict[str, Any]]:
+    """What each candidate with a log-likelihood ratio was decided from, and whether it is right: None if undecided."""
+    ids = ("query_keyframe_id", "reference_keyframe_id", "seed_query_keyframe_id", "represented_by_keyframe_id")
+    numbers = (
+        *("score", "log_likelihood_ratio", "odometry_penalty"),
+        *("accumulated_log_likelihood_ratio", "best_rival_log_likelihood_ratio"),
+    )
+    return [
+        {
+            **{name: getattr(candidate, name) for name in ids},
+            "accepted": candidate.accepted,
+            "inserted": candidate.inserted,
+            "stage": candidate.stage,
+            "true": bool(judged.true[row]) if judged.decided[row] else None,
+            **{name: _finite(getattr(candidate, name)) for name in numbers},
+        }
+        for row, candidate in enumerate(judged.candidates)
+        if candidate.log_likelihood_ratio is not None
+    ]
 
 
 def _sweep_dict(sweep: ScoreSweep | None) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import Edge, Observation
+from slam.backend.factors import Edge, EdgeKind, Observation
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.map_io import SavedMap
 from slam.odometry.keyframe import Keyframe
@@ -30,7 +30,7 @@ def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed
     """
     rows = object_map.restore(saved.objects, travel_m=TRAVEL_M)
     keyframes = [
-        Keyframe(number, OdometryPose(STAMP_NS, T_map_body, TRAVEL_M, SEGMENT, np.inf), T_map_body)
+        Keyframe(number, OdometryPose(STAMP_NS, T_map_body, TRAVEL_M, SEGMENT, np.inf), T_map_body, is_prior=True)
         for number, T_map_body in enumerate(saved.graph.T_map_body)
     ]
     if fixed:
@@ -45,7 +45,7 @@ def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed
         record.T_map_body,
         dict(zip(rows.tolist(), saved.objects.positions, strict=True)),
         [
-            Edge(number_of[int(first)], number_of[int(second)], T_from_to, covariance, kind)
+            Edge(number_of[int(first)], number_of[int(second)], T_from_to, covariance, EdgeKind(kind))
             for (first, second), T_from_to, covariance, kind in zip(
                 record.edge_keyframe_ids,
                 record.edge_transforms,

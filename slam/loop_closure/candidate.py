@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from logs.messages import LoopClosureRecord
-from slam.backend.factors import Edge
+from slam.backend.factors import Edge, EdgeKind
 from slam.common.arrays import FloatArray, IntArray
 from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
@@ -34,7 +34,8 @@ class Candidate:
     landmarks of the query and of the reference. ``log_likelihood_ratio`` is the sum of the LLR_i, ``odometry_penalty``
     the negative log-likelihood of the odometry residual.
     ``seed_closure``: the keyframe whose closure predicted this one, -1 if retrieval found it; ``rank``: as in
-    :class:`slam.place_recognition.retrieval.Place`.
+    :class:`slam.place_recognition.retrieval.Place`. ``accumulated_llr`` and ``best_rival_llr``: as in
+    :class:`logs.messages.LoopClosureRecord`, None until they are computed.
     """
 
     query: int
@@ -53,6 +54,8 @@ class Candidate:
     retrieval_distance: float
     seed_closure: int = -1
     rank: int = 0
+    accumulated_llr: float | None = None
+    best_rival_llr: float | None = None
 
     @property
     def log_likelihood_ratio(self) -> float:
@@ -66,9 +69,11 @@ class Candidate:
 
     def edge(self) -> Edge:
         """The between-factor of this closure."""
-        return Edge(self.reference, self.query, self.T_reference_query, self.covariance, "closure")
+        return Edge(self.reference, self.query, self.T_reference_query, self.covariance, EdgeKind.LOOP_CLOSURE)
 
-    def record(self, stage: Stage, reason: str, *, inserted: bool = False) -> LoopClosureRecord:
+    def record(
+        self, stage: Stage, reason: str, *, inserted: bool = False, represented_by: int | None = None
+    ) -> LoopClosureRecord:
         """The candidate with the decision about it, as it goes into a log."""
         return LoopClosureRecord(
             stamp_ns=self.query_stamp_ns,
@@ -86,6 +91,12 @@ class Candidate:
             reference_stamp_ns=self.reference_stamp_ns,
             inserted=inserted,
             rank=self.rank,
+            log_likelihood_ratio=self.log_likelihood_ratio,
+            odometry_penalty=self.odometry_penalty,
+            accumulated_log_likelihood_ratio=self.accumulated_llr,
+            best_rival_log_likelihood_ratio=self.best_rival_llr,
+            seed_query_keyframe_id=self.seed_closure if self.seed_closure >= 0 else None,
+            represented_by_keyframe_id=represented_by,
         )
 
 

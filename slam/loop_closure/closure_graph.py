@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from slam.backend.factor_graph import FactorGraph
+from slam.common.arrays import BoolArray
+from slam.common.union_find import Merge
 from slam.loop_closure.candidate import Candidate
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
@@ -15,11 +18,15 @@ from slam.odometry.segments import SegmentConnectivity
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosedLoop:
-    """A closure with the number of its factor and the pairs (kept, dropped) of landmarks that it merged."""
+    """A closure with the number of its factor and the merges of landmarks that it made.
+
+    ``earlier_merges``: how many merges, of closures and of the front end, were in force when it was inserted.
+    """
 
     candidate: Candidate
     factor: int
-    merged: tuple[tuple[int, int], ...]
+    merges: tuple[Merge, ...]
+    earlier_merges: int
 
 
 class ClosedLoops:
@@ -35,7 +42,6 @@ class ClosedLoops:
         self._segments = SegmentConnectivity(keyframes)
         self._map = object_map
         self._graph = graph
-        self._aliases: defaultdict[int, list[int]] = defaultdict(list)
         self.loops: list[ClosedLoop] = []
 
     def nearest(self, travel_m: float) -> ClosedLoop | None:
@@ -55,47 +61,69 @@ class ClosedLoops:
         moved = self._segments.connect(candidate.reference, candidate.query)
         edge = candidate.edge()
         factor = self._graph.add_joining_edge(edge, moved) if len(moved) else self._graph.add_edge(edge)
-        self.loops.append(ClosedLoop(candidate, factor, self._merge_all(candidate)))
+        self.loops.append(self._merge_all(ClosedLoop(candidate, factor, (), 0)))
 
     def remove(self, loops: Sequence[ClosedLoop]) -> None:
         """Remove closures from the graph and split the landmarks that only they merged."""
         if not loops:
             return
-        gone = [loop.factor for loop in loops]
-        for factor in gone:
-            self._graph.remove_factor(factor)
-        # A later merge may refer to the alias that an earlier one created: all merges are redone.
-        for loop in reversed(self.loops):
-            for _, dropped in reversed(loop.merged):
-                self._map.split(dropped)
-                self._graph.split_landmark(dropped)
-        self._aliases.clear()
+        for loop in loops:
+            self._graph.remove_factor(loop.factor)
+        self._merge_without({loop.factor for loop in loops})
         self._segments.reset()
-        self.loops = [
-            replace(loop, merged=self._merge_all(loop.candidate)) for loop in self.loops if loop.factor not in gone
-        ]
         for loop in self.loops:
             self._segments.connect(loop.candidate.reference, loop.candidate.query)
 
-    def _merge_all(self, candidate: Candidate) -> tuple[tuple[int, int], ...]:
-        merged = [self._merge(int(query), int(reference)) for query, reference in candidate.pairs]
-        return tuple(pair for pair in merged if pair is not None)
+    def _merge_without(self, gone: set[int]) -> None:
+        """Undo all merges since the first of the closures with the factors ``gone``, and make the others again.
 
-    def _merge(self, query: int, reference: int) -> tuple[int, int] | None:
-        """Merge the query landmark into the reference landmark; None if they are merged already or must not be."""
+        A later merge, of a closure or of the front end, may refer to the alias that an earlier one created.
+        """
+        since = min(loop.earlier_merges for loop in self.loops if loop.factor in gone)
+        undone = self._map.merges[since:]
+        for merge in reversed(undone):
+            self._map.undo_merge(merge)
+            self._graph.undo_merge()
+        loops, position = list[ClosedLoop](), 0
+        for loop in self.loops:
+            start = loop.earlier_merges - since
+            if start < 0:
+                loops.append(loop)
+                continue
+            self._merge_again(undone[position:start])
+            position = start + len(loop.merges)
+            if loop.factor not in gone:
+                loops.append(self._merge_all(loop))
+        self._merge_again(undone[position:])
+        self.loops = loops
+
+    def _merge_again(self, merges: Sequence[Merge]) -> None:
+        """Make merges of the front end again: the same landmarks, whatever they are merged into by now."""
+        for merge in merges:
+            self._map.merge(merge.kept_item, merge.dropped_item)
+            self._graph.merge_landmarks(merge.kept_item, merge.dropped_item)
+
+    def _merge_all(self, loop: ClosedLoop) -> ClosedLoop:
+        """The closure with the merges of its matched landmarks, which are made now."""
+        earlier_merges = len(self._map.merges)
+        for query, reference in loop.candidate.pairs.tolist():
+            self._merge(query, reference)
+        return replace(loop, merges=self._map.merges[earlier_merges:], earlier_merges=earlier_merges)
+
+    def _merge(self, query: int, reference: int) -> None:
+        """Merge the query landmark into the reference landmark, unless they are merged already or must not be."""
         kept = self._map.canonical_id(reference)
-        landmarks = self._map.rows
-        if self._map.canonical_id(query) != query or self._aliases[query]:
-            return None
-        # Two landmarks of one traversal are two objects.
-        same_traversal = [
-            row
-            for row in (kept, *self._aliases[kept])
-            if abs(landmarks["last_seen_travel_m"][row] - landmarks["last_seen_travel_m"][query]) < self._min_travel_m
-        ]
-        if same_traversal or landmarks["state"][kept] != LandmarkState.CONFIRMED:
-            return None
-        self._map.merge(kept, query)
-        self._graph.merge_landmarks(kept, query)
-        self._aliases[kept].append(query)
-        return kept, query
+        if self._map.canonical_id(query) != query or self._map.rows["state"][kept] != LandmarkState.CONFIRMED:
+            return
+        # Two landmarks of one traversal are two objects; one that stands for two traversals is not merged into a third.
+        if self._in_traversal(query, [kept, *self._map.aliases(kept)]).any():
+            return
+        if not self._in_traversal(query, self._map.aliases(query)).all():
+            return
+        self._map.merge(reference, query)
+        self._graph.merge_landmarks(reference, query)
+
+    def _in_traversal(self, landmark: int, others: list[int]) -> BoolArray:
+        """Which other landmarks (N,) were last seen on the same traversal as a landmark."""
+        travel_m = self._map.rows["last_seen_travel_m"]
+        return np.asarray(np.abs(travel_m[others] - travel_m[landmark]) < self._min_travel_m)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -63,7 +64,7 @@ class LoopCloser:
         self._seed_closure: Candidate | None = None
         self._monitor = LocalizationMonitor(self._sensor_range_m)
         # Only a prior map is trusted more than the robot's pose; a map in the making may itself be wrong.
-        self._monitors_localization = len(keyframes) > 0
+        self._monitors_localization = any(keyframe.is_prior for keyframe in keyframes)
         self.lost_since_keyframe: int | None = None
         """The first keyframe that is inconsistent with the map, once the robot is lost; None while it is not."""
         self._closed: dict[int, int] = {}
@@ -91,9 +92,10 @@ class LoopCloser:
         near: set[int] = set()
         for segment in np.unique(segments[ends]).tolist():
             members = np.flatnonzero(segments == segment)
-            along = np.array([[self._keyframes[row].odometry.travel_m] for row in members.tolist()])
-            if np.ptp(along) == 0.0:  # a prior map: its keyframes have positions and no travel
-                along = np.stack([self._keyframes[row].T_local_body[:2, 3] for row in members.tolist()])
+            of_segment = [self._keyframes[row] for row in members.tolist()]
+            along = np.array([[keyframe.odometry.travel_m] for keyframe in of_segment])
+            if of_segment[0].is_prior:  # those have positions and no travel
+                along = np.stack([keyframe.T_local_body[:2, 3] for keyframe in of_segment])
             distances_m = cKDTree(along[np.isin(members, ends)]).query(along)[0]
             near.update(members[distances_m <= self._limits.propagation_distance_m].tolist())
         return {row for row in near if self.is_localized(self._keyframes[row])}
@@ -275,9 +277,10 @@ class LoopCloser:
         records = [each.record(Stage.ACCEPTANCE, "another candidate has a higher score") for each in others]
         rivals = [each for each in others if not self._verifier.are_consistent(best, each)]
         rival_score = max((each.score for each in rivals), default=0.0)
+        best = replace(best, best_rival_llr=max((each.log_likelihood_ratio for each in rivals), default=None))
         if best.score < self._limits.accept_llr:
             return records + self._accumulate(query, best)
-        ambiguity = self._ambiguity(query, best, rival_score)
+        best, ambiguity = self._ambiguity(query, best, rival_score)
         if ambiguity:
             return [*records, best.record(Stage.ACCEPTANCE, ambiguity)]
         if self._is_elsewhere(query, best):
@@ -286,14 +289,17 @@ class LoopCloser:
             return [*records, best.record(Stage.CONSISTENCY, "contradicts the odometry: kidnapped")]
         return [*records, *self._accept_and_propagate(best, "")]
 
-    def _ambiguity(self, query: Query, candidate: Candidate, rival_score: float) -> str:
-        """Why a candidate is ambiguous; empty if it is not."""
+    def _ambiguity(self, query: Query, candidate: Candidate, rival_score: float) -> tuple[Candidate, str]:
+        """The candidate with the LLR of its best rival, and why it is ambiguous; empty if it is not."""
         if candidate.score - rival_score < self._limits.ambiguity_margin:
-            return f"ambiguous: score {candidate.score:.1f}, second best {rival_score:.1f}"
+            return candidate, f"ambiguous: score {candidate.score:.1f}, second best {rival_score:.1f}"
         shifted_llr = self._verifier.max_llr_along_track(query, candidate)
+        rival_llr = -np.inf if candidate.best_rival_llr is None else candidate.best_rival_llr
+        compared = replace(candidate, best_rival_llr=max(rival_llr, shifted_llr))
         if candidate.log_likelihood_ratio - shifted_llr < self._limits.ambiguity_margin:
-            return f"ambiguous along track: LLR {candidate.log_likelihood_ratio:.1f}, shifted {shifted_llr:.1f}"
-        return ""
+            llr = candidate.log_likelihood_ratio
+            return compared, f"ambiguous along track: LLR {llr:.1f}, shifted {shifted_llr:.1f}"
+        return compared, ""
 
     def _accumulate(self, query: Query, candidate: Candidate) -> list[LoopClosureRecord]:
         """Records of a candidate below ``accept_llr``, which is accepted together with earlier ones that agree."""
@@ -307,18 +313,20 @@ class LoopCloser:
             if self._verifier.agree(self._carried(each, candidate), candidate.T_local_query)
         ]
         joint_score = accumulated_llr([*agreeing, candidate])
+        candidate = replace(candidate, accumulated_llr=joint_score)
         if joint_score < limits.accept_llr:
             self._hypotheses.append(candidate)
             if llr >= limits.accept_llr:
                 self._rejected_by_odometry.add(candidate.query)
             reason = f"{values}: accumulated score {joint_score:.1f}, accept_llr is {limits.accept_llr:g}"
             return [candidate.record(Stage.CONSISTENCY, reason)]
-        ambiguity = self._ambiguity(query, candidate, -np.inf)
+        candidate, ambiguity = self._ambiguity(query, candidate, -np.inf)
         if ambiguity:
             return [candidate.record(Stage.ACCEPTANCE, ambiguity)]
         self._hypotheses = deque(each for each in self._hypotheses if each not in agreeing)
         reason = f"accumulated score {joint_score:.1f} with {len(agreeing)} other keyframes"
-        return [*(self.accept(each, reason) for each in agreeing), *self._accept_and_propagate(candidate, reason)]
+        accepted = [replace(each, accumulated_llr=joint_score) for each in agreeing]
+        return [*(self.accept(each, reason) for each in accepted), *self._accept_and_propagate(candidate, reason)]
 
     def _carried(self, earlier: Candidate, later: Candidate) -> FloatArray:
         """``T_local_query`` (4, 4) of a later candidate's query as an earlier candidate predicts it."""
@@ -358,4 +366,4 @@ class LoopCloser:
         self._accepted.append(Accepted(candidate, represented_by))
         self._closed[candidate.query] = candidate.reference
         self._seed_closure = candidate
-        return candidate.record(Stage.ACCEPTED, reason, inserted=is_new)
+        return candidate.record(Stage.ACCEPTED, reason, inserted=is_new, represented_by=represented_by)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from logs.messages import ObjectMapRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import AssociationConfig
+from slam.common.union_find import Merge, UnionFind
 
 
 class LandmarkState(IntEnum):
@@ -81,7 +82,7 @@ class ObjectMap:
         self._label_counts = np.zeros((64, 8))
         self._size = 0
         self._reasons: dict[int, str] = {}
-        self._merged_into: dict[int, int] = {}
+        self._aliases = UnionFind()
         self._label_index: dict[str, int] = {}
 
     def __len__(self) -> int:
@@ -110,7 +111,7 @@ class ObjectMap:
     def in_state(self, state: LandmarkState) -> IntArray:
         """Rows in that state, ascending; those that became another landmark are left out."""
         in_state = self.rows["state"] == state
-        in_state[list(self._merged_into)] = False
+        in_state[self._aliases.dropped] = False
         return np.flatnonzero(in_state)
 
     def classes(self, rows: IntArray) -> IntArray:
@@ -236,44 +237,44 @@ class ObjectMap:
 
     def retire(self, rows: IntArray, reason: RetirementReason) -> None:
         """Retire landmarks and all that were merged into them."""
-        ended = set(rows.tolist())
-        if not ended.isdisjoint(self._merged_into.values()):
-            ended |= {row for row in self._merged_into if not ended.isdisjoint(self._alias_chain(row))}
+        ended = {alias for row in rows.tolist() for alias in (row, *self._aliases.absorbed(row))}
         self.rows["state"][sorted(ended)] = LandmarkState.RETIRED
         self._reasons.update(dict.fromkeys(ended, reason.value))
 
-    def merge(self, kept: int, dropped: int) -> int | None:
+    def merge(self, kept: int, dropped: int) -> Merge | None:
         """Make ``dropped`` an alias of ``kept``: in the map they are one landmark from now on.
 
-        Returns the row that became an alias, for ``split``; None if the two were one already. Data association still
-        uses both rows, because in the odometry frame the two traversals differ by the drift; their observations are
-        added up in the record of the map.
+        Returns the merge, for ``undo_merge``; None if the two were one already. Data association still uses both rows,
+        because in the odometry frame the two traversals differ by the drift; their observations are added up in the
+        record of the map.
+
+        Args:
+            kept: the row itself, not what it was merged into: other merges may be undone, and this one made again.
+            dropped: likewise.
         """
-        kept, dropped = self.canonical_id(kept), self.canonical_id(dropped)
-        if kept == dropped:
-            return None
-        self._merged_into[dropped] = kept
-        return dropped
+        return self._aliases.merge(kept, dropped)
+
+    def undo_merge(self, merge: Merge) -> None:
+        """Undo the last merge in force; ValueError if ``merge`` is another one."""
+        self._aliases.undo(merge)
+
+    @property
+    def merges(self) -> tuple[Merge, ...]:
+        """All merges in force, the oldest first."""
+        return self._aliases.history
 
     @property
     def merge_targets(self) -> IntArray:
         """Rows (K,) of landmarks that others were merged into."""
-        return np.array(sorted({self.canonical_id(row) for row in self._merged_into}), dtype=np.int64)
-
-    def split(self, dropped: int) -> None:
-        """Undo the merge that made ``dropped`` an alias."""
-        self._merged_into.pop(dropped, None)
+        return np.array(sorted({self.canonical_id(row) for row in self._aliases.dropped}), dtype=np.int64)
 
     def canonical_id(self, row: int) -> int:
-        """The row of the landmark that a row was merged into, at the end of its alias chain."""
-        return self._alias_chain(row)[-1]
+        """The row of the landmark that a row was merged into; the row itself if it was not."""
+        return self._aliases.find(row)
 
-    def _alias_chain(self, row: int) -> list[int]:
-        """The row, what it was merged into, and so on."""
-        chain = [row]
-        while chain[-1] in self._merged_into:
-            chain.append(self._merged_into[chain[-1]])
-        return chain
+    def aliases(self, row: int) -> list[int]:
+        """The rows that were merged into this one, directly or not, in the order of the merges."""
+        return self._aliases.absorbed(row)
 
     def to_record(self, stamp_ns: int) -> ObjectMapRecord:
         """All landmarks in the map frame, as they go into a log; those that never were confirmed are left out."""
@@ -293,6 +294,7 @@ class ObjectMap:
             class_probabilities=self._beliefs(merged_totals.label_counts[kept]),
             states=tuple(self._state(int(row)).name.lower() for row in kept),
             reasons=tuple(self._reason(int(row)) for row in kept),
+            merged_into=tuple(self._merged_into(int(row)) for row in kept) if self._aliases else (),
             observation_counts=merged_totals.observations[kept],
             first_seen_ns=merged_totals.first_seen_ns[kept],
             last_seen_ns=merged_totals.last_seen_ns[kept],
@@ -307,7 +309,7 @@ class ObjectMap:
             landmarks["last_seen_ns"].copy(),
             self._label_counts[: self._size].copy(),
         )
-        for row in self._merged_into:
+        for row in self._aliases.dropped:
             kept = self.canonical_id(row)
             merged_totals.observations[kept] += landmarks["observations"][row]
             merged_totals.first_seen_ns[kept] = min(merged_totals.first_seen_ns[kept], landmarks["first_seen_ns"][row])
@@ -316,10 +318,13 @@ class ObjectMap:
         return merged_totals
 
     def _state(self, row: int) -> LandmarkState:
-        return LandmarkState.RETIRED if row in self._merged_into else LandmarkState(self.rows["state"][row])
+        return LandmarkState.RETIRED if self._aliases.is_dropped(row) else LandmarkState(self.rows["state"][row])
+
+    def _merged_into(self, row: int) -> str:
+        return str(self.canonical_id(row)) if self._aliases.is_dropped(row) else ""
 
     def _reason(self, row: int) -> str:
-        if row in self._merged_into:
+        if self._aliases.is_dropped(row):
             return f"{RetirementReason.MERGED.value} into {self.canonical_id(row)}"
         return self._reasons.get(row, "")
 

@@ -17,10 +17,10 @@ from logs.reader import LogReader
 from logs.selection import Selection
 from logs.topics import RecordKind
 from logs.writer import LogWriter
+from slam.backend.factors import EdgeKind
 from slam.common.arrays import FloatArray
 from slam.common.errors import SavedMapError
 from slam.object_map.map_validation import find_fault, parts
-from slam.odometry.noise import BREAK_SIGMA_RAD
 
 logger = logging.getLogger(__name__)
 
@@ -145,9 +145,9 @@ def load_map(path: Path) -> SavedMap:
     return SavedMap(objects[0], graphs[0], dict(metadata), _drives(path, metadata))
 
 
-def are_breaks(graph: FactorGraphRecord) -> NDArray[np.bool_]:
-    """Which edges (E,) cross a discontinuity of the odometry and hold no information."""
-    return np.asarray(graph.edge_covariances[:, 0, 0] > (0.5 * BREAK_SIGMA_RAD) ** 2)
+def are_of_kind(graph: FactorGraphRecord, kind: EdgeKind) -> NDArray[np.bool_]:
+    """Which edges (E,) are of that kind."""
+    return np.array([each == kind for each in graph.edge_kinds], dtype=np.bool_)
 
 
 def confirmed(objects: ObjectMapRecord) -> ObjectMapRecord:
@@ -169,6 +169,7 @@ def _of_rows(objects: ObjectMapRecord, kept: NDArray[np.bool_]) -> ObjectMapReco
         observation_counts=objects.observation_counts[rows],
         first_seen_ns=objects.first_seen_ns[rows],
         last_seen_ns=objects.last_seen_ns[rows],
+        merged_into=(),  # what others stand for is retired, and not in a map
     )
 
 
@@ -206,7 +207,7 @@ def _covariance_inflations(graph: FactorGraphRecord) -> FloatArray:
 
 def _tied(graph: FactorGraphRecord, *, to_first: bool) -> NDArray[np.bool_]:
     """Which keyframes (K,) more than a break of the odometry ties to the first one, or else to most others."""
-    part = parts(graph, ~are_breaks(graph))
+    part = parts(graph, ~are_of_kind(graph, EdgeKind.DISCONTINUITY))
     return np.asarray(part == (part[0] if to_first else np.bincount(part).argmax()))
 
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.object_map.map_io import SavedMap, are_breaks
+from slam.backend.factors import EdgeKind
+from slam.object_map.map_io import SavedMap, are_of_kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +55,8 @@ def summarize_map(saved: SavedMap) -> MapSummary:
     labels = np.array(objects.labels)
     names, counts = np.unique(labels, return_counts=True)
     order = np.lexsort((names, -counts))
-    is_closure = np.array([kind == "closure" for kind in graph.edge_kinds], dtype=np.bool_)
-    is_driven = ~is_closure & ~are_breaks(graph)
+    is_closure = are_of_kind(graph, EdgeKind.LOOP_CLOSURE)
+    is_driven = are_of_kind(graph, EdgeKind.ODOMETRY)
     width_m, height_m = np.ptp(objects.positions[:, :2], axis=0).tolist()
     return MapSummary(
         format_version=saved.metadata.get("format_version", ""),

@@ -7,13 +7,12 @@ from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
+from slam.backend.factors import EdgeKind
 from slam.common.arrays import FloatArray, IntArray
+from slam.common.union_find import find_components
 
-EDGE_KINDS = {"odometry", "closure"}
 PROBABILITY_TOLERANCE = 1e-6
 SEMIDEFINITE_TOLERANCE = 1e-6
 """How far below zero, in parts of the trace, rounding may put an eigenvalue of a landmark's covariance."""
@@ -32,13 +31,10 @@ def find_fault(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
 
 
 def parts(graph: FactorGraphRecord, counts: NDArray[np.bool_]) -> IntArray:
-    """Number (K,) of the part to which each keyframe belongs, by the edges between them that ``counts`` (E,)."""
+    """The first row (K,) of the part to which each keyframe belongs, by the edges between them that ``counts`` (E,)."""
     row_of = {int(keyframe): row for row, keyframe in enumerate(graph.keyframe_ids)}
     ends = np.array([row_of[int(keyframe)] for keyframe in graph.edge_keyframe_ids[counts].ravel()], dtype=np.int64)
-    first, second = ends.reshape(-1, 2).T
-    size = len(row_of)
-    ties = coo_array((np.ones(len(first)), (first, second)), shape=(size, size))
-    return np.asarray(connected_components(ties, directed=False)[1], dtype=np.int64)
+    return find_components(len(row_of), ends.reshape(-1, 2))
 
 
 def _fault_of_objects(objects: ObjectMapRecord) -> str:
@@ -79,7 +75,7 @@ def _fault_of_names(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
     missing = set(graph.observation_landmark_ids) - set(objects.ids)
     if missing:
         return f"its graph observes landmark {min(missing)}, which it does not have"
-    kinds = set(graph.edge_kinds) - EDGE_KINDS
+    kinds = set(graph.edge_kinds) - set(EdgeKind)
     return f"its graph has edges of a kind {min(kinds)!r} that is not known" if kinds else ""
 
 

@@ -12,8 +12,11 @@ from slam.odometry.track import OdometryPose
 class Keyframe:
     """A pose of the track that the graph knows; ``T_local_body`` (4, 4): where landmarks around have it, see
     :mod:`slam.frontend.local_map`.
+
+    ``is_prior``: a keyframe of a prior map. Its ``odometry`` holds its pose in that map, and no travel, time or speed.
     """
 
     id: int
     odometry: OdometryPose
     T_local_body: FloatArray
+    is_prior: bool = False

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from slam.common.arrays import IntArray
+from slam.common.union_find import UnionFind
 from slam.odometry.keyframe import Keyframe
 
 
@@ -15,7 +16,7 @@ class SegmentConnectivity:
 
     def __init__(self, keyframes: Sequence[Keyframe]) -> None:
         self._keyframes = keyframes
-        self._component: dict[int, int] = {}
+        self._components = UnionFind()
 
     def are_connected(self, first: int, second: int) -> bool:
         """Whether odometry or closures connect two keyframes."""
@@ -27,14 +28,12 @@ class SegmentConnectivity:
         if kept == moved:
             return np.zeros(0, dtype=np.int64)
         moving = [keyframe.id for keyframe in self._keyframes if self._component_of(keyframe.id) == moved]
-        for segment in {self._keyframes[keyframe].odometry.segment for keyframe in moving}:
-            self._component[segment] = kept
+        self._components.merge(kept, moved)
         return np.array(moving, dtype=np.int64)
 
     def reset(self) -> None:
         """Disconnect all segments."""
-        self._component.clear()
+        self._components = UnionFind()
 
     def _component_of(self, keyframe: int) -> int:
-        segment = self._keyframes[keyframe].odometry.segment
-        return self._component.get(segment, segment)
+        return self._components.find(self._keyframes[keyframe].odometry.segment)

@@ -348,6 +348,7 @@ def test_a_kidnapping_is_told_and_both_parts_are_mapped(config):
     assert [status.level for status in told] == ["info", "warning"]
     final = slam.finish()
     assert final.status.counters["odometry_breaks"] == 1
+    assert final.graph.edge_kinds.count("discontinuity") == 1
     assert "covariances_missing" not in final.status.counters
     assert np.linalg.eigvalsh(final.object_map.covariances)[:, 0].min() > 0.0
     assert len(final.trajectory.stamps_ns) == len(odometry_of(entries))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -127,6 +128,8 @@ class TestFromEndToEnd:
                 record = LoopClosureRecord(
                     10**18 + query * 10**9, query, 0, query == 50, stage, f"{query} of [tree] agree", 0.1, score=np.inf
                 )
+                if query == 50:
+                    record = replace(record, log_likelihood_ratio=23.5, odometry_penalty=1.25)
                 writer.write("/slam/closures", record, 10**18)
         result = dslam("info", log, "--closures")
         assert "# of [tree] agree" in result.out
@@ -135,6 +138,8 @@ class TestFromEndToEnd:
         assert "and 20 more" in result.out
         assert dslam("info", log, "--all").out.count("registration  ") == 59 + 1
         one = dslam("info", log, "--keyframe", 50)
+        assert ("LLR" in one.out, "penalty" in one.out) == (True, True)
+        assert one.out.splitlines()[-1].split()[3:6] == ["inf", "23.5", "1.25"]
         assert "50 of [tree] agree" in one.out
         assert len(one.out.splitlines()) == 3
         assert "keyframe 60 is the query of no loop-closure candidate" in dslam("info", log, "--keyframe", 60).out
@@ -142,6 +147,7 @@ class TestFromEndToEnd:
         every = json.loads(dslam("info", log, "--json", "--closures").out)["closure_candidates"]
         assert [candidate["query_keyframe_id"] for candidate in every] == list(range(60))
         assert (every[50]["time_s"], every[50]["accepted"], every[50]["score"]) == (50.0, True, None)
+        assert (every[50]["log_likelihood_ratio"], every[49]["log_likelihood_ratio"]) == (23.5, None)
         assert len(json.loads(dslam("info", log, "--json", "--keyframe", 3).out)["closure_candidates"]) == 1
 
     def test_info_says_why_a_replay_cannot_be(self, dslam: Run, tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ class EvaluationRecords:
     """The records that an evaluation looks at, each kind in the order of the log; of maps and states the last.
 
     ``statuses``: all of them, ``status`` is the last. ``configuration``: the tree by which the log was made, empty
-    where it does not tell.
+    where it does not tell. ``has_prior_map``: the robot was to find itself in the map of an earlier drive.
     """
 
     trajectory: TrajectoryRecord | None = None
@@ -66,6 +66,7 @@ class EvaluationRecords:
     statuses: tuple[StatusRecord, ...] = ()
     relocalizations: tuple[RelocalizationRecord, ...] = ()
     configuration: Mapping[str, Any] = field(default_factory=dict)
+    has_prior_map: bool = False
 
     @property
     def verified_places(self) -> int | None:
@@ -182,7 +183,11 @@ def _read(path: str | os.PathLike[str], topics: Mapping[str, str] | None) -> Eva
             if (kept := tuple(part for part in parts if part in kinds))
         }
         found = collect_records((entry.topic, entry.record) for entry in reader.records(Selection(wanted)))
-        return replace(found, configuration=_read_tree(provenance.get("configuration", "")))
+        return replace(
+            found,
+            configuration=_read_tree(provenance.get("configuration", "")),
+            has_prior_map="map_drives" in provenance,
+        )
 
 
 def _topics_used(recorded: str, there: Iterable[TopicInfo]) -> dict[str, str]:

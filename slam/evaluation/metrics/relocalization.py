@@ -17,7 +17,7 @@ from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses, sync
 from slam.evaluation.metrics.alignment import align_path
 from slam.evaluation.metrics.relocalization_errors import FixError, Span, measure_by_closures, measure_by_poses
 
-LOST, TRACKING, RELOCALIZED = "LOST", "TRACKING", "RELOCALIZED"
+LOST = "LOST"
 Method = Literal["closure", "map", "trajectory"]
 
 
@@ -152,12 +152,6 @@ def locate_map(mapping: EvaluationRecords, protocol: Protocol | None = None) -> 
         max_gap_s=(protocol or Protocol()).max_truth_gap_s,
     )
     return align_path(poses.positions_est, poses.positions_gt).T_world_map
-
-
-def has_given_map(records: EvaluationRecords) -> bool:
-    """Whether the robot was to find itself in a map of an earlier drive: lost from the start, or tracking later."""
-    statuses = records.statuses
-    return bool(statuses) and (statuses[0].state == LOST or any(each.state == TRACKING for each in statuses))
 
 
 def evaluate_relocalization(

@@ -12,6 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slam.backend.factor_graph import MIN_RANGE_RANGES, Edge, FactorGraph, Observation
+from slam.backend.factors import EdgeKind
 from slam.common.arrays import FloatArray
 from slam.common.config import FactorGraphConfig
 from slam.common.errors import FactorGraphError
@@ -367,6 +368,26 @@ def test_the_record_holds_the_graph():
     np.testing.assert_allclose(record.observation_covariances[0], 3.0 * SEEN_COVARIANCE)
 
 
+def test_a_discontinuity_of_the_odometry_is_an_edge_of_its_own_kind():
+    graph = build(noisy_edges(), [])
+    closure = edge(2, 4, np.eye(4), "closure")
+    graph.add_edge(closure)
+    graph.mark_discontinuity(4)
+    record = graph.to_record(9, np.arange(KEYFRAMES))
+    kinds = dict(zip(map(tuple, record.edge_keyframe_ids.tolist()), record.edge_kinds, strict=True))
+    assert kinds.pop((3, 4)) == "discontinuity"
+    assert kinds.pop((2, 4)) == "closure"
+    assert set(kinds.values()) == {"odometry"}
+    with pytest.raises(FactorGraphError, match="no odometry edge leads to keyframe 4"):
+        graph.mark_discontinuity(4)
+
+
+def test_an_edge_is_of_a_kind_that_logs_know():
+    assert edge(0, 1, np.eye(4), "closure").kind is EdgeKind.LOOP_CLOSURE
+    with pytest.raises(ValueError, match="guess"):
+        edge(0, 1, np.eye(4), "guess")
+
+
 def test_the_record_of_a_graph_without_edges_and_observations():
     graph = FactorGraph(PLAIN)
     graph.add_first_keyframe(0, np.eye(4))
@@ -509,7 +530,7 @@ def test_a_keyframe_added_twice_is_an_error_of_ours():
     assert graph.keyframes.tolist() == list(range(KEYFRAMES))
 
 
-def test_a_split_undoes_a_chain_of_merges():
+def test_a_chain_of_merges_can_be_undone():
     parts = {0: OFTEN_SEEN, 1: 98, 2: 99}
     split = [replace(o, landmark=parts[o.keyframe % 3]) if o.landmark == OFTEN_SEEN else o for o in sightings()]
     assert {98, 99, OFTEN_SEEN} <= {o.landmark for o in split}
@@ -518,11 +539,13 @@ def test_a_split_undoes_a_chain_of_merges():
     graph.merge_landmarks(98, 99)
     graph.update()
     assert {99, OFTEN_SEEN}.isdisjoint(graph.landmarks.tolist())
-    graph.split_landmark(99)
+    graph.undo_merge()
     assert 99 in graph.landmarks.tolist()
     assert OFTEN_SEEN not in graph.landmarks.tolist()
-    graph.split_landmark(OFTEN_SEEN)
+    graph.undo_merge()
     assert graph.landmarks.tolist() == untouched.landmarks.tolist()
     graph.optimize()
     untouched.optimize()
     assert_same_estimate(graph, untouched, atol=1e-4)
+    with pytest.raises(FactorGraphError, match="no merge can be undone"):
+        graph.undo_merge()

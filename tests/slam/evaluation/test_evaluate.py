@@ -176,7 +176,7 @@ def test_a_reference_of_another_drive_is_told() -> None:
     assert "this drive" in result.unavailable["associations"]
 
 
-def test_merged_landmarks_are_read_from_the_reasons() -> None:
+def test_merged_landmarks_are_read_from_the_map() -> None:
     record = object_map(
         ("1", "2", "3"),
         np.zeros((3, 3)),
@@ -184,7 +184,8 @@ def test_merged_landmarks_are_read_from_the_reasons() -> None:
         reasons=("", "merged into 1", "moving"),
         states=("confirmed", "retired", "retired"),
     )
-    assert find_aliases(record) == {"2": "1"}
+    assert find_aliases(record) == {}
+    assert find_aliases(replace(record, merged_into=("", "1", ""))) == {"2": "1"}
     assert find_aliases(None) == {}
 
 

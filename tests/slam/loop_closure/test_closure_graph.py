@@ -84,6 +84,12 @@ class Street:
         self.loops.insert(candidate)
         self.graph.update()
 
+    def merge_in_view(self, kept: int, dropped: int) -> None:
+        """As the front end does with two landmarks of its local map that are one object."""
+        self.map.merge(kept, dropped)
+        self.graph.merge_landmarks(kept, dropped)
+        self.graph.update()
+
     def names(self) -> list[int]:
         return [self.map.canonical_id(row) for row in range(len(self.map))]
 
@@ -215,6 +221,51 @@ def test_what_a_closure_merged_stays_merged_where_one_that_it_built_on_is_withdr
     street.loops.remove([street.loops.loops[0]])
     names = street.names()
     assert names[12] == names[7] != names[2]
+
+
+# Merges of the front end between those of the closures
+
+
+def only_in_view(*pairs: tuple[int, int]) -> Street:
+    """The street with merges of the front end and no closure."""
+    street = Street()
+    for pair in pairs:
+        street.merge_in_view(*pair)
+    return street
+
+
+@pytest.mark.parametrize("pair", [(6, 7), (7, 8)], ids=["dropped", "kept"])
+@pytest.mark.parametrize("at", [0, 1, 2], ids=["before both", "in between", "after both"])
+def test_a_merge_of_the_front_end_outlives_the_closures_around_it(street, pair, at):
+    closures = [(7, 2, [(7, 2), (9, 4)]), (12, 7, [(12, 7), (14, 9)])]
+    for number, closure in enumerate(closures):
+        if number == at:
+            street.merge_in_view(*pair)
+        street.close(*closure)
+    if at == len(closures):
+        street.merge_in_view(*pair)
+    street.loops.remove([street.loops.loops[0]])
+    assert len({street.names()[row] for row in pair}) == 1
+    assert street.names()[2] == 2
+    street.loops.remove([street.loops.loops[0]])
+    assert street.facts() == only_in_view(pair).facts()
+
+
+def test_removing_a_closure_leaves_the_merges_before_it_alone(street):
+    street.close(7, 2, [(7, 2)])
+    street.merge_in_view(5, 6)
+    before, merges = street.facts(), street.map.merges
+    street.close(12, 7, [(12, 7)])
+    street.loops.remove([street.loops.loops[1]])
+    assert street.facts() == before
+    assert street.map.merges == merges
+    assert all(kept is was for kept, was in zip(street.map.merges, merges, strict=True))
+
+
+def test_a_merge_of_the_front_end_does_not_keep_a_landmark_from_being_merged_by_a_closure(street):
+    street.merge_in_view(7, 8)
+    street.close(7, 2, [(7, 2)])
+    assert street.names()[8] == street.names()[7] == 2
 
 
 def test_the_nearest_closure_is_the_one_nearest_in_travel(street):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from logs.closures import STAGES
-from slam.common.config import Config
+from slam.common.config import Config, LoopClosureConfig
 from slam.replay import replay
 from slam.simulation.config import KidnapConfig
 from tests.helpers.loop_drives import (
@@ -86,6 +86,24 @@ def test_each_keyframe_finds_its_place_by_descriptors_alone(tmp_path, descriptor
     outcome = replay_drive(tmp_path, two_blocks(), descriptor=descriptor, **ONE_TRY)
     assert outcome.recall >= 0.8
     assert outcome.closures.precision == 1.0
+
+
+def test_the_log_says_what_each_candidate_was_decided_from(looped):
+    candidates = [each for each in looped.closures.judged.candidates if each.log_likelihood_ratio is not None]
+    accepted = [each for each in candidates if each.accepted]
+    assert all(each.score == pytest.approx(each.log_likelihood_ratio - each.odometry_penalty) for each in candidates)
+    assert all(each.inserted == (each.represented_by_keyframe_id == each.query_keyframe_id) for each in accepted)
+    inserted = {each.query_keyframe_id for each in accepted if each.inserted}
+    assert {each.represented_by_keyframe_id for each in accepted} == inserted
+    for each in candidates:
+        told = "" if each.seed_query_keyframe_id is None else f"of keyframe {each.seed_query_keyframe_id}"
+        assert told in each.reason
+        assert ("propagated" in each.reason) == (told != "")
+        assert ("accumulated" in each.reason) <= (each.accumulated_log_likelihood_ratio is not None)
+    alone = [each for each in accepted if not each.reason]
+    assert alone
+    for each in alone:
+        assert each.log_likelihood_ratio - each.best_rival_log_likelihood_ratio >= LoopClosureConfig().ambiguity_margin
 
 
 # What it makes better

@@ -7,6 +7,7 @@ import pytest
 
 from logs.writer import LogWriter
 from slam.common.config import AssociationConfig
+from slam.common.union_find import Merge
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from tests.helpers.short_drives import records_of
 from tests.logs.examples import assert_same_record
@@ -118,15 +119,16 @@ def test_merged_landmarks_are_one_in_the_map_and_two_around_the_robot():
     object_map = new_map(count=3)
     see(object_map, 0, label=1, seconds=1.0)
     see(object_map, 1, label=0, seconds=7.0)
-    assert object_map.merge(0, 1) == 1
+    assert object_map.merge(0, 1) == Merge(0, 1, kept=0, dropped=1)
     assert object_map.rows["observations"].tolist() == [2, 2, 1]
-    assert object_map.merge(2, 1) == 0
+    assert object_map.merge(2, 1) == Merge(2, 1, kept=2, dropped=0)
     assert object_map.merge(0, 2) is None
     assert [object_map.canonical_id(row) for row in range(3)] == [2, 2, 2]
     assert object_map.in_state(LandmarkState.TENTATIVE).tolist() == [2]
     record = object_map.to_record(0)
     assert record.states == ("retired", "retired", "tentative")
     assert record.reasons == ("merged into 2", "merged into 2", "")
+    assert record.merged_into == ("2", "2", "")
     assert record.observation_counts.tolist() == [2, 2, 5]
     assert record.last_seen_ns[2] == 7 * SECOND_NS
     together = new_map(count=1)
@@ -135,12 +137,12 @@ def test_merged_landmarks_are_one_in_the_map_and_two_around_the_robot():
     np.testing.assert_allclose(record.class_probabilities[2, :2], together.beliefs(np.array([0]))[0, :2], rtol=1e-6)
 
 
-def test_a_split_undoes_a_merge():
+def test_undoing_a_merge_restores_both_landmarks():
     object_map = new_map(count=3)
     see(object_map, 1, label=0, seconds=7.0)
     before = object_map.to_record(0)
-    lost = object_map.merge(0, 1)
-    object_map.split(lost)
+    merge = object_map.merge(0, 1)
+    object_map.undo_merge(merge)
     assert_same_record(object_map.to_record(0), before)
 
 

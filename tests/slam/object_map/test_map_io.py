@@ -277,6 +277,21 @@ def test_a_stretch_that_nothing_ties_to_the_map_is_not_saved(
     np.testing.assert_allclose(loaded.objects.positions, known.objects.positions, atol=0.02)
 
 
+@pytest.mark.parametrize(("kind", "scale", "left_out"), [("discontinuity", 1.0, 3), ("odometry", 1e6, 0)])
+def test_a_discontinuity_is_known_by_its_kind_and_not_by_its_covariance(
+    first: FinalMap, tmp_path: Path, kind: str, scale: float, left_out: int
+) -> None:
+    graph = first.graph
+    ids, row = graph.keyframe_ids, len(graph.keyframe_ids) - 4
+    assert "closure" not in graph.edge_kinds
+    assert graph.edge_keyframe_ids[row].tolist() == [ids[-4], ids[-3]]
+    kinds = (*graph.edge_kinds[:row], kind, *graph.edge_kinds[row + 1 :])
+    covariances = graph.edge_covariances.copy()
+    covariances[row] *= scale
+    graph = replace(graph, edge_kinds=kinds, edge_covariances=covariances)
+    assert save_map(tmp_path / "m.mcap", first.object_map, graph, first.markers, PROVENANCE) == left_out
+
+
 def candidate_scores(entries: list[Entry], prior_map: SavedMap) -> list[float]:
     slam = Slam(Config(), prior_map)
     updates = [update for _, _, record in entries for update in slam.process(record)]

@@ -20,7 +20,6 @@ from slam.evaluation.metrics.relocalization import (
     RelocalizationQuality,
     evaluate_relocalization,
     find_losses,
-    has_given_map,
     locate_map,
 )
 from tests.slam.evaluation.conftest import Relocalized
@@ -168,13 +167,6 @@ def test_a_drive_of_one_status() -> None:
     assert find_losses(()) == []
 
 
-def test_who_was_given_a_map() -> None:
-    assert has_given_map(made((0, "LOST")))
-    assert has_given_map(made((0, "LOST"), (3, "RELOCALIZED"), (3, "TRACKING")))
-    assert not has_given_map(made((0, "MAPPING"), (3, "LOST")))
-    assert not has_given_map(EvaluationRecords())
-
-
 # Simulated drives
 
 
@@ -201,6 +193,12 @@ def test_twin_a_false_closure_across_the_break_is_a_wrong_fix(kidnapped: Evaluat
     result = evaluate(replace(kidnapped, closures=closures))
     assert at_json(result, "relocalization.success_rate") == 0.0
     assert at_json(result, "relocalization.wrong_count") == 1
+
+
+def test_a_log_says_whether_there_was_a_prior_map(relocalized: Relocalized, kidnapped: EvaluationRecords) -> None:
+    assert relocalized.found.has_prior_map
+    assert not relocalized.mapping.has_prior_map
+    assert not kidnapped.has_prior_map
 
 
 def test_a_robot_that_finds_itself_in_a_map(relocalized: Relocalized) -> None:

@@ -59,6 +59,24 @@ def test_loop_closures_of_a_drive_there_and_back() -> None:
         assert text in report
 
 
+def test_the_numbers_that_decided_are_listed_with_the_truth() -> None:
+    log = there_and_back_log()
+    closures = [record for _, record in log if isinstance(record, LoopClosureRecord)]
+    numbers = {"log_likelihood_ratio": 23.5, "odometry_penalty": 1.5, "seed_query_keyframe_id": 4}
+    decided = [replace(closures[0], **numbers), replace(closures[1], **numbers), closures[2]]
+    others = [(topic, record) for topic, record in log if not isinstance(record, LoopClosureRecord)]
+    result = evaluate(collect_records([*others, *(("/slam/closures", record) for record in decided)]))
+    listed = at_json(result, "closures.verified_candidates")
+    assert isinstance(listed, list)
+    assert sorted(each["query_keyframe_id"] for each in listed) == sorted(
+        each.query_keyframe_id for each in decided[:2]
+    )
+    assert all(each[name] == value for each in listed for name, value in numbers.items())
+    assert {each["best_rival_log_likelihood_ratio"] for each in listed} == {None}
+    assert {each["true"] for each in listed} <= {True, False}
+    assert "verified_candidates" not in printed(result)
+
+
 def test_revisits_without_a_candidate_are_missed() -> None:
     log = [(t, r) for t, r in there_and_back_log() if not isinstance(r, LoopClosureRecord)]
     result = evaluate(collect_records(log))
