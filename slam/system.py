@@ -209,8 +209,6 @@ class Slam:
 
     def _keyframe_updates(self, pose: OdometryPose, *, breaks: bool) -> list[Record]:
         keyframe = self._mapper.keyframes[-1]
-        if keyframe.id > 0 and self._mapper.keyframes[-2].odometry.segment != pose.segment:
-            self._graph.mark_discontinuity(keyframe.id)
         closures = self._close_loops(keyframe)
         if self._closer.lost_since_keyframe is not None:
             closures += self._declare_lost(keyframe, self._closer.lost_since_keyframe)

@@ -21,7 +21,6 @@ from slam.backend.factors import (
     MIN_RANGE_RANGES,
     PRIOR_SIGMA_RANGES,
     Edge,
-    EdgeKind,
     Factor,
     LandmarkPrior,
     Observation,
@@ -154,18 +153,6 @@ class FactorGraph:
             self._fixed_poses[keyframe] = T
         self._fixed_positions = dict(landmarks)
         self.update()
-
-    def mark_discontinuity(self, keyframe: int) -> None:
-        """Make the odometry edge by which a keyframe was added one of kind ``DISCONTINUITY``.
-
-        Raises:
-            FactorGraphError: no such edge is in the graph.
-        """
-        for number, factor in self.factors.items():
-            if isinstance(factor, Edge) and factor.to_keyframe == keyframe and factor.kind == EdgeKind.ODOMETRY:
-                self.factors[number] = replace(factor, kind=EdgeKind.DISCONTINUITY)
-                return
-        raise FactorGraphError(f"no odometry edge leads to keyframe {keyframe}")
 
     def add_edge(self, edge: Edge) -> int:
         """Tie two keyframes together; returns the factor's number."""

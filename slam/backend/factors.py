@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal
 
 import gtsam
 import numpy as np
@@ -60,16 +59,13 @@ class EdgeKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Edge:
-    """A between-factor: ``T_from_to`` (4, 4) with its covariance (6, 6).
-
-    ``kind`` becomes an ``EdgeKind`` where the value of one is given; ValueError for any other string.
-    """
+    """A between-factor: ``T_from_to`` (4, 4) with its covariance (6, 6); ValueError if ``kind`` is no ``EdgeKind``."""
 
     from_keyframe: int
     to_keyframe: int
     T_from_to: FloatArray
     covariance: FloatArray
-    kind: EdgeKind | Literal["odometry"]
+    kind: EdgeKind
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", EdgeKind(self.kind))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from logs.messages import DetectionAssociations
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import Edge, Observation
+from slam.backend.factors import Edge, EdgeKind, Observation
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import relative, rotation_angle_rad
@@ -158,7 +158,6 @@ class Mapper:
 
     def _merge(self, kept: int, dropped: int) -> None:
         """Make one of two landmarks of the local map."""
-        kept, dropped = self._map.canonical_id(kept), self._map.canonical_id(dropped)
         if self._map.merge(kept, dropped) is not None:
             self._graph.merge_landmarks(kept, dropped)
 
@@ -182,10 +181,12 @@ class Mapper:
 
     def _odometry_edge(self, previous: Keyframe, keyframe: Keyframe) -> Edge:
         T_previous_keyframe = relative(previous.odometry.T_odom_body, keyframe.odometry.T_odom_body)
+        kind = EdgeKind.ODOMETRY
         covariance = step_covariance(previous.odometry, keyframe.odometry, self._config.odometry)
         if keyframe.odometry.segment != previous.odometry.segment:
+            kind = EdgeKind.DISCONTINUITY
             covariance = np.diag(np.repeat([BREAK_SIGMA_RAD**2, BREAK_SIGMA_M**2], 3))
-        return Edge(previous.id, keyframe.id, T_previous_keyframe, covariance, "odometry")
+        return Edge(previous.id, keyframe.id, T_previous_keyframe, covariance, kind)
 
     def _common_covariances(self, scan: Scan) -> FloatArray:
         """(N, 3, 3) m^2 of the errors that observations of an object share, where the message has no covariance."""

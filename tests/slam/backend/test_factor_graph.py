@@ -368,20 +368,6 @@ def test_the_record_holds_the_graph():
     np.testing.assert_allclose(record.observation_covariances[0], 3.0 * SEEN_COVARIANCE)
 
 
-def test_a_discontinuity_of_the_odometry_is_an_edge_of_its_own_kind():
-    graph = build(noisy_edges(), [])
-    closure = edge(2, 4, np.eye(4), "closure")
-    graph.add_edge(closure)
-    graph.mark_discontinuity(4)
-    record = graph.to_record(9, np.arange(KEYFRAMES))
-    kinds = dict(zip(map(tuple, record.edge_keyframe_ids.tolist()), record.edge_kinds, strict=True))
-    assert kinds.pop((3, 4)) == "discontinuity"
-    assert kinds.pop((2, 4)) == "closure"
-    assert set(kinds.values()) == {"odometry"}
-    with pytest.raises(FactorGraphError, match="no odometry edge leads to keyframe 4"):
-        graph.mark_discontinuity(4)
-
-
 def test_an_edge_is_of_a_kind_that_logs_know():
     assert edge(0, 1, np.eye(4), "closure").kind is EdgeKind.LOOP_CLOSURE
     with pytest.raises(ValueError, match="guess"):

@@ -10,6 +10,7 @@ from slam.backend.factor_graph import FactorGraph, Observation
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.common.union_find import Merge
 from slam.frontend.mapper import Mapper
 from slam.frontend.scan import Scan
 from slam.object_map.landmarks import LandmarkState, ObjectMap
@@ -242,8 +243,9 @@ def test_a_jump_of_the_odometry_lets_go_of_the_landmarks_in_view():
     assert LandmarkState.TENTATIVE not in bench.states()
     assert bench.see(1.0, OBJECTS + np.array([5000.0, 0, 0])).created.all()
     bench.graph.update()
-    last = bench.graph.to_record(0, np.zeros(len(bench.mapper.keyframes), dtype=np.int64)).edge_covariances[-1]
-    assert np.sqrt(last[3, 3]) >= BREAK_SIGMA_M
+    record = bench.graph.to_record(0, np.zeros(len(bench.mapper.keyframes), dtype=np.int64))
+    assert np.sqrt(record.edge_covariances[-1][3, 3]) >= BREAK_SIGMA_M
+    assert record.edge_kinds[-1] == "discontinuity"
 
 
 def test_every_detection_of_the_message_has_its_place_in_the_associations():
@@ -264,3 +266,13 @@ def test_scans_without_detections():
         assert associations.landmark_ids == ()
     assert len(bench.map) == 0
     bench.mapper.close_keyframe()
+
+
+def test_two_landmarks_that_are_one_are_merged_as_themselves_whatever_they_were_merged_into():
+    bench = Bench()
+    bench.drive(10)
+    bench.map.merge(0, 1)
+    bench.graph.merge_landmarks(0, 1)
+    bench.mapper._merge(1, 2)
+    assert bench.map.merges[-1] == Merge(kept_item=1, dropped_item=2, kept=0, dropped=2)
+    assert [bench.map.canonical_id(row) for row in range(3)] == [0, 0, 0]
