@@ -24,11 +24,11 @@ from slam.frontend.keyframe_observations import KeyframeObservations
 from slam.frontend.scan import Scan
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from slam.odometry.keyframe import Keyframe
-from slam.odometry.noise import BREAK_SIGMA_M, BREAK_SIGMA_RAD, step_covariance
+from slam.odometry.noise import BREAK_SIGMA_RAD, BREAK_SIGMA_RANGES, step_covariance
 from slam.odometry.track import OdometryPose
 
 # The robot stands still below that motion.
-MOVED_M = 0.1
+MOVED_RANGES = 0.1 / 30
 MOVED_RAD = 0.02
 # A speed is significant if it is that many of its standard deviations.
 MOVING_SIGMAS = 3.0
@@ -171,7 +171,8 @@ class Mapper:
         last = self.keyframes[-1].odometry
         limits = self._config.keyframe
         turn_rad = float(rotation_angle_rad(relative(last.T_odom_body, pose.T_odom_body)))
-        has_moved = pose.travel_m - last.travel_m >= MOVED_M or turn_rad >= MOVED_RAD
+        moved_m = MOVED_RANGES * self._config.detection.sensor_range_m
+        has_moved = pose.travel_m - last.travel_m >= moved_m or turn_rad >= MOVED_RAD
         return bool(
             pose.segment != last.segment
             or pose.travel_m - last.travel_m >= limits.distance_m
@@ -185,7 +186,8 @@ class Mapper:
         covariance = step_covariance(previous.odometry, keyframe.odometry, self._config.odometry)
         if keyframe.odometry.segment != previous.odometry.segment:
             kind = EdgeKind.DISCONTINUITY
-            covariance = np.diag(np.repeat([BREAK_SIGMA_RAD**2, BREAK_SIGMA_M**2], 3))
+            sigma_m = BREAK_SIGMA_RANGES * self._config.detection.sensor_range_m
+            covariance = np.diag(np.repeat([BREAK_SIGMA_RAD**2, sigma_m**2], 3))
         return Edge(previous.id, keyframe.id, T_previous_keyframe, covariance, kind)
 
     def _common_covariances(self, scan: Scan) -> FloatArray:

@@ -11,7 +11,7 @@ from slam.odometry.track import OdometryPose
 
 # A break in the odometry ties nothing together, but the graph must stay connected until a closure does it.
 BREAK_SIGMA_RAD = 1.0
-BREAK_SIGMA_M = 100.0
+BREAK_SIGMA_RANGES = 100 / 30
 
 
 def step_variances(before: OdometryPose, after: OdometryPose, config: OdometryConfig) -> FloatArray:
