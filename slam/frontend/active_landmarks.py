@@ -4,7 +4,8 @@ Confirmed landmarks are held by the EKF of :mod:`slam.frontend.local_map`, which
 tentative ones have a small Kalman filter each and correct nothing. A confirmed landmark is let go when it is no longer
 certain which of its like it is: when the standard deviation of its position relative to the robot, with the inflated
 noise of the odometry, exceeds the distance between objects of its class; or when nothing that is seen here can be seen
-from there, so that only the odometry relates the two. From then on its place has to be recognised, which is what loop closing does.
+from there, so that only the odometry relates the two. From then on its place has to be recognised, which is what loop
+closing does.
 """
 
 from __future__ import annotations

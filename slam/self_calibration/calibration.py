@@ -61,6 +61,10 @@ PRIOR_NOISE = NoiseComponents(
 """Variances where a log tells nothing, lengths in sensor ranges: detections are off by 2 % of the range, the odometry
 by 5 % of it, and by 11 deg, after as much travel, and by 6 deg after turning by 1 rad.
 """
+LEAST_DRIFT, LEAST_TURN_RAD = 0.01, 0.005
+"""Detections cannot tell an odometry that is better than that: off by so large a share of the sensor range after as much
+travel, and by so many radians.
+"""
 DEFAULT_RANGE_M = float(DetectionConfig.model_fields["sensor_range_m"].get_default())
 
 
@@ -93,7 +97,10 @@ def _is_given(config: Config, key: str) -> bool:
 
 
 def _lengths(config: Config, survey: Survey) -> dict[str, float]:
-    range_m = config.detection.sensor_range_m if _is_given(config, "detection.sensor_range_m") else survey.range_m
+    range_m = config.detection.sensor_range_m
+    if not _is_given(config, "detection.sensor_range_m"):
+        # The range is a coarse yardstick: what is of one size, like all cars, is to be treated alike.
+        range_m = DEFAULT_RANGE_M * 2.0 ** np.round(np.log2(survey.range_m / DEFAULT_RANGE_M))
     scale = range_m / DEFAULT_RANGE_M
     values = {}
     for key, power in LENGTHS.items():
@@ -107,37 +114,61 @@ def _lengths(config: Config, survey: Survey) -> dict[str, float]:
 def _noise(config: Config, survey: Survey) -> dict[str, float]:
     """Standard deviations; of each variance its estimate and one standard error, so that little data make it large."""
     found = _components(survey)
+    drift, turn = _shares_not_of_bias(found, survey)
     white = 0.5 * (found.radial + found.tangential)
     by_range = 0.5 * (found.radial_by_range + found.tangential_by_range)
     submap_m = _lengths(config, survey)["submap.travel_m"]
     between_passes = found.view + 0.5 * submap_m * found.translation_by_travel
     floor_m = 1e-4 * survey.range_m
+    least_heading = LEAST_TURN_RAD / np.sqrt(survey.range_m) if turn < 1.0 else 1e-5
     return {
-        "odometry.translation_sigma": max(np.sqrt(found.translation_by_travel), 1e-2 * np.sqrt(floor_m)),
-        "odometry.translation_sigma_by_time": np.sqrt(found.translation_by_time),
-        "odometry.yaw_sigma": max(np.sqrt(found.heading_by_travel), 1e-5),
-        "odometry.yaw_sigma_by_turn": np.sqrt(found.heading_by_turn),
-        "odometry.yaw_sigma_by_time": np.sqrt(found.heading_by_time),
+        "odometry.translation_sigma": max(
+            np.sqrt(drift * found.translation_by_travel), LEAST_DRIFT * np.sqrt(survey.range_m)
+        ),
+        "odometry.translation_sigma_by_time": np.sqrt(drift * found.translation_by_time),
+        "odometry.yaw_sigma": max(np.sqrt(turn * found.heading_by_travel), least_heading),
+        "odometry.yaw_sigma_by_turn": np.sqrt(turn * found.heading_by_turn),
+        "odometry.yaw_sigma_by_time": np.sqrt(turn * found.heading_by_time),
         "odometry.min_translation_sigma_m": floor_m,
         "detection.base_sigma_m": max(np.sqrt(white), floor_m),
         "detection.sigma_per_m": np.sqrt(by_range),
         "detection.common_sigma_m": np.sqrt(found.view),
-        "detection.covariance_inflation": max(_keyframes_per_view(config, survey) * survey.objects, 1.0),
+        "detection.covariance_inflation": max(_observations_that_err_alike(config, survey, found.view), 1.0),
         "detection.scans_per_view": max(survey.median_range_m / max(survey.travel_m / survey.scans, 1e-9), 1.0),
         "submap.landmark_sigma_m": max(np.sqrt(between_passes), floor_m),
         "loop_closure.base_sigma_m": max(np.sqrt(between_passes), floor_m),
     }
 
 
-def _keyframes_per_view(config: Config, survey: Survey) -> float:
-    """Keyframes from which an object is seen in about the same way: while the viewing direction changes by 1 rad.
+def _shares_not_of_bias(found: NoiseComponents, survey: Survey) -> tuple[float, float]:
+    """Shares of the odometry's translation and heading variances that a bias of the detections does not explain.
 
-    The errors that observations share are those of one view, so that so many observations carry the information of one.
+    While the view of the objects changes by 1 rad, over about the median range of travel, a bias b that they share looks
+    like an error of the odometry: by b, and by b / range in heading.
+    """
+    travel_m = survey.median_range_m
+    seconds = survey.duration_s / max(survey.travel_m, 1e-9) * travel_m
+    turn_rad = survey.turn_rad / max(survey.travel_m, 1e-9) * travel_m
+    drift = found.translation_by_travel * travel_m + found.translation_by_time * seconds
+    turn = found.heading_by_travel * travel_m + found.heading_by_turn * turn_rad + found.heading_by_time * seconds
+    variance = survey.shared_bias_m**2
+    return (
+        max(1.0 - variance / max(drift, 1e-300), 0.0),
+        max(1.0 - variance / travel_m**2 / max(turn, 1e-300), 0.0),
+    )
+
+
+def _observations_that_err_alike(config: Config, survey: Survey, view: float) -> float:
+    """Observations that carry the information of one, as their errors are the same.
+
+    They are those of one object while the viewing direction changes by 1 rad; and if the centroids of a class share a
+    bias, those of all objects in view.
     """
     distance_m = _lengths(config, survey)["keyframe.distance_m"]
     if _is_given(config, "keyframe.distance_m"):
         distance_m = config.keyframe.distance_m
-    return survey.median_range_m / distance_m
+    objects = 1.0 + survey.objects * survey.shared_bias_m**2 / max(view, 1e-300)
+    return objects * survey.median_range_m / distance_m
 
 
 def _components(survey: Survey) -> NoiseComponents:

@@ -13,6 +13,7 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import DetectionConfig
 from slam.common.geometry import apply, interpolate, invert, transform_from_xyz_yaw, yaw_rad
 from slam.frontend.scan import SensorFrames
+from slam.self_calibration.centroid_bias import centroid_biases, without_bias
 from slam.self_calibration.object_tracks import ObjectTracks, SurveyScan, follow_objects
 from slam.self_calibration.variance_components import ComponentEstimate, Motion, estimate_components
 
@@ -25,12 +26,12 @@ RANGE_QUANTILE = 0.95
 class Survey:
     """What the beginning of a log tells.
 
-    ``range_m``, ``median_range_m``, ``max_range_m``: the 95th percentile, the median and the maximum of the horizontal ranges of detections;
-    ``spacing_m``: the median distance of a
-    detection from the nearest other one of its class in the same scan, NaN where classes never share a scan;
-    ``objects``: mean number a scan; ``interval_s``: median time between scans; ``claimed_ratio``: the variance of
-    detections by that which their messages claim, NaN where none does; ``height_sigma_m``: noise of heights.
-    ``components`` is None where too few objects could be tracked.
+    ``range_m``, ``median_range_m``, ``max_range_m``: the 95th percentile, the median and the maximum of the horizontal
+    ranges of detections; ``spacing_m``: the median distance of a detection from the nearest other one of its class in
+    the same scan, NaN where classes never share a scan; ``objects``: mean number a scan; ``interval_s``: median time
+    between scans; ``claimed_ratio``: the variance of detections by that which their messages claim, NaN where none
+    does; ``shared_bias_m``: the rms bias that centroids of a class share; ``components`` is None where too few objects
+    could be tracked.
     """
 
     scans: int
@@ -46,6 +47,7 @@ class Survey:
     turn_rad: float
     duration_s: float
     claimed_ratio: float
+    shared_bias_m: float
     components: ComponentEstimate | None
 
 
@@ -71,7 +73,8 @@ def summarize(scans: list[SurveyScan]) -> Survey:
     )
     ranges = np.concatenate([np.hypot(scan.positions[:, 0], scan.positions[:, 1]) for scan in scans])
     tracks = follow_objects(scans, headings)
-    components = estimate_components(tracks, motion)
+    biases = centroid_biases(tracks)
+    components = estimate_components(without_bias(tracks, biases), motion)
     return Survey(
         scans=len(scans),
         detections=len(ranges),
@@ -86,6 +89,7 @@ def summarize(scans: list[SurveyScan]) -> Survey:
         turn_rad=float(motion.turn_rad[-1]),
         duration_s=float(stamps_s[-1]),
         claimed_ratio=_claimed_ratio(tracks, components),
+        shared_bias_m=float(np.sqrt(np.mean(biases[tracks.labels] ** 2))) if len(tracks.labels) else 0.0,
         components=components,
     )
 

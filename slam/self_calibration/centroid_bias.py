@@ -1,0 +1,89 @@
+"""By how much the centroid of what is seen of an object lies on the near side of it, class by class.
+
+Of an object seen from one side the near half is seen, so that its centroid is too near by some b: it stands at p and is
+seen at p - b u, u the unit vector of the viewing ray. Between two scans with rays u1 and u2 it seems to move by
+-b (u2 - u1), which regression finds (robustly, by Cauchy's weights). All objects of a class share b, and so its error:
+it does not average out over the objects in view.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.common.arrays import FloatArray
+from slam.self_calibration.object_tracks import ObjectTracks
+
+LEAST_VIEW_CHANGE = 0.1
+"""Rays that differ less say nothing of the bias."""
+LEAST_PAIRS = 200
+BLOCKS = 8
+SIGNIFICANT = 4.0
+"""Standard errors from which a bias is believed."""
+ROUNDS = 10
+CAUCHY = 2.0
+
+
+def centroid_biases(tracks: ObjectTracks) -> FloatArray:
+    """Bias (C,) m of each class, 0 where there is none that is significant."""
+    count = int(tracks.labels.max()) + 1 if len(tracks.labels) else 0
+    biases = np.zeros(count)
+    first, second = _view_changes(tracks)
+    rays = tracks.offsets / np.maximum(np.linalg.norm(tracks.offsets, axis=1), 1e-12)[:, None]
+    turned = rays[first] - rays[second]
+    moved = tracks.points[second] - tracks.points[first]
+    block = tracks.scan[second] * BLOCKS // (int(tracks.scan.max()) + 1) if len(second) else second
+    for label in range(count):
+        chosen = tracks.labels[first] == label
+        if int(chosen.sum()) < LEAST_PAIRS:
+            continue
+        found = _regress(turned[chosen], moved[chosen])
+        parts = [
+            _regress(turned[chosen & (block != each)], moved[chosen & (block != each)])
+            for each in np.unique(block[chosen]).tolist()
+            if np.any(chosen & (block != each))
+        ]
+        if len(parts) < BLOCKS // 2:
+            continue
+        error = np.sqrt((len(parts) - 1) / len(parts) * np.sum((np.array(parts) - np.mean(parts)) ** 2))
+        biases[label] = found if found > SIGNIFICANT * error else 0.0
+    return biases
+
+
+def without_bias(tracks: ObjectTracks, biases: FloatArray) -> ObjectTracks:
+    """The tracks with each detection moved outwards by the bias of its class."""
+    rays = tracks.offsets / np.maximum(np.linalg.norm(tracks.offsets, axis=1), 1e-12)[:, None]
+    outwards = biases[tracks.labels][:, None] * rays
+    return ObjectTracks(
+        tracks.track,
+        tracks.scan,
+        tracks.offsets + outwards,
+        tracks.points + outwards,
+        tracks.labels,
+        tracks.claimed,
+    )
+
+
+def _view_changes(tracks: ObjectTracks) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (P,) of detections of one track, 4, 8 and 16 detections apart, between which the view changed."""
+    firsts, seconds = [], []
+    rays = tracks.offsets / np.maximum(np.linalg.norm(tracks.offsets, axis=1), 1e-12)[:, None]
+    for lag in (4, 8, 16):
+        first = np.arange(max(len(tracks.track) - lag, 0))
+        first = first[tracks.track[first] == tracks.track[first + lag]]
+        first = first[np.linalg.norm(rays[first + lag] - rays[first], axis=1) > LEAST_VIEW_CHANGE]
+        firsts.append(first)
+        seconds.append(first + lag)
+    return np.concatenate(firsts), np.concatenate(seconds)
+
+
+def _regress(x: FloatArray, y: FloatArray) -> float:
+    """Slope of y (P, 2) over x (P, 2), robustly."""
+    x, y = x.ravel(), y.ravel()
+    weights = np.ones_like(x)
+    slope = 0.0
+    for _ in range(ROUNDS):
+        slope = float(np.sum(weights * x * y) / max(float(np.sum(weights * x * x)), 1e-300))
+        residuals = y - slope * x
+        scale = CAUCHY * 1.4826 * float(np.median(np.abs(residuals))) + 1e-12
+        weights = 1.0 / (1.0 + (residuals / scale) ** 2)
+    return slope
