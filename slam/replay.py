@@ -30,7 +30,7 @@ from logs.writer import LogWriter, partial_path
 from slam.common.config import Config
 from slam.common.errors import InputDataError, SavedMapError
 from slam.object_map.map_io import METADATA, SavedMap, save_map
-from slam.self_calibration.calibration import calibrate
+from slam.self_calibration.calibration import Calibration, calibrate
 from slam.self_calibration.survey import survey
 from slam.system import FinalMap, Slam
 
@@ -66,6 +66,7 @@ class ReplaySummary:
     max_message_latency_s: float
     loop_closure_median_s: float
     final_status: str
+    notes: tuple[str, ...] = ()
     relocalization_times_s: tuple[float, ...] = ()
     relocalization_distances_m: tuple[float, ...] = ()
     keyframes_not_saved: int = 0
@@ -115,14 +116,16 @@ def replay(
         copied |= set(selection.topics_of(RecordKind.TRANSFORMS)) - {_TOPICS[Transform]}
         mapped = Selection({topic: kinds for topic, kinds in selection.kinds.items() if set(kinds) & set(_MAPPED)})
         first_ns, last_ns = _span(reader, mapped)
-        if config.calibration.enabled:
-            records = (entry.record for entry in reader.records(mapped))
-            config = calibrate(config, survey(records, config.detection)).config
-        slam = Slam(config, prior_map, extend=extend)
+        calibration = _calibrate(reader, mapped, config)
+        slam = Slam(calibration.config, prior_map, extend=extend)
         max_message_latency_s, tracked = 0.0, 0
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output) as writer:
-            provenance = _provenance(reader, config, selection) | _about_map(prior_map, extend=extend)
+            provenance = (
+                _provenance(reader, config, selection)
+                | _about_calibration(calibration)
+                | _about_map(prior_map, extend=extend)
+            )
             writer.add_metadata("dslam", provenance)
             for item in reader.items(mapped, copy=copied):
                 if item.raw.topic in copied:
@@ -156,6 +159,7 @@ def replay(
         max_message_latency_s=max_message_latency_s,
         loop_closure_median_s=float(np.median(slam.closing_seconds)) if slam.closing_seconds else 0.0,
         final_status=final.status.message,
+        notes=calibration.notes,
         relocalization_times_s=tuple((fix.stamp_ns - slam.first_stamp_ns) * 1e-9 for fix in slam.fixes),
         relocalization_distances_m=tuple(fix.travel_m for fix in slam.fixes),
         keyframes_not_saved=unsaved,
@@ -183,6 +187,19 @@ def _provenance(reader: LogReader, config: Config, selection: Selection) -> dict
         "input_sha256": reader.sha256(),
         "topics": json.dumps({topic: list(kinds) for topic, kinds in sorted(selection.kinds.items())}),
     }
+
+
+def _calibrate(reader: LogReader, selection: Selection, config: Config) -> Calibration:
+    """The settings for a log: those that were not given by hand are estimated from it."""
+    if not config.calibration.enabled:
+        return Calibration(config)
+    with threadpool_limits(1, user_api="blas"):
+        return calibrate(config, survey((entry.record for entry in reader.records(selection)), config.detection))
+
+
+def _about_calibration(calibration: Calibration) -> dict[str, str]:
+    """The settings that were estimated from the log, and what that says of the log."""
+    return {"estimated": json.dumps(dict(calibration.estimated)), "notes": json.dumps(list(calibration.notes))}
 
 
 def _about_map(prior_map: SavedMap | None, *, extend: bool) -> dict[str, str]:

@@ -9,7 +9,7 @@ import heapq
 import logging
 import time
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -88,6 +88,8 @@ class Slam:
         self._closer = LoopCloser(config, self._object_map, self._graph, self._mapper.keyframes)
         self._waiting: list[tuple[int, int, ObjectDetections]] = []
         self._arrivals = 0
+        self._odometry_offset_ns = round(config.odometry.time_offset_s * 1e9)
+        self._time_offset_ns = round(config.detection.time_offset_s * 1e9)
         self._last_scan_ns = -1
         self._last_scan_frames: set[str] = set()
         self._body_frame = ""
@@ -122,10 +124,10 @@ class Slam:
             self._frames.add(record)
         elif isinstance(record, ObjectDetections):
             # In the order of their stamps, so that a single stamp from the future holds up nothing.
-            heapq.heappush(self._waiting, (record.stamp_ns, self._arrivals, record))
+            heapq.heappush(self._waiting, (record.stamp_ns + self._time_offset_ns, self._arrivals, record))
             self._arrivals += 1
         elif isinstance(record, Odometry):
-            return self._follow(record)
+            return self._follow(replace(record, stamp_ns=record.stamp_ns + self._odometry_offset_ns))
         return self._map_waiting_scans()
 
     def finish(self) -> FinalMap:
@@ -313,7 +315,7 @@ class Slam:
         if detections.stamp_ns == self._last_scan_ns and detections.frame_id in self._last_scan_frames:
             self.counters["detections_duplicated"] += 1
             return []
-        pose = self._track.at(detections.stamp_ns)
+        pose = self._track.at(detections.stamp_ns + self._time_offset_ns)
         # A scan from before a discontinuity does not constrain the keyframes after it.
         if pose is None or not self._mapper.keyframes or pose.segment != self._mapper.keyframes[-1].odometry.segment:
             self.counters["detections_without_odometry"] += 1

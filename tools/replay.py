@@ -92,6 +92,7 @@ def _show(output: Path, picture: Path | None, summary: ReplaySummary) -> None:
         + rejected_by_odometry_note(counters.get("closures_rejected_by_odometry", 0)),
         **({"found": _fixes(summary)} if summary.relocalization_times_s else {}),
         "warnings": ", ".join(noted_counters(counters)) or "none",
+        **({"of the log": "; ".join(summary.notes)} if summary.notes else {}),
         "final status": summary.final_status,
         "written": str(output) + (f", {picture}" if picture else ""),
     }

@@ -57,6 +57,7 @@ class OdometryConfig(_Branch):
     max_acceleration_mps2: float = Field(
         default=5.0, gt=0, description="a step that would need more than that is one, too [m/s^2]"
     )
+    time_offset_s: float = Field(default=0.0, description="added to the stamps of the odometry [s]")
     max_gap_s: float = Field(
         default=20.0, gt=0, description="a longer gap is a discontinuity: active landmarks are dropped [s]"
     )
@@ -92,6 +93,10 @@ class DetectionConfig(_Branch):
         description="range that 95 % of the detections keep; lengths that are no settings are fractions of it [m]",
     )
 
+    claimed_sigma_factor: float = Field(
+        default=1.0, gt=0, description="factor on the standard deviations that messages claim"
+    )
+    time_offset_s: float = Field(default=0.0, description="added to the stamps of detections [s]")
     assume_body_frame: bool = Field(
         default=False, description="take every detection to be in the body frame, whatever frame its message names"
     )
@@ -119,6 +124,9 @@ class AssociationConfig(_Branch):
         gt=0,
         lt=1,
         description="a detection outside the gate of every landmark, but not as far off as that, is left out",
+    )
+    odometry_inflation: float = Field(
+        default=5.0, ge=1, description="factor on the sigmas of the odometry: slips are larger than the noise of a step"
     )
     confusion_distance_m: float = Field(
         default=4.0, gt=0, description="distance between objects of a class, up to which they can be confused [m]"

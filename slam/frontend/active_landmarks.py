@@ -66,7 +66,9 @@ class ActiveLandmarks:
         if before is None:
             self.restart(pose)
         elif pose.stamp_ns != before.stamp_ns:
-            variances = self._config.odometry.inflation**2 * step_variances(before, pose, self._config.odometry)
+            variances = self._config.association.odometry_inflation**2 * step_variances(
+                before, pose, self._config.odometry
+            )
             self._local.advance(upright_step(before.T_odom_body, pose.T_odom_body), variances[[0, 2]])
             self._pose = pose
             rows = self.rows[self._slots < 0]
@@ -185,7 +187,9 @@ class ActiveLandmarks:
         positions = self._local.positions()
         area = float(np.prod(np.maximum(np.ptp(positions, axis=0), 1e-3)))
         first, second = np.triu_indices(len(ids), 1)
-        near = classes[first] == classes[second]
+        # Two that were seen in one scan are two.
+        scans = self._map.rows["last_scan"][ids]
+        near = (classes[first] == classes[second]) & (scans[first] != scans[second])
         first, second = first[near], second[near]
         difference, covariances = self._local.difference(first, second)
         covariances = covariances + self._view_variance * np.eye(2)

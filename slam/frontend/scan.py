@@ -63,7 +63,7 @@ def make_scan(detections: ObjectDetections, T_body_sensor: FloatArray, config: D
         own = detections.covariances[used]
         has_own_covariance = np.any(own != 0.0, axis=(1, 2))
         # No detector is right to the millimetre; what claims it would outweigh everything else.
-        own = R @ own @ R.T + config.min_sigma_m**2 * np.eye(3)
+        own = config.claimed_sigma_factor**2 * (R @ own @ R.T) + config.min_sigma_m**2 * np.eye(3)
         covariances = np.where(has_own_covariance[:, None, None], own, covariances)
     return Scan(
         stamp_ns=detections.stamp_ns,

@@ -7,7 +7,7 @@ in units of the sensor range, not that of a good sensor.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from pydantic import BaseModel
@@ -62,32 +62,42 @@ PRIOR_NOISE = NoiseComponents(
 by 5 % of it, and by 11 deg, after as much travel, and by 6 deg after turning by 1 rad.
 """
 LEAST_DRIFT, LEAST_TURN_RAD = 0.01, 0.005
-"""Detections cannot tell an odometry that is better than that: off by so large a share of the sensor range after as much
-travel, and by so many radians.
+"""Detections cannot tell an odometry better than that: off by such a share of the sensor range after as much travel,
+and by so many radians.
 """
+STAMPING_SCANS = 2.0
+"""Up to so many intervals between scans, a difference in time between odometry and detections is a matter of how the
+odometry is stamped (of a step, its begin or its end), and the odometry is moved; beyond that, detections were old when
+they were stamped.
+"""
+NOTED_LENGTH_SHARE = 0.03
+NOTED_YAW_RAD = 0.09
 DEFAULT_RANGE_M = float(DetectionConfig.model_fields["sensor_range_m"].get_default())
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """``config``: the effective configuration; ``estimated``: the settings that the log decided, with their values."""
+    """``config``: the effective configuration; ``estimated``: the settings that the log decided, with their values;
+    ``notes``: what that says of the log, for people.
+    """
 
     config: Config
-    estimated: Mapping[str, float]
+    estimated: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
 
 def calibrate(config: Config, survey: Survey | None) -> Calibration:
     """The configuration for a log: settings that were not given by hand are derived from its survey."""
     if survey is None:
-        return Calibration(config, {})
-    values = _lengths(config, survey) | _noise(config, survey)
+        return Calibration(config, notes=("no detection lies on the odometry: nothing was estimated from the log",))
+    values = _lengths(config, survey) | _noise(config, survey) | _corrections(survey)
     estimated = {key: value for key, value in values.items() if not _is_given(config, key)}
     branches: dict[str, dict[str, float]] = {}
     for key, value in estimated.items():
         branch, name = key.split(".")
         branches.setdefault(branch, {})[name] = value
     changed = {name: getattr(config, name).model_copy(update=update) for name, update in branches.items()}
-    return Calibration(config.model_copy(update=changed), estimated)
+    return Calibration(config.model_copy(update=changed), estimated, _notes(survey, estimated))
 
 
 def _is_given(config: Config, key: str) -> bool:
@@ -100,7 +110,7 @@ def _lengths(config: Config, survey: Survey) -> dict[str, float]:
     range_m = config.detection.sensor_range_m
     if not _is_given(config, "detection.sensor_range_m"):
         # The range is a coarse yardstick: what is of one size, like all cars, is to be treated alike.
-        range_m = DEFAULT_RANGE_M * 2.0 ** np.round(np.log2(survey.range_m / DEFAULT_RANGE_M))
+        range_m = float(DEFAULT_RANGE_M * 2.0 ** np.round(np.log2(survey.range_m / DEFAULT_RANGE_M)))
     scale = range_m / DEFAULT_RANGE_M
     values = {}
     for key, power in LENGTHS.items():
@@ -109,6 +119,50 @@ def _lengths(config: Config, survey: Survey) -> dict[str, float]:
     values["association.active_radius_m"] = 2.0 * survey.max_range_m
     values["association.confusion_distance_m"] = survey.spacing_m if np.isfinite(survey.spacing_m) else 1e3 * range_m
     return values
+
+
+def _notes(survey: Survey, estimated: Mapping[str, float]) -> tuple[str, ...]:
+    """What a user should know of the log: its faults, whether mended or not."""
+    errors, notes = survey.errors, list[str]()
+    for key, what in (("odometry.time_offset_s", "odometry"), ("detection.time_offset_s", "detection")):
+        if offset_s := estimated.get(key, 0.0):
+            age = "older" if offset_s < 0 else "newer"
+            notes.append(f"{what} messages seem {abs(offset_s):.3f} s {age} than their stamps say: corrected ({key})")
+    if abs(errors.yaw_rad) > NOTED_YAW_RAD:
+        notes.append(
+            f"the sensor seems turned by {np.rad2deg(errors.yaw_rad):.0f} deg against its transform: not corrected; "
+            "check the transform"
+        )
+    if abs(errors.length_share) > NOTED_LENGTH_SHARE:
+        notes.append(
+            f"the odometry's lengths seem {100 * abs(errors.length_share):.0f} % too "
+            f"{'short' if errors.length_share > 0 else 'long'}: not corrected; check its calibration"
+        )
+    if np.isfinite(survey.claimed_ratio) and not 0.25 < survey.claimed_ratio < 4.0:
+        notes.append(
+            f"detections scatter {np.sqrt(survey.claimed_ratio):.1f} times as much as their covariances say: scaled "
+            "(detection.claimed_sigma_factor)"
+        )
+    if survey.components is None:
+        notes.append("too few objects could be tracked to estimate noise: it is taken to be large")
+    return tuple(notes)
+
+
+def _corrections(survey: Survey) -> dict[str, float]:
+    errors = survey.errors
+    of_odometry = abs(errors.delay_s) <= STAMPING_SCANS * survey.interval_s
+    return {
+        "odometry.time_offset_s": -errors.delay_s if of_odometry else 0.0,
+        "detection.time_offset_s": 0.0 if of_odometry else errors.delay_s,
+        "detection.claimed_sigma_factor": _claimed_factor(survey),
+    }
+
+
+def _claimed_factor(survey: Survey) -> float:
+    """Factor on the standard deviations that messages claim; 1 where they are about right."""
+    if not np.isfinite(survey.claimed_ratio) or 0.25 < survey.claimed_ratio < 4.0:
+        return 1.0
+    return float(np.sqrt(survey.claimed_ratio))
 
 
 def _noise(config: Config, survey: Survey) -> dict[str, float]:
@@ -143,8 +197,8 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
 def _shares_not_of_bias(found: NoiseComponents, survey: Survey) -> tuple[float, float]:
     """Shares of the odometry's translation and heading variances that a bias of the detections does not explain.
 
-    While the view of the objects changes by 1 rad, over about the median range of travel, a bias b that they share looks
-    like an error of the odometry: by b, and by b / range in heading.
+    While the view of the objects changes by 1 rad, over about the median range of travel, a bias b that they share
+    looks like an error of the odometry: by b, and by b / range in heading.
     """
     travel_m = survey.median_range_m
     seconds = survey.duration_s / max(survey.travel_m, 1e-9) * travel_m

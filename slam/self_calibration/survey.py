@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,12 +14,17 @@ from slam.common.config import DetectionConfig
 from slam.common.geometry import apply, interpolate, invert, transform_from_xyz_yaw, yaw_rad
 from slam.frontend.scan import SensorFrames
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
+from slam.self_calibration.input_errors import BodyMotion, InputErrors, estimate_input_errors
 from slam.self_calibration.object_tracks import ObjectTracks, SurveyScan, follow_objects
 from slam.self_calibration.variance_components import ComponentEstimate, Motion, estimate_components
 
 MAX_DETECTIONS = 150_000
 """The survey ends after that many detections; what it estimates has converged by then."""
 RANGE_QUANTILE = 0.95
+FAR_OFF = 100.0
+"""Detections beyond so many median ranges are no measurements."""
+ROUNDS = 8
+"""Corrections of the input are found one after another: a large one is only seen in part at first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,22 +54,32 @@ class Survey:
     claimed_ratio: float
     shared_bias_m: float
     components: ComponentEstimate | None
+    errors: InputErrors
 
 
 def survey(records: Iterable[Record], config: DetectionConfig) -> Survey | None:
     """The survey of the records of a log, in its order; None where no detection could be placed on the odometry."""
     gathered = _Gathered()
     for record in records:
-        if gathered.add(record, config) >= MAX_DETECTIONS:
+        if gathered.add(record) >= MAX_DETECTIONS:
             break
-    scans = gathered.scans(config)
-    return summarize(scans) if scans else None
+    errors = InputErrors()
+    for _ in range(ROUNDS):
+        scans = gathered.scans(config, errors.delay_s)
+        if len(scans) < 2:
+            break
+        found = estimate_input_errors(follow_objects(scans, _headings(scans)), gathered.motion(scans, errors.delay_s))
+        errors = replace(found, delay_s=errors.delay_s + found.delay_s)
+        if found.delay_s == 0.0:
+            break
+    scans = gathered.scans(config, errors.delay_s)
+    return summarize(scans, errors) if any(np.any(scan.positions) for scan in scans) else None
 
 
-def summarize(scans: list[SurveyScan]) -> Survey:
-    """What scans (one at least), in the order of their stamps, tell."""
+def summarize(scans: list[SurveyScan], errors: InputErrors) -> Survey:
+    """What scans (one at least), in the order of their stamps and corrected by ``errors``, tell."""
     poses = np.stack([scan.T_odom_body for scan in scans])
-    headings = np.unwrap(yaw_rad(poses))
+    headings = _headings(scans)
     stamps_s = np.array([(scan.stamp_ns - scans[0].stamp_ns) * 1e-9 for scan in scans])
     motion = Motion(
         np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1))]),
@@ -91,7 +106,30 @@ def summarize(scans: list[SurveyScan]) -> Survey:
         claimed_ratio=_claimed_ratio(tracks, components),
         shared_bias_m=float(np.sqrt(np.mean(biases[tracks.labels] ** 2))) if len(tracks.labels) else 0.0,
         components=components,
+        errors=errors,
     )
+
+
+def _headings(scans: list[SurveyScan]) -> FloatArray:
+    """Headings (K,) rad of the body at scans, without jumps by whole turns."""
+    return np.unwrap(yaw_rad(np.stack([scan.T_odom_body for scan in scans])))
+
+
+def _without_far_off(scans: list[SurveyScan]) -> list[SurveyScan]:
+    """The scans without detections so far away that they are no measurements."""
+    if not scans:
+        return scans
+    limit_m = FAR_OFF * float(np.median(np.concatenate([_ranges(scan) for scan in scans])))
+    near = [_ranges(scan) <= limit_m for scan in scans]
+    return [
+        replace(scan, positions=scan.positions[kept], labels=scan.labels[kept], variances=scan.variances[kept])
+        for scan, kept in zip(scans, near, strict=True)
+        if kept.any()
+    ]
+
+
+def _ranges(scan: SurveyScan) -> FloatArray:
+    return np.hypot(scan.positions[:, 0], scan.positions[:, 1])
 
 
 def _spacing(scans: list[SurveyScan]) -> float:
@@ -125,7 +163,7 @@ class _Gathered:
         self._frames = SensorFrames()
         self._count = 0
 
-    def add(self, record: Record, config: DetectionConfig) -> int:
+    def add(self, record: Record) -> int:
         """Take in a record; returns the detections so far."""
         if isinstance(record, Odometry):
             self._odometry.append(record)
@@ -136,17 +174,18 @@ class _Gathered:
             self._count += len(record.positions)
         return self._count
 
-    def scans(self, config: DetectionConfig) -> list[SurveyScan]:
-        """The scans that lie on the odometry, in the order of their stamps, without empty ones."""
+    def scans(self, config: DetectionConfig, delay_s: float) -> list[SurveyScan]:
+        """The scans that lie on the odometry, corrected, in the order of their stamps, without empty ones."""
         stamps, poses = self._track()
+        delay_ns = round(delay_s * 1e9)
         if len(stamps) < 2:
             return []
         body_frame = self._odometry[0].child_frame_id
         vocabulary: defaultdict[str, int] = defaultdict()
         vocabulary.default_factory = vocabulary.__len__
-        usable = [d for d in self._detections if stamps[0] <= d.stamp_ns <= stamps[-1] and len(d.positions)]
+        usable = [d for d in self._detections if stamps[0] <= d.stamp_ns + delay_ns <= stamps[-1] and len(d.positions)]
         usable.sort(key=lambda detections: detections.stamp_ns)
-        T_odom_body = interpolate(stamps, poses, np.array([d.stamp_ns for d in usable], dtype=np.int64))
+        T_odom_body = interpolate(stamps, poses, np.array([d.stamp_ns + delay_ns for d in usable], dtype=np.int64))
         scans = []
         for detections, T in zip(usable, T_odom_body, strict=True):
             frame = body_frame if config.assume_body_frame else detections.frame_id
@@ -154,7 +193,23 @@ class _Gathered:
             if T_body_sensor is None:
                 continue
             scans.append(_upright_scan(detections, T, T_body_sensor, vocabulary, config))
-        return scans
+        return _without_far_off(scans)
+
+    def motion(self, scans: list[SurveyScan], delay_s: float) -> BodyMotion:
+        """How the body moves at the scans, by the odometry half an interval of the scans before and after each."""
+        stamps, poses = self._track()
+        at = np.array([scan.stamp_ns for scan in scans], dtype=np.int64) + round(delay_s * 1e9)
+        half = max(int(np.median(np.diff(at))), int(np.median(np.diff(stamps))), 1)
+        before, after = np.maximum(at - half, stamps[0]), np.minimum(at + half, stamps[-1])
+        T_before, T_after = interpolate(stamps, poses, before), interpolate(stamps, poses, after)
+        seconds = np.maximum((after - before) * 1e-9, 1e-9)
+        turned = (yaw_rad(T_after) - yaw_rad(T_before) + np.pi) % (2.0 * np.pi) - np.pi
+        return BodyMotion(
+            positions=np.stack([scan.T_odom_body[:2, 3] for scan in scans]),
+            headings=_headings(scans),
+            velocities=(T_after - T_before)[:, :2, 3] / seconds[:, None],
+            turn_rates=turned / seconds,
+        )
 
     def _track(self) -> tuple[IntArray, FloatArray]:
         """Stamps (K,), strictly increasing, and poses (K, 4, 4) of the odometry."""

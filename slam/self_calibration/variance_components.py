@@ -13,7 +13,7 @@ change of the viewing direction B between the two scans,
 
 which is linear in the twelve variances. Means over scan pairs with lags of 1, 2, 4, ... scans give the equations, which
 non-negative least squares solves (least-squares variance component estimation: Teunissen and Amiri-Simkooei, J. Geodesy
-2008; here with the means' own sampling errors as weights). Displacements are clipped at four times their median, so
+2008; here with the means' own sampling errors as weights). Displacements are clipped at eight times their median, so
 that slips, wrong matches and moving objects count little. Uncertainty is found by leaving out a block of time at a time
 (the jackknife).
 """
@@ -31,7 +31,7 @@ from slam.self_calibration.object_tracks import ObjectTracks
 
 BLOCKS = 8
 """Stretches of the log that the jackknife leaves out one at a time."""
-CLIP = 4.0
+CLIP = 8.0
 """Displacements are clipped at that many robust standard deviations."""
 LEAST_PAIRS = 100
 """Lags with fewer tracked pairs are left out."""
@@ -180,7 +180,8 @@ def _cross_equations(
     return np.concatenate(
         [
             _binned(equation(2.0 * pairs, offsets, shifts), 2.0 * pairs, bins, block, 4),
-            _binned(equation(offsets, squares, torques), squares, bins, block, 4),
+            # Torques are divided by the mean squared range, so that all equations have one unit.
+            _binned(equation(offsets, squares, torques), squares / float(square.mean()), bins, block, 4),
         ],
         axis=1,
     )
