@@ -126,7 +126,7 @@ class AssociationConfig(_Branch):
         description="a detection outside the gate of every landmark, but not as far off as that, is left out",
     )
     odometry_inflation: float = Field(
-        default=5.0, ge=1, description="factor on the sigmas of the odometry: slips are larger than the noise of a step"
+        default=3.0, ge=1, description="factor on the sigmas of the odometry: slips are larger than the noise of a step"
     )
     confusion_distance_m: float = Field(
         default=4.0, gt=0, description="distance between objects of a class, up to which they can be confused [m]"

@@ -65,6 +65,8 @@ LEAST_DRIFT, LEAST_TURN_RAD = 0.01, 0.005
 """Detections cannot tell an odometry better than that: off by such a share of the sensor range after as much travel,
 and by so many radians.
 """
+UNIQUE_INFLATION = 5.0
+"""Of the odometry's noise, where no two objects of a class share a scan: a wide gate confuses nothing, and slips pass."""
 STAMPING_SCANS = 2.0
 """Up to so many intervals between scans, a difference in time between odometry and detections is a matter of how the
 odometry is stamped (of a step, its begin or its end), and the odometry is moved; beyond that, detections were old when
@@ -117,6 +119,8 @@ def _lengths(config: Config, survey: Survey) -> dict[str, float]:
         branch, name = key.split(".")
         values[key] = float(type(getattr(config, branch)).model_fields[name].get_default()) * scale**power
     values["association.active_radius_m"] = 2.0 * survey.max_range_m
+    if not np.isfinite(survey.spacing_m):
+        values["association.odometry_inflation"] = UNIQUE_INFLATION
     values["association.confusion_distance_m"] = survey.spacing_m if np.isfinite(survey.spacing_m) else 1e3 * range_m
     return values
 
@@ -169,6 +173,7 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
     """Standard deviations; of each variance its estimate and one standard error, so that little data make it large."""
     found = _components(survey)
     drift, turn = _shares_not_of_bias(found, survey)
+    objects = _objects_that_err_alike(survey, found.view)
     white = 0.5 * (found.radial + found.tangential)
     by_range = 0.5 * (found.radial_by_range + found.tangential_by_range)
     submap_m = _lengths(config, survey)["submap.travel_m"]
@@ -187,8 +192,13 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         "detection.base_sigma_m": max(np.sqrt(white), floor_m),
         "detection.sigma_per_m": np.sqrt(by_range),
         "detection.common_sigma_m": np.sqrt(found.view),
-        "detection.covariance_inflation": max(_observations_that_err_alike(config, survey, found.view), 1.0),
-        "detection.scans_per_view": max(survey.median_range_m / max(survey.travel_m / survey.scans, 1e-9), 1.0),
+        # Errors stay the same while the viewing direction changes by 1 rad.
+        "detection.covariance_inflation": max(
+            objects * survey.median_range_m / _keyframe_distance_m(config, survey), 1.0
+        ),
+        "detection.scans_per_view": max(
+            objects * survey.median_range_m / max(survey.travel_m / survey.scans, 1e-9), 1.0
+        ),
         "submap.landmark_sigma_m": max(np.sqrt(between_passes), floor_m),
         "loop_closure.base_sigma_m": max(np.sqrt(between_passes), floor_m),
     }
@@ -212,17 +222,15 @@ def _shares_not_of_bias(found: NoiseComponents, survey: Survey) -> tuple[float, 
     )
 
 
-def _observations_that_err_alike(config: Config, survey: Survey, view: float) -> float:
-    """Observations that carry the information of one, as their errors are the same.
+def _objects_that_err_alike(survey: Survey, view: float) -> float:
+    """Objects in view that carry the information of one: a bias that centroids share does not average out over them."""
+    return 1.0 + survey.objects * survey.shared_bias_m**2 / max(view, 1e-300)
 
-    They are those of one object while the viewing direction changes by 1 rad; and if the centroids of a class share a
-    bias, those of all objects in view.
-    """
-    distance_m = _lengths(config, survey)["keyframe.distance_m"]
+
+def _keyframe_distance_m(config: Config, survey: Survey) -> float:
     if _is_given(config, "keyframe.distance_m"):
-        distance_m = config.keyframe.distance_m
-    objects = 1.0 + survey.objects * survey.shared_bias_m**2 / max(view, 1e-300)
-    return objects * survey.median_range_m / distance_m
+        return config.keyframe.distance_m
+    return _lengths(config, survey)["keyframe.distance_m"]
 
 
 def _components(survey: Survey) -> NoiseComponents:

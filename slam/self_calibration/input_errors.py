@@ -34,8 +34,8 @@ J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyMotion:
-    """At each scan (K), in the axes of the odometry: ``positions`` (K, 2) m, ``headings`` (K,) rad, ``velocities`` (K, 2)
-    m/s and ``turn_rates`` (K,) rad/s.
+    """At each scan (K), in the axes of the odometry: ``positions`` (K, 2) m, ``headings`` (K,) rad, ``velocities``
+    (K, 2) m/s and ``turn_rates`` (K,) rad/s.
     """
 
     positions: FloatArray
