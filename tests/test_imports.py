@@ -69,6 +69,7 @@ LAYERS = (
     {"backend", "odometry", "registration", "visualization"},
     {"object_map"},
     {"frontend", "place_recognition", "formats"},
+    {"self_calibration"},
     {"loop_closure"},
     {"localization"},
     {"system"},

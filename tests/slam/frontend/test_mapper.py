@@ -15,7 +15,7 @@ from slam.frontend.mapper import Mapper
 from slam.frontend.scan import Scan
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
-from slam.odometry.noise import BREAK_SIGMA_M
+from slam.odometry.noise import BREAK_SIGMA_RANGES
 from slam.odometry.track import OdometryTrack
 
 OBJECTS = np.array([[10.0, 4.0, 0.0], [12.0, -5.0, 1.0], [25.0, 6.0, 0.5], [5.0, -7.0, 0.0]])
@@ -244,7 +244,7 @@ def test_a_jump_of_the_odometry_lets_go_of_the_landmarks_in_view():
     assert bench.see(1.0, OBJECTS + np.array([5000.0, 0, 0])).created.all()
     bench.graph.update()
     record = bench.graph.to_record(0, np.zeros(len(bench.mapper.keyframes), dtype=np.int64))
-    assert np.sqrt(record.edge_covariances[-1][3, 3]) >= BREAK_SIGMA_M
+    assert np.sqrt(record.edge_covariances[-1][3, 3]) >= BREAK_SIGMA_RANGES * bench.config.detection.sensor_range_m
     assert record.edge_kinds[-1] == "discontinuity"
 
 
