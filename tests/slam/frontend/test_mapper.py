@@ -178,12 +178,27 @@ def test_a_confirmed_landmark_stays_when_it_is_seen_no_more():
     assert bench.states() == [LandmarkState.CONFIRMED] * 4
 
 
-def test_after_a_long_way_an_object_is_a_new_landmark():
-    bench = Bench(association={"forget_distance_m": 20.0})
+@pytest.mark.parametrize(
+    ("association", "is_known"),
+    [({}, True), ({"confusion_distance_m": 0.2}, False), ({"active_radius_m": 30.0}, False)],
+    ids=["near and certain", "uncertain", "far off"],
+)
+def test_an_object_is_a_new_landmark_once_its_own_is_uncertain_or_far_off(association, is_known):
+    bench = Bench(association=association, landmark={"confirm_age_s": 0.0})
     bench.drive(6)
-    bench.drive(60, start=6, objects=OBJECTS[:0], labels=())
-    bench.move(7.0, 0.0)
-    assert bench.see(7.0).landmark_ids == ("4", "5", "6", "7")
+    bench.drive(120, start=6, objects=OBJECTS[:0], labels=())
+    expected = ("0", "1", "2", "3") if is_known else ("4", "5", "6", "7")
+    assert bench.see(12.5).landmark_ids == expected
+    assert bench.states()[:4] == [LandmarkState.CONFIRMED] * 4
+
+
+def test_a_detection_too_near_to_a_landmark_to_be_new_makes_none():
+    bench = Bench(landmark={"confirm_age_s": 0.0})
+    bench.drive(12)
+    off_m = np.array([[1.3, 0.0, 0.0], [0.0, 0.0, 0.0], [6.0, 0.0, 0.0]])
+    associations = bench.drive(1, start=12, objects=OBJECTS[:3] + off_m, labels=LABELS[:3])[0]
+    assert associations.landmark_ids == ("", "1", "4")
+    assert associations.created.tolist() == [False, False, True]
 
 
 def drive_past_a_vehicle(speed_mps: float, scans: int, sigma_m: float = 0.2) -> Bench:
