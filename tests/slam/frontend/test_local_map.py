@@ -177,7 +177,7 @@ def test_the_filter_is_the_textbooks(seed, monkeypatch):
 
 
 def test_what_is_predicted_is_what_the_textbook_expects_of_a_measurement():
-    drive, local = driven(0)
+    _, local = driven(0)
     textbook = TextbookFilter()
     textbook.x, textbook.P = state_of(local), local._P
     positions, covariances = local.predict(np.array([3, 1]))
