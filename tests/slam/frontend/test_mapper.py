@@ -201,6 +201,15 @@ def test_a_detection_too_near_to_a_landmark_to_be_new_makes_none():
     assert associations.created.tolist() == [False, False, True]
 
 
+@pytest.mark.parametrize("detection", [{"common_sigma_m": 0.05}, {}], ids=["exact centroids", "defaults"])
+def test_two_objects_half_a_metre_apart_that_are_seen_together_stay_two(detection):
+    bench = Bench(detection=detection, landmark={"confirm_age_s": 0.0})
+    pair = np.array([[10.0, 4.0, 0.0], [10.5, 4.0, 0.0], [50.0, -25.0, 0.0], [50.0, 25.0, 0.0]])
+    for associations in bench.drive(40, objects=pair, labels=("tree",) * 4, sigma_m=0.05):
+        assert associations.landmark_ids == ("0", "1", "2", "3")
+    assert bench.map.merges == ()
+
+
 def drive_past_a_vehicle(speed_mps: float, scans: int, sigma_m: float = 0.2) -> Bench:
     bench = Bench()
     for i in range(scans):
