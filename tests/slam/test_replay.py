@@ -259,6 +259,7 @@ def test_an_output_can_not_be_replayed_as_if_it_had_detections(noisy_output, tmp
         replay(noisy_output, tmp_path / "again.mcap", Config())
 
 
+@pytest.mark.slow
 @needs_kitti
 def test_the_first_half_minute_of_a_real_drive_is_as_good_as_its_odometry(tmp_path):
     times = [float(line) for line in (KITTI / "KITTI_00_gt_times.txt").read_text().split()]

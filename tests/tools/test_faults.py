@@ -73,6 +73,7 @@ class TestDegrade:
 
 
 class TestBenchmark:
+    @pytest.mark.slow
     def test_a_table_and_a_file(self, dslam: Run, tiny: Path, tmp_path: Path) -> None:
         output = tmp_path / "faults.md"
         only = ("--only", "stamps_in_microseconds", "--only", "sensor_yaw=90")
@@ -86,6 +87,7 @@ class TestBenchmark:
         assert result.err.count("\n") == 3
         assert "[3/3]" in result.err
 
+    @pytest.mark.slow
     def test_json(self, dslam: Run, tiny: Path) -> None:
         result = dslam("benchmark", "faults", tiny, "--only", "labels_case", "--json", "--set", "keyframe.distance_m=1")
         told = json.loads(result.out)

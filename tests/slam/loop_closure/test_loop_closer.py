@@ -28,6 +28,8 @@ from tests.helpers.loop_drives import (
 )
 from tests.helpers.short_drives import final_status
 
+pytestmark = pytest.mark.slow
+
 # So that each keyframe depends on the descriptors alone, and no lucky find spreads to its neighbours.
 ONE_TRY = {"top_k": 1, "max_candidates": 2, "propagation_distance_m": 0.0}
 
