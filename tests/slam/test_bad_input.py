@@ -33,6 +33,8 @@ from tests.helpers.short_drives import (
     write_raw,
 )
 
+pytestmark = pytest.mark.slow
+
 SECOND_NS = 1_000_000_000
 
 
@@ -115,7 +117,6 @@ def test_a_chunk_with_a_bad_checksum_is_left_out_and_counted(noisy_log, tmp_path
     assert result.counters["odometry_used"] < 304
 
 
-@pytest.mark.slow
 def test_garbage_anywhere_is_counted_or_refused(noisy_log, tmp_path, output):
     rng = np.random.default_rng(5)
     whole = noisy_log.read_bytes()
@@ -236,7 +237,6 @@ def test_a_minute_without_detections_while_the_body_waits_breaks_nothing(entries
     assert counters["detections_used"] == 80
 
 
-@pytest.mark.slow
 def test_a_body_that_stands_still_for_a_minute_is_mapped(entries, output):
     first = {type(record): (topic, record) for topic, _, record in reversed(entries)}
     start_ns = entries[0][1]
@@ -413,7 +413,6 @@ def test_if_nothing_is_ever_seen_the_odometry_is_the_result(entries, output):
     np.testing.assert_allclose(trajectory.T_map_body, [o.T_odom_body for o in odometry], atol=1e-6)
 
 
-@pytest.mark.slow
 def test_five_thousand_detections_in_a_message(entries, output):
     rng = np.random.default_rng(0)
     positions = np.concatenate([rng.uniform(-50, 50, (5000, 2)), np.zeros((5000, 1))], axis=1)

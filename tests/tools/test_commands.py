@@ -17,9 +17,10 @@ from logs.writer import LogWriter
 from tests.tools.runs import SAMPLE, Run, assert_refused, write_log
 from tools import console
 
+pytestmark = pytest.mark.slow
+
 
 class TestJson:
-    @pytest.mark.slow
     def test_each_prints_one_object(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
         for arguments in (
             ("simulate", tmp_path / "a.mcap", "--length", 20),
@@ -158,7 +159,6 @@ class TestFromEndToEnd:
         assert result.code == 0
         assert "no topic gives detections" in result.out
 
-    @pytest.mark.slow
     def test_odometry_is_taken_from_where_the_replay_took_it(self, dslam: Run, tmp_path: Path) -> None:
         log, output = tmp_path / "log.mcap", tmp_path / "map.mcap"
         with LogReader(SAMPLE) as reader, LogWriter(log) as writer:
@@ -196,7 +196,6 @@ class TestFromEndToEnd:
         assert json.loads(dslam("config", "--config", path, "--json").out)["keyframe"]["distance_m"] == 1.5
         assert_refused(dslam("config", "--json", "--toml"), "exclude")
 
-    @pytest.mark.slow
     def test_benchmark(self, dslam: Run) -> None:
         result = dslam("benchmark", "replay", SAMPLE, "--runs", 2, "--json")
         assert result.code == 0, result.err

@@ -17,6 +17,8 @@ from tests.tools.runs import SAMPLE, Run, assert_refused
 from tools import cli
 from tools.evaluation.comparison import compare_table
 
+pytestmark = pytest.mark.slow
+
 AS_SET = ("--set", "calibration.enabled=false")
 """Logs with the same settings, whatever is in them."""
 

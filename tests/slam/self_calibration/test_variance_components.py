@@ -42,6 +42,7 @@ def estimate(drive: SurveyedDrive) -> ComponentEstimate:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("component", "sigma"),
     [
@@ -83,13 +84,13 @@ def test_several_components_are_told_apart():
         assert sigma / 1.6 < median < sigma * 1.6, name
 
 
-@pytest.mark.parametrize("component", ["radial", "tangential", "jitter", "translation_by_travel"])
-def test_errors_by_jackknife_are_as_large_as_estimates_scatter(component):
+def test_errors_by_jackknife_are_as_large_as_estimates_scatter():
     sigmas = DETECTOR | {"jitter": 0.05, "translation_by_travel": 0.05}
     found = [estimate(SurveyedDrive(seed, sigmas, scans=900)) for seed in range(8)]
-    scatter = np.std([getattr(each.variances, component) for each in found], ddof=1)
-    claimed = np.median([getattr(each.standard_errors, component) for each in found])
-    assert scatter / 3.0 < claimed < scatter * 3.0
+    for component in sigmas:
+        scatter = np.std([getattr(each.variances, component) for each in found], ddof=1)
+        claimed = np.median([getattr(each.standard_errors, component) for each in found])
+        assert scatter / 3.0 < claimed < scatter * 3.0, component
 
 
 @pytest.mark.parametrize("scale", [0.01, 1000.0])
