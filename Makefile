@@ -5,10 +5,11 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed
 PROTOC := build/protoc/bin/python
 
-.PHONY: help demo test lint schemas clean
+.PHONY: help demo check test lint schemas clean
 
 help:
 	@echo 'make demo     simulate a drive, map it, evaluate it; leaves out/demo*.mcap, out/demo.html and out/demo.png'
+	@echo 'make check    lint, types and the tests that are not slow: about a minute'
 	@echo 'make test     lint, types and all tests'
 	@echo 'make lint     only ruff and mypy'
 	@echo 'make schemas  generate the Python modules of logs/schemas/*.proto again'
@@ -44,6 +45,9 @@ lint: $(INSTALLED)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
+
+check: lint
+	$(BIN)/pytest -m 'not slow' -n auto --dist loadfile
 
 test: lint
 	$(BIN)/pytest

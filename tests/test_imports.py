@@ -69,6 +69,7 @@ LAYERS = (
     {"backend", "odometry", "registration", "visualization"},
     {"object_map"},
     {"frontend", "place_recognition", "formats"},
+    {"self_calibration"},
     {"loop_closure"},
     {"localization"},
     {"system"},
@@ -120,6 +121,7 @@ def test_the_command_line_starts_light() -> None:
     assert result.stdout.strip() == "[]"
 
 
+@pytest.mark.slow
 def test_handcrafted_descriptors_need_no_torch() -> None:
     assert importers_of("torch", "slam", "tools", "logs") == set()
     code = (

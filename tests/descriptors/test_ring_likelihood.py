@@ -258,6 +258,7 @@ def test_what_a_query_does_not_see_costs_it_nothing(views):
     assert found_first(scores(descriptor, third, vectors), entries.centre_labels) > 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shells", [3, 30])
 def test_between_histograms_what_a_query_does_not_see_costs_it_most(views, shells):
     entries, again, third = views

@@ -72,6 +72,7 @@ def without_time(epochs: list[Epoch]) -> list[Epoch]:
     return [replace(epoch, seconds=0.0) for epoch in epochs]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_it_learns_what_holds_for_other_maps_too(tmp_path, seed):
     config = replace(TINY, dataset=DatasetConfig(anchors=40, positives=3), epochs=8, seed=seed)

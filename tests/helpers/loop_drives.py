@@ -77,11 +77,13 @@ class Outcome:
         return self.evaluation.estimate.absolute.rmse_m
 
 
-def replay_drive(folder: Path, world: World, *, kidnap: KidnapConfig | None = None, **loop_closure: Any) -> Outcome:
+def replay_drive(
+    folder: Path, world: World, *, kidnap: KidnapConfig | None = None, calibrated: bool = True, **loop_closure: Any
+) -> Outcome:
     """Drive through ``world`` with the default noise, at 5 scans a second, and replay it."""
     simulation = SimulationConfig(drive=DriveConfig(rate_hz=5.0), kidnap=kidnap)
     path = folder / "out.mcap"
-    config = Config.model_validate({"loop_closure": loop_closure})
+    config = Config.model_validate({"calibration": {"enabled": calibrated}, "loop_closure": loop_closure})
     return Outcome(path, run(drive(simulation, world=world), path, config))
 
 

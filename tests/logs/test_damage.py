@@ -98,6 +98,7 @@ def test_a_chunk_with_a_bad_checksum_is_left_out_and_counted(whole, tmp_path, wi
     assert counters["lost_bytes"] >= chunk.length
 
 
+@pytest.mark.slow
 def test_garbage_in_the_middle_never_escapes_as_another_error(whole, tmp_path):
     rng = np.random.default_rng(12)
     path = tmp_path / "log.mcap"

@@ -113,6 +113,7 @@ def test_a_path_for_viewers_has_all_poses(tmp_path):
     assert [p.position.x for p in message.poses] == trajectory.T_map_body[:, 0, 3].tolist()
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),

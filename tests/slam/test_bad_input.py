@@ -33,6 +33,8 @@ from tests.helpers.short_drives import (
     write_raw,
 )
 
+pytestmark = pytest.mark.slow
+
 SECOND_NS = 1_000_000_000
 
 

@@ -7,10 +7,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from slam.common.config import Config
 from slam.replay import replay
 from slam.simulation.config import SimulationConfig, TrafficConfig
 from tests.helpers.short_drives import drive, keep_until, write_log
+
+pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[2]
 REPLAY = """

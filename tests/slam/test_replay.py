@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,11 +25,14 @@ from logs.messages import (
     TrajectoryRecord,
 )
 from logs.reader import LogReader
+from logs.selection import select_all
 from slam.common.config import Config
 from slam.common.errors import SlamError
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import read_records
 from slam.replay import replay
+from slam.self_calibration.calibration import calibrate
+from slam.self_calibration.survey import survey
 from slam.system import Slam
 from tests.helpers.short_drives import (
     change,
@@ -117,13 +121,27 @@ def test_odometry_and_truth_are_copied_bit_for_bit(noisy_log, noisy_output):
     assert content(noisy_output) == content(noisy_log)
 
 
+def calibrated(log: Path, config: Config) -> Config:
+    with LogReader(log) as reader:
+        found = survey((entry.record for entry in reader.records(select_all(reader.topics()))), config.detection)
+    assert found is not None
+    return calibrate(config, found).config
+
+
 def test_the_output_says_what_it_was_made_from(noisy_log, noisy_output):
     with LogReader(noisy_output) as reader:
         found = reader.metadata()["dslam"]
     assert found["input_sha256"] == file_sha256(noisy_log)
-    assert Config.model_validate_json(found["configuration"]) == Config()
+    assert Config.model_validate_json(found["configuration"]) == calibrated(noisy_log, Config())
     assert found["version"]
     assert json.loads(found["topics"])["/odom"] == ["odometry"]
+
+
+def test_what_is_not_to_be_calibrated_is_mapped_with_the_settings_as_they_are(noisy_log, tmp_path):
+    config = Config.model_validate({"calibration": {"enabled": False}, "keyframe": {"distance_m": 3.0}})
+    replay(noisy_log, tmp_path / "out.mcap", config)
+    with LogReader(tmp_path / "out.mcap") as reader:
+        assert Config.model_validate_json(reader.metadata()["dslam"]["configuration"]) == config
 
 
 def test_the_output_can_be_evaluated_on_its_own(noisy_output):
@@ -241,6 +259,7 @@ def test_an_output_can_not_be_replayed_as_if_it_had_detections(noisy_output, tmp
         replay(noisy_output, tmp_path / "again.mcap", Config())
 
 
+@pytest.mark.slow
 @needs_kitti
 def test_the_first_half_minute_of_a_real_drive_is_as_good_as_its_odometry(tmp_path):
     times = [float(line) for line in (KITTI / "KITTI_00_gt_times.txt").read_text().split()]

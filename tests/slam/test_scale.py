@@ -26,6 +26,8 @@ from tests.helpers.loop_drives import one_block, with_objects
 from tests.helpers.scaled_settings import scaled_config
 from tests.helpers.short_drives import Entry, drive
 
+pytestmark = pytest.mark.slow
+
 SCALES = (0.05, 20.0)
 
 

@@ -40,6 +40,8 @@ from tests.helpers.short_drives import (
     run,
 )
 
+pytestmark = pytest.mark.slow
+
 TRUTHS = (GroundTruthPose, DetectionTruth, ObjectMapRecord)
 
 

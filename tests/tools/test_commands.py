@@ -17,6 +17,8 @@ from logs.writer import LogWriter
 from tests.tools.runs import SAMPLE, Run, assert_refused, write_log
 from tools import console
 
+pytestmark = pytest.mark.slow
+
 
 class TestJson:
     def test_each_prints_one_object(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
@@ -108,10 +110,11 @@ class TestFromEndToEnd:
 
     def test_info_of_an_output(self, dslam: Run, tmp_path: Path) -> None:
         output = tmp_path / "map.mcap"
-        assert dslam("replay", SAMPLE, "-o", output, "--set", "landmark.confirm_observations=7").code == 0
+        settings = ("--set", "landmark.confirm_observations=7", "--set", "calibration.enabled=false")
+        assert dslam("replay", SAMPLE, "-o", output, *settings).code == 0
         result = dslam("info", output, "--closures")
         for text in (
-            "defaults, but landmark.confirm_observations=7",
+            "defaults, but calibration.enabled=false, landmark.confirm_observations=7",
             "dslam: version",
             "landmarks_confirmed",
             "map of another log",

@@ -64,6 +64,7 @@ def test_a_summary_for_people(dslam: Run, tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["out.mcap"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("option", [("--dropout", 0.3, "--position-noise", 0.1), ("--reversed",)])
 def test_what_comes_out_can_be_mapped_and_evaluated(dslam: Run, tmp_path: Path, option: tuple[object, ...]) -> None:
     log, mapped = tmp_path / "log.mcap", tmp_path / "map.mcap"

@@ -73,6 +73,7 @@ class TestDegrade:
 
 
 class TestBenchmark:
+    @pytest.mark.slow
     def test_a_table_and_a_file(self, dslam: Run, tiny: Path, tmp_path: Path) -> None:
         output = tmp_path / "faults.md"
         only = ("--only", "stamps_in_microseconds", "--only", "sensor_yaw=90")
@@ -86,6 +87,7 @@ class TestBenchmark:
         assert result.err.count("\n") == 3
         assert "[3/3]" in result.err
 
+    @pytest.mark.slow
     def test_json(self, dslam: Run, tiny: Path) -> None:
         result = dslam("benchmark", "faults", tiny, "--only", "labels_case", "--json", "--set", "keyframe.distance_m=1")
         told = json.loads(result.out)
@@ -100,9 +102,9 @@ class TestBenchmark:
         assert_refused(dslam("benchmark", "faults", tmp_path / "none.mcap"), "No such file")
 
     def test_what_the_user_is_told(self) -> None:
-        counters = {"closures_withdrawn": 3, "closures_doubted": 2, "odometry_breaks": 1, "keyframes": 9}
+        counters = {"closures_removed": 3, "closures_rejected_by_odometry": 2, "odometry_breaks": 1, "keyframes": 9}
         told = told_of(FaultRun("odometry_wild", final_status="optimised", counters=counters, warnings=("lost",)))
         assert told.startswith(
-            "status: optimised; warnings: odometry breaks 1; 3 closures taken out again; 2 more look"
+            "status: optimised; warnings: odometry breaks 1; 3 closures removed as outliers; 2 more rejected"
         )
         assert told.endswith("on the way: lost")

@@ -19,6 +19,8 @@ from tests.helpers.short_drives import raw_messages, records_of
 from tests.tools.runs import Run, assert_refused
 from tools import cli, info_map
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -52,6 +52,7 @@ class TestAsAProcess:
         command = [sys.executable, "-m", "tools.cli", *map(str, arguments)]
         return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, **more)  # type: ignore[call-overload]
 
+    @pytest.mark.slow
     def test_exit_codes(self, mapped: Path) -> None:
         assert self.dslam("--help").returncode == 0
         assert self.dslam("evaluate", mapped, "--require", "trajectory.ate_m<=0").returncode == 1

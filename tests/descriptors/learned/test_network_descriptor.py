@@ -27,6 +27,8 @@ from descriptors.registry import LEARNED, make_descriptor
 from descriptors.top_k import top_k_ratio
 from tests.descriptors.constellations import VOCABULARY, scattered
 
+pytestmark = pytest.mark.slow
+
 TINY = DescriptellationArchitecture(vocabulary_size=6, layers=2, channels=8, fusion=8, length=16)
 SHIPPED_NAMES = [name for name in LEARNED if (SHIPPED / f"{name}.safetensors").exists()]
 TRAINED = SHIPPED / "descriptellation.safetensors"

@@ -57,6 +57,7 @@ def set_architecture(texts: Texts, **values: object) -> None:
     texts["architecture"] = json.dumps(json.loads(texts["architecture"]) | values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(ARCHITECTURES))
 def test_a_network_comes_back_with_its_architecture_its_results_and_its_history(tmp_path, name):
     architecture = replace(ARCHITECTURES[name][0](), length=24)

@@ -170,6 +170,7 @@ def test_a_missing_file_is_refused_and_nothing_is_written(drive: TextDrive) -> N
     assert not list(drive.root.glob("out.mcap*"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "pose_count", "detection_count", "length_m", "object_count"),
     [

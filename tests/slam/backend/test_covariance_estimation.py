@@ -122,6 +122,7 @@ def test_errors_that_go_on_from_step_to_step_are_found_though_each_is_small() ->
     assert 0.2 < after < 1.0  # it is too careful about the ends of short ways, as if the steps erred alone
 
 
+@pytest.mark.slow
 def test_the_errors_have_the_covariance_that_is_told() -> None:
     rng = np.random.default_rng(3)
     system = chain(20 * STRETCH_STEPS + 1)

@@ -30,6 +30,8 @@ from slam.place_recognition.global_localization import GlobalLocalizer, Labelled
 from slam.simulation.street import generate_street
 from tests.slam.simulation.worlds import straight_street
 
+pytestmark = pytest.mark.slow
+
 SELF, FEWER, NOISY = SCENARIOS
 METHODS = ("ring_likelihood", "onion", EXHAUSTIVE, "random")
 

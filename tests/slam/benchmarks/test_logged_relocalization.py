@@ -18,6 +18,8 @@ from slam.simulation.config import DriveConfig, SimulationConfig
 from slam.simulation.world import World
 from tests.helpers.short_drives import Entry, change, drive, write_log
 
+pytestmark = pytest.mark.slow
+
 SLOW = SimulationConfig(drive=DriveConfig(rate_hz=5.0))
 TOLERANCE = Tolerance(1.0, 3.0)
 BLOCK_M = 60.0

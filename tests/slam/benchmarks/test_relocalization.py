@@ -42,6 +42,8 @@ from slam.simulation.world import World
 from slam.system import Slam
 from tests.helpers.loop_drives import one_block, winding_street
 
+pytestmark = pytest.mark.slow
+
 SLOW = SimulationConfig(drive=DriveConfig(rate_hz=5.0))
 TIMES = {"load_s", "query_ms"}
 

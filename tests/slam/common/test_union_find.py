@@ -102,6 +102,7 @@ def test_only_the_last_merge_can_be_undone():
         sets.undo(first)
 
 
+@pytest.mark.slow
 def test_a_long_chain_of_merges_stays_shallow():
     sets = UnionFind()
     count = 200_000

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import AssociationConfig
-from slam.frontend.data_association import associate, label_likelihood
+from slam.frontend.data_association import AMBIGUOUS, NEW, associate, label_likelihood
 
 CONFIG = AssociationConfig()
 Scene = tuple[FloatArray, FloatArray, IntArray, FloatArray, FloatArray, FloatArray]
@@ -67,6 +67,17 @@ def cost_of(rows: tuple[int, ...] | IntArray, scene: Scene) -> float:
     return float(total)
 
 
+def is_near_its_like(d: int, scene: Scene) -> bool:
+    """Whether some landmark that is likely of the detection's class lies within the outer gate."""
+    positions, P, labels, landmark_positions, P_landmark, beliefs = scene
+    limit = chi2.ppf(CONFIG.new_object_gate_probability, 3)
+    for row in range(len(landmark_positions)):
+        v = positions[d] - landmark_positions[row]
+        if beliefs[row, labels[d]] >= 0.5 and v @ np.linalg.inv(P[d] + P_landmark[row]) @ v <= limit:
+            return True
+    return False
+
+
 def all_assignments(detections: int, landmarks: int):
     for rows in itertools.product(range(-1, landmarks), repeat=detections):
         taken = [row for row in rows if row >= 0]
@@ -82,13 +93,17 @@ def test_no_assignment_is_more_likely_than_the_one_found(seed):
     every = list(all_assignments(len(scene[0]), len(scene[3])))
     best = min(every, key=lambda rows: cost_of(rows, scene))
     np.testing.assert_allclose(cost_of(found, scene), cost_of(best, scene), rtol=1e-9)
-    assert tuple(found.tolist()) == best
+    assert tuple(np.where(found >= 0, found, NEW).tolist()) == best
+    assert [bool(row == AMBIGUOUS) for row in found] == [
+        found[d] < 0 and is_near_its_like(d, scene) for d in range(len(found))
+    ]
 
 
 def test_the_cases_against_brute_force_are_not_trivial():
     rows = [associate(*random_scene(np.random.default_rng(seed), 5, 4), CONFIG).landmark_rows for seed in range(25)]
     matched = np.concatenate(rows) >= 0
     assert 0.2 < matched.mean() < 0.9
+    assert {NEW, AMBIGUOUS} <= set(np.concatenate(rows).tolist())
 
 
 @pytest.mark.parametrize(("detections", "landmarks"), [(0, 0), (0, 3), (3, 0)])
@@ -106,6 +121,21 @@ def test_the_gate_lies_where_the_chi_squared_distribution_says(factor, matched):
     reach_m = np.sqrt(2 * 0.2**2 * chi2.ppf(dense.gate_probability, 3))
     scene = plain_scene([[factor * reach_m, 0, 0]], [[0, 0, 0]])
     assert bool(associate(*scene, dense).matched[0]) is matched
+
+
+@pytest.mark.parametrize(("factor", "row"), [(0.999, AMBIGUOUS), (1.001, NEW)])
+def test_outside_the_gate_a_detection_is_new_only_from_the_outer_gate_on(factor, row):
+    reach_m = np.sqrt(2 * 0.2**2 * chi2.ppf(CONFIG.new_object_gate_probability, 3))
+    assignment = associate(*plain_scene([[factor * reach_m, 0, 0]], [[0, 0, 0]]), CONFIG)
+    assert assignment.landmark_rows.tolist() == [row]
+    assert assignment.new.tolist() == [row == NEW]
+    assert not assignment.matched[0]
+
+
+def test_near_a_landmark_of_another_class_a_detection_is_new():
+    reach_m = np.sqrt(2 * 0.2**2 * chi2.ppf(CONFIG.gate_probability, 3))
+    scene = plain_scene([[1.1 * reach_m, 0, 0]], [[0, 0, 0]], labels=[1])
+    assert associate(*scene, CONFIG).landmark_rows.tolist() == [NEW]
 
 
 def test_a_detection_right_on_its_landmark_is_matched():
@@ -158,7 +188,7 @@ def test_the_order_of_detections_and_landmarks_does_not_matter(seed):
     shuffled = associate(
         positions[d], P[d], labels[d], landmark_positions[m], P_landmark[m], beliefs[m], CONFIG
     ).landmark_rows
-    np.testing.assert_array_equal(np.where(shuffled >= 0, m[shuffled], -1), found[d])
+    np.testing.assert_array_equal(np.where(shuffled >= 0, m[shuffled], shuffled), found[d])
 
 
 def test_five_thousand_detections_find_their_landmarks_and_none_is_taken_twice():

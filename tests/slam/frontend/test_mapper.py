@@ -15,7 +15,7 @@ from slam.frontend.mapper import Mapper
 from slam.frontend.scan import Scan
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
-from slam.odometry.noise import BREAK_SIGMA_M
+from slam.odometry.noise import BREAK_SIGMA_RANGES
 from slam.odometry.track import OdometryTrack
 
 OBJECTS = np.array([[10.0, 4.0, 0.0], [12.0, -5.0, 1.0], [25.0, 6.0, 0.5], [5.0, -7.0, 0.0]])
@@ -178,12 +178,36 @@ def test_a_confirmed_landmark_stays_when_it_is_seen_no_more():
     assert bench.states() == [LandmarkState.CONFIRMED] * 4
 
 
-def test_after_a_long_way_an_object_is_a_new_landmark():
-    bench = Bench(association={"forget_distance_m": 20.0})
+@pytest.mark.parametrize(
+    ("association", "is_known"),
+    [({}, True), ({"confusion_distance_m": 0.2}, False), ({"active_radius_m": 30.0}, False)],
+    ids=["near and certain", "uncertain", "far off"],
+)
+def test_an_object_is_a_new_landmark_once_its_own_is_uncertain_or_far_off(association, is_known):
+    bench = Bench(association=association, landmark={"confirm_age_s": 0.0})
     bench.drive(6)
-    bench.drive(60, start=6, objects=OBJECTS[:0], labels=())
-    bench.move(7.0, 0.0)
-    assert bench.see(7.0).landmark_ids == ("4", "5", "6", "7")
+    bench.drive(120, start=6, objects=OBJECTS[:0], labels=())
+    expected = ("0", "1", "2", "3") if is_known else ("4", "5", "6", "7")
+    assert bench.see(12.5).landmark_ids == expected
+    assert bench.states()[:4] == [LandmarkState.CONFIRMED] * 4
+
+
+def test_a_detection_too_near_to_a_landmark_to_be_new_makes_none():
+    bench = Bench(landmark={"confirm_age_s": 0.0})
+    bench.drive(12)
+    off_m = np.array([[1.3, 0.0, 0.0], [0.0, 0.0, 0.0], [6.0, 0.0, 0.0]])
+    associations = bench.drive(1, start=12, objects=OBJECTS[:3] + off_m, labels=LABELS[:3])[0]
+    assert associations.landmark_ids == ("", "1", "4")
+    assert associations.created.tolist() == [False, False, True]
+
+
+@pytest.mark.parametrize("detection", [{"common_sigma_m": 0.05}, {}], ids=["exact centroids", "defaults"])
+def test_two_objects_half_a_metre_apart_that_are_seen_together_stay_two(detection):
+    bench = Bench(detection=detection, landmark={"confirm_age_s": 0.0})
+    pair = np.array([[10.0, 4.0, 0.0], [10.5, 4.0, 0.0], [50.0, -25.0, 0.0], [50.0, 25.0, 0.0]])
+    for associations in bench.drive(40, objects=pair, labels=("tree",) * 4, sigma_m=0.05):
+        assert associations.landmark_ids == ("0", "1", "2", "3")
+    assert bench.map.merges == ()
 
 
 def drive_past_a_vehicle(speed_mps: float, scans: int, sigma_m: float = 0.2) -> Bench:
@@ -244,7 +268,7 @@ def test_a_jump_of_the_odometry_lets_go_of_the_landmarks_in_view():
     assert bench.see(1.0, OBJECTS + np.array([5000.0, 0, 0])).created.all()
     bench.graph.update()
     record = bench.graph.to_record(0, np.zeros(len(bench.mapper.keyframes), dtype=np.int64))
-    assert np.sqrt(record.edge_covariances[-1][3, 3]) >= BREAK_SIGMA_M
+    assert np.sqrt(record.edge_covariances[-1][3, 3]) >= BREAK_SIGMA_RANGES * bench.config.detection.sensor_range_m
     assert record.edge_kinds[-1] == "discontinuity"
 
 

@@ -28,6 +28,8 @@ from tests.helpers.loop_drives import (
 )
 from tests.helpers.short_drives import final_status
 
+pytestmark = pytest.mark.slow
+
 # So that each keyframe depends on the descriptors alone, and no lucky find spreads to its neighbours.
 ONE_TRY = {"top_k": 1, "max_candidates": 2, "propagation_distance_m": 0.0}
 
@@ -130,7 +132,7 @@ def test_a_drive_without_revisits_accepts_nothing(straying):
 
 
 def test_twin_without_a_verdict_a_drive_without_revisits_accepts_much_all_of_it_false(tmp_path):
-    outcome = replay_drive(tmp_path, winding_street(), **ACCEPT_EVERYTHING)
+    outcome = replay_drive(tmp_path, winding_street(), calibrated=False, **ACCEPT_EVERYTHING)
     assert outcome.accepted_count > 20
     assert outcome.closures.true_count == 0
 

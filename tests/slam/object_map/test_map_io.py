@@ -22,6 +22,8 @@ from slam.simulation.config import SimulationConfig
 from slam.system import FinalMap, Slam
 from tests.helpers.short_drives import Entry, block_world, drive, keep_until, records_of, write_log, write_map
 
+pytestmark = pytest.mark.slow
+
 PROVENANCE = {"version": "test"}
 
 

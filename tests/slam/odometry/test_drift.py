@@ -9,9 +9,11 @@ from slam.common.arrays import FloatArray
 from slam.common.config import OdometryConfig
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.odometry.drift import KeyframeTrack
+from slam.odometry.keyframe import Keyframe
 from slam.odometry.track import OdometryPose
 
 STEP_M = 2.0
+STEP_S = 0.5
 KEYFRAMES = 121
 
 
@@ -30,17 +32,30 @@ def track_of(
     positions, headings = winding_path()
     for i in range(KEYFRAMES):
         T_odom_body = transform_from_xyz_yaw(np.array([*(positions[i] + origin), 0.3 * i]), headings[i])
-        track.add(OdometryPose(10**8 * i, T_odom_body, STEP_M * i, int(i >= break_at), 5.0))
+        pose = OdometryPose(round(STEP_S * 1e9) * i, T_odom_body, STEP_M * i, int(i >= break_at), 5.0)
+        track.add(Keyframe(i, pose, T_odom_body))
     return track
+
+
+def odometry_noise(**sigmas: float) -> OdometryConfig:
+    """That noise and no other."""
+    silent = {"translation_sigma": 1e-9, "yaw_sigma": 1e-9, "yaw_sigma_by_turn": 0.0}
+    least = {"min_translation_sigma_m": 1e-9, "min_rotation_sigma_rad": 1e-9}
+    return OdometryConfig(**(silent | least | sigmas))
 
 
 def monte_carlo_sigmas(config: OdometryConfig, first: int, last: int, runs: int = 4000) -> tuple[float, float]:
     """Rms error of the place, each coordinate, and of the heading, where each step adds its share of noise."""
     rng = np.random.default_rng(0)
     positions, headings = winding_path()
-    count, root = last - first, np.sqrt(STEP_M)
-    turned = np.cumsum(rng.normal(scale=config.yaw_sigma * root, size=(runs, count)), axis=1)
-    shifted = rng.normal(scale=config.translation_sigma * root, size=(runs, count, 2))
+    count = last - first
+    turn_rad = np.abs(np.diff(headings[first : last + 1]))
+    turn_sigmas = np.sqrt(
+        config.yaw_sigma**2 * STEP_M + config.yaw_sigma_by_turn**2 * turn_rad + config.yaw_sigma_by_time**2 * STEP_S
+    )
+    shift_sigma = np.sqrt(config.translation_sigma**2 * STEP_M + config.translation_sigma_by_time**2 * STEP_S)
+    turned = np.cumsum(rng.normal(scale=turn_sigmas, size=(runs, count)), axis=1)
+    shifted = rng.normal(scale=shift_sigma, size=(runs, count, 2))
     wrong = headings[first:last] + np.concatenate([np.zeros((runs, 1)), turned[:, :-1]], axis=1)
     moved = STEP_M * np.stack([np.cos(wrong), np.sin(wrong)], axis=2) + shifted
     errors = positions[first] + moved.sum(axis=1) - positions[last]
@@ -49,14 +64,23 @@ def monte_carlo_sigmas(config: OdometryConfig, first: int, last: int, runs: int 
 
 @pytest.mark.parametrize(("first", "last"), [(0, KEYFRAMES - 1), (20, 70), (65, 100)])
 @pytest.mark.parametrize(
-    ("translation_sigma", "yaw_sigma"), [(0.1, 1e-6), (1e-6, 0.004), (0.08, 0.003)], ids=["shift", "turn", "both"]
+    "sigmas",
+    [
+        {"translation_sigma": 0.1},
+        {"translation_sigma_by_time": 0.3},
+        {"yaw_sigma": 0.004},
+        {"yaw_sigma_by_turn": 0.03},
+        {"yaw_sigma_by_time": 0.01},
+        {"translation_sigma": 0.08, "yaw_sigma": 0.003, "yaw_sigma_by_turn": 0.02},
+    ],
+    ids=" ".join,
 )
-def test_drift_is_as_large_as_random_walks_make_it(first, last, translation_sigma, yaw_sigma):
-    config = OdometryConfig(translation_sigma=translation_sigma, yaw_sigma=yaw_sigma)
+def test_drift_is_as_large_as_random_walks_make_it(first, last, sigmas):
+    config = odometry_noise(**sigmas)
     place_m, heading_rad = track_of(config).drift_sigmas(first, last)
     expected_m, expected_rad = monte_carlo_sigmas(config, first, last)
     assert place_m == pytest.approx(expected_m, rel=0.1)
-    assert heading_rad == pytest.approx(expected_rad, rel=0.1)
+    assert heading_rad == pytest.approx(expected_rad, rel=0.1, abs=1e-6)
 
 
 def test_drift_does_not_depend_on_where_the_odometry_begins():

@@ -8,7 +8,6 @@ import pytest
 from logs.messages import Odometry
 from slam.common.config import OdometryConfig
 from slam.common.geometry import relative, transform_from_xyz_yaw
-from slam.odometry.noise import step_covariance
 from slam.odometry.track import HISTORY, OdometryTrack
 
 CONFIG = OdometryConfig(max_speed_mps=50.0, max_gap_s=10.0)
@@ -89,30 +88,6 @@ def test_the_oldest_poses_are_let_go():
     made = track(*((0.01 * i, 0.1 * i) for i in range(HISTORY + 100)))
     assert x_at(made, 0.0) is None
     assert x_at(made, 0.01 * (HISTORY + 50)) == pytest.approx(0.1 * (HISTORY + 50))
-
-
-def test_noise_is_a_random_walk_along_the_travel():
-    T = transform_from_xyz_yaw(np.array([1.0, 0.0, 0.0]), 0.0)
-    one, four = step_covariance(T, 1.0, CONFIG), step_covariance(T, 4.0, CONFIG)
-    np.testing.assert_allclose(four, 4.0 * one)
-    t = CONFIG.translation_sigma
-    np.testing.assert_allclose(
-        np.diag(one), np.square([CONFIG.tilt_sigma, CONFIG.tilt_sigma, CONFIG.yaw_sigma, t, t, t])
-    )
-    np.testing.assert_array_equal(step_covariance(T, 0.2, CONFIG), one)
-
-
-def test_standing_still_is_not_perfectly_certain_and_turning_on_the_spot_is_not_free():
-    still = step_covariance(np.eye(4), 0.0, CONFIG)
-    assert np.linalg.eigvalsh(still)[0] > 0.0
-    turned = step_covariance(transform_from_xyz_yaw(np.zeros(3), np.pi / 2), 0.0, CONFIG)
-    assert turned[0, 0] > still[0, 0]
-
-
-def test_more_travel_is_never_less_noise():
-    T = transform_from_xyz_yaw(np.zeros(3), 0.3)
-    variances = [step_covariance(T, travel_m, CONFIG)[0, 0] for travel_m in np.linspace(0.0, 2.0, 41)]
-    assert np.all(np.diff(variances) >= 0.0)
 
 
 def test_the_relative_pose_leads_from_one_to_the_other():

@@ -509,6 +509,7 @@ def test_refinement_of_nothing() -> None:
         from_near(SQUARE * np.nan, same, SQUARE, same, np.eye(4)[None])
 
 
+@pytest.mark.slow
 def test_the_benchmark_goes_on_without_its_peers() -> None:
     result = benchmark_registration(seed=0, trials=1, correspondences=())
     assert result.cells == ()

@@ -19,7 +19,7 @@ def parse(text: str) -> degradations.Degradation:
 
 def test_they_are_named_like_the_options_of_degrade() -> None:
     options = {"is_reversed": "reversed"}
-    others = {"source", "output", "seed", "topics", "json"}
+    others = {"source", "output", "seed", "topics", "json", "fault", "_listed"}
     names = {options.get(name, name) for name in inspect.signature(degrade).parameters} - others
     assert set(degradations._SETTINGS) == names
     assert set(degradations._SETTINGS.values()) == set(DegradationConfig.model_fields)

@@ -29,6 +29,8 @@ from slam.sweeps.sweep import Sweep, run_sweep
 from slam.sweeps.table import to_markdown
 from tests.helpers.short_drives import Entry, change, keep_until, write_log
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[3]
 SPECIFICATIONS = ("dropout=0.3", "field_of_view=120")
 

@@ -17,6 +17,8 @@ from slam.common.errors import EvaluationError
 from slam.simulation.faults.registry import all_cases
 from tests.helpers.short_drives import Entry, keep_until, write_log
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def log(noisy_drive: list[Entry], tmp_path_factory: pytest.TempPathFactory) -> Path:

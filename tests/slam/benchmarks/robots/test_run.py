@@ -11,6 +11,8 @@ from slam.benchmarks.robots.run import run_drives
 from slam.common.config import Config
 from tests.logs.importers.text_drives import TextDrive
 
+pytestmark = pytest.mark.slow
+
 
 def test_figures_are_those_of_the_replay_and_its_evaluation(tmp_path: Path) -> None:
     files = TextDrive.make(tmp_path).files()

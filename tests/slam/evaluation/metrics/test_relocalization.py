@@ -26,6 +26,8 @@ from tests.slam.evaluation.conftest import Relocalized
 from tests.slam.evaluation.loops import at_ns, closure, series_of, there_and_back
 from tests.slam.evaluation.results import at_json, printed
 
+pytestmark = pytest.mark.slow
+
 TRUTH = there_and_back()
 NO_POSES = series_of(np.zeros((0, 4, 4)))
 

@@ -10,6 +10,8 @@ from slam.simulation.faults.registry import FAULTS, all_cases, parse_fault, pars
 from slam.simulation.faults.stream import Entry
 from tests.slam.simulation.faults.streams import changed_topics, drive, faulty, positions
 
+pytestmark = pytest.mark.slow
+
 TOPICS = {
     RecordKind.ODOMETRY: "/odom",
     RecordKind.DETECTIONS: "/detections",

@@ -1,0 +1,130 @@
+"""Drives past objects with noise of known size, as a survey sees them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.geometry import transform_from_xyz_yaw
+from slam.self_calibration.object_tracks import ObjectTracks, SurveyScan
+from slam.self_calibration.variance_components import Motion, NoiseComponents, component_names
+
+INTERVAL_S = 0.2
+NO_NOISE = dict.fromkeys(component_names(), 0.0)
+
+
+class SurveyedDrive:
+    """A robot that winds its way past objects, stands still at times, and turns on the spot at times.
+
+    ``sigmas``: standard deviations by component (see ``NoiseComponents``), for lengths in metres; ``scale``: factor on
+    all lengths, noise included.
+    """
+
+    def __init__(
+        self,
+        seed: int,
+        sigmas: dict[str, float],
+        *,
+        scans: int = 1200,
+        objects: int = 350,
+        range_m: float = 15.0,
+        scale: float = 1.0,
+        turns: bool = True,
+    ) -> None:
+        self._rng = np.random.default_rng(seed)
+        self.scale, self.range_m = scale, range_m
+        self.noise = NoiseComponents(**(NO_NOISE | {name: sigma**2 for name, sigma in sigmas.items()}))
+        self._drive(scans, turns)
+        self._odometry()
+        self._see(objects)
+
+    def _drive(self, count: int, turns: bool) -> None:
+        """True poses: of each minute 30 s at 1.5 m/s, winding, 15 s standing still, 15 s turning on the spot."""
+        phase = (np.arange(count) * INTERVAL_S) % 60.0
+        speed = np.where(phase < 30.0, 1.5, 0.0)
+        turn = np.where(phase < 30.0, 0.15 * np.sin(phase / 3.0), np.where(phase < 45.0, 0.0, 0.7))
+        self.true_headings = np.cumsum(turn * INTERVAL_S) * turns
+        ahead = np.stack([np.cos(self.true_headings), np.sin(self.true_headings)], axis=1)
+        self.true_positions = np.cumsum(speed[:, None] * INTERVAL_S * ahead, axis=0)
+        self.times_s = INTERVAL_S * np.arange(count)
+
+    def _odometry(self) -> None:
+        """Poses with noise: random walks by travel, turn and time, and jitter."""
+        steps = np.diff(self.true_positions, axis=0, prepend=self.true_positions[:1])
+        turns = np.diff(self.true_headings, prepend=self.true_headings[:1])
+        length, turn = np.linalg.norm(steps, axis=1), np.abs(turns)
+        noise, count = self.noise, len(steps)
+        heading_variances = (
+            noise.heading_by_travel * length + noise.heading_by_turn * turn + noise.heading_by_time * INTERVAL_S
+        )
+        shift_variances = noise.translation_by_travel * length + noise.translation_by_time * INTERVAL_S
+        drift = np.cumsum(self._rng.normal(size=count) * np.sqrt(heading_variances))
+        c, s = np.cos(drift), np.sin(drift)
+        turned = np.stack([c * steps[:, 0] - s * steps[:, 1], s * steps[:, 0] + c * steps[:, 1]], axis=1)
+        shifts = self._rng.normal(size=(count, 2)) * np.sqrt(shift_variances)[:, None]
+        jitter = self._rng.normal(size=(count, 2)) * np.sqrt(noise.jitter)
+        self.positions = np.cumsum(turned + shifts, axis=0) + jitter
+        self.headings = self.true_headings + drift + self._rng.normal(size=count) * np.sqrt(noise.heading_jitter)
+
+    def _see(self, count: int) -> None:
+        """Detections in the body frame, by scan and object."""
+        low, high = self.true_positions.min(axis=0) - 12.0, self.true_positions.max(axis=0) + 12.0
+        places = self._rng.uniform(low, high, (count, 2))
+        offsets = places[None] - self.true_positions[:, None]
+        ranges = np.linalg.norm(offsets, axis=2)
+        self.scan, self.object = np.nonzero((ranges < self.range_m) & (ranges > 1.0))
+        offset, r = offsets[self.scan, self.object], ranges[self.scan, self.object]
+        along = offset / r[:, None]
+        across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+        noise, normal = self.noise, self._rng.normal
+        radial = normal(size=len(r)) * np.sqrt(noise.radial + noise.radial_by_range * r**2)
+        tangential = normal(size=len(r)) * np.sqrt(noise.tangential + noise.tangential_by_range * r**2)
+        seen = offset + along * radial[:, None] + across * tangential[:, None] + self._view_noise(offset)
+        c, s = np.cos(self.true_headings[self.scan]), np.sin(self.true_headings[self.scan])
+        self.in_body = np.stack([c * seen[:, 0] + s * seen[:, 1], -s * seen[:, 0] + c * seen[:, 1]], axis=1)
+
+    def _view_noise(self, offset: FloatArray) -> FloatArray:
+        """(S, 2): of each object a random walk along the direction it is seen in."""
+        if self.noise.view == 0.0:
+            return np.zeros_like(offset)
+        azimuth = np.arctan2(offset[:, 1], offset[:, 0])
+        walk = np.cumsum(
+            self._rng.normal(size=(721, self.object.max() + 1, 2)) * np.sqrt(self.noise.view * 2.0 * np.pi / 720),
+            axis=0,
+        )
+        return np.asarray(walk[np.floor((azimuth + np.pi) / (2.0 * np.pi) * 720).astype(np.int64), self.object])
+
+    @property
+    def motion(self) -> Motion:
+        """As a survey has it, from the odometry."""
+        travel_m = np.cumsum(
+            np.linalg.norm(np.diff(self.true_positions, axis=0, prepend=self.true_positions[:1]), axis=1)
+        )
+        turn_rad = np.cumsum(np.abs(np.diff(self.true_headings, prepend=self.true_headings[:1])))
+        return Motion(self.scale * travel_m, turn_rad, self.times_s)
+
+    @property
+    def tracks(self) -> ObjectTracks:
+        """Detections by object, a new track wherever it was out of sight."""
+        order = np.lexsort((self.scan, self.object))
+        scan, number = self.scan[order], self.object[order]
+        begins = (np.diff(number, prepend=-1) != 0) | (np.diff(scan, prepend=-9) != 1)
+        c, s = np.cos(self.headings[scan]), np.sin(self.headings[scan])
+        x, y = self.in_body[order].T
+        offsets = self.scale * np.stack([c * x - s * y, s * x + c * y], axis=1)
+        points = offsets + self.scale * self.positions[scan]
+        labels: IntArray = np.zeros(len(scan), dtype=np.int64)
+        return ObjectTracks(np.cumsum(begins) - 1, scan, offsets, points, labels, np.full(len(scan), np.nan))
+
+    @property
+    def scans(self) -> list[SurveyScan]:
+        """The scans, without labels or association, at height zero."""
+        found = []
+        for k, (position, heading) in enumerate(zip(self.positions, self.headings, strict=True)):
+            xy = self.scale * self.in_body[self.scan == k]
+            T = transform_from_xyz_yaw(np.array([*(self.scale * position), 0.0]), float(heading))
+            xyz = np.column_stack([xy, np.zeros(len(xy))])
+            labels = np.zeros(len(xy), dtype=np.int64)
+            if len(xy):
+                found.append(SurveyScan(round(self.times_s[k] * 1e9), T, xyz, labels, np.full(len(xy), np.nan)))
+        return found

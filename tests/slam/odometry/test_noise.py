@@ -1,0 +1,89 @@
+"""The noise of a step of the odometry: a random walk by travel, by turning and by time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.common.config import OdometryConfig
+from slam.common.geometry import transform_from_xyz_yaw
+from slam.odometry.noise import step_covariance, step_variances
+from slam.odometry.track import OdometryPose
+
+SILENT = {
+    "translation_sigma": 1e-6,
+    "yaw_sigma": 1e-6,
+    "yaw_sigma_by_turn": 0.0,
+    "tilt_sigma": 1e-6,
+    "min_translation_sigma_m": 1e-6,
+    "min_rotation_sigma_rad": 1e-6,
+}
+"""Next to no noise; tests add that which they are about."""
+ALL = OdometryConfig(translation_sigma_by_time=0.02, yaw_sigma_by_time=0.003)
+TRANSLATION, TILT, HEADING = range(3)
+
+
+def pose(x: float = 0.0, *, yaw: float = 0.0, seconds: float = 0.0, travel_m: float | None = None) -> OdometryPose:
+    T = transform_from_xyz_yaw(np.array([x, 0.0, 0.0]), yaw)
+    return OdometryPose(round(seconds * 1e9), T, x if travel_m is None else travel_m, 0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("setting", "sigma", "step", "amount", "entry"),
+    [
+        ("translation_sigma", 0.05, {"x": 7.0}, 7.0, TRANSLATION),
+        ("translation_sigma_by_time", 0.03, {"seconds": 5.0}, 5.0, TRANSLATION),
+        ("tilt_sigma", 0.002, {"x": 7.0}, 7.0, TILT),
+        ("yaw_sigma", 0.01, {"x": 7.0}, 7.0, HEADING),
+        ("yaw_sigma_by_turn", 0.02, {"yaw": 1.5}, 1.5, HEADING),
+        ("yaw_sigma_by_turn", 0.02, {"yaw": -1.5}, 1.5, HEADING),
+        ("yaw_sigma_by_time", 0.004, {"seconds": 5.0}, 5.0, HEADING),
+    ],
+)
+def test_each_variance_grows_in_proportion_to_what_it_is_caused_by(setting, sigma, step, amount, entry):
+    config = OdometryConfig(**(SILENT | {setting: sigma}))
+    variances = step_variances(pose(), pose(**step), config)
+    assert variances[entry] == pytest.approx(sigma**2 * amount, rel=1e-3)
+    assert np.delete(variances, entry).max() < 1e-9
+
+
+def test_variances_of_two_steps_add_up_to_that_of_both():
+    a, b, c = pose(), pose(2.0, yaw=0.3, seconds=1.0), pose(7.0, yaw=0.9, seconds=3.0)
+    both = step_variances(a, b, ALL) + step_variances(b, c, ALL)
+    np.testing.assert_allclose(step_variances(a, c, ALL), both)
+
+
+def test_travel_that_came_back_counts_and_a_step_is_never_shorter_than_its_ends_are_apart():
+    config = OdometryConfig(**(SILENT | {"translation_sigma": 0.1}))
+    there_and_back = step_variances(pose(), pose(0.0, travel_m=6.0), config)
+    np.testing.assert_allclose(there_and_back[TRANSLATION], 0.01 * 6.0)
+    jitter_not_counted = step_variances(pose(), pose(0.5, travel_m=0.0), config)
+    np.testing.assert_allclose(jitter_not_counted[TRANSLATION], 0.01 * 0.5)
+
+
+def test_a_step_is_as_uncertain_backwards():
+    a, b = pose(), pose(3.0, yaw=-0.7, seconds=2.0)
+    np.testing.assert_allclose(step_variances(b, a, ALL), step_variances(a, b, ALL))
+
+
+def test_standing_still_is_not_perfectly_certain():
+    config = OdometryConfig()
+    expected = [config.min_translation_sigma_m**2, config.min_rotation_sigma_rad**2, config.min_rotation_sigma_rad**2]
+    np.testing.assert_allclose(step_variances(pose(), pose(), config), expected)
+
+
+def test_turning_on_the_spot_is_not_free():
+    still, turned = (step_variances(pose(), pose(yaw=yaw), OdometryConfig()) for yaw in (0.0, np.pi / 2))
+    assert turned[HEADING] > 2.0 * still[HEADING]
+
+
+def test_more_travel_is_never_less_noise():
+    steps = [step_variances(pose(), pose(travel_m=travel_m), ALL) for travel_m in np.linspace(0.0, 2.0, 41)]
+    assert np.diff(np.array(steps), axis=0).min() >= 0.0
+
+
+def test_the_covariance_has_the_variances_on_its_diagonal_rotation_first():
+    before, after = pose(), pose(3.0, yaw=0.5, seconds=2.0)
+    translation, tilt, heading = step_variances(before, after, ALL)
+    expected = np.diag([tilt, tilt, heading, translation, translation, translation])
+    np.testing.assert_array_equal(step_covariance(before, after, ALL), expected)

@@ -1,0 +1,165 @@
+"""Settings from a survey: what is derived, what is left alone, and what is assumed where a log tells nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slam.common.config import Config
+from slam.self_calibration.calibration import LENGTHS, calibrate
+from slam.self_calibration.survey import Survey, summarize
+from tests.helpers.surveyed_drives import SurveyedDrive
+
+NOISE = {"radial": 0.1, "tangential": 0.1, "translation_by_travel": 0.05, "heading_by_turn": 0.03}
+
+
+def settings() -> dict[str, str]:
+    """Description of each setting by its name, "branch.setting"."""
+    return {
+        f"{branch}.{name}": field.description or ""
+        for branch in Config.model_fields
+        for name, field in type(getattr(Config(), branch)).model_fields.items()
+    }
+
+
+def value_of(config: Config, key: str) -> float:
+    branch, name = key.split(".")
+    return float(getattr(getattr(config, branch), name))
+
+
+@pytest.fixture(scope="module")
+def surveyed() -> Survey:
+    return summarize(SurveyedDrive(0, NOISE, objects=100).scans)
+
+
+def scaled(survey: Survey, factor: float) -> Survey:
+    """The lengths of a survey without components, times ``factor``."""
+    names = ("range_m", "median_range_m", "max_range_m", "spacing_m", "travel_m")
+    return replace(survey, components=None, **{name: factor * getattr(survey, name) for name in names})
+
+
+# Which settings
+
+
+def test_every_length_names_a_setting():
+    assert set(LENGTHS) <= set(settings())
+
+
+def test_every_setting_in_metres_is_derived(surveyed):
+    """By its description: one that is added must be derived, too, or be named here with a reason."""
+    units = ("[m]", "[m/s]", "[m/s^2]", "[1/m^3]", "[m / sqrt(m)]", "[rad / sqrt(m)]", "[m / sqrt(s)]")
+    in_metres = {key for key, description in settings().items() if description.endswith(units)}
+    derived = set(calibrate(Config(), surveyed).estimated)
+    stay = {"odometry.tilt_sigma"}  # gravity holds roll and pitch, and detections do not tell them
+    assert in_metres - derived == stay
+
+
+def test_what_is_estimated_is_what_changed(surveyed):
+    found = calibrate(Config(), surveyed)
+    changed = {key for key in settings() if getattr(*_at(found.config, key)) != getattr(*_at(Config(), key))}
+    assert changed <= set(found.estimated)
+    for key, value in found.estimated.items():
+        assert value_of(found.config, key) == value
+
+
+def _at(config: Config, key: str) -> tuple[object, str]:
+    branch, name = key.split(".")
+    return getattr(config, branch), name
+
+
+@pytest.mark.parametrize("key", ["keyframe.distance_m", "odometry.yaw_sigma", "detection.common_sigma_m"])
+def test_what_was_set_by_hand_stays(surveyed, key):
+    branch, name = key.split(".")
+    by_hand = 0.0123
+    found = calibrate(Config.model_validate({branch: {name: by_hand}}), surveyed)
+    assert value_of(found.config, key) == by_hand
+    assert key not in found.estimated
+    others = calibrate(Config(), surveyed).estimated
+    assert set(found.estimated) == set(others) - {key}
+
+
+def test_a_setting_by_hand_counts_even_if_it_is_the_default(surveyed):
+    found = calibrate(Config.model_validate({"submap": {"travel_m": 50.0}}), scaled(surveyed, 100.0))
+    assert found.config.submap.travel_m == 50.0
+
+
+def test_a_range_that_was_set_by_hand_decides_the_lengths(surveyed):
+    found = calibrate(Config.model_validate({"detection": {"sensor_range_m": 60.0}}), surveyed).config
+    default = Config()
+    assert found.keyframe.distance_m == pytest.approx(2.0 * default.keyframe.distance_m)
+    assert found.detection.sensor_range_m == 60.0
+
+
+def test_without_a_survey_everything_stays():
+    found = calibrate(Config(), None)
+    assert found.config == Config()
+    assert found.estimated == {}
+
+
+# How large
+
+
+def test_every_derived_setting_is_one_that_may_be_set_by_hand(surveyed):
+    """The configuration of a log is read back from it."""
+    for survey in (surveyed, scaled(surveyed, 1.0), scaled(surveyed, 1e-3), scaled(surveyed, 1e3)):
+        found = calibrate(Config(), survey).config
+        assert Config.model_validate_json(found.model_dump_json()) == found
+
+
+@pytest.mark.parametrize("power", [-8, 10])
+def test_all_lengths_scale_with_the_log(surveyed, power):
+    factor = 2.0**power
+    small = calibrate(Config(), scaled(surveyed, 1.0)).estimated
+    large = calibrate(Config(), scaled(surveyed, factor)).estimated
+    for key, exponent in LENGTHS.items():
+        assert large[key] == pytest.approx(small[key] * factor**exponent), key
+    for key in ("detection.base_sigma_m", "detection.common_sigma_m", "submap.landmark_sigma_m"):
+        assert large[key] == pytest.approx(small[key] * factor), key
+    assert large["odometry.translation_sigma"] == pytest.approx(small["odometry.translation_sigma"] * factor**0.5)
+    assert large["odometry.yaw_sigma"] == pytest.approx(small["odometry.yaw_sigma"] / factor**0.5)
+    for key in ("odometry.yaw_sigma_by_turn", "detection.sigma_per_m", "detection.scans_per_view"):
+        assert large[key] == pytest.approx(small[key]), key
+
+
+def test_the_noise_is_that_of_the_log(surveyed):
+    found = calibrate(Config(), surveyed).config
+    assert 0.1 / 1.5 < found.detection.base_sigma_m < 0.1 * 1.5
+    assert 0.05 / 1.5 < found.odometry.translation_sigma < 0.05 * 1.5
+
+
+def test_little_data_make_the_noise_large(surveyed):
+    """One standard error is added to each variance."""
+    assert surveyed.components is not None
+    errors = surveyed.components.standard_errors
+    doubtful = replace(
+        surveyed,
+        components=replace(surveyed.components, standard_errors=replace(errors, radial=1.0, translation_by_travel=1.0)),
+    )
+    sure, unsure = (calibrate(Config(), each).config for each in (surveyed, doubtful))
+    assert unsure.detection.base_sigma_m > 2.0 * sure.detection.base_sigma_m
+    assert unsure.odometry.translation_sigma > 2.0 * sure.odometry.translation_sigma
+
+
+def test_where_a_log_tells_nothing_of_its_noise_it_is_taken_to_be_large(surveyed):
+    told, untold = (calibrate(Config(), each).config for each in (surveyed, replace(surveyed, components=None)))
+    range_m = surveyed.range_m
+    assert untold.detection.base_sigma_m == pytest.approx(0.02 * range_m)
+    assert untold.odometry.translation_sigma == pytest.approx(0.05 * np.sqrt(range_m))
+    assert untold.odometry.yaw_sigma == pytest.approx(0.2 / np.sqrt(range_m))
+    for name in ("translation_sigma", "yaw_sigma", "yaw_sigma_by_turn"):
+        assert getattr(untold.odometry, name) > getattr(told.odometry, name), name
+
+
+def test_objects_that_are_never_two_of_a_class_cannot_be_confused(surveyed):
+    found = calibrate(Config(), replace(surveyed, spacing_m=float("nan"))).config
+    assert found.association.confusion_distance_m > 100.0 * surveyed.range_m
+    assert calibrate(Config(), surveyed).config.association.confusion_distance_m == surveyed.spacing_m
+
+
+@pytest.mark.parametrize("change", [{"travel_m": 0.0}, {"duration_s": 0.0}, {"turn_rad": 0.0}, {"scans": 1}])
+def test_a_robot_that_stands_still_has_finite_settings(surveyed, change):
+    found = calibrate(Config(), replace(surveyed, **change))
+    assert np.isfinite(list(found.estimated.values())).all()
+    Config.model_validate_json(found.config.model_dump_json())

@@ -1,0 +1,118 @@
+"""Objects followed from scan to scan, as far as that is unambiguous."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.common.arrays import FloatArray
+from slam.common.geometry import transform_from_xyz_yaw
+from slam.self_calibration.object_tracks import MISSED_SCANS, ObjectTracks, SurveyScan, follow_objects
+from tests.helpers.surveyed_drives import SurveyedDrive
+
+OBJECTS = np.array([[10.0, 5.0, 0.0], [15.0, -5.0, 0.5], [25.0, 6.0, 0.0]])
+
+
+def scan_of(
+    objects: FloatArray, *, number: int = 0, x: float = 0.0, yaw: float = 0.0, labels: list[int] | None = None
+) -> SurveyScan:
+    """``objects`` (N, 3) m of the odometry frame, seen from (x, 0)."""
+    T = transform_from_xyz_yaw(np.array([x, 0.0, 0.0]), yaw)
+    c, s = np.cos(yaw), np.sin(yaw)
+    objects = np.array(objects, dtype=np.float64).reshape(-1, 3)
+    in_body = (objects - [x, 0.0, 0.0]) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    of_each = np.array(labels if labels is not None else [0] * len(objects), dtype=np.int64)
+    return SurveyScan(number * 10**8, T, in_body, of_each, np.full(len(objects), 0.04))
+
+
+def follow(scans: list[SurveyScan], yaws: list[float] | None = None) -> ObjectTracks:
+    return follow_objects(scans, np.array(yaws if yaws is not None else [0.0] * len(scans)))
+
+
+def lengths(tracks: ObjectTracks) -> list[int]:
+    """Detections of each track, the longest first."""
+    return sorted(np.bincount(tracks.track).tolist(), reverse=True)
+
+
+def test_objects_are_followed_while_the_robot_drives_and_turns():
+    yaws = [0.1 * i for i in range(10)]
+    tracks = follow([scan_of(OBJECTS, number=i, x=0.5 * i, yaw=yaws[i]) for i in range(10)], yaws)
+    assert lengths(tracks) == [10, 10, 10]
+    np.testing.assert_array_equal(tracks.scan, np.tile(np.arange(10), 3))
+    np.testing.assert_allclose(tracks.points, np.repeat(OBJECTS[:, :2], 10, axis=0), atol=1e-9)
+    robot = 0.5 * tracks.scan[:, None] * [1.0, 0.0]
+    np.testing.assert_allclose(tracks.offsets, tracks.points - robot, atol=1e-9)
+    np.testing.assert_array_equal(tracks.claimed, np.full(30, 0.04))
+
+
+def test_the_order_of_detections_does_not_matter():
+    rng = np.random.default_rng(0)
+    scans = [scan_of(OBJECTS[rng.permutation(3)], number=i) for i in range(8)]
+    tracks = follow(scans)
+    assert lengths(tracks) == [8, 8, 8]
+    for track in range(3):
+        assert np.ptp(tracks.points[tracks.track == track], axis=0).max() < 1e-9
+
+
+@pytest.mark.parametrize(("missed", "expected"), [(MISSED_SCANS, [6]), (MISSED_SCANS + 1, [3, 3])])
+def test_a_track_goes_on_after_a_few_scans_without_the_object(missed, expected):
+    there, gone = OBJECTS[:1], OBJECTS[:0]
+    seen = [there] * 3 + [gone] * missed + [there] * 3
+    assert lengths(follow([scan_of(each, number=i) for i, each in enumerate(seen)])) == expected
+
+
+def test_labels_are_never_mixed():
+    tracks = follow([scan_of(OBJECTS[:1], number=i, labels=[i % 2]) for i in range(4)])
+    assert {(int(t), int(c)) for t, c in zip(tracks.track, tracks.labels, strict=True)} == {(0, 0), (1, 1)}
+
+
+@pytest.mark.parametrize(("step_m", "followed"), [(0.8, True), (1.2, False)])
+def test_what_seems_to_move_by_more_than_half_the_spacing_is_ambiguous(step_m, followed):
+    """Two objects 2 m apart, of which the odometry says that both moved."""
+    pair = np.array([[10.0, 0.0, 0.0], [10.0, 2.0, 0.0]])
+    tracks = follow([scan_of(pair), scan_of(pair + np.array([step_m, 0.0, 0.0]), number=1)])
+    assert (lengths(tracks) == [2, 2]) is followed
+
+
+def test_a_newcomer_next_to_an_object_makes_it_ambiguous():
+    place = OBJECTS[:1]
+    later = np.concatenate([place + np.array([0.2, 0.0, 0.0]), place + np.array([0.2, 0.3, 0.0])])
+    tracks = follow([scan_of(place), scan_of(later, number=1)])
+    assert max(lengths(tracks)) == 1
+
+
+@pytest.mark.parametrize(("distance_m", "followed"), [(20.0, True), (4.0, False)])
+def test_an_object_that_is_alone_moves_by_no_more_than_a_quarter_of_its_range(distance_m, followed):
+    tracks = follow([scan_of([[distance_m, 0, 0]]), scan_of([[distance_m, 2.0, 0]], number=1)])
+    assert (lengths(tracks) == [2]) is followed
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_tracks_do_not_depend_on_the_unit_of_length(scale):
+    drives = [SurveyedDrive(0, {"radial": 0.1, "tangential": 0.1}, scans=150, scale=s) for s in (1.0, scale)]
+    found = [follow_objects(drive.scans, drive.headings[: len(drive.scans)]) for drive in drives]
+    np.testing.assert_array_equal(found[0].track, found[1].track)
+    np.testing.assert_array_equal(found[0].scan, found[1].scan)
+    np.testing.assert_allclose(scale * found[0].points, found[1].points, rtol=1e-6)
+
+
+def test_hardly_any_track_of_a_noisy_drive_mixes_objects():
+    drive = SurveyedDrive(1, {"radial": 0.1, "tangential": 0.1, "translation_by_travel": 0.05}, scans=200, objects=60)
+    tracks = follow_objects(drive.scans, drive.headings)
+    true = {tuple(np.round(point, 6)): int(number) for point, number in zip(_points(drive), drive.object, strict=True)}
+    numbers = np.array([true[tuple(np.round(point, 6))] for point in tracks.points])
+    same_track = np.diff(tracks.track) == 0
+    assert same_track.mean() > 0.8
+    assert np.mean(np.diff(numbers)[same_track] != 0) < 0.005
+
+
+def _points(drive: SurveyedDrive) -> FloatArray:
+    """(S, 2) where the detections lie in the odometry frame, in the order of ``drive.object``."""
+    c, s = np.cos(drive.headings[drive.scan]), np.sin(drive.headings[drive.scan])
+    x, y = drive.in_body.T
+    return np.asarray(np.stack([c * x - s * y, s * x + c * y], axis=1) + drive.positions[drive.scan])
+
+
+def test_without_scans_or_detections_there_are_no_tracks():
+    assert len(follow([]).track) == 0
+    assert len(follow([scan_of(OBJECTS[:0]), scan_of(OBJECTS[:0], number=1)]).track) == 0

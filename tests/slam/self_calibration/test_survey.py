@@ -1,0 +1,152 @@
+"""What the beginning of a log tells: ranges, spacing, motion and noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from logs.messages import ObjectDetections, Odometry, Record, Transform
+from slam.common.config import DetectionConfig
+from slam.common.geometry import transform_from_xyz_yaw
+from slam.self_calibration import survey as module
+from slam.self_calibration.survey import summarize, survey
+from tests.helpers.surveyed_drives import SurveyedDrive
+
+CONFIG = DetectionConfig()
+ROW = np.array([[4.0, 3.0, 0.0], [8.0, 6.0, 0.0], [12.0, 16.0, 0.0]])
+"""At ranges of 5 m, 10 m and 20 m."""
+
+
+def odometry(seconds: float, x: float, yaw: float = 0.0) -> Odometry:
+    T = transform_from_xyz_yaw(np.array([x, 0.0, 0.0]), yaw)
+    return Odometry(round(seconds * 1e9), T, child_frame_id="base_link")
+
+
+def detections(seconds: float, positions=ROW, labels=None, *, frame="base_link", **fields) -> ObjectDetections:
+    positions = np.array(positions, dtype=np.float64).reshape(-1, 3)
+    names = tuple(labels or ["tree"] * len(positions))
+    fields = {"scores": np.ones(len(positions))} | fields
+    return ObjectDetections(round(seconds * 1e9), frame, positions, names, **fields)
+
+
+def straight(scans: int = 11, **fields) -> list[Record]:
+    """Along x at 2 m/s, ten scans a second, always the same detections."""
+    records: list[Record] = []
+    for i in range(scans):
+        records += [odometry(0.1 * i, 0.2 * i), detections(0.1 * i, **fields)]
+    return records
+
+
+def test_ranges_times_and_motion_are_those_of_the_log():
+    found = survey(straight(), CONFIG)
+    assert (found.scans, found.detections, found.classes, found.objects) == (11, 33, 1, 3.0)
+    assert found.median_range_m == pytest.approx(10.0)
+    assert found.max_range_m == pytest.approx(20.0)
+    assert found.range_m == pytest.approx(np.quantile([5.0, 10.0, 20.0] * 11, 0.95))
+    assert found.interval_s == pytest.approx(0.1)
+    assert found.travel_m == pytest.approx(2.0)
+    assert found.turn_rad == 0.0
+    assert found.duration_s == pytest.approx(1.0)
+
+
+def test_turns_add_up_whatever_their_sign_and_across_half_a_turn():
+    records: list[Record] = []
+    for i, yaw in enumerate([3.0, 3.3, 3.0]):
+        records += [odometry(0.1 * i, 0.0, yaw), detections(0.1 * i)]
+    assert survey(records, CONFIG).turn_rad == pytest.approx(0.6)
+
+
+def test_spacing_is_that_of_objects_of_one_class():
+    assert survey(straight(), CONFIG).spacing_m == pytest.approx(5.0)
+    assert survey(straight(labels=["tree", "lamp", "tree"]), CONFIG).spacing_m == pytest.approx(np.hypot(8.0, 13.0))
+    assert np.isnan(survey(straight(labels=["tree", "lamp", "sign"]), CONFIG).spacing_m)
+
+
+def test_ranges_are_horizontal_and_from_the_body():
+    T_body_sensor = transform_from_xyz_yaw(np.array([1.0, 0.0, 7.0]), np.pi / 2)
+    mounted = Transform(0, "base_link", "lidar", T_body_sensor)
+    found = survey([mounted, *straight(positions=[[0.0, -4.0, -5.0]], frame="lidar")], CONFIG)
+    assert found.max_range_m == pytest.approx(5.0)
+
+
+def test_a_scan_in_a_frame_that_nobody_knows_is_left_out_unless_it_is_taken_for_the_body():
+    assert survey(straight(frame="lidar"), CONFIG) is None
+    assert survey(straight(frame="lidar"), DetectionConfig(assume_body_frame=True)).scans == 11
+
+
+def test_a_tilted_body_sees_upright():
+    """It pitches by 0.3 rad: what is 10 m ahead of it is nearer in the plane."""
+    c, s = np.cos(0.3), np.sin(0.3)
+    tilted = np.array([[c, 0.0, s, 0.0], [0.0, 1.0, 0.0, 0.0], [-s, 0.0, c, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    records: list[Record] = []
+    for i in range(3):
+        records += [replace(odometry(0.1 * i, 0.0), T_odom_body=tilted), detections(0.1 * i, [[10.0, 0.0, 0.0]])]
+    assert survey(records, CONFIG).max_range_m == pytest.approx(10.0 * c)
+
+
+def test_detections_below_the_least_score_or_without_a_place_count_nothing():
+    scores = np.array([0.9, 0.2, 0.9])
+    found = survey(straight(scores=scores), DetectionConfig(min_score=0.5))
+    assert found.detections == 22
+    assert survey(straight(positions=[*ROW[:2], [np.nan, 0.0, 0.0]]), CONFIG).detections == 22
+
+
+def test_scans_outside_the_odometry_and_empty_ones_are_left_out():
+    records = [*straight(), detections(-1.0), detections(9.0), detections(0.55, np.zeros((0, 3)))]
+    assert survey(records, CONFIG).scans == 11
+
+
+def test_odometry_that_goes_back_in_time_is_left_out():
+    records = straight()
+    assert survey([*records, odometry(0.5, 500.0)], CONFIG).travel_m == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    "records", [[], [detections(0.0)], [odometry(0.0, 0.0)], [odometry(0.0, 0.0), odometry(1.0, 1.0)]]
+)
+def test_without_odometry_or_detections_there_is_no_survey(records):
+    assert survey(records, CONFIG) is None
+
+
+def test_it_reads_no_more_than_it_needs(monkeypatch):
+    monkeypatch.setattr(module, "MAX_DETECTIONS", 9)
+
+    def endless():
+        yield from straight()
+        raise AssertionError("read on")
+
+    assert survey(endless(), CONFIG).detections <= 9
+
+
+def test_too_few_objects_tell_no_noise():
+    assert survey(straight(), CONFIG).components is None
+
+
+def test_a_drive_is_summed_up_with_the_noise_that_it_has():
+    drive = SurveyedDrive(0, {"radial": 0.1, "tangential": 0.1, "translation_by_travel": 0.03}, objects=100)
+    found = summarize(drive.scans)
+    assert found.components is not None
+    variances = found.components.variances
+    assert 0.1 / 1.5 < np.sqrt(0.5 * (variances.radial + variances.tangential)) < 0.1 * 1.5
+    assert 0.03 / 1.5 < np.sqrt(variances.translation_by_travel) < 0.03 * 1.5
+    assert found.range_m < drive.range_m < 1.1 * found.range_m
+    assert np.isnan(found.claimed_ratio)
+
+
+@pytest.mark.parametrize("claimed_m", [0.05, 0.2])
+def test_the_variance_that_messages_claim_is_compared_with_that_which_they_have(claimed_m):
+    drive = SurveyedDrive(0, {"radial": 0.1, "tangential": 0.1}, scans=600, objects=100)
+    scans = [replace(scan, variances=np.full(len(scan.labels), claimed_m**2)) for scan in drive.scans]
+    assert summarize(scans).claimed_ratio == pytest.approx((0.1 / claimed_m) ** 2, rel=0.3)
+
+
+def test_lengths_of_a_survey_scale_with_the_log():
+    small, large = (
+        summarize(SurveyedDrive(0, {"radial": 0.1}, scans=150, scale=scale).scans) for scale in (1.0, 1000.0)
+    )
+    for name in ("range_m", "median_range_m", "max_range_m", "spacing_m", "travel_m"):
+        assert getattr(large, name) == pytest.approx(1000.0 * getattr(small, name)), name
+    for name in ("scans", "detections", "classes", "objects", "interval_s", "turn_rad", "duration_s"):
+        assert getattr(large, name) == pytest.approx(getattr(small, name)), name

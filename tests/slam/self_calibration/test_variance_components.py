@@ -1,0 +1,160 @@
+"""Noise of odometry and detections: simulated with known size, and estimated."""
+
+from __future__ import annotations
+
+from dataclasses import astuple, replace
+
+import numpy as np
+import pytest
+
+from slam.self_calibration.object_tracks import ObjectTracks
+from slam.self_calibration.variance_components import (
+    ComponentEstimate,
+    Motion,
+    component_names,
+    estimate_components,
+)
+from tests.helpers.surveyed_drives import SurveyedDrive
+
+SEEDS = range(3)
+DETECTOR = {"radial": 0.05, "tangential": 0.05}
+"""Standard deviations [m] that are there in every drive."""
+POWERS = {
+    "radial": 2,
+    "radial_by_range": 0,
+    "tangential": 2,
+    "tangential_by_range": 0,
+    "view": 2,
+    "jitter": 2,
+    "translation_by_travel": 1,
+    "translation_by_time": 2,
+    "heading_jitter": 0,
+    "heading_by_travel": -1,
+    "heading_by_turn": 0,
+    "heading_by_time": 0,
+}
+"""With which power of the length each variance scales."""
+
+
+def estimate(drive: SurveyedDrive) -> ComponentEstimate:
+    found = estimate_components(drive.tracks, drive.motion)
+    assert found is not None
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("component", "sigma"),
+    [
+        ("radial", 0.1),
+        ("radial_by_range", 0.02),
+        ("tangential", 0.1),
+        ("tangential_by_range", 0.02),
+        ("view", 0.2),
+        ("jitter", 0.05),
+        ("translation_by_travel", 0.05),
+        ("translation_by_time", 0.05),
+        ("heading_jitter", 0.01),
+        ("heading_by_travel", 0.01),
+        ("heading_by_turn", 0.03),
+        ("heading_by_time", 0.01),
+    ],
+)
+def test_each_component_that_is_there_is_found(component, sigma):
+    found = [estimate(SurveyedDrive(seed, DETECTOR | {component: sigma})).variances for seed in SEEDS]
+    sigmas = np.sqrt([getattr(variances, component) for variances in found])
+    assert sigma / 1.5 < np.median(sigmas) < sigma * 1.5
+    assert np.all((sigmas > sigma / 2.0) & (sigmas < sigma * 2.0))
+
+
+def test_what_is_not_there_is_small():
+    """Of the odometry less than the detector's noise hides over the range of 15 m, within which objects are seen."""
+    for seed in SEEDS:
+        found = estimate(SurveyedDrive(seed, DETECTOR)).variances
+        assert found.translation_by_travel * 15.0 < 0.05**2
+        assert found.heading_by_travel * 15.0 * 15.0**2 < 0.05**2
+        assert found.view < 0.05**2
+
+
+def test_several_components_are_told_apart():
+    sigmas = {"view": 0.1, "translation_by_travel": 0.05, "heading_by_turn": 0.03}
+    found = [estimate(SurveyedDrive(seed, DETECTOR | sigmas)).variances for seed in SEEDS]
+    for name, sigma in (DETECTOR | sigmas).items():
+        median = np.median([np.sqrt(getattr(variances, name)) for variances in found])
+        assert sigma / 1.6 < median < sigma * 1.6, name
+
+
+def test_errors_by_jackknife_are_as_large_as_estimates_scatter():
+    sigmas = DETECTOR | {"jitter": 0.05, "translation_by_travel": 0.05}
+    found = [estimate(SurveyedDrive(seed, sigmas, scans=900)) for seed in range(8)]
+    for component in sigmas:
+        scatter = np.std([getattr(each.variances, component) for each in found], ddof=1)
+        claimed = np.median([getattr(each.standard_errors, component) for each in found])
+        assert scatter / 3.0 < claimed < scatter * 3.0, component
+
+
+@pytest.mark.parametrize("scale", [0.01, 1000.0])
+def test_estimates_scale_with_all_lengths(scale):
+    sigmas = DETECTOR | {"view": 0.1, "jitter": 0.03, "translation_by_travel": 0.05, "heading_by_turn": 0.02}
+    small, large = (estimate(SurveyedDrive(1, sigmas, scale=factor)) for factor in (1.0, scale))
+    assert set(POWERS) == set(component_names())
+    for name, power in POWERS.items():
+        floor = 1e-4 * scale**power  # a hundredth of the detector's [m], or less
+        expected = getattr(small.variances, name) * scale**power
+        assert getattr(large.variances, name) == pytest.approx(expected, rel=0.05, abs=floor), name
+        expected = getattr(small.standard_errors, name) * scale**power
+        assert getattr(large.standard_errors, name) == pytest.approx(expected, rel=0.3, abs=floor), name
+    assert large.pairs == small.pairs
+
+
+def test_a_few_wrong_matches_and_moving_objects_change_little():
+    drive = SurveyedDrive(2, DETECTOR | {"translation_by_travel": 0.05})
+    clean, tracks = estimate(drive), drive.tracks
+    wrong = np.random.default_rng(0).random(len(tracks.track)) < 0.005
+    shift = np.where(wrong[:, None], 5.0, 0.0) * [1.0, -1.0]
+    spoilt = estimate_components(
+        replace(tracks, points=tracks.points + shift, offsets=tracks.offsets + shift), drive.motion
+    )
+    assert spoilt is not None
+    for name in ("radial", "tangential", "translation_by_travel"):
+        ratio = np.sqrt(getattr(spoilt.variances, name) / getattr(clean.variances, name))
+        assert 1 / 1.5 < ratio < 1.5, name
+
+
+def test_no_variance_is_negative_and_all_are_finite():
+    for seed in SEEDS:
+        found = estimate(SurveyedDrive(seed, {"radial": 1e-9}, scans=300))
+        assert np.isfinite(astuple(found.variances)).all()
+        assert min(astuple(found.variances)) >= 0.0
+        assert min(astuple(found.standard_errors)) >= 0.0
+
+
+def test_a_robot_that_neither_moves_nor_turns_tells_the_noise_of_its_detector():
+    drive = SurveyedDrive(3, DETECTOR)
+    tracks, motion = drive.tracks, drive.motion
+    standing = np.flatnonzero((tracks.scan >= 155) & (tracks.scan < 220))  # 31 s to 44 s: it stands
+    part = ObjectTracks(
+        tracks.track[standing],
+        tracks.scan[standing],
+        tracks.offsets[standing],
+        tracks.points[standing],
+        tracks.labels[standing],
+        tracks.claimed[standing],
+    )
+    found = estimate_components(part, motion)
+    assert found is not None
+    assert 0.05 / 1.5 < np.sqrt(0.5 * (found.variances.radial + found.variances.tangential)) < 0.05 * 1.5
+
+
+@pytest.mark.parametrize("count", [0, 1, 60])
+def test_too_few_detections_tell_nothing(count):
+    tracks = ObjectTracks(
+        np.zeros(count, dtype=np.int64),
+        np.arange(count),
+        np.ones((count, 2)),
+        np.ones((count, 2)),
+        np.zeros(count, dtype=np.int64),
+        np.full(count, np.nan),
+    )
+    times = np.arange(float(count))
+    assert estimate_components(tracks, Motion(times, times, times)) is None
