@@ -115,7 +115,10 @@ def _equations(tracks: ObjectTracks, motion: Motion, first: IntArray, second: In
     L, A, T = (each[scan] - each[scan_before] for each in (motion.travel_m, motion.turn_rad, motion.time_s))
     block = np.minimum(scan * BLOCKS // (int(tracks.scan.max()) + 1), BLOCKS - 1)
     return np.concatenate(
-        [_own_equations(d, x, x_before, L, A, T, block), _cross_equations(d, x, scan, scan_before, L, A, T, block)],
+        [
+            _own_equations(d, x, x_before, L, A, T, block),
+            _cross_equations(d, x, x_before, scan, scan_before, L, A, T, block),
+        ],
         axis=1,
     )
 
@@ -137,8 +140,13 @@ def _own_equations(
     angle = np.arctan2(x[:, 1], x[:, 0]) - np.arctan2(x_before[:, 1], x_before[:, 0])
     view = np.abs((angle + np.pi) % (2.0 * np.pi) - np.pi)
     zero, one, ranges = np.zeros_like(r), np.ones_like(r), square + square_before
-    translation, heading = [2.0 * one, L, T], [2.0 * square, square * L, square * A, square * T]
-    along = np.stack([2.0 * one, ranges, zero, zero, view, *translation, zero, zero, zero, zero, radial**2], axis=1)
+    ahead = np.einsum("ni,ni->n", x_before, x) / r
+    beside = (x[:, 0] * x_before[:, 1] - x[:, 1] * x_before[:, 0]) / r
+    lever, lever_beside = (ahead**2 + ahead * r + square) / 3.0, beside**2 / 3.0
+    translation = [2.0 * one, L, T]
+    heading = [square + ahead**2, lever * L, lever * A, lever * T]
+    heading_beside = [beside**2, lever_beside * L, lever_beside * A, lever_beside * T]
+    along = np.stack([2.0 * one, ranges, zero, zero, view, *translation, *heading_beside, radial**2], axis=1)
     across = np.stack([zero, zero, 2.0 * one, ranges, view, *translation, *heading, tangential**2], axis=1)
     bins = _bin(square, (1 / 3, 2 / 3)) * 3 + _bin(A, (0.5, 0.85))
     return np.concatenate([_binned(each, one, bins, block, 9) for each in (along, across)], axis=1)
@@ -147,6 +155,7 @@ def _own_equations(
 def _cross_equations(
     d: FloatArray,
     x: FloatArray,
+    x_before: FloatArray,
     scan: IntArray,
     scan_before: IntArray,
     L: FloatArray,
@@ -161,27 +170,42 @@ def _cross_equations(
     def total(values: FloatArray) -> FloatArray:
         return np.bincount(group, values, minlength=len(start)).astype(np.float64)
 
-    square = np.einsum("ni,ni->n", x, x)
-    torque = x[:, 0] * d[:, 1] - x[:, 1] * d[:, 0]
-    shifts = total(d[:, 0]) ** 2 + total(d[:, 1]) ** 2 - total(np.einsum("ni,ni->n", d, d))
-    torques = total(torque) ** 2 - total(torque**2)
-    offsets = total(x[:, 0]) ** 2 + total(x[:, 1]) ** 2 - total(square)
-    squares = total(square) ** 2 - total(square**2)
+    def of_pairs(first: FloatArray, second: FloatArray) -> FloatArray:
+        """Sum over ordered pairs (k, l) of first_k . second_l, for vectors (N, D)."""
+        sums = [total(first[:, i]) * total(second[:, i]) for i in range(first.shape[1])]
+        return np.asarray(sum(sums) - total(np.einsum("ni,ni->n", first, second)))
+
+    torque = (x[:, 0] * d[:, 1] - x[:, 1] * d[:, 0])[:, None]
+    square = np.einsum("ni,ni->n", x, x)[:, None]
+    ahead = np.einsum("ni,ni->n", x_before, x)[:, None]
+    shifts, torques = of_pairs(d, d), of_pairs(torque, torque)
+    at_ends = of_pairs(x, x) + of_pairs(x_before, x_before)
+    on_the_way = (at_ends + of_pairs(x_before, x)) / 3.0
+    squares_at_ends = of_pairs(square, square) + of_pairs(ahead, ahead)
+    squares_on_the_way = (squares_at_ends + of_pairs(ahead, square)) / 3.0
+    offsets = of_pairs(x, x)
+    squares = of_pairs(square, square)
     pairs = (count * (count - 1)).astype(np.float64)
     L, A, T, block = L[start], A[start], T[start], block[start]
     zero, one = np.zeros_like(L), np.ones_like(L)
 
-    def equation(by_shift: FloatArray, by_turn: FloatArray, value: FloatArray) -> FloatArray:
-        common = [by_shift * each for each in (2.0 * one, L, T)] + [by_turn * each for each in (2.0 * one, L, A, T)]
+    def equation(by_shift: FloatArray, by_jitter: FloatArray, by_turn: FloatArray, value: FloatArray) -> FloatArray:
+        common = [by_shift * each for each in (2.0 * one, L, T)] + [by_jitter] + [by_turn * each for each in (L, A, T)]
         return np.stack([zero] * 5 + [*common, value], axis=1)
 
     several = pairs > 0.0
     bins = np.where(several, _bin(A, (1 / 3, 2 / 3, 0.9)), -1)
     return np.concatenate(
         [
-            _binned(equation(2.0 * pairs, offsets, shifts), 2.0 * pairs, bins, block, 4),
+            _binned(equation(2.0 * pairs, at_ends, on_the_way, shifts), 2.0 * pairs, bins, block, 4),
             # Torques are divided by the mean squared range, so that all equations have one unit.
-            _binned(equation(offsets, squares, torques), squares / float(square.mean()), bins, block, 4),
+            _binned(
+                equation(offsets, squares_at_ends, squares_on_the_way, torques),
+                squares / float(square.mean()),
+                bins,
+                block,
+                4,
+            ),
         ],
         axis=1,
     )
