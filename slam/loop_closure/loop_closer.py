@@ -130,7 +130,7 @@ class LoopCloser:
             places = self._retriever.search_exhaustively(query.submap, segment=self._keyframes[0].odometry.segment)
             verified += [self._verifier.verify(query, place) for place in places]
         if not verified:
-            return [query.refusal(Stage.RETRIEVAL, "no consistent descriptor matches")]
+            return [query.refusal(Stage.RETRIEVAL, "no matches that agree on a place")]
         # 4. The candidate with the highest score is accepted, kept as a hypothesis or rejected.
         refused = [each for each in verified if isinstance(each, LoopClosureRecord)]
         candidates = suppress_non_maxima(

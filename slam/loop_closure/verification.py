@@ -18,7 +18,8 @@ from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratio
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, gravity_frame
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
-from slam.place_recognition.retrieval import Place, PlaceRetriever
+from slam.place_recognition.place import Place
+from slam.place_recognition.retrieval import PlaceRetriever
 from slam.registration.registration import Registration, refine
 
 # Farther from the reference traversal, in sensor ranges, its map is incomplete.

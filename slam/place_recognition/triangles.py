@@ -42,14 +42,12 @@ def neighbour_triangles(
     count = min(neighbours, len(positions) - 1)
     if count < 2 or len(rows) == 0:
         return Triangles(np.zeros((0, 3), np.int64), np.zeros((0, 3)), np.zeros(0, np.int64))
-    nearest = cKDTree(positions[:, :2]).query(positions[rows, :2], k=count + 1)[1]
-    first, second = np.triu_indices(count + 1, 1)
-    with_itself = first == 0
-    # Objects that share a position may come before the object itself, so that all pairs are made and three sorted.
-    first, second = first[~with_itself], second[~with_itself]
+    nearest = np.asarray(cKDTree(positions[:, :2]).query(positions[rows, :2], k=count + 1)[1], dtype=np.int64)
+    # The object itself is the first, or one that shares its position.
+    first, second = np.triu_indices(count, 1)
     vertices = np.stack(
-        [np.repeat(rows, len(first)), nearest[:, first].ravel(), nearest[:, second].ravel()], axis=1
-    ).astype(np.int64)
+        [np.repeat(rows, len(first)), nearest[:, first + 1].ravel(), nearest[:, second + 1].ravel()], axis=1
+    )
     vertices.sort(axis=1)
     vertices = np.unique(vertices, axis=0)
     vertices = vertices[(vertices[:, 0] != vertices[:, 1]) & (vertices[:, 1] != vertices[:, 2])]

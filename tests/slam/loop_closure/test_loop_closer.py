@@ -29,7 +29,7 @@ from tests.helpers.loop_drives import (
 from tests.helpers.short_drives import final_status
 
 # So that each keyframe depends on the descriptors alone, and no lucky find spreads to its neighbours.
-ONE_TRY = {"top_k": 1, "max_candidates": 2, "propagation_distance_m": 0.0}
+ONE_TRY = {"top_k": 1, "max_candidates": 2, "max_candidates_by_triangles": 0, "propagation_distance_m": 0.0}
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +84,12 @@ def test_twin_a_descriptor_that_tells_nothing_recalls_little(tmp_path):
 @pytest.mark.parametrize("descriptor", ["ring_likelihood", "onion_histogram"])
 def test_each_keyframe_finds_its_place_by_descriptors_alone(tmp_path, descriptor):
     outcome = replay_drive(tmp_path, two_blocks(), descriptor=descriptor, **ONE_TRY)
+    assert outcome.recall >= 0.8
+    assert outcome.closures.precision == 1.0
+
+
+def test_each_keyframe_finds_its_place_by_triangles_alone(tmp_path):
+    outcome = replay_drive(tmp_path, two_blocks(), descriptor="random", **ONE_TRY | {"max_candidates_by_triangles": 2})
     assert outcome.recall >= 0.8
     assert outcome.closures.precision == 1.0
 
