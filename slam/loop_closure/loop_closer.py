@@ -119,12 +119,15 @@ class LoopCloser:
         if propagated is not None:
             self._monitor.confirm()
             return [self.accept(propagated, f"propagated from the closure of keyframe {propagated.seed_closure}")]
-        # 2. Elsewhere retrieval by descriptors proposes candidates.
+        # 2. Elsewhere landmarks that are still followed, or retrieval by triangles and descriptors, propose candidates.
         if len(query.submap) < self._limits.min_inliers:
             reason = f"{len(query.submap)} landmarks in the submap, min_inliers is {self._limits.min_inliers}"
             return [query.refusal(Stage.RETRIEVAL, reason)]
-        places = self._retriever.retrieve(query.submap, before_m=self._verifier.latest_m(query), seed=keyframe.id)
-        verified = [self._verifier.verify(query, place) for place in places]
+        tracked = self._verifier.tracked_place(query)
+        verified = [self._verifier.verify(query, tracked)] if tracked is not None else []
+        if not self._any_acceptable(verified):
+            places = self._retriever.retrieve(query.submap, before_m=self._verifier.latest_m(query), seed=keyframe.id)
+            verified += [self._verifier.verify(query, place) for place in places]
         # 3. If the robot is lost and none of them is acceptable, the whole map is searched.
         if not self.is_localized(keyframe) and not self._any_acceptable(verified):
             places = self._retriever.search_exhaustively(query.submap, segment=self._keyframes[0].odometry.segment)

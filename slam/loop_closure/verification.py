@@ -67,6 +67,22 @@ class Verifier:
         reference = self._nearest(place, query)
         return replace(place, travel_m=reference.odometry.travel_m) if reference else None
 
+    def tracked_place(self, query: Query) -> Place | None:
+        """Where the query is by the landmarks of an earlier traversal that data association still follows.
+
+        They make one map with those of the query, in which the pose is known; None where there are too few of them.
+        """
+        first_seen_m = self._retriever.first_seen_travels_m(query.submap)
+        if np.count_nonzero(first_seen_m < self.latest_m(query)) < self._config.loop_closure.min_inliers:
+            return None
+        segment = query.keyframe.odometry.segment
+        found = self._track.nearest(
+            query.T_local_gravity[:3, 3], segment=segment, from_m=-np.inf, to_m=self.latest_m(query)
+        )
+        if found is None:
+            return None
+        return Place(query.T_local_gravity, self._keyframes[found[0]].odometry.travel_m, segment, 0.0)
+
     def verify(self, query: Query, place: Place, *, seed_closure: int = NOWHERE) -> Candidate | LoopClosureRecord:
         """The candidate at a place, or the record with the reason for its rejection."""
         reference = self._nearest(place, query)

@@ -33,9 +33,10 @@ def traversal_of(object_map: ObjectMap, rows: IntArray, *, extent_m: float) -> t
     and after its middle.
     """
     landmarks = object_map.rows[rows]
-    segments, counts = np.unique(landmarks["segment"], return_counts=True)
+    of_segment = object_map.rows["segment"][rows]
+    segments, counts = np.unique(of_segment, return_counts=True)
     segment = int(segments[np.argmax(counts)])
-    travels_m = np.sort(landmarks["last_seen_travel_m"][landmarks["segment"] == segment])
+    travels_m = np.sort(object_map.rows["first_seen_travel_m"][rows[of_segment == segment]])
     ends = np.searchsorted(travels_m, travels_m + 2.0 * extent_m, side="right")
     start = int(np.argmax(ends - np.arange(len(ends))))
     return segment, float(np.median(travels_m[start : ends[start]]))

@@ -105,12 +105,12 @@ class PlaceRetriever:
         return float(np.exp(-np.sum(shares * np.log(shares))))
 
     def retrieve(self, query: Submap, *, before_m: float, seed: int) -> list[Place]:
-        """The best places of a query, given in its gravity frame, among landmarks last seen before that travel.
+        """The best places of a query, given in its gravity frame, among landmarks seen before that travel.
 
         By triangles first, and by descriptors where the classes are told apart.
         """
         landmarks = self._map.rows
-        usable = (landmarks["last_seen_travel_m"] < before_m) & (landmarks["state"] == LandmarkState.CONFIRMED)
+        usable = (landmarks["first_seen_travel_m"] < before_m) & (landmarks["state"] == LandmarkState.CONFIRMED)
         by_triangles = self._config.max_candidates_by_triangles
         places = self._triangles.retrieve(query, usable, count=by_triangles) if by_triangles else []
         if not by_triangles or self.class_perplexity() >= DESCRIBED_PERPLEXITY:
@@ -190,15 +190,22 @@ class PlaceRetriever:
         segment, travel_m = traversal_of(self._map, rows, extent_m=self._extent_m)
         return Place(T_local_query, travel_m, segment, float(distances.mean()))
 
+    def first_seen_travels_m(self, submap: Submap) -> FloatArray:
+        """Travel [m] at which each landmark (N,) of a submap was first seen."""
+        return np.asarray(self._map.rows["first_seen_travel_m"][submap.rows])
+
     def reference_submap(self, place: Place, *, before_m: float) -> Submap:
-        """The landmarks around a place from its traversal, in the odometry frame."""
+        """The landmarks around a place from its traversal, in the odometry frame.
+
+        Those that are seen again by now, because data association never lost them, are of the traversal, too.
+        """
         landmarks = self._map.rows
         centre = place.T_local_query[:3, 3]
         radius_m = PLACE_RADIUS_RANGES * self._sensor_range_m
         offsets = landmarks["position_local"][:, :2] - centre[:2]
         rows = np.flatnonzero(
-            (np.abs(landmarks["last_seen_travel_m"] - place.travel_m) < self._extent_m)
-            & (landmarks["last_seen_travel_m"] < before_m)
+            (landmarks["last_seen_travel_m"] > place.travel_m - self._extent_m)
+            & (landmarks["first_seen_travel_m"] < min(place.travel_m + self._extent_m, before_m))
             & (landmarks["segment"] == place.segment)
             & (landmarks["state"] == LandmarkState.CONFIRMED)
             & (np.einsum("ij,ij->i", offsets, offsets) < radius_m**2)
