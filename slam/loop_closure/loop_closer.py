@@ -302,6 +302,9 @@ class LoopCloser:
         if candidate.log_likelihood_ratio - shifted_llr < self._limits.ambiguity_margin:
             llr = candidate.log_likelihood_ratio
             return compared, f"ambiguous along track: LLR {llr:.1f}, shifted {shifted_llr:.1f}"
+        alias_score = self._verifier.max_score_of_aliases(query, candidate)
+        if candidate.score - alias_score < self._limits.ambiguity_margin:
+            return compared, f"ambiguous pattern: score {candidate.score:.1f}, repeated {alias_score:.1f}"
         return compared, ""
 
     def _accumulate(self, query: Query, candidate: Candidate) -> list[LoopClosureRecord]:

@@ -32,7 +32,6 @@ def traversal_of(object_map: ObjectMap, rows: IntArray, *, extent_m: float) -> t
     A place that was passed several times has landmarks from each of the passes; a traversal reaches ``extent_m`` before
     and after its middle.
     """
-    landmarks = object_map.rows[rows]
     of_segment = object_map.rows["segment"][rows]
     segments, counts = np.unique(of_segment, return_counts=True)
     segment = int(segments[np.argmax(counts)])

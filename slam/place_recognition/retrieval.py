@@ -142,6 +142,10 @@ class PlaceRetriever:
             if found.T_reference_query is not None
         ]
 
+    def aliases(self, query: Submap, *, count: int) -> FloatArray:
+        """Poses (H, 4, 4) of a query in itself at which its objects repeat; one of them is the identity."""
+        return self._triangles.aliases(query, count=count)
+
     def search_exhaustively(self, query: Submap, *, segment: int) -> list[Place]:
         """The best places of a query among all landmarks of another ``segment``, by pairs of objects, no descriptors.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam.common.arrays import BoolArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.submap import Submap
 from slam.place_recognition.place import Place, traversal_of
@@ -35,6 +35,20 @@ class TriangleRetriever:
     def add(self, rows: IntArray, new: IntArray) -> None:
         """Add the triangles of the landmarks ``rows[new]`` (K,) with those around them, ``rows`` (N,)."""
         self._index.add(self._map.rows["position_local"][rows], self._map.classes(rows), rows, new)
+
+    def aliases(self, query: Submap, *, count: int) -> FloatArray:
+        """``T_query_alias`` (H, 4, 4): poses at which most triangles of a query meet others of its own.
+
+        The first is the identity; at the others a regular pattern repeats itself.
+        """
+        rows = np.arange(len(query))
+        own = TriangleIndex(self._index.tolerance_m)
+        own.add(query.positions, query.labels, rows, rows)
+        matches = own.match(query.positions, query.labels, np.ones(len(query), dtype=np.bool_))
+        poses = vote_for_poses(
+            query.positions, query.positions, matches, tolerance_m=self._index.tolerance_m, count=count
+        )
+        return np.stack([np.eye(4), *(pose.T_reference_query for pose in poses)])
 
     def retrieve(self, query: Submap, usable: BoolArray, *, count: int) -> list[Place]:
         """The ``count`` places with most votes of the triangles of a query, among the ``usable`` landmarks (L,)."""
