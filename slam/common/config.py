@@ -236,7 +236,14 @@ class LoopClosureConfig(_Branch):
         default=60.0, gt=0, description="a landmark unseen for that travel is added to the index of descriptors [m]"
     )
     top_k: int = Field(default=6, ge=1, description="nearest neighbours in descriptor space for each object")
-    max_candidates: int = Field(default=3, ge=1, description="candidates that are verified for each keyframe")
+    max_candidates: int = Field(
+        default=3, ge=1, description="candidates by descriptors that are verified for each keyframe"
+    )
+    max_candidates_by_triangles: int = Field(
+        default=3,
+        ge=0,
+        description="... and those by triangles of neighbouring objects, which need no classes; 0: descriptors alone",
+    )
     max_candidates_when_lost: int = Field(
         default=5, ge=0, description="... and those of the exhaustive search that are verified while the robot is lost"
     )

@@ -34,7 +34,7 @@ class Candidate:
     landmarks of the query and of the reference. ``log_likelihood_ratio`` is the sum of the LLR_i, ``odometry_penalty``
     the negative log-likelihood of the odometry residual.
     ``seed_closure``: the keyframe whose closure predicted this one, -1 if retrieval found it; ``rank``: as in
-    :class:`slam.place_recognition.retrieval.Place`. ``accumulated_llr`` and ``best_rival_llr``: as in
+    :class:`slam.place_recognition.place.Place`. ``accumulated_llr`` and ``best_rival_llr``: as in
     :class:`logs.messages.LoopClosureRecord`, None until they are computed.
     """
 

@@ -119,18 +119,21 @@ class LoopCloser:
         if propagated is not None:
             self._monitor.confirm()
             return [self.accept(propagated, f"propagated from the closure of keyframe {propagated.seed_closure}")]
-        # 2. Elsewhere retrieval by descriptors proposes candidates.
+        # 2. Elsewhere landmarks that are still followed, or retrieval by triangles and descriptors, propose candidates.
         if len(query.submap) < self._limits.min_inliers:
             reason = f"{len(query.submap)} landmarks in the submap, min_inliers is {self._limits.min_inliers}"
             return [query.refusal(Stage.RETRIEVAL, reason)]
-        places = self._retriever.retrieve(query.submap, before_m=self._verifier.latest_m(query), seed=keyframe.id)
-        verified = [self._verifier.verify(query, place) for place in places]
+        tracked = self._verifier.tracked_place(query)
+        verified = [self._verifier.verify(query, tracked)] if tracked is not None else []
+        if not self._any_acceptable(verified):
+            places = self._retriever.retrieve(query.submap, before_m=self._verifier.latest_m(query), seed=keyframe.id)
+            verified += [self._verifier.verify(query, place) for place in places]
         # 3. If the robot is lost and none of them is acceptable, the whole map is searched.
         if not self.is_localized(keyframe) and not self._any_acceptable(verified):
             places = self._retriever.search_exhaustively(query.submap, segment=self._keyframes[0].odometry.segment)
             verified += [self._verifier.verify(query, place) for place in places]
         if not verified:
-            return [query.refusal(Stage.RETRIEVAL, "no consistent descriptor matches")]
+            return [query.refusal(Stage.RETRIEVAL, "no matches that agree on a place")]
         # 4. The candidate with the highest score is accepted, kept as a hypothesis or rejected.
         refused = [each for each in verified if isinstance(each, LoopClosureRecord)]
         candidates = suppress_non_maxima(
@@ -299,6 +302,9 @@ class LoopCloser:
         if candidate.log_likelihood_ratio - shifted_llr < self._limits.ambiguity_margin:
             llr = candidate.log_likelihood_ratio
             return compared, f"ambiguous along track: LLR {llr:.1f}, shifted {shifted_llr:.1f}"
+        alias_score = self._verifier.max_score_of_aliases(query, candidate)
+        if candidate.score - alias_score < self._limits.ambiguity_margin:
+            return compared, f"ambiguous pattern: score {candidate.score:.1f}, repeated {alias_score:.1f}"
         return compared, ""
 
     def _accumulate(self, query: Query, candidate: Candidate) -> list[LoopClosureRecord]:

@@ -18,7 +18,8 @@ from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratio
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, gravity_frame
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
-from slam.place_recognition.retrieval import Place, PlaceRetriever
+from slam.place_recognition.place import Place
+from slam.place_recognition.retrieval import PlaceRetriever
 from slam.registration.registration import Registration, refine
 
 # Farther from the reference traversal, in sensor ranges, its map is incomplete.
@@ -30,6 +31,8 @@ MAX_CONSISTENT_PENALTY = 4.5
 ALONG_TRACK_SHIFTS_RANGES = np.concatenate([np.arange(-40.0, -3.0), np.arange(4.0, 41.0)]) / 30.0
 ALONG_TRACK_MATCH_RANGES = 1.5 / 30.0
 ALONG_TRACK_SHIFTS_TRIED = 4
+# Poses of a query in itself that are tried in the aliasing test, the identity among them.
+ALIASES_TRIED = 5
 
 
 class Verifier:
@@ -66,20 +69,27 @@ class Verifier:
         reference = self._nearest(place, query)
         return replace(place, travel_m=reference.odometry.travel_m) if reference else None
 
+    def tracked_place(self, query: Query) -> Place | None:
+        """Where the query is by the landmarks of an earlier traversal that data association still follows.
+
+        They make one map with those of the query, in which the pose is known; None where there are too few of them.
+        """
+        first_seen_m = self._retriever.first_seen_travels_m(query.submap)
+        if np.count_nonzero(first_seen_m < self.latest_m(query)) < self._config.loop_closure.min_inliers:
+            return None
+        segment = query.keyframe.odometry.segment
+        found = self._track.nearest(
+            query.T_local_gravity[:3, 3], segment=segment, from_m=-np.inf, to_m=self.latest_m(query)
+        )
+        if found is None:
+            return None
+        return Place(query.T_local_gravity, self._keyframes[found[0]].odometry.travel_m, segment, 0.0)
+
     def verify(self, query: Query, place: Place, *, seed_closure: int = NOWHERE) -> Candidate | LoopClosureRecord:
         """The candidate at a place, or the record with the reason for its rejection."""
         reference = self._nearest(place, query)
         reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
-        registration = refine(
-            query.submap.positions,
-            query.submap.labels,
-            reference_submap.positions,
-            reference_submap.labels,
-            place.T_local_query,
-            self._config.registration,
-            query_sigmas=query.submap.sigmas,
-            reference_sigmas=reference_submap.sigmas,
-        )
+        registration = self._register(query, reference_submap, place.T_local_query)
         if registration.T_reference_query is None:
             return query.refusal(Stage.REGISTRATION, registration.reason, reference, rank=place.rank)
         reference = self._nearest(replace(place, T_local_query=registration.T_reference_query), query)
@@ -94,6 +104,19 @@ class Verifier:
             return query.refusal(Stage.REGISTRATION, reason, reference, rank=place.rank)
         return self._candidate(query, place, reference_submap, registration, reference, seed_closure)
 
+    def _register(self, query: Query, reference_submap: Submap, T_local_query: FloatArray) -> Registration:
+        """The query registered with a reference submap from an approximate pose (4, 4)."""
+        return refine(
+            query.submap.positions,
+            query.submap.labels,
+            reference_submap.positions,
+            reference_submap.labels,
+            T_local_query,
+            self._config.registration,
+            query_sigmas=query.submap.sigmas,
+            reference_sigmas=reference_submap.sigmas,
+        )
+
     def are_consistent(self, a: Candidate, b: Candidate) -> bool:
         """Whether two candidates of one query may both be true: two traversals of one place, apart by drift."""
         first, second = sorted((a, b), key=lambda candidate: candidate.reference)
@@ -105,6 +128,21 @@ class Verifier:
     def agree(self, T_a: FloatArray, T_b: FloatArray) -> bool:
         """Whether two estimates (4, 4) of one pose agree; see :func:`poses_agree`."""
         return poses_agree(T_a, T_b, sensor_range_m=self._sensor_range_m)
+
+    def max_score_of_aliases(self, query: Query, candidate: Candidate) -> float:
+        """Highest score [nats] at other poses that fit as well if the query's objects stand in a regular pattern."""
+        reference = self._keyframes[candidate.reference]
+        place = Place(candidate.T_local_query, reference.odometry.travel_m, reference.odometry.segment, 0.0)
+        reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
+        scores = [0.0]
+        for T_query_alias in self._retriever.aliases(query.submap, count=ALIASES_TRIED):
+            T_local_alias = np.asarray(candidate.T_local_query @ T_query_alias)
+            registration = self._register(query, reference_submap, T_local_alias)
+            found = registration.T_reference_query
+            if found is not None and not self.agree(found, candidate.T_local_query):
+                alias = self._candidate(query, place, reference_submap, registration, reference, NOWHERE)
+                scores.append(alias.score)
+        return max(scores)
 
     def max_llr_along_track(self, query: Query, candidate: Candidate) -> float:
         """Highest LLR [nats] of the query at poses shifted along its heading: rows of objects repeat themselves.

@@ -44,6 +44,7 @@ LANDMARK = np.dtype(
         ("last_scan", np.int64),
         ("first_seen_ns", np.int64),
         ("last_seen_ns", np.int64),
+        ("first_seen_travel_m", np.float64),
         ("last_seen_travel_m", np.float64),
         ("segment", np.int64),  # of the odometry: positions of one segment have nothing to do with those of another
         # Where it is relative to the robot: a filter in the odometry frame, which is smooth around the robot.
@@ -159,6 +160,7 @@ class ObjectMap:
         landmarks["last_scan"][new] = scan
         landmarks["first_seen_ns"][new] = stamp_ns
         landmarks["last_seen_ns"][new] = stamp_ns
+        landmarks["first_seen_travel_m"][new] = travel_m
         landmarks["last_seen_travel_m"][new] = travel_m
         landmarks["segment"][new] = segment
         landmarks["position_local"][new] = positions_local

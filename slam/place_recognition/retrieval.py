@@ -8,18 +8,20 @@ place. So a few true matches at one place outweigh many false ones that are scat
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from descriptors.constellation import Constellations, gather_constellations
 from descriptors.registry import make_index
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import GeometryError
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, placed_submap
+from slam.place_recognition.place import Place, traversal_of
+from slam.place_recognition.triangle_retrieval import TriangleRetriever
 from slam.registration.exhaustive_search import ExhaustiveSearch
 from slam.registration.registration import register
 
@@ -33,24 +35,10 @@ DESCRIPTOR_RANGE_M = 30.0
 SEARCHED_PAIR_RANGES = 2.0
 # Objects of a query in the exhaustive search, whose time grows with the square of their number.
 SEARCHED_OBJECTS = 25
+# Descriptors are compared where a class tells at least one bit: rings full of objects of one class are all alike.
+DESCRIBED_PERPLEXITY = 2.0
 # Least travel between two updates of the index, in sensor ranges.
 INDEX_EVERY_RANGES = 10.0 / 30.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Place:
-    """A candidate pose of a query: ``T_local_query`` (4, 4), in the odometry frame of the traversal around ``travel_m``
-    of a ``segment``.
-
-    ``retrieval_distance``: mean distance of the agreeing matches in descriptor space; ``rank``: from 1, among the
-    places retrieved for a query, 0 for a place that was not retrieved by descriptors.
-    """
-
-    T_local_query: FloatArray
-    travel_m: float
-    segment: int
-    retrieval_distance: float
-    rank: int = 0
 
 
 class PlaceRetriever:
@@ -64,6 +52,9 @@ class PlaceRetriever:
         self._extent_m = TRAVERSAL_EXTENT * config.loop_closure.min_travel_m
         self._map = object_map
         self._index = make_index(config.loop_closure.descriptor)
+        self._triangles = TriangleRetriever(
+            object_map, landmark_sigma_m=config.submap.landmark_sigma_m, extent_m=self._extent_m
+        )
         self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
         self._indexed_m = -np.inf
         self._searches: dict[int, tuple[IntArray, ExhaustiveSearch | None]] = {}
@@ -88,12 +79,9 @@ class PlaceRetriever:
             & (landmarks["segment"] == segment)
             & (landmarks["last_seen_travel_m"] > earliest_m)
         )
-        constellations = self._constellations(
-            landmarks["position_local"][around],
-            self._map.classes(around),
-            np.asarray(np.searchsorted(around, new)),
-        )
-        self._index.add(constellations)
+        centres = np.asarray(np.searchsorted(around, new))
+        self._triangles.add(around, centres)
+        self._index.add(self._constellations(landmarks["position_local"][around], self._map.classes(around), centres))
         self._rows = np.concatenate([self._rows, new])
 
     def _constellations(
@@ -110,10 +98,27 @@ class PlaceRetriever:
         counts = 1.0 + np.bincount(self._map.classes(self._rows), minlength=len(self._map.vocabulary))
         return np.asarray(counts / counts.sum())
 
+    def class_perplexity(self) -> float:
+        """The number of equally frequent classes that would be as hard to guess as those of the indexed landmarks."""
+        counts = np.bincount(self._map.classes(self._rows))
+        shares = counts[counts > 0] / max(len(self._rows), 1)
+        return float(np.exp(-np.sum(shares * np.log(shares))))
+
     def retrieve(self, query: Submap, *, before_m: float, seed: int) -> list[Place]:
-        """The best places of a query, given in its gravity frame, among landmarks last seen before that travel."""
+        """The best places of a query, given in its gravity frame, among landmarks seen before that travel.
+
+        By triangles first, and by descriptors where the classes are told apart.
+        """
         landmarks = self._map.rows
-        usable = (landmarks["last_seen_travel_m"] < before_m) & (landmarks["state"] == LandmarkState.CONFIRMED)
+        usable = (landmarks["first_seen_travel_m"] < before_m) & (landmarks["state"] == LandmarkState.CONFIRMED)
+        by_triangles = self._config.max_candidates_by_triangles
+        places = self._triangles.retrieve(query, usable, count=by_triangles) if by_triangles else []
+        if not by_triangles or self.class_perplexity() >= DESCRIBED_PERPLEXITY:
+            places += self._described(query, usable, seed=seed)
+        return [replace(place, rank=rank) for rank, place in enumerate(places, start=1)]
+
+    def _described(self, query: Submap, usable: BoolArray, *, seed: int) -> list[Place]:
+        """The best places of a query by descriptors."""
         constellations = self._constellations(query.positions, query.labels)
         matches = self._index.search(constellations, self._config.top_k, usable[self._rows])
         if not len(matches.queries):
@@ -131,12 +136,15 @@ class PlaceRetriever:
             rng=np.random.default_rng(seed),
             count=self._config.max_candidates,
         )
-        places = [
+        return [
             self._place(found.T_reference_query, reference.rows[found.pairs[:, 1]], matches.distances[found.inliers])
             for found in registrations
             if found.T_reference_query is not None
         ]
-        return [replace(place, rank=rank) for rank, place in enumerate(places, start=1)]
+
+    def aliases(self, query: Submap, *, count: int) -> FloatArray:
+        """Poses (H, 4, 4) of a query in itself at which its objects repeat; one of them is the identity."""
+        return self._triangles.aliases(query, count=count)
 
     def search_exhaustively(self, query: Submap, *, segment: int) -> list[Place]:
         """The best places of a query among all landmarks of another ``segment``, by pairs of objects, no descriptors.
@@ -183,21 +191,25 @@ class PlaceRetriever:
 
     def _place(self, T_local_query: FloatArray, rows: IntArray, distances: NDArray[np.float32]) -> Place:
         """The place of a pose on which matches with the landmarks ``rows`` (K,) agree."""
-        landmarks = self._map.rows[rows]
-        segments, counts = np.unique(landmarks["segment"], return_counts=True)
-        segment = int(segments[np.argmax(counts)])
-        travels_m = landmarks["last_seen_travel_m"][landmarks["segment"] == segment]
-        return Place(T_local_query, float(np.median(travels_m)), segment, float(distances.mean()))
+        segment, travel_m = traversal_of(self._map, rows, extent_m=self._extent_m)
+        return Place(T_local_query, travel_m, segment, float(distances.mean()))
+
+    def first_seen_travels_m(self, submap: Submap) -> FloatArray:
+        """Travel [m] at which each landmark (N,) of a submap was first seen."""
+        return np.asarray(self._map.rows["first_seen_travel_m"][submap.rows])
 
     def reference_submap(self, place: Place, *, before_m: float) -> Submap:
-        """The landmarks around a place from its traversal, in the odometry frame."""
+        """The landmarks around a place from its traversal, in the odometry frame.
+
+        Those that are seen again by now, because data association never lost them, are of the traversal, too.
+        """
         landmarks = self._map.rows
         centre = place.T_local_query[:3, 3]
         radius_m = PLACE_RADIUS_RANGES * self._sensor_range_m
         offsets = landmarks["position_local"][:, :2] - centre[:2]
         rows = np.flatnonzero(
-            (np.abs(landmarks["last_seen_travel_m"] - place.travel_m) < self._extent_m)
-            & (landmarks["last_seen_travel_m"] < before_m)
+            (landmarks["last_seen_travel_m"] > place.travel_m - self._extent_m)
+            & (landmarks["first_seen_travel_m"] < min(place.travel_m + self._extent_m, before_m))
             & (landmarks["segment"] == place.segment)
             & (landmarks["state"] == LandmarkState.CONFIRMED)
             & (np.einsum("ij,ij->i", offsets, offsets) < radius_m**2)

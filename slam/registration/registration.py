@@ -5,9 +5,12 @@ Knows neither map nor graph: positions, their noise, and which objects may be th
 
 from __future__ import annotations
 
-import numpy as np
+from itertools import chain
 
-from slam.common.arrays import FloatArray, IntArray
+import numpy as np
+from scipy.spatial import cKDTree
+
+from slam.common.arrays import ComplexArray, FloatArray, IntArray
 from slam.common.config import RegistrationConfig
 from slam.common.errors import GeometryError
 from slam.registration.estimate import Registration, estimate, not_found
@@ -18,6 +21,8 @@ __all__ = ["Registration", "refine", "refine_many", "register"]
 
 POLISHED = 8
 """Distinct poses that are refined for each one that is asked for."""
+REACH_RADII = 2.0
+"""Objects that many search radii, or gates, from one another are no pair of a refinement."""
 VOTED_RADIUS_SIGMAS = 2.0
 """How far a voted pose looks for partners at first, in gates."""
 
@@ -134,13 +139,21 @@ def refine_many(
     T_initial = np.asarray(T_initial, dtype=np.float64)
     if T_initial.ndim != 3 or T_initial.shape[1:] != (4, 4) or not np.isfinite(T_initial).all():
         raise GeometryError(f"initial poses of shape {T_initial.shape} are not (H, 4, 4), or not finite")
-    pairs = np.argwhere(np.asarray(query_labels)[:, None] == np.asarray(reference_labels))
     _check("query", query_positions, query_sigmas, np.zeros(0, np.int64), len(query_labels))
     _check("reference", reference_positions, reference_sigmas, np.zeros(0, np.int64), len(reference_labels))
-    if len(pairs) == 0:
-        return [not_found("no object of the query has the label of one in the reference")] * len(T_initial)
     if len(T_initial) == 0:
         return []
+    pairs = _near_pairs(
+        query_positions,
+        reference_positions,
+        T_initial,
+        config,
+        query_sigmas=query_sigmas,
+        reference_sigmas=reference_sigmas,
+    )
+    pairs = pairs[np.asarray(query_labels)[pairs[:, 0]] == np.asarray(reference_labels)[pairs[:, 1]]]
+    if len(pairs) == 0:
+        return [not_found("no object of the query is near one of its label in the reference")] * len(T_initial)
     columns = make_columns(query_positions, reference_positions, pairs, query_sigmas, reference_sigmas, config)
     poses = _pose_rows(T_initial, columns)
     poses, near = refine_poses(poses, columns, config, radius_m=config.search_radius_m)
@@ -149,6 +162,33 @@ def refine_many(
         Registration(r.T_reference_query, r.covariance, np.arange(len(r.pairs)), r.pairs, r.score, r.reason, r.scale)
         for r in results
     ]
+
+
+def _near_pairs(
+    query_positions: FloatArray,
+    reference_positions: FloatArray,
+    T_initial: FloatArray,
+    config: RegistrationConfig,
+    *,
+    query_sigmas: FloatArray,
+    reference_sigmas: FloatArray,
+) -> IntArray:
+    """Pairs (P, 2) that are so near at one of the poses (H, 4, 4) that its refinement can come to use them."""
+    if len(query_positions) == 0 or len(reference_positions) == 0:
+        return np.zeros((0, 2), dtype=np.int64)
+    sigma_m = float(np.hypot(query_sigmas.max(), reference_sigmas.max()))
+    reach_m = REACH_RADII * max(config.search_radius_m, config.gate_sigma * sigma_m)
+    centre = query_positions.mean(axis=0)
+    middles = T_initial[:, :3, :3] @ centre + T_initial[:, :3, 3]
+    offsets = query_positions - centre
+    moved = np.multiply.outer(_headings(T_initial), offsets[:, 0] + 1j * offsets[:, 1])
+    moved += (middles[:, 0] + 1j * middles[:, 1])[:, None]
+    points = np.column_stack([moved.real.ravel(), moved.imag.ravel()])
+    near = cKDTree(reference_positions[:, :2]).query_ball_point(points, reach_m)
+    query = np.repeat(np.tile(np.arange(len(offsets)), len(T_initial)), [len(objects) for objects in near])
+    reference = np.fromiter(chain.from_iterable(near), dtype=np.int64, count=len(query))
+    keys = np.unique(query * len(reference_positions) + reference)
+    return np.stack(np.divmod(keys, len(reference_positions)), axis=1)
 
 
 def _check(name: str, positions: FloatArray, sigmas: FloatArray, indices: IntArray, labels: int | None = None) -> None:
@@ -187,14 +227,19 @@ def _degenerate(columns: Columns, config: RegistrationConfig) -> str:
 
 def _pose_rows(T: FloatArray, columns: Columns) -> FloatArray:
     """Rows (H, 6) of level poses that carry the query's centre where the transforms (H, 4, 4) do."""
-    heading = T[:, 0, 0] + T[:, 1, 1] + 1j * (T[:, 1, 0] - T[:, 0, 1])
-    length = np.abs(heading)
-    heading = np.where(length > 0.0, heading, 1.0) / np.where(length > 0.0, length, 1.0)
+    heading = _headings(T)
     rows = np.empty((len(T), 6))
     rows[:, 0], rows[:, 1] = heading.real, heading.imag
     rows[:, 2:5] = T[:, :3, :3] @ columns.query_centre + T[:, :3, 3] - columns.reference_centre
     rows[:, 5] = 1.0
     return rows
+
+
+def _headings(T: FloatArray) -> ComplexArray:
+    """Rotations (H,) about z, of length 1, that are nearest to those of the transforms (H, 4, 4)."""
+    heading = T[:, 0, 0] + T[:, 1, 1] + 1j * (T[:, 1, 0] - T[:, 0, 1])
+    length = np.abs(heading)
+    return np.asarray(np.where(length > 0.0, heading, 1.0) / np.where(length > 0.0, length, 1.0))
 
 
 def _ranked(poses: FloatArray, columns: Columns, config: RegistrationConfig) -> tuple[FloatArray, FloatArray]:
