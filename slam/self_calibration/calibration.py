@@ -66,7 +66,7 @@ LEAST_DRIFT, LEAST_TURN_RAD = 0.01, 0.005
 and by so many radians.
 """
 UNIQUE_INFLATION = 5.0
-"""Up to so many intervals between scans, a difference in time between odometry and detections is put down to how the
+"""Factor on the odometry's noise where no two objects of a class share a scan: a wide gate then confuses nothing."""
 STAMPING_SCANS = 2.0
 """Up to so many intervals between scans, a difference in time between odometry and detections is a matter of how the
 odometry is stamped (of a step, its begin or its end), and the odometry is moved; beyond that, detections were old when
