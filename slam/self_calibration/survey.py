@@ -76,7 +76,7 @@ def survey(records: Iterable[Record], config: DetectionConfig) -> Survey | None:
     return summarize(scans, errors) if any(np.any(scan.positions) for scan in scans) else None
 
 
-def summarize(scans: list[SurveyScan], errors: InputErrors) -> Survey:
+def summarize(scans: list[SurveyScan], errors: InputErrors | None = None) -> Survey:
     """What scans (one at least), in the order of their stamps and corrected by ``errors``, tell."""
     poses = np.stack([scan.T_odom_body for scan in scans])
     headings = _headings(scans)
@@ -106,7 +106,7 @@ def summarize(scans: list[SurveyScan], errors: InputErrors) -> Survey:
         claimed_ratio=_claimed_ratio(tracks, components),
         shared_bias_m=float(np.sqrt(np.mean(biases[tracks.labels] ** 2))) if len(tracks.labels) else 0.0,
         components=components,
-        errors=errors,
+        errors=errors or InputErrors(),
     )
 
 

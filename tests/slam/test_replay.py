@@ -31,7 +31,7 @@ from slam.common.errors import SlamError
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import read_records
 from slam.replay import replay
-from slam.self_calibration.calibration import calibrate
+from slam.self_calibration.calibration import Calibration, calibrate
 from slam.self_calibration.survey import survey
 from slam.system import Slam
 from tests.helpers.short_drives import (
@@ -121,18 +121,19 @@ def test_odometry_and_truth_are_copied_bit_for_bit(noisy_log, noisy_output):
     assert content(noisy_output) == content(noisy_log)
 
 
-def calibrated(log: Path, config: Config) -> Config:
+def calibrated(log: Path, config: Config) -> Calibration:
     with LogReader(log) as reader:
         found = survey((entry.record for entry in reader.records(select_all(reader.topics()))), config.detection)
     assert found is not None
-    return calibrate(config, found).config
+    return calibrate(config, found)
 
 
 def test_the_output_says_what_it_was_made_from(noisy_log, noisy_output):
     with LogReader(noisy_output) as reader:
         found = reader.metadata()["dslam"]
     assert found["input_sha256"] == file_sha256(noisy_log)
-    assert Config.model_validate_json(found["configuration"]) == calibrated(noisy_log, Config())
+    assert Config.model_validate_json(found["configuration"]) == Config()
+    assert json.loads(found["estimated"]) == dict(calibrated(noisy_log, Config()).estimated)
     assert found["version"]
     assert json.loads(found["topics"])["/odom"] == ["odometry"]
 
@@ -276,6 +277,8 @@ def test_the_first_half_minute_of_a_real_drive_is_as_good_as_its_odometry(tmp_pa
     write_imported_log(tmp_path / "in.mcap", records, recorded.source)
     replay(tmp_path / "in.mcap", tmp_path / "out.mcap", Config())
     found = evaluate(read_records(tmp_path / "out.mcap"))
-    assert found.counters["odometry_used"] == found.counters["detections_used"] == 300
+    assert found.counters["odometry_used"] == 300
+    # The odometry runs ahead by a scan, and is moved: the first scans come before it.
+    assert found.counters["detections_used"] >= 297
     assert found.counters["landmarks_confirmed"] > 50
     assert found.estimate.absolute.rmse_m < 1.05 * found.odometry.absolute.rmse_m

@@ -347,7 +347,9 @@ def test_a_kidnapping_is_told_and_both_parts_are_mapped(config):
     entries = drive(config.model_copy(update={"kidnap": KidnapConfig(from_m=60.0, to_m=100.0, gap_s=30.0)}))
     slam = Slam(Config())
     told = [u for _, _, record in entries for u in slam.process(record) if isinstance(u, StatusRecord)]
-    assert [status.level for status in told] == ["info", "warning"]
+    # The second part may meet objects of the first: then it is told that the robot was relocalized, too.
+    assert [status.level for status in told][:2] == ["info", "warning"]
+    assert all(status.level == "info" for status in told[2:])
     final = slam.finish()
     assert final.status.counters["odometry_breaks"] == 1
     assert final.graph.edge_kinds.count("discontinuity") == 1

@@ -33,17 +33,19 @@ class Bench:
         self.map = ObjectMap(self.config.association)
         self.active = ActiveLandmarks(self.config, self.map)
         self.x = 0.0
+        self.scan = 0
         self.active.advance(pose_at(0.0))
 
     def add(self, positions: FloatArray, labels: tuple[str, ...] | None = None, *, confirmed: bool = True) -> IntArray:
-        """Landmarks at ``positions`` (N, 3) m, local frame, just seen."""
+        """Landmarks at ``positions`` (N, 3) m, local frame, seen in a scan of their own."""
+        self.scan += 1
         positions = np.array(positions, dtype=np.float64)
         rows = self.map.add(
             positions,
             np.tile(SIGMA_M**2 * np.eye(3), (len(positions), 1, 1)),
             self.map.label_indices(labels or ("tree",) * len(positions)),
             stamp_ns=round(self.x * 1e9),
-            scan=0,
+            scan=self.scan,
             travel_m=self.x,
         )
         self.active.add(rows)
@@ -99,7 +101,7 @@ def test_a_landmark_is_let_go_once_it_is_as_uncertain_as_objects_are_apart():
 def test_the_inflation_of_the_odometry_counts():
     sigmas = []
     for inflation in (1.0, 2.0):
-        bench = Bench(odometry={"inflation": inflation})
+        bench = Bench(association={"odometry_inflation": inflation})
         bench.add([[5.0, 2.0, 0.0]])
         bench.advance(40.0)
         sigmas.append(bench.sigma_m(0) ** 2 - SIGMA_M**2)
