@@ -50,7 +50,7 @@ check: lint
 	$(BIN)/pytest -m 'not slow' -n auto --dist loadfile
 
 test: lint
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto --dist loadfile
 
 # Its own environment: the generated code must stay readable by the oldest protobuf that pyproject.toml allows.
 schemas: | $(PROTOC)
