@@ -123,7 +123,7 @@ class LoopCloser:
         if len(query.submap) < self._limits.min_inliers:
             reason = f"{len(query.submap)} landmarks in the submap, min_inliers is {self._limits.min_inliers}"
             return [query.refusal(Stage.RETRIEVAL, reason)]
-        tracked = self._verifier.tracked_place(query)
+        tracked = self._verifier.tracked_place(query) if self._limits.close_tracked else None
         verified = [self._verifier.verify(query, tracked)] if tracked is not None else []
         if not self._any_acceptable(verified):
             places = self._retriever.retrieve(query.submap, before_m=self._verifier.latest_m(query), seed=keyframe.id)

@@ -102,6 +102,10 @@ class Verifier:
         if len(registration.pairs) < least:
             reason = f"{len(registration.pairs)} inliers, {setting} is {least}"
             return query.refusal(Stage.REGISTRATION, reason, reference, rank=place.rank)
+        seen, met = query.submap.rows[registration.pairs[:, 0]], reference_submap.rows[registration.pairs[:, 1]]
+        if not limits.close_tracked and 2 * int(np.sum(seen == met)) > len(seen):
+            reason = "its landmarks are still associated: there is no loop to close"
+            return query.refusal(Stage.CONSISTENCY, reason, reference, rank=place.rank)
         return self._candidate(query, place, reference_submap, registration, reference, seed_closure)
 
     def _register(self, query: Query, reference_submap: Submap, T_local_query: FloatArray) -> Registration:
