@@ -63,7 +63,7 @@ by 5 % of it, and by 11 deg, after as much travel, and by 6 deg after turning by
 """
 LEAST_DRIFT, LEAST_TURN_RAD = 0.01, 0.005
 """Detections cannot tell an odometry better than that: off by such a share of the sensor range after as much travel,
-and by so many radians.
+and by so many radians. An estimate of zero only says that the noise is below what detections show.
 """
 UNIQUE_INFLATION = 5.0
 """Factor on the odometry's noise where no two objects of a class share a scan: a wide gate then confuses nothing."""
@@ -179,13 +179,12 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
     submap_m = _lengths(config, survey)["submap.travel_m"]
     between_passes = found.view + 0.5 * submap_m * found.translation_by_travel
     floor_m = 1e-4 * survey.range_m
-    least_heading = LEAST_TURN_RAD / np.sqrt(survey.range_m) if turn < 1.0 else 1e-5
     return {
         "odometry.translation_sigma": max(
             np.sqrt(drift * found.translation_by_travel), LEAST_DRIFT * np.sqrt(survey.range_m)
         ),
         "odometry.translation_sigma_by_time": np.sqrt(drift * found.translation_by_time),
-        "odometry.yaw_sigma": max(np.sqrt(turn * found.heading_by_travel), least_heading),
+        "odometry.yaw_sigma": max(np.sqrt(turn * found.heading_by_travel), LEAST_TURN_RAD / np.sqrt(survey.range_m)),
         "odometry.yaw_sigma_by_turn": np.sqrt(turn * found.heading_by_turn),
         "odometry.yaw_sigma_by_time": np.sqrt(turn * found.heading_by_time),
         "odometry.min_translation_sigma_m": floor_m,

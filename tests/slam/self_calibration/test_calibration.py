@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from slam.common.config import Config
-from slam.self_calibration.calibration import LENGTHS, calibrate
+from slam.self_calibration.calibration import LEAST_DRIFT, LEAST_TURN_RAD, LENGTHS, calibrate
 from slam.self_calibration.survey import Survey, summarize
+from slam.self_calibration.variance_components import ComponentEstimate, NoiseComponents
 from tests.helpers.surveyed_drives import SurveyedDrive
 
 NOISE = {"radial": 0.1, "tangential": 0.1, "translation_by_travel": 0.05, "heading_by_turn": 0.03}
@@ -150,6 +151,14 @@ def test_where_a_log_tells_nothing_of_its_noise_it_is_taken_to_be_large(surveyed
     assert untold.odometry.yaw_sigma == pytest.approx(0.2 / np.sqrt(range_m))
     for name in ("translation_sigma", "yaw_sigma", "yaw_sigma_by_turn"):
         assert getattr(untold.odometry, name) > getattr(told.odometry, name), name
+
+
+def test_an_estimate_of_zero_leaves_a_least_heading_noise(surveyed):
+    zero = NoiseComponents(**dict.fromkeys(NoiseComponents.__dataclass_fields__, 0.0))
+    silent = replace(surveyed, shared_bias_m=0.0, components=ComponentEstimate(zero, zero, 1000))
+    found = calibrate(Config(), silent).config.odometry
+    assert found.yaw_sigma * np.sqrt(surveyed.range_m) == pytest.approx(LEAST_TURN_RAD)
+    assert found.translation_sigma * np.sqrt(surveyed.range_m) == pytest.approx(LEAST_DRIFT * surveyed.range_m)
 
 
 def test_objects_that_are_never_two_of_a_class_cannot_be_confused(surveyed):
