@@ -47,6 +47,8 @@ _MAPPED = (RecordKind.ODOMETRY, RecordKind.DETECTIONS, RecordKind.TRANSFORMS)
 # The estimator never sees these; they are copied as they are, so that the output can be evaluated on its own.
 _COPIED = (RecordKind.ODOMETRY, RecordKind.GROUND_TRUTH, RecordKind.DETECTION_TRUTH, RecordKind.OBJECT_TRUTH)
 
+DEFAULTS = Config()
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReplaySummary:
@@ -76,7 +78,7 @@ class ReplaySummary:
 def replay(
     source: Path,
     output: Path,
-    config: Config,
+    config: Config = DEFAULTS,
     *,
     topics: Mapping[str, str] | None = None,
     prior_map: SavedMap | None = None,

@@ -75,7 +75,7 @@ LAYERS = (
     {"system"},
     {"replay"},
     {"simulation", "evaluation"},
-    {"sweeps"},
+    {"sweeps", "library"},
     {"benchmarks"},
 )
 """The stages of the method: each imports only from the rows above its own."""

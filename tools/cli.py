@@ -31,6 +31,8 @@ INTERNAL_ERROR = 70
 INTERRUPTED = 130
 
 _ANYWHERE = ("--debug", "--verbose", "-v")
+_PREFIX = __name__.removesuffix("tools.cli")
+"""Of the names of our packages: "dslam." in a wheel."""
 
 app = typer.Typer(
     name="dslam",
@@ -38,7 +40,6 @@ app = typer.Typer(
     epilog="--verbose and --debug may also stand after the command. Exit codes: 0 done, 1 a required bar was not met, "
     "2 bad input.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -76,7 +77,7 @@ def _global_options(
         level = logging.DEBUG if debug else logging.INFO
         logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
         for package in ("slam", "logs", "descriptors", "tools"):
-            logging.getLogger(package).setLevel(level)
+            logging.getLogger(f"{_PREFIX}{package}").setLevel(level)
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -1,0 +1,110 @@
+"""The public library: every name of it, its examples, and that it starts among packages of the same names."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dslam
+from dslam import (
+    InputDataError,
+    LogReader,
+    ObjectDetections,
+    ScanLocalizer,
+    landmark_table,
+    read_map,
+    read_trajectory,
+    select_topics,
+)
+from slam.replay import replay
+
+ROOT = Path(__file__).resolve().parents[1]
+SAMPLE = ROOT / "logs" / "samples" / "short_drive.mcap"
+EXAMPLES = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "library.md").read_text(encoding="utf-8"), re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With a drive, its result and its map, by the names of the examples."""
+    folder = tmp_path_factory.mktemp("library")
+    shutil.copy(SAMPLE, folder / "drive.mcap")
+    replay(SAMPLE, folder / "map.mcap", map_path=folder / "saved.mcap")
+    return folder
+
+
+def test_every_public_name_is_typed_and_found() -> None:
+    tree = ast.parse((ROOT / "dslam.py").read_text(encoding="utf-8"))
+    typed = {
+        name.name
+        for block in tree.body
+        if isinstance(block, ast.If)
+        for node in ast.walk(block)
+        if isinstance(node, ast.ImportFrom)
+        for name in node.names
+    }
+    assert set(dslam.__all__) == typed - {"main"}
+    assert all(getattr(dslam, name).__doc__ for name in dslam.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = dslam.nothing
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(len(EXAMPLES)))
+def test_examples_run_and_are_short(number: int, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    example = EXAMPLES[number]
+    assert len([line for line in example.splitlines() if line and "import" not in line]) <= 10
+    exec(compile(example, f"example {number}", "exec"), {})
+
+
+@pytest.mark.slow
+def test_a_saved_map_and_the_result_of_a_replay_hold_the_same_landmarks(folder: Path) -> None:
+    final, saved = read_map(folder / "map.mcap"), read_map(folder / "saved.mcap")
+    assert set(saved.ids) <= set(final.ids)
+    table = landmark_table(final)
+    assert {len(column) for column in table.values()} == {len(final.ids)}
+    np.testing.assert_array_equal(np.column_stack([table["x_m"], table["y_m"], table["z_m"]]), final.positions)
+    assert np.all(table["x_sigma_m"] > 0.0)
+
+
+@pytest.mark.slow
+def test_scans_are_found_where_they_were_made(folder: Path) -> None:
+    trajectory = read_trajectory(folder / "map.mcap")
+    localizer = ScanLocalizer(read_map(folder / "saved.mcap"))
+    with LogReader(SAMPLE) as log:
+        records = [entry.record for entry in log.records(select_topics(log.topics()))]
+    scans = [record for record in records if isinstance(record, ObjectDetections)]
+    errors_m = []
+    for scan in scans[::10]:
+        found = localizer.localize(scan)
+        place = min(np.searchsorted(trajectory.stamps_ns, scan.stamp_ns), len(trajectory.stamps_ns) - 1)
+        if found.found:
+            errors_m.append(np.linalg.norm((found.T_reference_query - trajectory.T_map_body[place])[:2, 3]))
+    assert len(errors_m) > len(scans[::10]) / 2
+    assert np.median(errors_m) < 1.0
+
+
+def test_a_log_without_a_map_is_refused() -> None:
+    with pytest.raises(InputDataError, match="holds no map"):
+        read_map(SAMPLE)
+    with pytest.raises(InputDataError, match="holds no trajectory"):
+        read_trajectory(SAMPLE)
+
+
+@pytest.mark.parametrize("start", ["import sys; from dslam import main; main()", "-m"])
+def test_the_command_starts_beside_packages_of_the_same_names(start: str, tmp_path: Path) -> None:
+    for name in ("tools", "logs", "slam", "descriptors"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("raise RuntimeError('somebody else')\n", encoding="utf-8")
+    command = [sys.executable, *(["-m", "dslam"] if start == "-m" else ["-c", start]), "--version"]
+    path = f"{tmp_path}:{ROOT}"
+    result = subprocess.run(command, cwd=tmp_path, env={"PYTHONPATH": path}, capture_output=True, text=True)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert result.stdout.startswith("dslam ")
