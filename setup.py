@@ -1,8 +1,8 @@
 """How the wheel is built: everything in it stands below the one package ``dslam``.
 
 The folders of the repository are imported as ``slam``, ``descriptors``, ``logs`` and ``tools``, names that other
-packages have too. Setuptools can place ``slam`` at ``dslam.slam``, but leaves the imports in its files as they are; here
-they are changed. An editable install imports the folders as they are.
+packages have too. Setuptools can place ``slam`` at ``dslam.slam``, but leaves the imports in its files as they are;
+they are changed here. An editable install imports the folders as they are.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from tools import (
     train,
 )
 from tools.benchmarks import commands as benchmark
-from tools.evaluation import evaluate
+from tools.evaluation import compare, evaluate, sweep
 
 BAD_INPUT = 2
 INTERNAL_ERROR = 70
@@ -50,6 +50,8 @@ app.command()(info.info)
 app.command()(replay.replay)
 app.command()(relocalize.relocalize)
 app.command()(evaluate.evaluate)
+app.command()(compare.compare)
+app.command()(sweep.sweep)
 app.command()(export.export)
 app.command()(optimize.optimize)
 app.command()(config.config)
@@ -84,7 +86,7 @@ def run(arguments: Sequence[str]) -> int:
     """Run one command line and return its exit code; whatever goes wrong is one line on standard error."""
     debug = "--debug" in arguments
     moved = [argument for argument in arguments if argument in _ANYWHERE]
-    rest = evaluate.expand_json_file([argument for argument in arguments if argument not in _ANYWHERE])
+    rest = [argument for argument in arguments if argument not in _ANYWHERE]
     try:
         code = app(args=[*moved, *rest], prog_name="dslam", standalone_mode=False)
         sys.stdout.flush()

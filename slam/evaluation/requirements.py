@@ -43,6 +43,10 @@ class Requirement:
             return f"{self.key} is {value:g}, where {self.sign} {self.bar:g} was required"
         return ""
 
+    def describe(self, results: Mapping[str, Any]) -> str:
+        """The value and the bar that it meets."""
+        return f"{self.key} is {dict(_numbers(results))[self.key]:g} {self.sign} {self.bar:g}"
+
 
 def parse_requirement(text: str) -> Requirement:
     """The requirement that ``text`` states.

@@ -1,4 +1,4 @@
-"""Several logs side by side, sweeps, and which options go together."""
+"""One log, several side by side, and sweeps."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from slam.evaluation.comparison import compare_runs
 from tests.helpers.short_drives import Entry, keep_until, write_log
 from tests.tools.runs import SAMPLE, Run, assert_refused
 from tools import cli
-from tools.evaluation.comparison import compare_table
+from tools.evaluation.compare import compare_table
 
 pytestmark = pytest.mark.slow
 
@@ -68,13 +68,13 @@ class TestOneLog:
 
 class TestSeveralLogs:
     def test_groups_with_mean_and_deviation(self, dslam: Run, maps: list[Path]) -> None:
-        result = dslam("evaluate", *maps)
+        result = dslam("compare", *maps)
         assert (result.code, result.err) == (0, "")
         assert "calibration.enabled=false" in " ".join(result.out.split())
         assert "(2 runs)" in result.out
         assert "keyframe.distance_m=30.0" in result.out
         assert "pooled standard deviations" in result.out
-        told = json.loads(dslam("evaluate", *maps, "--json").out)
+        told = json.loads(dslam("compare", *maps, "--json").out)
         assert [each["group"] for each in told["runs"]] == [0, 0, 1]
         alone = [json.loads(dslam("evaluate", path, "--json").out) for path in maps]
         assert [each["evaluation"] for each in told["runs"]] == alone
@@ -82,11 +82,11 @@ class TestSeveralLogs:
         assert told["groups"][0]["figures"]["trajectory.ate_m"]["mean"] == pytest.approx(sum(ates[:2]) / 2)
 
     def test_repetitions_only_are_runs_and_their_mean(self, dslam: Run, maps: list[Path]) -> None:
-        head = next(line for line in dslam("evaluate", *maps[:2]).out.splitlines() if line.strip())
+        head = next(line for line in dslam("compare", *maps[:2]).out.splitlines() if line.strip())
         assert head.split() == ["map0", "map1", "mean", "±", "deviation"]
 
     def test_single_runs_are_not_marked_and_told_why(self, dslam: Run, maps: list[Path]) -> None:
-        out = dslam("evaluate", maps[0], maps[2]).out
+        out = dslam("compare", maps[0], maps[2]).out
         assert "*" not in out
         assert "no difference is marked" in " ".join(out.split())
 
@@ -108,8 +108,10 @@ class TestSeveralLogs:
         assert f"{green}0.900 ± 0.000 *" in recall
 
     def test_a_bar_holds_of_every_run(self, dslam: Run, maps: list[Path]) -> None:
-        assert dslam("evaluate", *maps, "--require", "trajectory.ate_m<=10").code == 0
-        result = dslam("evaluate", *maps, "--require", "trajectory.ate_m<=0")
+        met = dslam("compare", *maps, "--require", "trajectory.ate_m<=10")
+        assert met.code == 0
+        assert all(f"met: {path}: trajectory.ate_m is" in " ".join(met.out.split()) for path in maps)
+        result = dslam("compare", *maps, "--require", "trajectory.ate_m<=0")
         assert result.code == 1
         assert result.err.count("\n") == 1
         assert all(f"{path}: trajectory.ate_m is" in result.err for path in maps)
@@ -117,21 +119,19 @@ class TestSeveralLogs:
     def test_the_same_run_twice(self, dslam: Run, maps: list[Path], tmp_path: Path) -> None:
         copy = tmp_path / "copy.mcap"
         shutil.copy(maps[0], copy)
-        assert_refused(dslam("evaluate", maps[0], copy), "the same run", str(copy))
+        assert_refused(dslam("compare", maps[0], copy), "the same run", str(copy))
 
-    def test_what_is_of_one_run(self, dslam: Run, maps: list[Path], tmp_path: Path) -> None:
-        for option in ("--picture", "--html"):
-            assert_refused(dslam("evaluate", *maps, option, tmp_path / "a"), "one log")
-        assert not (tmp_path / "a").exists()
+    def test_one_log_is_not_compared(self, dslam: Run, maps: list[Path]) -> None:
+        assert_refused(dslam("compare", maps[0]), "one log was given", "dslam evaluate")
 
     def test_one_that_holds_no_estimate(self, dslam: Run, maps: list[Path]) -> None:
-        assert_refused(dslam("evaluate", maps[0], SAMPLE), str(SAMPLE), "no estimate")
+        assert_refused(dslam("compare", maps[0], SAMPLE), str(SAMPLE), "no estimate")
 
 
 class TestSweep:
     def test_it_leaves_tables_and_a_picture(self, dslam: Run, short_log: Path, tmp_path: Path) -> None:
         folder = tmp_path / "sweep"
-        command = ("evaluate", short_log, "--sweep", folder, "--degrade", "dropout=0.5", "--seeds", 1, "--jobs", 1)
+        command = ("sweep", short_log, "-o", folder, "--degrade", "dropout=0.5", "--seeds", 1, "--jobs", 1)
         result = dslam(*command, "--rules", "--set", "keyframe.distance_m=3")
         assert (result.code, result.err) == (0, "")
         assert "2 cells computed" in result.out
@@ -147,31 +147,18 @@ class TestSweep:
         assert told["configuration"]["keyframe"]["distance_m"] == 3.0
 
     def test_a_cell_that_fails_is_named_and_the_code_is_1(self, dslam: Run, short_log: Path, tmp_path: Path) -> None:
-        sweep = ("--sweep", tmp_path / "sweep", "--jobs", 1, "--degrade", "drop_label=unicorn")
-        result = dslam("evaluate", short_log, *sweep)
+        sweep = ("-o", tmp_path / "sweep", "--jobs", 1, "--degrade", "drop_label=unicorn")
+        result = dslam("sweep", short_log, *sweep)
         assert result.code == 1
         assert result.err.startswith("dslam: failed: drop_label=unicorn, seed 0: ")
         assert result.err.count("\n") == 1
         assert "undegraded" in result.out
 
     def test_what_cannot_be_swept(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
-        sweep = ("--sweep", tmp_path / "sweep")
-        assert_refused(dslam("evaluate", mapped, *sweep), "give the drive")
-        assert_refused(dslam("evaluate", SAMPLE, mapped, *sweep), "one drive")
-        assert_refused(dslam("evaluate", SAMPLE, *sweep, "--degrade", "drop=1"), "did you mean")
-        assert_refused(dslam("evaluate", SAMPLE, *sweep, "--set", "keyframe.distance=1"), "keyframe.distance_m")
-        assert_refused(dslam("evaluate", tmp_path / "none.mcap", *sweep), "none.mcap")
-        assert_refused(dslam("evaluate", SAMPLE, "--sweep", SAMPLE), str(SAMPLE))
+        output = ("-o", tmp_path / "sweep")
+        assert_refused(dslam("sweep", mapped, *output), "give the drive")
+        assert_refused(dslam("sweep", SAMPLE, *output, "--degrade", "drop=1"), "did you mean")
+        assert_refused(dslam("sweep", SAMPLE, *output, "--set", "keyframe.distance=1"), "keyframe.distance_m")
+        assert_refused(dslam("sweep", tmp_path / "none.mcap", *output), "none.mcap")
+        assert_refused(dslam("sweep", SAMPLE, "-o", SAMPLE), str(SAMPLE))
         assert not (tmp_path / "sweep").exists()
-
-    @pytest.mark.parametrize(
-        "option", [("--picture", "a"), ("--html", "a"), ("--reference", SAMPLE), ("--map-run", SAMPLE)]
-    )
-    def test_what_does_not_go_with_it(self, dslam: Run, tmp_path: Path, option: tuple[object, ...]) -> None:
-        assert_refused(dslam("evaluate", SAMPLE, "--sweep", tmp_path / "sweep", *option), "does not go with --sweep")
-
-    @pytest.mark.parametrize(
-        "option", [("--degrade", "dropout=1"), ("--seeds", 2), ("--jobs", 1), ("--set", "a=1"), ("--config", "a.toml")]
-    )
-    def test_what_needs_it(self, dslam: Run, mapped: Path, option: tuple[object, ...]) -> None:
-        assert_refused(dslam("evaluate", mapped, *option), "needs --sweep DIR")

@@ -1,4 +1,4 @@
-"""What dslam evaluate has to tell, of one log, of several or of a sweep, and telling it."""
+"""What evaluate, compare and sweep share: options, results, and printing them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,6 +17,20 @@ if TYPE_CHECKING:
     from slam.evaluation.requirements import Requirement
 
 FELL_SHORT = 1
+
+Reference = Annotated[
+    Path | None, typer.Option(metavar="LOG.mcap", help="Take the truth from this log.", show_default=False)
+]
+MapRun = Annotated[
+    Path | None,
+    typer.Option(metavar="OUT.mcap", help="The drive that made the map of this relocalization.", show_default=False),
+]
+JsonFile = Annotated[Path | None, typer.Option("--json-file", metavar="FILE", help="Write the JSON object to a file.")]
+Require = Annotated[
+    list[str] | None,
+    typer.Option(metavar="KEY<=NUMBER", help="Exit with 1 unless it holds (<= >= == < >), of every run. Repeatable."),
+]
+Rules = Annotated[bool, typer.Option("--rules", help="Also print by which rules everything is measured.")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,39 +46,53 @@ class Findings:
     failures: Sequence[str] = field(default_factory=tuple)
 
 
-def tell(
+def report(
     findings: Findings, requirements: Sequence[Requirement], *, as_json: bool, with_rules: bool, json_file: Path | None
 ) -> None:
-    """Print the findings, write them to a file, and name what fell short.
+    """Print the findings, write them to a file, and say which requirements are met and which are not.
 
     Raises:
-        Exit: with code 1, something fell short or failed.
+        Exit: with code 1, a requirement is not met or a run failed.
         UnwritableLogError: the file cannot be written.
     """
-    from logs.errors import UnwritableLogError
     from slam.evaluation.inputs.protocol import Protocol
     from slam.evaluation.report.text_tables import pairs_table
     from tools import console
 
+    if json_file is not None:
+        _write_json(json_file, findings.results)
+    met, unmet = _check(findings.runs, requirements)
     if as_json:
         console.show_json(findings.results)
     else:
         rules = [pairs_table("Rules", Protocol().describe())] if with_rules else []
-        console.show(*findings.parts, *rules)
-    if json_file is not None:
-        try:
-            json_file.write_text(json.dumps(findings.results, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise UnwritableLogError(f"cannot write {json_file}: {error.strerror}") from error
-    shortfalls = [
-        f"{name}: {text}" if name else text
-        for name, results in findings.runs.items()
-        for requirement in requirements
-        if (text := requirement.shortfall(results))
-    ]
+        console.show(*findings.parts, *rules, *(f"met: {text}" for text in met))
     lines = [f"{what}: {'; '.join(texts)}" for what, texts in
-             (("failed", findings.failures), ("fell short", shortfalls)) if texts]  # fmt: skip
+             (("failed", findings.failures), ("not met", unmet)) if texts]  # fmt: skip
     if lines:
         sys.stdout.flush()
         print(f"dslam: {' '.join('; '.join(lines).split())}", file=sys.stderr)
         raise typer.Exit(FELL_SHORT)
+
+
+def _check(runs: Mapping[str, Mapping[str, Any]], requirements: Sequence[Requirement]) -> tuple[list[str], list[str]]:
+    """Which requirements are met and which are not, with the values, of each run."""
+    met, unmet = [], []
+    for name, results in runs.items():
+        run = f"{name}: " if name else ""
+        for requirement in requirements:
+            shortfall = requirement.shortfall(results)
+            if shortfall:
+                unmet.append(run + shortfall)
+            else:
+                met.append(run + requirement.describe(results))
+    return met, unmet
+
+
+def _write_json(path: Path, results: Mapping[str, Any]) -> None:
+    from logs.errors import UnwritableLogError
+
+    try:
+        path.write_text(json.dumps(results, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise UnwritableLogError(f"cannot write {path}: {error.strerror}") from error

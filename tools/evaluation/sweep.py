@@ -1,14 +1,64 @@
-"""dslam evaluate --sweep: one drive under many degradations."""
+"""dslam sweep: one drive under many degradations."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Annotated
 
-from tools.evaluation.output import Findings
+import typer
 
-DEFAULT_SEEDS = 3
+from tools.arguments import ConfigFile, InputLog, Json, Settings, Topics, check_outputs, parse_topics
+from tools.evaluation.output import Findings, JsonFile, Require, Rules, report
+
+
+def sweep(
+    log: InputLog,
+    folder: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Where results go; what is finished is kept.")
+    ],
+    degrade: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=VALUE,...",
+            help="Options of 'dslam degrade' that belong together. Repeatable; without it five usual ones.",
+        ),
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Seeds of each degradation.")] = 3,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Processes. \\[default: one a core]", show_default=False)
+    ] = None,
+    config_file: ConfigFile = None,
+    settings: Settings = None,
+    topics: Topics = None,
+    as_json: Json = False,
+    json_file: JsonFile = None,
+    require: Require = None,
+    rules: Rules = False,
+) -> None:
+    """Degrade, map and evaluate a drive again and again, for each --degrade and seed.
+
+    If it is killed, the same command goes on where it was.
+
+    Example: dslam sweep drive.mcap -o out/sweep --degrade dropout=0.5 --degrade dropout=0.8,max_range=30
+    """
+    chosen = parse_topics(topics)
+    check_outputs([json_file], [log])
+    from slam.evaluation.requirements import parse_requirement
+
+    requirements = [parse_requirement(text) for text in require or ()]
+    findings = sweep_drive(
+        log,
+        folder,
+        degradations=degrade or (),
+        seeds=seeds,
+        jobs=jobs,
+        config_file=config_file,
+        settings=settings or (),
+        topics=chosen,
+    )
+    report(findings, requirements, as_json=as_json, with_rules=rules, json_file=json_file)
 
 
 def sweep_drive(
@@ -16,7 +66,7 @@ def sweep_drive(
     folder: Path,
     *,
     degradations: Sequence[str],
-    seeds: int | None,
+    seeds: int,
     jobs: int | None,
     config_file: Path | None,
     settings: Sequence[str],
@@ -42,7 +92,7 @@ def sweep_drive(
             folder,
             wanted,
             config,
-            seeds=DEFAULT_SEEDS if seeds is None else seeds,
+            seeds=seeds,
             jobs=jobs or os.cpu_count() or 1,
             topics=topics,
             on_progress=progress,

@@ -177,7 +177,7 @@ def test_killed_and_resumed(log: Path, finished: tuple[Path, Sweep], tmp_path: P
     The sweep that is killed has more seeds than there is time for.
     """
     arguments = [each for text in SPECIFICATIONS for each in ("--degrade", text)]
-    command = [sys.executable, "-m", "tools.cli", "evaluate", log, "--sweep", tmp_path, *arguments]
+    command = [sys.executable, "-m", "tools.cli", "sweep", log, "-o", tmp_path, *arguments]
     cells = tmp_path / "cells"
     with subprocess.Popen([*command, "--seeds", "20", "--jobs", "2"], cwd=ROOT, stdout=subprocess.PIPE) as process:
         while process.poll() is None and not list(cells.glob("*.json")):

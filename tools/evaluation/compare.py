@@ -1,13 +1,16 @@
-"""dslam evaluate of several logs: runs side by side."""
+"""dslam compare: runs side by side."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from tools.evaluation.evaluated_log import Truth, evaluate_log
-from tools.evaluation.output import Findings
+import typer
+
+from tools.arguments import Json, Topics, check_outputs, parse_topics
+from tools.evaluation.evaluated_log import Truth, evaluate_log, locate_map_of
+from tools.evaluation.output import Findings, JsonFile, MapRun, Reference, Require, Rules, report
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -17,6 +20,36 @@ if TYPE_CHECKING:
     from slam.evaluation.metrics.statistics import ChiefFigure
 
 _BETTER, _WORSE = "green", "red"
+
+
+def compare(
+    logs: Annotated[
+        list[Path], typer.Argument(metavar="OUT.mcap...", help="Logs that 'dslam replay' wrote.", show_default=False)
+    ],
+    reference: Reference = None,
+    topics: Topics = None,
+    as_json: Json = False,
+    json_file: JsonFile = None,
+    map_run: MapRun = None,
+    require: Require = None,
+    rules: Rules = False,
+) -> None:
+    """Evaluate several maps and set them side by side.
+
+    Runs of one version and configuration are taken as its repetitions, and
+    differences that exceed their spread are marked.
+
+    Example: dslam compare a1.mcap a2.mcap a3.mcap b1.mcap b2.mcap b3.mcap
+    """
+    chosen = parse_topics(topics)
+    if len(logs) < 2:
+        raise typer.BadParameter("one log was given; give two or more, or use 'dslam evaluate'", param_hint="OUT.mcap")
+    check_outputs([json_file], [*logs, reference, map_run])
+    from slam.evaluation.requirements import parse_requirement
+
+    requirements = [parse_requirement(text) for text in require or ()]
+    truth = Truth(reference, chosen, None if map_run is None else locate_map_of(map_run))
+    report(compare_logs(logs, truth), requirements, as_json=as_json, with_rules=rules, json_file=json_file)
 
 
 def compare_logs(logs: Sequence[Path], truth: Truth) -> Findings:
