@@ -14,7 +14,7 @@ from typing import BinaryIO
 MAGIC = b"\x89MCAP0\r\n"
 
 SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x03, 0x04, 0x05, 0x06
-ATTACHMENT, METADATA, DATA_END = 0x09, 0x0C, 0x0F
+METADATA, DATA_END = 0x0C, 0x0F
 
 HEADER = struct.Struct("<BQ")  # opcode, length of what follows
 MESSAGE_HEADER = struct.Struct("<HIQQ")  # channel id, sequence, log time, publish time
@@ -39,17 +39,23 @@ class Block:
 
 @dataclass(slots=True)
 class BlockList:
-    """What a walk over a file found. ``lost_bytes`` at its end could not be read as records."""
+    """What a walk over a file found. ``lost_bytes`` at its end could not be read as records.
+
+    ``oversized``: offset -> bytes of records outside of chunks that are too large to be read.
+    """
 
     blocks: list[Block] = field(default_factory=list)
     metadata_offsets: list[int] = field(default_factory=list)
-    attachment_offsets: list[int] = field(default_factory=list)
+    oversized: dict[int, int] = field(default_factory=dict)
     is_complete: bool = False
     lost_bytes: int = 0
 
 
-def walk(stream: BinaryIO, size: int) -> BlockList:
-    """Find the blocks of a file of ``size`` bytes, up to its data end or to where the records stop making sense."""
+def walk(stream: BinaryIO, size: int, max_record_bytes: int = 1 << 32) -> BlockList:
+    """Find the blocks of a file of ``size`` bytes, up to its data end or to where the records stop making sense.
+
+    Records outside of chunks that have more than ``max_record_bytes`` are left out.
+    """
     found = BlockList()
     offset = run_start = len(MAGIC)
     run_times: list[int] = []
@@ -69,7 +75,7 @@ def walk(stream: BinaryIO, size: int) -> BlockList:
         end = offset + HEADER.size + length
         if opcode == 0 or end > size:
             break
-        if opcode in (SCHEMA, CHANNEL, MESSAGE):
+        if opcode in (SCHEMA, CHANNEL, MESSAGE) and length <= max_record_bytes:
             if opcode == MESSAGE and length >= MESSAGE_HEADER.size:
                 run_times.append(MESSAGE_HEADER.unpack_from(head, HEADER.size)[2])
             if end - run_start > _RUN_BYTES:
@@ -84,8 +90,8 @@ def walk(stream: BinaryIO, size: int) -> BlockList:
                 found.blocks.append(Block(offset, end - offset, start_ns, end_ns, is_chunk=True))
             elif opcode == METADATA:
                 found.metadata_offsets.append(offset)
-            elif opcode == ATTACHMENT:
-                found.attachment_offsets.append(offset)
+            elif opcode in (SCHEMA, CHANNEL, MESSAGE):
+                found.oversized[offset] = length
             found.is_complete = opcode == DATA_END
         offset = end
     end_run()

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from logs import messages as m
 from logs.closures import find_final_verdicts, rank_stage
+from logs.container.limits import ReadingLimits
 from logs.errors import TopicSelectionError
 from logs.reader import LogReader
 from logs.selection import Selection, select_all, select_topics
@@ -21,6 +22,16 @@ from logs.topics import RawMessage, RecordKind, TopicInfo
 
 GAP_FACTOR = 5.0
 """A pause is a gap when it is longer than this many median periods of its topic."""
+
+MOST_CLASSES = 20_000
+"""More are too many to count each; the rarest are counted as one."""
+OTHER_CLASSES = "(other classes)"
+MOST_FRAMES = 100
+"""Names of frames that are kept for a topic."""
+MOST_CLOSURES = 100_000
+"""Later records of loop closures are not kept."""
+MOST_PERIODS = 1_000_000
+"""The median period is taken over at most that many, evenly."""
 
 _NUMBER = re.compile(r"(?:(?<!\w)-)?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
@@ -85,13 +96,15 @@ class LogSummary:
         return (self.end_ns - self.start_ns) * 1e-9
 
 
-def summarize(path: str | os.PathLike[str], overrides: Mapping[str, str] | None = None) -> LogSummary:
+def summarize(
+    path: str | os.PathLike[str], overrides: Mapping[str, str] | None = None, limits: ReadingLimits | None = None
+) -> LogSummary:
     """Read the whole log at ``path``; ``overrides`` (kind -> topic) as for :func:`logs.selection.select_topics`.
 
     Raises:
         UnreadableLogError: the file cannot be read or is no log.
     """
-    with LogReader(path) as reader:
+    with LogReader(path, limits) as reader:
         topics = reader.topics()
         try:
             selection, obstacle = select_topics(topics, overrides), ""
@@ -101,7 +114,9 @@ def summarize(path: str | os.PathLike[str], overrides: Mapping[str, str] | None 
         everything = select_all(topics)
         if selection is not None:
             everything = Selection({**everything.kinds, **selection.kinds})
-        for item in reader.items(everything, copy=[info.topic for info in topics]):
+        # A graph is large, and nothing of it is told.
+        told = {topic: kinds for topic, kinds in everything.kinds.items() if kinds != (RecordKind.FACTOR_GRAPH,)}
+        for item in reader.items(Selection(told), times_of=[info.topic for info in topics]):
             gathering.add(item.raw, item.records)
         candidates = find_final_verdicts(gathering.closures)
         return LogSummary(
@@ -167,7 +182,7 @@ class _Gathering:
             self._times_ns.setdefault(key, array("q")).append(raw.log_time_ns)
         frames = self._frames.setdefault(key, set())
         for record in records:
-            self._add_record(raw.topic, record, frames)
+            self._add_record(raw.topic, record, frames if len(frames) < MOST_FRAMES else set())
 
     def _add_record(self, topic: str, record: m.Record, frames: set[str]) -> None:
         if isinstance(record, (m.Odometry, m.SlamPose)):
@@ -179,15 +194,24 @@ class _Gathering:
                 self._odometry_xyz.extend(record.T_odom_body[:3, 3].tolist())
         elif isinstance(record, m.ObjectDetections):
             frames.add(record.frame_id)
-            self.class_counts.update(record.labels)
+            self._count_classes(record.labels)
         elif isinstance(record, m.Transform):
             frames.update((record.parent_frame_id, record.child_frame_id))
         elif isinstance(record, m.LoopClosureRecord):
-            self.closures.append(record)
+            if len(self.closures) < MOST_CLOSURES:
+                self.closures.append(record)
         elif isinstance(record, m.StatusRecord):
             self.status = record
         elif isinstance(record, (m.GroundTruthPose, m.ObjectMapRecord, m.TrajectoryRecord)):
             frames.add(record.frame_id)
+
+    def _count_classes(self, labels: tuple[str, ...]) -> None:
+        self.class_counts.update(labels)
+        if len(self.class_counts) > MOST_CLASSES:  # each may be an identity of its own
+            kept = self.class_counts.most_common(MOST_CLASSES // 2)
+            gone = self.class_counts.total() - sum(count for _, count in kept)
+            self.class_counts = Counter(dict(kept))
+            self.class_counts[OTHER_CLASSES] += gone
 
     def odometry_length_m(self) -> float | None:
         if not self._odometry_xyz:
@@ -197,10 +221,11 @@ class _Gathering:
 
     def topic_summary(self, info: TopicInfo) -> TopicSummary:
         key = (info.topic, info.schema_name)
-        times_ns = np.array(self._times_ns.get(key, ()), dtype=np.int64)
-        gap_count, longest_gap_s = _gaps(times_ns)
-        span_ns = int(times_ns.max() - times_ns.min()) if len(times_ns) else 0
-        so_far = np.maximum.accumulate(times_ns)
+        times_ns = np.array(self._times_ns.pop(key, ()), dtype=np.int64)
+        out_of_order = int((times_ns[1:] < np.maximum.accumulate(times_ns)[:-1]).sum())
+        times_ns.sort()
+        gap_count, longest_gap_s, duplicates = _gaps(times_ns)
+        span_ns = int(times_ns[-1] - times_ns[0]) if len(times_ns) else 0
         return TopicSummary(
             topic=info.topic,
             schema_name=info.schema_name,
@@ -210,17 +235,18 @@ class _Gathering:
             rate_hz=(len(times_ns) - 1) / (span_ns * 1e-9) if span_ns else None,
             gap_count=gap_count,
             longest_gap_s=longest_gap_s,
-            duplicate_stamps=len(times_ns) - len(np.unique(times_ns)),
-            out_of_order_stamps=int((times_ns[1:] < so_far[:-1]).sum()),
+            duplicate_stamps=duplicates,
+            out_of_order_stamps=out_of_order,
             frames=tuple(sorted(self._frames.get(key, set()) - {""})),
         )
 
 
-def _gaps(times_ns: NDArray[np.int64]) -> tuple[int, float]:
-    """Number of gaps and the longest pause in seconds, over the sorted times."""
-    if len(times_ns) < 2:
-        return 0, 0.0
-    periods_ns = np.diff(np.unique(times_ns))
+def _gaps(times_ns: NDArray[np.int64]) -> tuple[int, float, int]:
+    """Number of gaps, the longest pause in seconds, and the number of duplicates, of sorted times (N,)."""
+    periods_ns = np.diff(times_ns)
+    duplicates = int((periods_ns == 0).sum())
+    periods_ns = periods_ns[periods_ns > 0] if duplicates else periods_ns
     if len(periods_ns) == 0:
-        return 0, 0.0
-    return int((periods_ns > GAP_FACTOR * np.median(periods_ns)).sum()), float(periods_ns.max() * 1e-9)
+        return 0, 0.0, duplicates
+    usual_ns = np.median(periods_ns[:: 1 + len(periods_ns) // MOST_PERIODS])
+    return int((periods_ns > GAP_FACTOR * usual_ns).sum()), float(periods_ns.max() * 1e-9), duplicates

@@ -107,7 +107,7 @@ def replay(
             f"the given map stays as it is, so {map_path} would be a copy of it; extend it, or save none"
         )
     started = time.perf_counter()
-    with LogReader(source) as reader:
+    with LogReader(source, config.limits.reading) as reader:
         for path in (output, partial_path(output)):
             if path.exists() and path.samefile(source):
                 raise UnwritableLogError(f"writing {output} would overwrite the input {source}; give another output")

@@ -167,6 +167,7 @@ class Slam:
         if unused > self.counters["odometry_used"]:
             message += "; most odometry messages were unusable: their stamps do not increase"
         object_map = self._map_record()
+        self.counters["labels_beyond_max_classes"] += self._object_map.unlisted_labels
         self.counters["closures_removed"] = len(removed)
         self.counters["closures_rejected_by_odometry"] = self._closer.rejected_by_odometry_count
         is_well = optimization.converged and not warning and unused <= self.counters["odometry_used"]

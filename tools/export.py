@@ -10,6 +10,7 @@ import typer
 from tools.arguments import SlamLog, check_outputs
 
 if TYPE_CHECKING:
+    from logs.container.limits import RESULT_LIMITS
     from logs.messages import Record
 
 _TRAJECTORY, _GRAPH, _MAP = "/slam/trajectory_stamped", "/slam/graph", "/slam/map"
@@ -55,5 +56,5 @@ def _read(path: Path) -> dict[str, Record]:
     from logs.reader import LogReader
     from logs.selection import Selection
 
-    with LogReader(path) as reader:
+    with LogReader(path, RESULT_LIMITS) as reader:
         return {entry.topic: entry.record for entry in reader.records(Selection.of(_KINDS))}

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tools import info_map
-from tools.arguments import InputLog, Json, Topics, parse_topics
+from tools.arguments import InputLog, Json, Settings, Topics, parse_topics
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from logs.container.limits import ReadingLimits
     from logs.messages import LoopClosureRecord
     from logs.summary import LogSummary, TopicSummary
 
@@ -43,6 +44,7 @@ def info(
         bool, typer.Option("--all", help=f"List all candidates, not only {_MOST_CANDIDATES}; implies --closures.")
     ] = False,
     topics: Topics = None,
+    settings: Settings = None,
 ) -> None:
     """Tell what a log holds, and what a replay would use of it or why it cannot.
 
@@ -53,7 +55,7 @@ def info(
     from logs.summary import summarize
 
     chosen = parse_topics(topics)
-    summary = summarize(log, chosen)
+    summary = summarize(log, chosen, _limits(settings))
     from tools import console
 
     wanted = closures or every or keyframe is not None
@@ -70,6 +72,15 @@ def info(
             info_map.show_map(log, datetime.now(UTC))
     if wanted:
         _show_closures(summary, candidates, keyframe, most=len(candidates) if every else _MOST_CANDIDATES)
+
+
+def _limits(settings: Sequence[str] | None) -> ReadingLimits | None:
+    """Those that are set, of all settings the only ones that reading a log asks for."""
+    if not settings:
+        return None
+    from slam.common.config import load_config
+
+    return load_config(None, settings).limits.reading
 
 
 def _plain(summary: LogSummary) -> dict[str, Any]:

@@ -4,31 +4,63 @@ from __future__ import annotations
 
 from collections import Counter
 
+from logs.container.limits import ReadingLimits
+from logs.container.pending import LAST_NS
 from logs.decoders.registry import decoder_for, kinds_of
 from logs.errors import InvalidRecordError
-from logs.messages import Record
+from logs.messages import ObjectDetections, Odometry, Record, Transform
 from logs.topics import RawMessage, RecordKind
 from logs.validation import Refusal
 
+_RESULTS = frozenset(
+    {RecordKind.OBJECT_MAP, RecordKind.OBJECT_TRUTH, RecordKind.TRAJECTORY, RecordKind.FACTOR_GRAPH}
+)  # each a whole result in one message
 
-def decode(raw: RawMessage, kind: RecordKind, counters: Counter[str] | None = None) -> tuple[Record, ...]:
+
+def decode(
+    raw: RawMessage, kind: RecordKind, counters: Counter[str] | None = None, limits: ReadingLimits | None = None
+) -> tuple[Record, ...]:
     """The records of ``raw`` when its topic plays the part ``kind``; a message may hold none, one or several.
 
     Args:
         raw: the message.
         kind: one of ``kinds_of`` its channel.
         counters: counts what was left out of records that are otherwise good.
+        limits: of objects, and of the length of names.
 
     Raises:
-        InvalidRecordError: the bytes are no such message, or hold values that no record may have; names topic and time.
+        InvalidRecordError: the bytes are no such message, or hold values that no record may have, or more than the
+            limits allow; names topic and time.
         KeyError: the schema is unknown or has no such kind.
     """
     decoder = decoder_for(raw.channel)
     if decoder is None or kind not in kinds_of(raw.channel):
         raise KeyError(f"{raw.topic}: {raw.channel.schema_name!r} does not decode to {kind}")
+    limits = limits or ReadingLimits()
     try:
-        return decoder(raw, kind, Counter() if counters is None else counters)
+        if kind not in _RESULTS and len(raw.data) > limits.input_bytes:
+            raise Refusal("too many bytes for limits.objects", f"{len(raw.data)}, more than {limits.input_bytes}")
+        records = decoder(raw, kind, Counter() if counters is None else counters)
+        for record in records:
+            _check(record, limits)
+        return records
     except Refusal as refusal:
         raise InvalidRecordError(
             f"{raw.topic} at {raw.log_time_ns} ns: {refusal}; the message is left out", reason=refusal.reason
         ) from refusal
+
+
+def _check(record: Record, limits: ReadingLimits) -> None:
+    if not 0 <= record.stamp_ns <= LAST_NS:
+        raise Refusal("time out of range", f"{record.stamp_ns} ns")
+    names: tuple[str, ...] = ()
+    if isinstance(record, ObjectDetections):
+        if len(record.labels) > limits.objects:
+            raise Refusal("more objects than limits.objects", f"{len(record.labels)}, more than {limits.objects}")
+        names = (record.frame_id, *record.labels, *(record.track_ids or ()))
+    elif isinstance(record, Odometry):
+        names = (record.frame_id, record.child_frame_id)
+    elif isinstance(record, Transform):
+        names = (record.parent_frame_id, record.child_frame_id)
+    if names and max(map(len, names)) > limits.name_length:
+        raise Refusal("name longer than limits.name_length", f"more than {limits.name_length} characters")

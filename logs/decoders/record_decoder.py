@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections import Counter
 
+from logs.container.limits import ReadingLimits
 from logs.decoders.decode import decode
 from logs.decoders.registry import kinds_of
 from logs.errors import InvalidRecordError
@@ -22,8 +23,9 @@ class RecordDecoder:
     ``dropped_objects``, ``ignored_covariances``, ``ignored_sizes``.
     """
 
-    def __init__(self, selection: Selection) -> None:
+    def __init__(self, selection: Selection, limits: ReadingLimits | None = None) -> None:
         self._selection = selection
+        self._limits = limits or ReadingLimits()
         self._told: set[tuple[str, str]] = set()
         self.counters: Counter[str] = Counter()
 
@@ -40,7 +42,7 @@ class RecordDecoder:
             self.counters["undecodable"] += 1
             return ()
         try:
-            found = [decode(raw, kind, self.counters) for kind in possible]
+            found = [decode(raw, kind, self.counters, self._limits) for kind in possible]
         except InvalidRecordError as error:
             self.counters["invalid_messages"] += 1
             if (raw.topic, error.reason) not in self._told:

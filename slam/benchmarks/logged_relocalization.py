@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
+from logs.container.limits import RESULT_LIMITS
 from logs.messages import GroundTruthPose, ObjectDetections, Odometry, Record, Transform
 from logs.reader import LogReader
 from logs.selection import select_topics
@@ -112,7 +113,7 @@ def benchmark_log(
 
 
 def _read(path: Path, topics: Mapping[str, str] | None) -> list[Record]:
-    with LogReader(path) as reader:
+    with LogReader(path, RESULT_LIMITS) as reader:
         selection = select_topics(
             reader.topics(), topics, needed=(RecordKind.ODOMETRY, RecordKind.DETECTIONS, RecordKind.GROUND_TRUTH)
         )

@@ -10,7 +10,10 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from logs.container.limits import ReadingLimits
 from slam.common.config_tree import load_tree
+
+_LIMITS = ReadingLimits()
 
 
 class _Branch(BaseModel):
@@ -136,6 +139,9 @@ class AssociationConfig(_Branch):
     )
     max_landmarks: int = Field(
         default=200, ge=10, description="landmarks around the robot that are kept for association, the latest seen"
+    )
+    max_classes: int = Field(
+        default=512, ge=2, le=10_000, description="classes that are told apart; all that come later are one class"
     )
 
 
@@ -328,6 +334,27 @@ class RegistrationConfig(_Branch):
     scale_sigma: float = Field(default=0.05, gt=0, lt=1, description="how far that scale is from 1")
 
 
+class LimitsConfig(_Branch):
+    """How much of a log is taken into memory, whatever it asks for; what goes beyond is left out, and told."""
+
+    chunk_mb: float = Field(default=_LIMITS.chunk_mb, gt=0, le=1e5, description="one chunk, decompressed [MB]")
+    message_mb: float = Field(default=_LIMITS.message_mb, gt=0, le=1e5, description="one message that is used [MB]")
+    waiting_mb: float = Field(
+        default=_LIMITS.waiting_mb, gt=0, le=1e5, description="messages that wait because chunks overlap in time [MB]"
+    )
+    metadata_mb: float = Field(default=_LIMITS.metadata_mb, gt=0, le=1e5, description="all metadata [MB]")
+    channels: int = Field(default=_LIMITS.channels, ge=1, le=65_536, description="channels, and schemas")
+    objects: int = Field(default=_LIMITS.objects, ge=1, le=10_000_000, description="objects in one message")
+    name_length: int = Field(
+        default=_LIMITS.name_length, ge=1, le=10_000_000, description="name of a topic, a frame or a class [characters]"
+    )
+
+    @property
+    def reading(self) -> ReadingLimits:
+        """The same for the reader of logs."""
+        return ReadingLimits(**self.model_dump())
+
+
 class CalibrationConfig(_Branch):
     """What a replay estimates from the log before it maps it."""
 
@@ -350,6 +377,7 @@ class Config(_Branch):
     likelihood_ratio: LikelihoodRatioConfig = LikelihoodRatioConfig()
     loop_closure: LoopClosureConfig = LoopClosureConfig()
     registration: RegistrationConfig = RegistrationConfig()
+    limits: LimitsConfig = LimitsConfig()
 
 
 def load_config(path: Path | None = None, overrides: Sequence[str] = ()) -> Config:

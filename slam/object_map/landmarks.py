@@ -64,6 +64,10 @@ LANDMARK = np.dtype(
 )
 
 
+OTHER_CLASS = "other"
+"""The class of objects whose own found no room in the vocabulary."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _ObservationSums:
     """Sums over the measurements of each landmark, one row a landmark."""
@@ -85,6 +89,8 @@ class ObjectMap:
         self._reasons: dict[int, str] = {}
         self._aliases = UnionFind()
         self._label_index: dict[str, int] = {}
+        self.unlisted_labels = 0
+        """How many labels were of a class beyond the limit."""
 
     def __len__(self) -> int:
         return self._size
@@ -100,14 +106,25 @@ class ObjectMap:
         return tuple(self._label_index)
 
     def label_indices(self, labels: tuple[str, ...]) -> IntArray:
-        """Index (N,) of each label; a new one is added to the vocabulary."""
+        """Index (N,) of each label; a new one is added to the vocabulary, while it has room."""
         for label in labels:
-            self._label_index.setdefault(label, len(self._label_index))
+            if label not in self._label_index:
+                self._add_class(label)
         if len(self._label_index) > self._label_counts.shape[1]:
             wider = np.zeros((len(self._label_counts), 2 * len(self._label_index)))
             wider[:, : self._label_counts.shape[1]] = self._label_counts
             self._label_counts = wider
-        return np.array([self._label_index[label] for label in labels], dtype=np.int64)
+        other = self._label_index.get(OTHER_CLASS, 0)
+        indices = np.array([self._label_index.get(label, other) for label in labels], dtype=np.int64)
+        self.unlisted_labels += sum(label not in self._label_index for label in labels)
+        return indices
+
+    def _add_class(self, label: str) -> None:
+        """The last class that fits stands for all that come after it."""
+        if len(self._label_index) < self._config.max_classes - 1:
+            self._label_index[label] = len(self._label_index)
+        else:
+            self._label_index.setdefault(OTHER_CLASS, len(self._label_index))
 
     def in_state(self, state: LandmarkState) -> IntArray:
         """Rows in that state, ascending; those that became another landmark are left out."""
@@ -196,7 +213,7 @@ class ObjectMap:
         landmarks["covariance_map"][rows] = saved.covariances
         self._label_counts[rows] = 0.0
         counts = saved.class_probabilities * saved.observation_counts[:, None]
-        self._label_counts[np.ix_(rows, labels)] = counts
+        np.add.at(self._label_counts, np.ix_(rows, labels), counts)
         return rows
 
     def record_observations(

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.container.limits import RESULT_LIMITS
 from logs.errors import LogError
 from logs.messages import FactorGraphRecord, ObjectMapRecord, SceneMarkers
 from logs.reader import LogReader
@@ -111,7 +112,7 @@ def load_map(path: Path) -> SavedMap:
         LogError: no MCAP file.
         SavedMapError: a log that is no map, of another format version, damaged, empty, or at odds with itself.
     """
-    with LogReader(path) as reader:
+    with LogReader(path, RESULT_LIMITS) as reader:
         metadata = reader.metadata().get(METADATA)
         if metadata is None:
             raise SavedMapError(

@@ -74,11 +74,12 @@ def compare_logs(logs: Sequence[Path], truth: Truth) -> Findings:
 
 
 def _evaluate(log: Path, truth: Truth) -> Run:
+    from logs.container.limits import RESULT_LIMITS
     from logs.reader import LogReader
     from slam.evaluation.comparison import Run
 
     _, evaluation = evaluate_log(log, truth)
-    with LogReader(log) as reader:
+    with LogReader(log, RESULT_LIMITS) as reader:
         made = reader.metadata().get("dslam", {})
     return Run(
         name=str(log),

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from logs.container.limits import RESULT_LIMITS
 from logs.messages import (
     DetectionAssociations,
     DetectionTruth,
@@ -170,7 +171,7 @@ def read_records(
 
 
 def _read(path: str | os.PathLike[str], topics: Mapping[str, str] | None) -> EvaluationRecords:
-    with LogReader(path) as reader:
+    with LogReader(path, RESULT_LIMITS) as reader:
         there = reader.topics()
         provenance = reader.metadata().get("dslam", {})
         used = _topics_used(provenance.get("topics", ""), there)

@@ -69,6 +69,15 @@ def test_one_class_is_certain_and_none_has_no_columns():
     assert ObjectMap(CONFIG).beliefs(np.zeros(0, dtype=np.int64)).shape == (0, 0)
 
 
+def test_classes_beyond_the_limit_are_one_class():
+    object_map = ObjectMap(AssociationConfig(max_classes=3))
+    assert object_map.label_indices(("a", "b", "c", "d", "a")).tolist() == [0, 1, 2, 2, 0]
+    assert object_map.vocabulary == ("a", "b", "other")
+    assert object_map.unlisted_labels == 2
+    see_new(object_map, np.zeros((1, 3)), label=2)
+    np.testing.assert_array_equal(object_map.classes(np.array([0])), [2])
+
+
 def test_the_life_of_a_landmark():
     object_map = new_map(count=4)
     object_map.confirm(np.array([1, 2]))

@@ -1,0 +1,55 @@
+"""How much of a file is taken into memory, whatever the file asks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+MEGABYTE = 1_000_000
+_BYTES_OF_AN_OBJECT = 512  # a vision_msgs/Detection3D with one hypothesis takes about 480
+
+
+@dataclass(frozen=True)
+class ReadingLimits:
+    """What goes beyond is left out and counted, or refused where nothing would be left; the error names the limit.
+
+    ``chunk_mb``: of one chunk, decompressed; ``message_mb``: of one message whose content is used; ``waiting_mb``: of
+    the messages that wait because chunks overlap in time; ``metadata_mb``: of all metadata; ``channels``: of channels
+    and of schemas; ``objects``: in one message; ``name_length``: of a topic, a class or a frame, in characters.
+    """
+
+    chunk_mb: float = 64.0
+    message_mb: float = 16.0
+    waiting_mb: float = 64.0
+    metadata_mb: float = 8.0
+    channels: int = 4096
+    objects: int = 5000
+    name_length: int = 1000
+
+    @property
+    def chunk_bytes(self) -> int:
+        """``chunk_mb`` in bytes."""
+        return round(self.chunk_mb * MEGABYTE)
+
+    @property
+    def message_bytes(self) -> int:
+        """``message_mb`` in bytes."""
+        return round(self.message_mb * MEGABYTE)
+
+    @property
+    def waiting_bytes(self) -> int:
+        """``waiting_mb`` in bytes."""
+        return round(self.waiting_mb * MEGABYTE)
+
+    @property
+    def input_bytes(self) -> int:
+        """Of one message of measurements: parsed, it may take a hundred times as much."""
+        return self.objects * _BYTES_OF_AN_OBJECT
+
+    @property
+    def metadata_bytes(self) -> int:
+        """``metadata_mb`` in bytes."""
+        return round(self.metadata_mb * MEGABYTE)
+
+
+RESULT_LIMITS = ReadingLimits(chunk_mb=1000.0, message_mb=1000.0, waiting_mb=1000.0)
+"""Of logs that a replay wrote: a map and a graph are one message each."""
