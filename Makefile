@@ -5,13 +5,14 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed
 PROTOC := build/protoc/bin/python
 
-.PHONY: help demo check test lint schemas clean
+.PHONY: help demo check test lint fuzz schemas clean
 
 help:
 	@echo 'make demo     simulate a drive, map it, evaluate it; leaves out/demo*.mcap, out/demo.html and out/demo.png'
 	@echo 'make check    lint, types and the tests that are not slow: about a minute'
 	@echo 'make test     lint, types and all tests'
 	@echo 'make lint     only ruff and mypy'
+	@echo 'make fuzz     run N=200 mutated files of SEED=0 through all commands; those that fail stay in out/fuzz'
 	@echo 'make schemas  generate the Python modules of logs/schemas/*.proto again'
 	@echo 'make clean    remove what the others made, .venv included'
 	@echo 'PYTHON=/path/to/python chooses the interpreter (3.11 or newer).'
@@ -51,6 +52,11 @@ check: lint
 
 test: lint
 	$(BIN)/pytest -n auto --dist loadfile
+
+N ?= 200
+SEED ?= 0
+fuzz: $(INSTALLED)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz --count $(N) --seed $(SEED)
 
 # Its own environment: the generated code must stay readable by the oldest protobuf that pyproject.toml allows.
 schemas: | $(PROTOC)

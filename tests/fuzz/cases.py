@@ -1,0 +1,133 @@
+"""What is run on what: command lines, and the mutated files that they read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from slam.common.config import Config
+from slam.common.config_tree import settings_of
+from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_text
+from tests.fuzz.log_mutations import mutate_log
+from tests.fuzz.mcap_file import Layout, write_file
+from tests.fuzz.seeds import Seeds
+
+_SETTINGS = [setting.key for setting in settings_of(Config())]
+_FAULTS = ("labels_unique", "odometry_frozen", "objects_burst", "heading_jump")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One command line in ``folder``; ``outputs`` are the files that it is to write."""
+
+    arguments: list[str]
+    outputs: list[Path] = field(default_factory=list)
+
+
+def make_case(seeds: Seeds, folder: Path, rng: np.random.Generator, family: str = "") -> Case:
+    """A case of ``family``, or of any, in which logs are the most frequent."""
+    family = family or str(rng.choice(list(_FAMILIES), p=_WEIGHTS))
+    return _FAMILIES[family][0](seeds, folder, rng)
+
+
+def _log(seeds: Seeds, folder: Path, rng: np.random.Generator, name: str = "") -> str:
+    name = name or str(rng.choice(["drive", "drive", "ros", "mapped", "map", "kinds"]))
+    path = folder / f"{name}.mcap"
+    if rng.random() < 0.15:
+        path.write_bytes(mutate_bytes(write_file(seeds.logs[name], Layout()), rng))
+    else:
+        path.write_bytes(mutate_log(seeds.logs[name], rng))
+    return path.name
+
+
+def _intact(seeds: Seeds, folder: Path, name: str) -> str:
+    path = folder / f"{name}.mcap"
+    path.write_bytes(write_file(seeds.logs[name], Layout()))
+    return path.name
+
+
+def _text(seeds: Seeds, folder: Path, rng: np.random.Generator, name: str) -> str:
+    (folder / name).write_bytes(mutate_text(seeds.files[name], rng))
+    return name
+
+
+def _info(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    more = [[], ["--json"], ["--closures"], ["--json", "--all"]][int(rng.integers(4))]
+    return Case(["info", _log(seeds, folder, rng), *more])
+
+
+def _replay(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    more = [[], ["--json"], ["--save-map", "saved.mcap"]][int(rng.integers(3))]
+    name = str(rng.choice(["drive", "ros"]))
+    outputs = [folder / "out.mcap", *([folder / "saved.mcap"] if "--save-map" in more else [])]
+    return Case(["replay", _log(seeds, folder, rng, name), "-o", "out.mcap", *more], outputs)
+
+
+def _map(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    command = [["relocalize"], ["replay"]][int(rng.integers(2))]
+    given = _log(seeds, folder, rng, "map")
+    return Case([*command, _intact(seeds, folder, "drive"), "--map", given, "-o", "out.mcap"])
+
+
+def _evaluate(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    more = [[], ["--json"], ["--html", "out.html"], ["--picture", "out.png"]][int(rng.integers(4))]
+    outputs = [folder / more[1]] if len(more) == 2 else []
+    return Case(["evaluate", _log(seeds, folder, rng, "mapped"), *more], outputs)
+
+
+def _export(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    log = _log(seeds, folder, rng, "mapped")
+    return Case(["export", log, "--tum", "a.txt", "--kitti", "b.txt", "--g2o", "c.g2o"])
+
+
+def _degrade(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    choice = [["--dropout", "0.3"], ["--reversed"], ["--false-positives", "3"], ["--label-confusion", "0.2"]]
+    more = choice[int(rng.integers(len(choice)))]
+    return Case(["degrade", _log(seeds, folder, rng, "drive"), "-o", "out.mcap", *more], [folder / "out.mcap"])
+
+
+def _optimize(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    return Case(["optimize", _text(seeds, folder, rng, "graph.g2o"), "-o", "out.g2o", "--json"])
+
+
+def _import(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    poses = str(rng.choice(["trajectory.tum", "trajectory.kitti"]))
+    for name in (poses, "detections.csv"):
+        (folder / name).write_bytes(seeds.files[name])
+    _text(seeds, folder, rng, str(rng.choice([poses, "detections.csv"])))
+    return Case(
+        ["import", "csv", "out.mcap", "--odometry", poses, "--detections", "detections.csv"], [folder / "out.mcap"]
+    )
+
+
+def _toml(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    if rng.random() < 0.3:
+        return Case(["config", "--simulation", "--config", _text(seeds, folder, rng, "simulation.toml"), "--json"])
+    return Case(["config", "--config", _text(seeds, folder, rng, "settings.toml"), "--json"])
+
+
+def _setting(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    """One setting at a limit, with a drive that is as it should be."""
+    key = str(rng.choice(_SETTINGS))
+    value = str(rng.choice(np.array([*FLOATS, *INTEGERS, "true", "none", *TEXTS[:8], "[" * 3000], dtype=object)))
+    arguments = ["replay", _intact(seeds, folder, "drive"), "-o", "out.mcap", "--set", f"{key}={value}"]
+    return Case(arguments, [folder / "out.mcap"])
+
+
+_FAMILIES: dict[str, tuple[Callable[[Seeds, Path, np.random.Generator], Case], float]] = {
+    "info": (_info, 5),
+    "replay": (_replay, 6),
+    "map": (_map, 2),
+    "evaluate": (_evaluate, 2),
+    "export": (_export, 1),
+    "degrade": (_degrade, 1),
+    "optimize": (_optimize, 1),
+    "import": (_import, 1.5),
+    "toml": (_toml, 0.5),
+    "setting": (_setting, 1.5),
+}
+FAMILIES = tuple(_FAMILIES)
+_WEIGHTS = np.array([weight for _, weight in _FAMILIES.values()]) / sum(w for _, w in _FAMILIES.values())

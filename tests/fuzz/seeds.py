@@ -1,0 +1,122 @@
+"""Whole and valid files of every format, from which the fuzzer goes out."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from mcap_ros2.writer import Writer
+
+from logs.reader import LogReader
+from logs.writer import LogWriter
+from slam.formats.g2o import write_pose_graph
+from tests.fuzz.mcap_file import McapFile, read_file
+from tests.helpers.pose_graphs import with_false
+from tests.logs.examples import every_kind
+from tests.logs.test_ros2 import DETECTIONS, TF, definition, detection, header, pose, result
+from tests.tools.runs import SAMPLE
+from tools import cli
+
+_SECONDS = 2.0
+_ODOMETRY = definition(
+    "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n"
+    "geometry_msgs/PoseWithCovariance twist"
+)
+
+
+@dataclass(frozen=True)
+class Seeds:
+    """Logs by name, and the bytes of other files by name."""
+
+    logs: dict[str, McapFile]
+    files: dict[str, bytes]
+
+
+def make_seeds(folder: Path) -> Seeds:
+    """Make them in ``folder``, a few seconds."""
+    drive, mapped, saved = folder / "drive.mcap", folder / "mapped.mcap", folder / "map.mcap"
+    _write_drive(drive)
+    _run("replay", drive, "-o", mapped, "--save-map", saved)
+    _run("export", mapped, "--tum", folder / "trajectory.tum", "--g2o", folder / "map.g2o")
+    _run("export", mapped, "--kitti", folder / "trajectory.kitti")
+    _write_kinds(folder / "kinds.mcap")
+    _write_ros(folder / "ros.mcap")
+    write_pose_graph(folder / "graph.g2o", with_false(4, 4))
+    (folder / "settings.toml").write_text(_run("config"))
+    (folder / "simulation.toml").write_text(_run("config", "--simulation"))
+    (folder / "detections.csv").write_text(_detections_table(drive))
+    names = ("drive", "mapped", "map", "kinds", "ros")
+    texts = ("trajectory.tum", "trajectory.kitti", "graph.g2o", "settings.toml", "simulation.toml", "detections.csv")
+    return Seeds(
+        logs={name: read_file(str(folder / f"{name}.mcap")) for name in names},
+        files={name: (folder / name).read_bytes() for name in texts},
+    )
+
+
+def _run(*arguments: object) -> str:
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        code = cli.run([str(argument) for argument in arguments])
+    if code != 0:
+        raise RuntimeError(f"a seed cannot be made: dslam {arguments} ends with {code}")
+    return out.getvalue()
+
+
+def _write_drive(path: Path) -> None:
+    with LogReader(SAMPLE) as reader, LogWriter(path) as writer:
+        for name, values in reader.metadata().items():
+            writer.add_metadata(name, values)
+        first_ns = None
+        for raw in reader.messages():
+            first_ns = raw.log_time_ns if first_ns is None else first_ns
+            if raw.log_time_ns - first_ns < _SECONDS * 1e9:
+                writer.write_raw(raw)
+
+
+def _write_kinds(path: Path) -> None:
+    with LogWriter(path) as writer:
+        for topic, _, record in every_kind(np.random.default_rng(3)):
+            writer.write(topic, record)
+
+
+def _write_ros(path: Path) -> None:
+    rng = np.random.default_rng(4)
+    objects = rng.uniform(-20.0, 20.0, size=(30, 3)) * (1.0, 1.0, 0.05)
+    with open(path, "wb") as stream, Writer(stream) as writer:
+        odometry = writer.register_msgdef("nav_msgs/msg/Odometry", _ODOMETRY)
+        detections = writer.register_msgdef("vision_msgs/msg/Detection3DArray", DETECTIONS)
+        tf = writer.register_msgdef("tf2_msgs/msg/TFMessage", TF)
+        for i in range(20):
+            x, stamp = 0.3 * i, (1000 + i // 10, 100_000_000 * (i % 10))
+            now = 10**12 + i * 10**8
+            covariance = {"pose": pose(x, 0.0, 0.0), "covariance": (0.01 * np.eye(6)).ravel().tolist()}
+            content = {"header": header(stamp), "child_frame_id": "base_link", "pose": covariance, "twist": covariance}
+            writer.write_message("/odom", odometry, content, log_time=now, publish_time=now)
+            seen = [
+                detection([result(f"class {k % 4}", 0.9)], center=tuple(p - (x, 0.0, 0.0)), id=str(k))
+                for k, p in enumerate(objects)
+            ]
+            content = {"header": header(stamp, "base_link"), "detections": seen}
+            writer.write_message("/objects", detections, content, log_time=now, publish_time=now)
+            frame = {
+                "header": header(stamp, "base_link"),
+                "child_frame_id": "lidar",
+                "transform": {"translation": {"x": 0.0, "y": 0.0, "z": 1.0}, "rotation": pose()["orientation"]},
+            }
+            writer.write_message("/tf", tf, {"transforms": [frame]}, log_time=now, publish_time=now)
+
+
+def _detections_table(drive: Path) -> str:
+    from logs.messages import ObjectDetections
+    from logs.selection import select_topics
+
+    lines = ["stamp_s,x_m,y_m,z_m,label,score,track_id"]
+    with LogReader(drive) as reader:
+        for entry in reader.records(select_topics(reader.topics())):
+            if isinstance(entry.record, ObjectDetections):
+                record = entry.record
+                for (x, y, z), label in zip(record.positions.tolist(), record.labels, strict=True):
+                    lines.append(f"{record.stamp_ns * 1e-9!r},{x!r},{y!r},{z!r},{label},0.9,7")
+    return "\n".join(lines) + "\n"
