@@ -32,6 +32,7 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import FactorGraphError, InputDataError
 from slam.common.geometry import apply, invert
+from slam.frontend.continuity import decide
 from slam.frontend.mapper import Mapper
 from slam.frontend.scan import SensorFrames, make_scan
 from slam.localization.prior_map import SEGMENT, restore
@@ -42,7 +43,9 @@ from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.object_map.map_io import SavedMap
 from slam.odometry.interpolation import interpolate_between_keyframes
 from slam.odometry.keyframe import Keyframe
-from slam.odometry.track import OdometryPose, OdometryTrack
+from slam.odometry.pose import OdometryPose
+from slam.odometry.track import OdometryTrack
+from slam.odometry.unexpected_step import Continuation, UnexpectedStep
 
 logger = logging.getLogger(__name__)
 
@@ -195,7 +198,23 @@ class Slam:
     def _follow(self, odometry: Odometry) -> list[Record]:
         self._body_frame, self._odom_frame = odometry.child_frame_id, odometry.frame_id
         updates = [update for pose in self._track.add(odometry) for update in self._step(pose)]
+        while (step := self._track.unexpected) is not None and (way := self._way_on(step)) is not None:
+            updates += [update for pose in self._track.resolve(way) for update in self._step(pose)]
         return updates + self._map_waiting_scans()
+
+    def _way_on(self, step: UnexpectedStep) -> Continuation | None:
+        """How the odometry goes on at an unexpected step, by the next scan; None while that is to come."""
+        first_ns, last_ns = step.span_ns
+        for stamp_ns, _, detections in sorted(self._waiting, key=lambda waiting: waiting[:2]):
+            if not first_ns <= stamp_ns <= last_ns or len(detections.positions) == 0 or not self._mapper.keyframes:
+                continue
+            poses = step.at(stamp_ns)
+            T_body_sensor = self._sensor_pose(detections.frame_id, poses[Continuation.REPORTED])
+            if T_body_sensor is None:
+                continue
+            scan = make_scan(detections, T_body_sensor, self._config.detection)
+            return decide(step, {way: self._mapper.log_likelihood_ratio(scan, pose) for way, pose in poses.items()})
+        return step.default if step.is_overdue else None
 
     def _step(self, pose: OdometryPose) -> list[Record]:
         # Scans from before this pose belong to the keyframe before it, also where the odometry breaks in between.
@@ -205,9 +224,12 @@ class Slam:
         self._poses.append(pose)
         if self._mapper.add_odometry(pose) is not None:
             updates += self._keyframe_updates(pose, breaks=breaks)
-        updates.append(Transform(pose.stamp_ns, self._odom_frame, self._body_frame, pose.T_odom_body))
+        # What leaves here refers to the odometry as its messages have it.
+        T_odom_body = invert(pose.T_odom_reported) @ pose.T_odom_body
+        updates.append(Transform(pose.stamp_ns, self._odom_frame, self._body_frame, T_odom_body))
         if self._state != State.LOST:
-            updates.append(SlamPose(pose.stamp_ns, self._T_map_odom @ pose.T_odom_body, self._T_map_odom))
+            T_map_reported = self._T_map_odom @ pose.T_odom_reported
+            updates.append(SlamPose(pose.stamp_ns, self._T_map_odom @ pose.T_odom_body, T_map_reported))
         return updates
 
     def _keyframe_updates(self, pose: OdometryPose, *, breaks: bool) -> list[Record]:
@@ -219,7 +241,8 @@ class Slam:
         changes = self._change_state(keyframe, self._why_lost(breaks=breaks))
         updates: list[Record] = [*closures, *changes, *self._relocalizations(closures)]
         if self._state != State.LOST:
-            updates.append(Transform(pose.stamp_ns, MAP_FRAME, self._odom_frame, self._T_map_odom))
+            T_map_reported = self._T_map_odom @ pose.T_odom_reported
+            updates.append(Transform(pose.stamp_ns, MAP_FRAME, self._odom_frame, T_map_reported))
         self.counters["keyframes"] += 1
         self.counters["closures_accepted"] += sum(closure.accepted for closure in closures)
         self.counters["closures_inserted"] += sum(closure.inserted for closure in closures)

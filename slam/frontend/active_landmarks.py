@@ -22,7 +22,7 @@ from slam.frontend.local_map import LocalMap, upright_step
 from slam.frontend.scan import Scan
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.noise import step_variances
-from slam.odometry.track import OdometryPose
+from slam.odometry.pose import OdometryPose
 
 SAME_PROBABILITY = 0.99
 """Probability from which two landmarks are one object."""
@@ -98,6 +98,19 @@ class ActiveLandmarks:
             covariances[held, :2, :2] = planar
             covariances[held, 2, 2] = heights
         return Prediction(positions, covariances)
+
+    def predict_from(self, pose: OdometryPose) -> tuple[FloatArray, Prediction]:
+        """``T_local_body`` (4, 4) at a pose not yet moved to, and where active landmarks should be from there."""
+        assert self._pose is not None
+        T_local_body = np.asarray(self._local.T_local_odom(self._pose.T_odom_body) @ pose.T_odom_body)
+        predicted = self.predict(pose.stamp_ns)
+        variances = self._config.association.odometry_inflation**2 * step_variances(
+            self._pose, pose, self._config.odometry
+        )
+        offsets = predicted.positions - T_local_body[:3, 3]
+        return T_local_body, Prediction(
+            predicted.positions, predict_covariances(predicted.covariances, offsets, variances)
+        )
 
     def update(self, indices: IntArray, predicted: Prediction, seen: Scan, covariances: FloatArray) -> None:
         """Correct landmarks and robot by detections of them.

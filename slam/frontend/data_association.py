@@ -26,9 +26,11 @@ NEW, AMBIGUOUS = -1, -2
 @dataclass(frozen=True, slots=True, eq=False)
 class Assignment:
     """``landmark_rows`` (D,) int64: the row of each detection's landmark, ``NEW`` where it has none,
-    ``AMBIGUOUS`` where it has none although one is near: it may be a bad measurement of that."""
+    ``AMBIGUOUS`` where it has none although one is near: it may be a bad measurement of that.
+    ``log_likelihood_ratio``: of all matches, against none of them."""
 
     landmark_rows: IntArray
+    log_likelihood_ratio: float = 0.0
 
     @property
     def matched(self) -> NDArray[np.bool_]:
@@ -94,7 +96,9 @@ def associate(
     chosen_row, chosen_column = min_weight_full_bipartite_matching(graph)
     is_landmark = chosen_column < len(rows_used)
     rows[chosen_row[is_landmark]] = rows_used[chosen_column[is_landmark]]
-    return Assignment(rows)
+    shifted_none_cost = edges_cost[-1]
+    chosen_cost = np.asarray(graph[chosen_row, chosen_column])
+    return Assignment(rows, 0.5 * float(np.sum(shifted_none_cost - chosen_cost)))
 
 
 def label_likelihood(belief_in_label: FloatArray, classes: int, config: AssociationConfig) -> FloatArray:

@@ -19,13 +19,14 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import relative, rotation_angle_rad
 from slam.frontend.active_landmarks import ActiveLandmarks
+from slam.frontend.continuity import scan_log_likelihood_ratio
 from slam.frontend.data_association import associate
 from slam.frontend.keyframe_observations import KeyframeObservations
 from slam.frontend.scan import Scan
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import BREAK_SIGMA_RAD, BREAK_SIGMA_RANGES, step_covariance
-from slam.odometry.track import OdometryPose
+from slam.odometry.pose import OdometryPose
 
 # The robot stands still below that motion.
 MOVED_RANGES = 0.1 / 30
@@ -118,6 +119,19 @@ class Mapper:
         self._keyframe_observations.add(rows[used], in_keyframe.of(used))
         self._update_life_cycle(rows[used], in_local.covariances[used])
         return _associations(scan, rows, new)
+
+    def log_likelihood_ratio(self, scan: Scan, pose: OdometryPose) -> float:
+        """Log-likelihood ratio of a scan between a pose that is not yet moved to and a place where nothing is known."""
+        T_local_body, predicted = self._active.predict_from(pose)
+        in_local = scan.seen_from(T_local_body)
+        return scan_log_likelihood_ratio(
+            in_local.positions,
+            in_local.covariances + self._common_covariances(scan),
+            self._map.label_indices(scan.labels),
+            predicted,
+            self._map.beliefs(self._active.rows),
+            self._config.association,
+        )
 
     def take_confirmed(self) -> IntArray:
         """Rows of the landmarks that were confirmed since the last call."""

@@ -9,7 +9,7 @@ from slam.backend.factors import Edge, EdgeKind, Observation
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.map_io import SavedMap
 from slam.odometry.keyframe import Keyframe
-from slam.odometry.track import OdometryPose
+from slam.odometry.pose import OdometryPose
 
 TRAVEL_M = -1e9
 """Travel of everything in the prior map. An optimised map has no traversals: all of it is consistent.

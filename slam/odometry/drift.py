@@ -8,7 +8,7 @@ from slam.common.arrays import FloatArray
 from slam.common.config import OdometryConfig
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import step_variances
-from slam.odometry.track import OdometryPose
+from slam.odometry.pose import OdometryPose
 
 _KEYFRAME = np.dtype(
     [

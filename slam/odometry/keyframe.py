@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from slam.common.arrays import FloatArray
-from slam.odometry.track import OdometryPose
+from slam.odometry.pose import OdometryPose
 
 
 @dataclass(frozen=True, slots=True, eq=False)

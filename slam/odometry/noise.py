@@ -7,7 +7,7 @@ import numpy as np
 from slam.common.arrays import FloatArray
 from slam.common.config import OdometryConfig
 from slam.common.geometry import relative, rotation_angle_rad
-from slam.odometry.track import OdometryPose
+from slam.odometry.pose import OdometryPose
 
 # A break in the odometry ties nothing together, but the graph must stay connected until a closure does it.
 BREAK_SIGMA_RAD = 1.0
@@ -17,13 +17,15 @@ BREAK_SIGMA_RANGES = 100 / 30
 def step_variances(before: OdometryPose, after: OdometryPose, config: OdometryConfig) -> FloatArray:
     """Variances (3,) of the step between two poses of one segment.
 
-    They are those of each coordinate of the position [m^2], of roll and pitch [rad^2], and of the heading [rad^2].
+    They are those of each coordinate of the position [m^2], of roll and pitch [rad^2], and of the heading [rad^2], with
+    those of a mended step in between.
     """
     T_before_after = relative(before.T_odom_body, after.T_odom_body)
     length_m = max(abs(after.travel_m - before.travel_m), float(np.linalg.norm(T_before_after[:3, 3])))
     turn_rad = float(rotation_angle_rad(T_before_after))
     seconds = abs(after.stamp_ns - before.stamp_ns) * 1e-9
-    return np.array(
+    mended_m2, mended_rad2 = abs(after.mended_m2 - before.mended_m2), abs(after.mended_rad2 - before.mended_rad2)
+    walk = np.array(
         [
             max(config.min_translation_sigma_m**2, config.translation_sigma**2 * length_m)
             + config.translation_sigma_by_time**2 * seconds,
@@ -35,6 +37,7 @@ def step_variances(before: OdometryPose, after: OdometryPose, config: OdometryCo
             + config.yaw_sigma_by_time**2 * seconds,
         ]
     )
+    return np.asarray(walk + np.array([mended_m2, mended_rad2, mended_rad2]))
 
 
 def step_covariance(before: OdometryPose, after: OdometryPose, config: OdometryConfig) -> FloatArray:

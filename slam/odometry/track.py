@@ -1,9 +1,13 @@
-"""The odometry as it came in: poses by time, the travel so far, and where the track breaks."""
+"""The odometry as one track: poses by time, the travel so far, where it breaks, and where it was mended.
+
+A step that is not to be expected, after a silence, a jump or at another velocity, is held back together with what
+follows it, until somebody who has the detections decides how the track goes on: see ``UnexpectedStep``.
+"""
 
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
@@ -11,7 +15,10 @@ import numpy as np
 from logs.messages import Odometry
 from slam.common.arrays import FloatArray
 from slam.common.config import DetectionConfig, OdometryConfig
-from slam.common.geometry import interpolate
+from slam.common.geometry import invert
+from slam.odometry.expected_motion import ExpectedMotion
+from slam.odometry.pose import OdometryPose, between
+from slam.odometry.unexpected_step import Continuation, UnexpectedStep
 
 # Scans wait for the odometry message that follows them; older ones than this many messages have lost their pose.
 HISTORY = 6000
@@ -25,20 +32,6 @@ JITTER_RANGES = 0.05 / 30.0
 RESTART_TOLERANCE = 1e-6
 # unless the body was on its way there: no farther off than that from going on as before, in sensor ranges.
 RESTART_SLACK_RANGES = 0.25 / 30.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class OdometryPose:
-    """One pose on the track; ``travel_m`` is the path length up to it, ``segment`` counts the breaks before it,
-    ``speed_mps`` is the speed of the step that led to it,
-    the greatest possible where that is not known.
-    """
-
-    stamp_ns: int
-    T_odom_body: FloatArray
-    travel_m: float
-    segment: int
-    speed_mps: float
 
 
 class OdometryTrack:
@@ -62,6 +55,10 @@ class OdometryTrack:
         self._first_segment = first_segment
         self._breaks_next = False
         self._poses: deque[OdometryPose] = deque(maxlen=HISTORY)
+        self._motion = ExpectedMotion(sensor_range_m)
+        self._held: list[Odometry] = []
+        self._T_odom_reported = np.eye(4)
+        self._mended = np.zeros(2)  # m^2, rad^2
         self._doubtful: Odometry | None = None
         self._counted_xyz_m = np.zeros(3)
         self._T_odom_first = np.eye(4)
@@ -77,24 +74,24 @@ class OdometryTrack:
 
         A message whose stamp is not later than the last one's adds none. The first message, and one that comes after a
         silence of more than ``max_gap_s``, may have a wrong stamp: it is put off until the next message, which confirms
-        or refutes it.
+        or refutes it. From an unexpected step on, none adds any until ``resolve`` is called.
         """
         added = []
         doubtful, self._doubtful = self._doubtful, None
         if doubtful is not None:
             if odometry.stamp_ns > doubtful.stamp_ns:
-                added.append(self._append(doubtful))
+                added += self._take(doubtful)
             else:
                 self._reject(odometry.stamp_ns == doubtful.stamp_ns)
-        last = self.latest
-        if last is None:
+        last_ns = self._last_ns
+        if last_ns is None:
             self._doubtful = odometry
-        elif odometry.stamp_ns <= last.stamp_ns:
-            self._reject(odometry.stamp_ns == last.stamp_ns)
-        elif odometry.stamp_ns - last.stamp_ns > self._config.max_gap_s * 1e9:
+        elif odometry.stamp_ns <= last_ns:
+            self._reject(odometry.stamp_ns == last_ns)
+        elif odometry.stamp_ns - last_ns > self._config.max_gap_s * 1e9:
             self._doubtful = odometry
         else:
-            added.append(self._append(odometry))
+            added += self._take(odometry)
         return added
 
     def break_off(self) -> None:
@@ -102,9 +99,46 @@ class OdometryTrack:
         self._breaks_next = True
 
     def finish(self) -> list[OdometryPose]:
-        """Add the message that was put off, if there is one: nothing refutes it any more."""
+        """Add what was held back or put off, if there is any: nothing refutes it any more."""
         doubtful, self._doubtful = self._doubtful, None
-        return [] if doubtful is None else [self._append(doubtful)]
+        added = [] if doubtful is None else self._take(doubtful)
+        while (step := self.unexpected) is not None:
+            added += self.resolve(step.default)
+        return added
+
+    @property
+    def unexpected(self) -> UnexpectedStep | None:
+        """The step that waits for ``resolve``; None where none does."""
+        if not self._held:
+            return None
+        first, last = self._held[0], self._held[-1]
+        poses = {Continuation.REPORTED: self._held_poses(self._T_odom_reported, 0.0, 0.0)}
+        T_expected = self._motion.predict(first.stamp_ns)
+        if T_expected is not None and np.isfinite(self._motion.tolerances(first.stamp_ns)).all():
+            mended_m, mended_rad = self._motion.tolerances(first.stamp_ns).tolist()
+            T_odom_reported = T_expected @ invert(first.T_odom_body)
+            poses[Continuation.EXPECTED] = self._held_poses(T_odom_reported, mended_m**2, mended_rad**2)
+        is_overdue = last.stamp_ns - first.stamp_ns > self._config.max_gap_s * 1e9 or len(self._held) >= HISTORY
+        default = Continuation.BROKEN if self._is_beyond_limits(first) else Continuation.REPORTED
+        return UnexpectedStep(poses, default, is_overdue)
+
+    def resolve(self, continuation: Continuation) -> list[OdometryPose]:
+        """Go on after an unexpected step; returns the poses that this adds. Another such step may be among them."""
+        step = self.unexpected
+        assert step is not None
+        first, *others = self._held
+        self._held = []
+        if continuation is Continuation.BROKEN:
+            self._breaks_next = True
+        elif continuation is Continuation.EXPECTED:
+            pose = step.poses[continuation][0]
+            self._T_odom_reported = pose.T_odom_reported
+            self._mended = np.array([pose.mended_m2, pose.mended_rad2])
+            self._counters["odometry_jumps_mended"] += 1
+        added = [self._append(first)]
+        for message in others:
+            added += self._take(message)
+        return added
 
     def at(self, stamp_ns: int) -> OdometryPose | None:
         """The pose at a time, between the two messages around it; None where the track has none or breaks there."""
@@ -113,42 +147,101 @@ class OdometryTrack:
             if pose.stamp_ns == stamp_ns:
                 return pose
             if pose.stamp_ns < stamp_ns:
-                return None if after is None or after.segment != pose.segment else _between(pose, after, stamp_ns)
+                return None if after is None or after.segment != pose.segment else between(pose, after, stamp_ns)
             after = pose
         return None
 
     def _reject(self, is_duplicate: bool) -> None:
         self._counters["odometry_duplicated" if is_duplicate else "odometry_out_of_order"] += 1
 
+    @property
+    def _last_ns(self) -> int | None:
+        """The time of the last message that was taken in."""
+        if self._held:
+            return self._held[-1].stamp_ns
+        return self._poses[-1].stamp_ns if self._poses else None
+
+    def _take(self, odometry: Odometry) -> list[OdometryPose]:
+        if self._held:
+            if len(self._held) == 1 and self._is_wild(self._held[0], odometry):
+                self._held = []
+                self._counters["odometry_wild"] += 1
+                return [self._append(odometry)]
+            self._held.append(odometry)
+            return []
+        if self._poses and not self._breaks_next and not self._is_expected(odometry):
+            self._held = [odometry]
+            return []
+        return [self._append(odometry)]
+
+    def _is_expected(self, odometry: Odometry) -> bool:
+        T_odom_body = self._T_odom_reported @ odometry.T_odom_body
+        return not self._is_beyond_limits(odometry) and self._motion.is_usual(odometry.stamp_ns, T_odom_body)
+
+    def _is_wild(self, odometry: Odometry, following: Odometry) -> bool:
+        """Whether a message alone is off: the following one goes on from before it."""
+        seconds = (odometry.stamp_ns - self._poses[-1].stamp_ns) * 1e-9
+        may_be = seconds <= self._config.max_gap_s and not self._starts_over(odometry, seconds)
+        return may_be and self._is_expected(following)
+
+    def _is_beyond_limits(self, odometry: Odometry) -> bool:
+        """Whether a step is a discontinuity if nothing shows that it is not: by a silence, a jump or a restart."""
+        last = self._poses[-1]
+        seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9
+        T_odom_body = self._T_odom_reported @ odometry.T_odom_body
+        step_m = float(np.linalg.norm(T_odom_body[:3, 3] - last.T_odom_body[:3, 3]))
+        return (
+            seconds > self._config.max_gap_s
+            or step_m > self._farthest_step_m(seconds)
+            or self._starts_over(odometry, seconds)
+        )
+
+    def _held_poses(
+        self, T_odom_reported: FloatArray, mended_m2: float, mended_rad2: float
+    ) -> tuple[OdometryPose, ...]:
+        last = self._poses[-1]
+        return tuple(
+            replace(
+                last,
+                stamp_ns=odometry.stamp_ns,
+                T_odom_body=T_odom_reported @ odometry.T_odom_body,
+                T_odom_reported=T_odom_reported,
+                mended_m2=last.mended_m2 + mended_m2,
+                mended_rad2=last.mended_rad2 + mended_rad2,
+            )
+            for odometry in self._held
+        )
+
     def _append(self, odometry: Odometry) -> OdometryPose:
         last = self.latest
-        xyz_m = odometry.T_odom_body[:3, 3]
+        T_odom_body = self._T_odom_reported @ odometry.T_odom_body
+        xyz_m = T_odom_body[:3, 3]
         if last is None:
-            pose = OdometryPose(
-                odometry.stamp_ns, odometry.T_odom_body, 0.0, self._first_segment, self._config.max_speed_mps
-            )
             self._counted_xyz_m = xyz_m
             self._T_odom_first = odometry.T_odom_body
+            self._motion.add(odometry.stamp_ns, T_odom_body)
+            pose = OdometryPose(odometry.stamp_ns, T_odom_body, 0.0, self._first_segment, self._config.max_speed_mps)
         else:
+            breaks, self._breaks_next = self._breaks_next, False
             seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9
             step_m = float(np.linalg.norm(xyz_m - last.T_odom_body[:3, 3]))
-            breaks = (
-                seconds > self._config.max_gap_s
-                or step_m > self._farthest_step_m(seconds)
-                or self._starts_over(odometry, seconds)
-                or self._breaks_next
-            )
-            self._breaks_next = False
             # The jitter of a standing body is no travel.
             counted_m = float(np.linalg.norm(xyz_m - self._counted_xyz_m))
             if breaks or counted_m >= self._jitter_m:
                 self._counted_xyz_m = xyz_m
+            if breaks or not self._motion.is_usual(odometry.stamp_ns, T_odom_body):
+                self._motion.restart(odometry.stamp_ns, T_odom_body)
+            else:
+                self._motion.add(odometry.stamp_ns, T_odom_body)
             pose = OdometryPose(
                 odometry.stamp_ns,
-                odometry.T_odom_body,
+                T_odom_body,
                 travel_m=last.travel_m + (counted_m if counted_m >= self._jitter_m and not breaks else 0.0),
                 segment=last.segment + breaks,
                 speed_mps=self._config.max_speed_mps if breaks else step_m / seconds,
+                T_odom_reported=self._T_odom_reported,
+                mended_m2=float(self._mended[0]),
+                mended_rad2=float(self._mended[1]),
             )
         self._poses.append(pose)
         return pose
@@ -166,18 +259,10 @@ class OdometryTrack:
         passed_s = (last.stamp_ns - before.stamp_ns) * 1e-9
         velocity = (last.T_odom_body - before.T_odom_body)[:3, 3] / passed_s if passed_s > 0.0 else np.zeros(3)
         goes_on = last.T_odom_body[:3, 3] + velocity * seconds
-        return float(np.linalg.norm(T[:3, 3] - goes_on)) > self._restart_slack_m
+        return float(np.linalg.norm((self._T_odom_reported @ T)[:3, 3] - goes_on)) > self._restart_slack_m
 
     def _farthest_step_m(self, seconds: float) -> float:
         """How far the body can have come since the last pose; farther is a jump of the odometry."""
         speed_mps = max(pose.speed_mps for pose in islice(reversed(self._poses), RECENT_STEPS))
         reachable_mps = speed_mps + self._config.max_acceleration_mps2 * seconds
         return min(reachable_mps, self._config.max_speed_mps) * seconds + self._jump_slack_m
-
-
-def _between(before: OdometryPose, after: OdometryPose, stamp_ns: int) -> OdometryPose:
-    stamps = np.array([before.stamp_ns, after.stamp_ns])
-    T = interpolate(stamps, np.stack([before.T_odom_body, after.T_odom_body]), np.array([stamp_ns]))[0]
-    fraction = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
-    travel_m = before.travel_m + fraction * (after.travel_m - before.travel_m)
-    return replace(after, stamp_ns=stamp_ns, T_odom_body=T, travel_m=travel_m)

@@ -11,7 +11,7 @@ from slam.common.geometry import transform_from_xyz_yaw
 from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.scan import Scan
 from slam.object_map.landmarks import ObjectMap
-from slam.odometry.track import OdometryPose
+from slam.odometry.pose import OdometryPose
 
 QUIET = {"yaw_sigma": 1e-9, "yaw_sigma_by_turn": 0.0, "tilt_sigma": 1e-9, "min_rotation_sigma_rad": 1e-9}
 FAR_APART = {"confusion_distance_m": 1e3, "active_radius_m": 1e3}

@@ -12,7 +12,7 @@ from slam.common.geometry import transform_from_xyz_yaw
 from slam.loop_closure.loop_closer import LoopCloser
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.keyframe import Keyframe
-from slam.odometry.track import OdometryPose
+from slam.odometry.pose import OdometryPose
 from tests.helpers.candidates import make_candidate
 
 STEP_M = 2.0

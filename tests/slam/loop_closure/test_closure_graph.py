@@ -14,7 +14,7 @@ from slam.common.geometry import transform_from_xyz_yaw
 from slam.loop_closure.closure_graph import ClosedLoops
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
-from slam.odometry.track import OdometryPose
+from slam.odometry.pose import OdometryPose
 from tests.helpers.candidates import make_candidate
 
 STATIONS = 5

@@ -10,7 +10,7 @@ from slam.common.config import OdometryConfig
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
-from slam.odometry.track import OdometryPose
+from slam.odometry.pose import OdometryPose
 
 STEP_M = 2.0
 STEP_S = 0.5

@@ -8,7 +8,7 @@ import pytest
 from slam.common.config import OdometryConfig
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.odometry.noise import step_covariance, step_variances
-from slam.odometry.track import OdometryPose
+from slam.odometry.pose import OdometryPose
 
 SILENT = {
     "translation_sigma": 1e-6,

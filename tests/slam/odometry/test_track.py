@@ -22,6 +22,7 @@ def track(*steps: tuple[float, float]) -> OdometryTrack:
     made = OdometryTrack(CONFIG)
     for seconds, x in steps:
         made.add(odometry(seconds, x))
+    made.finish()
     return made
 
 
@@ -121,6 +122,7 @@ def test_what_is_a_jump_depends_on_how_far_the_sensor_sees(sensor_range_m, break
     for step in range(20):  # the speed before the first step is not known
         made.add(odometry(0.1 * step, 0.1 * step))
     made.add(odometry(2.0, 3.5))
+    made.finish()
     assert made.latest.segment == breaks
 
 

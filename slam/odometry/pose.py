@@ -1,0 +1,38 @@
+"""A pose on the track of the odometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from slam.common.arrays import FloatArray
+from slam.common.geometry import interpolate
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OdometryPose:
+    """One pose on the track; ``travel_m`` is the path length up to it, ``segment`` counts the breaks before it,
+    ``speed_mps`` is the speed of the step that led to it,
+    the greatest possible where that is not known. ``T_odom_reported`` leads from the frame that the messages are in to
+    that of the track, which goes on smoothly where a jump was mended; ``mended_m2`` and ``mended_rad2`` are the
+    variances that all mended steps so far add.
+    """
+
+    stamp_ns: int
+    T_odom_body: FloatArray
+    travel_m: float
+    segment: int
+    speed_mps: float
+    T_odom_reported: FloatArray = field(default_factory=lambda: np.eye(4))
+    mended_m2: float = 0.0
+    mended_rad2: float = 0.0
+
+
+def between(before: OdometryPose, after: OdometryPose, stamp_ns: int) -> OdometryPose:
+    """The pose at a time between those of two poses of one segment."""
+    stamps = np.array([before.stamp_ns, after.stamp_ns])
+    T = interpolate(stamps, np.stack([before.T_odom_body, after.T_odom_body]), np.array([stamp_ns]))[0]
+    fraction = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
+    travel_m = before.travel_m + fraction * (after.travel_m - before.travel_m)
+    return replace(after, stamp_ns=stamp_ns, T_odom_body=T, travel_m=travel_m)

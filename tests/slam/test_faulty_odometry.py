@@ -1,0 +1,56 @@
+"""Odometry that jumps: the landmarks around say how it goes on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from slam.common.config import Config
+from slam.evaluation.evaluate import evaluate
+from slam.evaluation.inputs.records import read_records
+from slam.replay import replay
+from slam.simulation.config import SimulationConfig
+from slam.simulation.faults.faulty_log import write_faulty
+from slam.simulation.faults.registry import parse_faults
+from tests.helpers.short_drives import drive, write_log
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_log(tmp_path_factory.mktemp("log") / "drive.mcap", drive(SimulationConfig()))
+
+
+def mapped(source: Path, output: Path) -> tuple[float, dict[str, int]]:
+    """ATE [m] and counters of a replay."""
+    counters = replay(source, output, Config()).counters
+    estimate = evaluate(read_records(output)).estimate
+    assert estimate is not None
+    return estimate.absolute.rmse_m, counters
+
+
+@pytest.fixture(scope="module")
+def clean_ate_m(log, tmp_path_factory) -> float:
+    ate_m, counters = mapped(log, tmp_path_factory.mktemp("clean") / "mapped.mcap")
+    assert not {"odometry_jumps_mended", "odometry_wild"} & set(counters)
+    return ate_m
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("fault", "counter"),
+    [
+        ("heading_jump=40", "odometry_jumps_mended"),
+        ("heading_jump=-120", "odometry_jumps_mended"),
+        ("pitch_jump=25", "odometry_jumps_mended"),
+        ("odometry_jumps=1:60", "odometry_jumps_mended"),
+        ("odometry_wild=500", "odometry_wild"),
+    ],
+)
+def test_a_jump_changes_nothing_and_is_counted(log, clean_ate_m, tmp_path, fault, counter):
+    faulty = tmp_path / "faulty.mcap"
+    write_faulty(log, faulty, parse_faults([fault]), seed=0)
+    ate_m, counters = mapped(faulty, tmp_path / "mapped.mcap")
+    assert ate_m < 1.5 * clean_ate_m + 0.01
+    assert counters[counter] == 1
+    assert counters.get("odometry_breaks", 0) == 0
