@@ -171,9 +171,9 @@ def _measure(name: str, solver: Solver, problems: list[Problem], count: int, fal
     )
 
 
-def _ours() -> Solver:
+def _ours(method: str) -> Solver:
     # The simulated heights are as good as the positions, and the frames are level: what the peers assume, too.
-    config = RegistrationConfig(height_sigma_m=0.05, tilt_sigma_rad=0.001)
+    config = RegistrationConfig(method=method, height_sigma_m=0.05, tilt_sigma_rad=0.001)
 
     def solve(problem: Problem, seed: int) -> FloatArray | None:
         return register(
@@ -239,7 +239,8 @@ def _kiss_matcher(*, use_quatro: bool) -> Solver:
 
 
 METHODS: dict[str, Callable[[], Solver]] = {
-    "dslam": _ours,
+    "dslam": partial(_ours, "vote"),
+    "dslam ransac": partial(_ours, "ransac"),
     "Open3D": _open3d,
     "KISS-Matcher": partial(_kiss_matcher, use_quatro=False),
     "KISS-Matcher quatro": partial(_kiss_matcher, use_quatro=True),

@@ -296,6 +296,11 @@ class LoopClosureConfig(_Branch):
 class RegistrationConfig(_Branch):
     """Registration of one constellation of objects with another."""
 
+    method: str = Field(
+        default="vote",
+        pattern="^(vote|ransac)$",
+        description="poses are proposed by all compatible pairs of correspondences (vote) or by pairs drawn (ransac)",
+    )
     gate_sigma: float = Field(
         default=3.0, gt=0, description="residuals and differences of lengths beyond that many sigmas are no match"
     )

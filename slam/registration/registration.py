@@ -14,11 +14,14 @@ from slam.common.arrays import ComplexArray, FloatArray, IntArray
 from slam.common.config import RegistrationConfig
 from slam.common.errors import GeometryError
 from slam.registration.estimate import Registration, estimate, not_found
+from slam.registration.pose_sampling import sample
 from slam.registration.pose_voting import vote
 from slam.registration.refinement import Columns, make_columns, refine_poses, squared_residuals, support
 
 __all__ = ["Registration", "refine", "refine_many", "register"]
 
+PROPOSERS = {"vote": vote, "ransac": sample}
+"""Where poses come from, by ``config.method``."""
 POLISHED = 8
 """Distinct poses that are refined for each one that is asked for."""
 REACH_RADII = 2.0
@@ -40,17 +43,20 @@ def register(
 ) -> list[Registration]:
     """Poses of the query in the reference that many one-to-one correspondences support.
 
-    Poses come from votes of compatible pairs (:func:`slam.registration.pose_voting.vote`) and are scored by truncated
-    squared residuals (MSAC: Torr and Zisserman, CVIU 2000); the best distinct ones are refined and assigned one to one.
+    Poses come from votes of all compatible pairs (:func:`slam.registration.pose_voting.vote`) or, with ``ransac``, from
+    pairs drawn at random (:func:`slam.registration.pose_sampling.sample`). They are scored by truncated squared
+    residuals (MSAC: Torr and Zisserman, CVIU 2000); the best distinct ones are refined and assigned one to one.
 
     Args:
         query_positions: (N, 3) m, z up.
         reference_positions: (M, 3) m, z up.
-        correspondences: (C, 2) query and reference index of objects that may be the same.
+        correspondences: (C, 2) query and reference index of objects that may be the same, the likelier ones of a query
+            object first.
         config: gates and limits.
         query_sigmas: (N,) m, noise of a position along any axis.
         reference_sigmas: (M,) m.
-        rng: chooses which correspondences are tried first, where there are too many to try all at once.
+        rng: chooses which correspondences are tried first, where there are too many to try all at once, and for ransac
+            which are tried at all.
         count: most poses that are returned.
 
     Returns:
@@ -68,7 +74,7 @@ def register(
     reason = _degenerate(columns, config)
     if reason:
         return [not_found(reason)]
-    hypotheses = vote(columns, config, rng=rng, count=count)
+    hypotheses = PROPOSERS[config.method](columns, config, rng=rng, count=count)
     if len(hypotheses.poses) == 0:
         return [not_found("no two correspondences have the same length, height difference and a sufficient baseline")]
     poses, bounds = _ranked(hypotheses.poses, columns, config)

@@ -24,6 +24,7 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import RegistrationConfig
 from slam.common.errors import GeometryError
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
+from slam.registration.pose_sampling import sample
 from slam.registration.refinement import least_squares, make_columns
 from slam.registration.registration import Registration, refine, refine_many, register
 
@@ -92,6 +93,47 @@ def test_the_pose_is_found_among_false_correspondences(seed: int, false_share: f
     assert len(registration.pairs) >= 0.8 * 120 * (1.0 - false_share)
     np.testing.assert_array_equal(problem.correspondences[registration.inliers], registration.pairs)
     assert np.linalg.det(registration.T_reference_query[:3, :3]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("false_share", [0.0, 0.5, 0.8])
+@pytest.mark.parametrize("seed", range(4))
+def test_sampling_finds_the_pose_among_false_correspondences(seed: int, false_share: float) -> None:
+    problem = draw_problem(120, false_share, rng=np.random.default_rng(seed))
+    registration = solve(problem, CONFIG.model_copy(update={"method": "ransac"}))
+    assert registration.T_reference_query is not None
+    error_m, error_deg = problem.error(registration.T_reference_query)
+    assert error_m < 0.5
+    assert error_deg < 1.0
+    assert len(registration.pairs) >= 0.8 * 120 * (1.0 - false_share)
+
+
+def test_sampling_draws_what_is_ranked_first_before_the_rest() -> None:
+    """A hundred wrong candidates behind the right one of each object: few draws suffice because of their order."""
+    rng = np.random.default_rng(3)
+    problem = draw_problem(40, 0.0, rng=rng)
+    right = problem.correspondences[np.argsort(problem.correspondences[:, 0])]
+    columns = []
+    for is_first in (True, False):
+        wrong = np.column_stack(
+            [np.repeat(right[:, 0], 100), rng.integers(len(problem.reference), size=100 * len(right))]
+        )
+        pairs = np.concatenate([right, wrong] if is_first else [wrong, right])
+        sigmas = np.full(len(problem.query), SIGMA_M), np.full(len(problem.reference), 0.05)
+        columns.append(make_columns(problem.query, problem.reference, pairs, *sigmas, CONFIG))
+    once = CONFIG.model_copy(update={"confidence": 0.01})  # ends after the first batch of draws
+    first, last = (int(sample(each, once, rng=np.random.default_rng(0), count=1).votes.max()) for each in columns)
+    assert first >= 30
+    assert last < first
+
+
+def test_sampling_is_reproducible_and_takes_poses_from_no_other_place() -> None:
+    problem = draw_problem(120, 0.5, rng=np.random.default_rng(1))
+    config = CONFIG.model_copy(update={"method": "ransac"})
+    first, second = (solve(problem, config, seed=5) for _ in range(2))
+    np.testing.assert_array_equal(first.T_reference_query, second.T_reference_query)
+    shuffled = problem.correspondences.copy()
+    shuffled[:, 1] = np.random.default_rng(0).permutation(shuffled[:, 1])
+    assert len(found_by(problem.query, problem.reference, shuffled, config)[0].pairs) < 20
 
 
 @pytest.mark.parametrize(("count", "false_share"), [(500, 0.98), (1500, 0.985), (3000, 0.99)])
