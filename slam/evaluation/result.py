@@ -15,6 +15,7 @@ from slam.evaluation.metrics.relocalization import RelocalizationQuality
 from slam.evaluation.metrics.trajectory import ErrorStatistics, RelativeErrors, TrajectoryErrors
 from slam.evaluation.place_recognition.closure_labels import JudgedClosures
 from slam.evaluation.place_recognition.closures import ClosureQuality
+from slam.evaluation.place_recognition.discoveries import Discoveries
 from slam.evaluation.place_recognition.place_pairs import OnlineQuality, PairQuality
 from slam.evaluation.place_recognition.precision_recall import ScoreSweep
 from slam.evaluation.place_recognition.retrieval import RECALL_AT, RetrievalQuality
@@ -130,6 +131,7 @@ def _closure_dict(quality: ClosureQuality | None) -> dict[str, Any]:
     names = ("candidate", "accepted", "inserted", "true", "false", "undecided")
     return {
         **{f"{name}_count": getattr(quality, f"{name}_count") if quality else None for name in names},
+        **_discovery_dict(quality.discoveries if quality else None),
         "precision": quality.precision if quality else None,
         "recall": revisits.recall if revisits else None,
         **{f"recall_{name}": revisits.recall_of(name) if revisits else None for name in DIRECTIONS},
@@ -149,6 +151,18 @@ def _closure_dict(quality: ClosureQuality | None) -> dict[str, Any]:
         "stage_counts": quality.stage_counts if quality else {},
         "verified_candidates": _verified_candidates(quality.judged) if quality else [],
     }
+
+
+def _discovery_dict(discoveries: Discoveries | None) -> dict[str, Any]:
+    names = {
+        "found_count": "found",
+        "followed_count": "followed",
+        "led_back_count": "led_back",
+        "independent_count": "independent",
+        "independent_false_count": "independent_false",
+        "largest_false_share": "largest_false_share",
+    }
+    return {key: getattr(discoveries, name) if discoveries else None for key, name in names.items()}
 
 
 def _verified_candidates(judged: JudgedClosures) -> list[dict[str, Any]]:

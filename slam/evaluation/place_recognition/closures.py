@@ -14,6 +14,7 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.place_recognition.closure_labels import JudgedClosures, label_closures
+from slam.evaluation.place_recognition.discoveries import Discoveries, count_discoveries
 from slam.evaluation.place_recognition.precision_recall import ScoreSweep, sweep_scores
 from slam.evaluation.place_recognition.revisits import DIRECTIONS, Revisits, find_revisits
 
@@ -87,13 +88,14 @@ class ClosureQuality:
     """Loop-closure candidates by their final verdicts, and what the truth says of them.
 
     ``judged`` is there without a truth too, all undecided; ``has_truth`` tells. ``revisits`` is None without truth or
-    keyframes, ``errors`` without an accepted true closure.
+    keyframes, ``errors`` without an accepted true closure. ``discoveries``: where the accepted ones come from.
     """
 
     judged: JudgedClosures
     has_truth: bool
     errors: ClosureErrors | None
     revisits: RevisitQuality | None
+    discoveries: Discoveries
 
     @property
     def candidate_count(self) -> int:
@@ -162,7 +164,8 @@ def evaluate_closures(
     revisits = None
     if has_truth and len(keyframe_ids):
         revisits = _assess_revisits(find_revisits(keyframe_ids, keyframe_stamps_ns, truth, protocol), judged)
-    return ClosureQuality(judged, has_truth, _summarize_errors(judged, protocol), revisits)
+    discoveries = count_discoveries(judged, protocol, has_truth=has_truth)
+    return ClosureQuality(judged, has_truth, _summarize_errors(judged, protocol), revisits, discoveries)
 
 
 def _assess_revisits(revisits: Revisits, judged: JudgedClosures) -> RevisitQuality:

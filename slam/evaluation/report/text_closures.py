@@ -6,6 +6,7 @@ from rich.table import Table
 
 from slam.evaluation.metrics.relocalization import RelocalizationQuality
 from slam.evaluation.place_recognition.closures import NO_TRUE_CANDIDATE, ClosureErrors, ClosureQuality, RevisitQuality
+from slam.evaluation.place_recognition.discoveries import Discoveries
 from slam.evaluation.place_recognition.place_pairs import OnlineQuality, PairQuality
 from slam.evaluation.place_recognition.precision_recall import ScoreSweep
 from slam.evaluation.place_recognition.retrieval import RECALL_AT, RetrievalQuality
@@ -22,6 +23,7 @@ def closure_table(quality: ClosureQuality, retrieval: RetrievalQuality | None = 
     if quality.true_count is not None and quality.false_count is not None:
         precision = fraction(quality.precision, quality.true_count, quality.true_count + quality.false_count)
         rows["precision"] = precision + (f", {quality.undecided_count} undecided" if quality.undecided_count else "")
+    rows["found, followed, led back"] = _discoveries(quality.discoveries)
     if quality.revisits is not None:
         rows["recall"] = _recall(quality.revisits)
         rows["missed revisits by stage"] = _missed(quality.revisits)
@@ -76,6 +78,15 @@ def relocalization_table(quality: RelocalizationQuality) -> Table:
             f"{number(quality.p95_error_deg)} deg ({methods[quality.method]})"
         )
     return pairs_table("Relocalization", rows)
+
+
+def _discoveries(discoveries: Discoveries) -> str:
+    text = f"{discoveries.found}, {discoveries.followed}, {discoveries.led_back}"
+    if discoveries.independent is None:
+        return text
+    text += f"; {discoveries.independent} independent discoveries, {discoveries.independent_false} false"
+    share = discoveries.largest_false_share
+    return text if share is None else f"{text}: at most {100.0 * share:.1f} % false, with 95 % confidence"
 
 
 def _sweep(sweep: ScoreSweep | None) -> str:

@@ -51,6 +51,7 @@ def closure(
     score: float = 1.0,
     reason: str = "",
     rank: int = 0,
+    seed: int | None = None,
 ) -> LoopClosureRecord:
     """A candidate between the poses of two indices, off the truth by ``shift_m`` along its x and by ``turn_rad``.
 
@@ -73,6 +74,7 @@ def closure(
         reference_stamp_ns=at_ns(reference),
         inserted=stage == "accepted",
         rank=rank,
+        seed_query_keyframe_id=seed,
     )
 
 

@@ -1,0 +1,71 @@
+"""Where accepted closures come from: found by retrieval, followed from the closure before, or led back to.
+
+A closure that retrieval found is a discovery; those that it predicts for the keyframes after it and before it are
+checks of the same discovery. So a precision is as sure as its discoveries are many, and these only count as several
+where they have no objects in common.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import beta
+
+from slam.evaluation.inputs.protocol import Protocol
+from slam.evaluation.place_recognition.closure_labels import JudgedClosures
+
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class Discoveries:
+    """Accepted closures by their origin: ``found``, ``followed`` forwards, ``led_back`` to keyframes before.
+
+    ``independent``: found closures in runs, a run ending where the next query is a submap's length further on, and of
+    these ``independent_false``, runs with a false one. Both None without truth.
+    """
+
+    found: int
+    followed: int
+    led_back: int
+    independent: int | None
+    independent_false: int | None
+
+    @property
+    def largest_false_share(self) -> float | None:
+        """No more than that share of discoveries is false, with 95 % confidence (Clopper and Pearson, Biometrika 1934).
+
+        About 3 / n where none of n is false: the rule of three. None without truth or discovery.
+        """
+        if self.independent is None or self.independent_false is None or self.independent == 0:
+            return None
+        if self.independent_false == self.independent:
+            return 1.0
+        right = self.independent - self.independent_false
+        return float(beta.ppf(CONFIDENCE, self.independent_false + 1, right))
+
+
+def count_discoveries(judged: JudgedClosures, protocol: Protocol, *, has_truth: bool) -> Discoveries:
+    """Count the accepted closures of a drive by their origin."""
+    rows = np.flatnonzero(judged.accepted)
+    queries = judged.query_ids[rows]
+    seeds = [judged.candidates[row].seed_query_keyframe_id for row in rows.tolist()]
+    is_found = np.array([seed is None for seed in seeds], dtype=np.bool_)
+    is_followed = np.array(
+        [seed is not None and seed < query for seed, query in zip(seeds, queries.tolist(), strict=True)], dtype=np.bool_
+    )
+    independent = independent_false = None
+    if has_truth:
+        found = rows[is_found & judged.decided[rows]]
+        found = found[np.argsort(judged.travelled_m[found], kind="stable")]
+        runs = np.cumsum(np.diff(judged.travelled_m[found], prepend=-np.inf) >= protocol.window_m)
+        independent = len(np.unique(runs))
+        independent_false = len(np.unique(runs[~judged.true[found]]))
+    return Discoveries(
+        found=int(is_found.sum()),
+        followed=int(is_followed.sum()),
+        led_back=int((~is_found & ~is_followed).sum()),
+        independent=independent,
+        independent_false=independent_false,
+    )

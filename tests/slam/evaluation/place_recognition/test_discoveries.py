@@ -1,0 +1,46 @@
+from __future__ import annotations
+
+import pytest
+
+from slam.evaluation.place_recognition.discoveries import Discoveries
+from tests.slam.evaluation.loops import closure, judge, there_and_back
+
+TRUTH = there_and_back()
+
+
+def test_closures_are_counted_by_where_they_come_from() -> None:
+    found = judge(
+        [
+            closure(180, 60, truth=TRUTH),
+            closure(182, 58, truth=TRUTH, seed=180),
+            closure(184, 56, truth=TRUTH, seed=182),
+            closure(178, 62, truth=TRUTH, seed=180),
+            closure(190, 50, truth=TRUTH, stage="acceptance"),
+        ],
+        TRUTH,
+    ).discoveries
+    assert (found.found, found.followed, found.led_back) == (1, 2, 1)
+    assert (found.independent, found.independent_false) == (1, 0)
+
+
+def test_discoveries_that_share_a_submap_are_one() -> None:
+    """Keyframes are 1 m apart: 160 and 200 share objects with what lies between them, and one false makes it false."""
+    near = [closure(query, 240 - query, truth=TRUTH, shift_m=9.0 * (query == 200)) for query in (160, 200)]
+    apart = [*near[:1], closure(220, 20, truth=TRUTH, shift_m=9.0)]
+    one, two = judge(near, TRUTH).discoveries, judge(apart, TRUTH).discoveries
+    assert (one.independent, one.independent_false) == (1, 1)
+    assert (two.independent, two.independent_false) == (2, 1)
+
+
+def test_the_bound_is_the_rule_of_three_where_none_is_false() -> None:
+    for count in (10, 60, 341):
+        share = Discoveries(count, 0, 0, count, 0).largest_false_share
+        assert share == pytest.approx(3.0 / count, rel=0.15)
+        assert share == pytest.approx(1.0 - 0.05 ** (1.0 / count))
+    assert Discoveries(20, 0, 0, 20, 2).largest_false_share == pytest.approx(0.2826, abs=1e-3)
+    assert Discoveries(3, 0, 0, 3, 3).largest_false_share == 1.0
+
+
+def test_without_discoveries_or_truth_there_is_no_bound() -> None:
+    assert Discoveries(0, 0, 0, 0, 0).largest_false_share is None
+    assert Discoveries(5, 1, 1, None, None).largest_false_share is None
