@@ -10,7 +10,6 @@ import typer
 from tools.arguments import SlamLog, check_outputs
 
 if TYPE_CHECKING:
-    from logs.container.limits import RESULT_LIMITS
     from logs.messages import Record
 
 _TRAJECTORY, _GRAPH, _MAP = "/slam/trajectory_stamped", "/slam/graph", "/slam/map"
@@ -53,6 +52,7 @@ def export(
 
 
 def _read(path: Path) -> dict[str, Record]:
+    from logs.container.limits import RESULT_LIMITS
     from logs.reader import LogReader
     from logs.selection import Selection
 
