@@ -121,7 +121,7 @@ def summarize(
         candidates = find_final_verdicts(gathering.closures)
         return LogSummary(
             path=str(path),
-            size_bytes=os.path.getsize(path),
+            size_bytes=reader.size_bytes,
             start_ns=gathering.start_ns or 0,
             end_ns=gathering.end_ns,
             topics=tuple(gathering.topic_summary(info) for info in topics),

@@ -90,10 +90,11 @@ class LogWriter:
     def write_raw(self, raw: RawMessage) -> None:
         """Copy a message of another log unchanged: topic, schema, times, sequence number and bytes."""
         channel = raw.channel
-        key = (channel.topic, channel.message_encoding, channel.schema, tuple(sorted(channel.metadata.items())))
+        schema = channel.schema
+        meaning = None if schema is None else (schema.name, schema.encoding, schema.data)  # ids differ between files
+        key = (channel.topic, channel.message_encoding, meaning, tuple(sorted(channel.metadata.items())))
         channel_id = self._channel_ids.get(key)
         if channel_id is None:
-            schema = channel.schema
             schema_id = 0 if schema is None else self._schema_id(schema.name, schema.encoding, schema.data)
             channel_id = self._writer.register_channel(
                 channel.topic, channel.message_encoding, schema_id, dict(sorted(channel.metadata.items()))

@@ -109,7 +109,7 @@ def replay(
     started = time.perf_counter()
     with LogReader(source, config.limits.reading) as reader:
         for path in (output, partial_path(output)):
-            if path.exists() and path.samefile(source):
+            if path.exists() and any(path.samefile(file) for file in reader.files):
                 raise UnwritableLogError(f"writing {output} would overwrite the input {source}; give another output")
         if METADATA in reader.metadata():
             raise InputDataError(f"{source} is a saved map, not a drive; give it as --map, and the log of a drive here")

@@ -8,7 +8,9 @@ from typing import Annotated
 
 import typer
 
-InputLog = Annotated[Path, typer.Argument(metavar="LOG.mcap", help="The log to read.", show_default=False)]
+InputLog = Annotated[
+    Path, typer.Argument(metavar="LOG", help="MCAP file, or rosbag2 folder or file.", show_default=False)
+]
 NewLog = Annotated[Path, typer.Argument(metavar="OUT.mcap", help="The log to write.", show_default=False)]
 SlamLog = Annotated[
     Path, typer.Argument(metavar="OUT.mcap", help="A log that 'dslam replay' wrote.", show_default=False)

@@ -148,6 +148,8 @@ def _show(summary: LogSummary) -> None:
         rows["status"] = f"{summary.status.level}: {summary.status.message}"
         rows["counters"] = ", ".join(f"{name} {count}" for name, count in summary.status.counters.items())
     for name, values in summary.metadata.items():
+        if name == "rosbag2":  # a copy of metadata.yaml, which says what stands above
+            continue
         if name == info_map.METADATA:
             values = {key: value for key, value in values.items() if key not in info_map.SHOWN}
         rows |= {f"{name}: {key}": _shortened(name, key, value) for key, value in values.items()}

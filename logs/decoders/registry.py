@@ -24,6 +24,8 @@ class Decoder(Protocol):
 _POSE = (RecordKind.ODOMETRY, RecordKind.GROUND_TRUTH)
 _FRAMES = (RecordKind.TRANSFORMS, RecordKind.ODOMETRY)
 
+_DEFINITIONS = ("ros2msg", "ros2idl")
+
 _KINDS: dict[str, dict[str, tuple[RecordKind, ...]]] = {
     "protobuf": {
         "foxglove.Odometry": _POSE,
@@ -53,8 +55,8 @@ _KINDS: dict[str, dict[str, tuple[RecordKind, ...]]] = {
 
 def kinds_of(channel: Channel) -> tuple[RecordKind, ...]:
     """What the messages of ``channel`` can be decoded to; () for a schema or an encoding that is not known."""
-    if channel.message_encoding == "cdr" and (channel.schema is None or channel.schema.encoding != "ros2msg"):
-        return ()  # definitions in IDL cannot be read
+    if channel.message_encoding == "cdr" and (channel.schema is None or channel.schema.encoding not in _DEFINITIONS):
+        return ()
     return _KINDS.get(channel.message_encoding, {}).get(channel.schema_name, ())
 
 

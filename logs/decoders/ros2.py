@@ -1,4 +1,4 @@
-"""ROS 2 messages (CDR with a ``ros2msg`` schema), read by the definitions that the log itself carries.
+"""ROS 2 messages (CDR with a ``ros2msg`` or ``ros2idl`` schema), read by the definitions that the log itself carries.
 
 Objects in a vision_msgs/msg/Detection3DArray: the class and the score are those of the result with the highest score,
 the position is the centre of the box, or, where the box was left empty, the pose of that result; the covariance is that
@@ -7,21 +7,17 @@ of the result's pose.
 
 from __future__ import annotations
 
-import struct
 from collections import Counter
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from mcap_ros2.decoder import DecoderFactory
 
+from logs.decoders.cdr import parse
 from logs.decoders.parts import DetectionList, covariance_6x6, frame_records, pose_record
 from logs.messages import Record
-from logs.topics import RawMessage, RecordKind, Schema
+from logs.topics import RawMessage, RecordKind
 from logs.validation import FloatArray, Refusal, stamp_ns, transform_from_quaternion
-
-_DAMAGE = (struct.error, ValueError, IndexError, OverflowError, MemoryError)
 
 
 def decode(raw: RawMessage, kind: RecordKind, counters: Counter[str]) -> tuple[Record, ...]:
@@ -31,26 +27,13 @@ def decode(raw: RawMessage, kind: RecordKind, counters: Counter[str]) -> tuple[R
         Refusal: bytes that are no such message, a definition without the usual fields, or values no record may have.
     """
     schema = raw.channel.schema
-    name = raw.channel.schema_name
+    if schema is None:
+        raise Refusal("no definition of the message in the log")
+    message = parse(schema, raw.data)
     try:
-        parse = _parser(schema)
-    except Exception as error:  # the vendored parser of definitions raises whatever it stumbles over
-        raise Refusal(f"definition of {name} cannot be read", str(error)) from error
-    try:
-        message = parse(raw.data)
-    except _DAMAGE as error:
-        raise Refusal("bytes do not decode", f"{len(raw.data)} bytes as {name}") from error
-    try:
-        return _DECODERS[name](message, kind, raw.log_time_ns, counters)
+        return _DECODERS[schema.name](message, kind, raw.log_time_ns, counters)
     except AttributeError as error:
-        raise Refusal(f"unknown version of {name}", str(error)) from error
-
-
-@lru_cache(maxsize=64)
-def _parser(schema: Schema) -> Callable[[bytes], Any]:
-    # A factory caches by the schema's id, which only holds within one file; so each schema gets its own.
-    parser: Callable[[bytes], Any] = DecoderFactory().decoder_for("cdr", schema)
-    return parser
+        raise Refusal(f"unknown version of {schema.name}", str(error)) from error
 
 
 def _stamp(header: Any, log_time_ns: int) -> int:

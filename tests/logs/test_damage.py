@@ -167,10 +167,9 @@ def test_not_an_mcap(tmp_path):
         LogReader(path)
 
 
-@pytest.mark.parametrize("name", ["missing.mcap", "."])
-def test_no_file(tmp_path, name):
+def test_no_file(tmp_path):
     with pytest.raises(UnreadableLogError, match="cannot read"):
-        LogReader(tmp_path / name)
+        LogReader(tmp_path / "missing.mcap")
 
 
 def test_a_log_without_messages(tmp_path):

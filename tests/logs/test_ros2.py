@@ -1,7 +1,6 @@
+import dataclasses
 import math
-import os
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,11 +11,8 @@ from logs.errors import InvalidRecordError
 from logs.reader import LogReader
 from logs.selection import Selection, select_topics
 from logs.summary import summarize
-
-DATA = Path(os.environ.get("DSLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
-NAV2 = DATA / "ros2" / "nav2_turtlebot.mcap"
-
-needs_nav2 = pytest.mark.skipif(not NAV2.exists(), reason=f"{NAV2} is missing (set DSLAM_DATA)")
+from tests.helpers.data import NAV2, needs_nav2
+from tests.logs.examples import assert_same_record
 
 HEADER = "builtin_interfaces/Time stamp\nstring frame_id"
 SEPARATOR = "\n" + "=" * 80 + "\n"
@@ -203,8 +199,6 @@ def test_an_empty_array_of_detections(tmp_path):
 
 def test_a_message_that_is_cut_short_is_refused(tmp_path):
     (raw,) = messages(tmp_path, "geometry_msgs/msg/PoseStamped", POSE_STAMPED, {"header": header(), "pose": pose()})
-    import dataclasses
-
     for length in range(0, len(raw.data), 7):
         with pytest.raises(InvalidRecordError, match="do not decode"):
             decode(dataclasses.replace(raw, data=raw.data[:length]), "odometry")
@@ -214,6 +208,48 @@ def test_a_definition_without_the_usual_fields_is_refused(tmp_path):
     (raw,) = messages(tmp_path, "geometry_msgs/msg/PoseStamped", "float64 x", {"x": 1.0})
     with pytest.raises(InvalidRecordError, match="unknown version of geometry_msgs/msg/PoseStamped"):
         decode(raw, "odometry")
+
+
+TIME_IDL = "module builtin_interfaces { module msg { struct Time { int32 sec; uint32 nanosec; }; }; };\n"
+HEADER_IDL = """#include "builtin_interfaces/msg/Time.idl"
+module std_msgs { module msg { struct Header { builtin_interfaces::msg::Time stamp; string frame_id; }; }; };
+"""
+POSE_IDL = """module geometry_msgs { module msg {
+  struct Point { double x; double y; double z; };
+  struct Quaternion { double x; double y; double z; double w; };
+  struct Pose { geometry_msgs::msg::Point position; geometry_msgs::msg::Quaternion orientation; };
+}; };
+"""
+POSE_STAMPED_IDL = """#include "std_msgs/msg/Header.idl"
+module geometry_msgs { module msg {
+  struct PoseStamped { std_msgs::msg::Header header; geometry_msgs::msg::Pose pose; };
+}; };
+"""
+IDL = {
+    "geometry_msgs/msg/PoseStamped": POSE_STAMPED_IDL,
+    "std_msgs/msg/Header": HEADER_IDL,
+    "builtin_interfaces/msg/Time": TIME_IDL,
+    "geometry_msgs/msg/Pose": POSE_IDL,
+}
+
+
+def test_definitions_in_idl(tmp_path):
+    content = {"header": header(), "pose": pose(q=(0.0, 0.0, 1.0, 0.0))}
+    (raw,) = messages(tmp_path, "geometry_msgs/msg/PoseStamped", POSE_STAMPED, content)
+    text = "".join(f"{'=' * 80}\nIDL: {name}\n{part}" for name, part in IDL.items())
+    schema = dataclasses.replace(raw.channel.schema, encoding="ros2idl", data=text.encode())
+    (expected,) = decode(raw, "odometry")
+    (record,) = decode(dataclasses.replace(raw, channel=dataclasses.replace(raw.channel, schema=schema)), "odometry")
+    assert_same_record(record, expected, tolerance=0.0)
+
+
+@pytest.mark.parametrize("encoding", ["ros2msg", "ros2idl"])
+def test_a_definition_that_cannot_be_read_is_named(tmp_path, encoding):
+    content = {"header": header(), "pose": pose()}
+    (raw,) = messages(tmp_path, "geometry_msgs/msg/PoseStamped", POSE_STAMPED, content)
+    schema = dataclasses.replace(raw.channel.schema, encoding=encoding, data=b"no ][ definition")
+    with pytest.raises(InvalidRecordError, match="definition of geometry_msgs/msg/PoseStamped cannot be read"):
+        decode(dataclasses.replace(raw, channel=dataclasses.replace(raw.channel, schema=schema)), "odometry")
 
 
 @needs_nav2

@@ -1,0 +1,52 @@
+"""The folder of a rosbag2 recording: which files belong to it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from logs.errors import UnreadableLogError
+
+METADATA_FILE = "metadata.yaml"
+
+
+def find_bag_files(folder: Path) -> list[Path]:
+    """The files with messages of the recording in ``folder``, in the order in which they were recorded.
+
+    Raises:
+        UnreadableLogError: no usable metadata.yaml, or it names a file that is not there.
+    """
+    names = _read_file_names(folder)
+    # The oldest recordings name the files relative to the folder above.
+    paths = [folder / name if (folder / name).is_file() else folder / Path(name).name for name in names]
+    missing = [path.name for path in paths if not path.is_file()]
+    if missing:
+        raise UnreadableLogError(
+            f"{folder / METADATA_FILE} names {', '.join(missing)}, which {'is' if len(missing) == 1 else 'are'} not "
+            "there; copy the missing files, or run 'ros2 bag reindex' to go on without them"
+        )
+    return paths
+
+
+def _read_file_names(folder: Path) -> list[str]:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    path = folder / METADATA_FILE
+    if not path.is_file():
+        files = sorted(p.name for p in folder.iterdir() if p.name.endswith((".mcap", ".db3", ".zstd")))
+        remedy = f"give one of its files ({', '.join(files[:3])}{', ...' if len(files) > 3 else ''})" if files else ""
+        remedy = remedy or "give a log, or the folder of a rosbag2 recording"
+        raise UnreadableLogError(f"{folder} is a folder without {METADATA_FILE}; {remedy}")
+    try:
+        information = YAML(typ="safe", pure=True).load(path)["rosbag2_bagfile_information"]
+        names = [str(name) for name in information["relative_file_paths"]]
+    except OSError as error:
+        raise UnreadableLogError(f"cannot read {path}: {error.strerror}; check the path") from error
+    except (YAMLError, KeyError, TypeError, ValueError) as error:
+        raise UnreadableLogError(
+            f"{path} is no description of a rosbag2 recording ({' '.join(str(error).split())}); "
+            "'ros2 bag reindex' writes it anew"
+        ) from error
+    if not names:
+        raise UnreadableLogError(f"{path} names no files: the recording is empty")
+    return names

@@ -1,0 +1,89 @@
+"""From a path to open files: whatever a log comes in is recognised here, by its first bytes and not by its name."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from contextlib import ExitStack
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import zstandard
+
+from logs import blocks
+from logs.container.limits import ReadingLimits
+from logs.errors import UnreadableLogError
+from logs.storage.bag_folder import find_bag_files
+from logs.storage.mcap_file import McapFile
+from logs.storage.sqlite_file import SqliteFile
+from logs.storage.storage import Storage
+
+SQLITE_MAGIC = b"SQLite format 3\x00"
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
+_log = logging.getLogger(__name__)
+
+
+def find_files(path: Path) -> list[Path]:
+    """The files of the log at ``path``: the file itself, or those of a rosbag2 folder.
+
+    Raises:
+        UnreadableLogError: nothing is there, or a folder is no whole recording.
+    """
+    if path.is_dir():
+        return find_bag_files(path)
+    if not path.exists():
+        raise UnreadableLogError(f"cannot read {path}: No such file or directory; check the path")
+    return [path]
+
+
+def open_storage(path: Path, limits: ReadingLimits, until_closed: ExitStack) -> Storage:
+    """Open the file at ``path``; one that is compressed as a whole is unpacked into a temporary folder first.
+
+    ``until_closed`` closes it, and removes that folder.
+
+    Raises:
+        UnreadableLogError: it cannot be read, or is neither MCAP nor a database of rosbag2.
+    """
+    return _open(path, str(path), limits, until_closed)
+
+
+def _open(path: Path, name: str, limits: ReadingLimits, until_closed: ExitStack) -> Storage:
+    try:
+        with open(path, "rb") as stream:
+            magic = stream.read(len(SQLITE_MAGIC))
+    except OSError as error:
+        raise UnreadableLogError(f"cannot read {name}: {error.strerror}; check the path") from error
+    if magic.startswith(ZSTD_MAGIC):
+        scratch = until_closed.enter_context(TemporaryDirectory(prefix="dslam-"))
+        return _open(_unpack(path, Path(scratch)), name, limits, until_closed)
+    storage: Storage | None = None
+    if magic.startswith(blocks.MAGIC):
+        storage = McapFile(path, name, limits)
+    elif magic == SQLITE_MAGIC:
+        storage = SqliteFile(path, name, limits)
+    if storage is not None:
+        until_closed.callback(storage.close)
+        return storage
+    what = "is no MCAP file (it does not begin with the MCAP signature)" if magic else "is empty"
+    raise UnreadableLogError(
+        f"{name} {what}; give a log that was recorded as MCAP, or a rosbag2 folder or file (.mcap, .db3, .zstd)"
+    )
+
+
+def _unpack(path: Path, folder: Path) -> Path:
+    """The file at ``path``, decompressed; of one that ends early, what there is."""
+    unpacked = folder / path.stem
+    _log.info("unpacking %s", path)
+    try:
+        with open(path, "rb") as packed, open(unpacked, "wb") as stream:
+            shutil.copyfileobj(zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True), stream)
+    except zstandard.ZstdError as error:
+        if not unpacked.stat().st_size:
+            raise UnreadableLogError(f"{path} cannot be decompressed: {error}; copy it again") from error
+        _log.warning("%s is damaged: only its first %d bytes can be read (%s)", path, unpacked.stat().st_size, error)
+    except OSError as error:
+        raise UnreadableLogError(
+            f"cannot unpack {path} into {folder}: {error.strerror}; make room there, or set TMPDIR to another folder"
+        ) from error
+    return unpacked

@@ -1,0 +1,58 @@
+"""Definitions of ROS 2 messages for recordings that hold none: databases written before ROS 2 Iron.
+
+The types of ROS itself come from the library ``rosbags``. The layouts of perception messages, of packages that are not
+part of ROS itself, are written down here; they are those of the releases for ROS 2 Humble.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+_HEADER = "std_msgs/Header header\n"
+
+_PERCEPTION = {
+    "vision_msgs/msg/Point2D": "float64 x\nfloat64 y",
+    "vision_msgs/msg/Pose2D": "vision_msgs/Point2D position\nfloat64 theta",
+    "vision_msgs/msg/BoundingBox2D": "vision_msgs/Pose2D center\nfloat64 size_x\nfloat64 size_y",
+    "vision_msgs/msg/BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size",
+    "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score",
+    "vision_msgs/msg/ObjectHypothesisWithPose": (
+        "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose"
+    ),
+    "vision_msgs/msg/Detection2D": (
+        f"{_HEADER}vision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/BoundingBox2D bbox\nstring id"
+    ),
+    "vision_msgs/msg/Detection3D": (
+        f"{_HEADER}vision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/BoundingBox3D bbox\nstring id"
+    ),
+    "vision_msgs/msg/Detection2DArray": f"{_HEADER}vision_msgs/Detection2D[] detections",
+    "vision_msgs/msg/Detection3DArray": f"{_HEADER}vision_msgs/Detection3D[] detections",
+    "apriltag_msgs/msg/Point": "float64 x\nfloat64 y",
+    "apriltag_msgs/msg/AprilTagDetection": (
+        "string family\nint32 id\nint32 hamming\nfloat32 goodness\nfloat32 decision_margin\n"
+        "apriltag_msgs/Point centre\napriltag_msgs/Point[4] corners\nfloat64[9] homography"
+    ),
+    "apriltag_msgs/msg/AprilTagDetectionArray": f"{_HEADER}apriltag_msgs/AprilTagDetection[] detections",
+}
+
+
+def known_definition(type_name: str) -> tuple[str, bytes]:
+    """(encoding, definition) of the ROS 2 message ``type_name``, with those of its parts; ("", b"") if unknown."""
+    store = typestore()
+    if type_name not in store.fielddefs:
+        return "", b""
+    return "ros2msg", store.generate_msgdef(type_name, ros_version=2)[0].encode()
+
+
+@lru_cache(maxsize=1)
+def typestore() -> Typestore:
+    """The types of ROS 2 Humble, and those of perception messages."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types = {}
+    for name, text in _PERCEPTION.items():
+        types.update(get_types_from_msg(text, name))
+    store.register(types)
+    return store

@@ -1,0 +1,115 @@
+"""One SQLite file of rosbag2 (.db3)."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+
+from logs.container.limits import ReadingLimits
+from logs.container.pending import LAST_NS
+from logs.errors import UnreadableLogError
+from logs.storage.ros2_definitions import known_definition
+from logs.storage.storage import ChannelInfo
+from logs.topics import Channel, RawMessage, Schema
+
+
+class SqliteFile:
+    """The rosbag2 database at ``path``; see :class:`logs.storage.storage.Storage`.
+
+    Messages come in the order of log time, those of equal time in the order in which they were recorded; messages of
+    other topics than the wanted ones are not read. Databases written before ROS 2 Iron hold no definitions of their
+    messages; for those types that can be used, they are added.
+
+    Raises:
+        UnreadableLogError: the file is no such database, or is damaged; ``name`` is what the message calls it.
+    """
+
+    def __init__(self, path: Path, name: str, limits: ReadingLimits) -> None:
+        self._limits = limits
+        self._is_complete = True
+        self._reading_counters: Counter[str] = Counter()
+        try:
+            self._database = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
+            self._channels = self._read_channels()
+        except sqlite3.Error as error:
+            raise UnreadableLogError(
+                f"cannot read {name}: {error}; it is no database of rosbag2, or a damaged one"
+            ) from error
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """``truncated`` (1: it could not be read to its end); of the latest pass over messages ``messages_too_large``
+        and ``messages_without_time``.
+        """
+        return {**self._reading_counters, "truncated": int(not self._is_complete)}
+
+    def channels(self) -> list[ChannelInfo]:
+        """The channels, with their numbers of messages and their times."""
+        return list(self._channels.values())
+
+    def messages(
+        self, topics: Collection[str] | None = None, without_content: Collection[str] = ()
+    ) -> Iterator[RawMessage]:
+        """Undecoded messages of ``topics`` (None: of all), in the order of log time; some of them without content."""
+        self._reading_counters.clear()
+        wanted = {id: i.channel for id, i in self._channels.items() if topics is None or i.channel.topic in topics}
+        empty = [id for id, channel in wanted.items() if channel.topic in without_content]
+        query = (
+            "SELECT id, topic_id, timestamp, "
+            f"CASE WHEN topic_id IN ({_marks(empty)}) THEN x'' WHEN length(data) <= ? THEN data END "
+            f"FROM messages WHERE topic_id IN ({_marks(wanted)}) ORDER BY timestamp, id"
+        )
+        parameters = (*empty, self._limits.message_bytes, *wanted)
+        try:
+            for id, topic_id, log_time_ns, data in self._database.execute(query, parameters):
+                if not 0 <= log_time_ns <= LAST_NS:
+                    self._reading_counters["messages_without_time"] += 1
+                elif data is None:
+                    self._reading_counters["messages_too_large"] += 1
+                else:
+                    yield RawMessage(wanted[topic_id], log_time_ns, log_time_ns, id % 2**32, data)
+        except sqlite3.DatabaseError:
+            self._is_complete = False
+
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """None: such files hold only messages."""
+        return {}
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()
+
+    def _read_channels(self) -> dict[int, ChannelInfo]:
+        spans = {
+            topic_id: (count, first_ns, last_ns)
+            for topic_id, count, first_ns, last_ns in self._database.execute(
+                "SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages GROUP BY topic_id"
+            )
+        }
+        definitions = self._read_definitions()
+        channels = {}
+        for id, topic, type_name, encoding in self._database.execute(
+            "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
+        ):
+            definition = definitions.get(type_name) or known_definition(type_name)
+            schema = Schema(id, type_name, *definition)
+            channels[id] = ChannelInfo(Channel(id, topic, encoding, schema), *spans.get(id, (0, None, None)))
+        return channels
+
+    def _read_definitions(self) -> dict[str, tuple[str, bytes]]:
+        """Type name -> (encoding, definition)."""
+        tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        if "message_definitions" not in tables:
+            return {}
+        return {
+            type_name: (encoding, text.encode())
+            for type_name, encoding, text in self._database.execute(
+                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions ORDER BY id"
+            )
+        }
+
+
+def _marks(parameters: Collection[int]) -> str:
+    return ",".join("?" * len(parameters))

@@ -1,0 +1,13 @@
+"""Real data, which lie beside the repository or where DSLAM_DATA says; tests that need them are skipped without."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+DATA = Path(os.environ.get("DSLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
+NAV2 = DATA / "ros2" / "nav2_turtlebot.mcap"
+
+needs_nav2 = pytest.mark.skipif(not NAV2.exists(), reason=f"{NAV2} is missing (set DSLAM_DATA)")

@@ -1,0 +1,180 @@
+"""ROS 2 recordings for tests: messages from plain values, and bags of every kind, written by ``rosbags``."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from ruamel.yaml import YAML
+
+from logs import messages as m
+from logs.storage.ros2_definitions import typestore
+from logs.topics import Channel, RawMessage, Schema
+from logs.validation import covariance_to_parent, quaternion_xyzw
+from tests.helpers.short_drives import Entry
+
+TYPES = typestore()
+Message = tuple[str, str, int, dict[str, Any]]
+"""Topic, type, log time, fields; those left out are zero."""
+
+
+def fill(type_name: str, values: dict[str, Any]) -> Any:
+    """The message ``type_name`` with these fields."""
+    fields = {name: _value(kind, values.get(name)) for name, kind in TYPES.fielddefs[type_name][1]}
+    unknown = values.keys() - fields.keys()
+    assert not unknown, f"{type_name} has no {unknown}"
+    return TYPES.types[type_name](**fields)
+
+
+def _value(description: Any, value: Any) -> Any:
+    kind, detail = description
+    if kind == 1:
+        return detail_default(detail[0]) if value is None else value
+    if kind == 2:
+        return fill(detail, value or {})
+    (inner_kind, inner), count = detail
+    if inner_kind == 1 and inner[0] != "string":
+        dtype = {"octet": np.uint8, "byte": np.uint8}.get(inner[0], inner[0])
+        return np.zeros(count if kind == 3 else 0, dtype) if value is None else np.array(value, dtype).ravel()
+    return [_value((inner_kind, inner), item) for item in (value or ([None] * count if kind == 3 else []))]
+
+
+def detail_default(name: str) -> Any:
+    return "" if name == "string" else False if name == "bool" else 0.0 if name.startswith("float") else 0
+
+
+def cdr(type_name: str, values: dict[str, Any]) -> bytes:
+    return bytes(TYPES.serialize_cdr(fill(type_name, values), type_name))
+
+
+def header(stamp_ns: int = 0, frame: str = "") -> dict[str, Any]:
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame}
+
+
+def vector(x: float, y: float, z: float) -> dict[str, float]:
+    return {"x": float(x), "y": float(y), "z": float(z)}
+
+
+def pose(T: np.ndarray) -> dict[str, Any]:
+    q = quaternion_xyzw(T)
+    return {"position": vector(*T[:3, 3]), "orientation": dict(zip("xyzw", q, strict=True))}
+
+
+def at(x: float, y: float, z: float) -> dict[str, Any]:
+    return {"position": vector(x, y, z), "orientation": {"w": 1.0}}
+
+
+def tf(stamp_ns: int, parent: str, child: str, T: np.ndarray) -> dict[str, Any]:
+    placed = pose(T)
+    return {
+        "header": header(stamp_ns, parent),
+        "child_frame_id": child,
+        "transform": {"translation": placed["position"], "rotation": placed["orientation"]},
+    }
+
+
+def detection3d(position: Sequence[float], label: str, score: float = 1.0, **fields: Any) -> dict[str, Any]:
+    covariance = fields.pop("covariance", np.zeros((6, 6)))
+    size = fields.pop("size", (0.5, 0.5, 1.0))
+    return {
+        "results": [{"hypothesis": {"class_id": label, "score": score}, "pose": {"covariance": covariance}}],
+        "bbox": {"center": at(*position), "size": vector(*size)},
+        **fields,
+    }
+
+
+def ros2_messages(entries: Iterable[Entry]) -> list[Message]:
+    """A simulated drive as a robot with ROS 2 would record it."""
+    found: list[Message] = []
+    for topic, log_time_ns, record in entries:
+        converted = _converted(topic, record)
+        if converted is not None:
+            found.append((converted[0], converted[1], log_time_ns, converted[2]))
+    return found
+
+
+def _converted(topic: str, record: m.Record) -> tuple[str, str, dict[str, Any]] | None:
+    if isinstance(record, m.Odometry):
+        given = record.covariance
+        covariance = np.zeros((6, 6)) if given is None else covariance_to_parent(given, record.T_odom_body)
+        fields = {
+            "header": header(record.stamp_ns, record.frame_id),
+            "child_frame_id": record.child_frame_id,
+            "pose": {"pose": pose(record.T_odom_body), "covariance": covariance},
+        }
+        return "/odom", "nav_msgs/msg/Odometry", fields
+    if isinstance(record, m.ObjectDetections):
+        return "/detections", "vision_msgs/msg/Detection3DArray", detections3d(record)
+    if isinstance(record, m.Transform):
+        placed = tf(record.stamp_ns, record.parent_frame_id, record.child_frame_id, record.T_parent_child)
+        return "/tf_static", "tf2_msgs/msg/TFMessage", {"transforms": [placed]}
+    if isinstance(record, m.GroundTruthPose):
+        fields = {"header": header(record.stamp_ns, record.frame_id), "pose": pose(record.T_world_body)}
+        return "/ground_truth", "geometry_msgs/msg/PoseStamped", fields
+    return None
+
+
+def detections3d(record: m.ObjectDetections) -> dict[str, Any]:
+    listed = []
+    for i, label in enumerate(record.labels):
+        covariance = np.zeros((6, 6))
+        if record.covariances is not None:
+            covariance[:3, :3] = record.covariances[i]
+        size = (0.5, 0.5, 0.5) if record.sizes is None else record.sizes[i]
+        track_id = record.track_ids[i] if record.track_ids else ""
+        listed.append(
+            detection3d(record.positions[i], label, record.scores[i], covariance=covariance, size=size, id=track_id)
+        )
+    return {"header": header(record.stamp_ns, record.frame_id), "detections": listed}
+
+
+def _encoded(message: Message) -> RawMessage:
+    topic, type_name, log_time_ns, values = message
+    definition = TYPES.generate_msgdef(type_name, ros_version=2)[0].encode()
+    channel = Channel(0, topic, "cdr", Schema(1, type_name, "ros2msg", definition))
+    return RawMessage(channel, log_time_ns, log_time_ns, 0, cdr(type_name, values))
+
+
+def write_bag(
+    folder: Path,
+    messages: Sequence[Message] | Sequence[RawMessage],
+    *,
+    storage: str = "mcap",
+    files: int = 1,
+    compression: str = "none",
+) -> Path:
+    """A rosbag2 folder with ``messages`` split into ``files``; ``compression``: "none", "file" or "message"."""
+    folder.mkdir(parents=True)
+    names = []
+    size = -(-len(messages) // files)
+    for i in range(files):
+        some = messages[i * size : (i + 1) * size]
+        part = folder / f"part_{i}"
+        writer = Writer(part, version=8, storage_plugin=StoragePlugin[storage.upper()])
+        if compression != "none":
+            writer.set_compression(CompressionMode[compression.upper()], CompressionFormat.ZSTD)
+        with writer:
+            connections: dict[str, Any] = {}
+            for message in some:
+                raw = message if isinstance(message, RawMessage) else _encoded(message)
+                if raw.topic not in connections:
+                    schema = raw.channel.schema
+                    connections[raw.topic] = writer.add_connection(
+                        raw.topic, schema.name, msgdef=schema.data.decode(), rihs01=f"RIHS01_{schema.name}"
+                    )
+                writer.write(connections[raw.topic], raw.log_time_ns, raw.data)
+        yaml = YAML(typ="safe", pure=True)
+        metadata = yaml.load(part / "metadata.yaml")
+        (name,) = metadata["rosbag2_bagfile_information"]["relative_file_paths"]
+        names.append(name)
+        (part / name).rename(folder / name)
+        shutil.rmtree(part)
+    metadata["rosbag2_bagfile_information"]["relative_file_paths"] = names
+    with open(folder / "metadata.yaml", "w") as stream:
+        yaml.dump(metadata, stream)
+    return folder

@@ -1,0 +1,191 @@
+"""Recordings of rosbag2: folders, several files, databases, compressed files."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from logs.errors import UnreadableLogError, UnwritableLogError
+from logs.reader import LogReader
+from logs.selection import select_topics
+from logs.summary import summarize
+from slam.common.config import Config
+from slam.replay import replay
+from tests.helpers.data import NAV2, needs_nav2
+from tests.helpers.ros2_logs import Message, ros2_messages, write_bag
+from tests.helpers.short_drives import drive, keep_until, raw_messages
+
+BAGS = {
+    "mcap": {},
+    "split": {"files": 3},
+    "file_zstd": {"files": 2, "compression": "file"},
+    "db3": {"storage": "sqlite3"},
+    "db3_split_zstd": {"storage": "sqlite3", "files": 2, "compression": "file"},
+    "db3_message_zstd": {"storage": "sqlite3", "compression": "message"},
+    "mcap_message_zstd": {"compression": "message"},
+}
+
+
+@pytest.fixture(scope="module")
+def messages() -> list[Message]:
+    return ros2_messages(keep_until(drive(), 12.0))
+
+
+@pytest.fixture(scope="module")
+def bags(messages: list[Message], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("bags")
+    return {name: write_bag(folder / name, messages, **how) for name, how in BAGS.items()}
+
+
+def contents(path: Path) -> list[tuple[str, int, bytes]]:
+    return [(raw.topic, raw.log_time_ns, raw.data) for raw in raw_messages(path)]
+
+
+@pytest.mark.parametrize("name", list(BAGS)[1:])
+def test_every_kind_of_bag_holds_the_same(bags: dict[str, Path], name: str) -> None:
+    assert contents(bags[name]) == contents(bags["mcap"])
+    with LogReader(bags[name]) as reader, LogReader(bags["mcap"]) as plain:
+        assert reader.topics() == plain.topics()
+        assert reader.counters == {}
+
+
+def test_a_file_of_a_bag_can_be_given_alone(bags: dict[str, Path]) -> None:
+    for name, pattern in (("mcap", "*.mcap"), ("db3", "*.db3"), ("file_zstd", "*_0.mcap.zstd")):
+        (path,) = bags[name].glob(pattern)
+        expected = contents(bags["mcap"])
+        found = contents(path)
+        assert found == expected[: len(found)]
+        assert len(found) in (len(expected), len(expected) // 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["split", "file_zstd", "db3"])
+def test_a_bag_maps_as_its_mcap_does(bags: dict[str, Path], name: str, tmp_path: Path) -> None:
+    trajectories = []
+    for bag in (next(bags["mcap"].glob("*.mcap")), bags[name]):
+        replay(bag, tmp_path / "out.mcap", Config())
+        with LogReader(tmp_path / "out.mcap") as reader:
+            trajectories.append([raw.data for raw in reader.messages({"/slam/trajectory_stamped", "/slam/map"})])
+    assert len(trajectories[0]) == 2
+    assert trajectories[0] == trajectories[1]
+
+
+@needs_nav2
+@pytest.mark.parametrize("name", ["db3", "split"])
+def test_a_real_recording_as_a_folder(name: str, tmp_path: Path) -> None:
+    raws = raw_messages(NAV2)
+    bag = write_bag(tmp_path / name, raws, **BAGS[name])
+    assert contents(bag) == [(raw.topic, raw.log_time_ns, raw.data) for raw in raws]
+    whole, folder = summarize(NAV2), summarize(bag)
+    assert folder.odometry_length_m == whole.odometry_length_m
+    assert [replace(topic, frames=()) for topic in folder.topics] == [replace(t, frames=()) for t in whole.topics]
+
+
+def test_the_summary_of_a_bag(bags: dict[str, Path]) -> None:
+    whole, split = summarize(bags["mcap"]), summarize(bags["split"])
+    assert replace(split, path="", size_bytes=0, metadata={}) == replace(whole, path="", size_bytes=0, metadata={})
+    assert split.size_bytes == sum(path.stat().st_size for path in bags["split"].glob("*.mcap"))
+    assert whole.selection is not None
+
+
+def test_a_database_without_definitions(bags: dict[str, Path], tmp_path: Path) -> None:
+    bag = tmp_path / "humble"
+    shutil.copytree(bags["db3"], bag)
+    (path,) = bag.glob("*.db3")
+    with sqlite3.connect(path) as database:
+        database.execute("DROP TABLE message_definitions")
+        database.execute("DROP TABLE schema")
+    with LogReader(bag) as reader, LogReader(bags["db3"]) as whole:
+        selection = select_topics(reader.topics())
+        found, expected = list(reader.records(selection)), list(whole.records(selection))
+        assert len(found) == len(expected) > 100
+        for a, b in zip(found, expected, strict=True):
+            if a.topic == "/detections":
+                np.testing.assert_array_equal(a.record.positions, b.record.positions)
+
+
+def test_only_the_wanted_topics_of_a_database_are_read(bags: dict[str, Path]) -> None:
+    with LogReader(bags["db3"]) as reader:
+        assert {raw.topic for raw in reader.messages({"/odom"})} == {"/odom"}
+
+
+def break_bag(bag: Path, tmp_path: Path) -> Path:
+    broken = tmp_path / "broken"
+    shutil.copytree(bag, broken)
+    return broken
+
+
+def test_a_missing_file_is_named(bags: dict[str, Path], tmp_path: Path) -> None:
+    bag = break_bag(bags["split"], tmp_path)
+    (bag / "part_1.mcap").unlink()
+    with pytest.raises(UnreadableLogError, match=r"metadata\.yaml names part_1\.mcap, which is not there; copy"):
+        LogReader(bag)
+
+
+def test_a_folder_without_metadata_names_its_files(bags: dict[str, Path], tmp_path: Path) -> None:
+    bag = break_bag(bags["split"], tmp_path)
+    (bag / "metadata.yaml").unlink()
+    with pytest.raises(UnreadableLogError, match=r"without metadata\.yaml; .*part_0\.mcap, part_1\.mcap"):
+        LogReader(bag)
+
+
+@pytest.mark.parametrize("text", ["", "a: [1", "rosbag2_bagfile_information: 3", "rosbag2_bagfile_information: {}"])
+def test_metadata_that_is_none(bags: dict[str, Path], tmp_path: Path, text: str) -> None:
+    bag = break_bag(bags["mcap"], tmp_path)
+    (bag / "metadata.yaml").write_text(text)
+    with pytest.raises(UnreadableLogError, match=r"metadata\.yaml is no description of a rosbag2 recording") as caught:
+        LogReader(bag)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_recording_without_files_is_empty(bags: dict[str, Path], tmp_path: Path) -> None:
+    bag = break_bag(bags["mcap"], tmp_path)
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {relative_file_paths: []}")
+    with pytest.raises(UnreadableLogError, match="names no files"):
+        LogReader(bag)
+
+
+@pytest.mark.parametrize(("bag", "name"), [("split", "part_2.mcap"), ("file_zstd", "part_1.mcap.zstd")])
+def test_of_a_file_that_ends_early_the_rest_is_read(bags: dict[str, Path], tmp_path: Path, bag: str, name: str) -> None:
+    broken = break_bag(bags[bag], tmp_path)
+    path = broken / name
+    path.write_bytes(path.read_bytes()[: int(0.6 * path.stat().st_size)])
+    with LogReader(broken) as reader:
+        assert 0 < len(list(reader.messages())) < len(contents(bags["mcap"]))
+        assert reader.counters["truncated"] == 1
+
+
+@pytest.mark.parametrize("keep", [0.02, 0.6])
+def test_a_database_that_ends_early_is_read_or_refused_in_one_line(
+    bags: dict[str, Path], tmp_path: Path, keep: float
+) -> None:
+    broken = break_bag(bags["db3"], tmp_path)
+    (path,) = broken.glob("*.db3")
+    path.write_bytes(path.read_bytes()[: int(keep * path.stat().st_size)])
+    try:
+        with LogReader(broken) as reader:
+            found = list(reader.messages())
+            told = str(reader.counters)
+    except UnreadableLogError as error:
+        found, told = [], str(error)
+    assert len(found) < len(contents(bags["mcap"]))
+    assert "\n" not in told
+    assert "truncated" in told or path.name in told
+
+
+def test_unpacked_files_are_removed(bags: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with LogReader(bags["file_zstd"]):
+        assert len(list(tmp_path.iterdir())) == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_file_of_the_input_is_overwritten(bags: dict[str, Path], tmp_path: Path) -> None:
+    bag = break_bag(bags["split"], tmp_path)
+    with pytest.raises(UnwritableLogError, match="would overwrite the input"):
+        replay(bag, bag / "part_1.mcap", Config())
