@@ -14,22 +14,25 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from logs.errors import UnwritableLogError
-from slam.common.arrays import FloatArray
+from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import EvaluationError
 from slam.visualization.palette import (
-    CLASS_COLORS,
     CLOSURE,
     END,
     ESTIMATE,
     FALSE_CLOSURE,
+    FOUND,
     LEGEND_CLASSES,
+    LOST,
     MISSED,
     ODOMETRY,
     OTHER_COLOR,
     START,
     TRUE_CLOSURE,
     TRUTH,
+    class_hex,
     group_classes,
+    lift_pen,
 )
 
 _LineStyle = Literal["-"] | tuple[float, tuple[float, float]]
@@ -42,6 +45,10 @@ def _nowhere() -> FloatArray:
     return np.zeros((0, 3))
 
 
+def _no_rows() -> IntArray:
+    return np.zeros(0, dtype=np.int64)
+
+
 def _no_line() -> FloatArray:
     return np.zeros((0, 2, 3))
 
@@ -52,7 +59,9 @@ class MapPicture:
 
     estimate, odometry, truth (N, 3) positions along the path, N may be 0; landmarks (L, 3) with ``labels`` (L,);
     closures, true_closures, false_closures (C, 2, 3) ends of accepted loop closures of which it is unknown whether they
-    are right, that are, that are not; missed_revisits (M, 3) where a closure was possible and not made; known (K, 3)
+    are right, that are, that are not; missed_revisits (M, 3) where a closure was possible and not made; lost, found
+    (J, 3) where the robot lost and found its place; estimate_jumps, odometry_jumps: rows after which a path jumps, for
+    example because the robot was carried away, and no line is drawn; known (K, 3)
     landmarks of a map that was given, drawn in grey; errors of estimate and odometry where they are known.
     """
 
@@ -65,6 +74,10 @@ class MapPicture:
     true_closures: FloatArray = field(default_factory=_no_line)
     false_closures: FloatArray = field(default_factory=_no_line)
     missed_revisits: FloatArray = field(default_factory=_nowhere)
+    lost: FloatArray = field(default_factory=_nowhere)
+    found: FloatArray = field(default_factory=_nowhere)
+    estimate_jumps: IntArray = field(default_factory=_no_rows)
+    odometry_jumps: IntArray = field(default_factory=_no_rows)
     known: FloatArray = field(default_factory=_nowhere)
     title: str = "Object map"
     ate_m: float | None = None
@@ -155,7 +168,7 @@ def _draw_landmarks(axes: Axes, picture: MapPicture) -> list[Line2D]:
     handles = []
     for index, (name, rows) in enumerate(group_classes(picture.labels)):
         # "other" comes after all classes that have a colour.
-        color, marker = (OTHER_COLOR, "o") if index == LEGEND_CLASSES else (CLASS_COLORS[index], _MARKERS[index])
+        color, marker = (OTHER_COLOR, "o") if index == LEGEND_CLASSES else (class_hex(name), _MARKERS[index])
         x, y = picture.landmarks[rows, :2].T
         axes.scatter(x, y, s=size, marker=marker, color=color, edgecolors="white", linewidths=0.4, zorder=2.0)
         handles.append(_marker(marker, color, 10.0, f"{name} ({len(rows)})"))
@@ -165,9 +178,11 @@ def _draw_landmarks(axes: Axes, picture: MapPicture) -> list[Line2D]:
 def _draw_paths(axes: Axes, picture: MapPicture) -> list[Line2D]:
     """Draw trajectories, closures, start and end, and return the legend's entries."""
     handles = []
+    estimate = lift_pen(picture.estimate, picture.estimate_jumps)
+    odometry = lift_pen(picture.odometry, picture.odometry_jumps)
     paths: tuple[tuple[FloatArray, str, str, float, _LineStyle, float], ...] = (
-        (picture.estimate, "estimate", ESTIMATE, 2.8, "-", 4.0),
-        (picture.odometry, "odometry", ODOMETRY, 1.6, "-", 3.0),
+        (estimate, "estimate", ESTIMATE, 2.8, "-", 4.0),
+        (odometry, "odometry", ODOMETRY, 1.6, "-", 3.0),
         (picture.truth, "ground truth", TRUTH, 1.2, (0, (6, 4)), 4.5),
     )
     for positions, name, color, width, style, zorder in paths:
@@ -175,7 +190,7 @@ def _draw_paths(axes: Axes, picture: MapPicture) -> list[Line2D]:
             x, y = positions[:, :2].T
             axes.plot(x, y, color=color, linewidth=width, linestyle=style, zorder=zorder)
             handles.append(Line2D([], [], color=color, linewidth=width, linestyle=style, label=name))
-    handles += _draw_closures(axes, picture)
+    handles += [*_draw_closures(axes, picture), *_draw_losses(axes, picture)]
     shown = next(
         (positions for positions in (picture.estimate, picture.truth, picture.odometry) if len(positions)), None
     )
@@ -207,6 +222,20 @@ def _draw_closures(axes: Axes, picture: MapPicture) -> list[Line2D]:
             collection = LineCollection(list(lines[:, :, :2]), colors=color, linewidths=width, zorder=zorder)
             axes.add_collection(collection, autolim=False)
             handles.append(Line2D([], [], color=color, linewidth=width, label=f"{name} ({len(lines)})"))
+    return handles
+
+
+def _draw_losses(axes: Axes, picture: MapPicture) -> list[Line2D]:
+    """Draw where the robot lost and found its place, and return the legend's entries."""
+    handles = []
+    for places, name, marker, color in (
+        (picture.lost, "lost", "v", LOST),
+        (picture.found, "found again", "^", FOUND),
+    ):
+        if len(places):
+            x, y = places[:, :2].T
+            axes.scatter(x, y, s=180.0, marker=marker, color=color, edgecolors="white", linewidths=1.2, zorder=6.5)
+            handles.append(_marker(marker, color, 12.0, f"{name} ({len(places)})"))
     return handles
 
 

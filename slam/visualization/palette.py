@@ -7,18 +7,21 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.scene import class_color
+
 ESTIMATE, ODOMETRY, TRUTH = "#0b5cad", "#d97706", "#111827"
 START, END = "#16a34a", "#dc2626"
 CLOSURE, TRUE_CLOSURE, FALSE_CLOSURE, MISSED = "#d6249f", "#14b8a6", "#ff0000", "#7c3aed"
 """A closure without a truth, a true one, a false one; a revisit without a closure."""
-CLASS_COLORS = (
-    *("#2e9e5b", "#d64545", "#8456c4", "#8c6239", "#17a2b8", "#c9a50a"),
-    *("#6b8e23", "#e377c2", "#4b5b8c", "#f4978e", "#00695c", "#b39ddb"),
-)
-"""None of the classes has the colour of a path."""
+LOST, FOUND = "#b91c1c", "#15803d"
 OTHER_COLOR = "#9ca3af"
-LEGEND_CLASSES = len(CLASS_COLORS)
+LEGEND_CLASSES = 12
 OTHER = "other"
+
+
+def class_hex(label: str) -> str:
+    """The colour of a class, ``#rrggbb``: the one that it has in the viewers, too."""
+    return "#" + "".join(f"{round(255.0 * part):02x}" for part in class_color(label)[:3])
 
 
 def group_classes(labels: tuple[str, ...], most: int = LEGEND_CLASSES) -> list[tuple[str, NDArray[np.int64]]]:
@@ -29,3 +32,8 @@ def group_classes(labels: tuple[str, ...], most: int = LEGEND_CLASSES) -> list[t
     groups = [(name, np.flatnonzero(names == name)) for name in kept]
     rest = np.flatnonzero(~np.isin(names, kept))
     return [*groups, (OTHER, rest)] if len(rest) else groups
+
+
+def lift_pen(positions: NDArray[np.float64], jumps: NDArray[np.int64]) -> NDArray[np.float64]:
+    """A path (N, 3) with a row of NaN after each row of ``jumps`` (J,), so that no line is drawn there."""
+    return np.insert(positions, jumps + 1, np.nan, axis=0)

@@ -19,8 +19,8 @@ def draw_calibration(quality: CalibrationQuality | None) -> Chart | None:
     parts = (
         (quality.pose, "poses", "--estimate", "solid"),
         (quality.planar_pose, "poses in the plane", "--estimate", "dash"),
-        (quality.landmark, "landmarks", "--class-2", "solid"),
-        (quality.planar_landmark, "landmarks in the plane", "--class-2", "dash"),
+        (quality.landmark, "landmarks", "--landmarks", "solid"),
+        (quality.planar_landmark, "landmarks in the plane", "--landmarks", "dash"),
         (quality.closure, "closures", "--closure-true", "solid"),
         (quality.planar_closure, "closures in the plane", "--closure-true", "dash"),
     )

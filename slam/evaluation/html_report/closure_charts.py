@@ -6,12 +6,14 @@ import numpy as np
 
 from logs.closures import STAGES
 from slam.common.arrays import IntArray
+from slam.common.geometry import invert, yaw_rad
 from slam.evaluation.html_report import theme
 from slam.evaluation.html_report.chart import Chart, Trace, axis, plain_numbers, thin_rows
 from slam.evaluation.html_report.markup import escape_name, format_number, format_percent
 from slam.evaluation.place_recognition.closure_labels import JudgedClosures
 from slam.evaluation.place_recognition.closures import ClosureQuality
 from slam.evaluation.place_recognition.precision_recall import ScoreSweep
+from slam.evaluation.report.map_frame import MapPaths
 
 MOST_TURNED_DOWN = 1500
 """Of the candidates that were turned down so many are drawn; of a stage with few of them all."""
@@ -51,7 +53,7 @@ def draw_precision_recall(quality: ClosureQuality | None) -> Chart | None:
     return Chart("precision-recall", "Precision over recall of every threshold on the score", traces, layout)
 
 
-def draw_candidates(quality: ClosureQuality | None, start_ns: int) -> Chart | None:
+def draw_candidates(quality: ClosureQuality | None, start_ns: int, paths: MapPaths) -> Chart | None:
     """Score of each candidate over time, coloured by the stage of its verdict; None where there is no candidate."""
     if quality is None or quality.candidate_count == 0:
         return None
@@ -60,10 +62,11 @@ def draw_candidates(quality: ClosureQuality | None, start_ns: int) -> Chart | No
     traces: list[Trace] = []
     known = [stage for stage in STAGES if (stages == stage).any()]
     for stage in known:
-        traces.append(_draw_stage(quality, np.flatnonzero(stages == stage), stage, theme.STAGES[stage], start_ns))
+        rows = np.flatnonzero(stages == stage)
+        traces.append(_draw_stage(quality, rows, stage, theme.STAGES[stage], start_ns, paths))
     others = np.flatnonzero(~np.isin(stages, known))
     if len(others):
-        traces.append(_draw_stage(quality, others, "another", "--other", start_ns))
+        traces.append(_draw_stage(quality, others, "another", "--other", start_ns, paths))
     layout = {"xaxis": axis("time [s]"), "yaxis": axis("score")}
     return Chart("candidates", f"Score over time of {quality.candidate_count} candidates", traces, layout)
 
@@ -82,7 +85,9 @@ def _draw_curve(sweep: ScoreSweep) -> Trace:
     }
 
 
-def _draw_stage(quality: ClosureQuality, rows: IntArray, stage: str, color: str, start_ns: int) -> Trace:
+def _draw_stage(
+    quality: ClosureQuality, rows: IntArray, stage: str, color: str, start_ns: int, paths: MapPaths
+) -> Trace:
     judged, count = quality.judged, len(rows)
     if stage != "accepted":
         share = MOST_TURNED_DOWN * count // max(quality.candidate_count - quality.accepted_count, 1)
@@ -98,6 +103,7 @@ def _draw_stage(quality: ClosureQuality, rows: IntArray, stage: str, color: str,
         "y": plain_numbers(np.nan_to_num(judged.scores[rows], nan=0.0, posinf=0.0, neginf=0.0), 2),
         "text": [_describe(judged, row) for row in rows.tolist()],
         "hovertemplate": "%{text}<extra></extra>",
+        "customdata": _places(judged, rows, paths),
         "marker": {"color": color, "size": 7, "symbol": symbols.tolist(), "line": {"color": color, "width": 1.2}},
     }
 
@@ -110,3 +116,22 @@ def _describe(judged: JudgedClosures, row: int) -> str:
         f"keyframe {candidate.query_keyframe_id} → {earlier}<br>{escape_name(candidate.stage)}, {verdict} by the truth"
     )
     return f"{text}<br>{escape_name(candidate.reason)}" if candidate.reason else text
+
+
+def _places(judged: JudgedClosures, rows: IntArray, paths: MapPaths) -> list[list[float] | None]:
+    """For each candidate x and y of query and reference, and where it moves landmarks: x, y, yaw; map frame, m, rad.
+
+    None where it has no transform, or the path does not reach its keyframes.
+    """
+    T_map_query = paths.poses_at(judged.query_stamps_ns[rows])
+    T_map_reference = paths.poses_at(judged.reference_stamps_ns[rows])
+    places: list[list[float] | None] = []
+    for row, query, reference in zip(rows.tolist(), T_map_query, T_map_reference, strict=True):
+        T_reference_query = judged.candidates[row].T_reference_query
+        if T_reference_query is None or not (np.isfinite(query).all() and np.isfinite(reference).all()):
+            places.append(None)
+            continue
+        moved = reference @ T_reference_query @ invert(query)
+        numbers = [*query[:2, 3], *reference[:2, 3], *moved[:2, 3], float(yaw_rad(moved))]
+        places.append([round(float(number), 4) for number in numbers])
+    return places

@@ -58,18 +58,23 @@ def _draw_sample(trace: Trace) -> str:
     line = trace["line"]
     pattern = _DASHES.get(line.get("dash", "solid"), "")
     dash = f' stroke-dasharray="{pattern}"' if pattern else ""
-    stroke = f'style="stroke:var({line["color"]})" stroke-width="{line["width"] + 0.5:g}"{dash}'
+    stroke = f'style="stroke:{_css(line["color"])}" stroke-width="{line["width"] + 0.5:g}"{dash}'
     return f'<svg viewBox="0 0 26 14" width="26" height="14" aria-hidden="true"><path d="M0 7H26" {stroke}/></svg>'
 
 
 def _draw_marker(trace: Trace) -> str:
     marker = trace["marker"]
-    style = f"fill:var({marker['color']})"
+    style = f"fill:{_css(marker['color'])}"
     edge = marker.get("line", {})
     if edge.get("width", 0.0) > 1.0:
-        style += f";stroke:var({edge['color']});stroke-width:{edge['width']:g}"
+        style += f";stroke:{_css(edge['color'])};stroke-width:{edge['width']:g}"
     symbol = marker.get("symbol", "circle")
     if not isinstance(symbol, str) or symbol not in _POLYGONS:
         return f'<circle r="5" style="{style}"/>'
     points = " ".join(f"{6.5 * x:.2f},{6.5 * y:.2f}" for x, y in _POLYGONS[symbol])
     return f'<polygon points="{points}" style="{style}"/>'
+
+
+def _css(color: str) -> str:
+    """A property of the theme, or the colour itself."""
+    return f"var({color})" if color.startswith("--") else color

@@ -5,27 +5,35 @@ from __future__ import annotations
 import numpy as np
 
 from logs.messages import ObjectMapRecord
-from slam.evaluation.html_report.chart import Chart, Trace, map_layout, thin_rows
+from slam.common.arrays import FloatArray, IntArray
+from slam.evaluation.html_report.chart import Chart, Trace, map_layout, plain_numbers, thin_rows
 from slam.evaluation.html_report.closure_marks import draw_closures
+from slam.evaluation.html_report.error_charts import PositionErrors
 from slam.evaluation.html_report.map_marks import describe_moments, draw_line, draw_points
 from slam.evaluation.html_report.markup import escape_name
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.landmarks import CONFIRMED
 from slam.evaluation.place_recognition.closures import ClosureQuality
 from slam.evaluation.report.map_frame import MapPaths
-from slam.visualization.palette import LEGEND_CLASSES, group_classes
+from slam.visualization.palette import LEGEND_CLASSES, class_hex, group_classes, lift_pen
 
 MOST_LANDMARKS = 5000
 """Of more than these every class is thinned alike: a browser draws each as an object of its own."""
+ERROR_SCALE = [[0.0, "#15803d"], [0.35, "#eab308"], [1.0, "#b91c1c"]]
 SYMBOLS = (
     *("circle", "square", "triangle-up", "diamond", "triangle-down", "cross"),
     *("x", "pentagon", "hexagon", "star", "triangle-left", "triangle-right"),
 )
 
 
-def draw_trajectory(paths: MapPaths, quality: ClosureQuality | None) -> Chart | None:
-    """Odometry, estimate and truth with closures and missed revisits; None where there is no path at all."""
+def draw_trajectory(paths: MapPaths, quality: ClosureQuality | None, errors: PositionErrors | None) -> Chart | None:
+    """Odometry, estimate by its error, and truth, with closures, missed revisits, and where the robot was lost.
+
+    None where there is no path at all.
+    """
     traces = _draw_paths(paths)
+    if errors is not None:
+        traces.append(_draw_errors(errors))
     if not traces:
         return None
     counts = ""
@@ -33,7 +41,7 @@ def draw_trajectory(paths: MapPaths, quality: ClosureQuality | None) -> Chart | 
         closures = draw_closures(paths, quality)
         traces += closures
         counts = ": " + ", ".join(trace["name"] for trace in closures if trace.get("showlegend", True))
-    traces += _draw_ends(paths.estimate)
+    traces += [*_draw_losses(paths), *_draw_ends(paths.estimate)]
     points = np.concatenate([paths.estimate.positions, paths.odometry, paths.truth])
     return Chart("trajectory", f"The trajectory from above{counts}", traces, map_layout(points), "map")
 
@@ -52,7 +60,7 @@ def draw_object_map(object_map: ObjectMapRecord | None, paths: MapPaths) -> Char
     size = float(np.clip(220.0 / np.sqrt(len(rows)), 6.0, 11.0))
     for index, (name, members) in enumerate(group_classes(labels)):
         is_other = index == LEGEND_CLASSES
-        color, symbol = ("--other", "circle") if is_other else (f"--class-{index}", SYMBOLS[index])
+        color, symbol = ("--other", "circle") if is_other else (class_hex(name), SYMBOLS[index])
         share = max(MOST_LANDMARKS * len(members) // len(rows), 1)
         chosen = [rows[member] for member in members[thin_rows(len(members), share)]]
         count = f"{len(members)}" if len(chosen) == len(members) else f"{len(chosen)} of {len(members)}"
@@ -71,16 +79,67 @@ def _draw_paths(paths: MapPaths) -> list[Trace]:
     estimate = paths.estimate
     traces = []
     if len(paths.odometry):
-        thinned = paths.odometry[thin_rows(len(paths.odometry))]
+        thinned = _thinned(paths.odometry, paths.odometry_jumps)
         traces.append(draw_line(thinned, "odometry (before)", "--odometry", 1.5, hoverinfo="name"))
     if len(estimate.stamps_ns):
-        rows = thin_rows(len(estimate.stamps_ns))
+        positions = _thinned(estimate.positions, paths.estimate_jumps)
+        rows = _thinned_rows(len(estimate.stamps_ns), paths.estimate_jumps)
         moments = describe_moments(estimate, estimate.stamps_ns[rows])
-        line = draw_line(estimate.positions[rows], "estimate (after)", "--estimate", 2.5)
+        line = draw_line(positions, "estimate (after)", "--estimate", 2.5)
         traces.append(line | {"text": moments, "hovertemplate": "%{text}<extra>estimate</extra>"})
     if len(paths.truth):
         thinned = paths.truth[thin_rows(len(paths.truth))]
         traces.append(draw_line(thinned, "ground truth", "--truth", 1.2, dash="dash", hoverinfo="name"))
+    return traces
+
+
+def _thinned_rows(count: int, jumps: IntArray) -> IntArray:
+    """Rows to draw of a path; the one before each jump stands twice, where :func:`_thinned` lifts the pen."""
+    rows = np.union1d(thin_rows(count), np.concatenate([jumps, jumps + 1]))
+    return np.sort(np.concatenate([rows, jumps]))
+
+
+def _thinned(positions: FloatArray, jumps: IntArray) -> FloatArray:
+    rows = np.union1d(thin_rows(len(positions)), np.concatenate([jumps, jumps + 1]))
+    return lift_pen(positions[rows], np.searchsorted(rows, jumps))
+
+
+def _draw_errors(errors: PositionErrors) -> Trace:
+    """A dot at each position of the estimate, coloured by its error."""
+    rows = thin_rows(len(errors.error_m))
+    high = max(float(np.quantile(errors.error_m, 0.99)), 1e-3)
+    marker = {
+        "color": plain_numbers(errors.error_m[rows], 3),
+        "colorscale": ERROR_SCALE,
+        "cmin": 0.0,
+        "cmax": high,
+        "size": 5,
+        "colorbar": {
+            "title": {"text": "error [m]", "font": {"color": "--muted", "size": 11}},
+            "tickfont": {"color": "--muted", "size": 10},
+            "x": 0.99,
+            "y": 0.99,
+            "xanchor": "right",
+            "yanchor": "top",
+            "len": 0.32,
+            "thickness": 10,
+            "bgcolor": "--surface",
+            "outlinewidth": 0,
+        },
+    }
+    points = draw_points(errors.positions[rows], "estimate by its error", [], marker)
+    # What the mouse points at are the closures.
+    return points | {"hovertemplate": "", "hoverinfo": "skip", "showlegend": False}
+
+
+def _draw_losses(paths: MapPaths) -> list[Trace]:
+    traces = []
+    for places, name, symbol in ((paths.lost, "lost", "triangle-down"), (paths.found, "found", "triangle-up")):
+        if len(places):
+            line = {"color": "--surface", "width": 1.5}
+            marker = {"color": f"--{name}", "symbol": symbol, "size": 14, "line": line}
+            texts = [f"<b>{name}</b> at ({x:.1f}, {y:.1f}) m" for x, y in places[:, :2]]
+            traces.append(draw_points(places, f"{name} ({len(places)})", texts, marker))
     return traces
 
 

@@ -11,13 +11,13 @@ from slam.evaluation.html_report.calibration_charts import draw_calibration
 from slam.evaluation.html_report.chart import Chart
 from slam.evaluation.html_report.closure_charts import draw_candidates, draw_precision_recall
 from slam.evaluation.html_report.embedding import compressed_plotly, embed_json, read_part
-from slam.evaluation.html_report.error_charts import draw_error_along_path
+from slam.evaluation.html_report.error_charts import draw_error_along_path, measure_errors
 from slam.evaluation.html_report.legend import render_legend
 from slam.evaluation.html_report.map_charts import draw_object_map, draw_trajectory
 from slam.evaluation.html_report.markup import escape, format_number
 from slam.evaluation.html_report.tables import name_of, render_tables
 from slam.evaluation.html_report.theme import style_properties
-from slam.evaluation.html_report.tiles import compose_tiles, render_tiles
+from slam.evaluation.html_report.tiles import compose_tiles, describe_run, render_run, render_tiles
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.place_recognition.closures import ClosureQuality
 from slam.evaluation.report.map_frame import bring_into_map
@@ -80,8 +80,7 @@ def compose_page(records: EvaluationRecords, evaluation: Evaluation, *, title: s
 <body>
 <header>
 <h1>{escape(title)}</h1>
-<p>{_describe_run(evaluation)}</p>
-</header>
+{render_run(describe_run(records, evaluation))}</header>
 <main>
 {render_tiles(compose_tiles(records, evaluation))}
 <noscript><p class="notice">The charts need JavaScript; the tables below do not.</p></noscript>
@@ -114,10 +113,10 @@ def _compose_panels(records: EvaluationRecords, evaluation: Evaluation) -> list[
     return [
         Panel(
             "Trajectory",
-            "From above, odometry and estimate from the same start, the truth aligned with the estimate. Each dot is "
-            "a keyframe at which a loop was closed, its stroke leads to the earlier keyframe."
-            + _describe_missed(quality),
-            draw_trajectory(paths, quality),
+            "From above, odometry and estimate from the same start, the truth aligned with the estimate. The estimate "
+            "is coloured by its error. Each dot is a keyframe at which a loop was closed, its stroke leads to the "
+            "earlier keyframe." + _describe_missed(quality),
+            draw_trajectory(paths, quality, measure_errors(records, evaluation)),
             "There is no trajectory: the log holds neither an estimate nor odometry.",
         ),
         Panel(
@@ -142,9 +141,10 @@ def _compose_panels(records: EvaluationRecords, evaluation: Evaluation) -> list[
         ),
         Panel(
             "Candidates over time",
-            "Each candidate by its score (0 before it has one), coloured by the stage at which its verdict fell. Dots "
-            "are true by the ground truth, crosses false, rings undecided.",
-            draw_candidates(quality, start_ns),
+            "Each candidate by its score (0 before it has one), coloured by the stage at which it was decided. Dots "
+            "are true by the ground truth, crosses false, rings undecided. A click shows the candidate on the object "
+            "map: a line between its keyframes, and the landmarks of the later one, as rings, where it puts them.",
+            draw_candidates(quality, start_ns, paths),
             _reason(without_closures, "no loop-closure candidate in the log"),
         ),
         Panel(
@@ -153,12 +153,6 @@ def _compose_panels(records: EvaluationRecords, evaluation: Evaluation) -> list[
             "above it too careful.",
             draw_calibration(evaluation.calibration),
             _reason(missing.get("calibration", ""), "no error has a covariance to compare it with"),
-        ),
-        Panel(
-            "Run time",
-            "",
-            None,
-            _reason(missing.get("run_time", ""), "the log holds no times of the machine"),
         ),
     ]
 
@@ -177,18 +171,6 @@ def _render_panel(panel: Panel) -> str:
         )
     heading = f'<h2 id="{name}">{panel.heading}</h2>'
     return f'<section class="{kind}" aria-labelledby="{name}">\n{heading}\n{content}\n</section>\n'
-
-
-def _describe_run(evaluation: Evaluation) -> str:
-    errors = evaluation.estimate or evaluation.online or evaluation.odometry
-    parts = []
-    if errors is not None:
-        minutes, seconds = divmod(round(errors.duration_s), 60)
-        parts.append(f"{errors.length_m:.0f} m in {minutes} min {seconds} s")
-        parts.append(f"{errors.pose_count} poses compared")
-    if "keyframes" in evaluation.counters:
-        parts.append(f"{evaluation.counters['keyframes']} keyframes")
-    return " · ".join(parts) or "No trajectory could be compared with a truth."
 
 
 def _render_missing(evaluation: Evaluation) -> str:

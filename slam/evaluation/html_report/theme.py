@@ -1,4 +1,4 @@
-"""The colours of the page, for light and for dark surroundings; paths, closures and classes as in all pictures."""
+"""The colours of the page, for light and for dark surroundings; paths and closures as in all pictures."""
 
 from __future__ import annotations
 
@@ -38,7 +38,9 @@ LIGHT = {
     "--stage-consistency": "#e377c2",
     "--stage-back-end": "#d64545",
     "--other": palette.OTHER_COLOR,
-    **{f"--class-{index}": color for index, color in enumerate(palette.CLASS_COLORS)},
+    "--landmarks": "#8456c4",
+    "--lost": palette.LOST,
+    "--found": palette.FOUND,
 }
 
 # Lighter where the colour of the picture, which is white, would drown in the dark.
@@ -62,13 +64,9 @@ DARK = LIGHT | {
     "--missed": "#b794ff",
     "--stage-retrieval": "#5b6675",
     "--stage-registration": "#7d9cc0",
-    "--class-0": "#4cc27d",
-    "--class-1": "#ee6b6b",
-    "--class-2": "#ab82e6",
-    "--class-3": "#b98a55",
-    "--class-6": "#93b543",
-    "--class-8": "#8496cf",
-    "--class-10": "#1fa391",
+    "--landmarks": "#ab82e6",
+    "--lost": "#f87171",
+    "--found": "#4ade80",
 }
 
 

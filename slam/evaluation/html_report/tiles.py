@@ -1,9 +1,12 @@
-"""The few figures that matter, at the head of the page."""
+"""The first screen: five lines on the run, and the few figures that matter."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 
+from slam.common.config import Config
+from slam.common.config_tree import changes
 from slam.evaluation.html_report.markup import UNDEFINED, escape, format_metres, format_percent
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.metrics.landmarks import CONFIRMED
@@ -19,9 +22,70 @@ class Tile:
     note: str
 
 
+def describe_run(records: EvaluationRecords, evaluation: Evaluation) -> dict[str, str]:
+    """What ran, its version, the settings that differ, its speed and the result: a line each."""
+    return {
+        "Run": _run(records, evaluation),
+        "Version": f"dslam {records.provenance.get('version', 'unknown')}",
+        "Settings": _settings(records),
+        "Speed": "not in the log, which is the same on every machine; dslam replay prints it",
+        "Result": _result(records, evaluation),
+    }
+
+
+def _run(records: EvaluationRecords, evaluation: Evaluation) -> str:
+    errors = evaluation.estimate or evaluation.online or evaluation.odometry
+    parts = []
+    if errors is not None:
+        minutes, seconds = divmod(round(errors.duration_s), 60)
+        parts.append(f"{errors.length_m:.0f} m in {minutes} min {seconds} s")
+    if "keyframes" in evaluation.counters:
+        parts.append(f"{evaluation.counters['keyframes']} keyframes")
+    if records.has_prior_map:
+        parts.append("localized in the saved map of an earlier drive")
+    if digest := records.provenance.get("input_sha256"):
+        parts.append(f"input sha256 {digest[:12]}")
+    return ", ".join(parts) or "no trajectory could be compared with a truth"
+
+
+def _settings(records: EvaluationRecords) -> str:
+    if not records.configuration:
+        return "unknown: the log does not hold them"
+    changed = changes(Config(), json.dumps(records.configuration))
+    text = f"defaults, but {', '.join(changed)}" if changed else "defaults"
+    estimated = records.provenance.get("estimated", "")
+    return text + ("; noise and lengths estimated from the log" if estimated not in ("", "{}") else "")
+
+
+def _result(records: EvaluationRecords, evaluation: Evaluation) -> str:
+    parts = []
+    if evaluation.estimate is not None:
+        alone = evaluation.odometry
+        before = f" (odometry alone {format_metres(alone.absolute.rmse_m)})" if alone else ""
+        parts.append(f"{format_metres(evaluation.estimate.absolute.rmse_m)} from the truth{before}")
+    quality = evaluation.closures
+    if quality is not None and quality.false_count is not None:
+        wrong = "none false" if quality.false_count == 0 else f"{quality.false_count} FALSE"
+        parts.append(f"{quality.accepted_count} closures, {wrong}")
+        if quality.revisits is not None and quality.revisits.revisit_count:
+            parts.append(f"{quality.revisits.recalled_count} of {quality.revisits.revisit_count} revisits closed")
+    lost = evaluation.relocalization
+    if lost is not None and lost.loss_count:
+        parts.append(f"lost {lost.loss_count}, found {lost.fix_count}, wrongly {lost.wrong_count}")
+    if records.status is not None and records.status.level != "info":
+        parts.append(f"{records.status.level}: {records.status.message}")
+    return "; ".join(parts) or "nothing to compare with: the log holds no truth"
+
+
+def render_run(lines: dict[str, str]) -> str:
+    """A description list."""
+    items = "".join(f"<dt>{escape(name)}</dt><dd>{escape(text)}</dd>\n" for name, text in lines.items())
+    return f'<dl class="run">\n{items}</dl>\n'
+
+
 def compose_tiles(records: EvaluationRecords, evaluation: Evaluation) -> list[Tile]:
-    """One tile each for trajectory, odometry, closures, landmarks and relocalization; what is undefined says why."""
-    return [
+    """One tile each for trajectory, odometry, closures, landmarks and relocalization, where they are measured."""
+    tiles = [
         _trajectory(evaluation),
         _odometry(evaluation),
         _precision(evaluation),
@@ -29,6 +93,7 @@ def compose_tiles(records: EvaluationRecords, evaluation: Evaluation) -> list[Ti
         _landmarks(records, evaluation),
         _relocalization(evaluation),
     ]
+    return [tile for tile in tiles if tile.value != UNDEFINED]
 
 
 def render_tiles(tiles: list[Tile]) -> str:
@@ -59,9 +124,7 @@ def _odometry(evaluation: Evaluation) -> Tile:
     if evaluation.odometry is None:
         return Tile(label, UNDEFINED, evaluation.unavailable.get("odometry", ""))
     before = evaluation.odometry.absolute
-    after = (evaluation.estimate or evaluation.online or evaluation.odometry).absolute
-    times = f"{before.rmse_m / after.rmse_m:.1f} times the estimate's, " if 0 < after.rmse_m < before.rmse_m else ""
-    return Tile(label, format_metres(before.rmse_m), f"{times}at most {format_metres(before.max_m)}")
+    return Tile(label, format_metres(before.rmse_m), f"at most {format_metres(before.max_m)}")
 
 
 def _precision(evaluation: Evaluation) -> Tile:

@@ -50,7 +50,8 @@ class EvaluationRecords:
     """The records that an evaluation looks at, each kind in the order of the log; of maps and states the last.
 
     ``statuses``: all of them, ``status`` is the last. ``configuration``: the tree by which the log was made, empty
-    where it does not tell. ``has_prior_map``: the robot was to find itself in the map of an earlier drive.
+    where it does not tell. ``provenance``: what the replay recorded of itself. ``has_prior_map``: the robot was to find
+    itself in the map of an earlier drive.
     """
 
     trajectory: TrajectoryRecord | None = None
@@ -67,6 +68,7 @@ class EvaluationRecords:
     statuses: tuple[StatusRecord, ...] = ()
     relocalizations: tuple[RelocalizationRecord, ...] = ()
     configuration: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, str] = field(default_factory=dict)
     has_prior_map: bool = False
 
     @property
@@ -187,6 +189,7 @@ def _read(path: str | os.PathLike[str], topics: Mapping[str, str] | None) -> Eva
         return replace(
             found,
             configuration=_read_tree(provenance.get("configuration", "")),
+            provenance=provenance,
             has_prior_map="map_drives" in provenance,
         )
 

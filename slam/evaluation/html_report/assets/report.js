@@ -77,7 +77,7 @@
       toImageButtonOptions: { filename: charts[index].name },
     };
     // Whoever has zoomed keeps the view when the window or the theme changes.
-    painted.uirevision = "kept";
+    painted.uirevision = "kept" + (charts[index].revision || 0);
     await Plotly.react(holders[index], traces.map((trace) => paint(shrink(trace, width), style)), painted, options);
   }
 
@@ -111,10 +111,51 @@
     }
   }
 
+  // The candidate on the object map: its keyframes, and the landmarks about the later one where it puts them.
+  const SUBMAP_M = 40;
+  function showCandidate(place) {
+    const index = charts.findIndex((chart) => chart.name === "objects");
+    if (index < 0 || !place) {
+      return;
+    }
+    const [queryX, queryY, referenceX, referenceY, x, y, yaw] = place;
+    const chart = charts[index];
+    chart.traces = chart.traces.filter((trace) => !trace.isCandidate);
+    const moved = { x: [], y: [] };
+    for (const trace of chart.traces.filter((each) => each.mode === "markers")) {
+      trace.x.forEach((landmarkX, row) => {
+        const landmarkY = trace.y[row];
+        if (Math.hypot(landmarkX - queryX, landmarkY - queryY) < SUBMAP_M) {
+          moved.x.push(x + Math.cos(yaw) * landmarkX - Math.sin(yaw) * landmarkY);
+          moved.y.push(y + Math.sin(yaw) * landmarkX + Math.cos(yaw) * landmarkY);
+        }
+      });
+    }
+    const color = "--closure-undecided";
+    const base = { type: "scatter", isCandidate: true, showlegend: false, hoverinfo: "skip" };
+    chart.traces.push(
+      { ...base, mode: "lines", name: "candidate", x: [queryX, referenceX], y: [queryY, referenceY], line: { color, width: 2.5 } },
+      { ...base, ...moved, mode: "markers", name: "moved", marker: { color, symbol: "circle-open", size: 14, line: { width: 2, color } } },
+    );
+    chart.layout.xaxis.range = [referenceX - 1.5 * SUBMAP_M, referenceX + 1.5 * SUBMAP_M];
+    chart.layout.yaxis.range = [referenceY - 1.5 * SUBMAP_M, referenceY + 1.5 * SUBMAP_M];
+    chart.revision = (chart.revision || 0) + 1;
+    draw(index);
+    holders[index].scrollIntoView({ behavior: "smooth", block: "center" });
+  }
+
+  function connectCandidates() {
+    const index = charts.findIndex((chart) => chart.name === "candidates");
+    if (index >= 0) {
+      holders[index].on("plotly_click", (event) => showCandidate(event.points[0].customdata));
+    }
+  }
+
   try {
     await loadPlotly();
     await drawAll();
     charts.forEach((chart, index) => connectLegend(index));
+    connectCandidates();
   } catch (error) {
     for (const holder of holders) {
       holder.textContent = "This browser cannot draw the charts (" + error.message + "); the tables below are complete.";

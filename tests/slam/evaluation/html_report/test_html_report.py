@@ -26,6 +26,7 @@ from logs.messages import (
     StatusRecord,
     TrajectoryRecord,
 )
+from logs.scene import class_color
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.html_report import compose_page, write_report
@@ -33,8 +34,10 @@ from slam.evaluation.html_report.calibration_charts import draw_calibration
 from slam.evaluation.html_report.chart import plain_numbers, thin_rows
 from slam.evaluation.html_report.embedding import compressed_plotly, embed_json, unwrap
 from slam.evaluation.html_report.markup import escape, escape_name, format_number, format_percent
+from slam.evaluation.html_report.tiles import compose_tiles
 from slam.evaluation.inputs.records import EvaluationRecords, collect_records
 from slam.evaluation.metrics.calibration import CalibrationQuality, Consistency
+from slam.visualization.palette import class_hex
 from tests.slam.evaluation.browser import DRAWN, Browser, needs_chromium, open_browser
 from tests.slam.evaluation.loops import closure, there_and_back
 from tests.slam.evaluation.maps import object_map
@@ -43,7 +46,7 @@ from tests.slam.evaluation.results import graph
 HOSTILE = '</script><b>O\'Brien & "sons"\n%{x} --ink'
 PANELS = (
     *("Trajectory", "Object map", "Precision and recall", "Error along the path", "Candidates over time"),
-    *("Calibration", "Run time", "All numbers", "Protocol"),
+    *("Calibration", "All numbers", "Protocol"),
 )
 CHARTS = ("trajectory", "objects", "precision-recall", "error", "candidates")
 VOID = ("meta", "link", "br", "img", "hr", "input")
@@ -345,7 +348,7 @@ def file(page: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @needs_chromium
-@pytest.mark.parametrize("width_px", [1280, 400])
+@pytest.mark.parametrize("width_px", [390, 1280, 1920])
 def test_a_browser_draws_the_page(browser: Browser, file: Path, tmp_path: Path, width_px: int) -> None:
     browser.requests()
     browser.console()
@@ -368,6 +371,91 @@ def test_a_browser_draws_the_page(browser: Browser, file: Path, tmp_path: Path, 
     assert not [title for title in buttons if "Share" in title or "Cloud" in title]
     browser.screenshot(tmp_path / f"report_{width_px}.png")
     assert (tmp_path / f"report_{width_px}.png").stat().st_size > 20_000
+
+
+def test_the_first_screen_answers_in_five_lines_and_no_tile_is_empty() -> None:
+    records = replace(
+        collect_records(drive()),
+        configuration={"keyframe": {"distance_m": 7.5}},
+        provenance={"version": "1.2.3", "input_sha256": "ab" * 32, "estimated": "{}"},
+    )
+    text = page_of(records)
+    head = text[text.index('<dl class="run">') : text.index("</header>")]
+    assert head.count("<dt>") == 5
+    for part in ("240 m", "121 keyframes", "abababababab", "dslam 1.2.3", "keyframe.distance_m=7.5", "1 FALSE"):
+        assert part in head
+    for log in (records, EvaluationRecords()):
+        tiles = compose_tiles(log, evaluate(log))
+        assert all(tile.value not in ("", "–") for tile in tiles)
+    assert compose_tiles(EvaluationRecords(), evaluate(EvaluationRecords())) == []
+
+
+def test_the_path_is_coloured_by_its_error() -> None:
+    records = collect_records(drive())
+    evaluation = evaluate(records)
+    (dots,) = [
+        trace
+        for trace in charts_of(compose_page(records, evaluation, title=""))["trajectory"]["traces"]
+        if trace["name"] == "estimate by its error"
+    ]
+    assert evaluation.estimate is not None
+    errors = np.array(dots["marker"]["color"])
+    assert len(errors) == len(dots["x"])
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(evaluation.estimate.absolute.rmse_m, abs=2e-3)
+
+
+def test_a_class_has_the_colour_that_it_has_in_the_viewers() -> None:
+    traces = charts_of(page_of(collect_records(drive())))["objects"]["traces"]
+    tree = next(trace for trace in traces if trace["name"].startswith("tree"))
+    assert tree["marker"]["color"] == class_hex("tree")
+    assert tuple(int(class_hex("tree")[k : k + 2], 16) for k in (1, 3, 5)) == tuple(
+        round(255 * part) for part in class_color("tree")[:3]
+    )
+
+
+def test_a_kidnapping_is_marked_and_is_no_line_across_the_map() -> None:
+    truth = there_and_back()
+    poses = truth.T_world_body.copy()
+    poses[120:, 0, 3] += 500.0
+    stamps_ns = truth.stamps_ns
+    known = replace(
+        graph(stamps_ns[::2], poses[::2]),
+        edge_keyframe_ids=np.array([[59, 60]]),
+        edge_transforms=np.eye(4)[None],
+        edge_covariances=np.eye(6)[None],
+        edge_kinds=("discontinuity",),
+    )
+    lost = StatusRecord(int(stamps_ns[120]), "LOST", "warning", "kidnapped", {})
+    found = StatusRecord(int(stamps_ns[150]), "RELOCALIZED", "info", "relocalized", {})
+    records = collect_records(
+        [
+            ("/slam/trajectory_stamped", TrajectoryRecord(0, "map", stamps_ns, poses)),
+            ("/slam/graph", known),
+            ("/slam/status", StatusRecord(int(stamps_ns[0]), "MAPPING", "info", "", {})),
+            ("/slam/status", lost),
+            ("/slam/status", found),
+        ]
+    )
+    traces = {trace["name"]: trace for trace in charts_of(page_of(records))["trajectory"]["traces"]}
+    x = np.array(traces["estimate (after)"]["x"], dtype=float)
+    assert np.isnan(x).sum() == 1
+    assert np.nanmax(np.abs(np.diff(x))) < 5.0
+    assert len(traces["estimate (after)"]["text"]) == len(x)
+    assert traces["lost (1)"]["x"] == [poses[120, 0, 3]]
+    assert traces["found (1)"]["x"] == [poses[150, 0, 3]]
+
+
+@needs_chromium
+def test_a_click_on_a_candidate_shows_it_on_the_map(browser: Browser, file: Path) -> None:
+    browser.open(file, width_px=1280)
+    browser.console()
+    browser.run(
+        """const chart = document.getElementById('chart-candidates');
+        const trace = chart.data.find(t => t.name.startsWith('accepted'));
+        chart.emit('plotly_click', {points: [{customdata: trace.customdata[0]}]});"""
+    )
+    browser.wait("return document.getElementById('chart-objects').data.some(t => t.isCandidate && t.mode === 'lines')")
+    assert browser.console() == []
 
 
 @needs_chromium
@@ -409,8 +497,8 @@ def test_a_map_has_equal_scales(browser: Browser, file: Path) -> None:
     [
         ("trajectory", "true closures (2)", ("true closure", "keyframe 100 → 0", "score 31", "off by 0.500 m")),
         ("trajectory", "false closures (1)", ("false closure", "keyframe 45 → 3", "off by 9.00 m")),
-        ("objects", "tree (2)", ("tree", "b", "5 sightings")),
-        ("objects", "</script>", ('</script><b>O\'Brien & "sons"', "%{x}", "5 sightings")),
+        ("objects", "tree (2)", ("tree", "b", "5 measurements")),
+        ("objects", "</script>", ('</script><b>O\'Brien & "sons"', "%{x}", "5 measurements")),
         ("candidates", "another", ("a stage <i>of tomorrow</i>",)),
     ],
 )
