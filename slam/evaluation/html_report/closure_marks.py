@@ -63,7 +63,10 @@ def _draw_verdict(paths: MapPaths, quality: ClosureQuality, verdict: _Verdict) -
     # A third, undefined point lifts the pen between two strokes.
     strokes = np.concatenate([ends, np.full((len(rows), 1, 3), np.nan)], axis=1).reshape(-1, 3)
     line = draw_line(strokes, name, color, verdict.width, hoverinfo="skip", showlegend=False)
-    return [line | {"legendgroup": verdict.name}, points]
+    # Plotly takes a large mark to be farther from the mouse than a line beneath it; an unseen small one is hit.
+    small = {"color": color, "size": 6.0, "opacity": 0.0}
+    target = draw_points(ends[:, 0], "target", texts, small) | {"legendgroup": verdict.name, "showlegend": False}
+    return [line | {"legendgroup": verdict.name}, points | {"hoverinfo": "skip", "hovertemplate": ""}, target]
 
 
 def _describe(quality: ClosureQuality, verdict: str, row: int, moment: str) -> str:

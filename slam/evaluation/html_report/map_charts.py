@@ -80,7 +80,7 @@ def _draw_paths(paths: MapPaths) -> list[Trace]:
     traces = []
     if len(paths.odometry):
         thinned = _thinned(paths.odometry, paths.odometry_jumps)
-        traces.append(draw_line(thinned, "odometry (before)", "--odometry", 1.5, hoverinfo="name"))
+        traces.append(draw_line(thinned, "odometry (before)", "--odometry", 1.5, hoverinfo="skip"))
     if len(estimate.stamps_ns):
         positions = _thinned(estimate.positions, paths.estimate_jumps)
         rows = _thinned_rows(len(estimate.stamps_ns), paths.estimate_jumps)
@@ -89,7 +89,7 @@ def _draw_paths(paths: MapPaths) -> list[Trace]:
         traces.append(line | {"text": moments, "hovertemplate": "%{text}<extra>estimate</extra>"})
     if len(paths.truth):
         thinned = paths.truth[thin_rows(len(paths.truth))]
-        traces.append(draw_line(thinned, "ground truth", "--truth", 1.2, dash="dash", hoverinfo="name"))
+        traces.append(draw_line(thinned, "ground truth", "--truth", 1.2, dash="dash", hoverinfo="skip"))
     return traces
 
 

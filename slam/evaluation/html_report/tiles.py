@@ -71,7 +71,7 @@ def _result(records: EvaluationRecords, evaluation: Evaluation) -> str:
             parts.append(f"{quality.revisits.recalled_count} of {quality.revisits.revisit_count} revisits closed")
     lost = evaluation.relocalization
     if lost is not None and lost.loss_count:
-        parts.append(f"lost {lost.loss_count}, found {lost.fix_count}, wrongly {lost.wrong_count}")
+        parts.append(f"lost {lost.loss_count}, found {lost.fix_count}, wrong {lost.wrong_count}")
     if records.status is not None and records.status.level != "info":
         parts.append(f"{records.status.level}: {records.status.message}")
     return "; ".join(parts) or "nothing to compare with: the log holds no truth"
