@@ -90,6 +90,11 @@ class LogReader:
         return {name: count for name, count in sorted(counters.items()) if count}
 
     @property
+    def decoding_counters(self) -> Counter[str]:
+        """What was left out by the latest pass over records alone."""
+        return +self._decoding_counters
+
+    @property
     def size_bytes(self) -> int:
         """Size of all files as they are stored."""
         return sum(file.stat().st_size for file in self.files)

@@ -22,15 +22,24 @@ _DEFAULT_TOPICS = {
 }
 
 # Strongest first: a topic that calls itself odometry is one, a bare pose may come from anywhere; likewise a message
-# made for detections, and a picture that may show anything.
+# made for detections, and a picture that may show anything. Bare poses (geometry_msgs/msg/PoseArray) are objects only
+# when asked for: most are particles or paths.
 _SCHEMAS = {
     RecordKind.ODOMETRY: (
         ("nav_msgs/msg/Odometry", "foxglove.Odometry"),
         ("foxglove.PoseInFrame", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"),
     ),
     RecordKind.DETECTIONS: (
-        ("dslam.ObjectDetections", "vision_msgs/msg/Detection3DArray"),
+        (
+            "dslam.ObjectDetections",
+            "vision_msgs/msg/Detection3DArray",
+            "autoware_perception_msgs/msg/TrackedObjects",
+            "autoware_perception_msgs/msg/DetectedObjects",
+            "autoware_auto_perception_msgs/msg/TrackedObjects",
+            "autoware_auto_perception_msgs/msg/DetectedObjects",
+        ),
         ("foxglove.SceneUpdate",),
+        ("visualization_msgs/msg/MarkerArray",),
     ),
 }
 
@@ -50,6 +59,15 @@ class Selection:
     def topics(self) -> tuple[str, ...]:
         """The selected topics, sorted."""
         return tuple(sorted(self.kinds))
+
+    def only(self, kind: RecordKind) -> Selection:
+        """The topics that play the part ``kind``, in that part alone."""
+        return Selection(dict.fromkeys(self.topics_of(kind), (kind,)))
+
+    def without(self, kind: RecordKind) -> Selection:
+        """The same without the part ``kind``."""
+        rest = {topic: tuple(k for k in kinds if k != kind) for topic, kinds in self.kinds.items()}
+        return Selection({topic: kinds for topic, kinds in rest.items() if kinds})
 
     def topics_of(self, kind: str) -> tuple[str, ...]:
         """The topics that play the part ``kind``, sorted; () for none."""
@@ -170,7 +188,8 @@ def _nothing_fits(there: list[TopicInfo], kind: RecordKind) -> TopicSelectionErr
         for info in there
         if kind in info.kinds and not _is_truth(info.topic) and not info.topic.startswith(OUTPUT_PREFIX)
     ]
-    remedy = "record a topic with a schema that does, or convert the log"
+    schemas = ", ".join(schema for tier in _SCHEMAS.get(kind, ()) for schema in tier)
+    remedy = f"record a topic with a schema that does ({schemas})" if schemas else "record a topic that does"
     if fitting:
         remedy = f"if one of {', '.join(fitting)} is meant, say --topic {kind}={fitting[0]}"
     return TopicSelectionError(f"no topic gives {kind}; {remedy}. {_listing(there)}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -29,6 +30,7 @@ from logs.topics import RecordKind
 from logs.writer import LogWriter, partial_path
 from slam.common.config import Config
 from slam.common.errors import InputDataError, SavedMapError
+from slam.frontend.sensor_frames import SensorFrames
 from slam.object_map.map_io import METADATA, SavedMap, save_map
 from slam.self_calibration.calibration import Calibration, calibrate
 from slam.self_calibration.survey import survey
@@ -118,8 +120,12 @@ def replay(
         copied |= set(selection.topics_of(RecordKind.TRANSFORMS)) - {_TOPICS[Transform]}
         mapped = Selection({topic: kinds for topic, kinds in selection.kinds.items() if set(kinds) & set(_MAPPED)})
         first_ns, last_ns = _span(reader, mapped)
-        calibration = _calibrate(reader, mapped, config)
-        slam = Slam(calibration.config, prior_map, extend=extend)
+        # Where the sensors are is read beforehand: between two transforms only when the later one is known, too.
+        frames = _read_frames(reader, mapped)
+        lost_before = reader.decoding_counters
+        mapped = mapped.without(RecordKind.TRANSFORMS)
+        calibration = _calibrate(reader, mapped, config, frames)
+        slam = Slam(calibration.config, prior_map, extend=extend, frames=frames)
         max_message_latency_s, tracked = 0.0, 0
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output) as writer:
@@ -142,7 +148,7 @@ def replay(
                 if progress is not None:
                     done = (item.raw.log_time_ns - first_ns) / max(last_ns - first_ns, 1)
                     progress(min(max(done, 0.0), 1.0))
-            slam.counters.update(reader.counters)
+            slam.counters.update(Counter(reader.counters) + lost_before)
             final = slam.finish()
             _write_final(writer, final, last_ns)
         if map_path is not None and prior_map is not None and not slam.fixes:
@@ -191,12 +197,21 @@ def _provenance(reader: LogReader, config: Config, selection: Selection) -> dict
     }
 
 
-def _calibrate(reader: LogReader, selection: Selection, config: Config) -> Calibration:
+def _read_frames(reader: LogReader, selection: Selection) -> SensorFrames:
+    frames = SensorFrames()
+    for entry in reader.records(selection.only(RecordKind.TRANSFORMS)):
+        if isinstance(entry.record, Transform):
+            frames.add(entry.record)
+    return frames
+
+
+def _calibrate(reader: LogReader, selection: Selection, config: Config, frames: SensorFrames) -> Calibration:
     """The settings for a log: those that were not given by hand are estimated from it."""
     if not config.calibration.enabled:
         return Calibration(config)
+    records = (entry.record for entry in reader.records(selection))
     with threadpool_limits(1, user_api="blas"):
-        return calibrate(config, survey((entry.record for entry in reader.records(selection)), config.detection))
+        return calibrate(config, survey(records, config.detection, frames))
 
 
 def _about_calibration(calibration: Calibration) -> dict[str, str]:

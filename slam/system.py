@@ -34,7 +34,8 @@ from slam.common.errors import FactorGraphError, InputDataError
 from slam.common.geometry import apply, invert
 from slam.frontend.continuity import decide
 from slam.frontend.mapper import Mapper
-from slam.frontend.scan import SensorFrames, make_scan
+from slam.frontend.scan import make_scan
+from slam.frontend.sensor_frames import SensorFrames
 from slam.localization.prior_map import SEGMENT, restore
 from slam.localization.state import Fix, State
 from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
@@ -70,8 +71,18 @@ class FinalMap:
 class Slam:
     """Maps a drive, record by record. The same records and configuration give the same results."""
 
-    def __init__(self, config: Config, prior_map: SavedMap | None = None, *, extend: bool = True) -> None:
-        """``prior_map``: a map to localize in; ``extend``: update it instead of keeping it fixed."""
+    def __init__(
+        self,
+        config: Config,
+        prior_map: SavedMap | None = None,
+        *,
+        extend: bool = True,
+        frames: SensorFrames | None = None,
+    ) -> None:
+        """``prior_map``: a map to localize in; ``extend``: update it instead of keeping it fixed.
+
+        ``frames``: where the sensors sit, as far as it is known before the drive; transforms add to it.
+        """
         self._config = config
         self.counters: Counter[str] = Counter()
         self._first_segment = 0 if prior_map is None else SEGMENT + 1
@@ -81,7 +92,7 @@ class Slam:
             first_segment=self._first_segment,
             sensor_range_m=config.detection.sensor_range_m,
         )
-        self._frames = SensorFrames()
+        self._frames = frames or SensorFrames()
         self._object_map = ObjectMap(config.association)
         self._graph = FactorGraph(config.factor_graph, sensor_range_m=config.detection.sensor_range_m)
         known = restore(prior_map, self._object_map, self._graph, fixed=not extend) if prior_map is not None else []
@@ -148,9 +159,8 @@ class Slam:
             )
         if self._frames_missing and not self.counters["detections_used"]:
             raise InputDataError(
-                f"no transform leads from {', '.join(sorted(self._frames_missing))} to {self._body_frame}, the body "
-                "frame of the odometry, so no detection could be placed; record /tf_static, or say "
-                "--set detection.assume_body_frame=true if the detections are in the body frame"
+                f"{self._describe_missing()}, the body frame of the odometry, so no detection could be placed; record "
+                "/tf_static, or say --set detection.assume_body_frame=true if the detections are in the body frame"
             )
         self.counters["detections_without_odometry"] += len(self._waiting)
         self._mapper.close_keyframe()
@@ -209,7 +219,7 @@ class Slam:
             if not first_ns <= stamp_ns <= last_ns or len(detections.positions) == 0 or not self._mapper.keyframes:
                 continue
             poses = step.at(stamp_ns)
-            T_body_sensor = self._sensor_pose(detections.frame_id, poses[Continuation.REPORTED])
+            T_body_sensor = self._sensor_pose(detections, poses[Continuation.REPORTED])
             if T_body_sensor is None:
                 continue
             scan = make_scan(detections, T_body_sensor, self._config.detection)
@@ -344,7 +354,7 @@ class Slam:
         if pose is None or not self._mapper.keyframes or pose.segment != self._mapper.keyframes[-1].odometry.segment:
             self.counters["detections_without_odometry"] += 1
             return []
-        T_body_sensor = self._sensor_pose(detections.frame_id, pose)
+        T_body_sensor = self._sensor_pose(detections, pose)
         if T_body_sensor is None:
             self.counters["detections_without_transform"] += 1
             return []
@@ -354,23 +364,34 @@ class Slam:
         self._last_scan_ns = detections.stamp_ns
         scan = make_scan(detections, T_body_sensor, self._config.detection)
         self.counters["detections_used"] += 1
+        self.counters["detections_without_frame"] += not (
+            detections.frame_id or self._config.detection.assume_body_frame
+        )
         self.counters["objects_used"] += len(scan.positions)
         self.counters["objects_filtered"] += len(detections.positions) - len(scan.positions)
         return [self._mapper.add_scan(scan, pose)]
 
-    def _sensor_pose(self, frame: str, pose: OdometryPose) -> FloatArray | None:
-        """``T_body_sensor`` for detections in ``frame``; None where the log has no transform."""
-        if frame in ("", self._body_frame) or self._config.detection.assume_body_frame:
+    def _sensor_pose(self, detections: ObjectDetections, pose: OdometryPose) -> FloatArray | None:
+        """``T_body_sensor`` at the stamp of the detections; None where the log has no transform."""
+        frame, body_frame = detections.frame_id.lstrip("/"), self._body_frame.lstrip("/")
+        if frame in ("", body_frame) or self._config.detection.assume_body_frame:
             return np.eye(4)
-        if frame == self._odom_frame:
+        if frame == self._odom_frame.lstrip("/"):
             return invert(pose.T_odom_body)
-        T_body_sensor = self._frames.find(self._body_frame, frame)
+        T_body_sensor = self._frames.find(body_frame, frame, detections.stamp_ns)
         if T_body_sensor is None and frame not in self._frames_missing:
             self._frames_missing.add(frame)
-            logger.warning(
-                "no transform from %s to %s yet: detections in that frame are dropped", frame, self._body_frame
-            )
+            logger.warning("%s: detections in that frame are dropped", self._describe_missing())
         return T_body_sensor
+
+    def _describe_missing(self) -> str:
+        """Which frames nothing connects with the body, and what they and the body are connected with."""
+        trees = {self._frames.tree_of(frame) for frame in (*self._frames_missing, self._body_frame)}
+        listed = "; ".join(", ".join(tree) for tree in sorted(trees))
+        return (
+            f"no transform leads from {', '.join(sorted(self._frames_missing))} to {self._body_frame} (frames that "
+            f"belong together: {listed})"
+        )
 
     def _trajectory(self) -> TrajectoryRecord:
         stamps_ns = np.array([pose.stamp_ns for pose in self._poses], dtype=np.int64)

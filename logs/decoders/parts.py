@@ -41,8 +41,15 @@ def covariance_6x6(values: Sequence[float], T: FloatArray, counters: Counter[str
         return None
     if len(values) != 36:
         raise Refusal("lengths disagree", f"covariance of {len(values)} numbers, not 36")
-    P = usable_covariance(np.array(values, dtype=np.float64).reshape(6, 6), counters)
-    return None if P is None else covariance_to_body(P, T)
+    P = np.array(values, dtype=np.float64).reshape(6, 6)
+    given = P.any(axis=0) | P.any(axis=1)
+    if not given.all():
+        # A robot on a plane leaves the rest at zero, which would mean that it is known exactly.
+        if given.any():
+            usable_covariance(P[np.ix_(given, given)], counters)
+        return None
+    usable = usable_covariance(P, counters)
+    return None if usable is None else covariance_to_body(usable, T)
 
 
 class DetectionList:
@@ -76,6 +83,9 @@ class DetectionList:
         self._sizes.append(size)
         self._track_ids.append(track_id)
 
+    def __len__(self) -> int:
+        return len(self._labels)
+
     def record(self, counters: Counter[str]) -> ObjectDetections:
         """The record; sizes and track ids only where every object has them."""
         count = len(self._labels)
@@ -91,6 +101,22 @@ class DetectionList:
             tuple(self._track_ids) if any(self._track_ids) else None,
             counters,
         )
+
+
+class DetectionGroups:
+    """Gathers detections by stamp and frame, for messages in which each object has its own."""
+
+    def __init__(self) -> None:
+        self._lists: dict[tuple[int, str], DetectionList] = {}
+
+    def of(self, stamp_ns: int, frame_id: str) -> DetectionList:
+        """Where the objects that were seen at ``stamp_ns`` in ``frame_id`` go."""
+        return self._lists.setdefault((stamp_ns, frame_id), DetectionList(stamp_ns, frame_id))
+
+    def records(self, counters: Counter[str]) -> tuple[ObjectDetections, ...]:
+        """A record for each stamp and frame with objects, in the order in which they first came; else an empty one."""
+        filled = [detections for detections in self._lists.values() if len(detections)]
+        return tuple(detections.record(counters) for detections in filled or list(self._lists.values())[:1])
 
 
 def detections_record(

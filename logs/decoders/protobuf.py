@@ -21,7 +21,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import DecodeError
 
 from logs.decoders.dslam import DSLAM_DECODERS
-from logs.decoders.parts import DetectionList, covariance_6x6, frame_records, pose_record
+from logs.decoders.parts import DetectionGroups, covariance_6x6, frame_records, pose_record
 from logs.messages import Record
 from logs.topics import RawMessage, RecordKind
 from logs.validation import FloatArray, Refusal, stamp_ns, transform_from_quaternion
@@ -75,7 +75,7 @@ def _frame_transforms(message: Any, kind: RecordKind, log_time_ns: int, counters
 
 
 def _scene_update(message: Any, kind: RecordKind, log_time_ns: int, counters: Counter[str]) -> tuple[Record, ...]:
-    lists: dict[tuple[int, str], DetectionList] = {}
+    groups = DetectionGroups()
     for entity in message.entities:
         objects = [(p.pose.position, p.size) for p in (*entity.cubes, *entity.spheres, *entity.cylinders)]
         objects += [(p.pose.position, None) for p in entity.models]
@@ -83,8 +83,7 @@ def _scene_update(message: Any, kind: RecordKind, log_time_ns: int, counters: Co
             objects = [(t.pose.position, None) for t in entity.texts[:1]]
         if not objects:
             continue
-        stamp = _stamp(entity, log_time_ns)
-        detections = lists.setdefault((stamp, entity.frame_id), DetectionList(stamp, entity.frame_id))
+        detections = groups.of(_stamp(entity, log_time_ns), entity.frame_id)
         label, score = _class_and_score(entity)
         for position, size in objects:
             detections.add(
@@ -94,7 +93,7 @@ def _scene_update(message: Any, kind: RecordKind, log_time_ns: int, counters: Co
                 size=None if size is None else (size.x, size.y, size.z),
                 track_id=entity.id,
             )
-    return tuple(detections.record(counters) for detections in lists.values())
+    return groups.records(counters)
 
 
 def _class_and_score(entity: Any) -> tuple[str, float]:

@@ -24,6 +24,15 @@ class Decoder(Protocol):
 _POSE = (RecordKind.ODOMETRY, RecordKind.GROUND_TRUTH)
 _FRAMES = (RecordKind.TRANSFORMS, RecordKind.ODOMETRY)
 
+ROS2_DETECTIONS = (
+    "vision_msgs/msg/Detection3DArray",
+    "autoware_perception_msgs/msg/DetectedObjects",
+    "autoware_perception_msgs/msg/TrackedObjects",
+    "autoware_auto_perception_msgs/msg/DetectedObjects",
+    "autoware_auto_perception_msgs/msg/TrackedObjects",
+    "visualization_msgs/msg/MarkerArray",
+    "geometry_msgs/msg/PoseArray",
+)
 _DEFINITIONS = ("ros2msg", "ros2idl")
 
 _KINDS: dict[str, dict[str, tuple[RecordKind, ...]]] = {
@@ -48,7 +57,7 @@ _KINDS: dict[str, dict[str, tuple[RecordKind, ...]]] = {
         "geometry_msgs/msg/PoseStamped": _POSE,
         "geometry_msgs/msg/PoseWithCovarianceStamped": _POSE,
         "tf2_msgs/msg/TFMessage": _FRAMES,
-        "vision_msgs/msg/Detection3DArray": (RecordKind.DETECTIONS,),
+        **dict.fromkeys(ROS2_DETECTIONS, (RecordKind.DETECTIONS,)),
     },
 }
 

@@ -38,6 +38,35 @@ _PERCEPTION = {
     "apriltag_msgs/msg/AprilTagDetectionArray": f"{_HEADER}apriltag_msgs/AprilTagDetection[] detections",
 }
 
+_AUTOWARE = {
+    "ObjectClassification": (
+        "uint8 UNKNOWN=0\nuint8 CAR=1\nuint8 TRUCK=2\nuint8 BUS=3\nuint8 TRAILER=4\nuint8 MOTORCYCLE=5\n"
+        "uint8 BICYCLE=6\nuint8 PEDESTRIAN=7\nuint8 label\nfloat32 probability"
+    ),
+    "Shape": "uint8 type\ngeometry_msgs/Polygon footprint\ngeometry_msgs/Vector3 dimensions",
+    "DetectedObjectKinematics": (
+        "geometry_msgs/PoseWithCovariance pose_with_covariance\nbool has_position_covariance\n"
+        "uint8 orientation_availability\ngeometry_msgs/TwistWithCovariance twist_with_covariance\nbool has_twist\n"
+        "bool has_twist_covariance"
+    ),
+    "TrackedObjectKinematics": (
+        "geometry_msgs/PoseWithCovariance pose_with_covariance\nuint8 orientation_availability\n"
+        "geometry_msgs/TwistWithCovariance twist_with_covariance\n"
+        "geometry_msgs/AccelWithCovariance acceleration_with_covariance\nbool is_stationary"
+    ),
+    "DetectedObject": (
+        "float32 existence_probability\nObjectClassification[] classification\n"
+        "DetectedObjectKinematics kinematics\nShape shape"
+    ),
+    "TrackedObject": (
+        "unique_identifier_msgs/UUID object_id\nfloat32 existence_probability\nObjectClassification[] classification\n"
+        "TrackedObjectKinematics kinematics\nShape shape"
+    ),
+    "DetectedObjects": f"{_HEADER}DetectedObject[] objects",
+    "TrackedObjects": f"{_HEADER}TrackedObject[] objects",
+}
+_AUTOWARE_PACKAGES = ("autoware_perception_msgs", "autoware_auto_perception_msgs")
+
 
 def known_definition(type_name: str) -> tuple[str, bytes]:
     """(encoding, definition) of the ROS 2 message ``type_name``, with those of its parts; ("", b"") if unknown."""
@@ -52,7 +81,8 @@ def typestore() -> Typestore:
     """The types of ROS 2 Humble, and those of perception messages."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     types = {}
-    for name, text in _PERCEPTION.items():
+    autoware = {f"{package}/msg/{name}": text for package in _AUTOWARE_PACKAGES for name, text in _AUTOWARE.items()}
+    for name, text in (_PERCEPTION | autoware).items():
         types.update(get_types_from_msg(text, name))
     store.register(types)
     return store

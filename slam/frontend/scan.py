@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.messages import ObjectDetections, Transform
+from logs.messages import ObjectDetections
 from slam.common.arrays import FloatArray
 from slam.common.config import DetectionConfig
-from slam.common.geometry import apply, invert
+from slam.common.geometry import apply
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,29 +73,3 @@ def make_scan(detections: ObjectDetections, T_body_sensor: FloatArray, config: D
         used=used,
         has_own_covariance=has_own_covariance,
     )
-
-
-class SensorFrames:
-    """Where the sensors sit on the body, from the transforms of the log."""
-
-    def __init__(self) -> None:
-        self._T_parent_child: dict[tuple[str, str], FloatArray] = {}
-
-    def add(self, transform: Transform) -> None:
-        """Take note of a transform; a later one between the same frames replaces it."""
-        self._T_parent_child[transform.parent_frame_id, transform.child_frame_id] = transform.T_parent_child
-
-    def find(self, body_frame: str, sensor_frame: str) -> FloatArray | None:
-        """``T_body_sensor`` (4, 4) along the shortest chain of transforms; None if nothing connects the two."""
-        reached: dict[str, FloatArray] = {body_frame: np.eye(4)}
-        frames = deque([body_frame])
-        while frames and sensor_frame not in reached:
-            frame = frames.popleft()
-            for (parent, child), T_parent_child in self._T_parent_child.items():
-                if parent == frame and child not in reached:
-                    reached[child] = reached[frame] @ T_parent_child
-                    frames.append(child)
-                elif child == frame and parent not in reached:
-                    reached[parent] = reached[frame] @ invert(T_parent_child)
-                    frames.append(parent)
-        return reached.get(sensor_frame)

@@ -12,7 +12,7 @@ from logs.messages import ObjectDetections, Odometry, Record, Transform
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import DetectionConfig
 from slam.common.geometry import apply, interpolate, invert, transform_from_xyz_yaw, yaw_rad
-from slam.frontend.scan import SensorFrames
+from slam.frontend.sensor_frames import SensorFrames
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
 from slam.self_calibration.input_errors import BodyMotion, InputErrors, estimate_input_errors
 from slam.self_calibration.object_tracks import ObjectTracks, SurveyScan, follow_objects
@@ -57,9 +57,12 @@ class Survey:
     errors: InputErrors
 
 
-def survey(records: Iterable[Record], config: DetectionConfig) -> Survey | None:
-    """The survey of the records of a log, in its order; None where no detection could be placed on the odometry."""
-    gathered = _Gathered()
+def survey(records: Iterable[Record], config: DetectionConfig, frames: SensorFrames | None = None) -> Survey | None:
+    """The survey of the records of a log, in its order; None where no detection could be placed on the odometry.
+
+    ``frames``: where the sensors sit, as far as it is known already; transforms among the records add to it.
+    """
+    gathered = _Gathered(frames or SensorFrames())
     for record in records:
         if gathered.add(record) >= MAX_DETECTIONS:
             break
@@ -157,10 +160,10 @@ def _claimed_ratio(tracks: ObjectTracks, estimate: ComponentEstimate | None) -> 
 class _Gathered:
     """The records of a log that a survey needs."""
 
-    def __init__(self) -> None:
+    def __init__(self, frames: SensorFrames) -> None:
         self._odometry: list[Odometry] = []
         self._detections: list[ObjectDetections] = []
-        self._frames = SensorFrames()
+        self._frames = frames
         self._count = 0
 
     def add(self, record: Record) -> int:
@@ -189,7 +192,7 @@ class _Gathered:
         scans = []
         for detections, T in zip(usable, T_odom_body, strict=True):
             frame = body_frame if config.assume_body_frame else detections.frame_id
-            T_body_sensor = self._frames.find(body_frame, frame)
+            T_body_sensor = self._frames.find(body_frame, frame, detections.stamp_ns)
             if T_body_sensor is None:
                 continue
             scans.append(_upright_scan(detections, T, T_body_sensor, vocabulary, config))

@@ -133,7 +133,7 @@ def detections3d(record: m.ObjectDetections) -> dict[str, Any]:
     return {"header": header(record.stamp_ns, record.frame_id), "detections": listed}
 
 
-def _encoded(message: Message) -> RawMessage:
+def encoded(message: Message) -> RawMessage:
     topic, type_name, log_time_ns, values = message
     definition = TYPES.generate_msgdef(type_name, ros_version=2)[0].encode()
     channel = Channel(0, topic, "cdr", Schema(1, type_name, "ros2msg", definition))
@@ -161,7 +161,7 @@ def write_bag(
         with writer:
             connections: dict[str, Any] = {}
             for message in some:
-                raw = message if isinstance(message, RawMessage) else _encoded(message)
+                raw = message if isinstance(message, RawMessage) else encoded(message)
                 if raw.topic not in connections:
                     schema = raw.channel.schema
                     connections[raw.topic] = writer.add_connection(

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from logs.messages import ObjectDetections, Transform
+from logs.messages import ObjectDetections
 from slam.common.config import DetectionConfig
-from slam.common.geometry import apply, invert, make_transform
-from slam.frontend.scan import SensorFrames, make_scan
+from slam.common.geometry import apply, make_transform
+from slam.frontend.scan import make_scan
 from tests.logs.examples import random_detections, random_transform
 
 
@@ -77,41 +77,3 @@ def test_an_empty_message_is_an_empty_scan(covariances):
     assert scan.positions.shape == (0, 3)
     assert scan.covariances.shape == (0, 3, 3)
     assert scan.labels == ()
-
-
-def frames(**T: np.ndarray) -> SensorFrames:
-    """Frames from ``parent__child=T_parent_child``."""
-    found = SensorFrames()
-    for names, transform in T.items():
-        parent, child = names.split("__")
-        found.add(Transform(0, parent, child, transform))
-    return found
-
-
-def test_a_chain_of_transforms_is_followed_in_both_directions():
-    rng = np.random.default_rng(1)
-    T_base_mast, T_mast_lidar, T_camera_lidar = (random_transform(rng) for _ in range(3))
-    found = frames(base__mast=T_base_mast, mast__lidar=T_mast_lidar, camera__lidar=T_camera_lidar)
-    np.testing.assert_allclose(found.find("base", "lidar"), T_base_mast @ T_mast_lidar)
-    np.testing.assert_allclose(found.find("base", "camera"), T_base_mast @ T_mast_lidar @ invert(T_camera_lidar))
-    np.testing.assert_allclose(found.find("lidar", "base") @ found.find("base", "lidar"), np.eye(4), atol=1e-9)
-
-
-def test_what_nothing_connects_is_not_found():
-    found = frames(base__mast=np.eye(4), world__lidar=np.eye(4))
-    assert found.find("base", "lidar") is None
-    assert found.find("nowhere", "lidar") is None
-    np.testing.assert_array_equal(SensorFrames().find("base", "base"), np.eye(4))
-
-
-def test_a_later_transform_replaces_the_earlier_one():
-    T = make_transform(np.eye(3), np.array([1.0, 2.0, 3.0]))
-    found = frames(base__lidar=np.eye(4))
-    found.add(Transform(1, "base", "lidar", T))
-    np.testing.assert_array_equal(found.find("base", "lidar"), T)
-
-
-def test_frames_in_a_circle_end():
-    found = frames(a__b=np.eye(4), b__c=np.eye(4), c__a=np.eye(4))
-    np.testing.assert_array_equal(found.find("a", "c"), np.eye(4))
-    assert found.find("a", "d") is None

@@ -1,0 +1,148 @@
+"""Where the sensors sit on the body, from the transforms of a log: at a time, interpolated where they move."""
+
+from __future__ import annotations
+
+from array import array
+from bisect import bisect_left
+from collections import deque
+from itertools import pairwise
+
+import numpy as np
+
+from logs.messages import Transform
+from slam.common.arrays import FloatArray
+from slam.common.errors import InputDataError
+from slam.common.geometry import interpolate, invert, make_transform
+
+_Edge = tuple[str, str]
+
+
+class SensorFrames:
+    """The frames of a log and the transforms between them. A leading slash of a name, as in ROS 1, does not matter."""
+
+    def __init__(self) -> None:
+        self._tracks: dict[_Edge, _Track] = {}
+        self._neighbours: dict[str, list[str]] = {}
+        self._chains: dict[_Edge, list[str]] = {}
+
+    def add(self, transform: Transform) -> None:
+        """Take note of a transform; a later one between the same frames replaces it from its stamp on."""
+        parent, child = _plain(transform.parent_frame_id), _plain(transform.child_frame_id)
+        if parent == child:
+            return
+        track = self._tracks.get((parent, child))
+        if track is None:
+            track = self._tracks[parent, child] = _Track()
+            self._neighbours.setdefault(parent, []).append(child)
+            self._neighbours.setdefault(child, []).append(parent)
+            self._chains.clear()
+        track.add(transform.stamp_ns, transform.T_parent_child)
+
+    def find(self, body_frame: str, sensor_frame: str, stamp_ns: int | None = None) -> FloatArray | None:
+        """``T_body_sensor`` (4, 4) along the shortest chain of transforms; None if nothing connects the two.
+
+        Each transform is that at ``stamp_ns``: between two stamps interpolated, before the first and after the last
+        held; the latest one for None.
+
+        Raises:
+            InputDataError: the transforms around the body form a loop.
+        """
+        chain = self._chain(_plain(body_frame), _plain(sensor_frame))
+        if not chain:
+            return None
+        T_body_frame = np.eye(4)
+        for frame, following in pairwise(chain):
+            if (frame, following) in self._tracks:
+                T_body_frame = T_body_frame @ self._tracks[frame, following].at(stamp_ns)
+            else:
+                T_body_frame = T_body_frame @ invert(self._tracks[following, frame].at(stamp_ns))
+        return T_body_frame
+
+    def tree_of(self, frame: str) -> tuple[str, ...]:
+        """All frames that transforms connect with ``frame``, sorted; it alone where there are none."""
+        return tuple(sorted(self._search(_plain(frame))))
+
+    def _chain(self, start: str, end: str) -> list[str]:
+        """The frames from ``start`` to ``end``; empty if nothing connects them."""
+        if (start, end) not in self._chains:
+            came_from = self._search(start)
+            self._refuse_loop(came_from)
+            chain = [end] if end in came_from else []
+            while chain and chain[0] != start:
+                chain.insert(0, came_from[chain[0]])
+            self._chains[start, end] = chain
+        return self._chains[start, end]
+
+    def _search(self, start: str) -> dict[str, str]:
+        """Frame -> the frame before it on the shortest way from ``start``, for all that are connected with it."""
+        came_from = {start: start}
+        waiting = deque([start])
+        while waiting:
+            frame = waiting.popleft()
+            for neighbour in self._neighbours.get(frame, ()):
+                if neighbour not in came_from:
+                    came_from[neighbour] = frame
+                    waiting.append(neighbour)
+        return came_from
+
+    def _refuse_loop(self, connected: dict[str, str]) -> None:
+        parents: dict[str, list[str]] = {frame: [] for frame in connected}
+        for parent, child in self._tracks:
+            if child in connected:
+                parents[child].append(parent)
+        # Without a loop, taking away those that have no parents left takes away all.
+        while roots := {frame for frame, above in parents.items() if not above}:
+            parents = {
+                frame: [parent for parent in above if parent not in roots]
+                for frame, above in parents.items()
+                if frame not in roots
+            }
+        if parents:
+            loop = [min(parents)]
+            while loop[0] not in loop[1:]:
+                loop.insert(0, min(parents[loop[0]]))
+            loop = loop[: loop.index(loop[0], 1) + 1]
+            raise InputDataError(
+                f"the transforms form a loop: {' -> '.join(loop)}, so no sensor has a place on the body; "
+                "find out which node publishes one of them wrongly, and leave it out of the log"
+            )
+
+
+class _Track:
+    """The transforms between two frames by time."""
+
+    def __init__(self) -> None:
+        self._stamps_ns = array("q")
+        self._rows = array("d")  # the upper three rows of each transform
+
+    def add(self, stamp_ns: int, T: FloatArray) -> None:
+        row = array("d", T[:3].ravel().tolist())
+        place = bisect_left(self._stamps_ns, stamp_ns)
+        if place < len(self._stamps_ns) and self._stamps_ns[place] == stamp_ns:
+            self._rows[12 * place : 12 * place + 12] = row
+        elif place == len(self._stamps_ns) >= 2 and self._rows[-24:-12] == self._rows[-12:] == row:
+            self._stamps_ns[-1] = stamp_ns  # it stands still: two are enough
+        else:
+            self._stamps_ns.insert(place, stamp_ns)
+            self._rows[12 * place : 12 * place] = row
+
+    def at(self, stamp_ns: int | None) -> FloatArray:
+        count = len(self._stamps_ns)
+        if stamp_ns is None:
+            return self._transform(count - 1)
+        after = bisect_left(self._stamps_ns, stamp_ns)
+        before = max(after - 1, 0)
+        stands_still = self._rows[12 * before : 12 * before + 12] == self._rows[12 * after : 12 * after + 12]
+        if after in (0, count) or stands_still:
+            return self._transform(min(after, count - 1))
+        ends = np.stack([self._transform(after - 1), self._transform(after)])
+        stamps_ns = np.array(self._stamps_ns[after - 1 : after + 1], dtype=np.int64)
+        return np.asarray(interpolate(stamps_ns, ends, np.array([stamp_ns], dtype=np.int64))[0])
+
+    def _transform(self, place: int) -> FloatArray:
+        T = np.array(self._rows[12 * place : 12 * place + 12]).reshape(3, 4)
+        return make_transform(T[:, :3], T[:, 3])
+
+
+def _plain(frame: str) -> str:
+    return frame.lstrip("/")

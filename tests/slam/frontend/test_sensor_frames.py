@@ -1,0 +1,86 @@
+"""Places of sensors on the body."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from logs.messages import Transform
+from slam.common.errors import InputDataError
+from slam.common.geometry import invert, make_transform, transform_from_xyz_yaw
+from slam.frontend.sensor_frames import SensorFrames
+from tests.logs.examples import random_transform
+
+
+def frames(**T: np.ndarray) -> SensorFrames:
+    """Frames from ``parent__child=T_parent_child``."""
+    found = SensorFrames()
+    for names, transform in T.items():
+        parent, child = names.split("__")
+        found.add(Transform(0, parent, child, transform))
+    return found
+
+
+def test_a_chain_of_transforms_is_followed_in_both_directions():
+    rng = np.random.default_rng(1)
+    T_base_mast, T_mast_lidar, T_camera_lidar = (random_transform(rng) for _ in range(3))
+    found = frames(base__mast=T_base_mast, mast__lidar=T_mast_lidar, camera__lidar=T_camera_lidar)
+    np.testing.assert_allclose(found.find("base", "lidar"), T_base_mast @ T_mast_lidar)
+    np.testing.assert_allclose(found.find("base", "camera"), T_base_mast @ T_mast_lidar @ invert(T_camera_lidar))
+    np.testing.assert_allclose(found.find("lidar", "base") @ found.find("base", "lidar"), np.eye(4), atol=1e-9)
+
+
+def test_what_nothing_connects_is_not_found():
+    found = frames(base__mast=np.eye(4), world__lidar=np.eye(4))
+    assert found.find("base", "lidar") is None
+    assert found.find("nowhere", "lidar") is None
+    np.testing.assert_array_equal(SensorFrames().find("base", "base"), np.eye(4))
+
+
+def test_a_later_transform_replaces_the_earlier_one():
+    T = make_transform(np.eye(3), np.array([1.0, 2.0, 3.0]))
+    found = frames(base__lidar=np.eye(4))
+    found.add(Transform(1, "base", "lidar", T))
+    np.testing.assert_array_equal(found.find("base", "lidar"), T)
+
+
+def test_a_sensor_that_moves_is_interpolated_at_the_stamp():
+    found = SensorFrames()
+    found.add(Transform(0, "base", "mast", transform_from_xyz_yaw(np.array([0.0, 0.0, 1.0]), 0.0)))
+    for second, yaw, x in ((0, 0.0, 0.0), (2, 0.8, 1.0), (1, 0.2, 0.0)):
+        found.add(Transform(second * 10**9, "mast", "camera", transform_from_xyz_yaw(np.array([x, 0.0, 0.0]), yaw)))
+    for seconds, yaw, x in ((-1.0, 0.0, 0.0), (0.5, 0.1, 0.0), (1.0, 0.2, 0.0), (1.75, 0.65, 0.75), (9.0, 0.8, 1.0)):
+        expected = transform_from_xyz_yaw(np.array([x, 0.0, 1.0]), yaw)
+        np.testing.assert_allclose(found.find("base", "camera", round(seconds * 1e9)), expected, atol=1e-12)
+        np.testing.assert_allclose(found.find("camera", "base", round(seconds * 1e9)), invert(expected), atol=1e-12)
+
+
+def test_what_stands_still_takes_no_memory_and_keeps_its_bits():
+    found, T = SensorFrames(), random_transform(np.random.default_rng(2))
+    for second in range(1000):
+        found.add(Transform(second * 10**9, "base", "lidar", T))
+    (track,) = found._tracks.values()
+    assert len(track._stamps_ns) == 2
+    np.testing.assert_array_equal(found.find("base", "lidar", 500 * 10**9 + 1)[:3, 3], T[:3, 3])
+    found.add(Transform(2000 * 10**9, "base", "lidar", np.eye(4)))
+    np.testing.assert_array_equal(found.find("base", "lidar", 999 * 10**9), T)
+
+
+def test_a_leading_slash_does_not_matter():
+    found = frames(base__lidar=np.eye(4))
+    assert found.find("/base", "/lidar") is not None
+
+
+def test_the_tree_of_a_frame_is_named():
+    found = frames(base__mast=np.eye(4), mast__camera=np.eye(4), world__lidar=np.eye(4))
+    assert found.tree_of("camera") == ("base", "camera", "mast")
+    assert found.tree_of("lidar") == ("lidar", "world")
+    assert found.tree_of("radar") == ("radar",)
+
+
+def test_a_loop_is_named():
+    found = frames(base__a=np.eye(4), a__b=np.eye(4), b__c=np.eye(4), c__a=np.eye(4))
+    with pytest.raises(InputDataError, match="form a loop: a -> b -> c -> a"):
+        found.find("base", "c")
+    assert frames(base__a=np.eye(4), b__c=np.eye(4), c__b=np.eye(4)).find("base", "a") is not None
+    assert frames(base__a=np.eye(4), a__a=np.eye(4)).find("base", "a") is not None
