@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry as FoxgloveOdometry
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
@@ -15,7 +17,7 @@ from google.protobuf.message import Message
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from logs import messages as m
-from logs.scene import encode_markers
+from logs.scene import encode_lines, encode_markers, encode_points
 from logs.schemas import dslam_pb2 as pb
 from logs.validation import FloatArray, covariance_to_parent, quaternion_xyzw
 
@@ -85,7 +87,7 @@ def _slam_pose(r: m.SlamPose) -> Message:
     return PoseInFrame(timestamp=_timestamp(r.stamp_ns), frame_id="map", pose=_pose(r.T_map_body))
 
 
-def _transform(r: m.Transform) -> Message:
+def _transform(r: m.Transform) -> FrameTransform:
     message = FrameTransform(
         timestamp=_timestamp(r.stamp_ns), parent_frame_id=r.parent_frame_id, child_frame_id=r.child_frame_id
     )
@@ -93,6 +95,15 @@ def _transform(r: m.Transform) -> Message:
     t.x, t.y, t.z = r.T_parent_child[:3, 3].tolist()
     q.x, q.y, q.z, q.w = quaternion_xyzw(r.T_parent_child)
     return message
+
+
+def _frame_tree(r: m.FrameTree) -> Message:
+    return FrameTransforms(transforms=[_transform(each) for each in r.transforms])
+
+
+def _log_message(r: m.LogMessage) -> Message:
+    level = Log.Level.Value(r.level.upper())
+    return Log(timestamp=_timestamp(r.stamp_ns), level=level, message=r.text, name="dslam")
 
 
 def _detections(r: m.ObjectDetections) -> Message:
@@ -222,4 +233,8 @@ _ENCODERS: dict[type, Callable[[Any], Message]] = {
     m.RelocalizationRecord: _relocalization,
     m.StatusRecord: _status,
     m.SceneMarkers: encode_markers,
+    m.SceneLines: encode_lines,
+    m.ScenePoints: encode_points,
+    m.FrameTree: _frame_tree,
+    m.LogMessage: _log_message,
 }

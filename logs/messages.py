@@ -239,10 +239,10 @@ class StatusRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneMarkers:
-    """A picture of the map for a viewer: shapes of one class share a colour and a text.
+    """Objects as a viewer shows them: shapes of one class share a colour and a text.
 
-    positions (N, 3) m in ``frame_id``, labels (N,), ids (N,); lines (M, 2, 3) m with line_colors (M, 4) in [0, 1].
-    ``replaces``: it takes the place of all that was shown before, else it is added to that.
+    positions (N, 3) m in ``frame_id``, labels (N,), ids (N,); one with an id that is shown already takes its place.
+    ``removed``: ids that are shown no longer. ``replaces``: nothing that was shown before stays.
     """
 
     stamp_ns: int
@@ -250,9 +250,51 @@ class SceneMarkers:
     positions: FloatArray
     labels: tuple[str, ...]
     ids: tuple[str, ...]
-    lines: FloatArray
-    line_colors: FloatArray
+    removed: tuple[str, ...] = ()
     replaces: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneLines:
+    """Polylines (n, 3) m in ``frame_id`` as a viewer shows them; they take the place of all that were shown before.
+
+    ``color``: red, green, blue, alpha in [0, 1].
+    """
+
+    stamp_ns: int
+    frame_id: str
+    polylines: tuple[FloatArray, ...]
+    color: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScenePoints:
+    """Points as a viewer shows them, in the place of all that were shown before.
+
+    positions (N, 3) m in ``frame_id``; colors (N, 4): red, green, blue, alpha in [0, 1].
+    """
+
+    stamp_ns: int
+    frame_id: str
+    positions: FloatArray
+    colors: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameTree:
+    """All frames that are known at one time."""
+
+    stamp_ns: int
+    transforms: tuple[Transform, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogMessage:
+    """A line of text for viewers. ``level``: "info" | "warning" | "error"."""
+
+    stamp_ns: int
+    level: str
+    text: str
 
 
 Record = (
@@ -270,4 +312,8 @@ Record = (
     | RelocalizationRecord
     | StatusRecord
     | SceneMarkers
+    | SceneLines
+    | ScenePoints
+    | FrameTree
+    | LogMessage
 )

@@ -1,25 +1,35 @@
-"""Pictures of a map for a viewer: foxglove.SceneUpdate, one shape and one colour per class."""
+"""The map as viewers draw it: objects and lines as foxglove.SceneUpdate, points as foxglove.PointCloud.
+
+Foxglove draws both, Rerun only the points.
+"""
 
 from __future__ import annotations
 
 import colorsys
 import zlib
 
+import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.Point3_pb2 import Point3
-from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from logs.messages import SceneMarkers
+from logs.messages import SceneLines, SceneMarkers, ScenePoints
 
 _SHAPES = ("cubes", "spheres", "cylinders")
 _SHAPE_SIZE_M = 0.6
 _TEXT_HEIGHT_M = 0.5
 _LINE_PIXELS = 2.0
+_POINT_FIELDS = (
+    *((axis, "<f4", PackedElementField.FLOAT32) for axis in "xyz"),
+    *((color, "u1", PackedElementField.UINT8) for color in ("red", "green", "blue", "alpha")),
+)
+_POINT = np.dtype([(name, kind) for name, kind, _ in _POINT_FIELDS])
 
 
 def class_color(label: str) -> tuple[float, float, float, float]:
@@ -30,11 +40,13 @@ def class_color(label: str) -> tuple[float, float, float, float]:
 
 
 def encode_markers(markers: SceneMarkers) -> Message:
-    """``markers`` as one update of the picture: objects with shape and text, then the lines."""
-    seconds, nanos = divmod(int(markers.stamp_ns), 1_000_000_000)
-    now = Timestamp(seconds=seconds, nanos=nanos)
-    everything = SceneEntityDeletion(timestamp=now, type=SceneEntityDeletion.ALL)
-    update = SceneUpdate(deletions=[everything] if markers.replaces else [])
+    """``markers`` as one update of the scene: an entity with shape and text for each object."""
+    now = _timestamp(markers.stamp_ns)
+    update = SceneUpdate()
+    if markers.replaces:
+        update.deletions.add(timestamp=now, type=SceneEntityDeletion.ALL)
+    for object_id in markers.removed:
+        update.deletions.add(timestamp=now, type=SceneEntityDeletion.MATCHING_ID, id=object_id)
     colors = {label: Color(**dict(zip("rgba", class_color(label), strict=True))) for label in markers.labels}
     for (x, y, z), label, object_id in zip(markers.positions.tolist(), markers.labels, markers.ids, strict=True):
         entity = update.entities.add(timestamp=now, frame_id=markers.frame_id, id=object_id)
@@ -46,19 +58,42 @@ def encode_markers(markers: SceneMarkers) -> Message:
             shape.bottom_scale = shape.top_scale = 1.0
         text = entity.texts.add(billboard=True, font_size=_TEXT_HEIGHT_M, color=colors[label], text=label)
         _place(text.pose, x, y, z + _SHAPE_SIZE_M + 0.5 * _TEXT_HEIGHT_M)
-    if len(markers.lines):
-        update.entities.append(_lines(markers, now))
     return update
 
 
-def _lines(markers: SceneMarkers, now: Timestamp) -> SceneEntity:
-    entity = SceneEntity(timestamp=now, frame_id=markers.frame_id, id="lines")
-    primitive = entity.lines.add(type=LinePrimitive.LINE_LIST, thickness=_LINE_PIXELS, scale_invariant=True)
-    _place(primitive.pose, 0.0, 0.0, 0.0)
-    for ends, (r, g, b, a) in zip(markers.lines.tolist(), markers.line_colors.tolist(), strict=True):
-        primitive.points.extend(Point3(x=x, y=y, z=z) for x, y, z in ends)
-        primitive.colors.extend(Color(r=r, g=g, b=b, a=a) for _ in ends)
-    return entity
+def encode_lines(lines: SceneLines) -> Message:
+    """``lines`` as the only entity of the scene, a line strip for each polyline."""
+    now = _timestamp(lines.stamp_ns)
+    update = SceneUpdate(deletions=[SceneEntityDeletion(timestamp=now, type=SceneEntityDeletion.ALL)])
+    entity = update.entities.add(timestamp=now, frame_id=lines.frame_id, id="lines")
+    color = Color(**dict(zip("rgba", lines.color, strict=True)))
+    for polyline in lines.polylines:
+        strip = entity.lines.add(
+            type=LinePrimitive.LINE_STRIP, thickness=_LINE_PIXELS, scale_invariant=True, color=color
+        )
+        strip.pose.orientation.w = 1.0
+        strip.points.extend(Point3(x=x, y=y, z=z) for x, y, z in polyline.tolist())
+    return update
+
+
+def encode_points(points: ScenePoints) -> Message:
+    """``points`` as a cloud of float32 metres and one byte a colour."""
+    columns = np.hstack([points.positions, np.rint(255.0 * points.colors)])
+    rows = np.zeros(len(columns), dtype=_POINT)
+    cloud = PointCloud(timestamp=_timestamp(points.stamp_ns), frame_id=points.frame_id, point_stride=_POINT.itemsize)
+    cloud.pose.orientation.w = 1.0
+    offset = 0
+    for column, (name, kind, type_) in zip(columns.T, _POINT_FIELDS, strict=True):
+        rows[name] = column
+        cloud.fields.add(name=name, offset=offset, type=type_)
+        offset += np.dtype(kind).itemsize
+    cloud.data = rows.tobytes()
+    return cloud
+
+
+def _timestamp(stamp_ns: int) -> Timestamp:
+    seconds, nanos = divmod(int(stamp_ns), 1_000_000_000)
+    return Timestamp(seconds=seconds, nanos=nanos)
 
 
 def _place(pose: Message, x: float, y: float, z: float) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -13,23 +13,24 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from logs.errors import UnwritableLogError
+from logs.errors import TopicSelectionError, UnwritableLogError
 from logs.messages import (
     DetectionAssociations,
+    GroundTruthPose,
     LoopClosureRecord,
     Record,
     RelocalizationRecord,
-    SceneMarkers,
     SlamPose,
     StatusRecord,
     Transform,
 )
 from logs.reader import LogReader
-from logs.selection import Selection, select_topics
+from logs.selection import OUTPUT_PREFIX, Selection, select_topics
 from logs.topics import RecordKind
 from logs.writer import LogWriter, partial_path
 from slam.common.config import Config
 from slam.common.errors import InputDataError, SavedMapError
+from slam.display.drive_display import FRAMES, DriveDisplay
 from slam.frontend.sensor_frames import SensorFrames
 from slam.object_map.map_io import METADATA, SavedMap, save_map
 from slam.self_calibration.calibration import Calibration, calibrate
@@ -38,10 +39,8 @@ from slam.system import FinalMap, Slam
 
 _TOPICS: Mapping[type[Record], str] = {
     SlamPose: "/slam/pose",
-    Transform: "/tf",
     DetectionAssociations: "/slam/associations",
     StatusRecord: "/slam/status",
-    SceneMarkers: "/slam/landmarks",
     LoopClosureRecord: "/slam/closures",
     RelocalizationRecord: "/slam/relocalizations",
 }
@@ -86,6 +85,8 @@ def replay(
     prior_map: SavedMap | None = None,
     extend: bool = True,
     map_path: Path | None = None,
+    copy: Collection[str] = (),
+    view: Callable[[str, Record, int], None] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> ReplaySummary:
     """Map the log ``source`` into the log ``output``.
@@ -98,6 +99,8 @@ def replay(
         prior_map: a map to localize in.
         extend: go on from that map and improve it; else it stays as it is.
         map_path: where to save the map, for later drives.
+        copy: further topics of the input, for example of cameras, that go into the output as they are.
+        view: called with topic, record and log time of all that is written, while the drive is mapped.
         progress: called with the fraction done, in [0, 1].
 
     Raises:
@@ -117,7 +120,8 @@ def replay(
             raise InputDataError(f"{source} is a saved map, not a drive; give it as --map, and the log of a drive here")
         selection = select_topics(reader.topics(), topics)
         copied = {topic for kind in _COPIED for topic in selection.topics_of(kind)}
-        copied |= set(selection.topics_of(RecordKind.TRANSFORMS)) - {_TOPICS[Transform]}
+        copied |= set(selection.topics_of(RecordKind.TRANSFORMS)) - {FRAMES}
+        copied |= _checked_copies(reader, copy)
         mapped = Selection({topic: kinds for topic, kinds in selection.kinds.items() if set(kinds) & set(_MAPPED)})
         first_ns, last_ns = _span(reader, mapped)
         # Where the sensors are is read beforehand: between two transforms only when the later one is known, too.
@@ -126,6 +130,7 @@ def replay(
         mapped = mapped.without(RecordKind.TRANSFORMS)
         calibration = _calibrate(reader, mapped, config, frames)
         slam = Slam(calibration.config, prior_map, extend=extend, frames=frames)
+        display = DriveDisplay(calibration.config.detection.sensor_range_m, _ground_truth(source, config, selection))
         max_message_latency_s, tracked = 0.0, 0
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output) as writer:
@@ -135,22 +140,38 @@ def replay(
                 | _about_map(prior_map, extend=extend)
             )
             writer.add_metadata("dslam", provenance)
+
+            def write(topic: str, record: Record, log_time_ns: int) -> None:
+                writer.write(topic, record, log_time_ns)
+                if view is not None:
+                    view(topic, record, log_time_ns)
+
             for item in reader.items(mapped, copy=copied):
                 if item.raw.topic in copied:
                     writer.write_raw(item.raw)
                 before = time.perf_counter()
                 for record in item.records:
+                    # Everything is logged on the clock of the input, whatever its stamps are.
                     for update in slam.process(record):
-                        # Everything is logged on the clock of the input, whatever its stamps are.
-                        writer.write(_TOPICS[type(update)], update, item.raw.log_time_ns)
+                        if type(update) in _TOPICS:
+                            write(_TOPICS[type(update)], update, item.raw.log_time_ns)
+                        for topic, message in display.show(update):
+                            write(topic, message, item.raw.log_time_ns)
                         tracked += isinstance(update, SlamPose)
+                    if (snapshot := slam.snapshot()) is not None:
+                        for topic, message in display.show_map(snapshot):
+                            write(topic, message, item.raw.log_time_ns)
                 max_message_latency_s = max(max_message_latency_s, time.perf_counter() - before)
                 if progress is not None:
                     done = (item.raw.log_time_ns - first_ns) / max(last_ns - first_ns, 1)
                     progress(min(max(done, 0.0), 1.0))
             slam.counters.update(Counter(reader.counters) + lost_before)
             final = slam.finish()
-            _write_final(writer, final, last_ns)
+            writer.write_path("/slam/trajectory", final.trajectory, last_ns)
+            for topic, final_record in _final_records(final):
+                write(topic, final_record, last_ns)
+            for topic, message in [*display.show(final.status), *display.show_map(final.snapshot, is_final=True)]:
+                write(topic, message, last_ns)
         if map_path is not None and prior_map is not None and not slam.fixes:
             raise SavedMapError(
                 f"the given map was never recognised, so {map_path} would hold two places laid over each other and was "
@@ -175,16 +196,39 @@ def replay(
     )
 
 
-def _write_final(writer: LogWriter, final: FinalMap, log_time_ns: int) -> None:
-    writer.write("/slam/trajectory_stamped", final.trajectory, log_time_ns)
-    writer.write_path("/slam/trajectory", final.trajectory, log_time_ns)
-    writer.write("/slam/map", final.object_map, log_time_ns)
-    writer.write("/slam/graph", final.graph, log_time_ns)
+def _final_records(final: FinalMap) -> Iterator[tuple[str, Record]]:
+    yield "/slam/trajectory_stamped", final.trajectory
+    yield "/slam/map", final.object_map
+    yield "/slam/graph", final.graph
     for closure in final.closures:
-        writer.write("/slam/closures", closure, log_time_ns)
-    writer.write("/slam/landmarks", final.markers, log_time_ns)
-    writer.write("/slam/closure_lines", final.closure_lines, log_time_ns)
-    writer.write("/slam/status", final.status, log_time_ns)
+        yield "/slam/closures", closure
+    yield "/slam/status", final.status
+
+
+def _checked_copies(reader: LogReader, topics: Collection[str]) -> set[str]:
+    """``topics``, if the log has all of them.
+
+    Raises:
+        TopicSelectionError: it lacks one, or the output has a topic of that name.
+    """
+    there = {info.topic for info in reader.topics()}
+    for topic in topics:
+        if topic == FRAMES or topic.startswith(OUTPUT_PREFIX):
+            raise TopicSelectionError(f"{topic} cannot be copied: the output has a topic of that name of its own")
+        if topic not in there:
+            raise TopicSelectionError(f"the log has no topic {topic} to copy; it has {', '.join(sorted(there))}")
+    return set(topics)
+
+
+def _ground_truth(source: Path, config: Config, selection: Selection) -> Iterator[GroundTruthPose]:
+    """The true poses of a log; it is opened when the first is asked for."""
+    topics = selection.topics_of(RecordKind.GROUND_TRUTH)
+    if topics:
+        with LogReader(source, config.limits.reading) as reader:
+            wanted = Selection(dict.fromkeys(topics, (RecordKind.GROUND_TRUTH,)))
+            for entry in reader.records(wanted):
+                if isinstance(entry.record, GroundTruthPose):
+                    yield entry.record
 
 
 def _provenance(reader: LogReader, config: Config, selection: Selection) -> dict[str, str]:

@@ -31,7 +31,8 @@ from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import FactorGraphError, InputDataError
-from slam.common.geometry import apply, invert
+from slam.common.geometry import invert
+from slam.display.snapshot import MapSnapshot, take_snapshot
 from slam.frontend.continuity import decide
 from slam.frontend.mapper import Mapper
 from slam.frontend.scan import make_scan
@@ -52,7 +53,6 @@ logger = logging.getLogger(__name__)
 
 MAP_FRAME = "map"
 CONTRADICTED = "localization lost: observations are inconsistent with the map"
-CLOSURE_COLOR = np.array([0.84, 0.15, 0.79, 0.9])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,8 +63,8 @@ class FinalMap:
     object_map: ObjectMapRecord
     graph: FactorGraphRecord
     closures: tuple[LoopClosureRecord, ...]
-    closure_lines: SceneMarkers
     markers: SceneMarkers
+    snapshot: MapSnapshot
     status: StatusRecord
 
 
@@ -113,6 +113,7 @@ class Slam:
         self._T_map_odom = np.eye(4)
         self._is_kidnapped = False
         self._state = State.MAPPING if prior_map is None else State.LOST
+        self._keyframes_shown = self._first_keyframe
         self.fixes: list[Fix] = []
         self.closing_seconds: list[float] = []
         """Time that looking for loops took, keyframe by keyframe."""
@@ -143,6 +144,24 @@ class Slam:
         elif isinstance(record, Odometry):
             return self._follow(replace(record, stamp_ns=record.stamp_ns + self._odometry_offset_ns))
         return self._map_waiting_scans()
+
+    def snapshot(self) -> MapSnapshot | None:
+        """The map as it is known now, for viewers; None if there is no keyframe that the last one did not have."""
+        keyframes = self._mapper.keyframes
+        if len(keyframes) == self._keyframes_shown:
+            return None
+        self._keyframes_shown = len(keyframes)
+        return self._snapshot()
+
+    def _snapshot(self) -> MapSnapshot:
+        return take_snapshot(
+            self._mapper.keyframes,
+            self._object_map,
+            self._graph,
+            self._closer.closed,
+            self._closer.is_localized,
+            self._config.submap,
+        )
 
     def finish(self) -> FinalMap:
         """Close the last keyframe, optimise everything at once and hand out the result.
@@ -191,8 +210,8 @@ class Slam:
             object_map=object_map,
             graph=self._graph_record(),
             closures=tuple(removed),
-            closure_lines=self._closure_lines(),
-            markers=self._markers(confirmed, self._object_map.rows["position_map"][confirmed], replaces=True),
+            markers=self._markers(confirmed),
+            snapshot=self._snapshot(),
             status=self._status(message, level=level),
         )
 
@@ -256,11 +275,6 @@ class Slam:
         self.counters["keyframes"] += 1
         self.counters["closures_accepted"] += sum(closure.accepted for closure in closures)
         self.counters["closures_inserted"] += sum(closure.inserted for closure in closures)
-        confirmed = self._mapper.take_confirmed()
-        if len(confirmed):
-            T_map_local = self._graph.pose(keyframe.id) @ invert(keyframe.T_local_body)
-            positions = apply(T_map_local, self._object_map.rows["position_local"][confirmed])
-            updates.append(self._markers(confirmed, positions, replaces=False))
         if len(self._mapper.keyframes) == self._first_keyframe + 1:
             updates.append(self._status("first odometry", level="info"))
         return updates
@@ -446,32 +460,15 @@ class Slam:
         )
         return self._graph.to_record(self._now_ns, keyframe_stamps_ns)
 
-    def _markers(self, rows: IntArray, positions: FloatArray, *, replaces: bool) -> SceneMarkers:
+    def _markers(self, rows: IntArray) -> SceneMarkers:
+        """Landmarks for viewers, where they are in the final map."""
         classes = self._object_map.beliefs(rows).argmax(axis=1) if len(rows) else []
         return SceneMarkers(
             stamp_ns=self._now_ns,
             frame_id=MAP_FRAME,
-            positions=positions,
+            positions=self._object_map.rows["position_map"][rows],
             labels=tuple(self._object_map.vocabulary[index] for index in classes),
             ids=tuple(str(row) for row in rows),
-            lines=np.zeros((0, 2, 3)),
-            line_colors=np.zeros((0, 4)),
-            replaces=replaces,
-        )
-
-    def _closure_lines(self) -> SceneMarkers:
-        """A line between the two keyframes of each accepted closure."""
-        positions = self._graph.poses()[:, :3, 3]
-        lines = positions[self._closer.closed]
-        return SceneMarkers(
-            stamp_ns=self._now_ns,
-            frame_id=MAP_FRAME,
-            positions=np.zeros((0, 3)),
-            labels=(),
-            ids=(),
-            lines=lines,
-            line_colors=np.tile(CLOSURE_COLOR, (len(lines), 1)),
-            replaces=True,
         )
 
     def _status(self, message: str, *, level: str) -> StatusRecord:

@@ -73,6 +73,7 @@ LAYERS = (
     {"self_calibration"},
     {"loop_closure"},
     {"localization"},
+    {"display"},
     {"system"},
     {"replay"},
     {"simulation", "evaluation"},

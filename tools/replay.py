@@ -36,6 +36,10 @@ def replay(
         Path | None,
         typer.Option("--save-map", metavar="MAP.mcap", help="Save the map for later drives.", show_default=False),
     ] = None,
+    copy: Annotated[
+        list[str] | None,
+        typer.Option("--copy", metavar="/TOPIC", help="Copy that topic too, of a camera for example. Repeatable."),
+    ] = None,
     json: Json = False,
     picture: Picture = None,
 ) -> None:
@@ -54,7 +58,14 @@ def replay(
     prior_map = load_map(map_log) if map_log is not None else None
     with console.progress_bar("mapping", "optimising everything at once") as progress:
         summary = replay_log(
-            source, output, config, topics=chosen, prior_map=prior_map, map_path=save_map, progress=progress
+            source,
+            output,
+            config,
+            topics=chosen,
+            prior_map=prior_map,
+            map_path=save_map,
+            copy=copy or (),
+            progress=progress,
         )
     if picture is not None:
         _draw(output, picture)

@@ -17,6 +17,7 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from logs.messages import FactorGraphRecord
+from slam.backend.estimates import Estimates, read_estimates
 from slam.backend.factors import (
     MIN_RANGE_RANGES,
     PRIOR_SIGMA_RANGES,
@@ -376,6 +377,10 @@ class FactorGraph:
         self._check_landmarks(landmarks)
         values = self._estimate()
         return np.array([values.atPoint3(L(int(i))) for i in landmarks]).reshape(-1, 3)
+
+    def estimates(self) -> Estimates:
+        """Where everything is as far as it is known now; nothing is solved for it."""
+        return read_estimates(self._estimate(), self._pending_values)
 
     def to_record(self, stamp_ns: int, keyframe_stamps_ns: IntArray) -> FactorGraphRecord:
         """The whole graph at its current estimate, as it goes into a log."""

@@ -47,7 +47,6 @@ class Mapper:
         self._active = ActiveLandmarks(config, object_map)
         self._keyframe_observations = KeyframeObservations()
         self._held_back: defaultdict[int, list[Observation]] = defaultdict(list)
-        self._newly_confirmed: list[int] = []
         self._message_count = 0
         self._sensors: set[str] = set()
         self._scan_count = 0
@@ -132,11 +131,6 @@ class Mapper:
             self._map.beliefs(self._active.rows),
             self._config.association,
         )
-
-    def take_confirmed(self) -> IntArray:
-        """Rows of the landmarks that were confirmed since the last call."""
-        taken, self._newly_confirmed = self._newly_confirmed, []
-        return np.array(taken, dtype=np.int64)
 
     def retire_gone(self, rows: IntArray) -> None:
         """Retire landmarks that no longer exist; a landmark that others were merged into was observed again."""
@@ -241,7 +235,6 @@ class Mapper:
         ]
         self._map.confirm(confirmed)
         self._active.confirm(confirmed)
-        self._newly_confirmed += confirmed.tolist()
 
     def _deactivate_stale(self, travel_m: float) -> None:
         """Deactivate landmarks that were not observed for long; tentative and moving ones sooner."""

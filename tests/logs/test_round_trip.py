@@ -88,8 +88,7 @@ def test_scene_markers_can_be_read_as_detections(tmp_path):
         positions=np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]),
         labels=("tree", "pole"),
         ids=("L1", "L2"),
-        lines=np.arange(12.0).reshape(2, 2, 3),
-        line_colors=np.full((2, 4), 0.5),
+        removed=("L0",),
     )
     write(tmp_path / "log.mcap", [("/slam/landmarks", markers)])
     (entry,) = read(tmp_path / "log.mcap")

@@ -1,0 +1,1 @@
+"""What viewers show of a drive while it is mapped."""
