@@ -38,15 +38,19 @@ class ConstellationIndex(Protocol):
         ...
 
     def search(self, constellations: Constellations, k: int, allowed: NDArray[np.bool_]) -> Matches:
-        """Up to ``k`` entries of its own class for each query, the nearest first, among the ``allowed`` (size,)."""
+        """Up to ``k`` entries for each query, the nearest first, among the ``allowed`` (size,)."""
         ...
 
 
 class VectorIndex:
-    """Compares vectors by their Euclidean distance. Exhaustive search: one matrix product a query batch."""
+    """Compares vectors by their Euclidean distance. Exhaustive search: one matrix product a query batch.
 
-    def __init__(self, descriptor: Descriptor) -> None:
+    ``of_own_class``: only entries of the class of the query are its matches.
+    """
+
+    def __init__(self, descriptor: Descriptor, *, of_own_class: bool = True) -> None:
         self._descriptor = descriptor
+        self._of_own_class = of_own_class
         self._vectors = np.zeros((256, 0), dtype=np.float32)
         self._squares = np.zeros(256, dtype=np.float32)
         self._labels = np.zeros(256, dtype=np.int64)
@@ -79,7 +83,7 @@ class VectorIndex:
         return added
 
     def search(self, constellations: Constellations, k: int, allowed: NDArray[np.bool_]) -> Matches:
-        """Up to ``k`` nearest entries of its own class for each query among the ``allowed`` (size,) ones.
+        """Up to ``k`` nearest entries for each query among the ``allowed`` (size,) ones.
 
         Ties go to the lower number.
         """
@@ -90,7 +94,9 @@ class VectorIndex:
         squares = vectors @ self._vectors[: self._size].T
         squares *= -2.0
         squares += self._squares[: self._size]
-        squares[(labels[:, None] != self._labels[: self._size]) | ~allowed] = np.inf
+        squares[:, ~allowed] = np.inf
+        if self._of_own_class:
+            squares[labels[:, None] != self._labels[: self._size]] = np.inf
         nearest = _smallest(squares, min(k, self._size))
         order = np.argsort(np.take_along_axis(squares, nearest, axis=1), axis=1, kind="stable")
         nearest = np.take_along_axis(nearest, order, axis=1)

@@ -3,17 +3,44 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from descriptors.constellation import Constellations
 from descriptors.index import Matches
-from descriptors.ring_likelihood import CHUNK, RingLikelihood
+from descriptors.ring_likelihood import CHUNK
 
 STEP_NATS = 1.0 / 32.0
-"""Entries are kept in bytes, a quarter of the memory; what they cannot hold, above 8 nats, is one neighbour in the
+"""Entries are kept in bytes, a quarter of the memory: 8 nats from the least on, which hold all but one neighbour in the
 first ring."""
+
+
+class NeighbourLikelihood(Protocol):
+    """A descriptor whose vectors are log-likelihood ratios of a neighbour in each of their cells."""
+
+    @property
+    def radius_m(self) -> float:
+        """How far neighbours count."""
+        ...
+
+    @property
+    def least_nats(self) -> float:
+        """What is below that is kept as that; 0 where an object of the map never speaks against itself."""
+        ...
+
+    def describe(self, constellations: Constellations) -> NDArray[np.float32]:
+        """Vectors (B, cells) of objects of the map, in nats."""
+        ...
+
+    def cells(self, constellations: Constellations) -> NDArray[np.int64]:
+        """Which entry (P,) of a vector each neighbour falls into, where it is observed."""
+        ...
+
+    def most_nats(self, constellations: Constellations) -> NDArray[np.float32]:
+        """The most that a query (B,) could score."""
+        ...
 
 
 class LikelihoodIndex:
@@ -22,7 +49,7 @@ class LikelihoodIndex:
     ``window_nats``: entries that are less likely than the best by more than that are no matches.
     """
 
-    def __init__(self, descriptor: RingLikelihood, window_nats: float = 12.0) -> None:
+    def __init__(self, descriptor: NeighbourLikelihood, window_nats: float = 12.0) -> None:
         self._descriptor = descriptor
         self._window_nats = window_nats
         self._shelves: dict[int, _Shelf] = {}  # by the class of the entries
@@ -44,14 +71,16 @@ class LikelihoodIndex:
             nats = self._descriptor.describe(chunk)
             for label in np.unique(chunk.centre_labels):
                 rows = np.flatnonzero(chunk.centre_labels == label)
-                self._shelves.setdefault(int(label), _Shelf()).add(nats[rows], numbers[start + rows])
+                self._shelves.setdefault(int(label), _Shelf(self._descriptor.least_nats)).add(
+                    nats[rows], numbers[start + rows]
+                )
         self._size += len(constellations)
         return numbers
 
     def search(self, constellations: Constellations, k: int, allowed: NDArray[np.bool_]) -> Matches:
         """Up to ``k`` likeliest entries of its own class for each query among the ``allowed`` (size,) ones.
 
-        A match's distance is what it lacks to an entry whose neighbours stand exactly where they were seen, in nats.
+        A match's distance is what it lacks to the most that the query could score, in nats.
         Ties go to the lower number.
         """
         queries, entries = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
@@ -67,7 +96,8 @@ class LikelihoodIndex:
             places, likely = _likeliest(steps, k, round(self._window_nats / STEP_NATS))
             queries.append(rows[places])
             entries.append(shelf.numbers[columns[likely]])
-            lacking.append(self._descriptor.most_nats(asking)[places] - steps[places, likely] * STEP_NATS)
+            nats = (steps[places, likely] - shelf.zero * np.diff(asking.offsets)[places]) * STEP_NATS
+            lacking.append(self._descriptor.most_nats(asking)[places] - nats)
         found = np.concatenate(queries)
         order = np.argsort(found, kind="stable")
         distances = np.maximum(np.concatenate(lacking), 0.0).astype(np.float32)
@@ -75,9 +105,10 @@ class LikelihoodIndex:
 
 
 class _Shelf:
-    """Entries of one class: a column of bytes each, a row for each cell of the vectors."""
+    """Entries of one class: a column of bytes each, a row for each cell of the vectors; ``zero`` stands for 0 nats."""
 
-    def __init__(self) -> None:
+    def __init__(self, least_nats: float) -> None:
+        self.zero = round(-least_nats / STEP_NATS)
         self._table = np.zeros((0, 64), dtype=np.uint8)
         self.numbers = np.zeros(0, dtype=np.int64)
 
@@ -86,10 +117,11 @@ class _Shelf:
         start, end = len(self.numbers), len(self.numbers) + len(numbers)
         cells, capacity = self._table.shape
         if end > capacity or nats.shape[1] > cells:
-            grown = np.zeros((nats.shape[1], capacity if end <= capacity else max(end, 2 * capacity)), dtype=np.uint8)
+            shape = nats.shape[1], capacity if end <= capacity else max(end, 2 * capacity)
+            grown = np.full(shape, self.zero, dtype=np.uint8)
             grown[:cells, :start] = self._table[:, :start]
             self._table = grown
-        self._table[:, start:end] = np.minimum(np.rint(nats / STEP_NATS), 255.0).T
+        self._table[:, start:end] = np.clip(np.rint(nats / STEP_NATS) + self.zero, 0.0, 255.0).T
         self.numbers = np.concatenate([self.numbers, numbers])
 
     def steps(self, cells: NDArray[np.int64], offsets: NDArray[np.int64]) -> NDArray[np.int32]:
@@ -104,6 +136,7 @@ class _Shelf:
         for query, (start, end) in enumerate(pairwise(starts)):  # thirty times as fast as one reduceat
             kind = np.uint16 if end - start <= 257 else np.uint32  # 257 bytes add up to less than 2^16
             total[query] = rows[start:end].sum(axis=0, dtype=kind)
+        total += (self.zero * (np.diff(offsets) - np.diff(starts)))[:, None].astype(np.int32)
         return total
 
 

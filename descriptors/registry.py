@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
+from pathlib import Path
 
 from descriptors.baselines.gosmatch import GosmatchGraph, GosmatchVertex
 from descriptors.baselines.onion import Onion, OnionHistogram
@@ -13,6 +15,7 @@ from descriptors.index import ConstellationIndex, VectorIndex
 from descriptors.likelihood_index import LikelihoodIndex
 from descriptors.random_vector import RandomVector
 from descriptors.ring_likelihood import RingLikelihood
+from descriptors.towers.learned_likelihood import LearnedLikelihood, is_learned_likelihood
 
 HANDCRAFTED: dict[str, Callable[[], Descriptor]] = {
     "onion": Onion,
@@ -21,15 +24,21 @@ HANDCRAFTED: dict[str, Callable[[], Descriptor]] = {
     "gosmatch_graph": GosmatchGraph,
     "gosmatch_vertex": GosmatchVertex,
 }
-LEARNED = ("descriptellation", "pointnet", "sgnet")
+SHIPPED = Path(__file__).parent / "descriptellation" / "weights"
+PAPER = "descriptellation_paper"
+NETWORKS = (PAPER, "pointnet", "sgnet")
+LEARNED = (LearnedLikelihood.name, *NETWORKS)
 DESCRIPTOR_NAMES = (RingLikelihood.name, *LEARNED, *HANDCRAFTED, RandomVector.name)
+WEIGHTS_SUFFIX = ".safetensors"
 
 
 def make_descriptor(name: str) -> Descriptor:
-    """The descriptor of that name, with its default parameters; a learned one with the weights that ship.
+    """A descriptor: one of :data:`DESCRIPTOR_NAMES`, a file of weights, or a class of one's own as ``module:Class``.
+
+    A class of one's own is imported and made without arguments; it does what :class:`Descriptor` says.
 
     Raises:
-        DescriptorError: there is none of that name, or its weights do not fit.
+        DescriptorError: there is none of that name, weights that do not fit, or a class that cannot be made.
     """
     if name == RingLikelihood.name:
         return RingLikelihood()
@@ -38,17 +47,47 @@ def make_descriptor(name: str) -> Descriptor:
     if name in HANDCRAFTED:
         return HANDCRAFTED[name]()
     if name in LEARNED:
-        from descriptors.learned.network_descriptor import LearnedDescriptor  # loads torch
-
-        return LearnedDescriptor.shipped(name)
-    raise DescriptorError(f"no descriptor {name!r}; there are {', '.join(DESCRIPTOR_NAMES)}")
+        return _from_weights(SHIPPED / f"{name}{WEIGHTS_SUFFIX}")
+    if name.endswith(WEIGHTS_SUFFIX):
+        return _from_weights(Path(name))
+    if ":" in name:
+        return _from_class(name)
+    raise DescriptorError(
+        f"no descriptor {name!r}; there are {', '.join(DESCRIPTOR_NAMES)}, weights by their path "
+        f"(NAME{WEIGHTS_SUFFIX}), and classes of your own (module:Class)"
+    )
 
 
 def make_index(name: str) -> ConstellationIndex:
     """An empty index for constellations, with that descriptor.
 
     Raises:
-        DescriptorError: there is none of that name, or its weights do not fit.
+        DescriptorError: as :func:`make_descriptor`.
     """
     descriptor = make_descriptor(name)
-    return LikelihoodIndex(descriptor) if isinstance(descriptor, RingLikelihood) else VectorIndex(descriptor)
+    if isinstance(descriptor, RingLikelihood | LearnedLikelihood):
+        return LikelihoodIndex(descriptor)
+    return VectorIndex(descriptor, of_own_class=descriptor.name != PAPER)
+
+
+def _from_weights(path: Path) -> Descriptor:
+    if is_learned_likelihood(path):
+        return LearnedLikelihood(path)
+    from descriptors.learned.network_descriptor import LearnedDescriptor  # loads torch
+
+    return LearnedDescriptor(path)
+
+
+def _from_class(name: str) -> Descriptor:
+    module, _, attribute = name.partition(":")
+    try:
+        made = getattr(importlib.import_module(module), attribute)()
+    except Exception as error:  # whatever the user's code raises
+        raise DescriptorError(f"{name}: cannot be made: {type(error).__name__}: {error}") from error
+    lacking = [part for part in ("name", "radius_m", "describe") if not hasattr(made, part)]
+    if lacking:
+        raise DescriptorError(
+            f"{name}: is no descriptor, it lacks {', '.join(lacking)}; see descriptors.descriptor.Descriptor"
+        )
+    descriptor: Descriptor = made
+    return descriptor

@@ -36,6 +36,7 @@ class RingLikelihood:
     """
 
     name = "ring_likelihood"
+    least_nats = 0.0
 
     def __init__(
         self,

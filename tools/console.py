@@ -75,3 +75,17 @@ def progress_bar(doing: str, finishing: str) -> Iterator[Callable[[float], None]
                 progress.update(task, completed=fraction, description=doing if fraction < 1.0 else finishing)
 
         yield move
+
+
+@contextmanager
+def progress_line(doing: str) -> Iterator[Callable[[float, str], None] | None]:
+    """A callback for the fraction done and a word about it, which go to the terminal; None where there is none."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(doing, total=1.0)
+        yield lambda fraction, word: progress.update(task, completed=fraction, description=f"{doing}: {word}")

@@ -24,6 +24,21 @@ class Pairs:
     owners: Tensor
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Neighbourhoods:
+    """Sets of objects, ``count`` of them, and which of them each of the M present objects has as its neighbours.
+
+    ``of`` (M,): the set of an object. ``groups`` (E,), ``members`` (E,): the sets and their objects, as rows of the
+    features. ``owners`` (M,): which constellation an object belongs to.
+    """
+
+    of: Tensor
+    groups: Tensor
+    members: Tensor
+    count: int
+    owners: Tensor
+
+
 def distances(points: Tensor) -> Tensor:
     """Distances (B, N, N) between the objects of each constellation, from points (B, N, C)."""
     # The default takes scalar products from 26 objects on: inexact, and another result with more padding.
@@ -45,28 +60,52 @@ def nearest(points: Tensor, present: Tensor, count: int) -> Tensor:
     return both & (apart <= last * (1.0 + _ROUNDING) + _ROUNDING)
 
 
-def edges(positions: Tensor, present: Tensor, length_m: float | None) -> Tensor:
-    """Which objects are neighbours (B, N, N): both present and within the threshold of each other, or the same.
-
-    The paper's threshold is the average distance between two nodes in the global map (Descriptellation, Section
-    III-A). On a street that is hundreds of metres and connects everything within sight. Without ``length_m`` we read it
-    as the mean distance between the pairs of objects of the constellation at hand.
+def edges(positions: Tensor, present: Tensor, length_m: float) -> Tensor:
+    """Which objects are neighbours (B, N, N): both present and within ``length_m`` of each other, or the same.
 
     Args:
         positions: (B, N, 3) m.
         present: (B, N) bool.
-        length_m: one threshold for all constellations, or None for the mean of each.
+        length_m: the threshold.
     """
-    apart_m = distances(positions)
+    return _within(distances(positions), present, length_m)
+
+
+def neighbourhoods_of(apart_m: Tensor, present: Tensor, length_m: float) -> Neighbourhoods:
+    """The neighbourhoods of the M present objects, an edge joining all that are within ``length_m``.
+
+    The paper's threshold is the average distance between two nodes of the global map (Descriptellation, Section III-A),
+    on a street hundreds of metres: nearly all constellations are complete graphs, of whose objects all have one and the
+    same neighbourhood.
+
+    Args:
+        apart_m: (B, N, N) m, as :func:`distances` gives them.
+        present: (B, N) bool.
+        length_m: the threshold.
+    """
+    connected = _within(apart_m, present, length_m)
     both = present[:, :, None] & present[:, None, :]
-    if length_m is None:
-        counts = present.sum(dim=1)
-        pairs = (counts * (counts - 1)).clamp(min=1)
-        threshold_m = (apart_m.masked_fill(~both, 0.0).sum(dim=(1, 2)) / pairs)[:, None, None]
-    else:
-        threshold_m = apart_m.new_tensor(length_m)
+    is_complete = (connected == both).all(dim=2).all(dim=1)
+    owners = present.nonzero(as_tuple=True)[0]
+    pairs = pairs_of(connected & ~is_complete[:, None, None], present)
+    objects = torch.arange(len(owners), device=present.device)
+    alone = ~is_complete[owners]
+    # Groups: first the objects with a neighbourhood of their own, then the complete constellations.
+    own = torch.cumsum(alone, dim=0) - 1
+    whole = int(alone.sum()) + torch.cumsum(is_complete, dim=0) - 1
+    return Neighbourhoods(
+        of=torch.where(alone, own, whole[owners]),
+        groups=torch.cat([own[pairs.objects], whole[owners[~alone]]]),
+        members=torch.cat([pairs.neighbours, objects[~alone]]),
+        count=int(alone.sum()) + int(is_complete.sum()),
+        owners=owners,
+    )
+
+
+def _within(apart_m: Tensor, present: Tensor, length_m: float) -> Tensor:
+    both = present[:, :, None] & present[:, None, :]
     itself = torch.eye(present.shape[1], dtype=torch.bool, device=present.device)
-    return both & ((apart_m <= threshold_m * (1.0 + _ROUNDING)) | itself)
+    return both & ((apart_m <= length_m * (1.0 + _ROUNDING)) | itself)
 
 
 def pairs_of(connected: Tensor, present: Tensor) -> Pairs:

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from descriptors.descriptellation.graph import Pairs, edges, group_maximum, pairs_of
+from descriptors.descriptellation.graph import Neighbourhoods, distances, group_maximum, neighbourhoods_of
 
 InputKind = Literal["position", "integer", "one_hot", "embedding"]
 
@@ -22,11 +22,12 @@ InputKind = Literal["position", "integer", "one_hot", "embedding"]
 class DescriptellationArchitecture:
     """Sizes of the network; ``input`` names the four kinds of input of the paper's ablation (Section IV-G).
 
-    ``length``: numbers of the descriptor. ``edge_length_m``: threshold of the graph, None for the mean distance of each
-    constellation. ``position_scale_m``: the distance that enters as 1.
+    ``length``: numbers of the descriptor. ``edge_length_m``: threshold of the graph, the mean distance of two objects
+    of a simulated map. That of any map wider than some 110 m is above 60 m, too, so that with both all constellations
+    of 30 m are complete graphs.
     """
 
-    name: str = "descriptellation"
+    name: str = "descriptellation_paper"
     input: InputKind = "embedding"
     vocabulary_size: int = 64
     embedding_length: int = 3
@@ -34,8 +35,7 @@ class DescriptellationArchitecture:
     channels: int = 32
     fusion: int = 128
     length: int = 64
-    edge_length_m: float | None = None
-    position_scale_m: float = 10.0
+    edge_length_m: float = 72.7
 
 
 class Descriptellation(nn.Module):
@@ -45,7 +45,7 @@ class Descriptellation(nn.Module):
         super().__init__()
         self.architecture = architecture or DescriptellationArchitecture()
         sizes = self.architecture
-        self.node_input = NodeInput(sizes.input, sizes.vocabulary_size, sizes.embedding_length, sizes.position_scale_m)
+        self.node_input = NodeInput(sizes.input, sizes.vocabulary_size, sizes.embedding_length)
         self.head = MaxRelativeConvolution(self.node_input.length, sizes.channels)
         self.backbone = nn.ModuleList(
             MaxRelativeConvolution(sizes.channels, sizes.channels) for _ in range(sizes.layers - 1)
@@ -58,34 +58,34 @@ class Descriptellation(nn.Module):
         self.pooling = AttentionPooling(sizes.length, sizes.length)
 
     def forward(self, positions: Tensor, labels: Tensor, present: Tensor) -> Tensor:
-        """Unit vectors (B, length) of constellations as ``PaddedConstellations`` holds them.
+        """Vectors (B, length) of constellations as ``PaddedConstellations`` holds them, of any length.
 
         Args:
             positions: (B, N, 3) m, the centre first and at the origin.
             labels: (B, N) places in the vocabulary, below ``vocabulary_size``.
             present: (B, N) bool, where an object is.
         """
-        pairs = pairs_of(edges(positions, present, self.architecture.edge_length_m), present)
-        layers = [self.head(self.node_input(positions[present], labels[present]), pairs)]
+        near = neighbourhoods_of(distances(positions), present, self.architecture.edge_length_m)
+        layers = [self.head(self.node_input(positions[present], labels[present]), near)]
         for block in self.backbone:
-            layers.append(layers[-1] + block(layers[-1], pairs))
+            layers.append(layers[-1] + block(layers[-1], near))
         gathered = torch.cat(layers, dim=1)
-        fused = group_maximum(self.fusion(gathered), pairs.owners, len(present))
-        predicted = self.prediction(torch.cat([fused.index_select(0, pairs.owners), gathered], dim=1))
-        return functional.normalize(self.pooling(predicted, present), dim=1)
+        fused = group_maximum(self.fusion(gathered), near.owners, len(present))
+        predicted = self.prediction(torch.cat([fused.index_select(0, near.owners), gathered], dim=1))
+        pooled: Tensor = self.pooling(predicted, present)
+        return pooled
 
 
 class NodeInput(nn.Module):
-    """What the network is told of an object: its position and, but for ``position``, its class.
+    """What the network is told of an object: its position, and, but for ``position``, its class."""
 
-    ``integer`` scales the paper's 1 to number of classes down to at most 1, as positions are scaled too.
-    """
-
-    def __init__(self, kind: InputKind, vocabulary_size: int, embedding_length: int, position_scale_m: float) -> None:
+    def __init__(
+        self, kind: InputKind, vocabulary_size: int, embedding_length: int, position_scale_m: float = 1.0
+    ) -> None:
         super().__init__()
+        self._position_scale_m = position_scale_m
         self._kind = kind
         self._vocabulary_size = vocabulary_size
-        self._position_scale_m = position_scale_m
         self.length = 3 + {"position": 0, "integer": 1, "one_hot": vocabulary_size, "embedding": embedding_length}[kind]
         if kind == "embedding":
             self.embedding = nn.Embedding(vocabulary_size, embedding_length)
@@ -99,7 +99,7 @@ class NodeInput(nn.Module):
 
     def _classes(self, labels: Tensor) -> Tensor:
         if self._kind == "integer":
-            return (labels[:, None] + 1) / self._vocabulary_size
+            return labels[:, None] + 1
         if self._kind == "one_hot":
             return functional.one_hot(labels, self._vocabulary_size)
         embedded: Tensor = self.embedding(labels)
@@ -113,10 +113,10 @@ class MaxRelativeConvolution(nn.Module):
         super().__init__()
         self.perceptron = perceptron(2 * inputs, outputs)
 
-    def forward(self, features: Tensor, pairs: Pairs) -> Tensor:
+    def forward(self, features: Tensor, near: Neighbourhoods) -> Tensor:
         """New features (M, outputs) of objects with features (M, inputs)."""
         # x_i does not depend on j, so the difference is taken once for each object and not for each pair.
-        largest = group_maximum(features, pairs.objects, len(features), pairs.neighbours)
+        largest = group_maximum(features, near.groups, near.count, near.members).index_select(0, near.of)
         updated: Tensor = self.perceptron(torch.cat([features, largest - features], dim=1))
         return updated
 

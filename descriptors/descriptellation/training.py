@@ -82,6 +82,7 @@ def train_network(
     device: str = "cpu",
     threads: int = 2,
     on_epoch: Callable[[Epoch], None] = lambda epoch: None,
+    on_batch: Callable[[float, float, float], None] = lambda done, loss, remaining_s: None,
 ) -> list[Epoch]:
     """Train, or go on where an interrupted training of the same configuration stopped.
 
@@ -94,6 +95,7 @@ def train_network(
         device: as torch names it.
         threads: of torch, on a CPU.
         on_epoch: told of every epoch that ends.
+        on_batch: told after each batch of the share that is done, its loss, and how many seconds the rest takes.
 
     Returns:
         All epochs, those before an interruption too.
@@ -110,7 +112,7 @@ def train_network(
     training = make_dataset(config.simulation, config.augmentation, config.dataset, seed=2 * config.seed)
     validation = make_dataset(config.simulation, config.augmentation, config.dataset, seed=2 * config.seed + 1)
     while len(run.epochs) < config.epochs:
-        epoch = run.next_epoch(training, validation)
+        epoch = run.next_epoch(training, validation, on_batch)
         if epoch is max(run.epochs, key=lambda each: each.validation_top_k):  # of equals the first
             save_weights(folder / WEIGHTS, run.network, _metadata(config, epoch))
         _write_curves(folder / CURVES, run.epochs)
@@ -133,20 +135,29 @@ class _Run:
         self._optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
         self.epochs: list[Epoch] = []
 
-    def next_epoch(self, training: ConstellationDataset, validation: ConstellationDataset) -> Epoch:
+    def next_epoch(
+        self,
+        training: ConstellationDataset,
+        validation: ConstellationDataset,
+        on_batch: Callable[[float, float, float], None],
+    ) -> Epoch:
         started = time.perf_counter()
         number = len(self.epochs)
         learning_rate = self._config.learning_rate * self._config.decay ** (number // self._config.decay_epochs)
         for group in self._optimizer.param_groups:
             group["lr"] = learning_rate
         self.network.train()
-        losses = []
-        for rows in self._batches(training.anchors, number):
+        losses: list[float] = []
+        batches = list(self._batches(training.anchors, number))
+        for rows in batches:
             loss = self._loss(training.constellations[rows], training.anchors[rows])
             self._optimizer.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
             self._optimizer.step()
             losses.append(float(loss.detach()))
+            taken = number + len(losses) / len(batches)
+            pace_s = (time.perf_counter() - started) * len(batches) / len(losses)
+            on_batch(taken / self._config.epochs, losses[-1], (self._config.epochs - taken) * pace_s)
         self.network.eval()
         described = self._describe(validation)
         epoch = Epoch(

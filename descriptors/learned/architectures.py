@@ -42,7 +42,7 @@ class Architecture(Protocol):
 
 
 ARCHITECTURES: dict[str, tuple[type[Any], type[nn.Module]]] = {
-    "descriptellation": (DescriptellationArchitecture, Descriptellation),
+    "descriptellation_paper": (DescriptellationArchitecture, Descriptellation),
     "pointnet": (PointNetArchitecture, PointNet),
     "sgnet": (SGNetArchitecture, SGNet),
 }

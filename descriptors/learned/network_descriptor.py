@@ -15,8 +15,6 @@ from descriptors.learned.inference import describe_padded
 from descriptors.learned.padded import pad_constellations
 from descriptors.learned.weights import load_weights
 
-SHIPPED = Path(__file__).parents[1] / "descriptellation" / "weights"
-
 
 class LearnedDescriptor:
     """A network with its weights; the radius is the one it was trained with.
@@ -42,11 +40,6 @@ class LearnedDescriptor:
                 f"{path}: its training configuration has no dataset.radius_m, so how far neighbours count is unknown; "
                 "train again"
             ) from error
-
-    @classmethod
-    def shipped(cls, name: str) -> LearnedDescriptor:
-        """The network of that name with the weights in this package."""
-        return cls(SHIPPED / f"{name}.safetensors")
 
     def describe(self, constellations: Constellations) -> NDArray[np.float32]:
         """Vectors (B, length).

@@ -233,7 +233,8 @@ class LoopClosureConfig(_Branch):
     enabled: bool = Field(default=True, description="close loops")
     descriptor: str = Field(
         default="ring_likelihood",
-        description="descriptor of constellations: ring_likelihood, descriptellation, or one of the baselines",
+        description="descriptor of constellations: ring_likelihood, descriptellation, one of the baselines, a file of "
+        "weights (NAME.safetensors) or a class of your own (module:Class)",
     )
     min_travel_m: float = Field(
         default=100.0, gt=0, description="least travel between the two keyframes of a closure [m]"

@@ -98,6 +98,27 @@ def load_world(objects: Path, trajectory: Path, *, name: str | None = None) -> W
         SimulationError: a missing or unreadable file, a missing column, no finite number, an empty class or id, an id
             used twice, fewer than two poses; names the file and the line.
     """
+    ids, positions, labels = _read_objects(objects)
+    tour = [
+        [_number(trajectory, line, column, row[column]) for column in TOUR_COLUMNS]
+        for line, row in _rows(trajectory, TOUR_COLUMNS)
+    ]
+    if len(tour) < 2:
+        raise SimulationError(f"{trajectory}: {len(tour)} poses; a tour needs at least two")
+    name = objects.resolve().parent.name if name is None else name
+    return World(name, ids, positions, labels, np.array(tour))
+
+
+def load_objects(objects: Path) -> tuple[FloatArray, tuple[str, ...]]:
+    """Positions (N, 3) m and labels (N,) of a CSV file of objects.
+
+    Raises:
+        SimulationError: as :func:`load_world`.
+    """
+    return _read_objects(objects)[1:]
+
+
+def _read_objects(objects: Path) -> tuple[tuple[str, ...], FloatArray, tuple[str, ...]]:
     first_line: dict[str, int] = {}
     positions: list[list[float]] = []
     labels: list[str] = []
@@ -114,14 +135,7 @@ def load_world(objects: Path, trajectory: Path, *, name: str | None = None) -> W
         labels.append(label)
     if not labels:
         raise SimulationError(f"{objects}: no object in it; give it at least one line below the header")
-    tour = [
-        [_number(trajectory, line, column, row[column]) for column in TOUR_COLUMNS]
-        for line, row in _rows(trajectory, TOUR_COLUMNS)
-    ]
-    if len(tour) < 2:
-        raise SimulationError(f"{trajectory}: {len(tour)} poses; a tour needs at least two")
-    name = objects.resolve().parent.name if name is None else name
-    return World(name, tuple(first_line), np.array(positions), tuple(labels), np.array(tour))
+    return tuple(first_line), np.array(positions), tuple(labels)
 
 
 def _rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[int, dict[str, str]]]:

@@ -6,11 +6,18 @@ import numpy as np
 import pytest
 import torch
 
-from descriptors.descriptellation.graph import distances, edges, group_maximum, nearest, pairs_of
+from descriptors.descriptellation.graph import (
+    distances,
+    edges,
+    group_maximum,
+    nearest,
+    neighbourhoods_of,
+    pairs_of,
+)
 from tests.descriptors.batches import batch
 
 
-@pytest.mark.parametrize("length_m", [None, 18.0])
+@pytest.mark.parametrize("length_m", [6.0, 18.0])
 def test_edges_join_present_objects_within_the_threshold_and_each_with_itself(length_m):
     positions, _, present = batch((12, 1, 30, 2), 32)
     found = edges(positions, present, length_m)
@@ -18,19 +25,30 @@ def test_edges_join_present_objects_within_the_threshold_and_each_with_itself(le
         count = int(present[row].sum())
         places = positions[row, :count].double().numpy()
         apart = np.linalg.norm(places[:, None] - places, axis=2)
-        others = apart[np.triu_indices(count, 1)]
-        threshold = length_m if length_m is not None else (others.mean() if count > 1 else 0.0)
         expected = np.zeros((32, 32), dtype=bool)
-        expected[:count, :count] = (apart <= threshold * (1 + 1e-5)) | np.eye(count, dtype=bool)
+        expected[:count, :count] = (apart <= length_m * (1 + 1e-5)) | np.eye(count, dtype=bool)
         assert np.array_equal(found[row].numpy(), expected)
 
 
-def test_objects_that_are_all_at_their_mean_distance_are_neighbours_however_it_is_rounded():
+@pytest.mark.parametrize("length_m", [6.0, 25.0, 40.0, 1000.0])
+def test_neighbourhoods_are_those_of_the_edges_whether_complete_or_not(length_m):
+    positions, _, present = batch((12, 1, 30, 2), 32)
+    features = torch.randn(45, 5, generator=torch.Generator().manual_seed(0))
+    near = neighbourhoods_of(distances(positions), present, length_m)
+    pairs = pairs_of(edges(positions, present, length_m), present)
+    found = group_maximum(features, near.groups, near.count, near.members).index_select(0, near.of)
+    assert torch.equal(found, group_maximum(features, pairs.objects, 45, pairs.neighbours))
+    assert torch.equal(near.owners, pairs.owners)
+    if length_m == 1000.0:
+        assert len(near.members) == 45  # one neighbourhood for all objects of a constellation
+
+
+def test_objects_that_are_all_at_the_threshold_are_neighbours_however_it_is_rounded():
     tetrahedron = torch.tensor([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
     rotations = torch.linalg.qr(torch.randn(50, 3, 3, generator=torch.Generator().manual_seed(0))).Q
     positions = 7.3 * tetrahedron @ rotations
     for count in (2, 3, 4):
-        assert edges(positions[:, :count], torch.ones(50, count, dtype=torch.bool), None).all()
+        assert edges(positions[:, :count], torch.ones(50, count, dtype=torch.bool), 7.3 * 8.0**0.5).all()
 
 
 def test_distances_of_objects_side_by_side_and_far_out_are_exact_among_few_and_many():

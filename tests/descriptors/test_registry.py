@@ -12,9 +12,10 @@ import pytest
 import descriptors
 from descriptors.constellation import gather_constellations
 from descriptors.errors import DescriptorError
-from descriptors.index import ConstellationIndex, Matches
+from descriptors.index import ConstellationIndex, Matches, VectorIndex
 from descriptors.likelihood_index import LikelihoodIndex
-from descriptors.registry import DESCRIPTOR_NAMES, LEARNED, make_descriptor, make_index
+from descriptors.random_vector import RandomVector
+from descriptors.registry import DESCRIPTOR_NAMES, LEARNED, NETWORKS, PAPER, make_descriptor, make_index
 from slam.common.arrays import FloatArray, IntArray
 from tests.descriptors.constellations import VOCABULARY, describe, scattered
 
@@ -89,7 +90,8 @@ def test_every_index_takes_a_place_where_all_objects_are_one_spot(name):
     index = make_index(name)
     added(index, np.full((5, 3), 7.0), np.array([0, 0, 1, 2, 2]))
     matches = searched(index, np.full((5, 3), 7.0), np.array([0, 0, 1, 2, 2]), 5)
-    np.testing.assert_array_equal(matches.queries, [0, 0, 1, 1, 2, 3, 3, 4, 4])
+    if name != PAPER:  # which compares objects of all classes
+        np.testing.assert_array_equal(matches.queries, [0, 0, 1, 1, 2, 3, 3, 4, 4])
     assert np.isfinite(matches.distances).all()
 
 
@@ -98,10 +100,53 @@ def test_every_index_may_be_searched_while_it_is_empty(name):
     assert len(searched(make_index(name), *scattered(5, seed=4), 3).queries) == 0
 
 
-def test_only_the_ring_likelihood_is_looked_up_by_likelihood():
-    handmade = [name for name in DESCRIPTOR_NAMES if name not in LEARNED]
-    likelihoods = [name for name in handmade if isinstance(make_index(name), LikelihoodIndex)]
-    assert likelihoods == ["ring_likelihood"]
+def test_only_the_two_likelihoods_are_looked_up_by_likelihood():
+    names = [name for name in DESCRIPTOR_NAMES if name not in NETWORKS]
+    likelihoods = [name for name in names if isinstance(make_index(name), LikelihoodIndex)]
+    assert likelihoods == ["ring_likelihood", "descriptellation"]
+
+
+class Own:
+    """A descriptor of a user: how many neighbours there are."""
+
+    name = "own"
+    radius_m = 20.0
+
+    def describe(self, constellations):
+        return np.diff(constellations.offsets)[:, None].astype(np.float32)
+
+
+def test_a_class_of_one_s_own_is_imported_and_asked():
+    index = make_index("tests.descriptors.test_registry:Own")
+    assert index.radius_m == 20.0
+    positions, labels = scattered(30, seed=3)
+    added(index, positions, labels)
+    assert len(searched(index, positions, labels, 1).queries) == 30
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("no_such_module:Own", "ModuleNotFoundError"),
+        ("tests.descriptors.test_registry:Other", "AttributeError"),
+        ("builtins:dict", "lacks name, radius_m, describe"),
+        ("no/such.safetensors", "no such file"),
+    ],
+)
+def test_what_is_no_descriptor_is_refused_with_the_reason(name, told):
+    with pytest.raises(DescriptorError, match=told):
+        make_index(name)
+
+
+def test_the_paper_s_network_is_compared_with_all_classes():
+    """K nearest over the whole map in L2: no class filter."""
+    network, own_classes = VectorIndex(RandomVector(), of_own_class=False), VectorIndex(RandomVector())
+    positions, labels = scattered(30, seed=3)
+    for index in (network, own_classes):
+        added(index, positions, labels)
+    assert len(searched(network, positions, labels, 30).queries) == 30 * 30
+    found = searched(own_classes, positions, labels, 30)
+    np.testing.assert_array_equal(labels[found.queries], labels[found.entries])
 
 
 def test_no_name_is_there_twice():
@@ -129,7 +174,7 @@ def test_handcrafted_descriptors_do_without_torch():
     """It takes seconds to load, which no command should wait for that uses no network."""
     code = (
         "import sys, descriptors.registry as registry\n"
-        "[registry.make_index(name) for name in registry.DESCRIPTOR_NAMES if name not in registry.LEARNED]\n"
+        "[registry.make_index(name) for name in registry.DESCRIPTOR_NAMES if name not in registry.NETWORKS]\n"
         "assert 'descriptors.likelihood_index' in sys.modules\n"
         "assert 'torch' not in sys.modules, 'torch was imported'\n"
     )

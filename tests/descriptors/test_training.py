@@ -240,6 +240,16 @@ def test_every_epoch_is_told_when_its_files_are_there(tmp_path):
     assert all(epoch.seconds > 0.0 for epoch in told)
 
 
+def test_each_batch_tells_how_far_the_training_is_and_how_long_the_rest_takes(tmp_path):
+    told: list[tuple[float, float, float]] = []
+    train_network(
+        replace(TINY, epochs=2), tmp_path, threads=1, on_batch=lambda done, loss, left: told.append((done, loss, left))
+    )
+    assert [done for done, _, _ in told] == pytest.approx([0.125 * k for k in range(1, 9)])
+    assert all(loss > 0.0 for _, loss, _ in told)
+    assert told[-1][2] == 0.0 < told[0][2]
+
+
 def test_the_learning_rate_decays_by_steps(tmp_path):
     epochs = train(replace(TINY, epochs=7), tmp_path)
     assert [epoch.learning_rate for epoch in epochs] == pytest.approx([1e-2] * 3 + [7e-3] * 3 + [4.9e-3])
@@ -293,12 +303,14 @@ def test_an_epoch_goes_through_every_view_once_anchor_by_anchor_and_each_time_in
 
 
 def test_default_architectures_take_settings_and_refuse_what_they_do_not_know():
-    assert default_architecture("descriptellation") == DescriptellationArchitecture()
-    assert default_architecture("descriptellation", input="one_hot") == DescriptellationArchitecture(input="one_hot")
+    assert default_architecture("descriptellation_paper") == DescriptellationArchitecture()
+    assert default_architecture("descriptellation_paper", input="one_hot") == DescriptellationArchitecture(
+        input="one_hot"
+    )
     assert default_architecture("pointnet", length=24) == PointNetArchitecture(length=24)
-    with pytest.raises(DescriptorError, match=r"'transformer'.*descriptellation, pointnet, sgnet"):
+    with pytest.raises(DescriptorError, match=r"'transformer'.*descriptellation_paper, pointnet, sgnet"):
         default_architecture("transformer")
     with pytest.raises(DescriptorError, match=r"'pointnet' with unknown fields \['input'\]"):
         default_architecture("pointnet", input="position")
     with pytest.raises(DescriptorError, match=r"input = 'colour'"):
-        default_architecture("descriptellation", input="colour")
+        default_architecture("descriptellation_paper", input="colour")

@@ -17,6 +17,10 @@ from descriptors.descriptellation.dataset import DatasetConfig
 from descriptors.descriptellation.network import DescriptellationArchitecture
 from descriptors.descriptellation.training import WEIGHTS, Epoch, TrainingConfig
 from descriptors.learned.weights import load_weights
+from descriptors.likelihood_index import LikelihoodIndex
+from descriptors.registry import make_index
+from descriptors.towers import training as towers
+from descriptors.towers.training import TowersTraining
 from tests.tools.runs import Run, assert_refused
 
 Called = dict[str, Any]
@@ -31,12 +35,10 @@ def called(monkeypatch: pytest.MonkeyPatch) -> Called:
     """What a training is asked for; it ends at once, the third of four epochs being the best."""
     called: Called = {}
 
-    def fake(config: TrainingConfig, folder: Path, *, on_epoch: Callable[[Epoch], None], **more: object) -> list[Epoch]:
+    def fake(config: TrainingConfig, folder: Path, *, on_batch: Callable[..., None], **more: object) -> list[Epoch]:
         called.update(config=config, folder=folder, **more)
-        epochs = [epoch(number + 1, ratio) for number, ratio in enumerate((0.5, 0.7, 0.975, 0.8))]
-        for each in epochs:
-            on_epoch(each)
-        return epochs
+        on_batch(0.5, 0.3, 60.0)
+        return [epoch(number + 1, ratio) for number, ratio in enumerate((0.5, 0.7, 0.975, 0.8))]
 
     monkeypatch.setattr(training, "train_network", fake)
     return called
@@ -63,14 +65,27 @@ def test_the_help_has_an_example_and_names_the_networks(dslam: Run) -> None:
 
 
 def test_every_option_reaches_the_training(dslam: Run, called: Called, tmp_path: Path) -> None:
-    options = ("--input", "one_hot", "--epochs", 7, "--seed", 3, "--device", "cpu", "--threads", 1)
+    options = (
+        "--network",
+        "descriptellation_paper",
+        "--input",
+        "one_hot",
+        "--epochs",
+        7,
+        "--seed",
+        3,
+        "--device",
+        "cpu",
+        "--threads",
+        1,
+    )
     assert dslam("train", tmp_path / "net", *options).code == 0
     expected = TrainingConfig(architecture=DescriptellationArchitecture(input="one_hot"), epochs=7, seed=3)
     assert called == {"config": expected, "folder": tmp_path / "net", "device": "cpu", "threads": 1}
 
 
-def test_without_options_it_is_the_paper_s_network_and_training(dslam: Run, called: Called, tmp_path: Path) -> None:
-    assert dslam("train", tmp_path).code == 0
+def test_the_paper_s_network_is_trained_as_in_the_paper(dslam: Run, called: Called, tmp_path: Path) -> None:
+    assert dslam("train", tmp_path, "--network", "descriptellation_paper").code == 0
     assert called["config"] == TrainingConfig()
 
 
@@ -80,7 +95,7 @@ def test_another_network_can_be_chosen(dslam: Run, called: Called, tmp_path: Pat
 
 
 def test_a_summary_for_people(dslam: Run, called: Called, tmp_path: Path) -> None:
-    result = dslam("train", tmp_path)
+    result = dslam("train", tmp_path, "--network", "pointnet")
     assert (result.code, result.err) == (0, "")
     lines = result.out.splitlines()
     assert [line.split()[0] for line in lines[1:5]] == ["1", "2", "3", "4"]
@@ -89,7 +104,7 @@ def test_a_summary_for_people(dslam: Run, called: Called, tmp_path: Path) -> Non
 
 
 def test_json_names_the_weights_and_their_epoch(dslam: Run, called: Called, tmp_path: Path) -> None:
-    result = dslam("train", tmp_path, "--json")
+    result = dslam("train", tmp_path, "--network", "pointnet", "--json")
     assert (result.code, result.err) == (0, "")
     told = json.loads(result.out)
     assert told["weights"] == str(tmp_path / WEIGHTS)
@@ -123,9 +138,29 @@ def test_the_epoch_that_is_told_is_that_of_the_weights_even_among_equals(
     assert json.loads(result.out)["best"]["epoch"] == metrics["epoch"]
 
 
+def test_maps_of_one_s_own_are_taken_and_the_weights_make_an_index(
+    dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = "\n".join(f"{7.0 * (i % 9)},{5.0 * (i // 9)},0,{('lamp', 'bin')[i % 2]},o{i}" for i in range(60))
+    (tmp_path / "town.csv").write_text(f"x_m,y_m,z_m,class,id\n{rows}\n", encoding="utf-8")
+    monkeypatch.setattr(towers, "STEPS_PER_EPOCH", 2)
+    monkeypatch.setattr(towers, "TowersTraining", partial(TowersTraining, validation_maps=2, objects_per_map=20))
+    typed = ("train", tmp_path / "net", "--maps", tmp_path / "town.csv", "--epochs", 1, "--threads", 1, "--json")
+    result = dslam(*typed)
+    assert result.code == 0, result.err
+    path = tmp_path / "net" / WEIGHTS
+    assert json.loads(result.out)["weights"] == str(path)
+    assert isinstance(make_index(str(path)), LikelihoodIndex)
+    assert json.loads(dslam(*typed).out)["best"] == json.loads(result.out)["best"]  # complete: nothing is done again
+
+
+def test_maps_belong_to_descriptellation(dslam: Run, tmp_path: Path) -> None:
+    assert_refused(dslam("train", tmp_path, "--network", "pointnet", "--maps", "town.csv"), "--maps", code=2)
+
+
 def test_a_network_that_does_not_exist_is_refused(dslam: Run, tmp_path: Path) -> None:
     result = dslam("train", tmp_path / "net", "--network", "transformer")
-    assert_refused(result, "'transformer'", "descriptellation, pointnet, sgnet")
+    assert_refused(result, "'transformer'", "descriptellation_paper, pointnet, sgnet")
     assert not (tmp_path / "net").exists()
 
 
@@ -137,7 +172,11 @@ def test_an_input_for_a_network_that_has_no_choice_is_refused(dslam: Run, tmp_pa
 
 
 def test_an_input_that_does_not_exist_is_refused(dslam: Run, tmp_path: Path) -> None:
-    assert_refused(dslam("train", tmp_path / "net", "--input", "colour"), "colour", "one_hot")
+    assert_refused(
+        dslam("train", tmp_path / "net", "--network", "descriptellation_paper", "--input", "colour"),
+        "colour",
+        "one_hot",
+    )
     assert not (tmp_path / "net").exists()
 
 
@@ -150,7 +189,7 @@ def test_numbers_that_cannot_be_are_refused(dslam: Run, tmp_path: Path, option: 
 @pytest.mark.usefixtures("tiny")
 @pytest.mark.parametrize("device", ["gpu", "cuda:99"])
 def test_a_device_that_does_not_exist_is_refused(dslam: Run, tmp_path: Path, device: str) -> None:
-    assert_refused(dslam("train", tmp_path / "net", "--device", device), device)
+    assert_refused(dslam("train", tmp_path / "net", "--network", "pointnet", "--device", device), device)
 
 
 def test_a_folder_that_cannot_be_is_refused(dslam: Run, tmp_path: Path) -> None:
@@ -161,4 +200,4 @@ def test_a_folder_that_cannot_be_is_refused(dslam: Run, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("tiny")
 def test_a_damaged_checkpoint_is_refused(dslam: Run, tmp_path: Path) -> None:
     (tmp_path / "checkpoint.pt").write_bytes(b"half a checkpoint")
-    assert_refused(dslam("train", tmp_path), "checkpoint.pt", "cannot be read", "delete it")
+    assert_refused(dslam("train", tmp_path, "--network", "pointnet"), "checkpoint.pt", "cannot be read", "delete it")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings
-from tools.benchmarks import closures, descriptors, faults, relocalization, robots
+from tools.benchmarks import closures, descriptors, faults, relocalization, retrieval, robots
 
 if TYPE_CHECKING:
     from slam.benchmarks.registration import RegistrationBenchmark
@@ -22,6 +22,7 @@ app.command()(descriptors.descriptors)
 app.command()(faults.faults)
 app.command("map-size")(descriptors.map_size)
 app.command()(relocalization.relocalization)
+app.command()(retrieval.retrieval)
 app.command()(robots.robots)
 
 

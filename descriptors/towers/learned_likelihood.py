@@ -1,0 +1,132 @@
+"""The learned likelihood at work: the map tower by numpy alone, so that a replay needs no torch."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.special import erf, expit
+
+from descriptors.constellation import Constellations
+from descriptors.errors import WeightsError
+from descriptors.towers.rings import FINE, Background, Rings, horizontal_m, neighbour_features, ring_features
+
+FORMAT = "descriptellation towers 1"
+MOST_NATS = 6.0
+
+
+class LearnedLikelihood:
+    """A likelihood of neighbours by class and distance, its kernels and gates as they were trained.
+
+    The background is that of the objects that were described so far, so one of these belongs to one map.
+    """
+
+    name = "descriptellation"
+    least_nats = -2.0
+
+    def __init__(self, path: Path) -> None:
+        """Load a file of weights.
+
+        Raises:
+            WeightsError: it is missing, damaged, or none of a learned likelihood.
+        """
+        self._weights, self.metadata = read_towers(path)
+        architecture = self.metadata["architecture"]
+        self._rings = Rings(architecture["radius_m"], architecture["least_ring_m"], architecture["ring_growth"])
+        self.radius_m = self._rings.radius_m
+        self.rings = len(self._rings)
+        self._background = Background(self._rings)
+        self._kernels = self._make_kernels()
+
+    def describe(self, constellations: Constellations) -> NDArray[np.float32]:
+        """Vectors (B, C * rings) in nats: for each class of the vocabulary the rings from the inside out."""
+        self._background.add(constellations)
+        size = len(constellations.vocabulary)
+        background = self._background.density(size)
+        gates = np.exp(self._perceive("gate", neighbour_features(constellations)))
+        fine = self._rings.fine(horizontal_m(constellations.positions))
+        # Most objects have neighbours of a few classes only: the rows of the others stay 0.
+        there, rows = np.unique(constellations.owners * size + constellations.labels, return_inverse=True)
+        *kernels, wide = self._kernels
+        level = self._laid(wide, gates.sum(axis=1), rows, fine, len(there))
+        density = sum(
+            self._laid(kernel, gate, rows, fine, len(there)) for gate, kernel in zip(gates.T, kernels, strict=True)
+        )
+        classes = there % size if size else there
+        per_background = (1.0 / background).astype(np.float32)[classes]
+        worth, crowded = self._ring_terms(background)
+        nats = np.zeros((len(constellations) * size, self.rings), dtype=np.float32)
+        nats[there] = worth[classes] * (
+            np.log1p(density * per_background) - crowded[classes] * np.log1p(level * per_background)
+        )
+        return nats.reshape(len(constellations), size * self.rings)
+
+    def cells(self, constellations: Constellations) -> NDArray[np.int64]:
+        """Which entry (P,) of a vector each neighbour falls into, where it is observed."""
+        return constellations.labels * self.rings + self._rings.of(horizontal_m(constellations.positions))
+
+    def most_nats(self, constellations: Constellations) -> NDArray[np.float32]:
+        """The most that a query (B,) could score, if each neighbour were as telling as a vector can hold."""
+        return (MOST_NATS * np.diff(constellations.offsets)).astype(np.float32)
+
+    def _make_kernels(self) -> NDArray[np.float32]:
+        edges_m, middle_m = self._rings.edges_m, self._rings.fine_m
+        widths = np.exp(self._weights["log_width"])[:, None]
+        sigma = np.hypot(widths, np.exp(self._weights["log_growth"])[:, None] * middle_m)
+        below = 0.5 * erf((edges_m - middle_m[:, None]) / (np.sqrt(2.0) * sigma[:, :, None]))
+        return np.asarray(np.diff(below, axis=2) / np.diff(edges_m), dtype=np.float32)
+
+    def _laid(
+        self,
+        kernel: NDArray[np.float32],
+        gate: NDArray[np.float32],
+        rows: NDArray[np.int64],
+        fine: NDArray[np.int64],
+        count: int,
+    ) -> NDArray[np.float32]:
+        """Sums (count, R) of a kernel at the distances of neighbours (P,), each weighted by its gate, by row."""
+        return np.asarray(csr_matrix((gate, (rows, fine)), shape=(count, FINE)) @ kernel)
+
+    def _ring_terms(self, background: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        told = ring_features(background, self._rings).reshape(-1, 2).astype(np.float32)
+        terms = self._perceive("ring", told).reshape(*background.shape, 2)
+        return np.exp(terms[:, :, 0]), np.asarray(expit(terms[:, :, 1]))
+
+    def _perceive(self, name: str, told: NDArray[np.float32]) -> NDArray[np.float32]:
+        hidden = np.tanh(told @ self._weights[f"{name}.0.weight"].T + self._weights[f"{name}.0.bias"])
+        return np.asarray(hidden @ self._weights[f"{name}.2.weight"].T + self._weights[f"{name}.2.bias"])
+
+
+def is_learned_likelihood(path: Path) -> bool:
+    """Whether a file is one of weights of a learned likelihood; a damaged one is not."""
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework="np") as file:
+            return (file.metadata() or {}).get("format") == FORMAT
+    except (SafetensorError, OSError):
+        return False
+
+
+def read_towers(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, object]]:
+    """Tensors and metadata of a file of weights.
+
+    Raises:
+        WeightsError: it is missing, damaged, or none of a learned likelihood.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    if not path.is_file():
+        raise WeightsError(f"{path}: no such file")
+    try:
+        with safe_open(path, framework="np") as file:
+            texts = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise WeightsError(f"{path}: truncated, or no safetensors file: {error}; get it again") from error
+    if texts.get("format") != FORMAT:
+        raise WeightsError(f"{path}: no weights of a learned likelihood; its format is {texts.get('format')!r}")
+    return tensors, {key: json.loads(value) for key, value in texts.items() if key != "format"}

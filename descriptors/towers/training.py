@@ -1,0 +1,285 @@
+"""Training of the towers: whose constellation is seen, among all objects of its class in a map (InfoNCE).
+
+The negatives are other objects of the same class, those of the same street among them. Each step takes a new map with
+new views of it. Oord et al., Representation Learning with Contrastive Predictive Coding, 2018, equation 4.
+"""
+
+from __future__ import annotations
+
+import csv
+import importlib.metadata
+import json
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors.torch import save_file
+from torch import Tensor
+
+from descriptors.constellation import Constellations, gather_constellations
+from descriptors.errors import DescriptorError
+from descriptors.towers.learned_likelihood import FORMAT
+from descriptors.towers.network import Towers, TowersArchitecture, background_of, query_scores
+from descriptors.towers.training_maps import TrainingMap, draw_map
+from descriptors.towers.views import draw_view
+
+CHECKPOINT, WEIGHTS, CURVES = "checkpoint.pt", "weights.safetensors", "curves.csv"
+STEPS_PER_EPOCH = 50
+LEAST_SEEN = 4
+RANKS = (1, 5, 25)
+
+
+@dataclass(frozen=True, slots=True)
+class TowersTraining:
+    """What is trained, by Adam with a learning rate that falls as a cosine to ``last_rate``.
+
+    A step takes a map, noise of its objects up to ``map_noise_m``, ``views`` of it and ``objects_per_view`` of each,
+    and compares these with ``objects_per_map`` of the map that are of the same classes.
+    """
+
+    architecture: TowersArchitecture = field(default_factory=TowersArchitecture)
+    epochs: int = 8
+    learning_rate: float = 1e-2
+    last_rate: float = 3e-4
+    map_noise_m: float = 0.25
+    views: int = 3
+    objects_per_view: int = 16
+    objects_per_map: int = 160
+    validation_maps: int = 24
+    seed: int = 0
+
+    def as_json(self) -> dict[str, Any]:
+        """All of it, nested, as JSON holds it."""
+        return dict(json.loads(json.dumps(asdict(self))))
+
+
+@dataclass(frozen=True, slots=True)
+class TowersEpoch:
+    """What an epoch of 50 steps achieved: mean loss, and the share of objects found among the first 1, 5 and 25."""
+
+    epoch: int
+    train_loss: float
+    validation_loss: float
+    validation_top_1: float
+    validation_top_5: float
+    validation_top_25: float
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """How far a training is: the share done, the loss of this step, and how long the rest takes at this pace."""
+
+    done: float
+    loss: float
+    remaining_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """Objects of a map, and constellations of views with the places (Q,) of their objects among these.
+
+    ``background`` (C, R): as some of the map tell it, for a map in the making is small at first.
+    """
+
+    constellations: Constellations
+    background: NDArray[np.float64]
+    queries: tuple[Constellations, ...]
+    objects: NDArray[np.int64]
+
+
+def train_towers(
+    config: TowersTraining,
+    folder: Path,
+    given: Sequence[TrainingMap] = (),
+    *,
+    threads: int = 1,
+    on_step: Callable[[Step], None] = lambda step: None,
+) -> list[TowersEpoch]:
+    """Train, or go on where an interrupted training of the same configuration and maps stopped.
+
+    Half of all steps are on pieces of the ``given`` maps, if there are any, the others on simulated maps. After every
+    epoch the folder holds a checkpoint, the curves, and the weights of the epoch with the best top 5 on validation
+    maps, which are simulated and the same for every seed. Equal configurations give equal weights on a CPU.
+
+    Raises:
+        DescriptorError: the folder holds the checkpoint of another training, or one that cannot be read.
+    """
+    torch.set_num_threads(threads)
+    folder.mkdir(parents=True, exist_ok=True)
+    run = _Run(config, given)
+    run.resume(folder / CHECKPOINT)
+    rng = np.random.default_rng(2**31)
+    validation = [draw_sample(config, (), rng=rng) for _ in range(config.validation_maps)]
+    while len(run.epochs) < config.epochs:
+        run.next_epoch(validation, on_step)
+        if run.epochs[-1] is max(run.epochs, key=lambda each: each.validation_top_5):
+            _save(folder / WEIGHTS, run.towers, config, run.epochs[-1], run.maps_digest)
+        _write_curves(folder / CURVES, run.epochs)
+        run.save(folder / CHECKPOINT)
+    return run.epochs
+
+
+def draw_sample(config: TowersTraining, given: Sequence[TrainingMap], *, rng: np.random.Generator) -> Sample:
+    """A map with views of it in which at least one object is seen as what it is."""
+    while True:
+        drawn = draw_map(given, rng=rng)
+        vocabulary = tuple(map(str, range(drawn.classes)))
+        noise_m = rng.normal(0.0, rng.uniform(0.0, config.map_noise_m), drawn.positions.shape)
+        radius_m = config.architecture.radius_m
+        queries, objects = [], []
+        for _ in range(config.views):
+            view = draw_view(drawn, rng=rng)
+            if len(view.labels) < LEAST_SEEN:
+                continue
+            seen = np.flatnonzero(view.objects >= 0)
+            seen = seen[drawn.labels[view.objects[seen]] == view.labels[seen]]
+            if not len(seen):
+                continue
+            centres = rng.permutation(seen)[: config.objects_per_view]
+            queries.append(
+                gather_constellations(view.positions, view.labels, vocabulary, radius_m=radius_m, centres=centres)
+            )
+            objects.append(view.objects[centres])
+        if queries:
+            asked = np.unique(np.concatenate(objects))
+            others = np.setdiff1d(np.flatnonzero(np.isin(drawn.labels, drawn.labels[asked])), asked)
+            others = rng.permutation(others)[: config.objects_per_map - len(asked)]
+            compared = np.concatenate([asked, others])
+            constellations = gather_constellations(
+                drawn.positions + noise_m, drawn.labels, vocabulary, radius_m=radius_m, centres=compared
+            )
+            counted = rng.permutation(len(compared))[: rng.integers(5, len(compared) + 5)]
+            background = background_of(constellations[counted], config.architecture.rings)
+            return Sample(constellations, background, tuple(queries), np.searchsorted(asked, np.concatenate(objects)))
+
+
+def scores_of(towers: Towers, sample: Sample) -> Tensor:
+    """Scores (Q, B) of all objects of the map for each query, those of other classes out of the question."""
+    nats = towers(sample.constellations, sample.background)
+    scores = torch.cat([query_scores(nats, query, towers.rings) for query in sample.queries])
+    labels = np.concatenate([query.centre_labels for query in sample.queries])
+    other = torch.as_tensor(labels[:, None] != sample.constellations.centre_labels)
+    return scores.masked_fill(other, -1e4)
+
+
+class _Run:
+    """The state of a training between two epochs."""
+
+    def __init__(self, config: TowersTraining, given: Sequence[TrainingMap]) -> None:
+        torch.manual_seed(config.seed)
+        self._config = config
+        self._given = given
+        self.maps_digest = [[len(each), each.classes, round(float(each.positions.sum()), 3)] for each in given]
+        self.towers = Towers(config.architecture)
+        self._rng = np.random.default_rng(config.seed)
+        self._optimizer = torch.optim.Adam(self.towers.parameters(), lr=config.learning_rate)
+        self._schedule = torch.optim.lr_scheduler.CosineAnnealingLR(
+            self._optimizer, config.epochs * STEPS_PER_EPOCH, eta_min=config.last_rate
+        )
+        self.epochs: list[TowersEpoch] = []
+
+    def next_epoch(self, validation: list[Sample], on_step: Callable[[Step], None]) -> None:
+        """50 steps, and what they achieved."""
+        started = time.perf_counter()
+        losses: list[float] = []
+        for step in range(STEPS_PER_EPOCH):
+            losses.append(self._step(draw_sample(self._config, self._given, rng=self._rng)))
+            taken = len(self.epochs) * STEPS_PER_EPOCH + step + 1
+            left = self._config.epochs * STEPS_PER_EPOCH - taken
+            pace_s = (time.perf_counter() - started) / (step + 1)
+            on_step(Step(taken / (taken + left), losses[-1], left * pace_s))
+        loss, shares = _validate(self.towers, validation)
+        self.epochs.append(
+            TowersEpoch(
+                len(self.epochs) + 1, float(np.mean(losses)), loss, *shares, seconds=time.perf_counter() - started
+            )
+        )
+
+    def _step(self, sample: Sample) -> float:
+        loss = torch.nn.functional.cross_entropy(scores_of(self.towers, sample), torch.as_tensor(sample.objects))
+        self._optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(self.towers.parameters(), 1.0)
+        self._optimizer.step()
+        self._schedule.step()
+        return float(loss.detach())
+
+    def _identity(self) -> str:
+        return json.dumps([self._config.as_json(), self.maps_digest], sort_keys=True)
+
+    def save(self, path: Path) -> None:
+        """Write a checkpoint."""
+        part = path.with_name(path.name + ".part")
+        state = {
+            "identity": self._identity(),
+            "epochs": json.dumps([asdict(epoch) for epoch in self.epochs]),
+            "towers": self.towers.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "schedule": self._schedule.state_dict(),
+            "rng": json.dumps(self._rng.bit_generator.state),
+        }
+        torch.save(state, part)
+        os.replace(part, path)
+
+    def resume(self, path: Path) -> None:
+        """Go on from a checkpoint, if there is one."""
+        if not path.exists():
+            return
+        try:
+            state = torch.load(path, weights_only=True)
+            identity, epochs = str(state["identity"]), [TowersEpoch(**each) for each in json.loads(state["epochs"])]
+        except Exception as error:  # what torch raises depends on where the file is broken
+            raise DescriptorError(f"{path}: cannot be read: {error}; delete it to start anew") from error
+        if identity != self._identity():
+            raise DescriptorError(
+                f"{path}: of a training with another configuration or other maps; choose another folder, or delete it "
+                "to start anew"
+            )
+        self.towers.load_state_dict(state["towers"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self._schedule.load_state_dict(state["schedule"])
+        self._rng.bit_generator.state = json.loads(state["rng"])
+        self.epochs = epochs
+
+
+def _validate(towers: Towers, validation: list[Sample]) -> tuple[float, list[float]]:
+    """Mean loss, and the mean share of objects that are among the first of :data:`RANKS`."""
+    losses, shares = [], []
+    with torch.no_grad():
+        for sample in validation:
+            scores, objects = scores_of(towers, sample), torch.as_tensor(sample.objects)
+            losses.append(float(torch.nn.functional.cross_entropy(scores, objects)))
+            before = (scores > scores.gather(1, objects[:, None])).sum(dim=1)
+            shares.append([float((before < rank).float().mean()) for rank in RANKS])
+    return float(np.mean(losses)), np.mean(shares, axis=0).tolist()
+
+
+def _save(path: Path, towers: Towers, config: TowersTraining, epoch: TowersEpoch, maps: list[list[float]]) -> None:
+    metrics = {key: value for key, value in asdict(epoch).items() if key != "seconds"}
+    texts = {
+        "format": FORMAT,
+        "architecture": json.dumps(asdict(config.architecture)),
+        "training": json.dumps(config.as_json()),
+        "given_maps": json.dumps(maps),
+        "metrics": json.dumps(metrics),
+        "code_version": json.dumps(importlib.metadata.version("descriptellation-slam")),
+    }
+    part = path.with_name(path.name + ".part")
+    save_file({name: tensor.contiguous() for name, tensor in towers.state_dict().items()}, part, metadata=texts)
+    os.replace(part, path)
+
+
+def _write_curves(path: Path, epochs: list[TowersEpoch]) -> None:
+    part = path.with_name(path.name + ".part")
+    with part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=list(TowersEpoch.__slots__))
+        writer.writeheader()
+        writer.writerows(asdict(epoch) for epoch in epochs)
+    os.replace(part, path)

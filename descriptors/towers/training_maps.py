@@ -1,0 +1,118 @@
+"""Maps to train the towers on: simulated streets, forests and patterns, and pieces of real maps that are given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from descriptors.descriptellation.simulation import MapSimulation, simulate_map
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainingMap:
+    """Objects at ``positions`` (N, 3) m, gravity along z, with ``labels`` (N,) below ``classes``."""
+
+    positions: NDArray[np.float64]
+    labels: NDArray[np.int64]
+    classes: int
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+
+PATTERNS = MapSimulation(patterns=(40, 80), side_m=300.0, uniform_pattern_share=0.4, classes=(2, 30))
+PIECE_OBJECTS = 500
+"""Most objects of a piece of a given map: what a step of the training takes in."""
+
+
+def draw_map(given: Sequence[TrainingMap], *, rng: np.random.Generator) -> TrainingMap:
+    """A street, a forest, superimposed patterns, or, half of the time where there are any, a piece of a given map."""
+    if given and rng.random() < 0.5:
+        return piece_of(given[int(rng.integers(len(given)))], rng=rng)
+    kind = rng.integers(3)
+    if kind == 0:
+        return draw_street(rng=rng)
+    if kind == 1:
+        return draw_forest(rng=rng)
+    simulated = simulate_map(PATTERNS, rng=rng)
+    found, labels = np.unique(simulated.labels, return_inverse=True)
+    return TrainingMap(simulated.positions, labels, len(found))
+
+
+def piece_of(given: TrainingMap, *, rng: np.random.Generator) -> TrainingMap:
+    """The objects around one that is drawn, sometimes drawn together: parks are denser than streets.
+
+    A class may be merged with all others, as by a detector that does not tell them apart.
+    """
+    offsets = given.positions[:, :2] - given.positions[rng.integers(len(given)), :2]
+    near = np.argsort(np.einsum("ij,ij->i", offsets, offsets), kind="stable")[:PIECE_OBJECTS]
+    factor = np.exp(rng.uniform(np.log(0.3), 0.0)) if rng.random() < 0.5 else 1.0
+    positions = given.positions[near] * (factor, factor, 1.0)
+    labels = given.labels[near]
+    if rng.random() < 0.3:
+        labels = labels % int(rng.integers(1, 4))
+    found, labels = np.unique(labels, return_inverse=True)
+    return TrainingMap(positions, labels, len(found))
+
+
+def draw_forest(*, rng: np.random.Generator) -> TrainingMap:
+    """Stems anywhere, no two of them too near each other, of one class or a few; 3 to 30 a thousand square metres."""
+    density = np.exp(rng.uniform(np.log(0.003), np.log(0.03)))
+    side_m = np.sqrt(PIECE_OBJECTS / density)
+    places = rng.uniform(0.0, side_m, (2 * PIECE_OBJECTS, 2))
+    apart_m = np.linalg.norm(places[:, None] - places, axis=2)
+    too_near = np.triu(apart_m < rng.uniform(0.2, 0.5) / np.sqrt(density), 1).any(axis=0)
+    places = places[~too_near]
+    waves = np.sin(places * (2.0 * np.pi / side_m * rng.uniform(0.5, 3.0, 2)) + rng.uniform(-np.pi, np.pi, 2))
+    crowded = rng.uniform(0.0, 0.8) * (0.5 + 0.25 * waves.sum(axis=1))  # glades between thickets
+    places = places[rng.random(len(places)) >= crowded][:PIECE_OBJECTS]
+    classes = int(rng.choice([1, 1, 2, 3]))
+    heights = rng.normal(0.0, 0.5, len(places))
+    return TrainingMap(np.column_stack([places, heights]), rng.integers(classes, size=len(places)), classes)
+
+
+def draw_street(*, rng: np.random.Generator) -> TrainingMap:
+    """Winding streets with rows of equal things on both sides, and others between them, a few classes of them often."""
+    streets, length_m = int(rng.integers(2, 5)), 300.0
+    classes = int(rng.integers(3, 31))
+    shares = 1.0 / np.arange(1, classes + 1) ** rng.uniform(0.3, 1.5)
+    gathered, labels = [], []
+    for street in range(streets):
+        along = list[NDArray[np.float64]]()
+        aside = list[NDArray[np.float64]]()
+        kinds = list[NDArray[np.int64]]()
+        while sum(len(each) for each in along) < PIECE_OBJECTS * rng.uniform(0.3, 0.6) / streets:
+            step_m = rng.uniform(3.0, 30.0)
+            start_m = rng.uniform(0.0, length_m)
+            row = np.arange(start_m, min(start_m + rng.uniform(30.0, 150.0), length_m), step_m)
+            along.append(row + rng.normal(0.0, 0.05 * step_m, len(row)))
+            aside.append(
+                np.full(len(row), rng.choice([-1.0, 1.0]) * rng.uniform(4.0, 9.0)) + rng.normal(0.0, 0.3, len(row))
+            )
+            kinds.append(np.full(len(row), rng.integers(classes)))
+        scattered = int(rng.uniform(0.1, 0.5) * PIECE_OBJECTS / streets)
+        along.append(rng.uniform(0.0, length_m, scattered))
+        aside.append(rng.choice([-1.0, 1.0], scattered) * rng.uniform(4.0, 14.0, scattered))
+        kinds.append(rng.choice(classes, scattered, p=shares / shares.sum()))
+        gathered.append(_bent(np.concatenate(along), np.concatenate(aside), street, rng=rng))
+        labels.append(np.concatenate(kinds))
+    positions = np.concatenate(gathered)
+    found, numbers = np.unique(np.concatenate(labels), return_inverse=True)
+    heights = rng.uniform(0.3, 4.0, len(found))[numbers] + rng.normal(0.0, 0.2, len(positions))
+    return TrainingMap(np.column_stack([positions, heights]), numbers, len(found))
+
+
+def _bent(
+    along_m: NDArray[np.float64], aside_m: NDArray[np.float64], street: int, *, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Places (N, 2) beside a street that begins at an offset of its own and bends now and then."""
+    steps = np.arange(0.0, 310.0)
+    headings = np.interp(steps / 60.0, np.arange(7), np.cumsum(rng.normal(0.0, 0.3, 7)) + rng.uniform(-np.pi, np.pi))
+    line = np.cumsum(np.column_stack([np.cos(headings), np.sin(headings)]), axis=0) + 120.0 * street
+    at = np.clip(along_m, 0.0, 309.0)
+    heading = np.interp(at, steps, headings)
+    on_line = np.column_stack([np.interp(at, steps, line[:, axis]) for axis in (0, 1)])
+    return np.asarray(on_line + aside_m[:, None] * np.column_stack([-np.sin(heading), np.cos(heading)]))

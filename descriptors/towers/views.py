@@ -1,0 +1,80 @@
+"""What a robot sees of a map on a short stretch: part of it, not exactly, and some things that are not there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from descriptors.towers.training_maps import TrainingMap
+
+CLUTTER = -1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """N objects at ``positions`` (N, 3) m with ``labels`` (N,); ``objects`` (N,): which of the map, or ``CLUTTER``."""
+
+    positions: NDArray[np.float64]
+    labels: NDArray[np.int64]
+    objects: NDArray[np.int64]
+
+
+def draw_view(seen_map: TrainingMap, *, rng: np.random.Generator) -> View:
+    """A view from a stretch of 0 to 40 m beside an object that is drawn.
+
+    What is drawn: range and field of view; how likely an object is seen, which falls with its range; the noise of the
+    positions, the same everywhere or growing with the range, to one side, or a scale; confused classes; clutter.
+    """
+    path, headings = _draw_path(seen_map, rng=rng)
+    range_m, bearing_rad = rng.uniform(12.0, 30.0), np.deg2rad(rng.choice([45.0, 90.0, 180.0, 180.0, 180.0]))
+    offsets = seen_map.positions[:, None, :2] - path
+    ranges_m = np.linalg.norm(offsets, axis=2)
+    bearings = np.arctan2(offsets[:, :, 1], offsets[:, :, 0]) - headings
+    in_view = (ranges_m < range_m) & (np.abs(np.angle(np.exp(1j * bearings))) <= bearing_rad)
+    nearest = np.where(in_view, ranges_m, np.inf).argmin(axis=1)
+    nearest_m = ranges_m[np.arange(len(seen_map)), nearest]
+    missed = rng.uniform(0.0, 0.5) + rng.uniform(0.0, 0.3) * (nearest_m / range_m) ** 2
+    seen = np.flatnonzero(in_view.any(axis=1) & (rng.random(len(seen_map)) >= missed))
+    eye = path[nearest[seen]]
+    positions = seen_map.positions[seen].copy()
+    positions[:, :2] = eye + _measured(positions[:, :2] - eye, rng=rng)
+    positions[:, 2] += rng.normal(0.0, 0.2, len(seen))
+    labels = seen_map.labels[seen]
+    wrong = rng.random(len(seen)) < rng.uniform(0.0, 0.2)
+    labels = np.where(wrong, rng.integers(seen_map.classes, size=len(seen)), labels)
+    clutter = rng.poisson(rng.uniform(0.0, 0.3) * len(seen))
+    middle = path[rng.integers(len(path), size=clutter)]
+    at = middle + range_m * np.sqrt(rng.random(clutter))[:, None] * _directions(clutter, rng=rng)
+    like = rng.integers(max(len(seen), 1), size=clutter)
+    return View(
+        np.vstack([positions, np.column_stack([at, positions[like, 2] if len(seen) else np.zeros(clutter)])]),
+        np.concatenate([labels, labels[like] if len(seen) else np.zeros(clutter, np.int64)]),
+        np.concatenate([seen, np.full(clutter, CLUTTER)]),
+    )
+
+
+def _draw_path(seen_map: TrainingMap, *, rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Places (K, 2) m and headings (K,) of a stretch."""
+    start = seen_map.positions[rng.integers(len(seen_map)), :2] + rng.normal(0.0, 4.0, 2)
+    length_m = rng.uniform(0.0, 40.0) if rng.random() < 0.7 else 0.0
+    steps_m = np.arange(0.0, length_m + 1e-9, 5.0)
+    headings = rng.uniform(-np.pi, np.pi) + rng.normal(0.0, 0.01) * steps_m
+    return start + np.column_stack([steps_m * np.cos(headings), steps_m * np.sin(headings)]), headings
+
+
+def _measured(offsets: NDArray[np.float64], *, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Offsets (N, 2) m from the sensor, as it measures them."""
+    ranges_m = np.linalg.norm(offsets, axis=1, keepdims=True)
+    sigma_m = np.exp(rng.uniform(np.log(0.03), np.log(0.7)))
+    noisy = offsets + rng.normal(0.0, sigma_m, offsets.shape)
+    if rng.random() < 0.3:
+        noisy = noisy + ranges_m * (rng.normal(0.0, 0.03, offsets.shape) + rng.normal(0.0, 0.03, 2))
+        noisy = noisy * rng.uniform(0.9, 1.1)
+    return noisy
+
+
+def _directions(count: int, *, rng: np.random.Generator) -> NDArray[np.float64]:
+    angles = rng.uniform(-np.pi, np.pi, count)
+    return np.column_stack([np.cos(angles), np.sin(angles)])
