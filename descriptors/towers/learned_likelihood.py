@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,7 +112,7 @@ def is_learned_likelihood(path: Path) -> bool:
         return False
 
 
-def read_towers(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, object]]:
+def read_towers(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
     """Tensors and metadata of a file of weights.
 
     Raises:

@@ -195,12 +195,9 @@ class _Run:
             left = self._config.epochs * STEPS_PER_EPOCH - taken
             pace_s = (time.perf_counter() - started) / (step + 1)
             on_step(Step(taken / (taken + left), losses[-1], left * pace_s))
-        loss, shares = _validate(self.towers, validation)
-        self.epochs.append(
-            TowersEpoch(
-                len(self.epochs) + 1, float(np.mean(losses)), loss, *shares, seconds=time.perf_counter() - started
-            )
-        )
+        loss, (top_1, top_5, top_25) = _validate(self.towers, validation)
+        number, seconds = len(self.epochs) + 1, time.perf_counter() - started
+        self.epochs.append(TowersEpoch(number, float(np.mean(losses)), loss, top_1, top_5, top_25, seconds))
 
     def _step(self, sample: Sample) -> float:
         loss = torch.nn.functional.cross_entropy(scores_of(self.towers, sample), torch.as_tensor(sample.objects))
