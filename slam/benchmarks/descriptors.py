@@ -85,6 +85,7 @@ def benchmark_descriptors(
     neighbours: int,
     queries: int,
     seeds: int,
+    registration: str = "vote",
     on_progress: Callable[[str], None] = lambda line: None,
 ) -> DescriptorBenchmark:
     """Every method on the same queries, on one thread.
@@ -96,6 +97,7 @@ def benchmark_descriptors(
         neighbours: candidates for each object.
         queries: for each scenario and seed.
         seeds: 0 to ``seeds`` - 1.
+        registration: what verifies the candidates of descriptors, as in ``registration.method``.
         on_progress: told what was measured.
 
     Raises:
@@ -119,7 +121,7 @@ def benchmark_descriptors(
     with threadpool_limits(limits=1):
         for method in methods:
             started = time.perf_counter()
-            localize = make_localizer(method, objects, neighbours)
+            localize = make_localizer(method, objects, neighbours, registration)
             build_s[method] = time.perf_counter() - started
             for scenario in SCENARIOS:
                 cell = _measure(method, localize, objects, scenario, drawn[scenario.name])
@@ -128,7 +130,7 @@ def benchmark_descriptors(
     return DescriptorBenchmark(len(objects), len(objects.vocabulary), queries, seeds, neighbours, tuple(cells), build_s)
 
 
-def make_localizer(method: str, objects: LabelledMap, neighbours: int) -> Localizer:
+def make_localizer(method: str, objects: LabelledMap, neighbours: int, registration: str = "vote") -> Localizer:
     """Take in a map for one method: a descriptor's name, or :data:`EXHAUSTIVE`."""
     if method == EXHAUSTIVE:
         return _exhaustive(objects)
@@ -138,7 +140,7 @@ def make_localizer(method: str, objects: LabelledMap, neighbours: int) -> Locali
         found = localizer.localize(
             query.positions,
             query.labels,
-            registration_config(scenario),
+            registration_config(scenario, registration),
             query_sigmas=query_sigmas(query, scenario),
             map_sigma_m=MAP_SIGMA_M,
         )
@@ -169,9 +171,9 @@ def _exhaustive(objects: LabelledMap) -> Localizer:
     return localize
 
 
-def registration_config(scenario: Scenario) -> RegistrationConfig:
+def registration_config(scenario: Scenario, method: str = "vote") -> RegistrationConfig:
     """Two objects determine a pose; a noisy query has a scale of its own."""
-    return RegistrationConfig(min_inliers=2, estimate_scale=scenario.noisy)
+    return RegistrationConfig(method=method, min_inliers=2, estimate_scale=scenario.noisy)
 
 
 def query_sigmas(query: LocalQuery, scenario: Scenario) -> FloatArray:

@@ -29,6 +29,9 @@ def descriptors(
     neighbours: Annotated[int, typer.Option(min=1, help="Candidates for each object that is seen.")] = 100,
     queries: Annotated[int, typer.Option(min=1, help="For each scenario and seed.")] = 500,
     seeds: Annotated[int, typer.Option(min=1, help="How often, each time with other queries.")] = 5,
+    registration: Annotated[
+        str, typer.Option(metavar="vote|ransac", help="What verifies the candidates; see registration.method.")
+    ] = "vote",
     markdown: Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")] = False,
     json: Json = False,
 ) -> None:
@@ -54,6 +57,8 @@ def descriptors(
     from slam.simulation.world import load_world
     from tools import console
 
+    if registration not in ("vote", "ransac"):
+        raise typer.BadParameter(f"{registration!r} is neither vote nor ransac.", param_hint="--registration")
     if (objects is None) != (trajectory is None):
         raise typer.BadParameter("--objects and --trajectory belong together; give both or neither.")
     if objects is not None and trajectory is not None:
@@ -77,6 +82,7 @@ def descriptors(
             neighbours=neighbours,
             queries=queries,
             seeds=seeds,
+            registration=registration,
             on_progress=report,
         )
     if json:

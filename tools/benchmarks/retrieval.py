@@ -49,6 +49,8 @@ def retrieval(
     right pose (4 m, 10 deg) among the first 1, 5 and 25 that the registration finds among the matches. Objects: those
     of the map whose counterpart is among their first 1, 5 and 25 matches.
 
+    --set registration.method=ransac verifies by sampling.
+
     Example: dslam benchmark retrieval drive.mcap --descriptor ring_likelihood --descriptor descriptellation
     """
     from dataclasses import asdict
