@@ -10,7 +10,7 @@ import typer
 from tools.arguments import ConfigFile, Json, Settings, Topics, parse_topics
 
 if TYPE_CHECKING:
-    from slam.benchmarks.retrieval import RetrievalFigures
+    from slam.benchmarks.retrieval.measurement import RetrievalFigures
 
 HEADINGS = (
     "queries",
@@ -56,8 +56,8 @@ def retrieval(
     from dataclasses import asdict
 
     from descriptors.registry import DESCRIPTOR_NAMES
-    from slam.benchmarks.recorded_places import record_places
-    from slam.benchmarks.retrieval import measure_retrieval
+    from slam.benchmarks.retrieval.measurement import measure_retrieval
+    from slam.benchmarks.retrieval.recorded_places import record_places
     from slam.common.config import load_config
     from tools import console
 

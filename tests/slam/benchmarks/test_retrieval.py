@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slam.benchmarks.recorded_places import RecordedPlaces, record_places
-from slam.benchmarks.retrieval import is_right, measure_retrieval
+from slam.benchmarks.retrieval.measurement import is_right, measure_retrieval
+from slam.benchmarks.retrieval.recorded_places import RecordedPlaces, record_places
 from slam.common.config import Config
 from slam.common.errors import EvaluationError
 from slam.common.geometry import transform_from_xyz_yaw

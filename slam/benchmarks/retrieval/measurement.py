@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from descriptors.constellation import Constellations, gather_constellations
 from descriptors.index import ConstellationIndex, Matches
 from descriptors.registry import make_index
-from slam.benchmarks.recorded_places import AskedPlace, RecordedPlaces
+from slam.benchmarks.retrieval.recorded_places import AskedPlace, RecordedPlaces
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.geometry import apply, rotation_angle_rad
 from slam.evaluation.inputs.protocol import Protocol

@@ -1,0 +1,1 @@
+"""Descriptors asked for the place at the revisits of drives."""
