@@ -241,7 +241,8 @@ class Slam:
             T_body_sensor = self._sensor_pose(detections, poses[Continuation.REPORTED])
             if T_body_sensor is None:
                 continue
-            scan = make_scan(detections, T_body_sensor, self._config.detection)
+            up_body = poses[Continuation.REPORTED].T_odom_body[2, :3]
+            scan = make_scan(detections, T_body_sensor, self._config.detection, up_body)
             return decide(step, {way: self._mapper.log_likelihood_ratio(scan, pose) for way, pose in poses.items()})
         return step.default if step.is_overdue else None
 
@@ -376,7 +377,7 @@ class Slam:
             self._last_scan_frames.clear()
         self._last_scan_frames.add(detections.frame_id)
         self._last_scan_ns = detections.stamp_ns
-        scan = make_scan(detections, T_body_sensor, self._config.detection)
+        scan = make_scan(detections, T_body_sensor, self._config.detection, pose.T_odom_body[2, :3])
         self.counters["detections_used"] += 1
         self.counters["detections_without_frame"] += not (
             detections.frame_id or self._config.detection.assume_body_frame

@@ -78,6 +78,9 @@ class DetectionConfig(_Branch):
         ge=0,
         description="error that the observations of one object from one keyframe share, e.g. of a centroid [m]",
     )
+    height_sigma_m: float = Field(
+        default=0.0, ge=0, description="noise of heights beyond that of the position, 0 where there is none [m]"
+    )
     covariance_inflation: float = Field(
         default=500.0,
         ge=1,
@@ -289,6 +292,9 @@ class LoopClosureConfig(_Branch):
     )
     base_sigma_m: float = Field(
         default=0.3, gt=0, description="translation error of a closure that its inliers share [m]"
+    )
+    base_height_sigma_m: float = Field(
+        default=0.0, ge=0, description="error of the height of a closure beyond that of its translation [m]"
     )
     base_sigma_deg: float = Field(default=0.8, gt=0, description="heading error of a closure that they share [deg]")
     tilt_sigma_deg: float = Field(default=1.0, gt=0, description="error of gravity between two traversals [deg]")

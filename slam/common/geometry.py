@@ -41,6 +41,13 @@ def apply(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
     return points_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]
 
 
+def covariance_in_axes(covariance_a: FloatArray, R_a_b: FloatArray) -> FloatArray:
+    """Covariance (6, 6) of a rotation and a translation, each in the axes of frame a, in those of frame b."""
+    R = np.zeros((6, 6))
+    R[:3, :3] = R[3:, 3:] = R_a_b
+    return np.asarray(R.T @ covariance_a @ R)
+
+
 def rotation_angle_rad(T: FloatArray) -> FloatArray:
     """Angle of rotation (...) in [0, pi] of transforms (..., 4, 4).
 

@@ -12,6 +12,9 @@ from slam.common.arrays import FloatArray
 from slam.common.config import DetectionConfig
 from slam.common.geometry import apply
 
+UPRIGHT = np.array([0.0, 0.0, 1.0])
+"""The vertical in the axes of a body that does not lean."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scan:
@@ -45,11 +48,14 @@ class Scan:
         return replace(self, positions=apply(T_frame_body, self.positions), covariances=R @ self.covariances @ R.T)
 
 
-def make_scan(detections: ObjectDetections, T_body_sensor: FloatArray, config: DetectionConfig) -> Scan:
+def make_scan(
+    detections: ObjectDetections, T_body_sensor: FloatArray, config: DetectionConfig, up_body: FloatArray = UPRIGHT
+) -> Scan:
     """The detections of one message that pass the limits on score and range, in the body frame.
 
     Covariances are the message's own, else (base_sigma_m + sigma_per_m * range)^2 in each coordinate; the range is
-    taken from the body, since the frame of the message may be one that does not move with the sensor.
+    taken from the body, since the frame of the message may be one that does not move with the sensor. The noise of
+    heights is added to both, along the vertical ``up_body`` (3,) in the axes of the body.
     """
     positions = apply(T_body_sensor, detections.positions)
     ranges = np.linalg.norm(positions, axis=1)
@@ -64,6 +70,7 @@ def make_scan(detections: ObjectDetections, T_body_sensor: FloatArray, config: D
         # No detector is right to the millimetre; what claims it would outweigh everything else.
         own = config.claimed_sigma_factor**2 * (R @ own @ R.T) + config.min_sigma_m**2 * np.eye(3)
         covariances = np.where(has_own_covariance[:, None, None], own, covariances)
+    covariances = covariances + config.height_sigma_m**2 * np.outer(up_body, up_body)
     return Scan(
         stamp_ns=detections.stamp_ns,
         sensor=detections.frame_id,

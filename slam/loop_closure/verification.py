@@ -11,7 +11,7 @@ from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.common.geometry import apply, invert
+from slam.common.geometry import apply, covariance_in_axes, invert
 from slam.loop_closure.candidate import NOWHERE, Candidate, Query, Stage
 from slam.loop_closure.consistency import odometry_penalty, poses_agree
 from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratio
@@ -208,7 +208,7 @@ class Verifier:
             travel_m=query.travel_m,
             T_reference_query=T_reference_query,
             T_local_query=T_local_gravity,
-            covariance=self._covariance(covariance),
+            covariance=covariance_in_axes(self._covariance(covariance), T_gravity_body[:3, :3]),
             rows=query.submap.rows,
             log_likelihood_ratios=ratio.per_object,
             pairs=np.column_stack(
@@ -225,7 +225,8 @@ class Verifier:
         """Covariance (6, 6) of the registration plus that of the errors which all its inliers share."""
         limits = self._config.loop_closure
         tilt, yaw, shift = np.deg2rad(limits.tilt_sigma_deg), np.deg2rad(limits.base_sigma_deg), limits.base_sigma_m
-        return np.asarray(registered + np.diag(np.array([tilt, tilt, yaw, shift, shift, shift]) ** 2))
+        height = np.hypot(shift, limits.base_height_sigma_m)
+        return np.asarray(registered + np.diag(np.array([tilt, tilt, yaw, shift, shift, height]) ** 2))
 
     @property
     def _max_reference_m(self) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 
 from slam.common.arrays import FloatArray
 from slam.common.config import OdometryConfig
-from slam.common.geometry import relative, rotation_angle_rad
+from slam.common.geometry import covariance_in_axes, relative, rotation_angle_rad
 from slam.odometry.pose import OdometryPose
 
 # A break in the odometry ties nothing together, but the graph must stay connected until a closure does it.
@@ -41,6 +41,12 @@ def step_variances(before: OdometryPose, after: OdometryPose, config: OdometryCo
 
 
 def step_covariance(before: OdometryPose, after: OdometryPose, config: OdometryConfig) -> FloatArray:
-    """Covariance (6, 6) of the step between two poses of one segment, rotation first."""
+    """Covariance (6, 6) of the step between two poses of one segment, rotation first, in the axes of the body after it.
+
+    The heading errs about the vertical, which is not the z axis of a body that leans. Slips and wrong lengths are along
+    the ground: heights err by the tilt.
+    """
     translation, tilt, yaw = step_variances(before, after, config)
-    return np.diag([tilt, tilt, yaw, translation, translation, translation])
+    vertical = config.min_translation_sigma_m**2 + abs(after.mended_m2 - before.mended_m2)
+    upright = np.diag([tilt, tilt, yaw, translation, translation, vertical])
+    return covariance_in_axes(upright, after.T_odom_body[:3, :3])

@@ -191,6 +191,7 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         "detection.base_sigma_m": max(np.sqrt(white), floor_m),
         "detection.sigma_per_m": np.sqrt(by_range),
         "detection.common_sigma_m": np.sqrt(found.view),
+        "detection.height_sigma_m": _height_sigma(survey, white + by_range * survey.median_range_m**2),
         # Errors stay the same while the viewing direction changes by 1 rad.
         "detection.covariance_inflation": max(
             objects * survey.median_range_m / _keyframe_distance_m(config, survey), 1.0
@@ -200,7 +201,17 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         ),
         "submap.landmark_sigma_m": max(np.sqrt(between_passes), floor_m),
         "loop_closure.base_sigma_m": max(np.sqrt(between_passes), floor_m),
+        "loop_closure.base_height_sigma_m": np.sqrt(survey.heights.own + 2.0 * survey.heights.common),
     }
+
+
+def _height_sigma(survey: Survey, horizontal: float) -> float:
+    """Noise of a detection's height beyond the ``horizontal`` variance [m^2].
+
+    It is so large that what all objects in view have in common is not averaged out by them.
+    """
+    own = max(survey.heights.own - horizontal, 0.0)
+    return float(np.sqrt(own + max(survey.objects, 1.0) * survey.heights.common))
 
 
 def _shares_not_of_bias(found: NoiseComponents, survey: Survey) -> tuple[float, float]:

@@ -8,6 +8,8 @@ it does not average out over the objects in view.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from slam.common.arrays import FloatArray
@@ -53,14 +55,7 @@ def without_bias(tracks: ObjectTracks, biases: FloatArray) -> ObjectTracks:
     """The tracks with each detection moved outwards by the bias of its class."""
     rays = tracks.offsets / np.maximum(np.linalg.norm(tracks.offsets, axis=1), 1e-12)[:, None]
     outwards = biases[tracks.labels][:, None] * rays
-    return ObjectTracks(
-        tracks.track,
-        tracks.scan,
-        tracks.offsets + outwards,
-        tracks.points + outwards,
-        tracks.labels,
-        tracks.claimed,
-    )
+    return replace(tracks, offsets=tracks.offsets + outwards, points=tracks.points + outwards)
 
 
 def _view_changes(tracks: ObjectTracks) -> tuple[np.ndarray, np.ndarray]:

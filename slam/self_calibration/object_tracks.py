@@ -40,7 +40,7 @@ class ObjectTracks:
     """Detections (S,) that belong to tracks, ordered by track and time.
 
     ``track`` and ``scan`` (S,): ids; ``offsets`` (S, 2) m from the body and ``points`` (S, 2) m, both in the axes of
-    the odometry frame; ``labels`` (S,); ``claimed`` (S,) m^2.
+    the odometry frame; ``labels`` (S,); ``claimed`` (S,) m^2; ``heights`` (S,) m in the odometry frame.
     """
 
     track: IntArray
@@ -49,12 +49,13 @@ class ObjectTracks:
     points: FloatArray
     labels: IntArray
     claimed: FloatArray
+    heights: FloatArray
 
 
 def follow_objects(scans: Sequence[SurveyScan], headings_rad: FloatArray) -> ObjectTracks:
     """Tracks of the objects in ``scans`` (K), whose bodies head to ``headings_rad`` (K,) in the odometry frame."""
     tracks, numbers = [], []
-    offsets, points, labels, claimed = [], [], [], []
+    offsets, points, labels, claimed, heights = [], [], [], [], []
     ends = _OpenTracks()
     for number, (scan, heading) in enumerate(zip(scans, headings_rad, strict=True)):
         c, s = np.cos(heading), np.sin(heading)
@@ -66,8 +67,10 @@ def follow_objects(scans: Sequence[SurveyScan], headings_rad: FloatArray) -> Obj
         points.append(point)
         labels.append(scan.labels)
         claimed.append(scan.variances)
+        heights.append(scan.positions[:, 2] + scan.T_odom_body[2, 3])
     if not tracks:
-        return ObjectTracks(*(np.zeros(0, dtype=np.int64),) * 2, *(np.zeros((0, 2)),) * 2, tracks, np.zeros(0))  # type: ignore[arg-type]
+        none, nowhere = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
+        return ObjectTracks(none, none, nowhere, nowhere, none, np.zeros(0), np.zeros(0))
     track, scan_of = np.concatenate(tracks), np.concatenate(numbers)
     order = np.lexsort((scan_of, track))
     return ObjectTracks(
@@ -77,6 +80,7 @@ def follow_objects(scans: Sequence[SurveyScan], headings_rad: FloatArray) -> Obj
         np.concatenate(points)[order],
         np.concatenate(labels)[order],
         np.concatenate(claimed)[order],
+        np.concatenate(heights)[order],
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from slam.common.config import DetectionConfig
 from slam.common.geometry import apply, interpolate, invert, transform_from_xyz_yaw, yaw_rad
 from slam.frontend.sensor_frames import SensorFrames
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
+from slam.self_calibration.height_noise import HeightNoise, estimate_height_noise
 from slam.self_calibration.input_errors import BodyMotion, InputErrors, estimate_input_errors
 from slam.self_calibration.object_tracks import ObjectTracks, SurveyScan, follow_objects
 from slam.self_calibration.variance_components import ComponentEstimate, Motion, estimate_components
@@ -36,7 +37,7 @@ class Survey:
     the same scan, NaN where classes never share a scan; ``objects``: mean number a scan; ``interval_s``: median time
     between scans; ``claimed_ratio``: the variance of detections by that which their messages claim, NaN where none
     does; ``shared_bias_m``: the rms bias that centroids of a class share; ``components`` is None where too few objects
-    could be tracked.
+    could be tracked; ``heights``: how much the heights of detections vary.
     """
 
     scans: int
@@ -55,6 +56,7 @@ class Survey:
     shared_bias_m: float
     components: ComponentEstimate | None
     errors: InputErrors
+    heights: HeightNoise = field(default_factory=HeightNoise)
 
 
 def survey(records: Iterable[Record], config: DetectionConfig, frames: SensorFrames | None = None) -> Survey | None:
@@ -110,6 +112,7 @@ def summarize(scans: list[SurveyScan], errors: InputErrors | None = None) -> Sur
         shared_bias_m=float(np.sqrt(np.mean(biases[tracks.labels] ** 2))) if len(tracks.labels) else 0.0,
         components=components,
         errors=errors or InputErrors(),
+        heights=estimate_height_noise(tracks),
     )
 
 

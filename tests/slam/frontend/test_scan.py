@@ -77,3 +77,12 @@ def test_an_empty_message_is_an_empty_scan(covariances):
     assert scan.positions.shape == (0, 3)
     assert scan.covariances.shape == (0, 3, 3)
     assert scan.labels == ()
+
+
+def test_the_noise_of_heights_is_along_the_vertical_of_a_body_that_leans():
+    up_body = np.array([0.0, 0.6, 0.8])
+    config = DetectionConfig(base_sigma_m=0.1, sigma_per_m=0.0, height_sigma_m=2.0)
+    covariance = make_scan(detections([[10, 0, 0]]), np.eye(4), config, up_body).covariances[0]
+    assert up_body @ covariance @ up_body == pytest.approx(0.01 + 4.0)
+    across = np.array([0.0, 0.8, -0.6])
+    assert across @ covariance @ across == pytest.approx(0.01)

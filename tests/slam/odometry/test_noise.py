@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from slam.common.config import OdometryConfig
-from slam.common.geometry import transform_from_xyz_yaw
+from slam.common.geometry import make_transform, transform_from_xyz_yaw
 from slam.odometry.noise import step_covariance, step_variances
 from slam.odometry.pose import OdometryPose
 
@@ -85,5 +88,25 @@ def test_more_travel_is_never_less_noise():
 def test_the_covariance_has_the_variances_on_its_diagonal_rotation_first():
     before, after = pose(), pose(3.0, yaw=0.5, seconds=2.0)
     translation, tilt, heading = step_variances(before, after, ALL)
-    expected = np.diag([tilt, tilt, heading, translation, translation, translation])
-    np.testing.assert_array_equal(step_covariance(before, after, ALL), expected)
+    vertical = ALL.min_translation_sigma_m**2
+    expected = np.diag([tilt, tilt, heading, translation, translation, vertical])
+    np.testing.assert_allclose(step_covariance(before, after, ALL), expected, atol=1e-18)
+
+
+def test_a_body_that_leans_errs_in_heading_about_the_vertical():
+    before, after = pose(), pose(3.0)
+    R = Rotation.from_euler("x", 40, degrees=True).as_matrix()
+    leaning = replace(after, T_odom_body=make_transform(R, after.T_odom_body[:3, 3]))
+    upright, leant = step_covariance(before, after, ALL), step_covariance(before, leaning, ALL)
+    up_body = R.T @ [0.0, 0.0, 1.0]
+    _, tilt, heading = step_variances(before, leaning, ALL)
+    assert up_body @ leant[:3, :3] @ up_body == pytest.approx(heading)
+    np.testing.assert_allclose(leant[:3, :3], tilt * np.eye(3) + (heading - tilt) * np.outer(up_body, up_body))
+    np.testing.assert_allclose(R @ leant[3:, 3:] @ R.T, upright[3:, 3:], atol=1e-12)
+
+
+def test_a_mended_step_is_less_certain_in_all_directions():
+    before, after = pose(), pose(3.0)
+    mended = replace(after, mended_m2=0.5, mended_rad2=0.01)
+    more = step_covariance(before, mended, ALL) - step_covariance(before, after, ALL)
+    np.testing.assert_allclose(more, np.diag([0.01, 0.01, 0.01, 0.5, 0.5, 0.5]), atol=1e-12)

@@ -9,6 +9,7 @@ import pytest
 
 from slam.common.config import Config
 from slam.self_calibration.calibration import LEAST_DRIFT, LEAST_TURN_RAD, LENGTHS, calibrate
+from slam.self_calibration.height_noise import HeightNoise
 from slam.self_calibration.survey import Survey, summarize
 from slam.self_calibration.variance_components import ComponentEstimate, NoiseComponents
 from tests.helpers.surveyed_drives import SurveyedDrive
@@ -159,6 +160,15 @@ def test_an_estimate_of_zero_leaves_a_least_heading_noise(surveyed):
     found = calibrate(Config(), silent).config.odometry
     assert found.yaw_sigma * np.sqrt(surveyed.range_m) == pytest.approx(LEAST_TURN_RAD)
     assert found.translation_sigma * np.sqrt(surveyed.range_m) == pytest.approx(LEAST_DRIFT * surveyed.range_m)
+
+
+def test_heights_that_vary_in_common_are_not_averaged_out_by_many_objects(surveyed):
+    swaying = replace(surveyed, heights=HeightNoise(own=0.0, common=0.04))
+    found = calibrate(Config(), swaying).config
+    assert found.detection.height_sigma_m / np.sqrt(surveyed.objects) == pytest.approx(0.2)
+    assert found.loop_closure.base_height_sigma_m == pytest.approx(0.2 * np.sqrt(2.0))
+    steady = replace(surveyed, heights=HeightNoise(own=1e-6, common=0.0))
+    assert calibrate(Config(), steady).config.detection.height_sigma_m == 0.0, "as the position says"
 
 
 def test_objects_that_are_never_two_of_a_class_cannot_be_confused(surveyed):

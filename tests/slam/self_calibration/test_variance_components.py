@@ -141,6 +141,7 @@ def test_a_robot_that_neither_moves_nor_turns_tells_the_noise_of_its_detector():
         tracks.points[standing],
         tracks.labels[standing],
         tracks.claimed[standing],
+        tracks.heights[standing],
     )
     found = estimate_components(part, motion)
     assert found is not None
@@ -156,6 +157,7 @@ def test_too_few_detections_tell_nothing(count):
         np.ones((count, 2)),
         np.zeros(count, dtype=np.int64),
         np.full(count, np.nan),
+        np.zeros(count),
     )
     times = np.arange(float(count))
     assert estimate_components(tracks, Motion(times, times, times)) is None
