@@ -88,7 +88,7 @@ def select_topics(
 
     Args:
         topics: what the log holds.
-        overrides: kind -> topic, which replaces the choice for that kind.
+        overrides: kind -> topic, or several separated by commas, which replaces the choice for that kind.
         needed: kinds without which the log is of no use.
 
     Raises:
@@ -99,7 +99,9 @@ def select_topics(
     chosen: dict[RecordKind, list[str]] = {}
     for name, topic in (overrides or {}).items():
         kind = _kind(name)
-        chosen[kind] = [_overridden(there, kind, topic)]
+        chosen[kind] = [_overridden(there, kind, name.strip()) for name in topic.split(",")]
+        if len(chosen[kind]) > 1 and kind == RecordKind.ODOMETRY:
+            raise TopicSelectionError(f"--topic {kind}={topic}: a robot has one odometry; name one topic")
     for kind in _SCHEMAS:
         if kind not in chosen:
             chosen[kind] = _only_one(there, kind, _candidates(there, kind), is_needed=kind in needed)
@@ -155,9 +157,10 @@ def _candidates(there: list[TopicInfo], kind: RecordKind) -> list[str]:
 
 def _only_one(there: list[TopicInfo], kind: RecordKind, fitting: list[str], *, is_needed: bool) -> list[str]:
     if len(fitting) > 1 and is_needed:
+        every = f", or use all: --topic {kind}={','.join(fitting)}" if kind == RecordKind.DETECTIONS else ""
         raise TopicSelectionError(
             f"{len(fitting)} topics could be the {kind}: {', '.join(fitting)}; choose one with "
-            f"--topic {kind}={fitting[0]}. {_listing(there)}"
+            f"--topic {kind}={fitting[0]}{every}. {_listing(there)}"
         )
     return fitting if len(fitting) == 1 else []
 

@@ -18,6 +18,7 @@ from logs.messages import (
     DetectionAssociations,
     GroundTruthPose,
     LoopClosureRecord,
+    ObjectDetections,
     Record,
     RelocalizationRecord,
     SlamPose,
@@ -31,6 +32,7 @@ from logs.writer import LogWriter, partial_path
 from slam.common.config import Config
 from slam.common.errors import InputDataError, SavedMapError
 from slam.display.drive_display import FRAMES, DriveDisplay
+from slam.frontend.label_map import LabelMap
 from slam.frontend.sensor_frames import SensorFrames
 from slam.object_map.map_io import METADATA, SavedMap, save_map
 from slam.self_calibration.calibration import Calibration, calibrate
@@ -112,13 +114,14 @@ def replay(
             f"the given map stays as it is, so {map_path} would be a copy of it; extend it, or save none"
         )
     started = time.perf_counter()
+    labels = LabelMap(config.labels)
     with LogReader(source, config.limits.reading) as reader:
         for path in (output, partial_path(output)):
             if path.exists() and any(path.samefile(file) for file in reader.files):
                 raise UnwritableLogError(f"writing {output} would overwrite the input {source}; give another output")
         if METADATA in reader.metadata():
             raise InputDataError(f"{source} is a saved map, not a drive; give it as --map, and the log of a drive here")
-        selection = select_topics(reader.topics(), topics)
+        selection = select_topics(reader.topics(), {**config.topics, **(topics or {})})
         copied = {topic for kind in _COPIED for topic in selection.topics_of(kind)}
         copied |= set(selection.topics_of(RecordKind.TRANSFORMS)) - {FRAMES}
         copied |= _checked_copies(reader, copy)
@@ -128,7 +131,7 @@ def replay(
         frames = _read_frames(reader, mapped)
         lost_before = reader.decoding_counters
         mapped = mapped.without(RecordKind.TRANSFORMS)
-        calibration = _calibrate(reader, mapped, config, frames)
+        calibration = _calibrate(reader, mapped, config, frames, labels)
         slam = Slam(calibration.config, prior_map, extend=extend, frames=frames)
         display = DriveDisplay(calibration.config.detection.sensor_range_m, _ground_truth(source, config, selection))
         max_message_latency_s, tracked = 0.0, 0
@@ -152,7 +155,7 @@ def replay(
                 before = time.perf_counter()
                 for record in item.records:
                     # Everything is logged on the clock of the input, whatever its stamps are.
-                    for update in slam.process(record):
+                    for update in slam.process(_named(record, labels)):
                         if type(update) in _TOPICS:
                             write(_TOPICS[type(update)], update, item.raw.log_time_ns)
                         for topic, message in display.show(update):
@@ -188,7 +191,7 @@ def replay(
         max_message_latency_s=max_message_latency_s,
         loop_closure_median_s=float(np.median(slam.closing_seconds)) if slam.closing_seconds else 0.0,
         final_status=final.status.message,
-        notes=calibration.notes,
+        notes=(*calibration.notes, *(f"no detection has the class of {name}" for name in labels.unused())),
         relocalization_times_s=tuple((fix.stamp_ns - slam.first_stamp_ns) * 1e-9 for fix in slam.fixes),
         relocalization_distances_m=tuple(fix.travel_m for fix in slam.fixes),
         keyframes_not_saved=unsaved,
@@ -249,11 +252,17 @@ def _read_frames(reader: LogReader, selection: Selection) -> SensorFrames:
     return frames
 
 
-def _calibrate(reader: LogReader, selection: Selection, config: Config, frames: SensorFrames) -> Calibration:
+def _named(record: Record, labels: LabelMap) -> Record:
+    return labels.apply(record) if isinstance(record, ObjectDetections) else record
+
+
+def _calibrate(
+    reader: LogReader, selection: Selection, config: Config, frames: SensorFrames, labels: LabelMap
+) -> Calibration:
     """The settings for a log: those that were not given by hand are estimated from it."""
     if not config.calibration.enabled:
         return Calibration(config)
-    records = (entry.record for entry in reader.records(selection))
+    records = (_named(entry.record, labels) for entry in reader.records(selection))
     with threadpool_limits(1, user_api="blas"):
         return calibrate(config, survey(records, config.detection, frames))
 

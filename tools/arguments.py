@@ -35,13 +35,13 @@ Picture = Annotated[
 
 
 def parse_topics(pairs: Sequence[str] | None) -> dict[str, str]:
-    """kind -> topic, from "kind=/topic"."""
+    """kind -> topic, from "kind=/topic"; several of one kind separated by commas."""
     topics: dict[str, str] = {}
     for pair in pairs or ():
         kind, equals, topic = pair.partition("=")
         if not equals or not kind or not topic:
             raise typer.BadParameter(f"{pair!r} is not KIND=/TOPIC, for example odometry=/odom.", param_hint="--topic")
-        topics[kind] = topic
+        topics[kind] = f"{topics[kind]},{topic}" if kind in topics else topic
     return topics
 
 

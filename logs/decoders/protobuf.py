@@ -36,7 +36,7 @@ def decode(raw: RawMessage, kind: RecordKind, counters: Counter[str]) -> tuple[R
         Refusal: bytes that are no such message, or values that no record may have.
     """
     name = raw.channel.schema_name
-    message_class, function = _DECODERS[name]
+    message_class, function = DECODERS[name]
     try:
         message = message_class.FromString(raw.data)
     except DecodeError as error:
@@ -108,7 +108,7 @@ def _class_and_score(entity: Any) -> tuple[str, float]:
 
 
 _Function = Callable[[Any, RecordKind, int, Counter[str]], tuple[Record, ...]]
-_DECODERS: dict[str, tuple[Any, _Function]] = {
+DECODERS: dict[str, tuple[Any, _Function]] = {
     "foxglove.Odometry": (FoxgloveOdometry, _odometry),
     "foxglove.PoseInFrame": (PoseInFrame, _pose_in_frame),
     "foxglove.FrameTransform": (FrameTransform, _frame_transforms),

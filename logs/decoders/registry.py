@@ -35,23 +35,25 @@ ROS2_DETECTIONS = (
 )
 _DEFINITIONS = ("ros2msg", "ros2idl")
 
+_MESSAGES: dict[str, tuple[RecordKind, ...]] = {
+    "foxglove.Odometry": _POSE,
+    "foxglove.PoseInFrame": (*_POSE, RecordKind.SLAM_POSE),
+    "foxglove.FrameTransform": _FRAMES,
+    "foxglove.FrameTransforms": _FRAMES,
+    "foxglove.SceneUpdate": (RecordKind.DETECTIONS,),
+    "dslam.ObjectDetections": (RecordKind.DETECTIONS,),
+    "dslam.DetectionTruth": (RecordKind.DETECTION_TRUTH,),
+    "dslam.DetectionAssociations": (RecordKind.ASSOCIATIONS,),
+    "dslam.ObjectMap": (RecordKind.OBJECT_MAP, RecordKind.OBJECT_TRUTH),
+    "dslam.Trajectory": (RecordKind.TRAJECTORY,),
+    "dslam.FactorGraph": (RecordKind.FACTOR_GRAPH,),
+    "dslam.LoopClosure": (RecordKind.LOOP_CLOSURES,),
+    "dslam.Relocalization": (RecordKind.RELOCALIZATIONS,),
+    "dslam.Status": (RecordKind.STATUS,),
+}
 _KINDS: dict[str, dict[str, tuple[RecordKind, ...]]] = {
-    "protobuf": {
-        "foxglove.Odometry": _POSE,
-        "foxglove.PoseInFrame": (*_POSE, RecordKind.SLAM_POSE),
-        "foxglove.FrameTransform": _FRAMES,
-        "foxglove.FrameTransforms": _FRAMES,
-        "foxglove.SceneUpdate": (RecordKind.DETECTIONS,),
-        "dslam.ObjectDetections": (RecordKind.DETECTIONS,),
-        "dslam.DetectionTruth": (RecordKind.DETECTION_TRUTH,),
-        "dslam.DetectionAssociations": (RecordKind.ASSOCIATIONS,),
-        "dslam.ObjectMap": (RecordKind.OBJECT_MAP, RecordKind.OBJECT_TRUTH),
-        "dslam.Trajectory": (RecordKind.TRAJECTORY,),
-        "dslam.FactorGraph": (RecordKind.FACTOR_GRAPH,),
-        "dslam.LoopClosure": (RecordKind.LOOP_CLOSURES,),
-        "dslam.Relocalization": (RecordKind.RELOCALIZATIONS,),
-        "dslam.Status": (RecordKind.STATUS,),
-    },
+    "protobuf": _MESSAGES,
+    "json": _MESSAGES,
     "cdr": {
         "nav_msgs/msg/Odometry": _POSE,
         "geometry_msgs/msg/PoseStamped": _POSE,
@@ -77,6 +79,10 @@ def decoder_for(channel: Channel) -> Decoder | None:
         from logs.decoders import ros2
 
         return ros2.decode
+    if channel.message_encoding == "json":
+        from logs.decoders import json_messages
+
+        return json_messages.decode
     from logs.decoders import protobuf
 
     return protobuf.decode

@@ -35,8 +35,8 @@ def _read_file_names(folder: Path) -> list[str]:
     if not path.is_file():
         files = sorted(p.name for p in folder.iterdir() if p.name.endswith((".mcap", ".db3", ".zstd")))
         remedy = f"give one of its files ({', '.join(files[:3])}{', ...' if len(files) > 3 else ''})" if files else ""
-        remedy = remedy or "give a log, or the folder of a rosbag2 recording"
-        raise UnreadableLogError(f"{folder} is a folder without {METADATA_FILE}; {remedy}")
+        remedy = remedy or "give a log, or the directory of a rosbag2 recording"
+        raise UnreadableLogError(f"cannot read {folder}: it is a directory without {METADATA_FILE}; {remedy}")
     try:
         information = YAML(typ="safe", pure=True).load(path)["rosbag2_bagfile_information"]
         names = [str(name) for name in information["relative_file_paths"]]

@@ -7,13 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from logs.container.limits import ReadingLimits
 from slam.common.config_tree import load_tree
 
 _LIMITS = ReadingLimits()
+_Name = Annotated[str, StringConstraints(min_length=1)]
 
 
 class _Branch(BaseModel):
@@ -367,6 +369,16 @@ class LimitsConfig(_Branch):
         return ReadingLimits(**self.model_dump())
 
 
+class LabelsConfig(_Branch):
+    """What the classes of detections are called in the map. Old names may hold the wildcards * and ?."""
+
+    rename: dict[str, _Name] = Field(
+        default={}, description="old name = new name; several old ones of one new name become one class"
+    )
+    merge: dict[_Name, tuple[str, ...]] = Field(default={}, description="new name = list of old names")
+    drop: tuple[str, ...] = Field(default=(), description="classes that are left out, under their old names")
+
+
 class CalibrationConfig(_Branch):
     """What a replay estimates from the log before it maps it."""
 
@@ -389,6 +401,11 @@ class Config(_Branch):
     likelihood_ratio: LikelihoodRatioConfig = LikelihoodRatioConfig()
     loop_closure: LoopClosureConfig = LoopClosureConfig()
     registration: RegistrationConfig = RegistrationConfig()
+    labels: LabelsConfig = LabelsConfig()
+    topics: dict[str, str] = Field(
+        default={},
+        description="part = topic, as --topic, which wins; several topics of one part are separated by commas",
+    )
     limits: LimitsConfig = LimitsConfig()
 
 

@@ -75,7 +75,8 @@ def settings_of(tree: BaseModel, prefix: str = "") -> Iterator[Setting]:
 
 def changes(defaults: BaseModel, text: str) -> list[str]:
     """What a recorded configuration, JSON in ``text``, says otherwise than ``defaults``: "key=value" each."""
-    known = {setting.key: setting.value for setting in settings_of(defaults)}
+    # By way of JSON, as what is recorded.
+    known = {setting.key: json.loads(json.dumps(setting.value)) for setting in settings_of(defaults)}
     try:
         recorded = dict(_leaves(json.loads(text)))
     except (ValueError, AttributeError):
@@ -111,6 +112,9 @@ def _leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, ob
 
 def _toml_value(value: object) -> str:
     """JSON's scalars and lists are TOML's; floats keep their point, so that they stay floats."""
+    if isinstance(value, dict):
+        pairs = ", ".join(f"{json.dumps(key)} = {_toml_value(inner)}" for key, inner in value.items())
+        return f"{{ {pairs} }}" if pairs else "{}"
     return repr(value) if isinstance(value, float) else json.dumps(value, default=list)
 
 
@@ -157,12 +161,17 @@ def _refuse_unknown(
         key = f"{prefix}{name}"
         field = model.model_fields.get(name)
         branch = None if field is None else _branch_of(field)
-        if field is None or (isinstance(value, dict) and branch is None):
+        if field is None or (isinstance(value, dict) and branch is None and not _is_table(field)):
             raise ConfigurationError(
                 f"{where}: there is no {_deepest(key, value)!r}; {_hint(root, _deepest(key, value))}"
             )
         if branch is not None and isinstance(value, dict):
             _refuse_unknown(branch, value, where, root, f"{key}.")
+
+
+def _is_table(field: FieldInfo) -> bool:
+    """Whether its keys are the user's own."""
+    return get_origin(field.annotation) is dict
 
 
 def _deepest(key: str, value: object) -> str:
@@ -210,6 +219,10 @@ def _allowed(field: FieldInfo) -> str:
         return "one of " + ", ".join(pattern.strip("^$()").split("|"))
     if get_args(kind) and all(isinstance(choice, str) for choice in get_args(kind)):
         return "one of " + ", ".join(get_args(kind))
+    if get_origin(kind) is dict:
+        return "a table of names"
+    if get_origin(kind) is tuple:
+        return "a list of names" if get_args(kind)[0] is str else "a list of numbers"
     name = _TYPE_NAMES.get(kind, str(kind)) if isinstance(kind, type) else str(kind)
     return " ".join([name, " and ".join(bounds)]).strip()
 

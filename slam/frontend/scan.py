@@ -11,6 +11,7 @@ from logs.messages import ObjectDetections
 from slam.common.arrays import FloatArray
 from slam.common.config import DetectionConfig
 from slam.common.geometry import apply
+from slam.frontend.label_map import DROPPED
 
 UPRIGHT = np.array([0.0, 0.0, 1.0])
 """The vertical in the axes of a body that does not lean."""
@@ -48,6 +49,12 @@ class Scan:
         return replace(self, positions=apply(T_frame_body, self.positions), covariances=R @ self.covariances @ R.T)
 
 
+def is_wanted(detections: ObjectDetections, config: DetectionConfig) -> NDArray[np.bool_]:
+    """(M,): which detections of a message neither the settings of labels nor that of scores leave out."""
+    is_kept = np.array([label != DROPPED for label in detections.labels], dtype=np.bool_)
+    return is_kept & (detections.scores >= config.min_score)
+
+
 def make_scan(
     detections: ObjectDetections, T_body_sensor: FloatArray, config: DetectionConfig, up_body: FloatArray = UPRIGHT
 ) -> Scan:
@@ -59,7 +66,7 @@ def make_scan(
     """
     positions = apply(T_body_sensor, detections.positions)
     ranges = np.linalg.norm(positions, axis=1)
-    used = (detections.scores >= config.min_score) & (ranges <= config.max_range_m)
+    used = is_wanted(detections, config) & (ranges <= config.max_range_m)
     sigmas = config.base_sigma_m + config.sigma_per_m * ranges[used]
     covariances = sigmas[:, None, None] ** 2 * np.eye(3)
     has_own_covariance = np.zeros(len(covariances), dtype=np.bool_)

@@ -12,6 +12,7 @@ from logs.messages import ObjectDetections, Odometry, Record, Transform
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import DetectionConfig
 from slam.common.geometry import apply, interpolate, invert, transform_from_xyz_yaw, yaw_rad
+from slam.frontend.scan import is_wanted
 from slam.frontend.sensor_frames import SensorFrames
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
 from slam.self_calibration.height_noise import HeightNoise, estimate_height_noise
@@ -236,7 +237,7 @@ def _upright_scan(
 ) -> SurveyScan:
     T_odom_upright = transform_from_xyz_yaw(T_odom_body[:3, 3], yaw_rad(T_odom_body))
     positions = apply(invert(T_odom_upright) @ T_odom_body @ T_body_sensor, detections.positions)
-    used = np.isfinite(positions).all(axis=1) & (detections.scores >= config.min_score)
+    used = np.isfinite(positions).all(axis=1) & is_wanted(detections, config)
     variances = np.full(len(positions), np.nan)
     if detections.covariances is not None:
         variances = np.trace(detections.covariances, axis1=1, axis2=2) / 3.0

@@ -167,9 +167,10 @@ def test_not_an_mcap(tmp_path):
         LogReader(path)
 
 
-def test_no_file(tmp_path):
+@pytest.mark.parametrize("name", ["missing.mcap", "."])
+def test_no_file(tmp_path, name):
     with pytest.raises(UnreadableLogError, match="cannot read"):
-        LogReader(tmp_path / "missing.mcap")
+        LogReader(tmp_path / name)
 
 
 def test_a_log_without_messages(tmp_path):

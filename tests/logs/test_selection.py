@@ -114,9 +114,19 @@ def test_overrides_that_do_not_fit(overrides, complaint):
         select_topics([*COMMON, topic("/odom", ODOMETRY)], overrides)
 
 
-def test_definitions_in_idl_cannot_be_read():
-    channel = Channel(1, "/odom", "cdr", Schema(1, ODOMETRY, "ros2idl", b""))
-    assert kinds_of(channel) == ()
+@pytest.mark.parametrize("encoding", ["ros2idl", "ros2msg", ""])
+def test_ros2_messages_need_a_definition_in_a_known_language(encoding):
+    channel = Channel(1, "/odom", "cdr", Schema(1, ODOMETRY, encoding, b""))
+    assert bool(kinds_of(channel)) == bool(encoding)
+
+
+def test_several_topics_can_be_the_detections_but_one_the_odometry():
+    there = [topic("/odom", ODOMETRY), topic("/left", DETECTIONS), topic("/right", DETECTIONS)]
+    with pytest.raises(TopicSelectionError, match="or use all: --topic detections=/left,/right"):
+        select_topics(there)
+    assert select_topics(there, {"detections": "/left, /right"}).topics_of("detections") == ("/left", "/right")
+    with pytest.raises(TopicSelectionError, match="one odometry"):
+        select_topics([*there, topic("/wheels", ODOMETRY)], {"odometry": "/odom,/wheels"})
 
 
 def test_transforms_of_the_truth_are_not_read():

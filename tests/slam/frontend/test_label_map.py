@@ -1,0 +1,68 @@
+"""Renaming, merging and dropping classes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from logs.messages import ObjectDetections
+from slam.common.config import DetectionConfig, LabelsConfig, load_config
+from slam.common.config_tree import to_toml
+from slam.common.errors import ConfigurationError
+from slam.frontend.label_map import LabelMap
+from slam.frontend.scan import make_scan
+
+NAMES = ("car", "van", "person", "pole_1", "tree")
+
+
+def detections(labels: tuple[str, ...] = NAMES) -> ObjectDetections:
+    positions = np.array([[float(i), 0.0, 0.0] for i in range(len(labels))])
+    return ObjectDetections(1, "base_link", positions, labels, np.ones(len(labels)))
+
+
+def test_classes_are_renamed_merged_and_dropped() -> None:
+    config = LabelsConfig(rename={"pole_*": "pole"}, merge={"vehicle": ("car", "van")}, drop=("person",))
+    scan = make_scan(LabelMap(config).apply(detections()), np.eye(4), DetectionConfig())
+    assert scan.labels == ("vehicle", "vehicle", "pole", "tree")
+    assert scan.used.tolist() == [True, True, False, True, True]
+    np.testing.assert_array_equal(scan.positions[:, 0], [0.0, 1.0, 3.0, 4.0])
+
+
+def test_without_settings_nothing_changes() -> None:
+    given = detections()
+    assert LabelMap(LabelsConfig()).apply(given) is given
+
+
+def test_names_that_no_detection_has_are_told() -> None:
+    labels = LabelMap(LabelsConfig(rename={"cars": "car"}, merge={"vehicle": ("van", "bus")}, drop=("person", "dog*")))
+    labels.apply(detections())
+    assert labels.unused() == ["labels.drop: dog*", "labels.rename: cars", "labels.merge: bus"]
+
+
+def test_a_name_in_two_settings_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="'car' stands in more than one of drop, rename and merge"):
+        LabelMap(LabelsConfig(rename={"car": "vehicle"}, drop=("car",)))
+
+
+def test_the_settings_come_from_a_file_and_go_into_one(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        '[labels]\ndrop = ["person"]\n[labels.rename]\n"pole 1" = "pole"\n[labels.merge]\nvehicle = ["car", "van"]\n'
+        '[topics]\ndetections = "/left,/right"\n'
+    )
+    config = load_config(path, ['labels.rename.cone="traffic cone"'])
+    assert config.labels.rename == {"pole 1": "pole", "cone": "traffic cone"}
+    assert config.labels.merge == {"vehicle": ("car", "van")}
+    assert config.labels.drop == ("person",)
+    assert config.topics == {"detections": "/left,/right"}
+    again = tmp_path / "again.toml"
+    again.write_text(to_toml(config))
+    assert load_config(again) == config
+    with pytest.raises(ConfigurationError, match=r"labels\.drop=3 is not allowed; it is a list of names"):
+        load_config(None, ["labels.drop=3"])
+    with pytest.raises(ConfigurationError, match=r"labels\.rename.* is not allowed; it is a table of names"):
+        load_config(None, ['labels.rename="car"'])
+    with pytest.raises(ConfigurationError, match=r"there is no 'labels\.ignore'"):
+        load_config(None, ['labels.ignore=["car"]'])
