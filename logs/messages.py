@@ -50,6 +50,40 @@ class ObjectDetections:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ImageDetections:
+    """Objects seen in an image: ``boxes`` (N, 4) px, centre u, v, width, height; ``corners`` (N, 4, 2) px of square
+    tags, from the lower left counterclockwise as the tag stands; ``frame_id``: the camera's.
+    """
+
+    stamp_ns: int
+    frame_id: str
+    boxes: FloatArray
+    labels: tuple[str, ...]
+    scores: FloatArray
+    corners: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraModel:
+    """How a camera projects: ``K`` (3, 3) px; ``distortion`` (D,), coefficients of ``model`` as ROS names it."""
+
+    stamp_ns: int
+    frame_id: str
+    K: FloatArray
+    distortion: FloatArray
+    model: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthImage:
+    """``depths`` (H, W) float32, metres along the axis of the camera, NaN where unknown."""
+
+    stamp_ns: int
+    frame_id: str
+    depths: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Transform:
     """Pose of frame ``child_frame_id`` in frame ``parent_frame_id``."""
 
@@ -300,6 +334,9 @@ class LogMessage:
 Record = (
     Odometry
     | ObjectDetections
+    | ImageDetections
+    | CameraModel
+    | DepthImage
     | Transform
     | GroundTruthPose
     | DetectionTruth

@@ -21,10 +21,13 @@ _DEFAULT_TOPICS = {
     RecordKind.OBJECT_TRUTH: OBJECT_TRUTH_TOPIC,
 }
 
+IN_IMAGES = ("vision_msgs/msg/Detection2DArray", "apriltag_msgs/msg/AprilTagDetectionArray")
+"""Detections that a camera's calibration and depth are needed for."""
+
 # Strongest first: a topic that calls itself odometry is one, a bare pose may come from anywhere; likewise a message
 # made for detections, and a picture that may show anything. Bare poses (geometry_msgs/msg/PoseArray) are objects only
 # when asked for: most are particles or paths.
-_SCHEMAS = {
+_SCHEMAS: dict[RecordKind, tuple[tuple[str, ...], ...]] = {
     RecordKind.ODOMETRY: (
         ("nav_msgs/msg/Odometry", "foxglove.Odometry"),
         ("foxglove.PoseInFrame", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"),
@@ -39,6 +42,7 @@ _SCHEMAS = {
             "autoware_auto_perception_msgs/msg/DetectedObjects",
         ),
         ("foxglove.SceneUpdate",),
+        IN_IMAGES,
         ("visualization_msgs/msg/MarkerArray",),
     ),
 }
@@ -105,6 +109,9 @@ def select_topics(
     for kind in _SCHEMAS:
         if kind not in chosen:
             chosen[kind] = _only_one(there, kind, _candidates(there, kind), is_needed=kind in needed)
+    in_images = {info.topic for info in there if info.schema_name in IN_IMAGES}
+    for kind in (RecordKind.CAMERA_INFO, RecordKind.DEPTH):
+        chosen.setdefault(kind, _of_cameras(there, kind) if in_images & {*chosen[RecordKind.DETECTIONS]} else [])
     for kind, topic in _DEFAULT_TOPICS.items():
         chosen.setdefault(kind, [info.topic for info in there if info.topic == topic and kind in info.kinds])
     inputs = [info for info in there if not _is_truth(info.topic) and not info.topic.startswith(OUTPUT_PREFIX)]
@@ -123,7 +130,7 @@ def select_all(topics: Iterable[TopicInfo]) -> Selection:
     """Every topic that decodes to anything, in the part that its name and schema suggest: to read any log as it is."""
     kinds: dict[str, tuple[RecordKind, ...]] = {}
     for info in topics:
-        if info.kinds:
+        if info.kinds and info.kinds != (RecordKind.DEPTH,):  # most images are pictures
             kinds.setdefault(info.topic, (_likely_kind(info),))
     return Selection(kinds)
 
@@ -153,6 +160,15 @@ def _candidates(there: list[TopicInfo], kind: RecordKind) -> list[str]:
         if strongest:
             return strongest
     return []
+
+
+def _of_cameras(there: list[TopicInfo], kind: RecordKind) -> list[str]:
+    """All of them: which belongs to a detection, its frame tells. Of images, those with depth, aligned if there are."""
+    topics = sorted({info.topic for info in there if kind in info.kinds and info.message_count})
+    if kind == RecordKind.DEPTH:
+        topics = [topic for topic in topics if "depth" in topic.lower()]
+        topics = [topic for topic in topics if "aligned" in topic.lower()] or topics
+    return topics
 
 
 def _only_one(there: list[TopicInfo], kind: RecordKind, fitting: list[str], *, is_needed: bool) -> list[str]:

@@ -14,6 +14,8 @@ class RecordKind(StrEnum):
     DETECTIONS = "detections"
     GROUND_TRUTH = "ground_truth"
     TRANSFORMS = "transforms"
+    CAMERA_INFO = "camera_info"
+    DEPTH = "depth"
     DETECTION_TRUTH = "detection_truth"
     OBJECT_TRUTH = "object_truth"
     OBJECT_MAP = "object_map"

@@ -18,7 +18,6 @@ from logs.messages import (
     DetectionAssociations,
     GroundTruthPose,
     LoopClosureRecord,
-    ObjectDetections,
     Record,
     RelocalizationRecord,
     SlamPose,
@@ -32,6 +31,7 @@ from logs.writer import LogWriter, partial_path
 from slam.common.config import Config
 from slam.common.errors import InputDataError, SavedMapError
 from slam.display.drive_display import FRAMES, DriveDisplay
+from slam.frontend.input_records import InputRecords
 from slam.frontend.label_map import LabelMap
 from slam.frontend.sensor_frames import SensorFrames
 from slam.object_map.map_io import METADATA, SavedMap, save_map
@@ -46,7 +46,13 @@ _TOPICS: Mapping[type[Record], str] = {
     LoopClosureRecord: "/slam/closures",
     RelocalizationRecord: "/slam/relocalizations",
 }
-_MAPPED = (RecordKind.ODOMETRY, RecordKind.DETECTIONS, RecordKind.TRANSFORMS)
+_MAPPED = (
+    RecordKind.ODOMETRY,
+    RecordKind.DETECTIONS,
+    RecordKind.TRANSFORMS,
+    RecordKind.CAMERA_INFO,
+    RecordKind.DEPTH,
+)
 # The estimator never sees these; they are copied as they are, so that the output can be evaluated on its own.
 _COPIED = (RecordKind.ODOMETRY, RecordKind.GROUND_TRUTH, RecordKind.DETECTION_TRUTH, RecordKind.OBJECT_TRUTH)
 
@@ -134,6 +140,7 @@ def replay(
         calibration = _calibrate(reader, mapped, config, frames, labels)
         slam = Slam(calibration.config, prior_map, extend=extend, frames=frames)
         display = DriveDisplay(calibration.config.detection.sensor_range_m, _ground_truth(source, config, selection))
+        inputs = InputRecords(calibration.config, labels, frames)
         max_message_latency_s, tracked = 0.0, 0
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output) as writer:
@@ -153,9 +160,9 @@ def replay(
                 if item.raw.topic in copied:
                     writer.write_raw(item.raw)
                 before = time.perf_counter()
-                for record in item.records:
+                for record in inputs.prepare(item.records):
                     # Everything is logged on the clock of the input, whatever its stamps are.
-                    for update in slam.process(_named(record, labels)):
+                    for update in slam.process(record):
                         if type(update) in _TOPICS:
                             write(_TOPICS[type(update)], update, item.raw.log_time_ns)
                         for topic, message in display.show(update):
@@ -168,7 +175,8 @@ def replay(
                 if progress is not None:
                     done = (item.raw.log_time_ns - first_ns) / max(last_ns - first_ns, 1)
                     progress(min(max(done, 0.0), 1.0))
-            slam.counters.update(Counter(reader.counters) + lost_before)
+            inputs.check()
+            slam.counters.update(Counter(reader.counters) + lost_before + Counter(inputs.counters))
             final = slam.finish()
             writer.write_path("/slam/trajectory", final.trajectory, last_ns)
             for topic, final_record in _final_records(final):
@@ -252,17 +260,14 @@ def _read_frames(reader: LogReader, selection: Selection) -> SensorFrames:
     return frames
 
 
-def _named(record: Record, labels: LabelMap) -> Record:
-    return labels.apply(record) if isinstance(record, ObjectDetections) else record
-
-
 def _calibrate(
     reader: LogReader, selection: Selection, config: Config, frames: SensorFrames, labels: LabelMap
 ) -> Calibration:
     """The settings for a log: those that were not given by hand are estimated from it."""
     if not config.calibration.enabled:
         return Calibration(config)
-    records = (_named(entry.record, labels) for entry in reader.records(selection))
+    inputs = InputRecords(config, labels, frames)
+    records = inputs.prepare(entry.record for entry in reader.records(selection))
     with threadpool_limits(1, user_api="blas"):
         return calibrate(config, survey(records, config.detection, frames))
 

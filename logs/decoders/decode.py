@@ -8,13 +8,13 @@ from logs.container.limits import ReadingLimits
 from logs.container.pending import LAST_NS
 from logs.decoders.registry import decoder_for, kinds_of
 from logs.errors import InvalidRecordError
-from logs.messages import ObjectDetections, Odometry, Record, Transform
+from logs.messages import ImageDetections, ObjectDetections, Odometry, Record, Transform
 from logs.topics import RawMessage, RecordKind
 from logs.validation import Refusal
 
-_RESULTS = frozenset(
-    {RecordKind.OBJECT_MAP, RecordKind.OBJECT_TRUTH, RecordKind.TRAJECTORY, RecordKind.FACTOR_GRAPH}
-)  # each a whole result in one message
+_LARGE = frozenset(
+    {RecordKind.OBJECT_MAP, RecordKind.OBJECT_TRUTH, RecordKind.TRAJECTORY, RecordKind.FACTOR_GRAPH, RecordKind.DEPTH}
+)  # each a whole result, or an image, in one message
 
 
 def decode(
@@ -38,7 +38,7 @@ def decode(
         raise KeyError(f"{raw.topic}: {raw.channel.schema_name!r} does not decode to {kind}")
     limits = limits or ReadingLimits()
     try:
-        if kind not in _RESULTS and len(raw.data) > limits.input_bytes:
+        if kind not in _LARGE and len(raw.data) > limits.input_bytes:
             raise Refusal("too many bytes for limits.objects", f"{len(raw.data)}, more than {limits.input_bytes}")
         records = decoder(raw, kind, Counter() if counters is None else counters)
         for record in records:
@@ -58,6 +58,10 @@ def _check(record: Record, limits: ReadingLimits) -> None:
         if len(record.labels) > limits.objects:
             raise Refusal("more objects than limits.objects", f"{len(record.labels)}, more than {limits.objects}")
         names = (record.frame_id, *record.labels, *(record.track_ids or ()))
+    elif isinstance(record, ImageDetections):
+        if len(record.labels) > limits.objects:
+            raise Refusal("more objects than limits.objects", f"{len(record.labels)}, more than {limits.objects}")
+        names = (record.frame_id, *record.labels)
     elif isinstance(record, Odometry):
         names = (record.frame_id, record.child_frame_id)
     elif isinstance(record, Transform):

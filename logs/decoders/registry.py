@@ -32,6 +32,8 @@ ROS2_DETECTIONS = (
     "autoware_auto_perception_msgs/msg/TrackedObjects",
     "visualization_msgs/msg/MarkerArray",
     "geometry_msgs/msg/PoseArray",
+    "vision_msgs/msg/Detection2DArray",
+    "apriltag_msgs/msg/AprilTagDetectionArray",
 )
 _DEFINITIONS = ("ros2msg", "ros2idl")
 
@@ -60,6 +62,8 @@ _KINDS: dict[str, dict[str, tuple[RecordKind, ...]]] = {
         "geometry_msgs/msg/PoseWithCovarianceStamped": _POSE,
         "tf2_msgs/msg/TFMessage": _FRAMES,
         **dict.fromkeys(ROS2_DETECTIONS, (RecordKind.DETECTIONS,)),
+        "sensor_msgs/msg/CameraInfo": (RecordKind.CAMERA_INFO,),
+        "sensor_msgs/msg/Image": (RecordKind.DEPTH,),
     },
 }
 

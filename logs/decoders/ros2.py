@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from logs.decoders import ros2_detections as objects
+from logs.decoders import ros2_images as images
 from logs.decoders.cdr import parse
 from logs.decoders.parts import covariance_6x6, frame_records, pose_record
 from logs.messages import Record
@@ -89,4 +90,8 @@ _OBJECTS: dict[str, Callable[[Any, RawMessage, Counter[str]], tuple[Record, ...]
     "autoware_auto_perception_msgs/msg/TrackedObjects": objects.autoware_objects,
     "visualization_msgs/msg/MarkerArray": objects.markers,
     "geometry_msgs/msg/PoseArray": objects.poses,
+    "vision_msgs/msg/Detection2DArray": images.detections_2d,
+    "apriltag_msgs/msg/AprilTagDetectionArray": images.tags,
+    "sensor_msgs/msg/CameraInfo": images.camera_info,
+    "sensor_msgs/msg/Image": images.depth_image,
 }

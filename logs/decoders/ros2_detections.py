@@ -31,7 +31,7 @@ _ADD = 0
 def detections_3d(message: Any, raw: RawMessage, counters: Counter[str]) -> tuple[Record, ...]:
     """Records of a Detection3DArray."""
     groups = DetectionGroups()
-    own = _place(message.header, raw.log_time_ns)
+    own = place_of(message.header, raw.log_time_ns)
     groups.of(*own)
     for detection in message.detections:
         best = max(detection.results, key=lambda result: hypothesis_of(result)[1], default=None)
@@ -42,7 +42,7 @@ def detections_3d(message: Any, raw: RawMessage, counters: Counter[str]) -> tupl
         if best is not None and not has_box:
             center = best.pose.pose.position
             position = (center.x, center.y, center.z)
-        groups.of(*_place(detection.header, raw.log_time_ns, own)).add(
+        groups.of(*place_of(detection.header, raw.log_time_ns, own)).add(
             position,
             label,
             score,
@@ -56,7 +56,7 @@ def detections_3d(message: Any, raw: RawMessage, counters: Counter[str]) -> tupl
 def autoware_objects(message: Any, raw: RawMessage, counters: Counter[str]) -> tuple[Record, ...]:
     """Records of DetectedObjects or TrackedObjects."""
     groups = DetectionGroups()
-    detections = groups.of(*_place(message.header, raw.log_time_ns))
+    detections = groups.of(*place_of(message.header, raw.log_time_ns))
     names = _class_names(raw.channel.schema)
     for seen in message.objects:
         best = max(seen.classification, key=lambda c: c.probability, default=None)
@@ -91,7 +91,7 @@ def markers(message: Any, raw: RawMessage, counters: Counter[str]) -> tuple[Reco
     shapes = (_CUBE, _SPHERE, _CYLINDER, _MESH, _CUBE_LIST, _SPHERE_LIST)
     objects = [marker for marker in added if marker.type in shapes] or [m for m in added if m.type == _TEXT]
     for marker in objects:
-        detections = groups.of(*_place(marker.header, raw.log_time_ns))
+        detections = groups.of(*place_of(marker.header, raw.log_time_ns))
         size = None if marker.type == _TEXT else (marker.scale.x, marker.scale.y, marker.scale.z)
         track_id = f"{marker.ns}/{marker.id}"
         if marker.type in (_CUBE_LIST, _SPHERE_LIST):
@@ -108,7 +108,7 @@ def markers(message: Any, raw: RawMessage, counters: Counter[str]) -> tuple[Reco
 def poses(message: Any, raw: RawMessage, counters: Counter[str]) -> tuple[Record, ...]:
     """Records of a PoseArray."""
     groups = DetectionGroups()
-    detections = groups.of(*_place(message.header, raw.log_time_ns))
+    detections = groups.of(*place_of(message.header, raw.log_time_ns))
     label = raw.topic.rstrip("/").rpartition("/")[2]
     for pose in message.poses:
         detections.add((pose.position.x, pose.position.y, pose.position.z), label, 1.0)
@@ -142,7 +142,7 @@ def _turn(pose: Any, points: FloatArray) -> FloatArray:
     return points @ T[:3, :3].T + T[:3, 3]
 
 
-def _place(header: Any, log_time_ns: int, otherwise: tuple[int, str] | None = None) -> tuple[int, str]:
+def place_of(header: Any, log_time_ns: int, otherwise: tuple[int, str] | None = None) -> tuple[int, str]:
     """Stamp and frame of ``header``; those of ``otherwise`` where they are empty."""
     stamp = stamp_ns(header.stamp.sec, header.stamp.nanosec, log_time_ns if otherwise is None else otherwise[0])
     return stamp, header.frame_id or (otherwise[1] if otherwise else "")

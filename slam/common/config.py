@@ -105,6 +105,12 @@ class DetectionConfig(_Branch):
         default=1.0, gt=0, description="factor on the standard deviations that messages claim"
     )
     time_offset_s: float = Field(default=0.0, description="added to the stamps of detections [s]")
+    ground_z_m: float = Field(
+        default=0.0, description="height of the ground in the body frame, for objects in images without depth [m]"
+    )
+    tag_size_m: float = Field(
+        default=0.0, ge=0, description="side of the black square of tags whose poses are not on /tf; 0: not known [m]"
+    )
     assume_body_frame: bool = Field(
         default=False, description="take every detection to be in the body frame, whatever frame its message names"
     )

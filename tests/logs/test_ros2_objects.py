@@ -10,8 +10,9 @@ import pytest
 
 from logs.decoders.decode import decode
 from logs.decoders.registry import ROS2_DETECTIONS
+from logs.errors import InvalidRecordError, TopicSelectionError
 from logs.messages import ObjectDetections
-from logs.selection import select_topics
+from logs.selection import select_all, select_topics
 from logs.topics import TopicInfo
 from tests.helpers.ros2_logs import at, detection3d, encoded, header, vector
 
@@ -167,9 +168,72 @@ def test_detections_are_preferred_to_markers_and_poses_must_be_asked_for() -> No
     assert select_topics([odometry, poses, drawn]).topics_of("detections") == ("/markers",)
     chosen = select_topics([odometry, poses], {"detections": "/particles"})
     assert chosen.topics_of("detections") == ("/particles",)
-    from logs.errors import TopicSelectionError
 
     with pytest.raises(TopicSelectionError, match="say --topic detections=/particles"):
         select_topics([odometry, poses])
     with pytest.raises(TopicSelectionError, match=r"vision_msgs/msg/Detection3DArray.*foxglove\.SceneUpdate"):
         select_topics([odometry])
+
+
+def image(type_name: str, values: dict[str, Any], kind: str = "detections") -> list[Any]:
+    return list(decode(encoded(("/camera", type_name, SECOND, values)), kind))  # type: ignore[arg-type]
+
+
+def test_boxes_in_an_image_and_poses_that_a_detector_gives_itself() -> None:
+    def box(x: float, label: str, **place: Any) -> dict[str, Any]:
+        hypothesis = {"hypothesis": {"class_id": label, "score": 0.5}, "pose": {"pose": place}}
+        return {
+            "results": [hypothesis],
+            "bbox": {"center": {"position": {"x": x, "y": 2.0}}, "size_x": 3.0, "size_y": 4.0},
+        }
+
+    values = {"header": header(SECOND, "camera"), "detections": [box(1.0, "tree"), box(9.0, "car", **at(1, 2, 3))]}
+    placed, seen = image("vision_msgs/msg/Detection2DArray", values)
+    assert (placed.labels, placed.positions.tolist()) == (("car",), [[1.0, 2.0, 3.0]])
+    assert (seen.labels, seen.frame_id, seen.boxes.tolist()) == (("tree",), "camera", [[1.0, 2.0, 3.0, 4.0]])
+
+
+def test_tags_of_the_log() -> None:
+    corners = [{"x": 1.0, "y": 5.0}, {"x": 3.0, "y": 5.0}, {"x": 3.0, "y": 2.0}, {"x": 1.0, "y": 2.0}]
+    values = {"header": header(SECOND, "camera"), "detections": [{"family": "36h11", "id": 7, "corners": corners}]}
+    (seen,) = image("apriltag_msgs/msg/AprilTagDetectionArray", values)
+    assert (seen.labels, seen.boxes.tolist()) == (("36h11:7",), [[2.0, 3.5, 2.0, 3.0]])
+    assert seen.corners.shape == (1, 4, 2)
+
+
+def test_camera_info() -> None:
+    values = {"header": header(SECOND, "camera"), "k": [500, 0, 320, 0, 510, 240, 0, 0, 1], "d": [0.1, 0.2, 0, 0, 0]}
+    (camera,) = image("sensor_msgs/msg/CameraInfo", values, "camera_info")
+    assert (camera.frame_id, camera.K[1, 1], camera.distortion.tolist()) == ("camera", 510.0, [0.1, 0.2, 0.0, 0.0, 0.0])
+    assert image("sensor_msgs/msg/CameraInfo", {}, "camera_info") == []
+
+
+@pytest.mark.parametrize(("encoding", "dtype"), [("16UC1", "<u2"), ("32FC1", "<f4"), ("16UC1", ">u2")])
+def test_images_with_depth(encoding: str, dtype: str) -> None:
+    depths = np.array([[1000, 0, 3000], [500, 2000, 0]], dtype=dtype)
+    if encoding == "32FC1":
+        depths = (depths * 1e-3).astype(dtype)
+    padded = np.zeros((2, 3 * depths.itemsize + 2), np.uint8)
+    padded[:, :-2] = np.frombuffer(depths.tobytes(), np.uint8).reshape(2, -1)
+    values = {"height": 2, "width": 3, "step": padded.shape[1], "encoding": encoding, "data": padded}
+    (found,) = image("sensor_msgs/msg/Image", {**values, "is_bigendian": dtype.startswith(">")}, "depth")
+    np.testing.assert_allclose(found.depths, [[1.0, np.nan, 3.0], [0.5, 2.0, np.nan]], rtol=1e-6)
+    for wrong in ({"encoding": "rgb8"}, {"height": 3}, {"step": 2}):
+        with pytest.raises(InvalidRecordError):
+            image("sensor_msgs/msg/Image", {**values, **wrong}, "depth")
+
+
+def test_cameras_and_depth_are_read_where_objects_are_in_images() -> None:
+    odometry = info("/odom", "nav_msgs/msg/Odometry", "odometry", "ground_truth")
+    boxes = info("/boxes", "vision_msgs/msg/Detection2DArray", "detections")
+    camera = info("/camera_info", "sensor_msgs/msg/CameraInfo", "camera_info")
+    images = [info(f"/{name}/image", "sensor_msgs/msg/Image", "depth") for name in ("color", "depth", "aligned_depth")]
+    chosen = select_topics([odometry, boxes, camera, *images])
+    assert (chosen.topics_of("camera_info"), chosen.topics_of("depth")) == (
+        ("/camera_info",),
+        ("/aligned_depth/image",),
+    )
+    objects = info("/objects", "vision_msgs/msg/Detection3DArray", "detections")
+    chosen = select_topics([odometry, objects, camera, *images])
+    assert chosen.topics == ("/objects", "/odom")
+    assert "/color/image" not in select_all([odometry, *images]).topics

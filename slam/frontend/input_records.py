@@ -1,0 +1,67 @@
+"""The records of a log as the mapper takes them: objects in three dimensions, under their names in the map."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from logs.messages import CameraModel, DepthImage, ImageDetections, ObjectDetections, Odometry, Record
+from slam.common.config import Config
+from slam.common.errors import InputDataError
+from slam.frontend.image_detections import ImageLifter
+from slam.frontend.label_map import LabelMap
+from slam.frontend.sensor_frames import SensorFrames
+
+_REMEDIES = {
+    "objects_without_camera_info": "no CameraInfo has their frame: record it, or choose it with "
+    "--topic camera_info=/topic",
+    "objects_without_tag_size": "their size is not known: --set detection.tag_size_m, or record the /tf of their poses",
+    "objects_without_depth": "no depth image has their frame (--topic depth=/topic), and their feet are not on the "
+    "ground in view (/tf from the body to the camera, detection.ground_z_m)",
+}
+
+
+class InputRecords:
+    """Prepares the records of one pass over a log."""
+
+    def __init__(self, config: Config, labels: LabelMap, frames: SensorFrames) -> None:
+        self._labels = labels
+        self._lifter = ImageLifter(config.detection, frames)
+        self._frame = ""
+        self._placed = 0
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """Objects in images that could not be placed, by the reason."""
+        return dict(self._lifter.counters)
+
+    def prepare(self, records: Iterable[Record]) -> Iterator[Record]:
+        """The records to map, without those that only help to place others."""
+        for record in records:
+            prepared = self._prepared(record)
+            if prepared is not None:
+                yield prepared
+
+    def _prepared(self, record: Record) -> Record | None:
+        if isinstance(record, (CameraModel, DepthImage)):
+            self._lifter.add(record)
+            return None
+        if isinstance(record, ImageDetections):
+            self._frame = record.frame_id
+            record = self._lifter.lift(record)
+            self._placed += len(record.labels)
+        elif isinstance(record, Odometry):
+            self._lifter.body_frame = record.child_frame_id
+        return self._labels.apply(record) if isinstance(record, ObjectDetections) else record
+
+    def check(self) -> None:
+        """Refuse a log whose objects are all in images and could not be placed.
+
+        Raises:
+            InputDataError: tells the most frequent reason and what to do.
+        """
+        if self._lifter.counters and not self._placed:
+            ((reason, count),) = self._lifter.counters.most_common(1)
+            raise InputDataError(
+                f"none of {self._lifter.counters.total()} objects in images of {self._frame or 'a camera'} could be "
+                f"placed; of {count}, {_REMEDIES[reason]}"
+            )
