@@ -189,3 +189,23 @@ def test_no_file_of_the_input_is_overwritten(bags: dict[str, Path], tmp_path: Pa
     bag = break_bag(bags["split"], tmp_path)
     with pytest.raises(UnwritableLogError, match="would overwrite the input"):
         replay(bag, bag / "part_1.mcap", Config())
+
+
+def test_chunks_without_a_wanted_topic_are_not_decompressed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from logs.container import file_index
+
+    picture = {"height": 1, "width": 500_000, "step": 500_000, "encoding": "rgb8", "data": np.zeros(500_000)}
+    messages: list[Message] = []
+    for i in range(30):
+        if i % 10 == 0:
+            messages.append(("/odom", "nav_msgs/msg/Odometry", i, {}))
+        messages.append(("/image", "sensor_msgs/msg/Image", i, picture))
+    bag = write_bag(tmp_path / "bag", messages)
+    loaded = []
+    inner = file_index.read_chunk
+    monkeypatch.setattr(file_index, "read_chunk", lambda *args: loaded.append(args[1].offset) or inner(*args))
+    with LogReader(bag) as reader:
+        assert len(list(reader.messages({"/odom"}))) == 3
+        assert len(set(loaded)) == 3
+        assert len(list(reader.messages())) == 33
+        assert len(set(loaded)) == 10

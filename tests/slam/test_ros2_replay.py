@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from google.protobuf.json_format import MessageToJson
 
+from logs.decoders.protobuf import DECODERS
 from logs.messages import GroundTruthPose, ObjectDetections, Odometry
+from logs.topics import Channel, Schema
+from logs.writer import LogWriter
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import read_records
-from slam.replay import ReplaySummary, replay
+from slam.replay import ReplaySummary
+from slam.replay import replay as run_replay
 from tests.helpers.ros2_logs import Message, detections3d, header, ros2_messages, tf, write_bag
-from tests.helpers.short_drives import drive, keep_until
+from tests.helpers.short_drives import drive, keep_until, raw_messages, records_of, write_log
 
 SECONDS = 25.0
 UNCALIBRATED = Config.model_validate({"calibration": {"enabled": False}})
@@ -48,6 +54,32 @@ def swinging(*, own_frame: bool = True, told: bool = True) -> list[Message]:
     return found + [_tf(time_ns, "base_link", "mast", T_body_mast(time_ns)) for time_ns in times]
 
 
+def as_json(source: Path, path: Path) -> Path:
+    """The same log with every message in JSON."""
+    with LogWriter(path) as writer:
+        for raw in raw_messages(source):
+            message = DECODERS[raw.channel.schema_name][0].FromString(raw.data)
+            schema = Schema(1, raw.channel.schema_name, "jsonschema", b"{}")
+            channel = Channel(raw.channel.id, raw.topic, "json", schema)
+            writer.write_raw(replace(raw, channel=channel, data=MessageToJson(message).encode()))
+    return path
+
+
+@pytest.mark.slow
+def test_one_drive_in_three_encodings_is_one_map(tmp_path: Path) -> None:
+    entries = keep_until(drive(), SECONDS)
+    protobuf = write_log(tmp_path / "drive.mcap", entries)
+    bag = write_bag(tmp_path / "bag", ros2_messages(entries), storage="sqlite3")
+    maps = []
+    for source in (protobuf, as_json(protobuf, tmp_path / "json.mcap"), bag):
+        run_replay(source, tmp_path / "out.mcap", Config())
+        maps.append(records_of(tmp_path / "out.mcap", "/slam/map")[-1])
+    for other in maps[1:]:
+        assert other.labels == maps[0].labels
+        np.testing.assert_allclose(other.positions, maps[0].positions, atol=1e-9)
+    assert maps[0].states.count("confirmed") > 10
+
+
 def _tf(time_ns: int, parent: str, child: str, T: np.ndarray) -> Message:
     return "/tf", "tf2_msgs/msg/TFMessage", time_ns, {"transforms": [tf(time_ns, parent, child, T)]}
 
@@ -55,7 +87,7 @@ def _tf(time_ns: int, parent: str, child: str, T: np.ndarray) -> Message:
 def replayed(tmp_path: Path, messages: list[Message], **bag: Any) -> tuple[ReplaySummary, float]:
     messages = sorted(messages, key=lambda message: message[2])
     output = tmp_path / "out.mcap"
-    summary = replay(write_bag(tmp_path / "bag", messages, **bag), output, UNCALIBRATED)
+    summary = run_replay(write_bag(tmp_path / "bag", messages, **bag), output, UNCALIBRATED)
     trajectory = evaluate(read_records(output)).estimate
     assert trajectory is not None
     return summary, trajectory.absolute.rmse_m
