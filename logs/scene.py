@@ -14,12 +14,13 @@ from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.Point3_pb2 import Point3
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from logs.messages import SceneLines, SceneMarkers, ScenePoints
+from logs.messages import FloatArray, SceneLines, SceneMarkers, ScenePoints
 
 _SHAPES = ("cubes", "spheres", "cylinders")
 _SHAPE_SIZE_M = 0.6
@@ -74,6 +75,21 @@ def encode_lines(lines: SceneLines) -> Message:
         strip.pose.orientation.w = 1.0
         strip.points.extend(Point3(x=x, y=y, z=z) for x, y, z in polyline.tolist())
     return update
+
+
+def decode_lines(data: bytes) -> tuple[FloatArray, ...]:
+    """The polylines (n, 3) m of an update that :func:`encode_lines` made."""
+    return tuple(
+        np.array([(point.x, point.y, point.z) for point in line.points]).reshape(-1, 3)
+        for entity in SceneUpdate.FromString(data).entities
+        for line in entity.lines
+    )
+
+
+def decode_position(data: bytes) -> FloatArray:
+    """The position (3,) m of a foxglove.PoseInFrame."""
+    position = PoseInFrame.FromString(data).pose.position
+    return np.array([position.x, position.y, position.z])
 
 
 def encode_points(points: ScenePoints) -> Message:

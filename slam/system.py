@@ -146,9 +146,9 @@ class Slam:
         return self._map_waiting_scans()
 
     def snapshot(self) -> MapSnapshot | None:
-        """The map as it is known now, for viewers; None if there is no keyframe that the last one did not have."""
+        """The map as it is known now, for viewers; None if no keyframe has brought it up to date since the last one."""
         keyframes = self._mapper.keyframes
-        if len(keyframes) == self._keyframes_shown:
+        if len(keyframes) == self._keyframes_shown or keyframes[-1].id % self._config.factor_graph.update_keyframes:
             return None
         self._keyframes_shown = len(keyframes)
         return self._snapshot()

@@ -14,7 +14,6 @@ import typer
 from tools import (
     config,
     degrade,
-    export,
     import_logs,
     info,
     optimize,
@@ -25,6 +24,7 @@ from tools import (
 )
 from tools.benchmarks import commands as benchmark
 from tools.evaluation import compare, evaluate, sweep
+from tools.results import export, view
 
 BAD_INPUT = 2
 INTERNAL_ERROR = 70
@@ -52,6 +52,7 @@ app.command()(relocalize.relocalize)
 app.command()(evaluate.evaluate)
 app.command()(compare.compare)
 app.command()(sweep.sweep)
+app.command()(view.view)
 app.command()(export.export)
 app.command()(optimize.optimize)
 app.command()(config.config)

@@ -33,3 +33,7 @@ class EvaluationError(SlamError):
 
 class SimulationError(SlamError):
     """A world or drive that cannot be simulated."""
+
+
+class ViewerError(SlamError):
+    """A viewer that is not installed, or cannot start."""

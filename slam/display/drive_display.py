@@ -28,6 +28,7 @@ class DriveDisplay:
         """``ground_truth``: what the frame of the truth is tied to the map by."""
         self._map = MapTopics(sensor_range_m)
         self._frames = Frames(ground_truth)
+        self._is_closed = False  # since the map was shown last
 
     def show(self, update: Record) -> Iterator[Message]:
         """Messages about one update of the estimate."""
@@ -42,9 +43,11 @@ class DriveDisplay:
                 self._frames.detach_from_map()
             yield LOG, LogMessage(update.stamp_ns, update.level, f"{update.state.lower()}: {update.message}")
         elif isinstance(update, LoopClosureRecord) and update.inserted:
+            self._is_closed = True
             text = f"loop closed: keyframe {update.query_keyframe_id} with {update.reference_keyframe_id}"
             yield LOG, LogMessage(update.stamp_ns, "info", text)
 
     def show_map(self, snapshot: MapSnapshot, *, is_final: bool = False) -> list[Message]:
         """Messages about the map; all of it if ``is_final``."""
-        return self._map.update(snapshot, is_final=is_final)
+        is_closed, self._is_closed = self._is_closed, False
+        return self._map.update(snapshot, is_closed=is_closed, is_final=is_final)

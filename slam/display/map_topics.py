@@ -21,7 +21,7 @@ INTERVAL_NS = 5_000_000_000
 """The whole map is written again when so much time has passed."""
 TOLERANCE_RANGES = 1.0 / 3000.0
 """What has moved by less, in sensor ranges, stays where viewers have it."""
-_POINTS_OF_CLOSURE = 9
+_POINTS_OF_CLOSURE = 5
 
 Message = tuple[str, Record]
 """Topic and record."""
@@ -41,10 +41,9 @@ class MapTopics:
         self._path = np.zeros((0, 3))
         self._written_positions = self._positions
         self._written_ns: int | None = None
-        self._closure_count = 0
 
-    def update(self, snapshot: MapSnapshot, *, is_final: bool = False) -> list[Message]:
-        """What viewers must be told; all of it if ``is_final``."""
+    def update(self, snapshot: MapSnapshot, *, is_closed: bool = False, is_final: bool = False) -> list[Message]:
+        """What viewers must be told: the whole map if a loop ``is_closed``; all that was told anew if ``is_final``."""
         if is_final:
             self._positions = np.full_like(self._positions, np.nan)
         removed = np.setdiff1d(np.flatnonzero(np.isfinite(self._positions[:, 0])), snapshot.landmarks)
@@ -54,8 +53,11 @@ class MapTopics:
         if len(changed) or len(removed) or is_final:
             messages.append((LANDMARKS, self._markers(snapshot.stamp_ns, changed, removed, replaces=is_final)))
         messages.append((SUBMAP, self._submap(snapshot)))
-        if is_final or self._is_due(snapshot):
-            messages += self._whole_map(snapshot)
+        is_due = self._written_ns is None or snapshot.stamp_ns - self._written_ns >= INTERVAL_NS
+        if is_due or is_closed or is_final:
+            messages += [self._landmark_points(snapshot.stamp_ns), *self._path_and_closures(snapshot)]
+        elif not self._are_points_right():
+            messages.append(self._landmark_points(snapshot.stamp_ns))
         return messages
 
     def _take_over(self, snapshot: MapSnapshot) -> IntArray:
@@ -73,18 +75,20 @@ class MapTopics:
         self._labels.update((int(ids[row]), snapshot.labels[row]) for row in changed)
         return ids[changed]
 
-    def _is_due(self, snapshot: MapSnapshot) -> bool:
-        """Whether the whole map is to be written: in time, after a closure, or when what stands there is wrong."""
-        if self._written_ns is None or snapshot.stamp_ns - self._written_ns >= INTERVAL_NS:
-            return True
+    def _are_points_right(self) -> bool:
+        """Whether all that stands in the last cloud of landmarks is still there."""
         written = np.flatnonzero(np.isfinite(self._written_positions[:, 0]))
         is_right = _are_near(self._positions[written], self._written_positions[written], 2.0 * self._tolerance_m)
-        return len(snapshot.closures) != self._closure_count or not is_right.all()
+        return bool(is_right.all())
 
-    def _whole_map(self, snapshot: MapSnapshot) -> list[Message]:
-        self._written_ns = snapshot.stamp_ns
+    def _landmark_points(self, stamp_ns: int) -> Message:
         self._written_positions = self._positions.copy()
-        self._closure_count = len(snapshot.closures)
+        shown = np.flatnonzero(np.isfinite(self._positions[:, 0]))
+        colors = np.array([class_color(self._labels[each]) for each in shown.tolist()]).reshape(-1, 4)
+        return LANDMARK_POINTS, ScenePoints(stamp_ns, MAP_FRAME, self._positions[shown], colors)
+
+    def _path_and_closures(self, snapshot: MapSnapshot) -> list[Message]:
+        self._written_ns = snapshot.stamp_ns
         path = np.concatenate([*snapshot.path, np.zeros((0, 3))])
         known = path[: len(self._path)]
         path[: len(self._path)] = np.where(
@@ -96,10 +100,7 @@ class MapTopics:
         starts, ends = snapshot.closures[:, :1], snapshot.closures[:, 1:]
         dots = (starts + fractions * (ends - starts)).reshape(-1, 3)
         at = snapshot.stamp_ns
-        shown = np.flatnonzero(np.isfinite(self._positions[:, 0]))
-        colors = np.array([class_color(self._labels[int(i)]) for i in shown]).reshape(-1, 4)
         return [
-            (LANDMARK_POINTS, ScenePoints(at, MAP_FRAME, self._positions[shown], colors)),
             (PATH, SceneLines(at, MAP_FRAME, polylines, PATH_COLOR)),
             (PATH_POINTS, _points(at, path, PATH_COLOR)),
             (CLOSURES, SceneLines(at, MAP_FRAME, tuple(snapshot.closures), CLOSURE_COLOR)),

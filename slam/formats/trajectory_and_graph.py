@@ -13,7 +13,10 @@ import numpy as np
 from logs.messages import FactorGraphRecord, ObjectMapRecord, TrajectoryRecord
 from slam.common.arrays import FloatArray
 from slam.common.errors import InputDataError
+from slam.common.geometry import invert
 from slam.formats.g2o import TRANSLATION_FIRST, format_numbers, quaternions, write_lines
+
+T_BODY_CAMERA = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
 def write_tum(path: str | Path, trajectory: TrajectoryRecord) -> None:
@@ -44,6 +47,19 @@ def write_kitti(path: str | Path, trajectory: TrajectoryRecord) -> None:
     """
     poses = _checked_poses(trajectory.T_map_body, trajectory.stamps_ns)
     write_lines(path, (format_numbers(T[:3].ravel()) for T in poses))
+
+
+def write_kitti_camera(path: str | Path, trajectory: TrajectoryRecord) -> None:
+    """Write poses as KITTI's own files have them: of a camera (x right, y down, z ahead), from where it was first.
+
+    The camera is taken to be at the origin of the body, and to look along its x axis.
+
+    Raises:
+        InputDataError: stamps and poses differ in number, or a pose is not finite.
+        UnwritableLogError: the file cannot be written.
+    """
+    poses = _checked_poses(trajectory.T_map_body, trajectory.stamps_ns) @ T_BODY_CAMERA
+    write_lines(path, (format_numbers(T[:3].ravel()) for T in invert(poses[:1]) @ poses))
 
 
 def write_g2o(path: str | Path, graph: FactorGraphRecord, object_map: ObjectMapRecord | None = None) -> None:

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from logs.errors import TopicSelectionError
-from logs.messages import GroundTruthPose, SlamPose, Transform
+from logs.messages import GroundTruthPose, LoopClosureRecord, SlamPose, Transform
 from logs.reader import LogReader
 from logs.selection import select_topics
 from slam.common.config import CalibrationConfig, Config
 from slam.common.geometry import transform_from_xyz_yaw
+from slam.display.drive_display import DriveDisplay
 from slam.display.frames import Frames
 from slam.display.map_topics import LANDMARK_POINTS, LANDMARKS, MapTopics
 from slam.display.snapshot import MapSnapshot
@@ -100,7 +101,7 @@ def test_closures_are_lines_and_dots_between_their_keyframes():
     closures = np.array([[[0.0, 0, 0], [8.0, 0, 0]]])
     messages = dict(MapTopics(30.0).update(replace(snapshot(0, {}), closures=closures)))
     np.testing.assert_array_equal(messages["/slam/closure_lines"].polylines, closures)
-    np.testing.assert_array_equal(messages["/slam/closure_points"].positions[:, 0], np.arange(9))
+    np.testing.assert_array_equal(messages["/slam/closure_points"].positions[:, 0], np.arange(0.0, 9.0, 2.0))
 
 
 @pytest.mark.slow
@@ -115,11 +116,11 @@ def test_chosen_topics_are_copied(logs, tmp_path):
     assert copied
 
 
-def snapshot(stamp_s: float, positions: dict[int, list[float]], closures: int = 0) -> MapSnapshot:
+def snapshot(stamp_s: float, positions: dict[int, list[float]]) -> MapSnapshot:
     return MapSnapshot(
         stamp_ns=round(stamp_s * 1e9),
         path=(np.zeros((2, 3)),),
-        closures=np.zeros((closures, 2, 3)),
+        closures=np.zeros((0, 2, 3)),
         landmarks=np.array(sorted(positions), dtype=np.int64),
         positions=np.array([positions[key] for key in sorted(positions)]).reshape(-1, 3),
         labels=("tree",) * len(positions),
@@ -143,20 +144,32 @@ def test_only_what_changed_is_told():
 
 
 @pytest.mark.parametrize(
-    ("after", "is_written"),
+    ("after", "written"),
     [
-        (snapshot(1, {1: [0.0, 0, 0], 2: [5.0, 0, 0]}), False),
-        (snapshot(6, {1: [0.0, 0, 0], 2: [5.0, 0, 0]}), True),
-        (snapshot(1, {1: [0.0, 0, 0]}), True),
-        (snapshot(1, {1: [0.0, 0, 0], 2: [5.5, 0, 0]}), True),
-        (snapshot(1, {1: [0.0, 0, 0], 2: [5.0, 0, 0]}, closures=1), True),
+        (snapshot(1, {1: [0.0, 0, 0], 2: [5.0, 0, 0]}), set()),
+        (snapshot(6, {1: [0.0, 0, 0], 2: [5.0, 0, 0]}), {LANDMARK_POINTS, "/slam/path"}),
+        (snapshot(1, {1: [0.0, 0, 0]}), {LANDMARK_POINTS}),
+        (snapshot(1, {1: [0.0, 0, 0], 2: [5.5, 0, 0]}), {LANDMARK_POINTS}),
     ],
-    ids=["nothing", "time", "retired", "moved", "closure"],
+    ids=["nothing", "time", "retired", "moved"],
 )
-def test_the_whole_map_is_written_when_it_is_due(after, is_written):
+def test_the_whole_map_is_written_when_it_is_due(after, written):
     topics = MapTopics(30.0)
     topics.update(snapshot(0, {1: [0.0, 0, 0], 2: [5.0, 0, 0]}))
-    assert (LANDMARK_POINTS in dict(topics.update(after))) == is_written
+    assert {LANDMARK_POINTS, "/slam/path"} & dict(topics.update(after)).keys() == written
+
+
+def test_the_whole_map_is_written_after_a_closure():
+    display = DriveDisplay(30.0)
+    display.show_map(snapshot(0, {1: [0.0, 0, 0]}))
+    assert "/slam/path" not in dict(display.show_map(snapshot(1, {1: [0.0, 0, 0]})))
+    closure = LoopClosureRecord(
+        2, 8, 3, accepted=True, stage="accepted", reason="", retrieval_distance=0.0, inserted=True
+    )
+    ((topic, told),) = display.show(closure)
+    assert (topic, told.text) == ("/slam/log", "loop closed: keyframe 8 with 3")
+    assert "/slam/path" in dict(display.show_map(snapshot(2, {1: [0.0, 0, 0]})))
+    assert "/slam/path" not in dict(display.show_map(snapshot(3, {1: [0.0, 0, 0]})))
 
 
 def test_the_world_is_tied_where_truth_and_estimate_are_both_known():

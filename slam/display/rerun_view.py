@@ -1,0 +1,180 @@
+"""A drive in Rerun: the layout, the log of a drive, and the drive while it is mapped.
+
+Rerun draws the point clouds, frames, texts and images of a log by itself; lines and the robot are added to them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from logs.messages import FrameTree, LogMessage, Record, SceneLines, ScenePoints, SlamPose
+from logs.reader import LogReader
+from logs.scene import decode_lines, decode_position
+from slam.common.arrays import FloatArray
+from slam.common.errors import ViewerError
+from slam.display.map_topics import (
+    CLOSURE_COLOR,
+    CLOSURE_POINTS,
+    CLOSURES,
+    LANDMARK_POINTS,
+    MAP_FRAME,
+    PATH,
+    PATH_COLOR,
+    PATH_POINTS,
+    SUBMAP,
+)
+
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+APPLICATION = "dslam"
+TIMELINE = "message_log_time"
+POSE, ROBOT, LOG = "/slam/pose", "/slam/robot", "/slam/log"
+ROBOT_COLOR = (1.0, 0.85, 0.1, 1.0)
+_LINE_COLORS = {PATH: PATH_COLOR, CLOSURES: CLOSURE_COLOR}
+_IMAGES = ("foxglove.CompressedImage", "foxglove.RawImage", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
+_PIXELS = {LANDMARK_POINTS: 4.5, SUBMAP: 2.0, ROBOT: 7.0, PATH: 1.5, CLOSURES: 2.0}
+_REMEDY = "install it by: pip install 'descriptellation-slam[view]'"
+
+
+def import_rerun() -> None:
+    """Check that Rerun is there.
+
+    Raises:
+        ViewerError: it is not.
+    """
+    try:
+        import rerun  # noqa: F401
+    except ImportError as error:
+        raise ViewerError(f"Rerun is not installed; {_REMEDY}") from error
+
+
+def make_blueprint(extent: FloatArray | None = None, images: Collection[str] = ()) -> rrb.Blueprint:
+    """The layout: the map from above, beside it the texts and the images.
+
+    Args:
+        extent: (2, 3) m, corners of what is to be in sight; without it the robot is followed.
+        images: topics.
+    """
+    import rerun.blueprint as rrb
+
+    eye = rrb.EyeControls3D(tracking_entity=ROBOT)
+    if extent is not None:
+        centre, size_m = extent.mean(axis=0), float(np.linalg.norm(extent[1] - extent[0]))
+        position = centre + size_m * np.array([0.0, -0.35, 0.75])
+        eye = rrb.EyeControls3D(position=position, look_target=centre, eye_up=(0.0, 0.0, 1.0))
+    the_map = rrb.Spatial3DView(
+        name="map",
+        contents=["$origin/**", f"- {PATH_POINTS}", f"- {CLOSURE_POINTS}"],
+        spatial_information=rrb.SpatialInformation(target_frame=MAP_FRAME),
+        eye_controls=eye,
+    )
+    beside = [rrb.TextLogView(origin=LOG, name="log")]
+    beside += [rrb.Spatial2DView(origin=topic, name=topic) for topic in images]
+    return rrb.Blueprint(
+        rrb.Horizontal(the_map, rrb.Vertical(*beside), column_shares=[3, 1]),
+        rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        auto_views=False,
+    )
+
+
+def blueprint_of(log: Path) -> rrb.Blueprint:
+    """The layout for a log: all of its path is in sight, and each of its images has a view."""
+    with LogReader(log) as reader:
+        images = [info.topic for info in reader.topics() if info.schema_name in _IMAGES]
+        paths = [decode_lines(raw.data) for raw in reader.messages([PATH])]
+    corners = np.concatenate([*(paths[-1] if paths else ()), np.zeros((0, 3))])
+    return make_blueprint(np.stack([corners.min(axis=0), corners.max(axis=0)]) if len(corners) else None, images)
+
+
+def send_log(log: Path, recording: rr.RecordingStream) -> None:
+    """Send all of a log to a recording."""
+    import rerun as rr
+    from rerun.chunk import McapReader
+
+    recording.send_chunks(McapReader(log).stream())
+    _style(recording)
+    poses_ns, positions = [], []
+    with LogReader(log) as reader:
+        for raw in reader.messages([PATH, CLOSURES, POSE]):
+            if raw.topic == POSE:
+                poses_ns.append(raw.log_time_ns)
+                positions.append(decode_position(raw.data))
+            else:
+                _set_time(recording, raw.log_time_ns)
+                recording.log(raw.topic, _lines(decode_lines(raw.data), raw.topic))
+    if positions:
+        times = rr.TimeColumn(TIMELINE, timestamp=np.array(poses_ns, dtype="datetime64[ns]"))
+        recording.send_columns(ROBOT, [times], rr.Points3D.columns(positions=np.array(positions)))
+
+
+class LiveView:
+    """Shows the messages of a drive while they are made."""
+
+    def __init__(self, recording: rr.RecordingStream) -> None:
+        self._recording = recording
+        _style(recording)
+
+    def show(self, topic: str, record: Record, log_time_ns: int) -> None:
+        """Show a message; one that is not for viewers is passed over."""
+        import rerun as rr
+
+        _set_time(self._recording, log_time_ns)
+        match record:
+            case ScenePoints():
+                points = rr.Points3D(record.positions, colors=record.colors, radii=_radius(topic))
+                self._recording.log(topic, points)
+            case SceneLines():
+                self._recording.log(topic, _lines(record.polylines, topic))
+            case LogMessage():
+                self._recording.log(topic, rr.TextLog(record.text, level=record.level.upper()))
+            case SlamPose():
+                self._recording.log(ROBOT, rr.Points3D([record.T_map_body[:3, 3]]))
+            case FrameTree():
+                for each in record.transforms:
+                    transform = rr.Transform3D(
+                        translation=each.T_parent_child[:3, 3],
+                        mat3x3=each.T_parent_child[:3, :3],
+                        parent_frame=each.parent_frame_id,
+                        child_frame=each.child_frame_id,
+                    )
+                    self._recording.log(f"{topic}/{each.child_frame_id}", transform)
+
+
+def _style(recording: rr.RecordingStream) -> None:
+    """Frames and sizes of what is drawn, for all times."""
+    import rerun as rr
+
+    for topic in (LANDMARK_POINTS, SUBMAP, PATH, PATH_POINTS, CLOSURES, CLOSURE_POINTS, ROBOT):
+        recording.log(topic, rr.CoordinateFrame(MAP_FRAME), static=True)
+    for topic in (LANDMARK_POINTS, SUBMAP):
+        recording.log(topic, rr.Points3D.from_fields(radii=_radius(topic)), static=True)
+    color = _bytes(ROBOT_COLOR)
+    recording.log(ROBOT, rr.Points3D.from_fields(radii=_radius(ROBOT), colors=[color]), static=True)
+
+
+def _lines(polylines: tuple[FloatArray, ...], topic: str) -> rr.LineStrips3D:
+    import rerun as rr
+
+    return rr.LineStrips3D(polylines, colors=[_bytes(_LINE_COLORS[topic])], radii=_radius(topic))
+
+
+def _radius(topic: str) -> float:
+    import rerun as rr
+
+    return float(rr.Radius.ui_points(_PIXELS.get(topic, 2.0)))
+
+
+def _bytes(color: tuple[float, float, float, float]) -> tuple[int, ...]:
+    return tuple(round(255 * part) for part in color)
+
+
+def _set_time(recording: rr.RecordingStream, log_time_ns: int) -> None:
+    recording.set_time(TIMELINE, timestamp=np.datetime64(log_time_ns, "ns"))

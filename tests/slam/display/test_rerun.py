@@ -1,0 +1,114 @@
+"""What Rerun's viewer draws of a mapped drive: screenshots without a screen, by a software renderer."""
+
+from __future__ import annotations
+
+import io
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from logs.reader import LogReader
+from logs.writer import LogWriter
+from slam.common.errors import ViewerError
+from slam.display.map_topics import LANDMARK_POINTS, PATH_COLOR, SUBMAP
+from slam.replay import replay
+from tests.helpers.short_drives import drive, write_log
+
+pytest.importorskip("rerun", reason="Rerun is an extra: pip install 'descriptellation-slam[view]'")
+from PIL import Image
+from rerun.experimental import ViewerClient
+
+from slam.display.rerun_view import TIMELINE
+from slam.display.rerun_viewer import start_viewer
+from tools.cli import run
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not list(Path("/usr/share/vulkan/icd.d").glob("*")), reason="needs a Vulkan driver"),
+]
+SETTLE_FRAMES = 2
+
+
+@pytest.fixture(scope="module")
+def output(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("rerun")
+    replay(write_log(folder / "drive.mcap", drive()), folder / "map.mcap")
+    return folder / "map.mcap"
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[ViewerClient]:
+    viewer, address = start_viewer(["--headless"])
+    try:
+        client = ViewerClient.connect(address)
+        client.open(str(path))
+        yield client
+    finally:
+        viewer.terminate()
+        viewer.wait(timeout=20)
+
+
+def screenshot(client: ViewerClient, at_ns: int) -> np.ndarray:
+    """(H, W, 3) of the map at a time; the first pictures may still be incomplete."""
+    client.set_time(TIMELINE, timestamp=np.datetime64(at_ns, "ns"), play_state="paused")
+    (view,) = [view.view_id for view in client.get_state().views if view.view_class == "3D"]
+    for _ in range(SETTLE_FRAMES):
+        png = client.take_screenshot(view)
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(np.int64)
+
+
+def pixels_of(picture: np.ndarray, color: tuple[float, ...]) -> int:
+    distance = np.linalg.norm(picture - 255 * np.array(color[:3]), axis=2)
+    return int(np.count_nonzero(distance < 90))
+
+
+def times(path: Path) -> list[int]:
+    with LogReader(path) as reader:
+        (info,) = [info for info in reader.topics() if info.topic == "/odom"]
+    first, last = info.first_log_time_ns, info.last_log_time_ns
+    return [round(first + fraction * (last - first)) for fraction in (0.3, 0.6, 1.0)]
+
+
+def colorful(picture: np.ndarray) -> int:
+    """Pixels of a strong colour, which neither background nor grid have."""
+    return int(np.count_nonzero(picture.max(axis=2) - picture.min(axis=2) > 60))
+
+
+def test_the_view_of_a_drive_is_not_empty_at_any_time(output, tmp_path):
+    recording = tmp_path / "drive.rrd"
+    assert run(["view", str(output), "--save", str(recording)]) == 0
+    with opened(recording) as client:
+        pictures = [screenshot(client, at_ns) for at_ns in times(output)]
+    paths = [pixels_of(picture, PATH_COLOR) for picture in pictures]
+    assert 50 < paths[0] < paths[1] < paths[2]
+    assert all(colorful(picture) > pixels + 50 for picture, pixels in zip(pictures, paths, strict=True))
+
+
+def test_rerun_draws_the_log_itself(output):
+    with opened(output) as client:
+        assert colorful(screenshot(client, times(output)[2])) > 50
+
+
+def test_a_log_without_the_map_fails_these_tests(output, tmp_path):
+    empty = tmp_path / "empty.mcap"
+    with LogReader(output) as reader, LogWriter(empty) as writer:
+        for raw in reader.messages():
+            if not raw.topic.endswith("_points") and raw.topic not in (LANDMARK_POINTS, SUBMAP):
+                writer.write_raw(raw)
+    with opened(empty) as client:
+        assert [view.view_class for view in client.get_state().views if view.view_class == "3D"] == []
+
+
+def test_a_log_that_was_not_mapped_is_refused(output, tmp_path, capsys):
+    assert run(["view", str(output.parent / "drive.mcap"), "--save", str(tmp_path / "x.rrd")]) == 2
+    assert "/slam/path" in capsys.readouterr().err
+
+
+def test_a_viewer_that_cannot_start_is_told(monkeypatch):
+    monkeypatch.setattr("slam.display.rerun_viewer._executable", lambda: shutil.which("false"))
+    with pytest.raises(ViewerError, match="ended with code 1"):
+        start_viewer()

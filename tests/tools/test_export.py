@@ -1,0 +1,132 @@
+"""What other programs get: read back by their own readers, or by ours where there is none."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+from logs.storage.ros2_definitions import typestore
+from slam.common.georeference import Georeference
+from slam.evaluation.evaluate import evaluate
+from slam.evaluation.inputs.records import EvaluationRecords, read_records
+from slam.object_map.map_io import confirmed
+from tests.tools.runs import Run, assert_refused
+
+ORIGIN = "60.1699,24.9384,12.5,30"
+
+
+@pytest.fixture(scope="module")
+def records(mapped: Path) -> EvaluationRecords:
+    return read_records(mapped)
+
+
+class TestLandmarks:
+    def test_a_table(self, dslam: Run, mapped: Path, records: EvaluationRecords, tmp_path: Path) -> None:
+        assert dslam("export", mapped, "--csv", tmp_path / "l.csv").code == 0
+        rows = list(csv.DictReader((tmp_path / "l.csv").read_text().splitlines()))
+        objects = confirmed(records.object_map)
+        assert [row["id"] for row in rows] == list(objects.ids)
+        assert [row["class"] for row in rows] == list(objects.labels)
+        positions = np.array([[float(row[f"{axis}_m"]) for axis in "xyz"] for row in rows])
+        np.testing.assert_array_equal(positions, objects.positions)
+
+    def test_places_on_earth(self, dslam: Run, mapped: Path, records: EvaluationRecords, tmp_path: Path) -> None:
+        assert dslam("export", mapped, "--geojson", tmp_path / "l.json", "--origin", ORIGIN).code == 0
+        features = json.loads((tmp_path / "l.json").read_text())["features"]
+        found = np.array([feature["geometry"]["coordinates"] for feature in features])
+        objects = confirmed(records.object_map)
+        expected = Georeference(60.1699, 24.9384, 12.5, np.deg2rad(30.0)).to_geodetic(objects.positions)
+        np.testing.assert_allclose(found[:, [1, 0]], expected[:, :2], rtol=0, atol=1e-6)
+        # Some metres from the origin the earth is flat, and a degree of latitude is 111.4 km at 60 degrees.
+        north_m = np.sin(np.deg2rad(30)) * objects.positions[:, 0] + np.cos(np.deg2rad(30)) * objects.positions[:, 1]
+        np.testing.assert_allclose(found[:, 1], 60.1699 + north_m / 111.415e3, rtol=0, atol=1e-6)
+
+    def test_places_on_earth_need_an_origin(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
+        assert_refused(dslam("export", mapped, "--geojson", tmp_path / "l.json"), "--origin")
+        assert_refused(dslam("export", mapped, "--geojson", tmp_path / "l.json", "--origin", "north"), "LAT,LON")
+
+    def test_points(self, dslam: Run, mapped: Path, records: EvaluationRecords, tmp_path: Path) -> None:
+        assert dslam("export", mapped, "--ply", tmp_path / "l.ply").code == 0
+        header, _, body = (tmp_path / "l.ply").read_text().partition("end_header\n")
+        objects = confirmed(records.object_map)
+        assert f"element vertex {len(objects.ids)}\n" in header
+        rows = np.array([line.split() for line in body.splitlines()], dtype=np.float64)
+        np.testing.assert_array_equal(rows[:, :3], objects.positions)
+        names = [line.split()[3] for line in header.splitlines() if line.startswith("comment class")]
+        assert [names[int(row)] for row in rows[:, 6]] == list(objects.labels)
+
+
+class TestBag:
+    def test_ros_reads_the_same_poses_and_landmarks(
+        self, dslam: Run, mapped: Path, records: EvaluationRecords, tmp_path: Path
+    ) -> None:
+        assert dslam("export", mapped, "--ros2-bag", tmp_path / "bag").code == 0
+        found: dict[str, list[object]] = {}
+        with AnyReader([tmp_path / "bag"], default_typestore=typestore()) as reader:
+            for connection, stamp_ns, data in reader.messages():
+                message = reader.deserialize(data, connection.msgtype)
+                found.setdefault(connection.topic, []).append((stamp_ns, message))
+        expected = records.trajectory
+        assert [stamp_ns for stamp_ns, _ in found["/slam/odometry"]] == expected.stamps_ns.tolist()
+        (_, path), *_ = found["/slam/path"]
+        for poses in (
+            [m.pose.pose.position for _, m in found["/slam/odometry"]],
+            [m.transforms[0].transform.translation for _, m in found["/tf"]],
+            [p.pose.position for p in path.poses],
+        ):
+            np.testing.assert_array_equal([[p.x, p.y, p.z] for p in poses], expected.T_map_body[:, :3, 3])
+        objects = confirmed(records.object_map)
+        (_, markers), (_, detections) = found["/slam/landmarks"][0], found["/slam/map"][0]
+        assert [m.ns for m in markers.markers] == list(objects.labels)
+        assert [d.id for d in detections.detections] == list(objects.ids)
+        centres = [d.results[0].pose.pose.position for d in detections.detections]
+        np.testing.assert_array_equal([[p.x, p.y, p.z] for p in centres], objects.positions)
+
+    def test_a_bag_that_is_there_is_kept(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
+        (tmp_path / "bag").mkdir()
+        assert_refused(dslam("export", mapped, "--ros2-bag", tmp_path / "bag"), "exists already")
+
+
+class TestTracks:
+    @pytest.mark.parametrize("of", ["estimate", "online", "odometry", "truth"])
+    def test_each_track_has_its_poses(
+        self, dslam: Run, mapped: Path, records: EvaluationRecords, tmp_path: Path, of: str
+    ) -> None:
+        assert dslam("export", mapped, "--of", of, "--tum", tmp_path / "t.txt").code == 0
+        positions = np.loadtxt(tmp_path / "t.txt")[:, 1:4]
+        expected = {
+            "estimate": lambda: records.trajectory.T_map_body,
+            "online": lambda: np.array([pose.T_map_body for pose in records.online_poses]),
+            "odometry": lambda: np.array([pose.T_odom_body for pose in records.odometry]),
+            "truth": lambda: np.array([pose.T_world_body for pose in records.true_poses]),
+        }[of]()
+        np.testing.assert_array_equal(positions, expected[:, :3, 3])
+
+    def test_a_camera_looks_ahead(self, dslam: Run, mapped: Path, records: EvaluationRecords, tmp_path: Path) -> None:
+        assert dslam("export", mapped, "--kitti-camera", tmp_path / "k.txt").code == 0
+        T = np.loadtxt(tmp_path / "k.txt").reshape(-1, 3, 4)
+        np.testing.assert_allclose(T[0], np.eye(4)[:3], atol=1e-12)
+        bodies = records.trajectory.T_map_body
+        forward, left, up = (np.linalg.inv(bodies[0]) @ bodies)[:, :3, 3].T
+        np.testing.assert_allclose(T[:, :, 3], np.stack([-left, -up, forward], axis=1), atol=1e-9)
+
+    @pytest.mark.slow
+    @pytest.mark.skipif(shutil.which("evo_ape") is None, reason="evo is not installed")
+    def test_evo_finds_the_same_error(
+        self, dslam: Run, mapped: Path, records: EvaluationRecords, tmp_path: Path
+    ) -> None:
+        for of in ("estimate", "truth"):
+            assert dslam("export", mapped, "--of", of, "--tum", tmp_path / f"{of}.txt").code == 0
+        command = ["evo_ape", "tum", "truth.txt", "estimate.txt", "--align", "--silent", "--save_results", "ape.zip"]
+        environment = {"HOME": str(tmp_path), "PATH": str(Path(shutil.which("evo_ape")).parent)}
+        subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, env=environment)
+        shutil.unpack_archive(tmp_path / "ape.zip", tmp_path / "ape")
+        found = json.loads((tmp_path / "ape" / "stats.json").read_text())["rmse"]
+        assert found == pytest.approx(evaluate(records).estimate.absolute.rmse_m, abs=1e-6)
