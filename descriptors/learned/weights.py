@@ -59,7 +59,7 @@ def save_weights(path: Path, network: nn.Module, metadata: WeightsMetadata) -> N
         raise WeightsError(f"{path}: the metadata cannot be written as JSON: {error}") from error
     part = path.with_name(path.name + ".part")
     try:
-        part.write_bytes(_with_sorted_header(save(tensors, metadata=texts)))
+        part.write_bytes(with_sorted_header(save(tensors, metadata=texts)))
         os.replace(part, path)
     except OSError as error:
         raise WeightsError(f"{path}: cannot be written: {error.strerror}") from error
@@ -158,7 +158,7 @@ def _digest(tensors: Mapping[str, Tensor]) -> str:
     return digest.hexdigest()
 
 
-def _with_sorted_header(content: bytes) -> bytes:
+def with_sorted_header(content: bytes) -> bytes:
     """The same safetensors file with its metadata in order; the library leaves that to chance."""
     size = int.from_bytes(content[:8], "little")
     header = json.loads(content[8 : 8 + size])

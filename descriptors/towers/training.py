@@ -19,11 +19,12 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 
 from descriptors.constellation import Constellations, gather_constellations
 from descriptors.errors import DescriptorError
+from descriptors.learned.weights import with_sorted_header
 from descriptors.towers.learned_likelihood import FORMAT
 from descriptors.towers.network import Towers, TowersArchitecture, background_of, query_scores
 from descriptors.towers.training_maps import TrainingMap, draw_map
@@ -269,7 +270,8 @@ def _save(path: Path, towers: Towers, config: TowersTraining, epoch: TowersEpoch
         "code_version": json.dumps(importlib.metadata.version("descriptellation-slam")),
     }
     part = path.with_name(path.name + ".part")
-    save_file({name: tensor.contiguous() for name, tensor in towers.state_dict().items()}, part, metadata=texts)
+    tensors = {name: tensor.contiguous() for name, tensor in towers.state_dict().items()}
+    part.write_bytes(with_sorted_header(save(tensors, metadata=texts)))
     os.replace(part, path)
 
 

@@ -147,9 +147,7 @@ def test_equal_trainings_give_equal_weights_interrupted_or_not(
         train_towers(TINY, tmp_path, on_step=interrupt)
     assert steps == [0.25, 0.5, 0.75]
     train_towers(TINY, tmp_path)
-    read = [LearnedLikelihood(each / WEIGHTS)._weights for each in (folder, tmp_path)]
-    for name, tensor in read[0].items():
-        np.testing.assert_array_equal(tensor, read[1][name])
+    assert (folder / WEIGHTS).read_bytes() == (tmp_path / WEIGHTS).read_bytes()
     with pytest.raises(DescriptorError, match="another configuration"):
         train_towers(replace(TINY, seed=1), tmp_path)
     with pytest.raises(DescriptorError, match="other maps"):
