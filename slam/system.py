@@ -158,8 +158,8 @@ class Slam:
             self._mapper.keyframes,
             self._object_map,
             self._graph,
-            self._closer.closed,
-            self._closer.is_localized,
+            self._closer.closures.keyframes,
+            self._closer.closures.is_localized,
             self._config.submap,
         )
 
@@ -183,7 +183,7 @@ class Slam:
             )
         self.counters["detections_without_odometry"] += len(self._waiting)
         self._mapper.close_keyframe()
-        removed, warning = self._closer.finish()
+        removed, warning = self._closer.closures.reject_outliers()
         if self._first_keyframe and self._extends:
             self._mapper.retire_gone(self._closer.missing_landmarks())
         if self._extends:
@@ -220,7 +220,7 @@ class Slam:
         self.counters["landmarks_fused"] = fuse_duplicate_landmarks(
             self._object_map,
             self._graph,
-            self._closer.keyframes_near_closures(),
+            self._closer.closures.keyframes_nearby(),
             radius_m=2.0 * self._config.submap.landmark_sigma_m,
         )
 
@@ -324,7 +324,7 @@ class Slam:
 
     def _change_state(self, keyframe: Keyframe, why_lost: str) -> list[Record]:
         """Update the localization state: lost unless odometry and closures connect the newest keyframe to the map."""
-        if not self._closer.is_localized(keyframe):
+        if not self._closer.closures.is_localized(keyframe):
             was_lost, self._state = self._state == State.LOST, State.LOST
             if was_lost and not why_lost:
                 return []

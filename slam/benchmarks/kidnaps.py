@@ -54,6 +54,27 @@ def draw_kidnaps(tour: FloatArray, *, count: int, length_m: float, rng: np.rando
     ]
 
 
+def thin_world(world: World, factor: float, *, rng: np.random.Generator) -> World:
+    """The same world with one of ``factor`` objects, drawn at random and at least one.
+
+    Raises:
+        SimulationError: ``factor`` is below 1.
+    """
+    if not factor >= 1.0:
+        raise SimulationError(f"one of {factor:g} objects; give a factor of at least 1")
+    if factor == 1.0:
+        return world
+    count = len(world.labels)
+    kept = np.sort(rng.choice(count, max(round(count / factor), 1), replace=False))
+    return replace(
+        world,
+        name=f"{world.name}, one of {factor:g} objects",
+        object_ids=tuple(world.object_ids[row] for row in kept),
+        positions=world.positions[kept],
+        labels=tuple(world.labels[row] for row in kept),
+    )
+
+
 def change_world(world: World, share: float, *, reach_m: float, rng: np.random.Generator) -> World:
     """The world after a while: that ``share`` of the objects within ``reach_m`` of the tour is replaced.
 

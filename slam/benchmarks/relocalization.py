@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -14,12 +14,21 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from logs.messages import GroundTruthPose, ObjectDetections, Odometry
-from slam.benchmarks.kidnaps import Kidnap, change_world, draw_kidnaps, worsen
+from slam.benchmarks.kidnaps import Kidnap, change_world, draw_kidnaps, thin_world, worsen
 from slam.benchmarks.known_map import KnownMap, map_drive, truth_of
-from slam.benchmarks.relocalization_figures import Outcome, RelocalizationBenchmark, Tolerance, sum_up
+from slam.benchmarks.relocalization_figures import (
+    RECOVERED_WITHIN_M,
+    Outcome,
+    RelocalizationBenchmark,
+    Tolerance,
+    sum_up,
+)
+from slam.benchmarks.relocalization_oracle import Oracle
 from slam.benchmarks.relocalization_trial import Drive, put_down
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
+from slam.self_calibration.calibration import calibrate
+from slam.self_calibration.survey import survey
 from slam.simulation.config import SimulationConfig
 from slam.simulation.simulation import SimulatedRecord, simulate
 from slam.simulation.world import World
@@ -46,6 +55,8 @@ def benchmark_relocalization(
     seed: int = 0,
     noise: float = 1.0,
     changed: float = 0.0,
+    thin: float = 1.0,
+    oracle: bool = False,
     max_travel_m: float = 60.0,
     jobs: int = 1,
     on_progress: Callable[[float], None] | None = None,
@@ -61,6 +72,8 @@ def benchmark_relocalization(
         seed: of the drive that makes the map, of the places and of what changes; the drives after that follow from it.
         noise: factor on the errors of the sensor that searches.
         changed: share of the objects near the tour that are others by then.
+        thin: one of so many objects of the world is left, before the map is made.
+        oracle: also ask what could have been found; see :mod:`slam.benchmarks.relocalization_oracle`.
         max_travel_m: length of each search.
         jobs: processes that search at a time.
         on_progress: called with the fraction done, in [0, 1].
@@ -68,15 +81,17 @@ def benchmark_relocalization(
     Raises:
         SlamError: the world cannot be driven or mapped, or a number is out of range.
     """
+    world = thin_world(world, thin, rng=np.random.default_rng([seed, 3]))
     simulation = SimulationConfig()
     worse = simulation.model_copy(update={"sensor": worsen(simulation.sensor, noise)})
     rng = np.random.default_rng([seed, 1])
     places = draw_kidnaps(world.tour, count=kidnaps, length_m=max_travel_m, rng=rng)
     now = change_world(world, changed, reach_m=simulation.sensor.max_range_m, rng=np.random.default_rng([seed, 2]))
     with threadpool_limits(1):
+        config = calibrate_on_tour(world, config, simulation, seed=seed)
         known = map_tour(world, config, simulation, seed=seed)
-    outcomes = list[Outcome]()
-    for outcome in search_all(Search(known, now, config, worse, seed + 1), places, jobs=jobs):
+    outcomes, search = list[Outcome](), Search(known, now, config, worse, seed + 1)
+    for outcome in search_all(search, places, jobs=jobs):
         outcomes.append(outcome)
         if on_progress is not None:
             on_progress(len(outcomes) / len(places))
@@ -86,7 +101,16 @@ def benchmark_relocalization(
         tour_m=world.tour_length_m,
         landmarks=len(known.saved.objects.ids),
         map_ate_m=known.ate_m,
+        oracle_rate=ask_oracle(search, places) if oracle else None,
     )
+
+
+def calibrate_on_tour(world: World, config: Config, simulation: SimulationConfig, *, seed: int) -> Config:
+    """The settings that a replay of the tour estimates; the searches are too short to estimate any."""
+    if not config.calibration.enabled:
+        return config
+    records = _perceived(record for _, _, record in simulate(world, simulation, seed=seed))
+    return calibrate(config, survey(records, config.detection)).config
 
 
 def map_tour(world: World, config: Config, simulation: SimulationConfig, *, seed: int) -> KnownMap:
@@ -109,14 +133,25 @@ def search_all(search: Search, kidnaps: list[Kidnap], *, jobs: int) -> Iterator[
         yield from processes.map(_relocalize, kidnaps)
 
 
+def ask_oracle(search: Search, kidnaps: Sequence[Kidnap]) -> float:
+    """Share of the kidnappings whose place is known for sure from all observations of the first 40 m."""
+    oracle = Oracle(search.known, search.config)
+    answers = [oracle.answer(_simulated(search, each), RECOVERED_WITHIN_M, TOLERANCE) for each in kidnaps]
+    return float(np.mean([answer.finds(search.config.localization.error_probability) for answer in answers]))
+
+
 def relocalize(search: Search, kidnap: Kidnap) -> Outcome:
     """Put the robot down, let it drive until it believes to know where it is, and 10 m more."""
-    piece = replace(search.world, tour=kidnap.tour)
-    records = simulate(piece, search.simulation, seed=search.first_seed + kidnap.number)
-    perceived = tuple(_perceived(record for _, _, record in records))
+    perceived = tuple(_perceived(_simulated(search, kidnap)))
     objects = _objects_in_range(search, truth_of(perceived).T_world_body[0])
     drive = Drive(kidnap.number, kidnap.start_m, kidnap.is_along, objects, perceived)
     return put_down(search.known, drive, search.config, TOLERANCE)
+
+
+def _simulated(search: Search, kidnap: Kidnap) -> Iterator[SimulatedRecord]:
+    """What is recorded on the drive of a kidnapping."""
+    piece = replace(search.world, tour=kidnap.tour)
+    return (record for _, _, record in simulate(piece, search.simulation, seed=search.first_seed + kidnap.number))
 
 
 def _perceived(records: Iterable[SimulatedRecord]) -> Iterator[Odometry | ObjectDetections | GroundTruthPose]:

@@ -107,7 +107,8 @@ class RelocalizationBenchmark:
     """``total`` of all outcomes, and ``groups`` of them by direction and by the number of objects in range.
 
     ``map_ate_m``: error (rmse) of the drive that made the map; ``load_s``: median time to take the map in;
-    ``query_ms``: median time of looking for the robot's place at a keyframe.
+    ``query_ms``: median time of looking for the robot's place at a keyframe; ``oracle_rate``: share of the places that
+    could have been found, None if that was not asked.
     """
 
     world: str
@@ -119,6 +120,7 @@ class RelocalizationBenchmark:
     total: Figures
     groups: dict[str, Figures]
     outcomes: tuple[Outcome, ...]
+    oracle_rate: float | None = None
 
 
 def deviation(T_world_body_est: FloatArray, T_world_body_gt: FloatArray) -> tuple[float, float]:
@@ -136,7 +138,13 @@ def judge(distance_m: float, errors: tuple[float, float], tolerance: Tolerance) 
 
 
 def sum_up(
-    outcomes: Sequence[Outcome], *, world: str, tour_m: float, landmarks: int, map_ate_m: float
+    outcomes: Sequence[Outcome],
+    *,
+    world: str,
+    tour_m: float,
+    landmarks: int,
+    map_ate_m: float,
+    oracle_rate: float | None = None,
 ) -> RelocalizationBenchmark:
     """All figures of at least one outcome."""
     groups = {
@@ -156,6 +164,7 @@ def sum_up(
         total=figures(outcomes),
         groups={name: figures(members) for name, members in groups.items()},
         outcomes=tuple(outcomes),
+        oracle_rate=oracle_rate,
     )
 
 

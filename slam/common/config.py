@@ -238,6 +238,28 @@ class LikelihoodRatioConfig(_Branch):
     )
 
 
+class LocalizationConfig(_Branch):
+    """Where the robot is: the posterior over poses in earlier traversals and "somewhere new"."""
+
+    method: str = Field(
+        default="thresholds",
+        pattern="^(posterior|thresholds)$",
+        description="what decides on poses: posterior (slam/localization/localizer.py) or thresholds on scores",
+    )
+    error_probability: float = Field(
+        default=0.005,
+        gt=0,
+        lt=0.5,
+        description="a pose is accepted once the probability that it is wrong is below that",
+    )
+    failures_per_km: float = Field(
+        default=1e-5, gt=0, description="undetected failures of the odometry on a kilometre of travel [1/km]"
+    )
+    max_hypotheses: int = Field(
+        default=5, ge=0, description="hypotheses that are carried from keyframe to keyframe, the likeliest ones"
+    )
+
+
 class LoopClosureConfig(_Branch):
     """Retrieval, acceptance and insertion of loop closures. LLR: log-likelihood ratio of a candidate."""
 
@@ -413,6 +435,7 @@ class Config(_Branch):
         description="part = topic, as --topic, which wins; several topics of one part are separated by commas",
     )
     limits: LimitsConfig = LimitsConfig()
+    localization: LocalizationConfig = LocalizationConfig()
 
 
 def load_config(path: Path | None = None, overrides: Sequence[str] = ()) -> Config:

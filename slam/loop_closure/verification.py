@@ -12,9 +12,11 @@ from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.geometry import apply, covariance_in_axes, invert
+from slam.localization.map_area import MapArea
+from slam.localization.pose_prior import PosePrior
 from slam.loop_closure.candidate import NOWHERE, Candidate, Query, Stage
 from slam.loop_closure.consistency import odometry_penalty, poses_agree
-from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratio
+from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratio, expected_log_likelihood_ratios
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, gravity_frame
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
@@ -33,6 +35,8 @@ ALONG_TRACK_MATCH_RANGES = 1.5 / 30.0
 ALONG_TRACK_SHIFTS_TRIED = 4
 # Poses of a query in itself that are tried in the aliasing test, the identity among them.
 ALIASES_TRIED = 5
+# All objects so near to the path of the robot, in sensor ranges, have been seen when it has driven on for as long.
+PASSED_RANGES = 0.5
 
 
 class Verifier:
@@ -52,6 +56,8 @@ class Verifier:
         self._track = track
         self._graph = graph
         self._keyframes = keyframes
+        self._by_posterior = config.localization.method == "posterior"
+        self._area = MapArea(cell_m=MAX_REFERENCE_RANGES * self._sensor_range_m)
 
     def latest_m(self, query: Query) -> float:
         """Travel up to which landmarks and keyframes may be the reference of a loop closure."""
@@ -68,6 +74,13 @@ class Verifier:
         place = Place(T_local_query, reference_pose.travel_m, reference_pose.segment, 0.0)
         reference = self._nearest(place, query)
         return replace(place, travel_m=reference.odometry.travel_m) if reference else None
+
+    def place_at(self, query: Query, T_local_query: FloatArray, segment: int) -> Place | None:
+        """The place of a pose (4, 4) in a segment, on the traversal that passed nearest; None if none passed there."""
+        found = self._track.nearest(T_local_query[:3, 3], segment=segment, from_m=-np.inf, to_m=self.latest_m(query))
+        if found is None:
+            return None
+        return Place(T_local_query, self._keyframes[found[0]].odometry.travel_m, segment, np.inf)
 
     def tracked_place(self, query: Query) -> Place | None:
         """Where the query is by the landmarks of an earlier traversal that data association still follows.
@@ -99,7 +112,7 @@ class Verifier:
         limits = self._config.loop_closure
         setting = "min_inliers" if seed_closure == NOWHERE else "min_inliers_tracked"
         least = limits.min_inliers if seed_closure == NOWHERE else limits.min_inliers_tracked
-        if len(registration.pairs) < least:
+        if not self._by_posterior and len(registration.pairs) < least:
             reason = f"{len(registration.pairs)} inliers, {setting} is {least}"
             return query.refusal(Stage.REGISTRATION, reason, reference, rank=place.rank)
         seen, met = query.submap.rows[registration.pairs[:, 0]], reference_submap.rows[registration.pairs[:, 1]]
@@ -133,23 +146,22 @@ class Verifier:
         """Whether two estimates (4, 4) of one pose agree; see :func:`poses_agree`."""
         return poses_agree(T_a, T_b, sensor_range_m=self._sensor_range_m)
 
-    def max_score_of_aliases(self, query: Query, candidate: Candidate) -> float:
-        """Highest score [nats] at other poses that fit as well if the query's objects stand in a regular pattern."""
+    def aliases(self, query: Query, candidate: Candidate) -> list[Candidate]:
+        """Other poses that fit as well if the query's objects stand in a regular pattern."""
         reference = self._keyframes[candidate.reference]
         place = Place(candidate.T_local_query, reference.odometry.travel_m, reference.odometry.segment, 0.0)
         reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
-        scores = [0.0]
+        found = list[Candidate]()
         for T_query_alias in self._retriever.aliases(query.submap, count=ALIASES_TRIED):
             T_local_alias = np.asarray(candidate.T_local_query @ T_query_alias)
             registration = self._register(query, reference_submap, T_local_alias)
-            found = registration.T_reference_query
-            if found is not None and not self.agree(found, candidate.T_local_query):
-                alias = self._candidate(query, place, reference_submap, registration, reference, NOWHERE)
-                scores.append(alias.score)
-        return max(scores)
+            T_found = registration.T_reference_query
+            if T_found is not None and not self.agree(T_found, candidate.T_local_query):
+                found.append(self._candidate(query, place, reference_submap, registration, reference, NOWHERE))
+        return found
 
-    def max_llr_along_track(self, query: Query, candidate: Candidate) -> float:
-        """Highest LLR [nats] of the query at poses shifted along its heading: rows of objects repeat themselves.
+    def shifted(self, query: Query, candidate: Candidate) -> list[Candidate]:
+        """Poses shifted along the heading of the query: rows of objects repeat themselves.
 
         The shifts after which most objects match are verified like any other pose.
         """
@@ -165,14 +177,14 @@ class Verifier:
         shifted_offsets = offsets[None] - shifts_m[:, None, None, None] * heading  # (S, M, N, 2)
         near = same & (np.einsum("smni,smni->smn", shifted_offsets, shifted_offsets) < radius_m**2)
         match_counts = near.any(axis=1).sum(axis=1)
-        shifted_llrs = [0.0]
+        found = list[Candidate]()
         for shift in np.argsort(-match_counts, kind="stable")[:ALONG_TRACK_SHIFTS_TRIED]:
             T_shifted = place.T_local_query.copy()
             T_shifted[:2, 3] += shifts_m[shift] * heading
             shifted = self.verify(query, replace(place, T_local_query=T_shifted))
             if isinstance(shifted, Candidate) and not self.agree(shifted.T_local_query, candidate.T_local_query):
-                shifted_llrs.append(shifted.log_likelihood_ratio)
-        return max(shifted_llrs)
+                found.append(shifted)
+        return found
 
     def _candidate(
         self,
@@ -193,13 +205,29 @@ class Verifier:
             T_local_gravity,
             registration.pairs,
             self._config.likelihood_ratio,
-            self._retriever.class_shares() if crosses_break else None,
+            self._retriever.class_shares() if crosses_break or self._by_posterior else None,
         )
         # The query's tilt is the odometry's; the registration is upright.
         T_gravity_body = invert(query.T_local_gravity) @ query.keyframe.T_local_body
         T_reference_query = invert(reference.T_local_body) @ T_local_gravity @ T_gravity_body
         T_predicted = invert(self._graph.pose(reference.id)) @ self._graph.pose(query.keyframe.id)
         sigmas = self._track.drift_sigmas(reference.id, query.keyframe.id)
+        penalty = odometry_penalty(T_predicted, T_reference_query, sigmas, self._config)
+        rows, ratios = query.submap.rows, ratio.per_object
+        if self._by_posterior:
+            passed, of_passed = expected_log_likelihood_ratios(
+                reference_submap,
+                T_local_gravity,
+                registration.pairs,
+                self._path(query),
+                radius_m=PASSED_RANGES * self._sensor_range_m,
+                seen=self._config.likelihood_ratio.detection_probability,
+            )
+            # Landmarks of the map are told from those of the query by their sign.
+            rows = np.concatenate([rows, -1 - reference_submap.rows[passed]])
+            ratios = np.concatenate([ratios, of_passed])
+            prior = self._prior(query, place, reference, seed_closure)
+            penalty = -prior.log_mass(T_local_gravity, covariance)
         return Candidate(
             query=query.keyframe.id,
             reference=reference.id,
@@ -209,16 +237,50 @@ class Verifier:
             T_reference_query=T_reference_query,
             T_local_query=T_local_gravity,
             covariance=covariance_in_axes(self._covariance(covariance), T_gravity_body[:3, :3]),
-            rows=query.submap.rows,
-            log_likelihood_ratios=ratio.per_object,
+            rows=rows,
+            log_likelihood_ratios=ratios,
             pairs=np.column_stack(
                 [query.submap.rows[registration.pairs[:, 0]], reference_submap.rows[registration.pairs[:, 1]]]
             ),
             matched_fraction=ratio.matched_fraction,
-            odometry_penalty=odometry_penalty(T_predicted, T_reference_query, sigmas, self._config),
+            odometry_penalty=penalty,
             retrieval_distance=place.retrieval_distance,
             seed_closure=seed_closure,
             rank=place.rank,
+        )
+
+    def _path(self, query: Query) -> FloatArray:
+        """Where the robot was (P, 3), in the frame of the query, so long ago that all around is mapped by now."""
+        latest_m = query.travel_m - PASSED_RANGES * self._sensor_range_m
+        earliest_m = query.travel_m - self._config.submap.travel_m
+        positions = list[FloatArray]()
+        for keyframe in reversed(self._keyframes[: query.keyframe.id]):
+            pose = keyframe.odometry
+            if pose.segment != query.keyframe.odometry.segment or pose.travel_m < earliest_m:
+                break
+            if pose.travel_m <= latest_m:
+                positions.append(keyframe.T_local_body[:3, 3])
+        return apply(invert(query.T_local_gravity), np.array(positions).reshape(-1, 3))
+
+    def _prior(self, query: Query, place: Place, reference: Keyframe, seed_closure: int) -> PosePrior:
+        """The prior of the query's pose: by the odometry since the seed closure, or else since the reference."""
+        self._area.cover(self._keyframes)
+        T_local_query = place.T_local_query
+        since = seed_closure
+        if seed_closure == NOWHERE:
+            since = reference.id
+            T_predicted = invert(self._graph.pose(reference.id)) @ self._graph.pose(query.keyframe.id)
+            T_gravity_body = invert(query.T_local_gravity) @ query.keyframe.T_local_body
+            T_local_query = gravity_frame(reference.T_local_body @ T_predicted @ invert(T_gravity_body))
+        sigma_m, sigma_rad = self._track.drift_sigmas(*sorted((since, query.keyframe.id)))
+        limits, inflation = self._config.loop_closure, self._config.odometry.inflation
+        travel_m = abs(query.travel_m - self._keyframes[since].odometry.travel_m)
+        return PosePrior(
+            T_local_query,
+            float(np.hypot(inflation * sigma_m, limits.base_sigma_m)),
+            float(np.hypot(inflation * sigma_rad, np.deg2rad(limits.base_sigma_deg))),
+            float(-np.expm1(-self._config.localization.failures_per_km * max(travel_m, 1.0) / 1000.0)),
+            self._area.area_m2,
         )
 
     def _covariance(self, registered: FloatArray) -> FloatArray:

@@ -59,8 +59,8 @@ def simulate(world: World, config: SimulationConfig, *, seed: int) -> Iterator[t
 
     First the true objects (those that stand still) on /ground_truth/objects, frame "world"; then, for each scan,
     odometry (which starts at the identity), detections in the body frame "base_link", the true pose, and the true id of
-    each detection. After a kidnapping the odometry starts at the identity again. The same world, configuration and seed
-    give the same records; each cause of error has its own random numbers.
+    each detection. After a kidnapping the odometry starts at the identity again, unless it was silent. The same world,
+    configuration and seed give the same records; each cause of error has its own random numbers.
 
     Raises:
         SimulationError: a negative seed, a kidnapping outside the tour, or a tour too short; raised at the call.
@@ -116,9 +116,13 @@ def _drives(plan: DrivePlan, config: SimulationConfig) -> list[Drive]:
     if config.kidnap is None:
         drives = [plan.sample(0.0, plan.length_m)]
     else:
-        before = plan.sample(0.0, config.kidnap.from_m)
-        resume_ns = int(before.stamps_ns[-1]) + round(config.kidnap.gap_s * 1e9)
-        drives = [before, plan.sample(config.kidnap.to_m, plan.length_m, start_ns=resume_ns)]
+        kidnap = config.kidnap
+        first_m = 0.0 if kidnap.before_m is None else max(kidnap.from_m - kidnap.before_m, 0.0)
+        last_m = plan.length_m if kidnap.after_m is None else min(kidnap.to_m + kidnap.after_m, plan.length_m)
+        before = plan.sample(first_m, kidnap.from_m)
+        gap_s = 1.0 / config.drive.rate_hz if kidnap.silent else kidnap.gap_s
+        resume_ns = int(before.stamps_ns[-1]) + round(gap_s * 1e9)
+        drives = [before, plan.sample(kidnap.to_m, last_m, start_ns=resume_ns)]
     fewest = min(len(drive.stamps_ns) for drive in drives)
     if plan.length_m < SHORTEST_TOUR_M or fewest < 2:
         raise SimulationError(
@@ -144,8 +148,11 @@ def _records(
     vehicles = traffic.drive_traffic(plan, (stamps_ns - START_NS) * 1e-9, config.traffic, rng=streams.traffic)
     object_ids = world.object_ids + vehicles.ids
     row = 0
+    T_odom_first = np.eye(4)
     for drive in drives:
-        T_odom_body = drifting_odometry(drive.T_world_body, config.odometry, rng=streams.odometry)
+        T_odom_body = T_odom_first @ drifting_odometry(drive.T_world_body, config.odometry, rng=streams.odometry)
+        if config.kidnap is not None and config.kidnap.silent:
+            T_odom_first = T_odom_body[-1] @ invert(T_odom_body[-2]) @ T_odom_body[-1]
         T_body_world = invert(drive.T_world_body)
         for i, stamp_ns in enumerate(drive.stamps_ns.tolist()):
             rows, positions_body = _nearby(

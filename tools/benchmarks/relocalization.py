@@ -44,6 +44,12 @@ def relocalization(
     changed: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Share of the objects replaced after the map was made.")
     ] = 0.0,
+    thin: Annotated[
+        float, typer.Option(metavar="FACTOR", min=1.0, help="One of so many objects is left before the map is made.")
+    ] = 1.0,
+    oracle: Annotated[
+        bool, typer.Option("--oracle", help="Also tell what could be found: all poses, all observations of 40 m.")
+    ] = False,
     max_travel: Annotated[
         float, typer.Option("--max-travel", metavar="METRES", min=5.0, help="How long each drive is.")
     ] = 60.0,
@@ -65,6 +71,8 @@ def relocalization(
 
     Example: dslam benchmark relocalization --objects objects.csv --trajectory trajectory.csv --noise 2 --changed 0.1
 
+    Example: dslam benchmark relocalization --objects objects.csv --trajectory trajectory.csv --thin 5 --oracle
+
     Example: dslam benchmark relocalization --log kitti00.mcap --map-until 311 --kidnaps 40
     """
     from slam.common.config import load_config
@@ -76,7 +84,7 @@ def relocalization(
             raise typer.BadParameter(
                 "it goes with --map-until, and without --objects and --trajectory.", param_hint="--log"
             )
-        if (seed, noise, changed, jobs) != (0, 1.0, 0.0, 1):
+        if (seed, noise, changed, thin, oracle, jobs) != (0, 1.0, 0.0, 1.0, False, 1):
             raise typer.BadParameter("a log is as it is; they go with --objects.", param_hint="--seed, --noise, ...")
         if not min(right) > 0.0:
             raise typer.BadParameter(f"{right[0]:g} m and {right[1]:g} deg must be above 0.", param_hint="--right")
@@ -86,7 +94,14 @@ def relocalization(
         raise typer.BadParameter("give both, or --log with --map-until.", param_hint="--objects and --trajectory")
     if map_until is not None or topics or right != RIGHT:
         raise typer.BadParameter("they go with --log.", param_hint="--map-until, --right and --topic")
-    conditions = {"seed": seed, "noise": noise, "changed": changed, "max_travel_m": max_travel}
+    conditions = {
+        "seed": seed,
+        "noise": noise,
+        "changed": changed,
+        "thin": thin,
+        "oracle": oracle,
+        "max_travel_m": max_travel,
+    }
     _run_world(objects, trajectory, config, kidnaps, jobs, conditions, as_json=json)
 
 
@@ -189,6 +204,7 @@ def _show(result: RelocalizationBenchmark, conditions: str) -> None:
         f"fixes at another place than in the map: {_number(result.total.misplaced_rate, 1, 100.0)} %; the others that "
         "are wrong are so because the map is",
         f"wrong fixes put right within 10 m, in per cent: {_number(result.total.revoked_rate, 0, 100.0)}",
+        *([] if result.oracle_rate is None else [f"could be found: {100 * result.oracle_rate:.1f} %"]),
         f"taking in the map: {1e3 * result.load_s:.0f} ms; a search: {_number(result.query_ms, 1)} ms",
     )
 

@@ -9,7 +9,7 @@ from slam.backend.factor_graph import Edge, FactorGraph
 from slam.common.arrays import FloatArray
 from slam.common.config import AssociationConfig, Config, FactorGraphConfig
 from slam.common.geometry import transform_from_xyz_yaw
-from slam.loop_closure.loop_closer import LoopCloser
+from slam.loop_closure.accepted_closures import AcceptedClosures
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
@@ -30,7 +30,7 @@ class Drive:
     def __init__(self) -> None:
         graph = FactorGraph(FactorGraphConfig(observation_kernel="none"))
         self.keyframes: list[Keyframe] = []
-        self.closer = LoopCloser(Config(), ObjectMap(AssociationConfig()), graph, self.keyframes)
+        self.closures = AcceptedClosures(Config(), ObjectMap(AssociationConfig()), graph, self.keyframes)
         self.graph = graph
         for number in range(ROUND + 30):
             odometry = OdometryPose(10**9 * number, pose(STEP_M * number), STEP_M * number, 0, STEP_M)
@@ -50,16 +50,16 @@ class Drive:
             T_reference_query=pose(STEP_M * ROUND),
             T_local_query=pose(STEP_M * query),
         )
-        self.closer.accept(candidate, "")
+        self.closures.add(candidate, "")
 
     def declare_lost(self, since: int) -> list[int]:
-        records, _ = self.closer.declare_lost(self.keyframes[-1], since)
+        records, _ = self.closures.revoke_since(self.keyframes[-1], since)
         assert not any(record.accepted for record in records)
         return sorted(record.query_keyframe_id for record in records)
 
     @property
     def closed(self) -> list[int]:
-        return self.closer.closed[:, 0].tolist()
+        return self.closures.keyframes[:, 0].tolist()
 
     @property
     def factors(self) -> list[int]:
@@ -78,7 +78,7 @@ def test_a_closure_leaves_the_map_with_the_factor_that_represents_it(street):
     assert street.declare_lost(since=100) == [99, 100]
     assert street.factors == []
     assert street.closed == []
-    assert street.closer.keyframes_near_closures() == set()
+    assert street.closures.keyframes_nearby() == set()
 
 
 def test_a_closure_that_is_inconsistent_goes_although_its_factor_stays(street):

@@ -321,11 +321,11 @@ def test_only_that_part_of_a_given_map_is_well_placed_which_was_recognised(known
     slam = Slam(Config(loop_closure=LoopClosureConfig(propagation_distance_m=follow_m)), known)
     for _, _, record in keep_until(drive(SimulationConfig(), seed=2), 6.0):
         slam.process(record)
-    closer = slam._closer
+    closures = slam._closer.closures
     places = known.graph.T_map_body[:, :2, 3]
-    recognised = np.unique([reference for _, reference in closer.closed.tolist() if reference < len(places)])
+    recognised = np.unique([reference for _, reference in closures.keyframes.tolist() if reference < len(places)])
     assert len(recognised)
     apart_m = np.linalg.norm(places[:, None] - places[recognised], axis=2).min(axis=1)
     near = np.flatnonzero(apart_m <= follow_m).tolist()
     assert 0 < len(near) < len(places)
-    assert sorted(row for row in closer.keyframes_near_closures() if row < len(places)) == near
+    assert sorted(row for row in closures.keyframes_nearby() if row < len(places)) == near

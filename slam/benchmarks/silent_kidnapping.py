@@ -1,0 +1,117 @@
+"""How soon a robot that makes its map notices that it was carried off while the odometry went on.
+
+``benchmark_silent_kidnapping`` is where to begin reading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from logs.messages import GroundTruthPose, ObjectDetections, Odometry
+from slam.common.config import Config
+from slam.common.errors import SimulationError
+from slam.simulation.config import KidnapConfig, SimulationConfig
+from slam.simulation.simulation import simulate
+from slam.simulation.world import World
+from slam.system import Slam
+
+NOTICED_WITHIN_M = 30.0
+"""Travel within which a kidnapping counts as noticed."""
+BEFORE_M, AFTER_M = 150.0, 60.0
+"""What is driven before the kidnapping and after it."""
+LEAST_DISTANCE_M = 100.0
+"""How far away the robot is carried at least."""
+
+
+@dataclass(frozen=True, slots=True)
+class SilentKidnapping:
+    """Carried off from one place of the tour to another [m]. ``noticed_m``: travel from there until it is noticed, None
+    if it is not. ``false_alarms``: kidnappings noticed before.
+    """
+
+    number: int
+    from_m: float
+    to_m: float
+    noticed_m: float | None
+    false_alarms: int
+
+
+@dataclass(frozen=True, slots=True)
+class SilentKidnappingBenchmark:
+    """``noticed_rate``: share noticed within 30 m; ``median_m``: travel until it is, None if none was."""
+
+    world: str
+    noticed_rate: float
+    median_m: float | None
+    false_alarms: int
+    kidnappings: tuple[SilentKidnapping, ...]
+
+
+def benchmark_silent_kidnapping(
+    world: World,
+    config: Config,
+    *,
+    kidnaps: int,
+    seed: int = 0,
+    on_progress: Callable[[float], None] | None = None,
+) -> SilentKidnappingBenchmark:
+    """Carry a robot off again and again while it makes a map; each drive is a short one of its own.
+
+    Args:
+        world: with a tour.
+        config: of the estimator.
+        kidnaps: how often.
+        seed: of the places and of the drives.
+        on_progress: called with the fraction done, in [0, 1].
+
+    Raises:
+        SimulationError: the tour is too short.
+    """
+    length_m = world.tour_length_m
+    if length_m < BEFORE_M + AFTER_M + 2.0 * LEAST_DISTANCE_M:
+        raise SimulationError(
+            f"a tour of {length_m:.0f} m; give one of at least {BEFORE_M + AFTER_M + 2.0 * LEAST_DISTANCE_M:.0f} m"
+        )
+    rng = np.random.default_rng([seed, 4])
+    done = list[SilentKidnapping]()
+    with threadpool_limits(1):
+        for number in range(kidnaps):
+            from_m = to_m = float(rng.uniform(BEFORE_M, length_m - AFTER_M))
+            while abs(to_m - from_m) < LEAST_DISTANCE_M:
+                to_m = float(rng.uniform(0.0, length_m - AFTER_M))
+            done.append(_carry_off(world, config, number, from_m, to_m, seed=seed + number))
+            if on_progress is not None:
+                on_progress(len(done) / kidnaps)
+    noticed_m = [each.noticed_m for each in done if each.noticed_m is not None]
+    return SilentKidnappingBenchmark(
+        world=world.name,
+        noticed_rate=sum(each <= NOTICED_WITHIN_M for each in noticed_m) / kidnaps,
+        median_m=float(np.median(noticed_m)) if noticed_m else None,
+        false_alarms=sum(each.false_alarms for each in done),
+        kidnappings=tuple(done),
+    )
+
+
+def _carry_off(world: World, config: Config, number: int, from_m: float, to_m: float, *, seed: int) -> SilentKidnapping:
+    kidnap = KidnapConfig(from_m=from_m, to_m=to_m, silent=True, before_m=BEFORE_M, after_m=AFTER_M)
+    simulation = SimulationConfig(kidnap=kidnap)
+    longest_step_m = 2.0 * simulation.drive.speed_mps / simulation.drive.rate_hz
+    slam, false_alarms = Slam(config), 0
+    position, since_m = None, None
+    for _, _, record in simulate(world, simulation, seed=seed):
+        if isinstance(record, GroundTruthPose):
+            step_m = 0.0 if position is None else float(np.linalg.norm(record.T_world_body[:2, 3] - position))
+            position = record.T_world_body[:2, 3]
+            if since_m is not None:
+                since_m += step_m
+            elif step_m > longest_step_m:
+                since_m, false_alarms = 0.0, slam.counters["kidnappings_detected"]
+        elif isinstance(record, Odometry | ObjectDetections):
+            slam.process(record)
+            if since_m is not None and slam.counters["kidnappings_detected"] > false_alarms:
+                return SilentKidnapping(number, from_m, to_m, since_m, false_alarms)
+    return SilentKidnapping(number, from_m, to_m, None, false_alarms)

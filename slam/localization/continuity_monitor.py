@@ -1,0 +1,172 @@
+"""Detection of a kidnapping that the odometry does not show, from the landmarks around the robot.
+
+If the robot was carried off at a time t, the landmarks from before are missed after it, and those seen after it were
+not seen before, although the odometry had them around the robot. Each landmark contributes, for either side of t, one
+log-likelihood ratio of "carried off at t" against "not carried off":
+
+    log (1 - P_F u) / (1 - P_D u) if it was missed on that side,    log P_F / P_D if it was seen.
+
+u is the probability that it was in view at all, from what the sensor saw so far at that range and bearing; P_D, also
+estimated from the drive so far, that a landmark in view is seen; and P_F that another object is taken for it elsewhere.
+The kidnapping is noticed once its posterior odds, with the rate of failures of the odometry as their prior, are high.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.config import LocalizationConfig
+from slam.common.geometry import invert
+from slam.localization.localizer import log_odds_of
+from slam.localization.visibility import Visibility
+from slam.object_map.landmarks import LandmarkState, ObjectMap
+from slam.object_map.submap import gravity_frame
+from slam.odometry.keyframe import Keyframe
+from slam.odometry.pose import OdometryPose
+
+FALSE_MATCH_PROBABILITY = 0.1
+"""P_F."""
+LEAST_LANDMARKS = 2.0
+"""Landmarks that must be missed, and new ones that must be seen: a sensor that goes blind sees nothing new."""
+PRIOR_SEEN, PRIOR_MISSED = 8.0, 2.0
+"""Beta prior of P_D."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecentLandmarks:
+    """N landmarks seen lately: ``rows`` (N,) of the object map, ``positions`` (N, 3) m in the frame of the odometry,
+    and the travel [m] at which each was first and last seen, (N,).
+    """
+
+    rows: IntArray
+    positions: FloatArray
+    first_seen_m: FloatArray
+    last_seen_m: FloatArray
+
+
+def recent_landmarks(object_map: ObjectMap, pose: OdometryPose, memory_m: float) -> RecentLandmarks:
+    """The confirmed landmarks of a pose's segment that were seen on the last ``memory_m`` of travel."""
+    landmarks = object_map.rows
+    rows = np.flatnonzero(
+        (landmarks["state"] == LandmarkState.CONFIRMED)
+        & (landmarks["segment"] == pose.segment)
+        & (landmarks["last_seen_travel_m"] > pose.travel_m - memory_m)
+    )
+    seen_m = landmarks["first_seen_travel_m"][rows], landmarks["last_seen_travel_m"][rows]
+    return RecentLandmarks(rows, landmarks["position_local"][rows], *seen_m)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Step:
+    """A keyframe, and the landmarks seen since the one before it."""
+
+    keyframe: Keyframe
+    T_gravity_local: FloatArray
+    seen: IntArray
+
+    @property
+    def travel_m(self) -> float:
+        return self.keyframe.odometry.travel_m
+
+    def in_body(self, positions: FloatArray) -> FloatArray:
+        """Points (N, 3) of the odometry's frame in the plane (N, 2) of the body's."""
+        return np.asarray(positions @ self.T_gravity_local[:2, :3].T + self.T_gravity_local[:2, 3])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sides:
+    """After and before each of S times, (2, S, N): the probability that a landmark, which is known from the other side,
+    was in view, 0 if it is not; and whether it was seen.
+    """
+
+    in_view: FloatArray
+    seen: FloatArray
+
+
+class ContinuityMonitor:
+    """The test at each keyframe, for every earlier time within two sensor ranges of travel on its segment."""
+
+    def __init__(self, config: LocalizationConfig, sensor_range_m: float) -> None:
+        self.memory_m = 2.0 * sensor_range_m
+        self._least_llr = -log_odds_of(config.error_probability) - float(
+            np.log(config.failures_per_km * 1e-3 * self.memory_m)
+        )
+        self._visibility = Visibility(sensor_range_m)
+        self._counts = np.array([[PRIOR_SEEN, PRIOR_MISSED], [PRIOR_SEEN, PRIOR_MISSED]])
+        self._steps: deque[_Step] = deque()
+
+    def restart(self) -> None:
+        """Forget the keyframes."""
+        self._steps.clear()
+
+    def update(self, keyframe: Keyframe, landmarks: RecentLandmarks) -> Keyframe | None:
+        """Add a keyframe; returns the first keyframe after the kidnapping, or None if there was none.
+
+        Args:
+            keyframe: the newest.
+            landmarks: the confirmed landmarks of its segment that were seen on the last ``memory_m`` of travel.
+        """
+        if self._steps and self._steps[-1].keyframe.odometry.segment != keyframe.odometry.segment:
+            self._steps.clear()
+        since_m = self._steps[-1].travel_m if self._steps else -np.inf
+        seen = landmarks.rows[landmarks.last_seen_m > since_m]
+        self._steps.append(_Step(keyframe, invert(gravity_frame(keyframe.T_local_body)), seen))
+        while self._steps[-1].travel_m - self._steps[0].travel_m > self.memory_m:
+            self._steps.popleft()
+        if len(self._steps) < 2 or not len(landmarks.rows):
+            return None
+        # It happened after the last sighting of a landmark.
+        times_m = np.unique(landmarks.last_seen_m)
+        times_m = times_m[(times_m >= self._steps[0].travel_m) & (times_m < self._steps[-1].travel_m)]
+        if not len(times_m):
+            return None
+        sides = self._sides(landmarks, times_m)
+        llrs = self._log_likelihood_ratios(sides)
+        missed = (sides.in_view[0] * (1.0 - sides.seen[0])).sum(axis=1)
+        new = (landmarks.first_seen_m > times_m[:, None]).sum(axis=1)
+        noticed = np.flatnonzero((llrs >= self._least_llr) & (np.minimum(missed, new) >= LEAST_LANDMARKS))
+        if len(noticed):
+            time_m = times_m[noticed[np.argmax(llrs[noticed])]]
+            return next(step.keyframe for step in self._steps if step.travel_m > time_m)
+        self._learn(landmarks, sides)
+        return None
+
+    def _sides(self, landmarks: RecentLandmarks, times_m: FloatArray) -> _Sides:
+        in_body = np.stack([step.in_body(landmarks.positions) for step in self._steps])  # (S, N, 2)
+        shares = self._visibility.probability(in_body.reshape(-1, 2)).reshape(in_body.shape[:2])
+        log_missed = np.log1p(-np.minimum(shares, 0.99))
+        sums = np.concatenate([np.zeros((1, len(landmarks.rows))), np.cumsum(log_missed, axis=0)])
+        # A keyframe stands for the sightings since the one before it; the one that a time falls between does not count.
+        steps_before = np.searchsorted([step.travel_m for step in self._steps], times_m, side="right")
+        before = sums[steps_before]
+        after = sums[-1] - sums[np.minimum(steps_before + 1, len(self._steps))]
+        known_before, seen_after = landmarks.first_seen_m <= times_m[:, None], landmarks.last_seen_m > times_m[:, None]
+        known = np.stack([known_before, seen_after])
+        seen = np.stack([seen_after, known_before])
+        return _Sides(np.where(known, -np.expm1(np.stack([after, before])), 0.0), seen.astype(np.float64))
+
+    def _log_likelihood_ratios(self, sides: _Sides) -> FloatArray:
+        """LLR (S,) of a kidnapping at each time; a sensor that misses as much as chance tells nothing."""
+        detected = np.maximum(self._counts[:, 0] / self._counts.sum(axis=1), FALSE_MATCH_PROBABILITY)[:, None, None]
+        of_seen = np.where(sides.in_view > 0.0, np.log(FALSE_MATCH_PROBABILITY / detected), 0.0)
+        of_missed = np.log1p(-FALSE_MATCH_PROBABILITY * sides.in_view) - np.log1p(-detected * sides.in_view)
+        return np.asarray(np.where(sides.seen > 0.0, of_seen, of_missed).sum(axis=(0, 2)))
+
+    def _learn(self, landmarks: RecentLandmarks, sides: _Sides) -> None:
+        """Where landmarks are seen that are there for certain, and how many of those that are in view are seen."""
+        middle = len(self._steps) // 2
+        step = self._steps[middle]
+        there = (landmarks.first_seen_m <= step.travel_m) & (landmarks.last_seen_m >= step.travel_m)
+        self._visibility.learn(
+            step.in_body(landmarks.positions[there]), np.isin(landmarks.rows[there], step.seen, assume_unique=True)
+        )
+        index = sides.seen.shape[1] // 2
+        in_view, seen = sides.in_view[:, index], sides.seen[:, index]
+        # Each landmark is in the middle of the window for as many keyframes as the window has on one side of it.
+        self._counts += np.stack([(in_view * seen).sum(axis=1), (in_view * (1.0 - seen)).sum(axis=1)], axis=1) / (
+            middle + 1.0
+        )

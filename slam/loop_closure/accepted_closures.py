@@ -1,0 +1,140 @@
+"""The accepted closures: the factors that represent them, and what goes when one is revoked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from logs.messages import LoopClosureRecord
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.outlier_rejection import reject_outlier_closures
+from slam.common.arrays import IntArray
+from slam.common.config import Config
+from slam.loop_closure.candidate import Accepted, Candidate, Stage
+from slam.loop_closure.closure_graph import ClosedLoops
+from slam.object_map.landmarks import ObjectMap
+from slam.odometry.keyframe import Keyframe
+
+TRUSTED_AFTER_RANGES = 60.0 / 30.0
+"""A relocalization that stayed consistent over that travel, in sensor ranges, is taken to be true."""
+
+
+class AcceptedClosures:
+    """Closures in the order in which they were accepted; some are factors, and represent those nearby."""
+
+    def __init__(
+        self, config: Config, object_map: ObjectMap, graph: FactorGraph, keyframes: Sequence[Keyframe]
+    ) -> None:
+        self._limits = config.loop_closure
+        self._odometry_inflation = config.odometry.inflation
+        self._trusted_after_m = TRUSTED_AFTER_RANGES * config.detection.sensor_range_m
+        self._graph = graph
+        self._keyframes = keyframes
+        self._loops = ClosedLoops(object_map, graph, keyframes, min_travel_m=config.loop_closure.min_travel_m)
+        self._closed: dict[int, int] = {}
+        self._accepted: list[Accepted] = []
+
+    @property
+    def keyframes(self) -> IntArray:
+        """Query and reference keyframe (C, 2) of each."""
+        return np.array(list(self._closed.items()), dtype=np.int64).reshape(-1, 2)
+
+    def is_closed(self, keyframe: int) -> bool:
+        """Whether a keyframe is the query of one."""
+        return keyframe in self._closed
+
+    def is_localized(self, keyframe: Keyframe) -> bool:
+        """Whether odometry or closures connect a keyframe to the first one, and so to the map."""
+        return self._loops.are_connected(self._keyframes[0].id, keyframe.id)
+
+    def keyframes_nearby(self) -> set[int]:
+        """Localized keyframes within ``propagation_distance_m`` of a closure: their positions can be compared."""
+        ends = np.unique(self.keyframes)
+        segments = np.array([keyframe.odometry.segment for keyframe in self._keyframes])
+        near: set[int] = set()
+        for segment in np.unique(segments[ends]).tolist():
+            members = np.flatnonzero(segments == segment)
+            of_segment = [self._keyframes[row] for row in members.tolist()]
+            along = np.array([[keyframe.odometry.travel_m] for keyframe in of_segment])
+            if of_segment[0].is_prior:  # those have positions and no travel
+                along = np.stack([keyframe.T_local_body[:2, 3] for keyframe in of_segment])
+            distances_m = cKDTree(along[np.isin(members, ends)]).query(along)[0]
+            near.update(members[distances_m <= self._limits.propagation_distance_m].tolist())
+        return {row for row in near if self.is_localized(self._keyframes[row])}
+
+    def add(self, candidate: Candidate, reason: str) -> LoopClosureRecord:
+        """Accept a closure; it becomes a factor unless one within ``insert_travel_m`` represents it."""
+        nearest = self._loops.nearest(candidate.travel_m)
+        is_new = nearest is None or (
+            abs(nearest.candidate.travel_m - candidate.travel_m) >= self._limits.insert_travel_m
+        )
+        if is_new:
+            self._loops.insert(candidate)
+        represented_by = candidate.query if is_new or nearest is None else nearest.candidate.query
+        self._accepted.append(Accepted(candidate, represented_by))
+        self._closed[candidate.query] = candidate.reference
+        return candidate.record(Stage.ACCEPTED, reason, inserted=is_new, represented_by=represented_by)
+
+    def revoke_since(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
+        """Revoke the closures of a keyframe's segment from the keyframe ``since`` on, which contradict the map.
+
+        If the segment was connected to the map within the last ``TRUSTED_AFTER_RANGES``, that relocalization was false
+        and all closures of the segment are revoked; otherwise the robot was kidnapped. Returns the records of the
+        revoked closures, and whether it was kidnapped.
+        """
+        segment = keyframe.odometry.segment
+        connecting = [
+            loop.candidate.travel_m
+            for loop in self._loops.loops
+            if self._crosses_break(loop.candidate) and self._keyframes[loop.candidate.query].odometry.segment == segment
+        ]
+        connected_m = min(connecting, default=-np.inf)
+        is_kidnapped = keyframe.odometry.travel_m - connected_m > self._trusted_after_m
+        if not is_kidnapped:
+            since = next(each.id for each in self._keyframes if each.odometry.segment == segment)
+        self._loops.remove([loop for loop in self._loops.loops if loop.candidate.query >= since])
+        # A closure goes with the factor that represents it, and one that is inconsistent itself goes anyhow.
+        revoked = self._revoke(lambda each: max(each.candidate.query, each.represented_by) >= since)
+        reason = "revoked: expected landmarks not observed"
+        return [each.candidate.record(Stage.CONSISTENCY, reason) for each in revoked], is_kidnapped
+
+    def reject_outliers(self) -> tuple[list[LoopClosureRecord], str]:
+        """Remove the closures that the robust optimisation of the pose graph rejects as outliers.
+
+        Closures across a discontinuity of the odometry are kept: without them nothing relates the two segments.
+        Returns the records of the removed closures and a warning, empty if there is none.
+        """
+        loops = {loop.factor: loop for loop in self._loops.loops if not self._crosses_break(loop.candidate)}
+        if not loops:
+            return [], ""
+        graph = self._graph
+        rejection = reject_outlier_closures(
+            graph.factors,
+            list(loops),
+            graph.keyframes,
+            graph.poses(),
+            odometry_inflation=self._odometry_inflation,
+        )
+        reasons = {
+            loop.candidate.query: f"removed as an outlier: kernel weight {rejection.weights[factor]:.2g}"
+            for factor, loop in loops.items()
+            if not rejection.kept[factor]
+        }
+        self._loops.remove([loop for loop in loops.values() if loop.candidate.query in reasons])
+        removed = self._revoke(lambda each: each.represented_by in reasons)
+        records = [each.candidate.record(Stage.BACK_END, reasons[each.represented_by]) for each in removed]
+        return records, rejection.message
+
+    def _revoke(self, is_revoked: Callable[[Accepted], bool]) -> list[Accepted]:
+        """Take accepted closures back; their factors are removed elsewhere."""
+        revoked = [each for each in self._accepted if is_revoked(each)]
+        self._accepted = [each for each in self._accepted if not is_revoked(each)]
+        for each in revoked:
+            self._closed.pop(each.candidate.query, None)
+        return revoked
+
+    def _crosses_break(self, candidate: Candidate) -> bool:
+        reference, query = self._keyframes[candidate.reference], self._keyframes[candidate.query]
+        return reference.odometry.segment != query.odometry.segment

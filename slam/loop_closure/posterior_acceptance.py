@@ -1,0 +1,102 @@
+"""Acceptance by the posterior probability of candidates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from slam.common.config import Config
+from slam.localization.localizer import Localizer, PoseEvidence, Posterior, log_odds_of
+from slam.loop_closure.acceptance import Decision
+from slam.loop_closure.candidate import Candidate, Query, Stage
+from slam.loop_closure.consistency import suppress_non_maxima
+from slam.loop_closure.verification import Verifier
+from slam.odometry.keyframe import Keyframe
+from slam.place_recognition.place import Place
+
+
+class PosteriorAcceptance:
+    """Accepts the candidate that is wrong with a probability below ``error_probability``."""
+
+    def __init__(self, config: Config, verifier: Verifier, keyframes: Sequence[Keyframe]) -> None:
+        self.min_objects = config.registration.min_inliers
+        self._error_probability = config.localization.error_probability
+        self._least_log_odds = -log_odds_of(config.localization.error_probability)
+        self._sensor_range_m = config.detection.sensor_range_m
+        self._verifier = verifier
+        self._keyframes = keyframes
+        self._localizer = Localizer(
+            config.localization, verifier.agree, memory_m=config.loop_closure.propagation_distance_m
+        )
+
+    def reset(self) -> None:
+        """Forget all hypotheses."""
+        self._localizer.reset()
+
+    def expected_places(self, query: Query) -> list[Place]:
+        """Where the hypotheses are by the odometry."""
+        places = (
+            self._verifier.place_at(query, T_local_query, segment)
+            for segment, T_local_query in self._localizer.predictions(query.T_local_gravity)
+        )
+        return [place for place in places if place is not None]
+
+    def is_acceptable(self, candidate: Candidate) -> bool:
+        """Whether its own log odds suffice."""
+        return candidate.score >= self._least_log_odds
+
+    def is_confirmed(self, propagated: Candidate) -> bool:
+        """Whether its own log odds suffice, where the prior is that of the pose predicted."""
+        return self.is_acceptable(propagated)
+
+    def decide(self, query: Query, candidates: list[Candidate]) -> Decision:
+        """The likeliest candidate is accepted if its posterior probability is high enough, rivals included.
+
+        Rivals are the other candidates and, of a candidate that would be accepted, the poses at which a regular pattern
+        of objects fits as well.
+        """
+        posterior = self._posterior(query, candidates)
+        best = candidates[posterior.best]
+        others = [each for each in candidates if each is not best]
+        if self._is_sure(posterior):
+            rivals = self._verifier.shifted(query, best) + self._verifier.aliases(query, best)
+            compared = suppress_non_maxima([best, *others, *rivals], sensor_range_m=self._sensor_range_m)
+            posterior = self._posterior(query, compared)
+            is_best = self._verifier.agree(compared[posterior.best].T_local_query, best.T_local_query)
+            best_rival = max((each.log_likelihood_ratio for each in compared if each is not best), default=None)
+            best = replace(best, best_rival_llr=best_rival)
+        else:
+            is_best = True
+        best = replace(best, accumulated_llr=float(posterior.log_odds[posterior.best]))
+        rejected = tuple(each.record(Stage.ACCEPTANCE, "another candidate is likelier") for each in others)
+        if is_best and self._is_sure(posterior):
+            return Decision(rejected, best)
+        fits = best.log_likelihood_ratio >= self._least_log_odds
+        reason = f"posterior probability {posterior.probabilities[posterior.best]:.3f}"
+        if not is_best:
+            reason = f"ambiguous: {reason} of another pose"
+        record = best.record(Stage.CONSISTENCY if fits else Stage.ACCEPTANCE, reason)
+        return Decision((*rejected, record))
+
+    def _posterior(self, query: Query, candidates: Sequence[Candidate]) -> Posterior:
+        """The posterior of the candidates of one query."""
+        return self._localizer.update(
+            query.T_local_gravity,
+            query.travel_m,
+            [self._evidence(each) for each in candidates],
+            lambda i, j: self._verifier.are_consistent(candidates[i], candidates[j]),
+        )
+
+    def _evidence(self, candidate: Candidate) -> PoseEvidence:
+        return PoseEvidence(
+            candidate.T_local_query,
+            self._keyframes[candidate.reference].odometry.segment,
+            -candidate.odometry_penalty,
+            candidate.rows,
+            candidate.log_likelihood_ratios,
+        )
+
+    def _is_sure(self, posterior: Posterior) -> bool:
+        return bool(np.max(posterior.probabilities) >= 1.0 - self._error_probability)

@@ -1,0 +1,118 @@
+"""Kidnappings that the odometry does not show, and what is none: each rule without a drive."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.common.arrays import FloatArray
+from slam.common.config import LocalizationConfig
+from slam.common.geometry import transform_from_xyz_yaw
+from slam.localization.continuity_monitor import ContinuityMonitor, RecentLandmarks
+from slam.localization.visibility import Visibility
+from slam.odometry.keyframe import Keyframe
+from slam.odometry.pose import OdometryPose
+
+RANGE_M = 30.0
+STEP_M = 2.0
+LEARNING = 80
+"""Keyframes in which the monitor learns where landmarks are seen."""
+
+
+class Street:
+    """A straight street with a landmark every five metres on either side, driven in one direction."""
+
+    def __init__(self) -> None:
+        self.monitor = ContinuityMonitor(LocalizationConfig(), RANGE_M)
+        self.x_m = np.arange(-30.0, 600.0, 5.0)
+        self.positions = np.concatenate(
+            [np.column_stack([self.x_m, np.full(len(self.x_m), side), np.zeros(len(self.x_m))]) for side in (6.0, -7.0)]
+        )
+        self.first_m = np.full(len(self.positions), np.inf)
+        self.last_m = np.full(len(self.positions), -np.inf)
+        self.keyframe = -1
+
+    def drive(self, count: int, *, blind: bool = False, hidden: FloatArray | None = None) -> Keyframe | None:
+        """Drive on; ``hidden`` (N,): landmarks that are not seen. Stops where a kidnapping is noticed."""
+        for _ in range(count):
+            self.keyframe += 1
+            travel_m = STEP_M * self.keyframe
+            ranges = np.hypot(self.positions[:, 0] - travel_m, self.positions[:, 1])
+            seen = (ranges < RANGE_M) & ~np.asarray(blind if hidden is None else hidden, dtype=bool)
+            self.first_m[seen] = np.minimum(self.first_m[seen], travel_m)
+            self.last_m[seen] = travel_m
+            noticed = self.monitor.update(self._keyframe(travel_m), self._recent(travel_m))
+            if noticed is not None:
+                return noticed
+        return None
+
+    def carry_off(self) -> None:
+        """Other objects stand around the robot from now on; those from before stay in the map where they were."""
+        seen = self.first_m < np.inf
+        elsewhere = self.positions + np.array([2.3, 1.9, 0.0])
+        self.positions = np.concatenate([self.positions[seen], elsewhere])
+        self.first_m = np.concatenate([self.first_m[seen], np.full(len(elsewhere), np.inf)])
+        self.last_m = np.concatenate([self.last_m[seen], np.full(len(elsewhere), -np.inf)])
+        self.gone = int(seen.sum())
+
+    def hide_known(self) -> FloatArray:
+        return np.arange(len(self.positions)) < self.gone
+
+    def _keyframe(self, travel_m: float) -> Keyframe:
+        T = transform_from_xyz_yaw(np.array([travel_m, 0.0, 0.0]), 0.0)
+        return Keyframe(self.keyframe, OdometryPose(10**9 * self.keyframe, T, travel_m, 0, STEP_M), T)
+
+    def _recent(self, travel_m: float) -> RecentLandmarks:
+        rows = np.flatnonzero(self.last_m > travel_m - self.monitor.memory_m)
+        return RecentLandmarks(rows, self.positions[rows], self.first_m[rows], self.last_m[rows])
+
+
+@pytest.fixture
+def street() -> Street:
+    street = Street()
+    assert street.drive(LEARNING) is None
+    return street
+
+
+def test_a_kidnapping_is_noticed_within_a_sensor_range_and_dated(street):
+    street.carry_off()
+    noticed = street.drive(int(RANGE_M / STEP_M), hidden=street.hide_known())
+    assert noticed is not None
+    assert abs(noticed.id - LEARNING) <= 1
+
+
+def test_a_drive_without_one_raises_no_alarm(street):
+    assert street.drive(150) is None
+
+
+def test_a_blind_sensor_is_no_kidnapping(street):
+    assert street.drive(10, blind=True) is None
+
+
+def test_many_new_objects_are_none(street):
+    more = street.positions + np.array([1.7, 2.4, 0.0])
+    street.positions = np.concatenate([street.positions, more])
+    street.first_m = np.concatenate([street.first_m, np.full(len(more), np.inf)])
+    street.last_m = np.concatenate([street.last_m, np.full(len(more), -np.inf)])
+    assert street.drive(30) is None
+
+
+def test_half_of_the_landmarks_that_vanish_are_none(street):
+    assert street.drive(15, hidden=street.positions[:, 1] > 0.0) is None
+
+
+def test_after_a_new_segment_nothing_from_before_is_expected(street):
+    street.monitor.restart()
+    street.carry_off()
+    assert street.drive(20, hidden=street.hide_known()) is None
+
+
+def test_where_a_sensor_sees_is_learned_by_range_and_bearing():
+    visibility = Visibility(RANGE_M)
+    ahead, behind, far = np.array([[10.0, 1.0]]), np.array([[-10.0, 1.0]]), np.array([[31.0, 0.0]])
+    assert visibility.probability(ahead)[0] == visibility.probability(behind)[0] > 0.0
+    for _ in range(50):
+        visibility.learn(np.concatenate([ahead, behind, far]), np.array([True, False, True]))
+    assert visibility.probability(ahead)[0] > 0.9
+    assert visibility.probability(behind)[0] < 0.1
+    assert visibility.probability(far)[0] == 0.0

@@ -1,0 +1,130 @@
+"""Acceptance by posterior probability: one candidate, rivals, patterns that repeat, and what is remembered."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slam.common.arrays import FloatArray
+from slam.common.config import Config
+from slam.common.geometry import transform_from_xyz_yaw
+from slam.loop_closure.candidate import Candidate, Query
+from slam.loop_closure.consistency import poses_agree
+from slam.loop_closure.posterior_acceptance import PosteriorAcceptance
+from slam.object_map.submap import Submap
+from slam.odometry.keyframe import Keyframe
+from slam.odometry.pose import OdometryPose
+from slam.place_recognition.place import Place
+from tests.helpers.candidates import make_candidate
+
+PENALTY = 15.0
+SURE_LLR = PENALTY + 6.0
+"""More than log odds of 0.995, 5.3, above the penalty."""
+
+
+def at(x_m: float) -> FloatArray:
+    return transform_from_xyz_yaw(np.array([x_m, 0.0, 0.0]), 0.0)
+
+
+def candidate(x_m: float, llr: float, *, row: int = 0, reference: int = 3) -> Candidate:
+    return make_candidate(
+        T_local_query=at(x_m), llrs={row: llr}, odometry_penalty=PENALTY, reference=reference, T_reference_query=at(0.0)
+    )
+
+
+def query(travel_m: float = 300.0) -> Query:
+    keyframe = make_keyframe(50, travel_m)
+    none = np.zeros(0, dtype=np.int64)
+    return Query(keyframe, Submap(np.zeros((0, 3)), np.zeros(0), none, none), keyframe.T_local_body)
+
+
+def make_keyframe(number: int, travel_m: float) -> Keyframe:
+    return Keyframe(number, OdometryPose(10**9, at(travel_m), travel_m, 0, 2.0), at(travel_m))
+
+
+class Patterns:
+    """A verifier that knows of other poses at which the same objects fit."""
+
+    def __init__(self) -> None:
+        self.along_track: list[Candidate] = []
+        self.repeated: list[Candidate] = []
+        self.passed_twice = False
+
+    def agree(self, T_a: FloatArray, T_b: FloatArray) -> bool:
+        return poses_agree(T_a, T_b, sensor_range_m=30.0)
+
+    def are_consistent(self, a: Candidate, b: Candidate) -> bool:
+        return self.passed_twice
+
+    def shifted(self, query: Query, candidate: Candidate) -> list[Candidate]:
+        return self.along_track
+
+    def aliases(self, query: Query, candidate: Candidate) -> list[Candidate]:
+        return self.repeated
+
+    def place_at(self, query: Query, T_local_query: FloatArray, segment: int) -> Place | None:
+        return Place(T_local_query, 0.0, segment, np.inf)
+
+
+@pytest.fixture
+def patterns() -> Patterns:
+    return Patterns()
+
+
+@pytest.fixture
+def acceptance(patterns: Patterns) -> PosteriorAcceptance:
+    keyframes = [make_keyframe(number, 2.0 * number) for number in range(60)]
+    return PosteriorAcceptance(Config(), patterns, keyframes)  # type: ignore[arg-type]
+
+
+def test_a_candidate_is_accepted_from_the_odds_on_that_are_wanted(acceptance):
+    assert acceptance.decide(query(), [candidate(0.0, SURE_LLR)]).accepted is not None
+    acceptance.reset()
+    refused = acceptance.decide(query(), [candidate(0.0, SURE_LLR - 1.0)])
+    assert refused.accepted is None
+    assert "posterior probability 0.993" in refused.rejected[0].reason
+
+
+def test_a_rival_that_fits_as_well_leaves_it_open(acceptance, patterns):
+    both = [candidate(0.0, SURE_LLR + 10.0), candidate(200.0, SURE_LLR + 9.0)]
+    assert acceptance.decide(query(), both).accepted is None
+    acceptance.reset()
+    patterns.passed_twice = True
+    assert acceptance.decide(query(), both).accepted is not None
+
+
+@pytest.mark.parametrize("where", ["along_track", "repeated"])
+def test_a_pattern_that_repeats_itself_leaves_it_open(acceptance, patterns, where):
+    setattr(patterns, where, [candidate(8.0, SURE_LLR + 4.0)])
+    assert acceptance.decide(query(), [candidate(0.0, SURE_LLR + 5.0)]).accepted is None
+    setattr(patterns, where, [candidate(8.0, SURE_LLR + 9.0)])
+    worse = acceptance.decide(query(), [candidate(0.0, SURE_LLR + 5.0)])
+    assert worse.accepted is None
+    setattr(patterns, where, [candidate(8.0, SURE_LLR - 9.0)])
+    acceptance.reset()
+    assert acceptance.decide(query(), [candidate(0.0, SURE_LLR + 5.0)]).accepted is not None
+
+
+def test_candidates_of_several_keyframes_are_accepted_together(acceptance):
+    assert acceptance.decide(query(300.0), [candidate(0.0, 12.0, row=1)]).accepted is None
+    later = acceptance.decide(query(310.0), [candidate(10.0, 12.0, row=2)]).accepted
+    assert later is not None
+    assert later.accumulated_llr == pytest.approx(24.0 - PENALTY)
+
+
+def test_hypotheses_are_expected_where_the_odometry_leads(acceptance):
+    assert acceptance.expected_places(query(300.0)) == []
+    acceptance.decide(query(300.0), [candidate(0.0, 12.0)])
+    places = acceptance.expected_places(query(310.0))
+    np.testing.assert_allclose([place.T_local_query for place in places], [at(10.0)], atol=1e-9)
+    acceptance.reset()
+    assert acceptance.expected_places(query(310.0)) == []
+
+
+def test_what_fits_but_not_with_the_prior_is_a_matter_of_consistency(acceptance):
+    far = replace(candidate(0.0, 30.0), odometry_penalty=28.0)
+    assert [each.stage for each in acceptance.decide(query(), [far]).rejected] == ["consistency"]
+    acceptance.reset()
+    assert [each.stage for each in acceptance.decide(query(), [candidate(0.0, 4.0)]).rejected] == ["acceptance"]
