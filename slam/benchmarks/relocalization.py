@@ -14,6 +14,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from logs.messages import GroundTruthPose, ObjectDetections, Odometry
+from slam.benchmarks.kidnapping.oracle import Oracle
 from slam.benchmarks.kidnaps import Kidnap, change_world, draw_kidnaps, thin_world, worsen
 from slam.benchmarks.known_map import KnownMap, map_drive, truth_of
 from slam.benchmarks.relocalization_figures import (
@@ -23,7 +24,6 @@ from slam.benchmarks.relocalization_figures import (
     Tolerance,
     sum_up,
 )
-from slam.benchmarks.relocalization_oracle import Oracle
 from slam.benchmarks.relocalization_trial import Drive, put_down
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
@@ -73,7 +73,7 @@ def benchmark_relocalization(
         noise: factor on the errors of the sensor that searches.
         changed: share of the objects near the tour that are others by then.
         thin: one of so many objects of the world is left, before the map is made.
-        oracle: also ask what could have been found; see :mod:`slam.benchmarks.relocalization_oracle`.
+        oracle: also ask what could have been found; see :mod:`slam.benchmarks.kidnapping.oracle`.
         max_travel_m: length of each search.
         jobs: processes that search at a time.
         on_progress: called with the fraction done, in [0, 1].

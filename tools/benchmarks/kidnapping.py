@@ -10,7 +10,7 @@ import typer
 from tools.arguments import ConfigFile, Json, Settings
 
 if TYPE_CHECKING:
-    from slam.benchmarks.silent_kidnapping import SilentKidnappingBenchmark
+    from slam.benchmarks.kidnapping.silent import SilentKidnappingBenchmark
 
 
 def kidnapping(
@@ -31,7 +31,7 @@ def kidnapping(
     """
     from dataclasses import asdict
 
-    from slam.benchmarks.silent_kidnapping import benchmark_silent_kidnapping
+    from slam.benchmarks.kidnapping.silent import benchmark_silent_kidnapping
     from slam.common.config import load_config
     from slam.simulation.world import load_world
     from tools import console
@@ -46,7 +46,7 @@ def kidnapping(
 
 
 def _show(result: SilentKidnappingBenchmark) -> None:
-    from slam.benchmarks.silent_kidnapping import NOTICED_WITHIN_M
+    from slam.benchmarks.kidnapping.silent import NOTICED_WITHIN_M
     from tools import console
 
     median = "-" if result.median_m is None else f"{result.median_m:.1f} m"

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, Record
+from slam.benchmarks.kidnapping.oracle import Oracle, OracleAnswer
 from slam.benchmarks.kidnaps import thin_world
 from slam.benchmarks.known_map import KnownMap
 from slam.benchmarks.relocalization_figures import Tolerance
-from slam.benchmarks.relocalization_oracle import Oracle, OracleAnswer
 from slam.common.config import Config
 from slam.common.errors import SimulationError
 from slam.common.geometry import transform_from_xyz_yaw

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from slam.benchmarks.silent_kidnapping import NOTICED_WITHIN_M, benchmark_silent_kidnapping
+from slam.benchmarks.kidnapping.silent import NOTICED_WITHIN_M, benchmark_silent_kidnapping
 from slam.common.config import Config, LocalizationConfig
 from slam.common.errors import SimulationError
 from tests.helpers.loop_drives import two_blocks
