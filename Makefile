@@ -13,6 +13,8 @@ help:
 	@echo 'make test     lint, types and all tests'
 	@echo 'make lint     only ruff and mypy'
 	@echo 'make fuzz     run N=200 mutated files of SEED=0 through all commands; those that fail stay in out/fuzz'
+	@echo 'make docs     the documentation as a site, in build/site'
+	@echo 'make results  run the commands of docs/results again (hours; goes on where it was); LIST=1 only lists them'
 	@echo 'make schemas  generate the Python modules of logs/schemas/*.proto again'
 	@echo 'make clean    remove what the others made, .venv included'
 	@echo 'PYTHON=/path/to/python chooses the interpreter (3.11 or newer).'
@@ -46,6 +48,7 @@ lint: $(INSTALLED)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
+	$(BIN)/mypy -p tests
 
 check: lint
 	$(BIN)/pytest -m 'not slow' -n auto --dist loadfile
@@ -57,6 +60,13 @@ N ?= 200
 SEED ?= 0
 fuzz: $(INSTALLED)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz --count $(N) --seed $(SEED)
+
+docs: $(INSTALLED)
+	NO_MKDOCS_2_WARNING=true $(BIN)/mkdocs build --strict --quiet
+	@echo 'open build/site/index.html'
+
+results: $(INSTALLED)
+	$(BIN)/python docs/run_results.py $(if $(LIST),--list)
 
 # Its own environment: the generated code must stay readable by the oldest protobuf that pyproject.toml allows.
 schemas: | $(PROTOC)

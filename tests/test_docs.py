@@ -1,0 +1,131 @@
+"""The documents: links lead somewhere, commands are ones that the program takes, and the site is built."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.main import get_command
+
+from slam.common.config import load_config
+from slam.simulation.config import load_simulation_config
+from tools.cli import app
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
+NAMES = [page.relative_to(ROOT).as_posix() for page in PAGES]
+GENERATED = {f"docs/reference/{name}.md" for name in ("commands", "settings", "json", "messages")}
+BLOCK = re.compile(r"^```(?:sh|bash|console)?\n(.*?)^```", re.DOTALL | re.MULTILINE)
+LINK = re.compile(r"!?\[[^]]*\]\(([^)\s]+)\)")
+ENDS = {";", "&&", "|", "||", "&", "(", ")", "do", "done", "then", "else"}
+
+
+def anchors(page: Path) -> set[str]:
+    """As GitHub and mkdocs make them of headings."""
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    headings = re.findall(r"^#+ +(.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_links_lead_to_files_and_headings(name: str) -> None:
+    page = ROOT / name
+    for target in LINK.findall(page.read_text(encoding="utf-8")):
+        if "://" in target:
+            continue
+        path, _, anchor = target.partition("#")
+        file = (page.parent / path).resolve() if path else page
+        if file.relative_to(ROOT).as_posix() in GENERATED:
+            continue
+        assert file.exists(), f"{name}: {target}"
+        assert not anchor or file.suffix != ".md" or anchor in anchors(file), f"{name}: {target}"
+
+
+def commands(block: str) -> Iterator[list[str]]:
+    """Arguments of each ``dslam`` in a block of shell; variables are 1."""
+    block = re.sub(r"<<'END'.*?^END$", "", block, flags=re.DOTALL | re.MULTILINE).replace("\\\n", " ")
+    for line in block.splitlines():
+        lexer = shlex.shlex(re.sub(r"\$\{?\w+\}?", "1", line), posix=True, punctuation_chars=True)
+        lexer.whitespace_split = True
+        words: list[str] = []
+        for word in [*lexer, ";"]:
+            if word in ENDS or set(word) <= set("><"):
+                if words[:1] == ["dslam"]:
+                    yield words[1:]
+                words = []
+            else:
+                words.append(word)
+
+
+def parse(arguments: list[str]) -> Any:
+    """The context of the command that they name; raises for a command, an option or a value that there is not."""
+    command, context = get_command(app), None
+    while True:
+        context = command.make_context(command.name, list(arguments), parent=context)
+        if not hasattr(command, "commands"):
+            return context
+        _, command, arguments = command.resolve_command(context, [*context._protected_args, *context.args])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_commands_are_those_of_the_program(name: str) -> None:
+    for block in BLOCK.findall((ROOT / name).read_text(encoding="utf-8")):
+        for arguments in commands(block):
+            try:
+                settings = parse(arguments).params.get("settings") or ()
+            except Exception as error:
+                message = getattr(error, "format_message", lambda error=error: str(error))()
+                pytest.fail(f"{name}: dslam {' '.join(arguments)}: {message}")
+            (load_simulation_config if arguments[0] == "simulate" else load_config)(None, settings)
+
+
+def test_commands_are_found_in_blocks() -> None:
+    block = (
+        "for x in a b; do dslam info $x.mcap --json > $x.json; done\ndslam export map.mcap \\\n  --tum t.txt # and g2o"
+    )
+    assert list(commands(block)) == [["info", "1.mcap", "--json"], ["export", "map.mcap", "--tum", "t.txt"]]
+    with pytest.raises(Exception, match=r"flly|No such"):
+        parse(["flly"])
+
+
+def test_results_are_run_from_the_pages_themselves(tmp_path: Path) -> None:
+    results = runpy.run_path(str(ROOT / "docs" / "run_results.py"))
+    assert {f"{page}.md" for page in results["PAGES"]} == {path.name for path in (ROOT / "docs/results").glob("*.md")}
+    assert all(results["read_blocks"](page) for page in results["PAGES"])
+    block = results["Block"]("page-1", "echo $D; echo once >> times\n", tmp_path)
+    assert results["run"](block, tmp_path) == results["run"](block, tmp_path) == 0
+    assert (tmp_path / "times").read_text() == "once\n"
+    assert (tmp_path / "page-1.txt").read_text().endswith(f"----\n{tmp_path}\n")
+    failing = results["Block"]("page-2", "false\n", tmp_path)
+    assert results["run"](failing, tmp_path) == 1
+    assert not (tmp_path / "page-2.txt").exists()
+
+
+def test_reference_pages_hold_every_command_setting_and_key() -> None:
+    pages = {name: make() for name, make in runpy.run_path(str(ROOT / "docs" / "reference.py"))["PAGES"].items()}
+    assert {f"docs/reference/{name}.md" for name in pages} == GENERATED
+    assert "## dslam benchmark replay" in pages["commands"]
+    assert "`--save-map`" in pages["commands"]
+    assert "`keyframe.distance_m`" in pages["settings"]
+    assert "- `trajectory.ate_m`" in pages["json"]
+    assert "message LoopClosure" in pages["messages"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec("mkdocs") is None, reason="mkdocs is not installed: pip install '.[docs]'")
+def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path / "site")]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    assert "dslam relocalize" in (tmp_path / "site/reference/commands/index.html").read_text(encoding="utf-8")
