@@ -29,6 +29,7 @@ from logs.selection import OUTPUT_PREFIX, Selection, select_topics
 from logs.topics import RecordKind
 from logs.writer import LogWriter, partial_path
 from slam.common.config import Config
+from slam.common.config_tree import CHANGED_SETTINGS, changed_settings
 from slam.common.errors import InputDataError, SavedMapError
 from slam.display.drive_display import FRAMES, DriveDisplay
 from slam.frontend.input_records import InputRecords
@@ -247,6 +248,7 @@ def _provenance(reader: LogReader, config: Config, selection: Selection) -> dict
     return {
         "version": version("descriptellation-slam"),
         "configuration": config.model_dump_json(),
+        CHANGED_SETTINGS: changed_settings(config),
         "input_sha256": reader.sha256(),
         "topics": json.dumps({topic: list(kinds) for topic, kinds in sorted(selection.kinds.items())}),
     }

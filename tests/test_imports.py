@@ -123,6 +123,16 @@ def test_the_command_line_starts_light() -> None:
     assert result.stdout.strip() == "[]"
 
 
+def test_looking_into_a_log_loads_only_what_reads_it() -> None:
+    heavy = ("torch", "matplotlib", "plotly", "scipy", "gtsam", "rosbags", "numpy.ma", "slam")
+    code = (
+        "import sys; from tools.cli import run; run(['info', 'logs/samples/short_drive.mcap']); "
+        f"print([m for m in {heavy!r} if m in sys.modules])"
+    )
+    result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert result.stdout.splitlines()[-1] == "[]"
+
+
 @pytest.mark.slow
 def test_handcrafted_descriptors_need_no_torch() -> None:
     assert importers_of("torch", "slam", "tools", "logs") == set()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from math import isfinite
@@ -152,7 +152,7 @@ def _show(summary: LogSummary) -> None:
             continue
         if name == info_map.METADATA:
             values = {key: value for key, value in values.items() if key not in info_map.SHOWN}
-        rows |= {f"{name}: {key}": _shortened(name, key, value) for key, value in values.items()}
+        rows |= {f"{name}: {key}": text for key, text in _about(name, values).items()}
     console.show(console.pairs(rows))
 
 
@@ -182,16 +182,29 @@ def _obstacle(summary: LogSummary) -> str:
     return summary.obstacle.partition(" Topics of the log:")[0]  # they stand above
 
 
-def _shortened(name: str, key: str, value: str) -> str:
+def _about(name: str, values: Mapping[str, str]) -> dict[str, str]:
     """Metadata for people: of a configuration only what is not the default."""
-    if key != "configuration":
-        return value if len(value) <= _LONGEST_VALUE else f"{value[:_LONGEST_VALUE]} ... (--json shows all)"
+    about = {
+        key: _shortened(value) for key, value in values.items() if key not in ("changed_settings", "configuration")
+    }
+    if "configuration" not in values:
+        return about
+    changed = values.get("changed_settings")
+    if changed is None:  # a log of version 0.1.0
+        changed = _changed_settings(name, values["configuration"])
+    return {"configuration": "defaults" + (f", but {changed}" if changed else ""), **about}
+
+
+def _shortened(value: str) -> str:
+    return value if len(value) <= _LONGEST_VALUE else f"{value[:_LONGEST_VALUE]} ... (--json shows all)"
+
+
+def _changed_settings(name: str, configuration: str) -> str:
     from slam.common.config import Config
     from slam.common.config_tree import changes
     from slam.simulation.config import SimulationConfig
 
-    changed = changes(SimulationConfig() if name == "simulation" else Config(), value)
-    return "defaults" + (f", but {', '.join(changed)}" if changed else "")
+    return ", ".join(changes(SimulationConfig() if name == "simulation" else Config(), configuration))
 
 
 def _topic_table(summary: LogSummary) -> Table:

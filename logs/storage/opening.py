@@ -15,7 +15,6 @@ from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
 from logs.storage.bag_folder import find_bag_files
 from logs.storage.mcap_file import McapFile
-from logs.storage.sqlite_file import SqliteFile
 from logs.storage.storage import Storage
 
 SQLITE_MAGIC = b"SQLite format 3\x00"
@@ -61,6 +60,8 @@ def _open(path: Path, name: str, limits: ReadingLimits, until_closed: ExitStack)
     if magic.startswith(blocks.MAGIC):
         storage = McapFile(path, name, limits)
     elif magic == SQLITE_MAGIC:
+        from logs.storage.sqlite_file import SqliteFile  # loads rosbags
+
         storage = SqliteFile(path, name, limits)
     if storage is not None:
         until_closed.callback(storage.close)

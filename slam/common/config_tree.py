@@ -73,6 +73,15 @@ def settings_of(tree: BaseModel, prefix: str = "") -> Iterator[Setting]:
             yield Setting(f"{prefix}{name}", value, default, _allowed(field), meaning)
 
 
+CHANGED_SETTINGS = "changed_settings"
+"""Metadata of a log beside its configuration: :func:`changed_settings`, so that reading it needs no model."""
+
+
+def changed_settings(tree: BaseModel) -> str:
+    """What is not the default, for people: "keyframe.distance_m=1.5, ..."."""
+    return ", ".join(changes(type(tree)(), tree.model_dump_json()))
+
+
 def changes(defaults: BaseModel, text: str) -> list[str]:
     """What a recorded configuration, JSON in ``text``, says otherwise than ``defaults``: "key=value" each."""
     # By way of JSON, as what is recorded.

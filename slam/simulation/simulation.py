@@ -20,6 +20,7 @@ from logs.messages import (
 from logs.selection import DETECTION_TRUTH_TOPIC, GROUND_TRUTH_TOPIC, OBJECT_TRUTH_TOPIC
 from logs.writer import LogWriter
 from slam.common.arrays import FloatArray, IntArray
+from slam.common.config_tree import CHANGED_SETTINGS, changed_settings
 from slam.common.errors import SimulationError
 from slam.common.geometry import invert
 from slam.simulation import traffic
@@ -90,6 +91,7 @@ def write_simulation(path: Path, world: World, config: SimulationConfig, *, seed
                 "world_sha256": world.sha256(),
                 "seed": str(seed),
                 "configuration": json.dumps(config.model_dump(mode="json"), sort_keys=True),
+                CHANGED_SETTINGS: changed_settings(config),
             },
         )
         for topic, stamp_ns, record in _records(world, config, plan, drives, streams):
