@@ -70,7 +70,8 @@ def commands(block: str) -> Iterator[list[str]]:
 
 def parse(arguments: list[str]) -> Any:
     """The context of the command that they name; raises for a command, an option or a value that there is not."""
-    command, context = get_command(app), None
+    command: Any = get_command(app)
+    context = None
     while True:
         context = command.make_context(command.name, list(arguments), parent=context)
         if not hasattr(command, "commands"):

@@ -84,7 +84,7 @@ def test_scans_are_found_where_they_were_made(folder: Path) -> None:
     errors_m = []
     for scan in scans[::10]:
         found = localizer.localize(scan)
-        place = min(np.searchsorted(trajectory.stamps_ns, scan.stamp_ns), len(trajectory.stamps_ns) - 1)
+        place = min(int(np.searchsorted(trajectory.stamps_ns, scan.stamp_ns)), len(trajectory.stamps_ns) - 1)
         if found.found:
             errors_m.append(np.linalg.norm((found.T_reference_query - trajectory.T_map_body[place])[:2, 3]))
     assert len(errors_m) > len(scans[::10]) / 2

@@ -166,7 +166,7 @@ def test_a_training_that_is_complete_is_left_as_it_is(folder):
         replace(TINY, seed=1),
         replace(TINY, margin=0.2),
         replace(TINY, dataset=replace(TINY.dataset, radius_m=25.0)),
-        replace(TINY, architecture=replace(TINY.architecture, channels=16)),
+        replace(TINY, architecture=replace(TINY.architecture, channels=16)),  # type: ignore[type-var]
         replace(TINY, architecture=PointNetArchitecture()),
         replace(TINY, augmentation=replace(TINY.augmentation, dropout=0.2)),
     ],
@@ -287,7 +287,7 @@ def test_of_epochs_that_are_equally_good_the_first_one_counts(tmp_path, monkeypa
 
 def test_an_epoch_goes_through_every_view_once_anchor_by_anchor_and_each_time_in_another_order(tmp_path, monkeypatch):
     batches: list[list[int]] = []
-    loss = training.batch_triplet_loss
+    loss = training.batch_triplet_loss  # type: ignore[attr-defined]
 
     def note(vectors: torch.Tensor, anchors: torch.Tensor, margin: float) -> torch.Tensor:
         if vectors.requires_grad:

@@ -38,9 +38,8 @@ def mutate_bytes(content: bytes, rng: np.random.Generator) -> bytes:
                 size = int(rng.choice([1, 2, 4, 8]))
                 data[place : place + size] = (value % 256**size).to_bytes(size, "little")
             case 6:
-                value = np.array([rng.choice(FLOATS)], dtype="<f8").tobytes()
                 place -= place % 4
-                data[place : place + 8] = value
+                data[place : place + 8] = np.array([rng.choice(FLOATS)], dtype="<f8").tobytes()
             case 7:
                 del data[place if rng.random() < 0.3 else max(place, len(data) - 1000) :]
     return bytes(data)

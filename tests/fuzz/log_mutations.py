@@ -80,10 +80,11 @@ def _mutate_field(message: Any, rng: np.random.Generator) -> None:
     is_message = field.cpp_type == FieldDescriptor.CPPTYPE_MESSAGE
     if field.message_type is not None and field.message_type.GetOptions().map_entry:
         value.clear()
-        return None
+        return
     if field.is_repeated:
         if len(value) and is_message and rng.random() < 0.8:
-            return _mutate_field(value[int(rng.integers(len(value)))], rng)
+            _mutate_field(value[int(rng.integers(len(value)))], rng)
+            return
         match int(rng.integers(4)):
             case 0:
                 del value[int(rng.integers(len(value) + 1)) :]
@@ -96,11 +97,14 @@ def _mutate_field(message: Any, rng: np.random.Generator) -> None:
                     value[:] = [odd for _ in value]
                 else:
                     value[place] = _odd(field, rng)
-        return None
+        return
     if is_message:
-        return message.ClearField(field.name) if rng.random() < 0.1 else _mutate_field(value, rng)
+        if rng.random() < 0.1:
+            message.ClearField(field.name)
+        else:
+            _mutate_field(value, rng)
+        return
     setattr(message, field.name, _odd(field, rng))
-    return None
 
 
 def _odd(field: FieldDescriptor, rng: np.random.Generator) -> Any:

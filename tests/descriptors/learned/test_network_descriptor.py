@@ -175,7 +175,7 @@ def test_the_weights_that_ship_describe(constellations, name):
     descriptor = make_descriptor(name)
     assert descriptor.name == name
     vectors = descriptor.describe(constellations)
-    assert vectors.shape == (len(constellations), descriptor.length)
+    assert vectors.shape == (len(constellations), descriptor.length)  # type: ignore[attr-defined]
     assert np.isfinite(vectors).all()
 
 

@@ -44,7 +44,7 @@ class Dataset:
 
     def archive(self, name: str) -> Path:
         path = self.root / name
-        with tarfile.open(path, f"w:{path.suffix[1:]}") as archive:
+        with tarfile.open(path, f"w:{path.suffix[1:]}") as archive:  # type: ignore[call-overload]
             # Not in the order of the scans: nothing obliges an archive to that.
             for file in sorted((self.root / "objects").rglob("*.txt"), reverse=True):
                 archive.add(file, f"somewhere/else/{file.relative_to(self.root / 'objects').as_posix()}")

@@ -155,7 +155,7 @@ def test_a_drive_that_measures_nothing_keeps_the_noise_that_it_was_given() -> No
 
 def test_what_is_not_determined_is_refused() -> None:
     system = chain(6 * STRETCH_STEPS)
-    empty = LinearSystem(
+    empty = LinearSystem(  # type: ignore[call-arg]
         0.0 * system.jacobian, system.residuals, system.kernel_weight, *[system.odometry_rows] * 2, system.owners
     )
     with pytest.raises(np.linalg.LinAlgError):

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from slam.backend.factor_graph import MIN_RANGE_RANGES, Edge, FactorGraph, Observation
-from slam.backend.factors import EdgeKind
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import MIN_RANGE_RANGES, Edge, EdgeKind, Observation
 from slam.common.arrays import FloatArray
 from slam.common.config import FactorGraphConfig
 from slam.common.errors import FactorGraphError

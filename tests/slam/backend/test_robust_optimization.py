@@ -327,7 +327,8 @@ def test_a_closure_with_a_kernel_is_refused() -> None:
     graph, values = factors(with_false(3, 0))
     kernel = gtsam.noiseModel.mEstimator.Huber.Create(1.0)
     graph.replace(
-        1, graph.at(1).cloneWithNewNoiseModel(gtsam.noiseModel.Robust.Create(kernel, graph.at(1).noiseModel()))
+        1,
+        graph.at(1).cloneWithNewNoiseModel(gtsam.noiseModel.Robust.Create(kernel, graph.at(1).noiseModel())),  # type: ignore[attr-defined]
     )
     with pytest.raises(FactorGraphError, match="closure 1 has a kernel"):
         optimize_robustly(graph, values, np.array([0, 1]))

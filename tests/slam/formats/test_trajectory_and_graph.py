@@ -94,8 +94,8 @@ def test_gtsam_reads_the_same_graph_from_g2o(tmp_path: Path) -> None:
         between, record.edge_keyframe_ids.tolist(), record.edge_transforms, record.edge_covariances, strict=True
     ):
         assert list(factor.keys()) == ids
-        np.testing.assert_allclose(factor.measured().matrix(), T, atol=1e-12)
-        np.testing.assert_allclose(factor.noiseModel().covariance(), covariance, rtol=1e-8, atol=1e-10)
+        np.testing.assert_allclose(factor.measured().matrix(), T, atol=1e-12)  # type: ignore[attr-defined]
+        np.testing.assert_allclose(factor.noiseModel().covariance(), covariance, rtol=1e-8, atol=1e-10)  # type: ignore[attr-defined]
 
 
 def test_g2o_of_landmarks_by_hand(tmp_path: Path) -> None:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from logs.messages import DetectionAssociations, Odometry
-from slam.backend.factor_graph import FactorGraph, Observation
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import Observation
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw

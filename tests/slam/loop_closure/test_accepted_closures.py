@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam.backend.factor_graph import Edge, FactorGraph
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import Edge
 from slam.common.arrays import FloatArray
 from slam.common.config import AssociationConfig, Config, FactorGraphConfig
 from slam.common.geometry import transform_from_xyz_yaw

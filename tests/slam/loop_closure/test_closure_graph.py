@@ -7,7 +7,8 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from slam.backend.factor_graph import Edge, FactorGraph, Observation
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import Edge, Observation
 from slam.common.arrays import FloatArray
 from slam.common.config import AssociationConfig, FactorGraphConfig
 from slam.common.geometry import transform_from_xyz_yaw

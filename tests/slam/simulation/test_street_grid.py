@@ -31,7 +31,7 @@ def test_tour_revisits_in_both_directions(town: World) -> None:
     same_m, opposite_m = 0, 0
     tree = cKDTree(town.tour[:-1])
     for i, near in enumerate(tree.query_ball_point(town.tour[:-1], 1.0)):
-        earlier = [j for j in near if j < i - 50]
+        earlier = [j for j in near if j < i - 50]  # type: ignore[attr-defined]
         turned = np.cos(heading[i] - heading[earlier]) if earlier else np.array([])
         same_m += bool(np.any(turned > 0.99))
         opposite_m += bool(np.any(turned < -0.99))

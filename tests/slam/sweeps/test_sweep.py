@@ -179,7 +179,7 @@ def test_killed_and_resumed(log: Path, finished: tuple[Path, Sweep], tmp_path: P
     arguments = [each for text in SPECIFICATIONS for each in ("--degrade", text)]
     command = [sys.executable, "-m", "tools.cli", "sweep", log, "-o", tmp_path, *arguments]
     cells = tmp_path / "cells"
-    with subprocess.Popen([*command, "--seeds", "20", "--jobs", "2"], cwd=ROOT, stdout=subprocess.PIPE) as process:
+    with subprocess.Popen([*command, "--seeds", "20", "--jobs", "2"], cwd=ROOT, stdout=subprocess.PIPE) as process:  # type: ignore[list-item]
         while process.poll() is None and not list(cells.glob("*.json")):
             time.sleep(0.005)
         process.kill()

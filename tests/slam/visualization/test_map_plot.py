@@ -10,7 +10,8 @@ from matplotlib.image import imread
 
 from logs.errors import UnwritableLogError
 from slam.common.errors import EvaluationError
-from slam.visualization.map_plot import LEGEND_CLASSES, MapPicture, draw_map, group_classes
+from slam.visualization.map_plot import MapPicture, draw_map
+from slam.visualization.palette import LEGEND_CLASSES, group_classes
 from tests.slam.evaluation.drives import straight_path, winding_path
 
 
