@@ -7,10 +7,10 @@ from collections.abc import Iterable
 from logs.messages import LoopClosureRecord
 
 STAGES = ("retrieval", "registration", "acceptance", "consistency", "back_end", "accepted")
-"""Where a verdict falls, in the order in which a candidate comes there."""
+"""Where a candidate is decided, in the order in which it comes there."""
 
 
-def find_final_verdicts(records: Iterable[LoopClosureRecord]) -> tuple[LoopClosureRecord, ...]:
+def find_final_decisions(records: Iterable[LoopClosureRecord]) -> tuple[LoopClosureRecord, ...]:
     """The last record about each two keyframes, by query stamp, then query and reference id.
 
     Args:

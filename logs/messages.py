@@ -207,9 +207,9 @@ class FactorGraphRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopClosureRecord:
-    """One loop-closure candidate and its verdict, accepted or not. ``T_reference_query`` is None before registration.
+    """One loop-closure candidate and its decision, accepted or not. ``T_reference_query`` is None before registration.
 
-    ``stage``: where the verdict fell ("retrieval", "registration", "acceptance", "consistency", "back_end",
+    ``stage``: where it was decided ("retrieval", "registration", "acceptance", "consistency", "back_end",
     "accepted"); ``reason``: why. ``stamp_ns`` is that of the query keyframe. A later record about the same two
     keyframes replaces an earlier one. ``inserted``: the closure is a factor of the graph; an accepted one that repeats
     what another says already is none. ``rank``: place of the proposal, from 1, among those that descriptors made for

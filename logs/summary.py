@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs import messages as m
-from logs.closures import find_final_verdicts, rank_stage
+from logs.closures import find_final_decisions, rank_stage
 from logs.container.limits import ReadingLimits
 from logs.errors import TopicSelectionError
 from logs.reader import LogReader
@@ -57,7 +57,7 @@ class TopicSummary:
 
 @dataclass(frozen=True, slots=True)
 class ClosureCount:
-    """How many loop-closure candidates got their final verdict at ``stage`` for ``reason``, whose numbers are #."""
+    """How many loop-closure candidates got their final decision at ``stage`` for ``reason``, whose numbers are #."""
 
     stage: str
     reason: str
@@ -70,7 +70,7 @@ class LogSummary:
     """A log at a glance. ``selection`` is what a replay would use; None where it cannot, and ``obstacle`` says why.
 
     ``class_counts`` counts detections, most frequent first; ``odometry_length_m`` is None without odometry.
-    ``closure_candidates`` are the final verdicts by query stamp, ``closures`` counts them. ``first_stamp_ns`` is the
+    ``closure_candidates`` are the final decisions by query stamp, ``closures`` counts them. ``first_stamp_ns`` is the
     earliest of odometry and poses. ``counters`` are those of the reader, ``status`` is the last one in the log.
     """
 
@@ -118,7 +118,7 @@ def summarize(
         told = {topic: kinds for topic, kinds in everything.kinds.items() if kinds != (RecordKind.FACTOR_GRAPH,)}
         for item in reader.items(Selection(told), times_of=[info.topic for info in topics]):
             gathering.add(item.raw, item.records)
-        candidates = find_final_verdicts(gathering.closures)
+        candidates = find_final_decisions(gathering.closures)
         return LogSummary(
             path=str(path),
             size_bytes=reader.size_bytes,
@@ -141,7 +141,7 @@ def summarize(
 def _count_closures(candidates: Iterable[m.LoopClosureRecord]) -> tuple[ClosureCount, ...]:
     """By the order of the stages, the most frequent reason first."""
     counts = Counter((c.stage, _NUMBER.sub("#", c.reason), c.accepted) for c in candidates)
-    found = [ClosureCount(*verdict, count) for verdict, count in counts.items()]
+    found = [ClosureCount(*decision, count) for decision, count in counts.items()]
     return tuple(sorted(found, key=lambda c: (rank_stage(c.stage), c.stage, not c.accepted, -c.count, c.reason)))
 
 

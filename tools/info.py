@@ -35,7 +35,7 @@ _MOST_REASONS = 30
 def info(
     log: InputLog,
     json: Json = False,
-    closures: Annotated[bool, typer.Option("--closures", help="Loop-closure candidates and their verdicts.")] = False,
+    closures: Annotated[bool, typer.Option("--closures", help="Loop-closure candidates and their decisions.")] = False,
     keyframe: Annotated[
         int | None,
         typer.Option(metavar="ID", help="Only the candidates of this query keyframe; implies --closures.", min=0),
@@ -235,10 +235,10 @@ def _closure_table(summary: LogSummary) -> Table:
 
     from tools import console
 
-    table = console.grid({"verdict": False, "stage": False, "reason": False, "candidates": True}, "Loop closures")
+    table = console.grid({"decision": False, "stage": False, "reason": False, "candidates": True}, "Loop closures")
     shown = summary.closures[:_MOST_REASONS]
     for count in shown:
-        table.add_row(_verdict(accepted=count.accepted), count.stage, escape(count.reason), str(count.count))
+        table.add_row(_decision(accepted=count.accepted), count.stage, escape(count.reason), str(count.count))
     if rest := summary.closures[_MOST_REASONS:]:
         table.add_row("", "", f"{len(rest)} other reasons (--json)", str(sum(count.count for count in rest)))
     return table
@@ -250,7 +250,9 @@ def _candidate_table(summary: LogSummary, candidates: Sequence[LoopClosureRecord
     from tools import console
 
     numbers = dict.fromkeys(("time s", "query", "reference", "score", "LLR", "penalty", "inliers"), True)
-    table = console.grid({**numbers, "verdict": False, "stage": False, "reason": False}, "Candidates by query keyframe")
+    table = console.grid(
+        {**numbers, "decision": False, "stage": False, "reason": False}, "Candidates by query keyframe"
+    )
     for column in table.columns[:-1]:
         column.no_wrap = True
     for candidate in candidates:
@@ -262,7 +264,7 @@ def _candidate_table(summary: LogSummary, candidates: Sequence[LoopClosureRecord
             _number(candidate.log_likelihood_ratio),
             _number(candidate.odometry_penalty),
             str(candidate.inlier_count),
-            _verdict(accepted=candidate.accepted),
+            _decision(accepted=candidate.accepted),
             candidate.stage,
             escape(candidate.reason),
         )
@@ -273,5 +275,5 @@ def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.3g}"
 
 
-def _verdict(*, accepted: bool) -> str:
+def _decision(*, accepted: bool) -> str:
     return "accepted" if accepted else "rejected"

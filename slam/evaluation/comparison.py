@@ -86,7 +86,7 @@ class Comparison:
         return next((d for d in self.marked if (d.key, d.first, d.second) == (key, first, second)), None)
 
     def to_json_dict(self) -> dict[str, Any]:
-        """Plain dicts, lists, strings and finite numbers; groups are told by their number in the list."""
+        """Plain dicts, lists, strings and finite numbers; groups are numbered as in the list."""
         return {
             "runs": [
                 {
@@ -159,7 +159,7 @@ def _differences(groups: Sequence[Group], key: str) -> list[Difference]:
 
 
 def _identity(run: Run) -> str:
-    """Equal for runs that are repetitions of one another; a run that tells nothing of itself is like no other."""
+    """Equal for runs that are repetitions of one another; a run without provenance equals no other."""
     try:
         configuration = json.dumps(json.loads(run.configuration), sort_keys=True)
     except ValueError:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.closures import find_final_verdicts
+from logs.closures import find_final_decisions
 from logs.messages import ObjectMapRecord
 from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
@@ -241,7 +241,7 @@ class _Evaluator:
         if graph is None or len(self._truth.stamps_ns) == 0:
             self._unavailable["literature_protocols"] = NO_KEYFRAMES if graph is None else NO_TRUTH
             return None, None
-        candidates = find_final_verdicts(self._records.closures)
+        candidates = find_final_decisions(self._records.closures)
         keyframes = compare_keyframes(candidates, graph, self._odometry.stamps_ns, self._truth, self._protocol)
         return evaluate_pairs(keyframes, self._protocol), evaluate_online(keyframes, self._protocol)
 

@@ -54,7 +54,7 @@ def draw_precision_recall(quality: ClosureQuality | None) -> Chart | None:
 
 
 def draw_candidates(quality: ClosureQuality | None, start_ns: int, paths: MapPaths) -> Chart | None:
-    """Score of each candidate over time, coloured by the stage of its verdict; None where there is no candidate."""
+    """Score of each candidate over time, coloured by the stage of its decision; None where there is no candidate."""
     if quality is None or quality.candidate_count == 0:
         return None
     judged = quality.judged
@@ -111,10 +111,8 @@ def _draw_stage(
 def _describe(judged: JudgedClosures, row: int) -> str:
     candidate = judged.candidates[row]
     earlier = "no place" if candidate.reference_keyframe_id < 0 else f"{candidate.reference_keyframe_id}"
-    verdict = "undecided" if not judged.decided[row] else "true" if judged.true[row] else "false"
-    text = (
-        f"keyframe {candidate.query_keyframe_id} → {earlier}<br>{escape_name(candidate.stage)}, {verdict} by the truth"
-    )
+    label = "undecided" if not judged.decided[row] else "true" if judged.true[row] else "false"
+    text = f"keyframe {candidate.query_keyframe_id} → {earlier}<br>{escape_name(candidate.stage)}, {label} by the truth"
     return f"{text}<br>{escape_name(candidate.reason)}" if candidate.reason else text
 
 

@@ -23,7 +23,7 @@ def draw_line(positions: FloatArray, name: str, color: str, width: float, *, das
 
 
 def draw_points(positions: FloatArray, name: str, texts: list[str], marker: dict[str, Any]) -> Trace:
-    """Points with a label each; without any, one that nobody sees keeps the entry of the legend."""
+    """Points with a label each; without any, an invisible one keeps the entry of the legend."""
     there = len(positions) > 0
     return {
         "type": "scatter",

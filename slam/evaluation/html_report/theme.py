@@ -12,7 +12,7 @@ STAGES = {
     "back_end": "--stage-back-end",
     "accepted": "--closure-true",
 }
-"""Stage of a verdict -> colour."""
+"""Stage of a decision -> colour."""
 
 LIGHT = {
     "--ink": "#1f2937",

@@ -109,7 +109,7 @@ class Protocol:
     def _describe_closures(self) -> dict[str, str]:
         least_m = (1.0 - SPACING_TOLERANCE) * self.query_spacing_m
         return {
-            "closure_verdict": "Of several records about the same two keyframes the last one counts.",
+            "closure_decision": "Of several records about the same two keyframes the last one counts.",
             "closure_true": f"The transform is within {self.closure_translation_m:g} m and "
             f"{self.closure_rotation_deg:g} deg (whole angle of rotation) of the true relative pose; undecided where "
             "it or the truth at one of the two stamps is missing.",

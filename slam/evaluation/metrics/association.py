@@ -199,7 +199,7 @@ def evaluate_associations(
 
     Args:
         detections: from :func:`label_detections`; may be empty.
-        revisit_m: travel after which nobody can be blamed for not recognising an object without a loop closure.
+        revisit_m: travel beyond which an object is recognised by a loop closure only.
         confirmed_landmark_ids: those of the final map; None leaves the figures of confirmed landmarks undefined.
     """
     identities = identify_landmarks(detections)

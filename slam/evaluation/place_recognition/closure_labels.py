@@ -17,11 +17,11 @@ from slam.evaluation.place_recognition.revisits import find_true_poses
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JudgedClosures:
-    """C candidates, each the final verdict of two keyframes, by query stamp; C may be 0.
+    """C candidates, each the final decision of two keyframes, by query stamp; C may be 0.
 
     accepted, decided, true (C,): whether it was accepted, whether it has a transform and a truth, whether it is right
     (false where undecided); same_place (C,): the two keyframes are near each other, with or without a transform;
-    reference_stamps_ns (C,): 0 where neither the candidate nor a keyframe tells it;
+    reference_stamps_ns (C,): 0 where neither the candidate nor a keyframe holds it;
     errors_xyz (C, 3) metres, world frame: where the closure puts the query keyframe, less where it is;
     rotation_errors_rad (C,); planar_errors (C, 3): the same in the plane of the query's body, forward and left [m], and
     about its z axis [rad]; all 0 where undecided. travelled_m (C,): true path up to the query keyframe.
@@ -66,7 +66,7 @@ def label_closures(
     inclusive, of the true one. Without a transform, or without truth at one of the stamps, it is undecided.
 
     Args:
-        candidates: final verdicts, by query stamp.
+        candidates: final decisions, by query stamp.
         stamp_of_keyframe: for logs whose candidates do not tell the stamp of their reference (0).
         truth: may hold no pose.
         protocol: the thresholds.

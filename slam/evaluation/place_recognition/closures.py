@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from logs.closures import find_final_verdicts, rank_stage
+from logs.closures import find_final_decisions, rank_stage
 from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.evaluation.inputs.protocol import Protocol
@@ -85,9 +85,9 @@ class RevisitQuality:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosureQuality:
-    """Loop-closure candidates by their final verdicts, and what the truth says of them.
+    """Loop-closure candidates by their final decisions, and what the truth says of them.
 
-    ``judged`` is there without a truth too, all undecided; ``has_truth`` tells. ``revisits`` is None without truth or
+    ``judged`` is there without a truth too, all undecided; ``has_truth`` says so. ``revisits`` is None without truth or
     keyframes, ``errors`` without an accepted true closure. ``discoveries``: where the accepted ones come from.
     """
 
@@ -114,7 +114,7 @@ class ClosureQuality:
 
     @property
     def stage_counts(self) -> dict[str, int]:
-        """Candidates by the stage of their verdict, in the order of the stages."""
+        """Candidates by the stage of their decision, in the order of the stages."""
         counts = Counter(candidate.stage for candidate in self.judged.candidates)
         return {stage: counts[stage] for stage in sorted(counts, key=lambda stage: (rank_stage(stage), stage))}
 
@@ -149,7 +149,7 @@ def evaluate_closures(
     truth: PoseSeries,
     protocol: Protocol,
 ) -> ClosureQuality:
-    """Judge the final verdict of every candidate, and find the revisits that were recalled or missed.
+    """Judge the final decision of every candidate, and find the revisits that were recalled or missed.
 
     Args:
         records: in the order of the log; a later one about the same two keyframes replaces an earlier one.
@@ -159,7 +159,7 @@ def evaluate_closures(
         protocol: the thresholds.
     """
     stamp_of_keyframe = dict(zip(keyframe_ids.tolist(), keyframe_stamps_ns.tolist(), strict=True))
-    judged = label_closures(find_final_verdicts(records), stamp_of_keyframe, truth, protocol)
+    judged = label_closures(find_final_decisions(records), stamp_of_keyframe, truth, protocol)
     has_truth = len(truth.stamps_ns) > 0
     revisits = None
     if has_truth and len(keyframe_ids):

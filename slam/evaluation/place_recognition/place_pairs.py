@@ -90,7 +90,7 @@ def compare_keyframes(
     """Bring keyframes, their truth and what candidates claim of them together.
 
     Args:
-        candidates: final verdicts; those without a transform, or with an unknown keyframe, are left out.
+        candidates: final decisions; those without a transform, or with an unknown keyframe, are left out.
         graph: with the final poses of the keyframes.
         odometry_stamps_ns: (N,) strictly increasing; N may be 0.
         truth: may hold no pose.

@@ -71,8 +71,8 @@ def evaluate_retrieval(
     true as that of a closure is.
 
     Args:
-        records: all of a log in its order, not only the final verdicts: a later record about the same two keyframes may
-            be about a closure that another one predicted.
+        records: all of a log in its order, not only the final decisions: a later record about the same two keyframes
+            may be about a closure that another one predicted.
         revisits: as :func:`slam.evaluation.place_recognition.revisits.find_revisits` finds them.
         stamp_of_keyframe: for records that do not tell the stamp of their reference (0).
         truth: may hold no pose.

@@ -43,7 +43,7 @@ def compose_picture(records: EvaluationRecords, evaluation: Evaluation, *, title
 
 
 def _closures(quality: ClosureQuality | None, paths: MapPaths) -> dict[str, FloatArray]:
-    """Ends of the accepted closures by their verdict, and missed revisits, as :class:`MapPicture` takes them."""
+    """Ends of the accepted closures by their label, and missed revisits, as :class:`MapPicture` takes them."""
     if quality is None:
         return {}
     judged = quality.judged

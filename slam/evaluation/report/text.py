@@ -1,4 +1,4 @@
-"""An evaluation as tables for people; whoever prints them chooses the console."""
+"""An evaluation as tables for people; the caller chooses the console."""
 
 from __future__ import annotations
 

@@ -14,11 +14,11 @@ from slam.evaluation.report.text_tables import UNDEFINED, counts, fraction, numb
 
 
 def closure_table(quality: ClosureQuality, retrieval: RetrievalQuality | None = None) -> Table:
-    """Candidates by their verdicts, precision, recall, errors, and the retrieval stage alone."""
+    """Candidates by the stage of their decision, precision, recall, errors, and the retrieval stage alone."""
     rows = {
         "candidates, accepted, in the graph": f"{quality.candidate_count}, {quality.accepted_count}, "
         f"{quality.inserted_count}",
-        "verdict by stage": counts(quality.stage_counts),
+        "decided at stage": counts(quality.stage_counts),
     }
     if quality.true_count is not None and quality.false_count is not None:
         precision = fraction(quality.precision, quality.true_count, quality.true_count + quality.false_count)

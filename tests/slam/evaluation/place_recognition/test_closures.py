@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from logs.closures import STAGES, find_final_verdicts
+from logs.closures import STAGES, find_final_decisions
 from slam.common.geometry import make_transform
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import clean_poses
@@ -117,7 +117,7 @@ def test_the_last_verdict_replaces_the_others() -> None:
 
 def test_final_verdicts_are_in_the_order_of_time() -> None:
     records = [closure(9, 3), closure(5, 2), closure(9, 1), closure(5, 2, stage="retrieval")]
-    found = find_final_verdicts(records)
+    found = find_final_decisions(records)
     assert [(r.query_keyframe_id, r.reference_keyframe_id, r.stage) for r in found] == [
         (5, 2, "retrieval"),
         (9, 1, "accepted"),
