@@ -104,8 +104,8 @@ def test_commands_are_found_in_blocks() -> None:
 
 def test_results_are_run_from_the_pages_themselves(tmp_path: Path) -> None:
     results = runpy.run_path(str(ROOT / "docs" / "run_results.py"))
+    assert results["PAGES"][0] == "replay"
     assert {f"{page}.md" for page in results["PAGES"]} == {path.name for path in (ROOT / "docs/results").glob("*.md")}
-    assert all(results["read_blocks"](page) for page in results["PAGES"])
     block = results["Block"]("page-1", "echo $D; echo once >> times\n", tmp_path)
     assert results["run"](block, tmp_path) == results["run"](block, tmp_path) == 0
     assert (tmp_path / "times").read_text() == "once\n"
