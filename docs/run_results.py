@@ -16,17 +16,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = (
-    "replay",
-    "loop_closure",
-    "evaluation",
-    "relocalization",
-    "calibration",
-    "degradation",
-    "descriptors",
-    "robots",
+_FIRST = ("replay", "loop_closure", "evaluation")
+PAGES = sorted(
+    (path.stem for path in (ROOT / "docs" / "results").glob("*.md")),
+    key=lambda page: (_FIRST.index(page) if page in _FIRST else len(_FIRST), page),
 )
-"""In this order: later pages use the logs of earlier ones."""
+"""All of them; the first ones make logs that others use."""
 _BLOCK = re.compile(r"^```\n(.*?)^```", re.DOTALL | re.MULTILINE)
 _DATA = re.compile(r"`D=(\.\./[\w/]+)`")
 
