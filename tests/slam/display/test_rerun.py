@@ -19,10 +19,11 @@ from slam.replay import replay
 from tests.helpers.short_drives import drive, write_log
 
 pytest.importorskip("rerun", reason="Rerun is an extra: pip install 'descriptellation-slam[view]'")
+import rerun as rr
 from PIL import Image
 from rerun.experimental import ViewerClient
 
-from slam.display.rerun_view import TIMELINE
+from slam.display.rerun_view import TIMELINE, LiveView, make_blueprint
 from slam.display.rerun_viewer import start_viewer
 from tools.cli import run
 
@@ -101,6 +102,15 @@ def test_a_log_without_the_map_fails_these_tests(output, tmp_path):
                 writer.write_raw(raw)
     with opened(empty) as client:
         assert [view.view_class for view in client.get_state().views if view.view_class == "3D"] == []
+
+
+def test_a_drive_is_shown_while_it_is_mapped(output, tmp_path):
+    recording = rr.RecordingStream("dslam")
+    recording.save(tmp_path / "live.rrd", default_blueprint=make_blueprint())
+    replay(output.parent / "drive.mcap", tmp_path / "map.mcap", view=LiveView(recording).show)
+    recording.disconnect()
+    with opened(tmp_path / "live.rrd") as client:
+        assert pixels_of(screenshot(client, times(output)[2]), PATH_COLOR) > 50
 
 
 def test_a_log_that_was_not_mapped_is_refused(output, tmp_path, capsys):
