@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tools.arguments import Json, NewLog, check_outputs
+from tools.importers import clouds
 
 if TYPE_CHECKING:
     from logs.importers.imported_log import ImportSummary
     from logs.importers.text_log import TextLogSummary
 
 app = typer.Typer(help="Turn data of others into a log that 'dslam replay' reads.", no_args_is_help=True)
+app.command("semantic-kitti")(clouds.semantic_kitti)
 
 
 @app.command("kitti-objects")
@@ -40,7 +42,7 @@ def kitti_objects(
     check_outputs([output], [detections, odometry, calib, times, ground_truth])
     from logs.importers.kitti_objects import import_kitti_objects
 
-    _tell(
+    tell(
         output,
         import_kitti_objects(
             output,
@@ -70,7 +72,7 @@ def victoria_park(
     check_outputs([output], [file])
     from logs.importers.victoria_park import import_victoria_park
 
-    _tell(output, import_victoria_park(output, path=file), json=json)
+    tell(output, import_victoria_park(output, path=file), json=json)
 
 
 @app.command("csv")
@@ -118,10 +120,11 @@ def csv(
         calib=calib,
         format=TrajectoryFormat(pose_format) if pose_format is not None else None,
     )
-    _tell(output, summary.written, json=json, text=summary)
+    tell(output, summary.written, json=json, text=summary)
 
 
-def _tell(output: Path, summary: ImportSummary, *, json: bool, text: TextLogSummary | None = None) -> None:
+def tell(output: Path, summary: ImportSummary, *, json: bool, text: TextLogSummary | None = None) -> None:
+    """Print what was written."""
     from tools import console
 
     duration_s = ((summary.last_stamp_ns or 0) - (summary.first_stamp_ns or 0)) * 1e-9

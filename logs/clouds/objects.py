@@ -1,0 +1,198 @@
+"""Labelled points -> objects: instances, or clusters of each class, each with its centre, extent and covariance."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.clouds.geometry import clusters, voxel_means
+from logs.clouds.labelled_cloud import LabelledCloud
+from logs.clouds.one_sided import Centre, seen_from_all_sides, seen_from_one_side
+from logs.messages import FloatArray, IntArray, ObjectDetections
+
+NOMINAL_REACH_M = 60.0
+"""Reach of the sensor for which the lengths of the settings are meant, where they are not given."""
+REACH_QUANTILE = 0.99
+FEWEST_POINTS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class CloudSettings:
+    """How objects are found. Lengths that are None are those of a car's LiDAR, scaled with the reach of the cloud.
+
+    ``voxel_m``: side of the voxels whose means stand for the points, None: 0.1 m at a reach of 60 m.
+    ``gap_m``: a wider gap between two parts of one class makes two objects of them, None: 0.5 m at that reach.
+    ``max_extent_m``: what is longer is a surface and no object, None: 15 m at that reach.
+    ``min_share``: share of the points of a scan that an object must have, and at least 5 points; 1/4000 of a scan of
+    120,000 points is 30.
+    ``upright``: z of the cloud points up.
+    """
+
+    voxel_m: float | None = None
+    gap_m: float | None = None
+    max_extent_m: float | None = None
+    min_share: float = 1.0 / 4000.0
+    upright: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CloudObjects:
+    """N objects in the frame of the cloud.
+
+    positions (N, 3) m; covariances (N, 3, 3) m^2; sizes (N, 3) m: length and width along the horizontal main axes, and
+    height; labels (N,); instances (N,), 0 for a cluster; voxels: the (M_i, 3) m of each. ``left_out``: how many were
+    too "small" or too "long".
+    """
+
+    positions: FloatArray
+    covariances: FloatArray
+    sizes: FloatArray
+    labels: tuple[str, ...]
+    instances: IntArray
+    voxels: tuple[FloatArray, ...]
+    left_out: Mapping[str, int]
+
+    def detections(self, stamp_ns: int, frame_id: str) -> ObjectDetections:
+        """The record of these objects; each has the score 1."""
+        tracks = tuple(str(i) if i else "" for i in self.instances.tolist())
+        return ObjectDetections(
+            stamp_ns,
+            frame_id,
+            self.positions,
+            self.labels,
+            np.ones(len(self.labels)),
+            self.covariances,
+            self.sizes,
+            tracks if any(tracks) else None,
+        )
+
+
+def find_objects(
+    cloud: LabelledCloud,
+    names: Mapping[int, str] | None = None,
+    settings: CloudSettings | None = None,
+    *,
+    viewpoint: FloatArray | None = None,
+) -> CloudObjects:
+    """Objects of a labelled cloud.
+
+    Points of one class and instance are one object; those of instance 0, or of a cloud without instances, are clustered
+    class by class. They are down-sampled to voxels, whose mean is the centroid (Xing et al., "Descriptellation", IV-B).
+
+    Args:
+        cloud: one scan, or a whole map.
+        names: class number -> name of the classes that are objects; None: all but 0, named by their numbers.
+        settings: lengths and limits.
+        viewpoint: (3,) m, of the sensor in the frame of the cloud, of which it is one scan: objects are then seen from
+            one side, and their centres lie behind what is seen. None: a map, seen from all sides.
+
+    Returns:
+        The objects, by class and instance or the order of their points; none of an empty cloud.
+
+    Raises:
+        DatasetError: Open3D is missing.
+    """
+    settings = settings or CloudSettings()
+    cloud = cloud.finite()
+    scale = _scale(cloud, viewpoint)
+    voxel_m = settings.voxel_m or 0.1 * scale
+    fewest = FEWEST_POINTS
+    if viewpoint is not None:
+        fewest = max(fewest, int(np.ceil(settings.min_share * len(cloud.positions))))
+    found = _Found()
+    for label, instance, points in _parts(cloud, names, settings, settings.gap_m or 0.5 * scale, voxel_m):
+        if len(points) < fewest:
+            found.left_out["small"] += 1
+            continue
+        voxels = voxel_means(points, voxel_m)
+        size = _size(voxels)
+        if viewpoint is None:
+            centre = seen_from_all_sides(voxels, voxel_m)
+        else:
+            centre = seen_from_one_side(voxels, viewpoint, voxel_m, upright=settings.upright)
+            if size[0] > (settings.max_extent_m or 15.0 * scale):
+                found.left_out["long"] += 1
+                continue
+        found.add(label, instance, voxels, centre, size)
+    return found.objects()
+
+
+class _Found:
+    def __init__(self) -> None:
+        self.left_out: Counter[str] = Counter()
+        self._labels: list[str] = []
+        self._instances: list[int] = []
+        self._voxels: list[FloatArray] = []
+        self._centres: list[Centre] = []
+        self._sizes: list[FloatArray] = []
+
+    def add(self, label: str, instance: int, voxels: FloatArray, centre: Centre, size: FloatArray) -> None:
+        self._labels.append(label)
+        self._instances.append(instance)
+        self._voxels.append(voxels)
+        self._centres.append(centre)
+        self._sizes.append(size)
+
+    def objects(self) -> CloudObjects:
+        return CloudObjects(
+            np.array([c.position for c in self._centres]).reshape(-1, 3),
+            np.array([c.covariance for c in self._centres]).reshape(-1, 3, 3),
+            np.array(self._sizes).reshape(-1, 3),
+            tuple(self._labels),
+            np.array(self._instances, dtype=np.int64),
+            tuple(self._voxels),
+            dict(self.left_out),
+        )
+
+
+def _scale(cloud: LabelledCloud, viewpoint: FloatArray | None) -> float:
+    """Power of two by which the reach of a scan differs from the nominal one; 1 for a map."""
+    if viewpoint is None or len(cloud.positions) == 0:
+        return 1.0
+    reach_m = float(np.quantile(np.linalg.norm(cloud.positions - viewpoint, axis=1), REACH_QUANTILE))
+    return float(2.0 ** np.round(np.log2(max(reach_m, 1e-3) / NOMINAL_REACH_M)))
+
+
+def _parts(
+    cloud: LabelledCloud, names: Mapping[int, str] | None, settings: CloudSettings, gap_m: float, voxel_m: float
+) -> Iterator[tuple[str, int, FloatArray]]:
+    """Label, instance and points (K, 3) m of each object."""
+    instances = cloud.instances if cloud.instances is not None else np.zeros(len(cloud.classes), dtype=np.int64)
+    wanted = cloud.classes != 0 if names is None else np.isin(cloud.classes, list(names))
+    rows = np.flatnonzero(wanted)
+    rows = rows[np.lexsort((instances[rows], cloud.classes[rows]))]
+    keys = np.stack([cloud.classes[rows], instances[rows]], axis=1)
+    starts = np.flatnonzero(np.any(keys[1:] != keys[:-1], axis=1)) + 1
+    for part in np.split(rows, starts) if len(rows) else []:
+        number, instance = int(cloud.classes[part[0]]), int(instances[part[0]])
+        label = str(number) if names is None else names[number]
+        points = cloud.positions[part]
+        if instance:
+            yield label, instance, points
+            continue
+        for cluster in _split(points, gap_m, voxel_m, flat=settings.upright):
+            yield label, 0, cluster
+
+
+def _split(points: FloatArray, gap_m: float, voxel_m: float, *, flat: bool) -> list[FloatArray]:
+    """The points of each cluster, as seen from above if ``flat``: beams lie wide apart in height."""
+    places = points * [1.0, 1.0, 0.0] if flat else points
+    corner = np.floor(places / voxel_m).astype(np.int64)
+    corner -= corner.min(axis=0)
+    extent = corner.max(axis=0) + 1
+    _, first, cell = np.unique(np.ravel_multi_index(tuple(corner.T), tuple(extent)), True, True)
+    centres = np.asarray((corner[first] + 0.5) * voxel_m, dtype=np.float64)
+    cluster = clusters(centres, max(gap_m, 1.5 * voxel_m))[cell.ravel()]
+    order = np.argsort(cluster, kind="stable")
+    return np.split(points[order], np.flatnonzero(np.diff(cluster[order])) + 1)
+
+
+def _size(voxels: FloatArray) -> FloatArray:
+    """Length and width along the horizontal main axes, and height, (3,) m."""
+    flat = voxels[:, :2] - voxels[:, :2].mean(axis=0)
+    _, axes = np.linalg.eigh(flat.T @ flat)
+    width_m, length_m = np.ptp(flat @ axes, axis=0)
+    return np.array([max(length_m, width_m), min(length_m, width_m), np.ptp(voxels[:, 2])])

@@ -1,0 +1,51 @@
+"""Labelled clouds for tests: poles and boxes of which a sensor sees one side, and what needs Open3D."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from logs.clouds.labelled_cloud import LabelledCloud
+from logs.messages import FloatArray
+
+DATA = Path(os.environ.get("DSLAM_DATA", Path(__file__).resolve().parents[4] / "shared" / "data"))
+SCANS, KITTI = DATA / "scans", DATA / "kitti00"
+
+
+def _import_error() -> str:
+    try:
+        importlib.import_module("open3d")
+    except (ImportError, OSError) as error:
+        return str(error)
+    return ""
+
+
+needs_open3d = pytest.mark.skipif(bool(_import_error()), reason=f"Open3D cannot be imported: {_import_error()}")
+needs_scans = pytest.mark.skipif(
+    not SCANS.is_dir() or not KITTI.is_dir(), reason=f"no scans in {DATA}; set DSLAM_DATA to the folder that holds them"
+)
+
+
+def post(x_m: float, y_m: float, *, radius_m: float = 0.15, height_m: float = 3.0) -> FloatArray:
+    """Points (N, 3) m of the half of a round post that is seen from the origin."""
+    facing = np.arctan2(-y_m, -x_m) + np.linspace(-0.5, 0.5, 15) * np.pi
+    z = np.arange(0.0, height_m, 0.1) - 1.0
+    ring = np.array([x_m, y_m]) + radius_m * np.stack([np.cos(facing), np.sin(facing)], axis=1)
+    return np.column_stack([np.tile(ring, (len(z), 1)), np.repeat(z, len(ring))])
+
+
+FAR = (0, 0, np.array([[60.0, 0.0, 0.0]] * 100))
+"""What gives a scan the reach of a car's LiDAR."""
+
+
+def cloud(parts: Sequence[tuple[int, int, FloatArray]], *, with_instances: bool = True) -> LabelledCloud:
+    """Of (class, instance, points)."""
+    classes = np.concatenate([np.full(len(points), number) for number, _, points in parts])
+    instances = np.concatenate([np.full(len(points), instance) for _, instance, points in parts])
+    positions = np.concatenate([points for _, _, points in parts])
+    return LabelledCloud(positions, classes.astype(np.int64), instances.astype(np.int64) if with_instances else None)

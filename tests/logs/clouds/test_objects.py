@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+from logs.clouds import geometry
+from logs.clouds.labelled_cloud import LabelledCloud
+from logs.clouds.objects import CloudSettings, find_objects
+from logs.errors import DatasetError
+from tests.logs.clouds.clouds import FAR, cloud, needs_open3d, post
+
+ORIGIN = np.zeros(3)
+NAMES = {80: "pole", 71: "trunk", 10: "car"}
+
+pytestmark = needs_open3d
+
+
+def test_clusters_of_a_class_are_objects_where_there_are_no_instances() -> None:
+    posts = cloud([(80, 0, post(8.0, 2.0)), (80, 0, post(8.0, 4.0)), (71, 0, post(8.3, 2.0)), FAR])
+    found = find_objects(posts, NAMES, viewpoint=ORIGIN)
+    assert found.labels == ("trunk", "pole", "pole")
+    assert found.instances.tolist() == [0, 0, 0]
+
+
+def test_points_of_one_instance_are_one_object_however_far_apart() -> None:
+    posts = cloud([(80, 3, post(8.0, 2.0)), (80, 3, post(8.0, 5.0)), (80, 4, post(8.0, 5.5)), FAR])
+    found = find_objects(posts, NAMES, viewpoint=ORIGIN)
+    assert found.instances.tolist() == [3, 4]
+    assert found.sizes[0, 0] == pytest.approx(3.0, abs=0.4)
+    assert found.sizes[0, 2] == pytest.approx(2.9, abs=0.1)
+    assert found.detections(7, "lidar").track_ids == ("3", "4")
+
+
+def test_rings_of_a_sensor_with_few_beams_are_one_object() -> None:
+    points = post(20.0, 0.0)
+    rings = points[np.isclose(points[:, 2] % 0.7, 0.0, atol=0.05) | np.isclose(points[:, 2] % 0.7, 0.7, atol=0.05)]
+    assert len(find_objects(cloud([(80, 0, rings), FAR]), NAMES, viewpoint=ORIGIN).labels) == 1
+    tilted = find_objects(
+        cloud([(80, 0, rings), FAR]), NAMES, CloudSettings(upright=False, gap_m=0.5), viewpoint=ORIGIN
+    )
+    assert len(tilted.labels) > 1
+
+
+def test_only_named_classes_are_objects_and_0_never_is_where_none_is_named() -> None:
+    posts = cloud([(0, 0, post(5.0, 0.0)), (40, 0, post(7.0, 0.0)), (80, 0, post(9.0, 0.0)), FAR])
+    assert find_objects(posts, NAMES, viewpoint=ORIGIN).labels == ("pole",)
+    assert find_objects(posts, viewpoint=ORIGIN).labels == ("40", "80")
+
+
+def test_what_has_too_few_points_or_is_too_long_is_left_out_and_counted() -> None:
+    wall = np.concatenate([post(6.0, y) for y in np.arange(-10.0, 10.0, 0.25)])
+    found = find_objects(cloud([(80, 0, post(9.0, 0.0)), (10, 0, post(5.0, 0.0)[:3])]), NAMES)
+    assert found.left_out == {"small": 1}
+    settings = CloudSettings(max_extent_m=5.0)
+    seen = find_objects(cloud([(80, 0, post(9.0, 0.0)), (71, 0, wall), FAR]), NAMES, settings, viewpoint=ORIGIN)
+    assert (seen.labels, seen.left_out) == (("pole",), {"long": 1})
+
+
+def test_lengths_follow_the_reach_of_the_sensor() -> None:
+    posts = [(80, 0, post(8.0, 0.0)), (80, 0, post(8.0, 1.0)), FAR]
+    large = find_objects(cloud(posts), NAMES, viewpoint=ORIGIN)
+    small = find_objects(cloud([(c, i, 0.125 * points) for c, i, points in posts]), NAMES, viewpoint=ORIGIN)
+    np.testing.assert_allclose(small.positions, 0.125 * large.positions, atol=1e-12)
+    np.testing.assert_allclose(small.covariances, 0.125**2 * large.covariances, atol=1e-12)
+
+
+def test_a_map_is_seen_from_all_sides_and_gives_the_mean_of_the_voxels() -> None:
+    points = np.array([[0.01, 0.0, 0.0]] * 90 + [[1.01, 0.0, 0.0]] * 10)
+    found = find_objects(cloud([(80, 5, points)]), NAMES, CloudSettings(voxel_m=0.2))
+    np.testing.assert_allclose(found.positions, [[0.51, 0.0, 0.0]], atol=1e-9)
+
+
+def test_beams_that_hit_nothing_and_empty_clouds_are_no_objects() -> None:
+    nothing = LabelledCloud(np.full((50, 3), np.nan), np.full(50, 80), np.zeros(50, dtype=np.int64))
+    assert find_objects(nothing, NAMES, viewpoint=ORIGIN).positions.shape == (0, 3)
+    empty = LabelledCloud(np.zeros((0, 3)), np.zeros(0, dtype=np.int64))
+    assert find_objects(empty, viewpoint=ORIGIN).detections(0, "lidar").labels == ()
+
+
+def test_labels_must_be_as_many_as_points() -> None:
+    with pytest.raises(DatasetError, match="3 points has 2 labels; give one for each point"):
+        LabelledCloud(np.zeros((3, 3)), np.zeros(2, dtype=np.int64))
+
+
+def test_what_stands_behind_something_is_hidden() -> None:
+    wall = np.stack(np.meshgrid([4.0], np.linspace(-2.0, 2.0, 60), np.linspace(-2.0, 2.0, 60)), axis=-1).reshape(-1, 3)
+    points = np.concatenate([wall, post(8.0, 0.0, height_m=1.0), post(0.0, 8.0, height_m=1.0)])
+    seen = geometry.visible(points, ORIGIN)
+    behind = slice(len(wall), len(wall) + len(post(8.0, 0.0, height_m=1.0)))
+    assert seen[: len(wall)].mean() > 0.9
+    assert not seen[behind].any()
+    assert seen[behind.stop :].any()
+
+
+def test_without_open3d_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(DatasetError, match=r"pip install 'descriptellation-slam\[clouds\]'"):
+        find_objects(cloud([(80, 0, post(8.0, 0.0))]), NAMES)
