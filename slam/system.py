@@ -36,7 +36,7 @@ from slam.display.snapshot import MapSnapshot, take_snapshot
 from slam.frontend.continuity import decide
 from slam.frontend.mapper import Mapper
 from slam.frontend.scan import make_scan
-from slam.frontend.sensor_frames import SensorFrames
+from slam.frontend.sensor_frames import SensorFrames, corrected
 from slam.localization.prior_map import SEGMENT, restore
 from slam.localization.state import Fix, State
 from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
@@ -390,14 +390,14 @@ class Slam:
         """``T_body_sensor`` at the stamp of the detections; None where the log has no transform."""
         frame, body_frame = detections.frame_id.lstrip("/"), self._body_frame.lstrip("/")
         if frame in ("", body_frame) or self._config.detection.assume_body_frame:
-            return np.eye(4)
+            return corrected(np.eye(4), self._config.detection)
         if frame == self._odom_frame.lstrip("/"):
             return invert(pose.T_odom_body)
         T_body_sensor = self._frames.find(body_frame, frame, detections.stamp_ns)
         if T_body_sensor is None and frame not in self._frames_missing:
             self._frames_missing.add(frame)
             logger.warning("%s: detections in that frame are dropped", self._describe_missing())
-        return T_body_sensor
+        return None if T_body_sensor is None else corrected(T_body_sensor, self._config.detection)
 
     def _describe_missing(self) -> str:
         """Which frames nothing connects with the body, and what they and the body are connected with."""

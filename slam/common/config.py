@@ -111,6 +111,13 @@ class DetectionConfig(_Branch):
     tag_size_m: float = Field(
         default=0.0, ge=0, description="side of the black square of tags whose poses are not on /tf; 0: not known [m]"
     )
+    roll_deg: float = Field(
+        default=0.0, ge=-180, le=180, description="detections are turned about the x axis of the body, then [deg]"
+    )
+    pitch_deg: float = Field(default=0.0, ge=-180, le=180, description="about its y axis, then [deg]")
+    yaw_deg: float = Field(
+        default=0.0, ge=-180, le=180, description="about its z axis, all beyond the transform of the sensor [deg]"
+    )
     assume_body_frame: bool = Field(
         default=False, description="take every detection to be in the body frame, whatever frame its message names"
     )

@@ -8,9 +8,11 @@ from collections import deque
 from itertools import pairwise
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from logs.messages import Transform
 from slam.common.arrays import FloatArray
+from slam.common.config import DetectionConfig
 from slam.common.errors import InputDataError
 from slam.common.geometry import interpolate, invert, make_transform
 
@@ -146,3 +148,12 @@ class _Track:
 
 def _plain(frame: str) -> str:
     return frame.lstrip("/")
+
+
+def corrected(T_body_sensor: FloatArray, config: DetectionConfig) -> FloatArray:
+    """``T_body_sensor`` (4, 4) with the sensor turned where it sits, in the axes of the body, as the settings say."""
+    angles_deg = (config.roll_deg, config.pitch_deg, config.yaw_deg)
+    if not any(angles_deg):
+        return T_body_sensor
+    R = Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix()
+    return make_transform(R @ T_body_sensor[:3, :3], T_body_sensor[:3, 3])

@@ -73,7 +73,8 @@ odometry is stamped (of a step, its begin or its end), and the odometry is moved
 they were stamped.
 """
 NOTED_LENGTH_SHARE = 0.03
-NOTED_YAW_RAD = 0.09
+NOTED_TURN_SHARE = 0.03
+TURNS = ("roll_deg", "pitch_deg", "yaw_deg")
 DEFAULT_RANGE_M = float(DetectionConfig.model_fields["sensor_range_m"].get_default())
 
 
@@ -99,7 +100,7 @@ def calibrate(config: Config, survey: Survey | None) -> Calibration:
         branch, name = key.split(".")
         branches.setdefault(branch, {})[name] = value
     changed = {name: getattr(config, name).model_copy(update=update) for name, update in branches.items()}
-    return Calibration(config.model_copy(update=changed), estimated, _notes(survey, estimated))
+    return Calibration(config.model_copy(update=changed), estimated, _notes(config, survey, estimated))
 
 
 def _is_given(config: Config, key: str) -> bool:
@@ -125,17 +126,24 @@ def _lengths(config: Config, survey: Survey) -> dict[str, float]:
     return values
 
 
-def _notes(survey: Survey, estimated: Mapping[str, float]) -> tuple[str, ...]:
+def _notes(config: Config, survey: Survey, estimated: Mapping[str, float]) -> tuple[str, ...]:
     """What a user should know of the log: its faults, whether mended or not."""
     errors, notes = survey.errors, list[str]()
     for key, what in (("odometry.time_offset_s", "odometry"), ("detection.time_offset_s", "detection")):
         if offset_s := estimated.get(key, 0.0):
             age = "older" if offset_s < 0 else "newer"
             notes.append(f"{what} messages seem {abs(offset_s):.3f} s {age} than their stamps say: corrected ({key})")
-    if abs(errors.yaw_rad) > NOTED_YAW_RAD:
+    if any(survey.turned_deg) and not any(_is_given(config, f"detection.{name}") for name in TURNS):
+        roll, pitch, yaw = survey.turned_deg
         notes.append(
-            f"the sensor seems turned by {np.rad2deg(errors.yaw_rad):.0f} deg against its transform: not corrected; "
-            "check the transform"
+            f"the sensor seems turned by roll {roll:.0f}, pitch {pitch:.0f}, yaw {yaw:.0f} deg against its transform, "
+            "or the odometry is mirrored: detections are turned (detection.roll_deg, pitch_deg, yaw_deg); check the "
+            "frames"
+        )
+    if abs(errors.turn_share) > NOTED_TURN_SHARE:
+        notes.append(
+            f"the odometry's turns seem {100 * abs(errors.turn_share):.0f} % too "
+            f"{'small' if errors.turn_share > 0 else 'large'}: not corrected; check its calibration"
         )
     if abs(errors.length_share) > NOTED_LENGTH_SHARE:
         notes.append(
@@ -159,6 +167,7 @@ def _corrections(survey: Survey) -> dict[str, float]:
         "odometry.time_offset_s": -errors.delay_s if of_odometry else 0.0,
         "detection.time_offset_s": 0.0 if of_odometry else errors.delay_s,
         "detection.claimed_sigma_factor": _claimed_factor(survey),
+        **{f"detection.{name}": angle for name, angle in zip(TURNS, survey.turned_deg, strict=True) if angle},
     }
 
 

@@ -2,13 +2,14 @@
 
 An object at the offset x from the body at P, in the axes of the odometry, seems to stand at W = P + x. Say that the
 detections are of a time later by tau than their stamps say, that the sensor is turned by phi and sits farther by e (in
-the axes of the body, which heads along R) than its transform says, and that the odometry's lengths are too short by the
-share s. Then it stands, with v and omega the velocity and rate of turn of the body and J = [0 -1; 1 0], at
+the axes of the body, which heads along R) than its transform says, and that the odometry's lengths and turns are too
+short by the shares s and g. Then it stands, with v and omega the velocity and rate of turn of the body, h the angle
+that it turned so far and J = [0 -1; 1 0], at
 
-    W + tau (v + omega J x) + phi J x + R e + s P
+    W + tau (v + omega J x) + phi J x + R e + s P + g (h J x + integral of h J v)
 
 which does not move. Robust regression (Cauchy's weights) of the apparent motion between scans on the differences of the
-five terms finds them all; the jackknife over blocks of time says how surely.
+six terms finds them all; the jackknife over blocks of time says how surely.
 """
 
 from __future__ import annotations
@@ -47,7 +48,8 @@ class BodyMotion:
 @dataclass(frozen=True, slots=True)
 class InputErrors:
     """Corrections of the input: ``delay_s`` to the stamps of detections, ``yaw_rad``, ``x_m`` and ``y_m`` to where the
-    sensor sits on the body, ``length_share`` to the odometry's lengths; 0 where none is significant.
+    sensor sits on the body, ``length_share`` and ``turn_share`` to the odometry's lengths and turns; 0 where none is
+    significant.
     """
 
     delay_s: float = 0.0
@@ -55,6 +57,7 @@ class InputErrors:
     length_share: float = 0.0
     x_m: float = 0.0
     y_m: float = 0.0
+    turn_share: float = 0.0
 
 
 def estimate_input_errors(tracks: ObjectTracks, motion: BodyMotion) -> InputErrors:
@@ -63,7 +66,7 @@ def estimate_input_errors(tracks: ObjectTracks, motion: BodyMotion) -> InputErro
     if len(first) < LEAST_PAIRS:
         return InputErrors()
     effects = _effects(tracks, motion)
-    X = effects[first] - effects[second]  # (P, 2, 5)
+    X = effects[first] - effects[second]  # (P, 2, 6)
     y = tracks.points[second] - tracks.points[first]
     block = tracks.scan[second] * BLOCKS // (int(tracks.scan.max()) + 1)
     solution, weights = _regress(X, y)
@@ -90,16 +93,19 @@ def _lagged(tracks: ObjectTracks) -> tuple[IntArray, IntArray]:
 
 
 def _effects(tracks: ObjectTracks, motion: BodyMotion) -> FloatArray:
-    """(S, 2, 5): by how much each point moves for a unit of each correction."""
+    """(S, 2, 6): by how much each point moves for a unit of each correction."""
     turned = tracks.offsets @ J.T
     late = motion.velocities[tracks.scan] + motion.turn_rates[tracks.scan][:, None] * turned
     c, s = np.cos(motion.headings[tracks.scan]), np.sin(motion.headings[tracks.scan])
     along, across = np.stack([c, s], axis=1), np.stack([-s, c], axis=1)
-    return np.stack([late, turned, motion.positions[tracks.scan], along, across], axis=2)
+    steps = np.diff(motion.positions, axis=0, prepend=motion.positions[:1])
+    swept = np.cumsum(motion.headings[:, None] * (steps @ J.T), axis=0)
+    overturned = motion.headings[tracks.scan][:, None] * turned + swept[tracks.scan]
+    return np.stack([late, turned, motion.positions[tracks.scan], along, across, overturned], axis=2)
 
 
 def _regress(X: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Solution (5,) of y = X s, robustly, and the weights (P,)."""
+    """Solution (6,) of y = X s, robustly, and the weights (P,)."""
     weights = np.ones(len(y))
     scale = np.maximum(np.sqrt(np.mean(X**2, axis=(0, 1))), 1e-300)
     X = X / scale

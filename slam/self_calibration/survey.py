@@ -13,11 +13,12 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import DetectionConfig
 from slam.common.geometry import apply, interpolate, invert, transform_from_xyz_yaw, yaw_rad
 from slam.frontend.scan import is_wanted
-from slam.frontend.sensor_frames import SensorFrames
+from slam.frontend.sensor_frames import SensorFrames, corrected
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
 from slam.self_calibration.height_noise import HeightNoise, estimate_height_noise
 from slam.self_calibration.input_errors import BodyMotion, InputErrors, estimate_input_errors
 from slam.self_calibration.object_tracks import ObjectTracks, SurveyScan, follow_objects
+from slam.self_calibration.sensor_orientation import find_orientation, roll_pitch_yaw_deg
 from slam.self_calibration.variance_components import ComponentEstimate, Motion, estimate_components
 
 MAX_DETECTIONS = 150_000
@@ -25,6 +26,8 @@ MAX_DETECTIONS = 150_000
 RANGE_QUANTILE = 0.95
 FAR_OFF = 100.0
 """Detections beyond so many median ranges are no measurements."""
+NOTED_YAW_RAD = 0.09
+"""A sensor that is turned by more than that against its transform is corrected; less may be the road's."""
 ROUNDS = 8
 """Corrections of the input are found one after another: a large one is only seen in part at first."""
 
@@ -38,7 +41,8 @@ class Survey:
     the same scan, NaN where classes never share a scan; ``objects``: mean number a scan; ``interval_s``: median time
     between scans; ``claimed_ratio``: the variance of detections by that which their messages claim, NaN where none
     does; ``shared_bias_m``: the rms bias that centroids of a class share; ``components`` is None where too few objects
-    could be tracked; ``heights``: how much the heights of detections vary.
+    could be tracked; ``heights``: how much the heights of detections vary; ``turned_deg``:
+    roll, pitch and yaw by which detections had to be turned beyond the transform of their sensor.
     """
 
     scans: int
@@ -58,6 +62,7 @@ class Survey:
     components: ComponentEstimate | None
     errors: InputErrors
     heights: HeightNoise = field(default_factory=HeightNoise)
+    turned_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def survey(records: Iterable[Record], config: DetectionConfig, frames: SensorFrames | None = None) -> Survey | None:
@@ -69,6 +74,8 @@ def survey(records: Iterable[Record], config: DetectionConfig, frames: SensorFra
     for record in records:
         if gathered.add(record) >= MAX_DETECTIONS:
             break
+    is_yaw_given = "yaw_deg" in config.model_fields_set
+    config = _oriented(gathered, config)
     errors = InputErrors()
     for _ in range(ROUNDS):
         scans = gathered.scans(config, errors.delay_s)
@@ -76,10 +83,27 @@ def survey(records: Iterable[Record], config: DetectionConfig, frames: SensorFra
             break
         found = estimate_input_errors(follow_objects(scans, _headings(scans)), gathered.motion(scans, errors.delay_s))
         errors = replace(found, delay_s=errors.delay_s + found.delay_s)
-        if found.delay_s == 0.0:
+        is_turned = abs(found.yaw_rad) > NOTED_YAW_RAD and not is_yaw_given
+        if is_turned:
+            config = config.model_copy(update={"yaw_deg": config.yaw_deg + float(np.rad2deg(found.yaw_rad))})
+        if found.delay_s == 0.0 and not is_turned:
             break
     scans = gathered.scans(config, errors.delay_s)
-    return summarize(scans, errors) if any(np.any(scan.positions) for scan in scans) else None
+    if not any(np.any(scan.positions) for scan in scans):
+        return None
+    turned_deg = (config.roll_deg, config.pitch_deg, (config.yaw_deg + 180.0) % 360.0 - 180.0)
+    return replace(summarize(scans, errors), turned_deg=turned_deg)
+
+
+def _oriented(gathered: _Gathered, config: DetectionConfig) -> DetectionConfig:
+    """The configuration with detections turned so that scans agree; as it is where angles were given by hand."""
+    if config.model_fields_set & {"roll_deg", "pitch_deg", "yaw_deg"}:
+        return config
+    scans = gathered.scans(config, 0.0)
+    if len(scans) < 2:
+        return config
+    roll, pitch, yaw = roll_pitch_yaw_deg(find_orientation(scans, _headings(scans))).tolist()
+    return config.model_copy(update={"roll_deg": roll, "pitch_deg": pitch, "yaw_deg": yaw})
 
 
 def summarize(scans: list[SurveyScan], errors: InputErrors | None = None) -> Survey:
@@ -199,7 +223,7 @@ class _Gathered:
             T_body_sensor = self._frames.find(body_frame, frame, detections.stamp_ns)
             if T_body_sensor is None:
                 continue
-            scans.append(_upright_scan(detections, T, T_body_sensor, vocabulary, config))
+            scans.append(_upright_scan(detections, T, corrected(T_body_sensor, config), vocabulary, config))
         return _without_far_off(scans)
 
     def motion(self, scans: list[SurveyScan], delay_s: float) -> BodyMotion:

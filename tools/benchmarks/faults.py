@@ -73,6 +73,7 @@ def told_of(run: FaultRun) -> str:
     said = [f"status: {run.final_status}", f"warnings: {warnings}"]
     said += [f"{withdrawn} closures removed as outliers"] if withdrawn else []
     said += [doubted] if doubted else []
+    said += [f"of the log: {note}" for note in run.notes]
     return "; ".join([*said, *(f"on the way: {text}" for text in run.warnings if text != run.final_status)])
 
 

@@ -43,6 +43,7 @@ class FaultRun:
     landmarks: int | None = None
     seconds: float | None = None
     final_status: str = ""
+    notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     counters: Mapping[str, int] = field(default_factory=dict)
     error: str = ""
@@ -138,6 +139,7 @@ def _measured(
         landmarks=summary.counters.get("landmarks_confirmed", 0),
         seconds=seconds,
         final_status=summary.final_status,
+        notes=summary.notes,
         warnings=tuple(dict.fromkeys(told)),
         counters=summary.counters,
     )

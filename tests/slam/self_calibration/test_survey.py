@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from logs.messages import ObjectDetections, Odometry, Record, Transform
 from slam.common.config import DetectionConfig
@@ -150,3 +151,29 @@ def test_lengths_of_a_survey_scale_with_the_log():
         assert getattr(large, name) == pytest.approx(1000.0 * getattr(small, name)), name
     for name in ("scans", "detections", "classes", "objects", "interval_s", "turn_rad", "duration_s"):
         assert getattr(large, name) == pytest.approx(getattr(small, name)), name
+
+
+def turned_records(yaw_deg: float) -> list[Record]:
+    """A drive whose sensor is turned by an angle that no transform tells."""
+    drive = SurveyedDrive(0, {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}, objects=100)
+    R = Rotation.from_euler("z", -yaw_deg, degrees=True).as_matrix()
+    records: list[Record] = []
+    for scan in drive.scans:
+        labels = tuple("stem" for _ in scan.labels)
+        scores = np.ones(len(labels))
+        records.append(Odometry(scan.stamp_ns, scan.T_odom_body))
+        records.append(ObjectDetections(scan.stamp_ns, "base_link", scan.positions @ R.T, labels, scores))
+    return records
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("yaw_deg", [0.0, 12.0, -25.0, 90.0, 100.0])
+def test_a_sensor_that_is_turned_is_turned_back(yaw_deg):
+    found = survey(turned_records(yaw_deg), DetectionConfig(assume_body_frame=True))
+    assert found.turned_deg == pytest.approx((0.0, 0.0, yaw_deg), abs=2.0)
+    assert found.errors.yaw_rad == 0.0 or abs(found.errors.yaw_rad) < np.deg2rad(1.5)
+
+
+def test_an_angle_that_was_set_by_hand_is_kept():
+    found = survey(turned_records(25.0), DetectionConfig(assume_body_frame=True, yaw_deg=5.0))
+    assert found.turned_deg == pytest.approx((0.0, 0.0, 5.0))

@@ -1,0 +1,117 @@
+"""Which way the sensor looks, if its transform is wrong by quarter turns: upside down, backwards, optical axes.
+
+With the right orientation the detections of two scans, put into the odometry frame, lie on each other; with a wrong
+one they are apart by as much as the body moved or turned in between. Each of the 24 rotations that map axes to axes is
+tried on pairs of scans with enough travel and on pairs with enough turn, since some show only in turns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import permutations, product
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from slam.common.arrays import FloatArray
+from slam.common.geometry import apply, transform_from_xyz_yaw, yaw_rad
+from slam.self_calibration.object_tracks import SurveyScan
+
+MOVED_SPACINGS = 0.25
+"""Between two scans that are compared, objects seem to move by that share of their spacing if all is right."""
+BETTER = 0.5
+"""A correction brings the scans nearer to one another by that factor at least."""
+PAIRS = 150
+LEAST_PAIRS = 20
+
+
+def find_orientation(scans: Sequence[SurveyScan], headings_rad: FloatArray) -> FloatArray:
+    """Rotation (3, 3) of detections, in the axes of the body, that makes scans agree; the identity where none is found.
+
+    Args:
+        scans: (K) in the order of their stamps.
+        headings_rad: (K,) of the body, continuous.
+    """
+    range_m = float(np.median(np.concatenate([np.linalg.norm(scan.positions, axis=1) for scan in scans])))
+    spacing_m = _spacing(scans, range_m)
+    moved_m = MOVED_SPACINGS * spacing_m
+    groups = _pairs_by_travel(scans, moved_m), _pairs_by_turn(headings_rad, moved_m / max(range_m, 1e-9))
+    if min(len(group) for group in groups) < LEAST_PAIRS:
+        return np.eye(3)
+    rotations = _quarter_turns()
+    apart = [sum(_distance(scans, group, R, spacing_m) for group in groups) for R in rotations]
+    best = int(np.argmin(apart))
+    return rotations[best] if apart[best] < BETTER * apart[0] else np.eye(3)
+
+
+def roll_pitch_yaw_deg(R: FloatArray) -> FloatArray:
+    """Angles (3,) about the fixed axes x, y, z, in this order."""
+    return np.asarray(Rotation.from_matrix(R).as_euler("xyz", degrees=True)) + 0.0
+
+
+def _quarter_turns() -> list[FloatArray]:
+    """The 24 rotations (3, 3) that map axes to axes, the identity first."""
+    found = []
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        R = np.zeros((3, 3))
+        R[np.arange(3), order] = signs
+        if np.linalg.det(R) > 0.0:
+            found.append(R)
+    return found
+
+
+def _pairs_by_travel(scans: Sequence[SurveyScan], moved_m: float) -> list[tuple[int, int]]:
+    """Pairs of scans with just so much travel in between, evenly over the drive."""
+    positions = np.stack([scan.T_odom_body[:2, 3] for scan in scans])
+    travel_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+    return _evenly(_reached(travel_m, moved_m))
+
+
+def _spacing(scans: Sequence[SurveyScan], range_m: float) -> float:
+    """Median distance [m] of a detection from the nearest of its class in its scan, in space; at most ``range_m``."""
+    nearest = []
+    for scan in scans[:: max(len(scans) // (4 * PAIRS), 1)]:
+        apart = np.linalg.norm(scan.positions[:, None] - scan.positions[None], axis=2)
+        apart[(scan.labels[:, None] != scan.labels[None]) | np.eye(len(apart), dtype=np.bool_)] = np.inf
+        nearest.append(apart.min(axis=1, initial=np.inf))
+    return min(float(np.median(np.concatenate(nearest))), range_m)
+
+
+def _pairs_by_turn(headings_rad: FloatArray, least_rad: float) -> list[tuple[int, int]]:
+    """Pairs of scans between which the body turns most for the time, evenly over the drive."""
+    turn_rad = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(headings_rad)))])
+    pairs = _reached(turn_rad, least_rad)
+    rates = np.array([(turn_rad[second] - turn_rad[first]) / (second - first) for first, second in pairs])
+    fastest = np.argsort(-rates, kind="stable")[: max(len(pairs) // 4, PAIRS)]
+    return _evenly([pairs[index] for index in np.sort(fastest)])
+
+
+def _reached(way: FloatArray, least: float) -> list[tuple[int, int]]:
+    """Pairs (i, j) with j the first scan to which the way from i is ``least``."""
+    second = np.searchsorted(way, way + least)
+    return [(first, int(after)) for first, after in enumerate(second) if after < len(way)]
+
+
+def _evenly(pairs: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    chosen = np.unique(np.linspace(0, len(pairs) - 1, min(PAIRS, len(pairs))).astype(np.int64)) if pairs else []
+    return [pairs[index] for index in chosen]
+
+
+def _distance(scans: Sequence[SurveyScan], pairs: list[tuple[int, int]], R: FloatArray, limit_m: float) -> float:
+    """Median distance [m] of detections from the nearest of their class in the other scan, at most ``limit_m``."""
+    found = []
+    for first, second in pairs:
+        one, other = scans[first], scans[second]
+        points, reference = _in_odometry(one, R), _in_odometry(other, R)
+        # Classes lie on layers that are farther apart than the limit.
+        points[:, 3], reference[:, 3] = 10.0 * limit_m * one.labels, 10.0 * limit_m * other.labels
+        distances, _ = cKDTree(reference).query(points, distance_upper_bound=limit_m)
+        found.append(np.minimum(distances, limit_m))
+    return float(np.median(np.concatenate(found)))
+
+
+def _in_odometry(scan: SurveyScan, R: FloatArray) -> FloatArray:
+    """Points (N, 4) m: x, y, z in the odometry frame of turned detections, and a zero."""
+    T_odom_upright = transform_from_xyz_yaw(scan.T_odom_body[:3, 3], yaw_rad(scan.T_odom_body))
+    return np.column_stack([apply(T_odom_upright, scan.positions @ R.T), np.zeros(len(scan.positions))])

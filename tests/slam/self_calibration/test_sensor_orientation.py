@@ -1,0 +1,52 @@
+"""Which way the sensor looks: found by which scans agree."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from slam.self_calibration.object_tracks import SurveyScan
+from slam.self_calibration.sensor_orientation import find_orientation, roll_pitch_yaw_deg
+from tests.helpers.surveyed_drives import SurveyedDrive
+
+NOISE = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}
+RIGHT, UPSIDE_DOWN, BACKWARDS, LEFT, OPTICAL = (0, 0, 0), (180, 0, 0), (0, 0, 180), (0, 0, 90), (-90, 0, -90)
+
+
+@pytest.fixture(scope="module")
+def drive() -> SurveyedDrive:
+    return SurveyedDrive(0, NOISE, scans=600, objects=80)
+
+
+def turned(scans: list[SurveyScan], R: np.ndarray) -> list[SurveyScan]:
+    """The scans of a sensor whose detections ``R`` would put right."""
+    return [replace(scan, positions=scan.positions @ R) for scan in scans]
+
+
+@pytest.mark.parametrize("angles_deg", [RIGHT, UPSIDE_DOWN, BACKWARDS, LEFT, OPTICAL])
+def test_quarter_turns_are_found(drive, angles_deg):
+    R = Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix()
+    found = find_orientation(turned(drive.scans, R), drive.headings)
+    np.testing.assert_allclose(found, R, atol=1e-9)
+
+
+def test_a_mirrored_odometry_looks_like_a_sensor_that_hangs_upside_down(drive):
+    mirror = np.diag([1.0, -1.0, 1.0, 1.0])
+    scans = [replace(scan, T_odom_body=mirror @ scan.T_odom_body @ mirror) for scan in drive.scans]
+    assert roll_pitch_yaw_deg(find_orientation(scans, -drive.headings)) == pytest.approx([180.0, 0.0, 0.0])
+
+
+def test_a_robot_that_only_goes_straight_on_tells_nothing():
+    straight = SurveyedDrive(0, NOISE, scans=600, objects=80, turns=False)
+    upside_down = turned(straight.scans, np.diag([1.0, -1.0, -1.0]))
+    np.testing.assert_array_equal(find_orientation(upside_down, straight.headings), np.eye(3))
+
+
+@pytest.mark.parametrize("angles_deg", [RIGHT, UPSIDE_DOWN, OPTICAL, (90, 0, 0), (0, 90, 0)])
+def test_the_angles_give_the_rotation_back(angles_deg):
+    R = Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix()
+    again = Rotation.from_euler("xyz", roll_pitch_yaw_deg(R), degrees=True).as_matrix()
+    np.testing.assert_allclose(again, R, atol=1e-9)
