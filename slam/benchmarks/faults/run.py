@@ -30,7 +30,8 @@ class FaultRun:
 
     ``fault``: as :func:`slam.simulation.faults.registry.parse_fault` reads it, or "none". ``odometry_ate_m``: of the
     faulted odometry. ``false_closures_in_graph``: those among the factors of the final graph.
-    ``landmarks``: confirmed ones. ``seconds``: of the replay. ``warnings``: what the log said at the level of a warning
+    ``landmarks``: confirmed ones. ``seconds``: of the replay. ``notes``: what the survey of the log found.
+    ``warnings``: what the log said at the level of a warning
     or an error, each message once, and ``counters`` at the end.
     """
 
