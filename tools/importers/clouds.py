@@ -28,7 +28,7 @@ def semantic_kitti(
     ] = None,
     json: Json = False,
 ) -> None:
-    """SemanticKITTI: objects of labelled LiDAR scans. Needs Open3D: pip install 'descriptellation-slam[clouds]'.
+    """SemanticKITTI: objects of labelled LiDAR scans. Needs the extra "clouds" (Open3D).
 
     Poses that do not fit the scans, because of a wrong calibration, are refused.
 
