@@ -94,8 +94,8 @@ def _reached(way: FloatArray, least: float) -> list[tuple[int, int]]:
 
 
 def _evenly(pairs: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    chosen = np.unique(np.linspace(0, len(pairs) - 1, min(PAIRS, len(pairs))).astype(np.int64)) if pairs else []
-    return [pairs[index] for index in chosen]
+    chosen = np.linspace(0, max(len(pairs) - 1, 0), min(PAIRS, len(pairs))).astype(np.int64)
+    return [pairs[index] for index in np.unique(chosen)]
 
 
 def _distance(scans: Sequence[SurveyScan], pairs: list[tuple[int, int]], R: FloatArray, limit_m: float) -> float:
