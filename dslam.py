@@ -115,7 +115,7 @@ def main() -> None:
     """Entry point of the command ``dslam``."""
     if not _IS_INSTALLED:  # this checkout comes before packages called slam, logs or tools elsewhere on the path
         sys.path.insert(0, str(Path(__file__).resolve().parent))
-    from tools.cli import main as run
+    from tools import main as run
 
     run()
 

@@ -17,6 +17,11 @@ QUATERNION_NORM_TOLERANCE = 1e-2
 ROTATION_TOLERANCE = 1e-6
 """A rotation matrix with R^T R off by at most this was rounded and is made orthonormal; beyond it, it is refused."""
 
+LARGEST_M = 1e9
+"""Positions further from the origin, beyond the moon, are mistakes; up to it, float64 still tells micrometres apart."""
+
+_LARGEST_VARIANCE = LARGEST_M**2
+
 # A covariance whose smallest eigenvalue is that little of its largest entry is singular to double precision.
 _SINGULAR = 1e-14
 _EXACT = 1e-12  # below this, a matrix keeps its bits: reading must not change what writing stored
@@ -50,7 +55,9 @@ def transform_from_quaternion(x: float, y: float, z: float, qx: float, qy: float
     """
     if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
         raise Refusal("position is not finite", f"x={x}, y={y}, z={z}")
-    norm = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
+    if max(abs(x), abs(y), abs(z)) > LARGEST_M:
+        raise Refusal("position is out of range", f"x={x}, y={y}, z={z}")
+    norm = math.hypot(qx, qy, qz, qw)
     # Written so that NaN fails it.
     if not abs(norm - 1.0) <= QUATERNION_NORM_TOLERANCE:
         raise Refusal("quaternion is no rotation", f"x={qx}, y={qy}, z={qz}, w={qw}, norm={norm}")
@@ -107,6 +114,8 @@ def transforms(values: Sequence[float], count: int, what: str) -> FloatArray:
     T[:, 3, 3] = 1.0
     if not np.isfinite(T).all():
         raise Refusal("transform is not finite", what)
+    if (np.abs(T) > LARGEST_M).any():
+        raise Refusal("position is out of range", what)
     R = T[:, :3, :3]
     error = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
     if (error > ROTATION_TOLERANCE).any() or (np.linalg.det(R) < 0.0).any():
@@ -121,7 +130,7 @@ def transforms(values: Sequence[float], count: int, what: str) -> FloatArray:
 def usable_covariance(P: FloatArray, counters: Counter[str]) -> FloatArray | None:
     """``P`` (n, n), symmetrised; None if all zero ("unknown"); None, counted, if not positive definite.
 
-    A singular or infinite covariance cannot weigh a measurement, but the measurement itself is still good.
+    A singular, absurd or infinite covariance cannot weigh a measurement, but the measurement itself is still good.
     """
     usable = usable_covariances(P[None], counters)[0]
     return usable if usable.any() else None
@@ -129,8 +138,10 @@ def usable_covariance(P: FloatArray, counters: Counter[str]) -> FloatArray | Non
 
 def usable_covariances(P: FloatArray, counters: Counter[str]) -> FloatArray:
     """``P`` (N, n, n), symmetrised; all zero ("unknown") where one is not positive definite, and counted."""
-    finite = np.asarray(np.isfinite(P).all(axis=(1, 2)))
-    symmetric = np.where(finite[:, None, None], 0.5 * (P + np.swapaxes(P, -1, -2)), 0.0)
+    with np.errstate(invalid="ignore"):
+        finite = np.asarray((np.abs(P) <= _LARGEST_VARIANCE).all(axis=(1, 2)))
+    bounded = np.where(finite[:, None, None], P, 0.0)
+    symmetric = 0.5 * (bounded + np.swapaxes(bounded, -1, -2))
     known = P.any(axis=(1, 2))
     largest = np.abs(symmetric).max(axis=(1, 2), initial=0.0)
     good = known & finite & (np.linalg.eigvalsh(symmetric)[:, 0] > _SINGULAR * largest)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
-import signal
 import sys
 import traceback
 from collections.abc import Sequence
@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from tools import (
+    Stopped,
     config,
     degrade,
     import_logs,
@@ -20,8 +21,10 @@ from tools import (
     relocalize,
     replay,
     simulate,
+    stopped,
     train,
 )
+from tools import main as run_process
 from tools.benchmarks import commands as benchmark
 from tools.evaluation import compare, evaluate, sweep
 from tools.results import export, view
@@ -29,6 +32,8 @@ from tools.results import export, view
 BAD_INPUT = 2
 INTERNAL_ERROR = 70
 INTERRUPTED = 130
+
+_LONGEST_MESSAGE = 1000
 
 _ANYWHERE = ("--debug", "--verbose", "-v")
 _PREFIX = __name__.removesuffix("tools.cli")
@@ -78,7 +83,9 @@ def _global_options(
 ) -> None:
     if verbose or debug:
         level = logging.DEBUG if debug else logging.INFO
-        logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+        handler = logging.StreamHandler(sys.stderr)
+        handler.setFormatter(_message_format("%(levelname)s %(name)s: %(message)s"))
+        logging.basicConfig(level=logging.INFO, handlers=[handler])
         for package in ("slam", "logs", "descriptors", "tools"):
             logging.getLogger(f"{_PREFIX}{package}").setLevel(level)
 
@@ -88,11 +95,15 @@ def run(arguments: Sequence[str]) -> int:
     debug = "--debug" in arguments
     moved = [argument for argument in arguments if argument in _ANYWHERE]
     rest = [argument for argument in arguments if argument not in _ANYWHERE]
+    if logging.lastResort is not None:
+        logging.lastResort.setFormatter(_message_format("%(message)s"))
     try:
         code = app(args=[*moved, *rest], prog_name="dslam", standalone_mode=False)
         sys.stdout.flush()
     except KeyboardInterrupt:
         code = INTERRUPTED
+    except Stopped as error:
+        return _fail(_with_notes(error), error.code)
     except typer.TyperException as error:
         message = error.format_message().rstrip(".")
         if not message:  # no command was given, and the help has been printed
@@ -100,23 +111,20 @@ def run(arguments: Sequence[str]) -> int:
         context = getattr(error, "ctx", None)
         return _fail(f"{message}; see '{context.command_path if context else 'dslam'} --help'", BAD_INPUT)
     except Exception as error:
+        if (stop := stopped()) is not None:  # it became another error on its way
+            return _fail(str(stop), stop.code)
         if debug:
             traceback.print_exc()
         if _is_expected(error):
-            return _fail("; ".join([str(error), *getattr(error, "__notes__", ())]), BAD_INPUT)
+            return _fail(_with_notes(error), BAD_INPUT)
+        if isinstance(error, MemoryError):
+            return _fail("the memory does not suffice; give a smaller log, or lower the limits.* settings", BAD_INPUT)
         what = f"{type(error).__name__}: {error}"
         remedy = "please report it with the traceback above" if debug else "please report it with the output of --debug"
         return _fail(f"this should not happen: {what}; {remedy}", INTERNAL_ERROR)
     if code == INTERRUPTED:  # Typer makes it of a KeyboardInterrupt
         return _fail("interrupted", INTERRUPTED)
     return code if isinstance(code, int) else 0
-
-
-def main() -> None:
-    """Entry point of ``dslam``."""
-    if hasattr(signal, "SIGPIPE"):
-        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `dslam info LOG | head` ends quietly
-    sys.exit(run(sys.argv[1:]))
 
 
 def _is_expected(error: Exception) -> bool:
@@ -127,10 +135,27 @@ def _is_expected(error: Exception) -> bool:
     return isinstance(error, (LogError, SlamError, DescriptorError, OSError))
 
 
+def _message_format(pattern: str) -> logging.Formatter:
+    from tools.console import VisibleFormatter
+
+    return VisibleFormatter(pattern)
+
+
+def _with_notes(error: BaseException) -> str:
+    return "; ".join([str(error), *getattr(error, "__notes__", ())])
+
+
 def _fail(message: str, code: int) -> int:
-    print(f"dslam: {' '.join(message.split())}", file=sys.stderr)
+    from slam.common.text import visible
+
+    line = visible(" ".join(message.split()))
+    if len(line) > _LONGEST_MESSAGE:
+        half = _LONGEST_MESSAGE // 2
+        line = f"{line[:half]} ... {line[-half:]}"
+    with contextlib.suppress(OSError):  # there is nobody to tell
+        print(f"dslam: {line}", file=sys.stderr)
     return code
 
 
 if __name__ == "__main__":
-    main()
+    run_process()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import logging
+import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,7 +15,24 @@ from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from slam.common.text import visible
+
 PIPE_WIDTH = 120
+
+
+class VisibleFormatter(logging.Formatter):
+    """Messages of the log, in which the names of a file stand."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """One message, tracebacks included."""
+        return visible(super().format(record))
+
+
+class _PlainTable(Table):
+    """Cells are text as it stands: no markup, no control characters."""
+
+    def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
+        super().add_row(*(Text(visible(cell)) if isinstance(cell, str) else cell for cell in cells), **options)
 
 
 def show(*parts: RenderableType) -> None:
@@ -29,17 +48,27 @@ def show(*parts: RenderableType) -> None:
 def _print(out: Console, parts: Sequence[RenderableType]) -> None:
     for part in parts:
         # What a narrow terminal cannot hold it wraps; cropping would lose numbers.
-        out.print(Text(part) if isinstance(part, str) else part, crop=False)
+        out.print(Text(visible(part)) if isinstance(part, str) else part, crop=False)
 
 
 def show_json(value: Mapping[str, Any]) -> None:
-    """Print exactly one JSON object."""
-    sys.stdout.write(json.dumps(value, indent=2, allow_nan=False) + "\n")
+    """Print exactly one JSON object; numbers that JSON cannot hold are null."""
+    sys.stdout.write(json.dumps(_plain(value), indent=2, allow_nan=False) + "\n")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    return [_plain(inner) for inner in value] if isinstance(value, list | tuple) else value
 
 
 def pairs(rows: Mapping[str, str], title: str | None = None) -> Table:
     """Names and values below one another, without lines."""
-    table = Table(title=title, title_justify="left", title_style="bold", show_header=False, box=None, pad_edge=False)
+    table = _PlainTable(
+        title=title, title_justify="left", title_style="bold", show_header=False, box=None, pad_edge=False
+    )
     table.add_column(no_wrap=True, style="cyan")
     table.add_column(overflow="fold")
     for name, value in rows.items():
@@ -49,7 +78,9 @@ def pairs(rows: Mapping[str, str], title: str | None = None) -> Table:
 
 def grid(columns: Mapping[str, bool], title: str | None = None) -> Table:
     """A table without lines; ``columns`` tells for each heading whether it is a column of numbers."""
-    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False, header_style="cyan")
+    table = _PlainTable(
+        title=title, title_justify="left", title_style="bold", box=None, pad_edge=False, header_style="cyan"
+    )
     for heading, is_number in columns.items():
         table.add_column(heading, justify="right" if is_number else "left", overflow="fold")
     return table

@@ -231,22 +231,18 @@ def _faults(topic: TopicSummary) -> str:
 
 
 def _closure_table(summary: LogSummary) -> Table:
-    from rich.markup import escape
-
     from tools import console
 
     table = console.grid({"decision": False, "stage": False, "reason": False, "candidates": True}, "Loop closures")
     shown = summary.closures[:_MOST_REASONS]
     for count in shown:
-        table.add_row(_decision(accepted=count.accepted), count.stage, escape(count.reason), str(count.count))
+        table.add_row(_decision(accepted=count.accepted), count.stage, count.reason, str(count.count))
     if rest := summary.closures[_MOST_REASONS:]:
         table.add_row("", "", f"{len(rest)} other reasons (--json)", str(sum(count.count for count in rest)))
     return table
 
 
 def _candidate_table(summary: LogSummary, candidates: Sequence[LoopClosureRecord]) -> Table:
-    from rich.markup import escape
-
     from tools import console
 
     numbers = dict.fromkeys(("time s", "query", "reference", "score", "LLR", "penalty", "inliers"), True)
@@ -266,7 +262,7 @@ def _candidate_table(summary: LogSummary, candidates: Sequence[LoopClosureRecord
             str(candidate.inlier_count),
             _decision(accepted=candidate.accepted),
             candidate.stage,
-            escape(candidate.reason),
+            candidate.reason,
         )
     return table
 

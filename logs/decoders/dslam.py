@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from logs import messages as m
+from logs.container.pending import LAST_NS
 from logs.decoders.parts import detections_record
 from logs.schemas import dslam_pb2 as pb
 from logs.topics import RecordKind
-from logs.validation import FloatArray, Refusal, matrix_rows, transforms, usable_covariance
+from logs.validation import LARGEST_M, FloatArray, Refusal, matrix_rows, transforms, usable_covariance
 
 
 def _same_length(count: int, **arrays: Sequence[Any]) -> None:
@@ -29,7 +30,16 @@ def _integers(values: Sequence[int], count: int, what: str) -> m.IntArray:
 def _finite(array: FloatArray, what: str) -> FloatArray:
     if not np.isfinite(array).all():
         raise Refusal("number is not finite", what)
+    if (np.abs(array) > LARGEST_M**2).any():
+        raise Refusal("number is out of range", what)
     return array
+
+
+def _times(values: Sequence[int], count: int, what: str) -> m.IntArray:
+    times = _integers(values, count, what)
+    if count and not 0 <= times.min() <= times.max() <= LAST_NS:
+        raise Refusal("time out of range", what)
+    return times
 
 
 def _detections(r: Any, kind: RecordKind, log_time_ns: int, counters: Counter[str]) -> tuple[m.Record, ...]:
@@ -86,8 +96,8 @@ def _object_map(r: Any, kind: RecordKind, log_time_ns: int, counters: Counter[st
             states=tuple(r.states),
             reasons=tuple(r.reasons),
             observation_counts=_integers(r.observation_counts, n, "observation_counts"),
-            first_seen_ns=_integers(r.first_seen_ns, n, "first_seen_ns"),
-            last_seen_ns=_integers(r.last_seen_ns, n, "last_seen_ns"),
+            first_seen_ns=_times(r.first_seen_ns, n, "first_seen_ns"),
+            last_seen_ns=_times(r.last_seen_ns, n, "last_seen_ns"),
             merged_into=tuple(r.merged_into),
         ),
     )
@@ -95,7 +105,7 @@ def _object_map(r: Any, kind: RecordKind, log_time_ns: int, counters: Counter[st
 
 def _trajectory(r: Any, kind: RecordKind, log_time_ns: int, counters: Counter[str]) -> tuple[m.Record, ...]:
     n = len(r.stamps_ns)
-    stamps = _integers(r.stamps_ns, n, "stamps_ns")
+    stamps = _times(r.stamps_ns, n, "stamps_ns")
     return (m.TrajectoryRecord(r.stamp_ns, r.frame_id, stamps, transforms(r.map_body, n, "map_body")),)
 
 
@@ -105,7 +115,7 @@ def _factor_graph(r: Any, kind: RecordKind, log_time_ns: int, counters: Counter[
         m.FactorGraphRecord(
             stamp_ns=r.stamp_ns,
             keyframe_ids=_integers(r.keyframe_ids, k, "keyframe_ids"),
-            keyframe_stamps_ns=_integers(r.keyframe_stamps_ns, k, "keyframe_stamps_ns"),
+            keyframe_stamps_ns=_times(r.keyframe_stamps_ns, k, "keyframe_stamps_ns"),
             T_map_body=transforms(r.map_body, k, "map_body"),
             edge_keyframe_ids=_integers(r.edge_keyframe_ids, 2 * e, "edge_keyframe_ids").reshape(e, 2),
             edge_transforms=transforms(r.edge_from_to, e, "edge_from_to"),

@@ -9,7 +9,7 @@ import numpy as np
 
 from logs.messages import GroundTruthPose, ObjectDetections, Odometry, Record, SlamPose, Transform
 from logs.topics import RecordKind
-from logs.validation import FloatArray, Refusal, covariance_to_body, usable_covariance, usable_covariances
+from logs.validation import LARGEST_M, FloatArray, Refusal, covariance_to_body, usable_covariance, usable_covariances
 
 UNKNOWN_LABEL = "unknown"
 """Class of an object whose detector gave it none."""
@@ -130,13 +130,15 @@ def detections_record(
     track_ids: tuple[str, ...] | None,
     counters: Counter[str],
 ) -> ObjectDetections:
-    """The record of N detections, without those whose position or score is NaN or Inf ("dropped_objects").
+    """The record of N detections, without those whose score is NaN or Inf, or position too, or absurdly far away
+    ("dropped_objects").
 
     Scores are clipped to [0, 1]. Covariances that cannot weigh a measurement become zero, which means unknown
-    ("ignored_covariances"), and None where none is known. So it is with sizes: NaN is unknown, infinite ones become NaN
+    ("ignored_covariances"), and None where none is known. So it is with sizes: NaN is unknown, absurd ones become NaN
     ("ignored_sizes").
     """
-    good = np.isfinite(positions).all(axis=1) & np.isfinite(scores)
+    with np.errstate(invalid="ignore"):
+        good = (np.abs(positions) <= LARGEST_M).all(axis=1) & np.isfinite(scores)
     if not good.all():
         counters["dropped_objects"] += int((~good).sum())
         positions, scores = positions[good], scores[good]
@@ -148,7 +150,7 @@ def detections_record(
         covariances = usable_covariances(covariances, counters)
         covariances = covariances if covariances.any() else None
     if sizes is not None:
-        infinite = np.isinf(sizes)
+        infinite = np.abs(sizes) > LARGEST_M
         counters.update({"ignored_sizes": int(infinite.sum())} if infinite.any() else {})
         sizes = np.where(infinite, np.nan, sizes)
         sizes = None if np.isnan(sizes).all() else sizes

@@ -22,6 +22,7 @@ from slam.common.renamed_settings import RENAMED_SETTINGS
 _Tree = TypeVar("_Tree", bound=BaseModel)
 
 _FLAG = "--set"
+_SMALLEST, _LARGEST = 1e-9, 1e9
 _BOUNDS = ((annotated_types.Gt, "gt", ">"), (annotated_types.Ge, "ge", ">="), (annotated_types.Lt, "lt", "<"),
            (annotated_types.Le, "le", "<="))  # fmt: skip
 _TYPE_NAMES = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
@@ -46,6 +47,14 @@ def load_tree(model: type[_Tree], path: Path | None, overrides: Sequence[str]) -
             one is named, of a renamed one the new name), or a value
             that is not allowed (what is allowed is named).
     """
+    try:
+        return _load_tree(model, path, overrides)
+    except RecursionError as error:
+        where = _FLAG if path is None else str(path)
+        raise ConfigurationError(f"{where}: values are nested too deeply; 'dslam config' lists the keys") from error
+
+
+def _load_tree(model: type[_Tree], path: Path | None, overrides: Sequence[str]) -> _Tree:
     data = {} if path is None else _read_toml(path)
     _refuse_unknown(model, data, str(path))
     flagged: set[str] = set()
@@ -56,9 +65,23 @@ def load_tree(model: type[_Tree], path: Path | None, overrides: Sequence[str]) -
         flagged.add(key)
     try:
         # By way of JSON, in which a list may become a tuple but a text never a number.
-        return model.model_validate_json(json.dumps(data, default=str), strict=True)
+        tree = model.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
         raise _bad_value(model, error, data, flagged, path) from error
+    _refuse_absurd(tree, flagged, path)
+    return tree
+
+
+def _refuse_absurd(tree: BaseModel, flagged: set[str], path: Path | None) -> None:
+    """Numbers whose squares and quotients would not be numbers any more."""
+    for setting in settings_of(tree):
+        value = setting.value
+        if isinstance(value, float) and value != 0.0 and not _SMALLEST <= abs(value) <= _LARGEST:
+            where = _FLAG if setting.key in flagged or path is None else str(path)
+            raise ConfigurationError(
+                f"{where}: {setting.key}={value:g} is absurd; numbers other than 0 are from {_SMALLEST:g} to "
+                f"{_LARGEST:g}: {setting.meaning}"
+            )
 
 
 def settings_of(tree: BaseModel, prefix: str = "") -> Iterator[Setting]:
@@ -129,10 +152,10 @@ def _toml_value(value: object) -> str:
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise ConfigurationError(f"cannot read {path}: {error.strerror}; give the path of a TOML file") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:  # of TOML, of UTF-8, or a number with thousands of digits
         raise ConfigurationError(f"{path} is no TOML: {error}; 'dslam config' prints a file to start from") from error
 
 
@@ -142,7 +165,7 @@ def _parse_override(text: str) -> tuple[str, object]:
         raise ConfigurationError(f"{_FLAG} {text!r}: expected key=value, for example {_FLAG} keyframe.distance_m=1.5")
     try:
         return key, tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
+    except ValueError:
         return key, value  # a word needs no quotes
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
@@ -16,6 +18,7 @@ from matplotlib.lines import Line2D
 from logs.errors import UnwritableLogError
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import EvaluationError
+from slam.common.text import visible
 from slam.visualization.palette import (
     CLOSURE,
     END,
@@ -39,6 +42,7 @@ _LineStyle = Literal["-"] | tuple[float, tuple[float, float]]
 
 _INK, _GRID, _KNOWN = "#1f2937", "#e5e7eb", "#9ca3af"
 _MARKERS = "os^DvPXhp*<>"
+_LONGEST_NAME = 40
 
 
 def _nowhere() -> FloatArray:
@@ -105,6 +109,11 @@ def draw_map(path_png: str | Path, picture: MapPicture, *, width_px: int = 1600)
     if len(points) == 0 or not np.isfinite(points).all():
         raise EvaluationError("no position to draw" if len(points) == 0 else "a position to be drawn is not finite")
     low, high = _limits(points)
+    with rc_context({"text.parse_math": False}):  # a dollar sign in a name is one
+        _draw(Path(path_png), picture, low, high, width_px)
+
+
+def _draw(path_png: Path, picture: MapPicture, low: FloatArray, high: FloatArray, width_px: int) -> None:
     figure = Figure(figsize=(16.0, _height_in(low, high)), dpi=width_px / 16.0, facecolor="white", layout="constrained")
     axes = figure.add_subplot()
     _prepare(axes, low, high)
@@ -121,7 +130,7 @@ def draw_map(path_png: str | Path, picture: MapPicture, *, width_px: int = 1600)
         fontsize=13,
         color="#4b5563",
     )
-    save_figure(figure, Path(path_png))
+    save_figure(figure, path_png)
 
 
 def _limits(points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -171,7 +180,7 @@ def _draw_landmarks(axes: Axes, picture: MapPicture) -> list[Line2D]:
         color, marker = (OTHER_COLOR, "o") if index == LEGEND_CLASSES else (class_hex(name), _MARKERS[index])
         x, y = picture.landmarks[rows, :2].T
         axes.scatter(x, y, s=size, marker=marker, color=color, edgecolors="white", linewidths=0.4, zorder=2.0)
-        handles.append(_marker(marker, color, 10.0, f"{name} ({len(rows)})"))
+        handles.append(_marker(marker, color, 10.0, f"{_entry(name)} ({len(rows)})"))
     return handles
 
 
@@ -253,6 +262,13 @@ def _marker(marker: str, color: str, size: float, label: str) -> Line2D:
     )
 
 
+def _entry(name: str) -> str:
+    """A class in the legend, from which the library leaves out what begins with an underscore."""
+    text = visible(name).replace("\n", " ")
+    text = f" {text}" if text.startswith("_") else text
+    return text if len(text) <= _LONGEST_NAME else f"{text[: _LONGEST_NAME - 3]}..."
+
+
 def _subtitle(picture: MapPicture) -> str:
     parts = []
     for positions, name in ((picture.estimate, "path"), (picture.odometry, "odometry")):
@@ -277,7 +293,8 @@ def save_figure(figure: Figure, target: Path) -> None:
     """
     part = target.with_name(target.name + ".part")
     try:
-        with part.open("wb") as file:
+        with part.open("wb") as file, warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Glyph", UserWarning)  # of a name; a box stands for it
             # Without the library's version the same map gives the same bytes.
             figure.savefig(file, format="png", dpi=figure.dpi, metadata={"Software": None})
         os.replace(part, target)

@@ -211,3 +211,46 @@ def test_a_topic_that_cannot_be_what_it_was_chosen_for_is_counted(tmp_path):
     with LogReader(tmp_path / "log.mcap") as reader:
         assert list(reader.records(Selection.of({"/odom": "detections"}))) == []
         assert reader.counters == {"undecodable": 1}
+
+
+@pytest.mark.parametrize("far", [2e9, 1e154, 1.7e308])
+def test_positions_beyond_the_moon_are_refused(far):
+    with pytest.raises(InvalidRecordError, match="position is out of range"):
+        decode(pose(x=far), "odometry")
+
+
+@pytest.mark.parametrize("q", [1e154, 1.7e308, -1.7e308])
+def test_quaternions_near_the_end_of_the_numbers_are_refused(q):
+    with pytest.raises(InvalidRecordError, match="quaternion is no rotation"):
+        decode(pose(qx=q), "odometry")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("absurd", [1e19, 1.7e308, -1.7e308])
+def test_covariances_near_the_end_of_the_numbers_are_unknown(absurd):
+    counters = Counter()
+    P = np.eye(6)
+    P[1, 2] = P[2, 1] = absurd
+    assert validation.usable_covariance(P, counters) is None
+    assert counters["ignored_covariances"] == 1
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("absurd", [2e9, 1.7e308])
+def test_objects_beyond_the_moon_are_left_out(absurd):
+    counters = Counter()
+    message = pb.ObjectDetections(
+        stamp_ns=1, frame_id="lidar", labels=["a", "b"], positions=[1, 2, 3, absurd, 0, 0], scores=[1, 1],
+        sizes=[1, 1, 1, absurd, 1, 1],
+    )  # fmt: skip
+    (record,) = decode(raw(message), "detections", counters)
+    assert record.labels == ("a",)
+    assert counters["dropped_objects"] == 1
+
+
+@pytest.mark.parametrize("stamp_ns", [-1, 2**62, 2**63 - 1])
+def test_stamps_before_zero_and_after_the_next_century_are_refused(stamp_ns):
+    with pytest.raises(InvalidRecordError, match="time out of range"):
+        decode(raw(pb.ObjectDetections(stamp_ns=stamp_ns)), "detections")
+    with pytest.raises(InvalidRecordError, match="time out of range"):
+        decode(raw(pb.Trajectory(stamp_ns=1, stamps_ns=[stamp_ns], map_body=np.eye(4)[:3].ravel())), "trajectory")

@@ -61,6 +61,26 @@ def test_changes_names_what_is_not_the_default() -> None:
     assert changes(Config(), "no json") == ["unreadable"]
 
 
+@pytest.mark.parametrize("text", ["a = " + "[" * 5000, "a = " + "9" * 5000, "[" + "a." * 5000 + "a]\nb = 1"])
+def test_files_that_are_nested_or_long_beyond_reason_are_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "settings.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigurationError):
+        load_config(path)
+
+
+@pytest.mark.parametrize("value", ["[" * 5000, "9" * 5000, "[" * 300 + "]" * 300, "1e308", "5e-324"])
+def test_values_that_are_nested_or_long_beyond_reason_are_refused(value: str) -> None:
+    with pytest.raises(ConfigurationError):
+        load_config(None, [f"keyframe.distance_m={value}"])
+
+
+def test_a_file_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    path = tmp_path / "settings.toml"
+    path.write_bytes(b"\xef\xbb\xbf[keyframe]\ndistance_m = 1.5\n")
+    assert load_config(path).keyframe.distance_m == 1.5
+
+
 @pytest.mark.parametrize(
     ("override", "told"),
     [

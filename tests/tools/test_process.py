@@ -1,0 +1,144 @@
+"""``dslam`` as a process: streams that are closed or full, locales without umlauts, signals."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from logs.messages import ObjectDetections, Odometry
+from logs.reader import LogReader
+from logs.writer import LogWriter
+from tests.tools.runs import ROOT, SAMPLE, Run
+
+INFO = f"{sys.executable} -m dslam info {SAMPLE}"
+
+
+def shell(command: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    variables = {**os.environ, **environment}
+    line = ["bash", "-c", command]
+    return subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False, env=variables)
+
+
+@pytest.fixture(scope="module")
+def odd_names(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log with names that a terminal, a terminal's library or a picture would interpret."""
+    path = tmp_path_factory.mktemp("names") / "log.mcap"
+    labels = ("Bäume", "[red]x[/red]", "\x1b[2J", "[/]", "$\\frac{1}{$", "\u202egpj", "_hidden", "\U0001f980")
+    with LogWriter(path) as writer:
+        for stamp in range(1, 40):
+            writer.write("/odom", Odometry(stamp * 10**8, np.eye(4), "[bold]odom", "\x1b]0;x\x07"))
+            record = ObjectDetections(stamp * 10**8, "\x1b]0;x\x07", np.ones((8, 3)) * 5, labels, np.ones(8))
+            writer.write("/[/]objects\x1b[31m", record)
+    return path
+
+
+class TestNames:
+    def test_are_shown_as_they_stand(self, dslam: Run, odd_names: Path) -> None:
+        result = dslam("info", odd_names)
+        assert result.code == 0
+        assert "\x1b" not in result.out + result.err
+        for text in ("[red]x[/red]", "\\x1b[2J", "[bold]odom", "/[/]objects\\x1b[31m", "Bäume", "\\u202egpj"):
+            assert text in result.out
+
+    def test_are_not_interpreted_in_messages(self, dslam: Run, odd_names: Path, tmp_path: Path) -> None:
+        result = dslam("replay", odd_names, "-o", tmp_path / "out.mcap", "--topic", "odometry=/\x1b[31m")
+        assert result.code == 2
+        assert "\x1b" not in result.err
+        assert "\\x1b[31m" in result.err
+
+    @pytest.mark.slow
+    def test_are_drawn_as_they_stand(self, dslam: Run, odd_names: Path, tmp_path: Path) -> None:
+        result = dslam("replay", odd_names, "-o", tmp_path / "out.mcap", "--picture", tmp_path / "out.png")
+        assert (result.code, result.err) == (0, "")
+
+    def test_in_a_locale_without_umlauts(self, odd_names: Path) -> None:
+        result = shell(
+            f"{sys.executable} -m dslam info {odd_names}",
+            LC_ALL="C", PYTHONCOERCECLOCALE="0", PYTHONUTF8="0", PYTHONIOENCODING="ascii:strict",
+        )  # fmt: skip
+        assert (result.returncode, result.stderr) == (0, "")
+        assert "B\\xe4ume" in result.stdout
+
+
+class TestStreams:
+    @pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-", "<&-"])
+    def test_that_are_closed(self, closed: str) -> None:
+        result = shell(f"{INFO} {closed}")
+        assert result.returncode == 0
+        assert result.stderr == ""
+
+    def test_a_refusal_without_standard_error(self, tmp_path: Path) -> None:
+        assert shell(f"{sys.executable} -m dslam info {tmp_path}/none 2>&-").returncode == 2
+        assert shell(f"{sys.executable} -m dslam info {tmp_path}/none 2>/dev/full").returncode == 2
+
+    @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+    def test_that_are_full(self) -> None:
+        result = shell(f"{INFO} > /dev/full")
+        assert result.returncode == 2
+        assert result.stderr.count("\n") == 1
+        assert "No space left" in result.stderr
+
+    @pytest.mark.slow
+    def test_without_a_home(self, tmp_path: Path) -> None:
+        command = f"env -u HOME -u TMPDIR {sys.executable} -m dslam replay {SAMPLE} -o {tmp_path}/out.mcap"
+        result = shell(f"{command} --picture {tmp_path}/out.png")
+        assert (result.returncode, result.stderr) == (0, "")
+
+
+class TestSignals:
+    def stopped_after(self, seconds: float, number: signal.Signals, output: Path) -> tuple[int, str]:
+        command = [sys.executable, "-m", "dslam", "replay", str(SAMPLE), "-o", str(output)]
+        process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        part = output.with_name(output.name + ".part")
+        deadline = time.monotonic() + 60.0
+        while seconds < 0 and not part.exists() and process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        time.sleep(max(seconds, 0.0))
+        process.send_signal(number)
+        _, told = process.communicate(timeout=60)
+        return process.returncode, told
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+    def test_while_mapping_name_what_is_left(self, tmp_path: Path, number: signal.Signals) -> None:
+        code, told = self.stopped_after(-1.0, number, tmp_path / "out.mcap")
+        assert code == 128 + number
+        assert told.count("\n") == 1
+        assert str(tmp_path / "out.mcap.part") in told
+        assert not (tmp_path / "out.mcap").exists()
+        with LogReader(tmp_path / "out.mcap.part") as reader:
+            assert reader.topics() is not None
+
+    def test_while_importing_are_one_line(self) -> None:
+        code = (
+            "import os, signal, sys, tools\n"
+            "class Finder:\n"
+            "    def find_spec(self, name, path, target=None):\n"
+            "        if name == 'tools.cli': os.kill(os.getpid(), signal.SIGINT)\n"
+            "sys.meta_path.insert(0, Finder())\n"
+            "tools.main()"
+        )
+        command = [sys.executable, "-c", code]
+        result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        assert (result.returncode, result.stderr) == (130, "dslam: interrupted\n")
+
+    def test_that_became_another_error_on_their_way(self) -> None:
+        code = (
+            "import sys, tools\n"
+            "def fail(*_):\n"
+            "    try: tools._stop(15, None)\n"
+            "    except BaseException as error: raise ImportError('numpy is broken') from error\n"
+            "import logs.summary; logs.summary.summarize = fail\n"
+            f"sys.argv = ['dslam', 'info', {str(SAMPLE)!r}]\n"
+            "tools.main()"
+        )
+        command = [sys.executable, "-c", code]
+        result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        assert (result.returncode, result.stderr) == (143, "dslam: terminated\n")
