@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from descriptors.constellation import Constellations
 from descriptors.index import Matches
-from descriptors.ring_likelihood import CHUNK
+from descriptors.ring_likelihood import count_at_a_time
 
 STEP_NATS = 1.0 / 32.0
 """Entries are kept in bytes, a quarter of the memory: 8 nats from the least on, which hold all but one neighbour in the
@@ -66,8 +66,9 @@ class LikelihoodIndex:
     def add(self, constellations: Constellations) -> NDArray[np.int64]:
         """Add entries; returns their numbers (B,)."""
         numbers = np.arange(self._size, self._size + len(constellations))
-        for start in range(0, len(constellations), CHUNK):
-            chunk = constellations[np.arange(start, min(start + CHUNK, len(constellations)))]
+        step = count_at_a_time(constellations)
+        for start in range(0, len(constellations), step):
+            chunk = constellations[np.arange(start, min(start + step, len(constellations)))]
             nats = self._descriptor.describe(chunk)
             for label in np.unique(chunk.centre_labels):
                 rows = np.flatnonzero(chunk.centre_labels == label)
@@ -109,7 +110,7 @@ class _Shelf:
 
     def __init__(self, least_nats: float) -> None:
         self.zero = round(-least_nats / STEP_NATS)
-        self._table = np.zeros((0, 64), dtype=np.uint8)
+        self._table = np.zeros((0, 4), dtype=np.uint8)  # few, as there may be many classes
         self.numbers = np.zeros(0, dtype=np.int64)
 
     def add(self, nats: NDArray[np.float32], numbers: NDArray[np.int64]) -> None:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from descriptors.constellation import Constellations
 
 CHUNK = 512
-"""Constellations that are described at a time, which bounds the memory."""
+"""Constellations of up to 64 classes that are described at a time, which bounds the memory."""
 REACH_SIGMAS = 4.0
 LEAST_DENSITY_PER_M = 1e-3
 
@@ -58,8 +58,9 @@ class RingLikelihood:
         """Vectors (B, C * rings) in nats: for each class of the vocabulary the rings from the inside out."""
         size = len(constellations.vocabulary) * self.rings
         described = np.zeros((len(constellations), size), dtype=np.float32)
-        for start in range(0, len(constellations), CHUNK):
-            end = min(start + CHUNK, len(constellations))
+        step = count_at_a_time(constellations)
+        for start in range(0, len(constellations), step):
+            end = min(start + step, len(constellations))
             neighbours = slice(constellations.offsets[start], constellations.offsets[end])
             density = self._density(constellations, neighbours, start, end)
             described[start:end] = np.log1p(density * np.tile(self._odds, len(constellations.vocabulary)))
@@ -93,6 +94,11 @@ class RingLikelihood:
         size = (end - start) * len(constellations.vocabulary) * self.rings
         density = np.bincount(entries.ravel(), weights=kernel.ravel(), minlength=size)
         return np.asarray(density.reshape(end - start, -1), dtype=np.float32)
+
+
+def count_at_a_time(constellations: Constellations) -> int:
+    """How many to describe at once: fewer where a vector is long for its many classes."""
+    return int(np.clip(CHUNK * 64 // max(len(constellations.vocabulary), 1), 1, CHUNK))
 
 
 def _distances(positions: NDArray[np.float64]) -> NDArray[np.float64]:

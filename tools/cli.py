@@ -24,7 +24,7 @@ from tools import (
     stopped,
     train,
 )
-from tools import main as run_process
+from tools import main as main
 from tools.benchmarks import commands as benchmark
 from tools.evaluation import compare, evaluate, sweep
 from tools.results import export, view
@@ -158,4 +158,4 @@ def _fail(message: str, code: int) -> int:
 
 
 if __name__ == "__main__":
-    run_process()
+    main()
