@@ -35,6 +35,8 @@ CLIP = 8.0
 """Displacements are clipped at that many robust standard deviations."""
 LEAST_PAIRS = 100
 """Lags with fewer tracked pairs are left out."""
+EXACT = 1e-18
+"""Mean squares below that [m^2] are rounding: the log has no noise there."""
 LEAST_IN_BIN = 20
 COMPONENTS = 12
 
@@ -231,7 +233,7 @@ def _solve(sums: FloatArray) -> FloatArray:
     means = sums[used, :-1] / counts[used, None]
     X, y = means[:, :-1], means[:, -1]
     # The relative sampling error of a mean square of n values is sqrt(2 / n).
-    weights = np.sqrt(counts[used]) / np.maximum(np.abs(y), 1e-300)
+    weights = np.sqrt(counts[used]) / np.maximum(np.abs(y), EXACT)
     weights = np.minimum(weights, 10.0 * np.median(weights))
     scale = np.maximum(np.linalg.norm(X * weights[:, None], axis=0), 1e-300)
     solution, _ = nnls(X * weights[:, None] / scale, y * weights)
