@@ -191,7 +191,13 @@ def replay(
             )
         unsaved = 0
         if map_path is not None:
-            unsaved = save_map(map_path, final.object_map, final.graph, final.markers, provenance, prior_map=prior_map)
+            try:
+                unsaved = save_map(
+                    map_path, final.object_map, final.graph, final.markers, provenance, prior_map=prior_map
+                )
+            except (SavedMapError, UnwritableLogError) as error:
+                error.add_note(f"{output} is complete")
+                raise
     return ReplaySummary(
         counters=dict(final.status.counters),
         log_s=(last_ns - first_ns) * 1e-9,

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from descriptors.baselines.onion import OnionHistogram
 from descriptors.constellation import Constellations, gather_constellations
-from descriptors.ring_likelihood import CHUNK, RingLikelihood
+from descriptors.ring_likelihood import CHUNK, RingLikelihood, count_at_a_time
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, transform_from_xyz_yaw
 from tests.descriptors.constellations import VOCABULARY, constellation, describe, scattered, street, thinned
@@ -179,6 +179,18 @@ def test_a_constellation_has_one_vector_among_many_and_alone():
     together = descriptor.describe(constellations)
     for row in (0, CHUNK - 1, CHUNK, CHUNK + 89):
         np.testing.assert_allclose(descriptor.describe(constellations[np.array([row])])[0], together[row], atol=1e-6)
+
+
+def test_fewer_are_described_at_a_time_where_there_are_many_classes():
+    descriptor = RingLikelihood()
+    positions, labels = scattered(20, seed=7, side_m=30.0)
+    many = [f"class {i}" for i in range(5000)]
+    few_classes = gather_constellations(positions, labels, VOCABULARY, radius_m=60.0)
+    many_classes = gather_constellations(positions, labels, many, radius_m=60.0)
+    assert count_at_a_time(few_classes) == CHUNK
+    assert count_at_a_time(many_classes) == 6
+    entries = CLASSES * descriptor.rings
+    np.testing.assert_array_equal(descriptor.describe(many_classes)[:, :entries], descriptor.describe(few_classes))
 
 
 def test_cells_are_the_entries_of_the_class_and_the_ring_out_to_the_very_radius():
