@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import GeometryError
@@ -90,15 +90,14 @@ def interpolate(stamps_ns: IntArray, T_a_b: FloatArray, at_ns: IntArray) -> Floa
         )
     if len(stamps_ns) == 1:
         return np.repeat(T_a_b, len(at_ns), axis=0)
-    # Offsets from the first stamp are exact in float64; absolute epoch nanoseconds are not.
-    seconds = (stamps_ns - stamps_ns[0]) * 1e-9
-    at_s = (at_ns - stamps_ns[0]) * 1e-9
+    # Offsets from the stamp before are exact in float64; absolute epoch nanoseconds are not.
     upper = np.clip(np.searchsorted(stamps_ns, at_ns, side="right"), 1, len(stamps_ns) - 1)
     lower = upper - 1
     fraction = ((at_ns - stamps_ns[lower]) / (stamps_ns[upper] - stamps_ns[lower]))[:, None]
     translation = (1.0 - fraction) * T_a_b[lower, :3, 3] + fraction * T_a_b[upper, :3, 3]
-    rotation = Slerp(seconds, Rotation.from_matrix(T_a_b[:, :3, :3]))(np.minimum(at_s, seconds[-1])).as_matrix()
-    return make_transform(rotation, translation)
+    start = Rotation.from_matrix(T_a_b[lower, :3, :3])
+    turn = (start.inv() * Rotation.from_matrix(T_a_b[upper, :3, :3])).as_rotvec()
+    return make_transform((start * Rotation.from_rotvec(fraction * turn)).as_matrix(), translation)
 
 
 def relative(T_odom_from: FloatArray, T_odom_to: FloatArray) -> FloatArray:

@@ -139,3 +139,10 @@ def test_interpolation_refuses_what_has_no_answer(stamps_ns, at_ns):
     T = np.tile(np.eye(4), (len(stamps_ns), 1, 1))
     with pytest.raises(GeometryError):
         interpolate(np.array(stamps_ns, dtype=np.int64), T, np.array(at_ns, dtype=np.int64))
+
+
+def test_a_stamp_of_another_century_does_not_blur_those_of_a_nanosecond():
+    stamps_ns = np.array([0, 2**61, 2**61 + 2])
+    T = transform_from_xyz_yaw(np.array([[0.0, 0, 0], [0, 0, 0], [2, 0, 0]]), np.array([0.0, 0.0, 0.2]))
+    between = interpolate(stamps_ns, T, stamps_ns[1:2] + 1)[0]
+    np.testing.assert_allclose(between, transform_from_xyz_yaw(np.array([1.0, 0, 0]), 0.1), atol=1e-12)
