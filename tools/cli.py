@@ -146,7 +146,7 @@ def _with_notes(error: BaseException) -> str:
 
 
 def _fail(message: str, code: int) -> int:
-    from slam.common.text import visible
+    from logs.container.names import visible
 
     line = visible(" ".join(message.split()))
     if len(line) > _LONGEST_MESSAGE:

@@ -15,7 +15,7 @@ from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from slam.common.text import visible
+from logs.container.names import visible
 
 PIPE_WIDTH = 120
 

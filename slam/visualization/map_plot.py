@@ -15,10 +15,10 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from logs.container.names import visible
 from logs.errors import UnwritableLogError
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import EvaluationError
-from slam.common.text import visible
 from slam.visualization.palette import (
     CLOSURE,
     END,
