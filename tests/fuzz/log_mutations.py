@@ -9,7 +9,7 @@ import numpy as np
 from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message import DecodeError
 
-from logs.decoders.protobuf import _DECODERS
+from logs.decoders.protobuf import DECODERS
 from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes
 from tests.fuzz.mcap_file import McapFile, Message, odd_layout, write_file
 
@@ -54,7 +54,7 @@ def _payloads(file: McapFile, rng: np.random.Generator) -> None:
         one = np.random.default_rng(seed) if is_same else rng
         schema, _, encoding = file.channels.get(message.channel, (0, "", ""))
         name = file.schemas.get(schema, ("", "", b""))[0]
-        if encoding == "protobuf" and name in _DECODERS:
+        if encoding == "protobuf" and name in DECODERS:
             data = _mutate_protobuf(name, message.data, one)
         elif encoding == "cdr":
             data = _mutate_cdr(message.data, one)
@@ -64,7 +64,7 @@ def _payloads(file: McapFile, rng: np.random.Generator) -> None:
 
 
 def _mutate_protobuf(name: str, data: bytes, rng: np.random.Generator) -> bytes:
-    message = _DECODERS[name][0]()
+    message = DECODERS[name][0]()
     try:
         message.ParseFromString(data)
     except DecodeError:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -18,7 +19,7 @@ from logs.topics import RawMessage
 
 class Player:
     def __init__(self) -> None:
-        self.entities: dict[str, dict[str, object]] = {}
+        self.entities: dict[str, dict[str, Any]] = {}
         self.clouds: dict[str, np.ndarray] = {}
         self.parents: dict[str, str] = {}
         self.transforms: dict[str, np.ndarray] = {}
@@ -39,7 +40,8 @@ class Player:
         """Where the objects on a topic of entities stand."""
         found = {}
         for name, entity in self.entities.get(topic, {}).items():
-            (shape,) = [*entity.cubes, *entity.spheres, *entity.cylinders]
+            shapes: list[Any] = [*entity.cubes, *entity.spheres, *entity.cylinders]
+            (shape,) = shapes
             found[name] = np.array([shape.pose.position.x, shape.pose.position.y, shape.pose.position.z])
         return found
 

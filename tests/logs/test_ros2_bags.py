@@ -202,8 +202,13 @@ def test_chunks_without_a_wanted_topic_are_not_decompressed(tmp_path: Path, monk
         messages.append(("/image", "sensor_msgs/msg/Image", i, picture))
     bag = write_bag(tmp_path / "bag", messages)
     loaded = []
-    inner = file_index.read_chunk
-    monkeypatch.setattr(file_index, "read_chunk", lambda *args: loaded.append(args[1].offset) or inner(*args))
+    inner = getattr(file_index, "read_chunk")  # noqa: B009
+
+    def read_chunk(*args):
+        loaded.append(args[1].offset)
+        return inner(*args)
+
+    monkeypatch.setattr(file_index, "read_chunk", read_chunk)
     with LogReader(bag) as reader:
         assert len(list(reader.messages({"/odom"}))) == 3
         assert len(set(loaded)) == 3

@@ -7,6 +7,7 @@ import json
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -68,7 +69,7 @@ class TestBag:
         self, dslam: Run, mapped: Path, records: EvaluationRecords, tmp_path: Path
     ) -> None:
         assert dslam("export", mapped, "--ros2-bag", tmp_path / "bag").code == 0
-        found: dict[str, list[object]] = {}
+        found: dict[str, list[tuple[int, Any]]] = {}
         with AnyReader([tmp_path / "bag"], default_typestore=typestore()) as reader:
             for connection, stamp_ns, data in reader.messages():
                 message = reader.deserialize(data, connection.msgtype)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam.common.arrays import FloatArray
+from slam.common.arrays import BoolArray, FloatArray
 from slam.common.config import LocalizationConfig
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.localization.continuity_monitor import ContinuityMonitor, RecentLandmarks
@@ -55,7 +55,7 @@ class Street:
         self.last_m = np.concatenate([self.last_m[seen], np.full(len(elsewhere), -np.inf)])
         self.gone = int(seen.sum())
 
-    def hide_known(self) -> FloatArray:
+    def hide_known(self) -> BoolArray:
         return np.arange(len(self.positions)) < self.gone
 
     def _keyframe(self, travel_m: float) -> Keyframe:

@@ -170,7 +170,8 @@ def test_a_log_without_any_noise_has_none() -> None:
     scan = np.tile(np.arange(count), objects)
     points = np.array([[10.0, 5.0], [-20.0, 8.0], [60.0, -4.0]])[track]
     offsets = points - np.stack([0.3 * scan, np.zeros(len(scan))], axis=1)
-    tracks = ObjectTracks(track, scan, offsets, points, np.zeros(len(track), np.int64), np.zeros(len(track)))
+    none = np.zeros(len(track))
+    tracks = ObjectTracks(track, scan, offsets, points, np.zeros(len(track), np.int64), none, none)
     motion = Motion(np.arange(count) * 0.3, np.zeros(count), np.arange(count) * 0.1)
     found = estimate_components(tracks, motion)
     assert found is not None
