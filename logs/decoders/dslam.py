@@ -35,9 +35,9 @@ def _finite(array: FloatArray, what: str) -> FloatArray:
     return array
 
 
-def _times(values: Sequence[int], count: int, what: str) -> m.IntArray:
+def _times(values: Sequence[int], count: int, what: str, *, earliest_ns: int = 0) -> m.IntArray:
     times = _integers(values, count, what)
-    if count and not 0 <= times.min() <= times.max() <= LAST_NS:
+    if count and not earliest_ns <= times.min() <= times.max() <= LAST_NS:
         raise Refusal("time out of range", what)
     return times
 
@@ -115,7 +115,8 @@ def _factor_graph(r: Any, kind: RecordKind, log_time_ns: int, counters: Counter[
         m.FactorGraphRecord(
             stamp_ns=r.stamp_ns,
             keyframe_ids=_integers(r.keyframe_ids, k, "keyframe_ids"),
-            keyframe_stamps_ns=_times(r.keyframe_stamps_ns, k, "keyframe_stamps_ns"),
+            # Keyframes of a prior map have no time.
+            keyframe_stamps_ns=_times(r.keyframe_stamps_ns, k, "keyframe_stamps_ns", earliest_ns=-1),
             T_map_body=transforms(r.map_body, k, "map_body"),
             edge_keyframe_ids=_integers(r.edge_keyframe_ids, 2 * e, "edge_keyframe_ids").reshape(e, 2),
             edge_transforms=transforms(r.edge_from_to, e, "edge_from_to"),
