@@ -14,7 +14,7 @@ from typing import BinaryIO
 MAGIC = b"\x89MCAP0\r\n"
 
 SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x03, 0x04, 0x05, 0x06
-METADATA, DATA_END = 0x0C, 0x0F
+ATTACHMENT, METADATA, DATA_END = 0x09, 0x0C, 0x0F
 
 HEADER = struct.Struct("<BQ")  # opcode, length of what follows
 MESSAGE_HEADER = struct.Struct("<HIQQ")  # channel id, sequence, log time, publish time
@@ -46,6 +46,7 @@ class BlockList:
 
     blocks: list[Block] = field(default_factory=list)
     metadata_offsets: list[int] = field(default_factory=list)
+    attachment_offsets: list[int] = field(default_factory=list)
     oversized: dict[int, int] = field(default_factory=dict)
     is_complete: bool = False
     lost_bytes: int = 0
@@ -90,6 +91,8 @@ def walk(stream: BinaryIO, size: int, max_record_bytes: int = 1 << 32) -> BlockL
                 found.blocks.append(Block(offset, end - offset, start_ns, end_ns, is_chunk=True))
             elif opcode == METADATA:
                 found.metadata_offsets.append(offset)
+            elif opcode == ATTACHMENT:
+                found.attachment_offsets.append(offset)
             elif opcode in (SCHEMA, CHANNEL, MESSAGE):
                 found.oversized[offset] = length
             found.is_complete = opcode == DATA_END

@@ -5,14 +5,18 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Mapping
+from io import BytesIO
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO
 
+import numpy as np
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
 from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
 
+from logs.container.attachments import OVERHEAD
 from logs.encoders import encode, encode_path
 from logs.errors import InvalidRecordError, UnwritableLogError
 from logs.messages import Record, TrajectoryRecord
@@ -23,6 +27,7 @@ PARTIAL_SUFFIX = ".part"
 # A killed run loses at most the chunk in progress, so chunks are small; zstd still finds enough to compress in one.
 _CHUNK_BYTES = 256 * 1024
 _LAST_NS = 2**63 - 1
+_ARRAY_MEDIA_TYPE = "application/x-npy"
 _LIBRARY = "dslam"  # fixed: the library's own version must not change the bytes of a log
 
 
@@ -105,6 +110,19 @@ class LogWriter:
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Store key-value text under ``name``, keys in sorted order. Writing one name twice stores both."""
         self._writer.add_metadata(name, dict(sorted(values.items())))
+
+    def add_array(self, name: str, array: NDArray[Any]) -> None:
+        """Attach ``array`` in NumPy's file format under ``name``; :func:`logs.container.attachments.read_arrays` maps it
+        into memory.
+
+        The media type ends in as many blanks as make its values begin at a multiple of 64 bytes in the file.
+        """
+        self.flush()
+        payload = BytesIO()
+        np.lib.format.write_array(payload, np.ascontiguousarray(array), allow_pickle=False)
+        begin = self._stream.tell() + OVERHEAD + len(name.encode()) + len(_ARRAY_MEDIA_TYPE)
+        media_type = _ARRAY_MEDIA_TYPE + " " * (-begin % np.lib.format.ARRAY_ALIGN)
+        self._writer.add_attachment(0, 0, name, media_type, payload.getvalue())
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system, so that a kill after this loses none of it."""

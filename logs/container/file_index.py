@@ -51,6 +51,7 @@ class FileIndex:
     last_ns: dict[int, int] = field(default_factory=dict)
     blocks: list[Block] = field(default_factory=list)
     metadata_offsets: list[int] = field(default_factory=list)
+    attachment_offsets: list[int] = field(default_factory=list)
     is_complete: bool = True
     lost_tail_bytes: int = 0
     lost_blocks: dict[int, int] = field(default_factory=dict)
@@ -142,12 +143,13 @@ class IndexedFile:
         statistics = summary.statistics
         return (
             statistics is not None
-            and len(summary.chunk_indexes) > 0
+            and (len(summary.chunk_indexes) > 0 or statistics.message_count == 0)
             and all(id in summary.channels for id in statistics.channel_message_counts)
             and all(c.schema_id == 0 or c.schema_id in summary.schemas for c in summary.channels.values())
             and all(c.chunk_start_offset + c.chunk_length <= self._size for c in summary.chunk_indexes)
             and len({c.chunk_start_offset for c in summary.chunk_indexes}) == len(summary.chunk_indexes)
             and len(summary.metadata_indexes) == statistics.metadata_count
+            and len(summary.attachment_indexes) == statistics.attachment_count
         )
 
     def _index_by_summary(self, summary: Summary) -> None:
@@ -158,7 +160,8 @@ class IndexedFile:
             self._add_channel(channel)
         if summary.statistics is not None:
             index.message_counts.update(summary.statistics.channel_message_counts)
-        index.metadata_offsets = [index.offset for index in summary.metadata_indexes]
+        index.metadata_offsets = [each.offset for each in summary.metadata_indexes]
+        index.attachment_offsets = [each.offset for each in summary.attachment_indexes]
         shared: dict[frozenset[int], frozenset[int]] = {}  # most chunks hold the same channels
         for c in summary.chunk_indexes:
             ids = frozenset(c.message_index_offsets)
@@ -204,6 +207,7 @@ class IndexedFile:
         index.is_complete = found.is_complete
         index.lost_tail_bytes = found.lost_bytes
         index.metadata_offsets = found.metadata_offsets
+        index.attachment_offsets = found.attachment_offsets
         index.oversized.update(found.oversized)
         for block in found.blocks:
             content = self.load(block)
