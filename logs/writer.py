@@ -112,8 +112,7 @@ class LogWriter:
         self._writer.add_metadata(name, dict(sorted(values.items())))
 
     def add_array(self, name: str, array: NDArray[Any]) -> None:
-        """Attach ``array`` in NumPy's file format under ``name``; :func:`logs.container.attachments.read_arrays` maps it
-        into memory.
+        """Attach ``array`` in NumPy's file format, for :func:`logs.container.attachments.read_arrays`.
 
         The media type ends in as many blanks as make its values begin at a multiple of 64 bytes in the file.
         """

@@ -1,0 +1,1 @@
+"""Maps of objects from open data."""

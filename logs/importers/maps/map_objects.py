@@ -1,0 +1,63 @@
+"""Objects of a map as a source has them, in metres or in degrees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.errors import DatasetError
+from logs.messages import FloatArray
+
+MOST_LATITUDE_DEG, MOST_LONGITUDE_DEG = 90.0, 180.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapObjects:
+    """``positions`` (N, 3): x, y, z in metres, or, where ``is_geodetic``, latitude and longitude in degrees and
+    altitude in metres; ``labels`` (N,) classes; ``ids`` (N,) names in the source.
+
+    ``sha256`` of the source; ``notes``: what was left out, for people.
+    """
+
+    source: str
+    positions: FloatArray
+    labels: tuple[str, ...]
+    ids: tuple[str, ...]
+    is_geodetic: bool
+    sha256: str
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def relabelled(self, label: str) -> MapObjects:
+        """The same objects, all of one class."""
+        return replace(self, labels=(label,) * len(self))
+
+
+def check_degrees(source: str, geodetic: FloatArray) -> None:
+    """Refuse latitudes and longitudes (N, 3) that are none.
+
+    Raises:
+        DatasetError: metres, or the two the other way round; with the values and the remedy.
+    """
+    if not len(geodetic):
+        raise DatasetError(f"{source}: no object in it; give it at least four")
+    wrong = _outside(geodetic[:, 0], geodetic[:, 1])
+    if not wrong.any():
+        return
+    row = int(wrong.argmax())
+    latitude, longitude = geodetic[row, :2]
+    is_swapped = not _outside(geodetic[:, 1], geodetic[:, 0]).any()
+    remedy = "they are the other way round: swap them" if is_swapped else "these are metres, or in another unit"
+    raise DatasetError(
+        f"{source}: latitude {latitude:g}, longitude {longitude:g} of object {row + 1} are no degrees; {remedy}"
+    )
+
+
+def _outside(latitude: FloatArray, longitude: FloatArray) -> NDArray[np.bool_]:
+    return np.asarray(
+        ~(np.abs(latitude) <= MOST_LATITUDE_DEG) | ~(np.abs(longitude) <= MOST_LONGITUDE_DEG), dtype=np.bool_
+    )

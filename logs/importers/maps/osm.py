@@ -1,0 +1,90 @@
+"""Objects of a map in an extract of OpenStreetMap: nodes whose tags say that something stands there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from logs.digest import file_sha256
+from logs.errors import DatasetError
+from logs.importers.maps.map_objects import MapObjects
+
+if TYPE_CHECKING:
+    import osmium
+
+ANY = "*"
+_VALUES: Mapping[str, str] = {
+    "advertising": ANY,
+    "amenity": "atm bench bicycle_parking bicycle_rental charging_station clock drinking_water fountain grit_bin "
+    "motorcycle_parking parking_meter post_box recycling telephone toilets vending_machine waste_basket waste_disposal",
+    "barrier": "block bollard cycle_barrier gate lift_gate swing_gate turnstile",
+    "emergency": "defibrillator fire_hydrant phone siren",
+    "highway": "bus_stop elevator give_way milestone speed_camera stop street_lamp traffic_mirror traffic_signals",
+    "historic": "boundary_stone memorial milestone monument wayside_cross wayside_shrine",
+    "man_made": "antenna chimney flagpole manhole mast monitoring_station pole pump street_cabinet surveillance tower "
+    "utility_pole water_tap",
+    "natural": "rock stone tree",
+    "power": "pole tower transformer",
+    "railway": "buffer_stop milestone signal subway_entrance switch",
+    "tourism": "artwork information",
+    "traffic_sign": ANY,
+}
+TAGS: Mapping[str, frozenset[str]] = {key: frozenset(values.split()) for key, values in _VALUES.items()}
+"""Keys and their values that make a node an object; with ``ANY`` all values do, and the class is the key."""
+INSTALL = "install it: pip install 'descriptellation-slam[osm]'"
+
+
+def read_osm(path: Path, *, tags: Sequence[str] = ()) -> MapObjects:
+    """Read the nodes of an ``.osm``, ``.osm.gz`` or ``.osm.pbf`` file that are objects.
+
+    Their class is the value of the tag, ``tree`` for ``natural=tree``; the first key counts, by the alphabet.
+
+    Args:
+        path: the extract.
+        tags: ``KEY=VALUE`` or ``KEY`` that make an object, instead of :data:`TAGS`.
+
+    Raises:
+        DatasetError: pyosmium is not installed, the file cannot be read, is cut off, or holds no such node.
+    """
+    try:
+        import osmium
+    except ImportError as error:
+        raise DatasetError(f"{path}: OpenStreetMap is read by pyosmium, which is missing; {INSTALL}") from error
+    wanted = _parsed(tags) if tags else TAGS
+    positions, labels, ids = list[tuple[float, float, float]](), list[str](), list[str]()
+    try:
+        nodes = osmium.FileProcessor(str(path), osmium.osm.NODE).with_filter(osmium.filter.KeyFilter(*wanted))
+        for node in nodes:
+            label = _class_of(node, wanted)
+            if label and node.location.valid():
+                positions.append((node.location.lat, node.location.lon, 0.0))
+                labels.append(label)
+                ids.append(f"n{node.id}")
+    except (RuntimeError, OSError) as error:
+        reason = getattr(error, "strerror", None) or " ".join(str(error).split())
+        raise DatasetError(f"{path}: no extract of OpenStreetMap, or cut off ({reason}); download it again") from error
+    if not labels:
+        names = ", ".join(wanted)
+        raise DatasetError(f"{path}: no node is an object by its tags ({names}); say which by --tag KEY=VALUE")
+    return MapObjects(str(path), np.array(positions), tuple(labels), tuple(ids), True, file_sha256(path))
+
+
+def _class_of(node: osmium.osm.Node, wanted: Mapping[str, frozenset[str]]) -> str:
+    for key in sorted(wanted):
+        value = node.tags.get(key)
+        if value is not None and ANY in wanted[key]:
+            return key
+        if value is not None and value in wanted[key]:
+            return str(value)
+    return ""
+
+
+def _parsed(tags: Sequence[str]) -> dict[str, frozenset[str]]:
+    wanted: dict[str, frozenset[str]] = {}
+    for tag in tags:
+        key, _, value = tag.partition("=")
+        wanted[key] = wanted.get(key, frozenset()) | {value or ANY}
+    return wanted

@@ -1,0 +1,141 @@
+"""Maps of open data: tables, GeoJSON and OpenStreetMap, and what is wrong with them in one line."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from logs.errors import DatasetError
+from logs.importers.maps.geojson import read_geojson
+from logs.importers.maps.object_table import read_object_table
+from logs.importers.maps.osm import read_osm
+
+OSM = """<?xml version="1.0"?>
+<osm version="0.6">
+ <node id="1" lat="60.1" lon="24.9" version="1"><tag k="natural" v="tree"/></node>
+ <node id="2" lat="60.2" lon="24.8" version="1"><tag k="highway" v="street_lamp"/><tag k="ref" v="7"/></node>
+ <node id="3" lat="60.3" lon="24.7" version="1"><tag k="highway" v="crossing"/></node>
+ <node id="4" lat="60.4" lon="24.6" version="1"/>
+ <node id="5" lat="60.5" lon="24.5" version="1"><tag k="traffic_sign" v="city_limit"/></node>
+</osm>
+"""
+
+
+def feature(longitude: float, latitude: float, **properties: str) -> dict[str, object]:
+    return {
+        "type": "Feature",
+        "geometry": {"type": "Point", "coordinates": [longitude, latitude]},
+        "properties": properties,
+    }
+
+
+def geojson(path: Path, *features: object, **more: object) -> Path:
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features, **more}))
+    return path
+
+
+class TestTable:
+    def test_metres_with_classes_and_ids(self, tmp_path: Path) -> None:
+        path = tmp_path / "objects.csv.gz"
+        path.write_bytes(gzip.compress(b"x_m,y_m,z_m,class,id\n1.5,-2,0.5,pole,a\n3,4,,,b\n"))
+        objects = read_object_table(path)
+        np.testing.assert_array_equal(objects.positions, [[1.5, -2.0, 0.5], [3.0, 4.0, 0.0]])
+        assert (objects.labels, objects.ids, objects.is_geodetic) == (("pole", "object"), ("a", "b"), False)
+
+    def test_degrees_by_the_names_of_the_columns(self, tmp_path: Path) -> None:
+        path = tmp_path / "trees.csv"
+        path.write_text("Longitude;Latitude;Species\n24.9;60.1;oak\n")
+        objects = read_object_table(path)
+        np.testing.assert_array_equal(objects.positions, [[60.1, 24.9, 0.0]])
+        assert (objects.labels, objects.is_geodetic) == (("oak",), True)
+
+    @pytest.mark.parametrize(
+        ("text", "fault"),
+        [
+            ("x_m,class\n1,pole\n", "no column for y"),
+            ("x_m,y_m,id\n1,2,a\n3,4,a\n", "line 3: id 'a' is taken by line 2"),
+            ("lat,lon\n400,24\n", "these are metres"),
+            ("lat,lon\n24,160\n-30,170\n100,60\n", "no degrees"),
+            ("lat,lon\n160.1,24.9\n", "the other way round: swap them"),
+            ("x_m,y_m\n1,abc\n", "line 2, column y_m: 'abc'"),
+        ],
+    )
+    def test_faults(self, tmp_path: Path, text: str, fault: str) -> None:
+        path = tmp_path / "objects.csv"
+        path.write_text(text)
+        with pytest.raises(DatasetError, match=fault):
+            read_object_table(path)
+
+
+class TestGeoJson:
+    def test_points_with_their_class(self, tmp_path: Path) -> None:
+        line = {"type": "Feature", "geometry": {"type": "LineString", "coordinates": []}, "properties": None}
+        path = geojson(tmp_path / "a.geojson", feature(24.9, 60.1, Class="tree"), line, feature(24.8, 60.2))
+        objects = read_geojson(path)
+        np.testing.assert_array_equal(objects.positions, [[60.1, 24.9, 0.0], [60.2, 24.8, 0.0]])
+        assert objects.labels == ("tree", "object")
+        assert objects.notes == ("1 features that are no points were left out",)
+
+    def test_any_property_can_be_the_class(self, tmp_path: Path) -> None:
+        path = geojson(tmp_path / "a.geojson", feature(24.9, 60.1, art="Eiche", type="x"))
+        assert read_geojson(path, class_property="art").labels == ("Eiche",)
+        with pytest.raises(DatasetError, match="no feature has a property 'sort'"):
+            read_geojson(path, class_property="sort")
+
+    def test_faults(self, tmp_path: Path) -> None:
+        with pytest.raises(DatasetError, match=r"latitude 6\.6e\+06.*these are metres"):
+            read_geojson(geojson(tmp_path / "a.json", feature(385000.0, 6.6e6)))
+        with pytest.raises(DatasetError, match="other way round"):
+            read_geojson(geojson(tmp_path / "a.json", feature(34.0, -118.2)))
+        with pytest.raises(DatasetError, match="EPSG:4326"):
+            read_geojson(geojson(tmp_path / "a.json", feature(24.9, 60.1), crs={"name": "urn:ogc:def:crs:EPSG::3067"}))
+        with pytest.raises(DatasetError, match="no object in it"):
+            read_geojson(geojson(tmp_path / "a.json"))
+        cut = geojson(tmp_path / "a.json", feature(24.9, 60.1))
+        cut.write_text(cut.read_text()[:-10])
+        with pytest.raises(DatasetError, match="may be cut off"):
+            read_geojson(cut)
+
+
+class TestOsm:
+    @pytest.fixture
+    def extract(self, tmp_path: Path) -> Path:
+        pytest.importorskip("osmium", reason="pyosmium is not installed")
+        path = tmp_path / "town.osm"
+        path.write_text(OSM)
+        return path
+
+    def test_nodes_that_are_street_furniture(self, extract: Path) -> None:
+        objects = read_osm(extract)
+        np.testing.assert_allclose(objects.positions, [[60.1, 24.9, 0.0], [60.2, 24.8, 0.0], [60.5, 24.5, 0.0]])
+        assert objects.labels == ("tree", "street_lamp", "traffic_sign")
+        assert objects.ids == ("n1", "n2", "n5")
+
+    def test_the_tags_can_be_chosen(self, extract: Path) -> None:
+        assert read_osm(extract, tags=["highway=crossing"]).labels == ("crossing",)
+        assert read_osm(extract, tags=["ref"]).labels == ("ref",)
+        with pytest.raises(DatasetError, match="--tag"):
+            read_osm(extract, tags=["nothing"])
+
+    def test_pbf_and_a_truncated_one(self, extract: Path, tmp_path: Path) -> None:
+        import osmium
+
+        path = tmp_path / "town.osm.pbf"
+        with osmium.SimpleWriter(str(path)) as writer:
+            for number in range(20_000):
+                node = osmium.osm.mutable.Node(
+                    id=number + 1, location=(24.9, 60.1 + 1e-6 * number), tags={"natural": "tree"}
+                )
+                writer.add_node(node)
+        assert len(read_osm(path)) == 20_000
+        path.write_bytes(path.read_bytes()[:-300])
+        with pytest.raises(DatasetError, match=r"town\.osm\.pbf: no extract of OpenStreetMap, or cut off"):
+            read_osm(path)
+
+    def test_no_such_file(self, extract: Path, tmp_path: Path) -> None:
+        with pytest.raises(DatasetError, match="cut off"):
+            read_osm(tmp_path / "none.osm.pbf")
