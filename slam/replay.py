@@ -35,7 +35,8 @@ from slam.display.drive_display import FRAMES, DriveDisplay
 from slam.frontend.input_records import InputRecords
 from slam.frontend.label_map import LabelMap
 from slam.frontend.sensor_frames import SensorFrames
-from slam.object_map.map_io import METADATA, SavedMap, save_map
+from slam.localization.prior_map import PriorMap
+from slam.object_map.map_io import METADATA, save_map
 from slam.self_calibration.calibration import Calibration, calibrate
 from slam.self_calibration.survey import survey
 from slam.system import FinalMap, Slam
@@ -91,7 +92,7 @@ def replay(
     config: Config = DEFAULTS,
     *,
     topics: Mapping[str, str] | None = None,
-    prior_map: SavedMap | None = None,
+    prior_map: PriorMap | None = None,
     extend: bool = True,
     map_path: Path | None = None,
     copy: Collection[str] = (),
@@ -193,7 +194,12 @@ def replay(
         if map_path is not None:
             try:
                 unsaved = save_map(
-                    map_path, final.object_map, final.graph, final.markers, provenance, prior_map=prior_map
+                    map_path,
+                    final.object_map,
+                    final.graph,
+                    final.markers,
+                    provenance,
+                    earlier_drives=None if prior_map is None else prior_map.drives,
                 )
             except (SavedMapError, UnwritableLogError) as error:
                 error.add_note(f"{output} is complete")
@@ -285,7 +291,7 @@ def _about_calibration(calibration: Calibration) -> dict[str, str]:
     return {"estimated": json.dumps(dict(calibration.estimated)), "notes": json.dumps(list(calibration.notes))}
 
 
-def _about_map(prior_map: SavedMap | None, *, extend: bool) -> dict[str, str]:
+def _about_map(prior_map: PriorMap | None, *, extend: bool) -> dict[str, str]:
     """Which map the drive was given, by the drives that made it."""
     if prior_map is None:
         return {}

@@ -37,17 +37,18 @@ from slam.frontend.continuity import decide
 from slam.frontend.mapper import Mapper
 from slam.frontend.scan import make_scan
 from slam.frontend.sensor_frames import SensorFrames, corrected
-from slam.localization.prior_map import SEGMENT, restore
+from slam.localization.prior_map import PriorMap, restore, restore_map_frame, with_heights_of
 from slam.localization.state import Fix, State
 from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
 from slam.loop_closure.loop_closer import LoopCloser
 from slam.object_map.landmarks import LandmarkState, ObjectMap
-from slam.object_map.map_io import SavedMap
 from slam.odometry.interpolation import interpolate_between_keyframes
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 from slam.odometry.track import OdometryTrack
 from slam.odometry.unexpected_step import Continuation, UnexpectedStep
+from slam.place_recognition.imported_map import ImportedMap
+from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
 
 logger = logging.getLogger(__name__)
 
@@ -74,7 +75,7 @@ class Slam:
     def __init__(
         self,
         config: Config,
-        prior_map: SavedMap | None = None,
+        prior_map: PriorMap | None = None,
         *,
         extend: bool = True,
         frames: SensorFrames | None = None,
@@ -83,7 +84,7 @@ class Slam:
 
         ``frames``: where the sensors sit, as far as it is known before the drive; transforms add to it.
         """
-        self._config = config
+        self._config = config = with_heights_of(config, prior_map)
         self.counters: Counter[str] = Counter()
         self._first_segment = 0 if prior_map is None else SEGMENT + 1
         self._track = OdometryTrack(
@@ -95,11 +96,16 @@ class Slam:
         self._frames = frames or SensorFrames()
         self._object_map = ObjectMap(config.association)
         self._graph = FactorGraph(config.factor_graph, sensor_range_m=config.detection.sensor_range_m)
-        known = restore(prior_map, self._object_map, self._graph, fixed=not extend) if prior_map is not None else []
+        known, imported = list[Keyframe](), None
+        if isinstance(prior_map, ImportedMap):
+            known = [restore_map_frame(self._graph)]
+            imported = ImportedPlaces(prior_map, self._object_map, self._graph, is_fixed=not extend)
+        elif prior_map is not None:
+            known = restore(prior_map, self._object_map, self._graph, fixed=not extend)
         self._first_keyframe = len(known)
         self._extends = extend
         self._mapper = Mapper(config, self._object_map, self._graph, known)
-        self._closer = LoopCloser(config, self._object_map, self._graph, self._mapper.keyframes)
+        self._closer = LoopCloser(config, self._object_map, self._graph, self._mapper.keyframes, imported)
         self._waiting: list[tuple[int, int, ObjectDetections]] = []
         self._arrivals = 0
         self._odometry_offset_ns = round(config.odometry.time_offset_s * 1e9)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from slam.object_map.map_summary import MapSummary
+    from slam.place_recognition.imported_map import ImportedMap
 
 METADATA = "dslam_map"
 """What makes a log a saved map."""
@@ -22,7 +23,9 @@ _FIRST_DATE_NS = 10**17
 
 def plain_map(path: Path) -> dict[str, Any]:
     """The map for JSON: its summary, or why it cannot be used."""
-    summary, fault = _summarize(path)
+    imported, summary, fault = _read(path)
+    if imported is not None:
+        return {"usable": True, "fault": "", **_plain_imported(imported)}
     return {"usable": summary is not None, "fault": fault, **(asdict(summary) if summary is not None else {})}
 
 
@@ -30,7 +33,10 @@ def show_map(path: Path, now: datetime) -> None:
     """Print what a saved map is, and what a drive could do with it."""
     from tools import console
 
-    summary, fault = _summarize(path)
+    imported, summary, fault = _read(path)
+    if imported is not None:
+        console.show(console.pairs(_imported_rows(path, imported)), "")
+        return
     if summary is None:
         console.show(console.pairs({"saved map": f"cannot be used: {fault}"}), "")
         return
@@ -52,15 +58,54 @@ def show_map(path: Path, now: datetime) -> None:
     console.show(console.pairs(rows), "", _class_table(summary), "")
 
 
-def _summarize(path: Path) -> tuple[MapSummary | None, str]:
+def _read(path: Path) -> tuple[ImportedMap | None, MapSummary | None, str]:
+    """An imported map, or the summary of one that was driven, or why it cannot be used."""
     from slam.common.errors import SavedMapError
-    from slam.object_map.map_io import load_map
+    from slam.localization.prior_map import load_prior_map
     from slam.object_map.map_summary import summarize_map
+    from slam.place_recognition.imported_map import ImportedMap
 
     try:
-        return summarize_map(load_map(path)), ""
+        known = load_prior_map(path)
     except SavedMapError as error:
-        return None, str(error)
+        return None, None, str(error)
+    return (known, None, "") if isinstance(known, ImportedMap) else (None, summarize_map(known), "")
+
+
+def _plain_imported(imported: ImportedMap) -> dict[str, Any]:
+    import numpy as np
+
+    low, high = imported.positions[:, :2].min(axis=0), imported.positions[:, :2].max(axis=0)
+    counts = np.bincount(imported.classes, minlength=len(imported.vocabulary)).tolist()
+    georeference = imported.georeference
+    return {
+        "kind": "imported",
+        "landmark_count": len(imported),
+        "class_counts": dict(zip(imported.vocabulary, counts, strict=True)),
+        "sigma_m": imported.sigma_m,
+        "extent_m": (high - low).tolist(),
+        "quad_count": len(imported.quads),
+        "origin": None if georeference is None else [georeference.latitude_deg, georeference.longitude_deg],
+        "source": imported.metadata.get("source", ""),
+    }
+
+
+def _imported_rows(path: Path, imported: ImportedMap) -> dict[str, str]:
+    plain = _plain_imported(imported)
+    frequent = sorted(plain["class_counts"].items(), key=lambda pair: -pair[1])
+    classes = ", ".join(f"{name} {count}" for name, count in frequent[:_MOST_CLASSES])
+    width_m, height_m = plain["extent_m"]
+    origin = plain["origin"]
+    return {
+        "imported map": f"from {plain['source'] or 'an unknown source'}; nobody drove it",
+        "landmarks": f"{len(imported)} of {len(frequent)} classes: {classes}",
+        "accuracy": f"standard deviation of {imported.sigma_m:g} m",
+        "index": f"{plain['quad_count']} quads of neighbouring landmarks",
+        "extent": f"{width_m:.0f} m x {height_m:.0f} m (x and y)",
+        "origin": "unknown" if origin is None else f"latitude {origin[0]:.6f}, longitude {origin[1]:.6f}",
+        "to find a robot": f"dslam relocalize LOG --map {path} -o OUT.mcap",
+        "to go on": f"dslam replay LOG -o OUT.mcap --map {path}",
+    }
 
 
 def _drive(drive: dict[str, str]) -> str:

@@ -10,7 +10,7 @@ import typer
 from tools.arguments import ConfigFile, InputLog, Json, Picture, Settings, Topics, check_outputs, parse_topics
 
 if TYPE_CHECKING:
-    from slam.object_map.map_io import SavedMap
+    from slam.localization.prior_map import PriorMap
     from slam.replay import ReplaySummary
 
 NOT_FOUND = 1
@@ -36,12 +36,12 @@ def relocalize(
     chosen = parse_topics(topics)
     check_outputs([output, picture], [source, config_file, map_log])
     from slam.common.config import load_config
-    from slam.object_map.map_io import load_map
+    from slam.localization.prior_map import load_prior_map
     from slam.replay import replay
     from tools import console
 
     config = load_config(config_file, settings or ())
-    known = load_map(map_log)
+    known = load_prior_map(map_log)
     with console.progress_bar("looking", "optimising") as progress:
         summary = replay(source, output, config, topics=chosen, prior_map=known, extend=False, progress=progress)
     if picture is not None and summary.relocalization_times_s:
@@ -70,7 +70,7 @@ def relocalize(
         raise typer.Exit(NOT_FOUND)
 
 
-def _draw(output: Path, picture: Path, known: SavedMap) -> None:
+def _draw(output: Path, picture: Path, known: PriorMap) -> None:
     """The path over the landmarks of the map; those of the drive alone are left out."""
     from dataclasses import replace
 
@@ -81,7 +81,8 @@ def _draw(output: Path, picture: Path, known: SavedMap) -> None:
 
     records = read_records(output)
     whole = compose_picture(records, evaluate(records), title=output.stem)
-    draw_map(picture, replace(whole, landmarks=known.objects.positions[:0], labels=(), known=known.objects.positions))
+    positions = known.positions_around(whole.estimate)
+    draw_map(picture, replace(whole, landmarks=positions[:0], labels=(), known=positions))
 
 
 def _relocalized_keyframe_ratio(summary: ReplaySummary) -> float:

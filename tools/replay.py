@@ -52,13 +52,13 @@ def replay(
     chosen = parse_topics(topics)
     check_outputs([output, picture, save_map], [source, config_file, map_log])
     from slam.common.config import load_config
-    from slam.object_map.map_io import load_map
+    from slam.localization.prior_map import load_prior_map
     from slam.replay import replay as replay_log
     from tools import console
 
     config = load_config(config_file, settings or ())
     show = _open_view(output) if view else None
-    prior_map = load_map(map_log) if map_log is not None else None
+    prior_map = load_prior_map(map_log) if map_log is not None else None
     with console.progress_bar("mapping", "optimising everything at once") as progress:
         summary = replay_log(
             source,

@@ -22,6 +22,7 @@ from slam.backend.factors import (
     MIN_RANGE_RANGES,
     PRIOR_SIGMA_RANGES,
     Edge,
+    EdgeKind,
     Factor,
     LandmarkPrior,
     Observation,
@@ -30,6 +31,7 @@ from slam.backend.factors import (
     between_factor,
     checked_pose,
     landmark_prior_factor,
+    map_frame_factor,
     prior_factor,
 )
 from slam.backend.marginals import Marginals, compute_marginals, marginals_one_by_one
@@ -81,8 +83,10 @@ class FactorGraph:
         self._variables: dict[int, list[int]] = {}  # landmarks in the graph by the variable that they share
         self._aliases = UnionFind()
         self._fixed_poses: dict[int, FloatArray] = {}
-        self._fixed_positions: dict[int, FloatArray] = {}
-        self._landmark_priors: dict[int, int] = {}  # priors of the landmarks of a fixed map that are in the graph
+        self._known_positions: dict[int, tuple[FloatArray, FloatArray]] = {}  # of a prior map, with standard deviations
+        self._fixed_landmarks: set[int] = set()
+        self._map_frame: int | None = None  # keyframe that stands for the frame of a map without keyframes
+        self._landmark_priors: dict[int, int] = {}  # priors of the landmarks of a prior map that are in the graph
         self._keyframes: list[int] = []
         self._next_factor = 0
         self.factors: dict[int, Factor] = {}
@@ -98,7 +102,7 @@ class FactorGraph:
         """Ids (L,) of the landmarks that are estimated, ascending; a merged one has the id of the landmark
         it was merged into; those of a fixed map are constants and left out.
         """
-        return np.array(sorted(self._variables.keys() - self._fixed_positions.keys()), dtype=np.int64)
+        return np.array(sorted(self._variables.keys() - self._fixed_landmarks), dtype=np.int64)
 
     def add_first_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
         """Fix the map frame: a prior on the first keyframe."""
@@ -152,8 +156,25 @@ class FactorGraph:
             self._insert_keyframe(keyframe, T)
             self._add(PosePrior(keyframe, T, self._prior_sigma_m))
             self._fixed_poses[keyframe] = T
-        self._fixed_positions = dict(landmarks)
+        self.add_known_landmarks(landmarks, np.full(3, self._prior_sigma_m), is_fixed=True)
         self.update()
+
+    def add_map_frame(self, keyframe: int) -> None:
+        """Add the frame of a map without keyframes to an empty graph: a keyframe at its origin that stays there."""
+        self.add_fixed_map([keyframe], np.eye(4)[None], {})
+        self._map_frame = keyframe
+
+    def add_known_landmarks(self, landmarks: Mapping[int, FloatArray], sigmas_m: FloatArray, *, is_fixed: bool) -> None:
+        """Announce landmarks of a prior map; each enters the graph when something is merged into it.
+
+        Args:
+            landmarks: their positions, (3,) m by id.
+            sigmas_m: (3,) standard deviations of the coordinates.
+            is_fixed: they are constants, and not estimated.
+        """
+        self._known_positions.update((landmark, (position, sigmas_m)) for landmark, position in landmarks.items())
+        if is_fixed:
+            self._fixed_landmarks.update(landmarks)
 
     def add_edge(self, edge: Edge) -> int:
         """Tie two keyframes together; returns the factor's number."""
@@ -179,6 +200,7 @@ class FactorGraph:
             T_shift = T_to @ invert(edge.T_from_to) @ invert(T_from)
         with self._solver("the joining of two segments"):
             values = self._moved(set(moved.tolist()), T_shift)
+            self._relax_breaks(set(moved.tolist()), values)
             numbers = list(self.factors)
             try:
                 result = self._start_over(numbers, values, "CHOLESKY")
@@ -188,6 +210,19 @@ class FactorGraph:
         self._values = None
         self._slots = dict(zip(numbers, result.getNewFactorsIndices(), strict=True))
         return number
+
+    def _relax_breaks(self, keyframes: set[int], values: gtsam.Values) -> None:
+        """Let breaks of the odometry between some keyframes and the others say what the estimate ``values`` says: they
+        hold no information, and would pull at a stretch that was moved far.
+        """
+        for number, factor in self.factors.items():
+            if not isinstance(factor, Edge) or factor.kind != EdgeKind.DISCONTINUITY:
+                continue
+            if (factor.from_keyframe in keyframes) != (factor.to_keyframe in keyframes):
+                T_from, T_to = (
+                    values.atPose3(X(keyframe)).matrix() for keyframe in (factor.from_keyframe, factor.to_keyframe)
+                )
+                self.factors[number] = replace(factor, T_from_to=np.asarray(invert(T_from) @ T_to))
 
     def _moved(self, keyframes: set[int], T_shift: FloatArray) -> gtsam.Values:
         """The estimate with some keyframes, and the landmarks that no other saw, moved by ``T_shift`` (4, 4)."""
@@ -202,7 +237,7 @@ class FactorGraph:
             values.insert(X(keyframe), shift.compose(pose) if keyframe in keyframes else pose)
         for variable in self._variables:
             point = estimate.atPoint3(L(variable))
-            is_kept = variable in stays or variable in self._fixed_positions
+            is_kept = variable in stays or variable in self._known_positions
             values.insert(L(variable), point if is_kept else shift.transformFrom(point))
         return values
 
@@ -298,10 +333,10 @@ class FactorGraph:
             if variable in self._leaving:
                 self.update()
             self._variables[variable] = []
-            fixed = self._fixed_positions.get(variable)
-            self._pending_values.insert(L(variable), position_map if fixed is None else fixed)
-            if fixed is not None:
-                self._landmark_priors[variable] = self._add(LandmarkPrior(variable, fixed, self._prior_sigma_m))
+            known, sigmas_m = self._known_positions.get(variable, (None, None))
+            self._pending_values.insert(L(variable), position_map if known is None else known)
+            if known is not None and sigmas_m is not None:
+                self._landmark_priors[variable] = self._add(LandmarkPrior(variable, known, sigmas_m))
         self._variables[variable].append(landmark)
         self._landmark_factors[landmark] = []
 
@@ -513,7 +548,7 @@ class FactorGraph:
     def _factor(self, record: Factor) -> gtsam.NonlinearFactor:
         match record:
             case Edge():
-                return between_factor(record)
+                return map_frame_factor(record) if record.from_keyframe == self._map_frame else between_factor(record)
             case Observation():
                 return bearing_range_factors([self._canonical(record)], self._config)[0]
             case PosePrior():

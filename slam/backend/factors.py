@@ -38,11 +38,11 @@ class PosePrior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkPrior:
-    """Prior on the ``position`` (3,) m of a landmark of a fixed map, with ``sigma_m`` of each coordinate."""
+    """Prior on the ``position`` (3,) m of a landmark of a prior map, with ``sigmas_m`` (3,) of its coordinates."""
 
     landmark: int
     position: FloatArray
-    sigma_m: float
+    sigmas_m: FloatArray
 
 
 class EdgeKind(StrEnum):
@@ -100,19 +100,31 @@ def landmark_prior_factor(prior: LandmarkPrior) -> gtsam.NonlinearFactor:
     """The GTSAM factor of a landmark prior."""
     if not np.all(np.isfinite(prior.position)):
         raise FactorGraphError(f"landmark {prior.landmark}: the position {prior.position} is not finite")
-    noise = gtsam.noiseModel.Isotropic.Sigma(3, prior.sigma_m)
+    noise = gtsam.noiseModel.Diagonal.Sigmas(prior.sigmas_m)
     return gtsam.PriorFactorPoint3(L(prior.landmark), prior.position, noise)
 
 
 def between_factor(edge: Edge) -> gtsam.NonlinearFactor:
     """The GTSAM factor of an edge; closures are robust, the others are not."""
+    pose, noise = _measurement(edge)
+    return gtsam.BetweenFactorPose3(X(edge.from_keyframe), X(edge.to_keyframe), pose, noise)
+
+
+def map_frame_factor(edge: Edge) -> gtsam.NonlinearFactor:
+    """The GTSAM factor of an edge from the map frame, which is no variable: far from its origin a rotation by less than
+    a solver can tell would move the other keyframe.
+    """
+    pose, noise = _measurement(edge)
+    return gtsam.PriorFactorPose3(X(edge.to_keyframe), pose, noise)
+
+
+def _measurement(edge: Edge) -> tuple[gtsam.Pose3, gtsam.noiseModel.Base]:
     what = f"edge {edge.from_keyframe} -> {edge.to_keyframe}"
     covariance = _checked_covariance(edge.covariance, 6, what)
     noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(covariance)
     if edge.kind == EdgeKind.LOOP_CLOSURE:
         noise = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(CLOSURE_KERNEL_WIDTH), noise)
-    pose = checked_pose(edge.T_from_to, what)
-    return gtsam.BetweenFactorPose3(X(edge.from_keyframe), X(edge.to_keyframe), pose, noise)
+    return checked_pose(edge.T_from_to, what), noise
 
 
 def bearing_range_factor(observation: Observation, config: FactorGraphConfig) -> gtsam.NonlinearFactor:

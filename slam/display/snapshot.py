@@ -60,6 +60,8 @@ def take_snapshot(
     places = np.zeros((len(keyframes), 3))
     places[estimates.keyframes] = estimates.keyframe_positions
     segments = np.array([keyframe.odometry.segment for keyframe in keyframes])
+    is_map_frame = np.array([keyframe.is_map_frame for keyframe in keyframes], dtype=np.bool_)
+    closed = closed[~is_map_frame[closed].any(axis=1)]  # they would all lead to the origin of the map
     first_of = {
         int(segment): int(first) for segment, first in zip(*np.unique(segments, return_index=True), strict=True)
     }

@@ -2,21 +2,57 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
+from logs.reader import LogReader
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
+from slam.common.config import Config
 from slam.object_map.landmarks import ObjectMap
-from slam.object_map.map_io import SavedMap
+from slam.object_map.map_io import METADATA, SavedMap, load_map
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
+from slam.place_recognition.imported_map import KIND, ImportedMap, load_imported_map
+from slam.place_recognition.imported_places import HEIGHT_SIGMA_M, SEGMENT, TRAVEL_M, is_flat
 
-TRAVEL_M = -1e9
-"""Travel of everything in the prior map. An optimised map has no traversals: all of it is consistent.
-Longer ago than any drive is long."""
-SEGMENT = 0
+PriorMap = SavedMap | ImportedMap
+"""A map that drives made, or one that nobody drove."""
+
 STAMP_NS = -1
 """The clocks of the drives are unrelated."""
+
+
+def load_prior_map(path: Path) -> PriorMap:
+    """Read a map log of either kind.
+
+    Raises:
+        LogError: no MCAP file.
+        SavedMapError: a log that is no map, of another format version, damaged, empty, or at odds with itself.
+    """
+    with LogReader(path) as reader:
+        is_imported = reader.metadata().get(METADATA, {}).get("kind") == KIND
+    return load_imported_map(path) if is_imported else load_map(path)
+
+
+def restore_map_frame(graph: FactorGraph) -> Keyframe:
+    """Put the frame of an imported map into an empty graph, as its first keyframe; landmarks follow as they are needed.
+
+    It stands where the map frame has its origin, and never moves.
+    """
+    T_map_body = np.eye(4)
+    graph.add_map_frame(0)
+    pose = OdometryPose(STAMP_NS, T_map_body, TRAVEL_M, SEGMENT, np.inf)
+    return Keyframe(0, pose, T_map_body, is_prior=True, is_map_frame=True)
+
+
+def with_heights_of(config: Config, prior_map: PriorMap | None) -> Config:
+    """The configuration by which a drive is registered with a map: one without heights tells nothing of these."""
+    if not isinstance(prior_map, ImportedMap) or not is_flat(prior_map):
+        return config
+    registration = config.registration.model_copy(update={"height_sigma_m": HEIGHT_SIGMA_M})
+    return config.model_copy(update={"registration": registration})
 
 
 def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed: bool) -> list[Keyframe]:

@@ -28,6 +28,9 @@ from slam.object_map.landmarks import ObjectMap
 from slam.object_map.submap import gravity_frame, recent_submap
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
+from slam.place_recognition.imported_places import ImportedPlaces
+from slam.place_recognition.place import Place
+from slam.place_recognition.place_prior import PlacePrior
 from slam.place_recognition.retrieval import PlaceRetriever
 
 logger = logging.getLogger(__name__)
@@ -42,7 +45,12 @@ class LoopCloser:
     """Finds, verifies, accepts and inserts loop closures, keyframe by keyframe."""
 
     def __init__(
-        self, config: Config, object_map: ObjectMap, graph: FactorGraph, keyframes: Sequence[Keyframe]
+        self,
+        config: Config,
+        object_map: ObjectMap,
+        graph: FactorGraph,
+        keyframes: Sequence[Keyframe],
+        imported: ImportedPlaces | None = None,
     ) -> None:
         self._submap_config = config.submap
         self._limits = config.loop_closure
@@ -52,7 +60,7 @@ class LoopCloser:
         self._track = KeyframeTrack(config.odometry)
         for keyframe in keyframes:  # of the prior map
             self._track.add(keyframe)
-        self._retriever = PlaceRetriever(config, object_map)
+        self._retriever = PlaceRetriever(config, object_map, imported)
         self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes)
         self.closures = AcceptedClosures(config, object_map, graph, keyframes)
         self._recent: deque[Query] = deque()
@@ -61,6 +69,8 @@ class LoopCloser:
         self._continuity = ContinuityMonitor(config.localization, self._sensor_range_m)
         # Only a prior map is trusted more than the robot's pose; a map in the making may itself be wrong.
         self._monitors_localization = any(keyframe.is_prior for keyframe in keyframes)
+        self.place_prior: PlacePrior | None = None
+        """Where in the prior map the robot is said to be; places elsewhere in it are left out."""
         self.lost_since_keyframe: int | None = None
         """The first keyframe that is inconsistent with the map, once the robot is lost; None while it is not."""
         self._rejected_by_odometry: set[int] = set()
@@ -104,11 +114,12 @@ class LoopCloser:
         verified += [self._verifier.verify(query, place) for place in self._acceptance.expected_places(query)]
         if not self._any_acceptable(verified):
             places = self._retriever.retrieve(query.submap, before_m=self._verifier.latest_m(query), seed=keyframe.id)
-            verified += [self._verifier.verify(query, place) for place in places]
+            places += self._retriever.search_imported_map(query.submap)
+            verified += self._verify_all(query, places)
         # 3. If the robot is lost and none of them is acceptable, the whole map is searched.
         if not self.closures.is_localized(keyframe) and not self._any_acceptable(verified):
             places = self._retriever.search_exhaustively(query.submap, segment=self._keyframes[0].odometry.segment)
-            verified += [self._verifier.verify(query, place) for place in places]
+            verified += self._verify_all(query, places)
         if not verified:
             return [query.refusal(Stage.RETRIEVAL, "no matches that agree on a place")]
         # 4. The candidate with the highest score is accepted, kept as a hypothesis or rejected.
@@ -117,6 +128,22 @@ class LoopCloser:
             [each for each in verified if isinstance(each, Candidate)], sensor_range_m=self._sensor_range_m
         )
         return refused + self._decide(query, candidates)
+
+    def _verify_all(self, query: Query, places: Sequence[Place]) -> list[Candidate | LoopClosureRecord]:
+        """The candidates at places, or the reasons why there is none."""
+        return [
+            self._verifier.verify(query, place)
+            if self._is_plausible(query, place)
+            else query.refusal(Stage.RETRIEVAL, "not where the robot is said to be", rank=place.rank)
+            for place in places
+        ]
+
+    def _is_plausible(self, query: Query, place: Place) -> bool:
+        """Whether a place is where the robot may be by what was said before."""
+        prior = self.place_prior
+        if prior is None or place.segment != self._keyframes[0].odometry.segment or not self._monitors_localization:
+            return True
+        return prior.allows(place.T_local_query, query.keyframe.odometry.T_odom_body, query.travel_m)
 
     def _any_acceptable(self, verified: Sequence[Candidate | LoopClosureRecord]) -> bool:
         """Whether a candidate would be accepted if there was no other."""

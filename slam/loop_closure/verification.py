@@ -213,6 +213,8 @@ class Verifier:
         T_predicted = invert(self._graph.pose(reference.id)) @ self._graph.pose(query.keyframe.id)
         sigmas = self._track.drift_sigmas(reference.id, query.keyframe.id)
         penalty = odometry_penalty(T_predicted, T_reference_query, sigmas, self._config)
+        if reference.is_map_frame and seed_closure == NOWHERE:
+            penalty += self._retriever.search_penalty(query.submap)
         rows, ratios = query.submap.rows, ratio.per_object
         if self._by_posterior:
             passed, of_passed = expected_log_likelihood_ratios(
@@ -303,4 +305,7 @@ class Verifier:
             from_m=place.travel_m - extent_m,
             to_m=min(place.travel_m + extent_m, self.latest_m(query)),
         )
-        return self._keyframes[found[0]] if found is not None and found[1] <= self._max_reference_m else None
+        if found is None:
+            return None
+        reference = self._keyframes[found[0]]
+        return reference if reference.is_map_frame or found[1] <= self._max_reference_m else None

@@ -186,19 +186,21 @@ class ObjectMap:
         self._label_counts[new, labels] = 1.0
         return new
 
-    def restore(self, saved: ObjectMapRecord, *, travel_m: float) -> IntArray:
+    def restore(self, saved: ObjectMapRecord, *, travel_m: float, relative_sigma_m: float = 0.0) -> IntArray:
         """Add the landmarks of a prior map, as observed on segment 0 at ``travel_m``; returns their rows (N,).
 
-        Their positions in the odometry frame are those in the map, with zero covariance: the covariances of the map are
-        relative to its origin, and those between neighbours are far smaller.
+        Their positions in the odometry frame are those in the map. The covariances of the map are relative to its
+        origin; those between neighbours are far smaller in a map that a robot made.
 
         Args:
             saved: confirmed landmarks; their probabilities become as many measurements of a class as they had.
+            travel_m: when they were observed.
+            relative_sigma_m: standard deviation of a coordinate relative to neighbours.
         """
         labels = self.label_indices(saved.vocabulary)
         rows = self.add(
             saved.positions,
-            np.zeros_like(saved.covariances),
+            np.tile(relative_sigma_m**2 * np.eye(3), (len(saved.ids), 1, 1)),
             np.zeros(len(saved.ids), np.int64),
             stamp_ns=0,
             scan=0,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -46,6 +46,10 @@ class SavedMap:
     metadata: Mapping[str, str] = field(default_factory=dict)
     drives: tuple[Mapping[str, str], ...] = ()
 
+    def positions_around(self, path: FloatArray) -> FloatArray:
+        """Positions (K, 3) m of the landmarks, all of them, whatever the ``path`` (N, 3)."""
+        return self.objects.positions
+
 
 def save_map(
     path: Path,
@@ -54,7 +58,7 @@ def save_map(
     markers: SceneMarkers,
     provenance: Mapping[str, str],
     *,
-    prior_map: SavedMap | None = None,
+    earlier_drives: Sequence[Mapping[str, str]] | None = None,
 ) -> int:
     """Write a map log: NAME.part first, which is renamed when it is complete.
 
@@ -65,7 +69,7 @@ def save_map(
             left out, with what only it saw.
         markers: the landmarks for viewers.
         provenance: version, configuration and input of the drive.
-        prior_map: the map that the drive went on from.
+        earlier_drives: those of the map that the drive went on from.
 
     Returns:
         How many keyframes were left out.
@@ -77,7 +81,7 @@ def save_map(
     kept = confirmed(objects)
     graph = _observing(graph, kept, np.ones(len(graph.keyframe_ids), dtype=np.bool_))
     _refuse_fault(path, kept, graph)
-    is_tied = _tied(graph, to_first=prior_map is not None)
+    is_tied = _tied(graph, to_first=earlier_drives is not None)
     seen = set(graph.observation_landmark_ids)
     graph = _observing(graph, kept, is_tied)
     adrift = seen - set(graph.observation_landmark_ids)
@@ -89,7 +93,7 @@ def save_map(
             np.count_nonzero(~is_tied),
             len(adrift),
         )
-    drives = [*(prior_map.drives if prior_map is not None else ()), _drive(provenance)]
+    drives = [*(earlier_drives or ()), _drive(provenance)]
     about = {"format_version": FORMAT_VERSION, "gravity": GRAVITY, **provenance, "drives": json.dumps(drives)}
     with LogWriter(path) as writer:
         writer.add_metadata(METADATA, about)

@@ -20,6 +20,7 @@ from slam.common.config import Config
 from slam.common.errors import GeometryError
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, placed_submap
+from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
 from slam.place_recognition.place import Place, traversal_of
 from slam.place_recognition.triangle_retrieval import TriangleRetriever
 from slam.registration.exhaustive_search import ExhaustiveSearch
@@ -42,9 +43,10 @@ INDEX_EVERY_RANGES = 10.0 / 30.0
 
 
 class PlaceRetriever:
-    """Retrieves places from an index of inactive landmarks."""
+    """Retrieves places from an index of inactive landmarks, and from the imported map where one is given."""
 
-    def __init__(self, config: Config, object_map: ObjectMap) -> None:
+    def __init__(self, config: Config, object_map: ObjectMap, imported: ImportedPlaces | None = None) -> None:
+        self._imported = imported
         self._config = config.loop_closure
         self._submap_config = config.submap
         self._registration_config = config.registration
@@ -68,6 +70,8 @@ class PlaceRetriever:
         confirmed = landmarks["state"] == LandmarkState.CONFIRMED
         behind = confirmed & (landmarks["last_seen_travel_m"] < travel_m - self._config.inactive_travel_m)
         behind[self._rows] = False
+        if self._imported is not None:
+            behind &= landmarks["segment"] != SEGMENT
         for segment in np.unique(landmarks["segment"][behind]):
             self._enter(np.flatnonzero(behind & (landmarks["segment"] == segment)), int(segment))
 
@@ -94,7 +98,9 @@ class PlaceRetriever:
         )
 
     def class_shares(self) -> FloatArray:
-        """Frequency (C,) of each class among the indexed landmarks, with a pseudo-count of 1."""
+        """Frequency (C,) of each class among the indexed landmarks or in the imported map, with a pseudo-count of 1."""
+        if self._imported is not None:
+            return self._imported.class_shares()
         counts = 1.0 + np.bincount(self._map.classes(self._rows), minlength=len(self._map.vocabulary))
         return np.asarray(counts / counts.sum())
 
@@ -145,6 +151,17 @@ class PlaceRetriever:
     def aliases(self, query: Submap, *, count: int) -> FloatArray:
         """Poses (H, 4, 4) of a query in itself at which its objects repeat; one of them is the identity."""
         return self._triangles.aliases(query, count=count)
+
+    def search_penalty(self, query: Submap) -> float:
+        """What a retrieved place must be likelier by than one in a small map [nats]; zero without an imported map."""
+        return 0.0 if self._imported is None else self._imported.search_penalty(query)
+
+    def search_imported_map(self, query: Submap) -> list[Place]:
+        """The best places of a query in the imported map; none without one."""
+        if self._imported is None:
+            return []
+        found = self._imported.retrieve(query, count=self._config.max_candidates_when_lost)
+        return [replace(place, rank=rank) for rank, place in enumerate(found, start=1)]
 
     def search_exhaustively(self, query: Submap, *, segment: int) -> list[Place]:
         """The best places of a query among all landmarks of another ``segment``, by pairs of objects, no descriptors.
@@ -203,9 +220,11 @@ class PlaceRetriever:
 
         Those that are seen again by now, because data association never lost them, are of the traversal, too.
         """
-        landmarks = self._map.rows
         centre = place.T_local_query[:3, 3]
         radius_m = PLACE_RADIUS_RANGES * self._sensor_range_m
+        if self._imported is not None and place.segment == SEGMENT:
+            self._imported.take_in(centre, radius_m)
+        landmarks = self._map.rows
         offsets = landmarks["position_local"][:, :2] - centre[:2]
         rows = np.flatnonzero(
             (landmarks["last_seen_travel_m"] > place.travel_m - self._extent_m)

@@ -7,17 +7,37 @@ right ones meet in a cell, whose size is how exactly a triangle determines the p
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from slam.common.arrays import ComplexArray, FloatArray, IntArray
 from slam.common.geometry import transform_from_xyz_yaw
-from slam.place_recognition.triangle_index import TriangleMatches
 
 PEAKS_EXAMINED = 16
 """Cells whose surroundings are counted, for each pose that is asked for."""
 _OFFSETS = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1], [-1, 0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
 _BITS = 21
+
+
+class Matches(Protocol):
+    """Pairs of equal polygons: ``query`` (C, K) rows of the query, ``reference`` (C, K) ids of the map, corner by
+    corner.
+    """
+
+    @property
+    def query(self) -> IntArray:
+        """Rows (C, K) of the query."""
+        ...
+
+    @property
+    def reference(self) -> IntArray:
+        """Ids (C, K) of the map."""
+        ...
+
+    def __len__(self) -> int:
+        """How many pairs there are."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +51,7 @@ class VotedPose:
 def vote_for_poses(
     query_positions: FloatArray,
     reference_positions: FloatArray,
-    matches: TriangleMatches,
+    matches: Matches,
     *,
     tolerance_m: float,
     count: int,

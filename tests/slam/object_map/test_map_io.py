@@ -262,7 +262,7 @@ def test_a_map_that_stays_as_it_is_cannot_be_saved_again(
         replay(log, tmp_path / "out.mcap", Config(), prior_map=known, extend=False, map_path=target)
     final = kept[1]
     with pytest.raises(SavedMapError, match="no edge ties keyframe 1 to the first one"):
-        save_map(target, final.object_map, final.graph, final.markers, PROVENANCE, prior_map=known)
+        save_map(target, final.object_map, final.graph, final.markers, PROVENANCE, earlier_drives=known.drives)
     assert not target.exists()
 
 
@@ -272,7 +272,7 @@ def test_a_stretch_that_nothing_ties_to_the_map_is_not_saved(
     """The second drive is in another town: nobody knows where its landmarks are in the first one's map."""
     _, final = elsewhere
     path = tmp_path / "both.mcap"
-    left_out = save_map(path, final.object_map, final.graph, final.markers, PROVENANCE, prior_map=known)
+    left_out = save_map(path, final.object_map, final.graph, final.markers, PROVENANCE, earlier_drives=known.drives)
     loaded = load_map(path)
     assert left_out == len(final.graph.keyframe_ids) - len(known.graph.keyframe_ids)
     assert len(loaded.objects.ids) == len(known.objects.ids) < final.object_map.states.count("confirmed")

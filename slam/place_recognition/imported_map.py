@@ -1,0 +1,242 @@
+"""A map that nobody drove: objects of a city's open data, in a file that is mapped into memory and not read.
+
+The objects are sorted by tiles of a grid, so that those around a place are a few stretches of the file.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from logs.errors import LogError
+from logs.reader import LogReader
+from logs.writer import LogWriter
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.errors import GeometryError, SavedMapError
+from slam.common.georeference import Georeference
+from slam.object_map.map_io import FORMAT_VERSION, GRAVITY, METADATA
+from slam.place_recognition.quad_index import QuadIndex, build_quad_index
+
+KIND = "imported"
+MAKE_IT = "import it again by 'dslam import'"
+TILE_SPACINGS = 10.0
+"""Edge of a tile, in median distances of an object to its nearest neighbour."""
+LEAST_SPACING_M = 0.01
+"""Median distance to the nearest neighbour below which positions cannot be metres."""
+LONGEST_M = 1e6
+"""Extent above which they cannot be either, nor the plane of one map."""
+_CHECKED = ("positions", "classes", "ids", "tiles", "tile_starts")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImportedMap:
+    """Objects and the index of their quads.
+
+    ``positions`` (N, 3) m float32, z up; ``classes`` (N,) in ``vocabulary``; ``ids`` (N,) of the source, UTF-8;
+    ``sigma_m``: standard deviation of a coordinate; ``tile_m``: edge of a tile; ``tiles`` (T,): those with objects,
+    numbered row by row, ``columns`` in a row, from ``corner`` (2,) m; ``tile_starts`` (T + 1,): the first object of
+    each. ``georeference``: None where the source tells none.
+    """
+
+    positions: NDArray[np.float32]
+    classes: NDArray[np.uint16]
+    ids: NDArray[np.bytes_]
+    vocabulary: tuple[str, ...]
+    sigma_m: float
+    tile_m: float
+    corner: FloatArray
+    columns: int
+    tiles: IntArray
+    tile_starts: IntArray
+    quads: QuadIndex
+    georeference: Georeference | None = None
+    metadata: Mapping[str, str] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.classes)
+
+    @property
+    def drives(self) -> tuple[Mapping[str, str], ...]:
+        """The source in the place of drives, as :class:`slam.object_map.map_io.SavedMap` has them."""
+        return ({key: self.metadata.get(key, "") for key in ("input_sha256", "version")},)
+
+    def near(self, place: FloatArray, radius_m: float) -> IntArray:
+        """Rows (K,), ascending, of the objects in the tiles within ``radius_m`` of a place (2,) m along x and y."""
+        low = np.floor((place - radius_m - self.corner) / self.tile_m).astype(np.int64)
+        high = np.floor((place + radius_m - self.corner) / self.tile_m).astype(np.int64)
+        if high[0] < 0 or low[0] >= self.columns:
+            return np.zeros(0, dtype=np.int64)
+        first_column, last_column = np.clip([low[0], high[0]], 0, self.columns - 1)
+        rows = np.arange(max(low[1], 0), min(high[1], self.tiles[-1] // self.columns) + 1)
+        begins = np.searchsorted(self.tiles, rows * self.columns + first_column, side="left")
+        ends = np.searchsorted(self.tiles, rows * self.columns + last_column, side="right")
+        stretches = zip(self.tile_starts[begins].tolist(), self.tile_starts[ends].tolist(), strict=True)
+        found = [np.arange(begin, end) for begin, end in stretches]
+        return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
+
+    def positions_around(self, path: FloatArray) -> FloatArray:
+        """Positions (K, 3) m of the landmarks in the tiles around a path (N, 3), one row at least."""
+        middle = 0.5 * (path[:, :2].min(axis=0) + path[:, :2].max(axis=0))
+        radius_m = float(np.abs(path[:, :2] - middle).max()) + self.tile_m
+        return self.positions[self.near(middle, radius_m)].astype(np.float64)
+
+    def class_shares(self) -> FloatArray:
+        """Frequency (C,) of each class, with a pseudo-count of 1."""
+        counts = 1.0 + np.bincount(self.classes, minlength=len(self.vocabulary))
+        return np.asarray(counts / counts.sum())
+
+
+def make_imported_map(
+    positions: FloatArray,
+    labels: Sequence[str],
+    ids: Sequence[str],
+    *,
+    sigma_m: float,
+    georeference: Georeference | None = None,
+    source: Mapping[str, str] | None = None,
+) -> ImportedMap:
+    """Sort objects into tiles and index their quads.
+
+    Args:
+        positions: (N, 3) m, z up.
+        labels: (N,) classes.
+        ids: (N,) names in the source.
+        sigma_m: standard deviation of a coordinate of an object.
+        georeference: of the frame of the positions.
+        source: where they come from, as text.
+
+    Raises:
+        SavedMapError: fewer than four objects, or positions that cannot be metres in the plane of one map.
+    """
+    spacing_m = _checked_spacing(positions)
+    tile_m = TILE_SPACINGS * spacing_m
+    corner = positions[:, :2].min(axis=0)
+    cells = np.floor((positions[:, :2] - corner) / tile_m).astype(np.int64)
+    columns = int(cells[:, 0].max()) + 1
+    tile = cells[:, 1] * columns + cells[:, 0]
+    order = np.argsort(tile, kind="stable")
+    tiles, starts = np.unique(tile[order], return_index=True)
+    vocabulary, classes = np.unique(np.array(labels), return_inverse=True)
+    ordered = positions[order].astype(np.float32)
+    ordered_classes = classes[order].astype(np.uint16)
+    return ImportedMap(
+        positions=ordered,
+        classes=ordered_classes,
+        ids=np.char.encode(np.array(ids), "utf-8")[order],
+        vocabulary=tuple(vocabulary.tolist()),
+        sigma_m=sigma_m,
+        tile_m=tile_m,
+        corner=corner,
+        columns=columns,
+        tiles=tiles,
+        tile_starts=np.append(starts, len(tile)),
+        quads=build_quad_index(ordered.astype(np.float64), ordered_classes.astype(np.int64), sigma_m=sigma_m),
+        georeference=georeference,
+        metadata=dict(source or {}),
+    )
+
+
+def save_imported_map(path: Path, imported: ImportedMap) -> None:
+    """Write a map log with the arrays as attachments: NAME.part first, which is renamed when it is complete.
+
+    Raises:
+        LogError: it cannot be written.
+    """
+    about = {
+        **imported.metadata,
+        "format_version": FORMAT_VERSION,
+        "gravity": GRAVITY,
+        "kind": KIND,
+        "vocabulary": json.dumps(imported.vocabulary),
+        "grid": json.dumps(
+            {
+                "sigma_m": imported.sigma_m,
+                "tile_m": imported.tile_m,
+                "corner": imported.corner.tolist(),
+                "columns": imported.columns,
+                "cell_m": imported.quads.cell_m,
+            }
+        ),
+    }
+    if imported.georeference is not None:
+        about["georeference"] = imported.georeference.to_json()
+    with LogWriter(path) as writer:
+        writer.add_metadata(METADATA, about)
+        for name in _CHECKED:
+            writer.add_array(name, getattr(imported, name))
+        writer.add_array("quad_vertices", imported.quads.vertices)
+        writer.add_array("quad_starts", imported.quads.starts)
+
+
+def load_imported_map(path: Path) -> ImportedMap:
+    """Open a map that :func:`save_imported_map` has written; its index stays in the file.
+
+    Raises:
+        LogError: no MCAP file.
+        SavedMapError: it is damaged, of another format version, or no imported map.
+    """
+    with LogReader(path) as reader:
+        about = reader.metadata().get(METADATA, {})
+        if about.get("kind") != KIND or about.get("format_version") != FORMAT_VERSION:
+            raise SavedMapError(f"{path} is no imported map of format version {FORMAT_VERSION}; {MAKE_IT}")
+        try:
+            arrays = reader.arrays(checked=_CHECKED)
+        except LogError as error:
+            raise SavedMapError(f"{path} is damaged ({error}); {MAKE_IT}") from error
+        if reader.counters:
+            counters = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in reader.counters.items())
+            raise SavedMapError(f"{path} is damaged ({counters}); the map is incomplete, {MAKE_IT}")
+    try:
+        return _assembled(about, arrays)
+    except (KeyError, ValueError, TypeError, GeometryError) as error:
+        raise SavedMapError(f"{path} is damaged ({error}); {MAKE_IT}") from error
+
+
+def _assembled(about: Mapping[str, str], arrays: Mapping[str, NDArray[Any]]) -> ImportedMap:
+    grid = json.loads(about["grid"])
+    georeference = about.get("georeference")
+    imported = ImportedMap(
+        positions=arrays["positions"],
+        classes=arrays["classes"],
+        ids=arrays["ids"],
+        vocabulary=tuple(json.loads(about["vocabulary"])),
+        sigma_m=float(grid["sigma_m"]),
+        tile_m=float(grid["tile_m"]),
+        corner=np.array(grid["corner"]),
+        columns=int(grid["columns"]),
+        tiles=arrays["tiles"],
+        tile_starts=arrays["tile_starts"],
+        quads=QuadIndex(arrays["quad_vertices"], arrays["quad_starts"], float(grid["cell_m"])),
+        georeference=None if georeference is None else Georeference.from_json(georeference),
+        metadata=about,
+    )
+    if not len(imported) == len(imported.positions) == len(imported.ids) == imported.tile_starts[-1]:
+        raise ValueError("its arrays disagree on the number of objects")
+    return imported
+
+
+def _checked_spacing(positions: FloatArray) -> float:
+    """Median distance [m] of an object to its nearest neighbour, of positions that can be metres."""
+    if len(positions) < 4:
+        raise SavedMapError(f"{len(positions)} objects; a map in which a robot can be found needs four at least")
+    if not np.isfinite(positions).all():
+        raise SavedMapError(f"object {int((~np.isfinite(positions)).any(axis=1).argmax())} has no finite position")
+    plane = positions[:, :2]
+    extent_m = float(np.ptp(plane, axis=0).max())
+    spacing_m = float(np.median(np.asarray(cKDTree(plane).query(plane, k=2)[0])[:, 1]))
+    if extent_m > LONGEST_M:
+        raise SavedMapError(
+            f"the objects extend over {extent_m / 1000.0:.0f} km, which is no plane; cut the map to a region"
+        )
+    if spacing_m < LEAST_SPACING_M and np.abs(plane).max() <= 180.0:
+        raise SavedMapError(
+            f"the objects are {spacing_m:.2g} m apart, so these are degrees and no metres; call the columns lat and lon"
+        )
+    return max(spacing_m, LEAST_SPACING_M)

@@ -1,0 +1,126 @@
+"""Places of a query in an imported map, whose landmarks are taken in only around these.
+
+Quads of the query propose poses by votes; the landmarks of the map around a pose, where it is verified and while the
+robot is tracked there, become landmarks of the object map, tile by tile.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from logs.messages import ObjectMapRecord
+from slam.backend.factor_graph import FactorGraph
+from slam.common.arrays import FloatArray, IntArray
+from slam.object_map.landmarks import ObjectMap
+from slam.object_map.submap import Submap
+from slam.place_recognition.imported_map import ImportedMap
+from slam.place_recognition.place import Place
+from slam.place_recognition.place_prior import PlacePrior
+from slam.place_recognition.quad_index import TOLERANCE_SIGMAS, QuadMatches
+from slam.place_recognition.triangle_voting import vote_for_poses
+
+TRAVEL_M = -1e9
+"""Travel of everything in a prior map. It has no traversals: all of it is consistent. Longer ago than any drive is
+long."""
+SEGMENT = 0
+HEIGHT_SIGMA_M = 1e3
+"""Of objects in a map without heights."""
+
+
+class ImportedPlaces:
+    """Retrieves places from an imported map, and takes in its landmarks.
+
+    Args:
+        imported: the map.
+        object_map: takes in landmarks of the map as segment 0; its vocabulary begins with that of the map.
+        graph: takes in their positions.
+        is_fixed: whether the landmarks stay where they are.
+        prior: where the robot may be, if that is known.
+    """
+
+    def __init__(
+        self,
+        imported: ImportedMap,
+        object_map: ObjectMap,
+        graph: FactorGraph,
+        *,
+        is_fixed: bool,
+        prior: PlacePrior | None = None,
+    ) -> None:
+        object_map.label_indices(imported.vocabulary)
+        self._imported = imported
+        self._map = object_map
+        self._graph = graph
+        self._is_fixed = is_fixed
+        self._is_flat = is_flat(imported)
+        self._is_loaded = np.zeros(len(imported), dtype=np.bool_)
+        self.prior = prior
+
+    def class_shares(self) -> FloatArray:
+        """Frequency (C,) of each class in the whole map; classes that only the drive knows have that of one object."""
+        shares = self._imported.class_shares()
+        return np.append(shares, np.full(len(self._map.vocabulary) - len(shares), 1.0 / (1.0 + len(self._imported))))
+
+    def search_penalty(self, query: Submap) -> float:
+        """Logarithm of how many places like the query the map has, among which chance may find one that fits [nats]."""
+        return float(np.log(max(len(self._imported) / max(len(query), 1), 1.0)))
+
+    def retrieve(self, query: Submap, *, count: int) -> list[Place]:
+        """The ``count`` places with most votes of the quads of a query, given in its gravity frame."""
+        sigma_m = float(np.hypot(np.median(query.sigmas), self._imported.sigma_m)) if len(query) else 0.0
+        known = np.flatnonzero(query.labels < len(self._imported.vocabulary))
+        if len(known) < 4:
+            return []
+        matches = self._imported.quads.match(
+            query.positions[known], query.labels[known], self._imported.positions, sigma_m=sigma_m
+        )
+        rows, corners = np.unique(matches.reference, return_inverse=True)
+        poses = vote_for_poses(
+            query.positions[known],
+            self._imported.positions[rows].astype(np.float64),
+            QuadMatches(matches.query, corners.reshape(-1, 4)),
+            tolerance_m=TOLERANCE_SIGMAS * sigma_m,
+            count=count,
+        )
+        return [Place(pose.T_reference_query, TRAVEL_M, SEGMENT, np.inf) for pose in poses]
+
+    def take_in(self, place: FloatArray, radius_m: float) -> None:
+        """Make landmarks of the objects of the map within ``radius_m`` of a place (3,) m, where they are none yet."""
+        rows = self._imported.near(place[:2], radius_m)
+        rows = rows[~self._is_loaded[rows]]
+        if not len(rows):
+            return
+        self._is_loaded[rows] = True
+        record = self._record(rows)
+        landmarks = self._map.restore(record, travel_m=TRAVEL_M, relative_sigma_m=self._imported.sigma_m)
+        sigmas = np.full(3, self._imported.sigma_m)
+        if self._is_flat:
+            sigmas[2] = HEIGHT_SIGMA_M
+        positions = dict(zip(landmarks.tolist(), record.positions, strict=True))
+        self._graph.add_known_landmarks(positions, sigmas, is_fixed=self._is_fixed)
+
+    def _record(self, rows: IntArray) -> ObjectMapRecord:
+        """Objects of the map (K,) as confirmed landmarks, each seen once."""
+        imported, count = self._imported, len(rows)
+        probabilities = np.zeros((count, len(imported.vocabulary)))
+        probabilities[np.arange(count), imported.classes[rows]] = 1.0
+        variance = imported.sigma_m**2
+        return ObjectMapRecord(
+            stamp_ns=0,
+            frame_id="map",
+            vocabulary=imported.vocabulary,
+            ids=tuple(str(row) for row in rows.tolist()),
+            positions=imported.positions[rows].astype(np.float64),
+            covariances=np.tile(variance * np.eye(3), (count, 1, 1)),
+            class_probabilities=probabilities,
+            states=("confirmed",) * count,
+            reasons=("",) * count,
+            observation_counts=np.ones(count, dtype=np.int64),
+            first_seen_ns=np.zeros(count, dtype=np.int64),
+            last_seen_ns=np.zeros(count, dtype=np.int64),
+        )
+
+
+def is_flat(imported: ImportedMap) -> bool:
+    """Whether a map tells no heights."""
+    return bool(np.ptp(imported.positions[:, 2]) == 0.0)

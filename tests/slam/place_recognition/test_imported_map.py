@@ -1,0 +1,75 @@
+"""Imported maps: their tiles, their file, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slam.common.arrays import FloatArray
+from slam.common.errors import SavedMapError
+from slam.common.georeference import Georeference
+from slam.localization.prior_map import load_prior_map
+from slam.place_recognition.imported_map import ImportedMap, make_imported_map, save_imported_map
+
+
+def scattered(count: int = 500) -> FloatArray:
+    rng = np.random.default_rng(4)
+    return np.column_stack([rng.uniform(-100.0, 300.0, (count, 2)), np.zeros(count)])
+
+
+def imported(positions: FloatArray) -> ImportedMap:
+    labels = ["pole", "tree"] * (len(positions) // 2) + ["pole"] * (len(positions) % 2)
+    ids = [f"n{row}" for row in range(len(positions))]
+    return make_imported_map(positions, labels, ids, sigma_m=0.3, georeference=Georeference(60.0, 24.0))
+
+
+def test_tiles_hold_all_objects_around_a_place() -> None:
+    known = imported(scattered())
+    for place in np.array([[0.0, 0.0], [290.0, 120.0], [-99.0, 299.0], [1e4, 0.0]]):
+        rows = known.near(place, 40.0)
+        offsets = np.abs(known.positions[:, :2] - place).max(axis=1)
+        assert set(np.flatnonzero(offsets < 40.0)) <= set(rows)
+        assert (offsets[rows] < 40.0 + 1.5 * known.tile_m).all()
+
+
+def test_a_file_gives_it_back(tmp_path: Path) -> None:
+    known, path = imported(scattered()), tmp_path / "map.mcap"
+    save_imported_map(path, known)
+    loaded = load_prior_map(path)
+    assert isinstance(loaded, ImportedMap)
+    assert isinstance(loaded.quads.vertices, np.memmap)
+    assert (loaded.vocabulary, loaded.georeference, loaded.sigma_m) == (("pole", "tree"), known.georeference, 0.3)
+    for name in ("positions", "classes", "ids", "tiles", "tile_starts", "corner"):
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(known, name))
+    np.testing.assert_array_equal(loaded.near(np.zeros(2), 50.0), known.near(np.zeros(2), 50.0))
+    again = tmp_path / "again.mcap"
+    save_imported_map(again, known)
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
+    known, path = imported(scattered()), tmp_path / "map.mcap"
+    save_imported_map(path, known)
+    content = bytearray(path.read_bytes())
+    content[content.index(known.positions.tobytes()) + 7] ^= 1
+    (tmp_path / "changed.mcap").write_bytes(content)
+    (tmp_path / "cut.mcap").write_bytes(content[: len(content) // 2])
+    for name in ("changed", "cut"):
+        with pytest.raises(SavedMapError, match=rf"{name}\.mcap.*damaged"):
+            load_prior_map(tmp_path / f"{name}.mcap")
+
+
+@pytest.mark.parametrize(
+    ("positions", "fault"),
+    [
+        (scattered() * 1e-6 + [24.9, 60.1, 0.0], "degrees and no metres"),
+        (scattered(3), "3 objects"),
+        (scattered() * 1e5, "no plane"),
+        (np.where(np.arange(1500).reshape(500, 3) == 7, np.nan, 1.0) * scattered(), "object 2 has no finite"),
+    ],
+)
+def test_positions_that_are_none(positions: FloatArray, fault: str) -> None:
+    with pytest.raises(SavedMapError, match=fault):
+        imported(positions)

@@ -1,0 +1,146 @@
+"""dslam import osm, geojson and csv-map: maps of objects from open data."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tools.arguments import Json, check_outputs
+
+if TYPE_CHECKING:
+    from logs.importers.maps.map_objects import MapObjects
+    from slam.common.georeference import Georeference
+
+NewMap = Annotated[Path, typer.Argument(metavar="MAP.mcap", help="The map to write.", show_default=False)]
+Origin = Annotated[
+    str | None,
+    typer.Option(metavar="LAT,LON", help="Where the map has its origin; by default the middle of objects in degrees."),
+]
+Label = Annotated[str | None, typer.Option("--class", metavar="NAME", help="Take all objects to be of that class.")]
+Sigma = Annotated[
+    float, typer.Option("--sigma", metavar="METRES", min=0.01, help="Standard deviation of a coordinate of an object.")
+]
+SURVEYED_SIGMA_M, DRAWN_SIGMA_M = 0.3, 1.0
+
+
+def osm(
+    output: NewMap,
+    file: Annotated[Path, typer.Option(metavar="FILE", help="An extract: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")],
+    tag: Annotated[
+        list[str] | None,
+        typer.Option("--tag", metavar="KEY[=VALUE]", help="What is an object, not street furniture. Repeatable."),
+    ] = None,
+    origin: Origin = None,
+    label: Label = None,
+    sigma: Sigma = DRAWN_SIGMA_M,
+    json: Json = False,
+) -> None:
+    """A map of the street furniture in OpenStreetMap, in which 'relocalize' and 'replay --map' find a robot.
+
+    Needs pyosmium: pip install 'descriptellation-slam[osm]'.
+
+    Example: dslam import osm helsinki_map.mcap --file Helsinki.osm.pbf
+    """
+    check_outputs([output], [file])
+    from logs.importers.maps.osm import read_osm
+
+    _make(output, read_osm(file, tags=tag or ()), origin, label, sigma, json=json)
+
+
+def geojson(
+    output: NewMap,
+    file: Annotated[Path, typer.Option(metavar="FILE", help="A FeatureCollection with points in WGS 84; also .gz.")],
+    class_property: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Property that tells the class; by default class, label, ...")
+    ] = None,
+    origin: Origin = None,
+    label: Label = None,
+    sigma: Sigma = SURVEYED_SIGMA_M,
+    json: Json = False,
+) -> None:
+    """A map of the points of a GeoJSON layer, in which 'relocalize' and 'replay --map' find a robot.
+
+    Example: dslam import geojson trees_map.mcap --file trees.geojson --class tree
+    """
+    check_outputs([output], [file])
+    from logs.importers.maps.geojson import read_geojson
+
+    _make(output, read_geojson(file, class_property=class_property), origin, label, sigma, json=json)
+
+
+def csv_map(
+    output: NewMap,
+    file: Annotated[Path, typer.Option(metavar="FILE", help="CSV with a header, or JSON lines; also .gz.")],
+    origin: Origin = None,
+    label: Label = None,
+    sigma: Sigma = SURVEYED_SIGMA_M,
+    json: Json = False,
+) -> None:
+    """A map of the objects in a table, in which 'relocalize' and 'replay --map' find a robot.
+
+    Columns: x_m and y_m, or lat and lon in degrees; where known z_m, class and id. --origin says where on earth metres
+    are counted from, east and north of it.
+
+    Example: dslam import csv-map town_map.mcap --file objects.csv --origin 60.17,24.94
+    """
+    check_outputs([output], [file])
+    from logs.importers.maps.object_table import read_object_table
+
+    _make(output, read_object_table(file), origin, label, sigma, json=json)
+
+
+def _make(
+    output: Path, objects: MapObjects, origin: str | None, label: str | None, sigma_m: float, *, json: bool
+) -> None:
+    from slam.localization.map_import import import_map
+    from slam.place_recognition.imported_map import save_imported_map
+    from tools import console
+
+    if label is not None:
+        objects = objects.relabelled(label)
+    imported = import_map(objects, sigma_m=sigma_m, origin=_parsed(origin))
+    save_imported_map(output, imported)
+    counts = Counter(objects.labels).most_common()
+    georeference = imported.georeference
+    if json:
+        console.show_json(
+            {
+                "output": str(output),
+                "object_count": len(imported),
+                "class_counts": dict(counts),
+                "origin": None if georeference is None else [georeference.latitude_deg, georeference.longitude_deg],
+                "notes": list(objects.notes),
+            }
+        )
+        return
+    classes = ", ".join(f"{name} {count}" for name, count in counts[:10])
+    more = f" and {len(counts) - 10} classes more" if len(counts) > 10 else ""
+    where = (
+        "unknown: give --origin LAT,LON for poses in latitude and longitude"
+        if georeference is None
+        else f"latitude {georeference.latitude_deg:.6f}, longitude {georeference.longitude_deg:.6f}"
+    )
+    width_m, height_m = (imported.positions[:, :2].max(axis=0) - imported.positions[:, :2].min(axis=0)).tolist()
+    console.show(
+        f"{output}: {len(imported)} objects in {width_m:.0f} m x {height_m:.0f} m",
+        f"  {classes}{more}",
+        f"  origin at {where}" if georeference is not None else f"  origin {where}",
+        *(f"  note: {note}" for note in objects.notes),
+    )
+
+
+def _parsed(origin: str | None) -> Georeference | None:
+    from slam.common.georeference import Georeference
+
+    if origin is None:
+        return None
+    try:
+        latitude, longitude = (float(part) for part in origin.split(","))
+    except ValueError as error:
+        raise typer.BadParameter(
+            f"{origin!r} is not LAT,LON, for example 60.17,24.94.", param_hint="--origin"
+        ) from error
+    return Georeference(latitude, longitude)
