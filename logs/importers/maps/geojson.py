@@ -63,11 +63,10 @@ def read_geojson(path: Path, *, class_property: str | None = None) -> MapObjects
 
 def _points(path: Path, number: int, feature: Any) -> Iterator[list[float]]:
     geometry = feature.get("geometry") if isinstance(feature, dict) else None
-    kind = geometry.get("type") if isinstance(geometry, dict) else None
-    if kind not in ("Point", "MultiPoint"):
+    if not isinstance(geometry, dict) or geometry.get("type") not in ("Point", "MultiPoint"):
         return
     coordinates = geometry.get("coordinates")
-    for point in [coordinates] if kind == "Point" else coordinates or []:
+    for point in [coordinates] if geometry["type"] == "Point" else coordinates or []:
         try:
             longitude, latitude, *height = (float(value) for value in point)
         except (TypeError, ValueError) as error:
