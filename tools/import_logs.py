@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools import import_maps
 from tools.arguments import Json, NewLog, check_outputs
-from tools.importers import clouds
+from tools.importers import clouds, maps
 
 if TYPE_CHECKING:
     from logs.importers.imported_log import ImportSummary
@@ -18,9 +17,9 @@ if TYPE_CHECKING:
 app = typer.Typer(
     help="Turn data of others into a log that 'dslam replay' reads, or into a map for its --map.", no_args_is_help=True
 )
-app.command()(import_maps.osm)
-app.command()(import_maps.geojson)
-app.command("csv-map")(import_maps.csv_map)
+app.command()(maps.osm)
+app.command()(maps.geojson)
+app.command("csv-map")(maps.csv_map)
 app.command("semantic-kitti")(clouds.semantic_kitti)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from logs.container.attachments import read_arrays
 from logs.errors import LogError
 from logs.reader import LogReader
 from logs.writer import LogWriter
@@ -186,15 +187,10 @@ def load_imported_map(path: Path) -> ImportedMap:
         about = reader.metadata().get(METADATA, {})
         if about.get("kind") != KIND or about.get("format_version") != FORMAT_VERSION:
             raise SavedMapError(f"{path} is no imported map of format version {FORMAT_VERSION}; {MAKE_IT}")
-        try:
-            arrays = reader.arrays(checked=_CHECKED)
-        except LogError as error:
-            raise SavedMapError(f"{path} is damaged ({error}); {MAKE_IT}") from error
-        if reader.counters:
-            counters = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in reader.counters.items())
-            raise SavedMapError(f"{path} is damaged ({counters}); the map is incomplete, {MAKE_IT}")
     try:
-        return _assembled(about, arrays)
+        return _assembled(about, read_arrays(path, checked=_CHECKED))
+    except LogError as error:
+        raise SavedMapError(f"{error}; {MAKE_IT}") from error
     except (KeyError, ValueError, TypeError, GeometryError) as error:
         raise SavedMapError(f"{path} is damaged ({error}); {MAKE_IT}") from error
 
@@ -217,8 +213,9 @@ def _assembled(about: Mapping[str, str], arrays: Mapping[str, NDArray[Any]]) -> 
         georeference=None if georeference is None else Georeference.from_json(georeference),
         metadata=about,
     )
-    if not len(imported) == len(imported.positions) == len(imported.ids) == imported.tile_starts[-1]:
-        raise ValueError("its arrays disagree on the number of objects")
+    counts = {len(imported), len(imported.positions), len(imported.ids), int(imported.tile_starts[-1])}
+    if len(counts) > 1 or imported.classes.max(initial=0) >= len(imported.vocabulary):
+        raise ValueError("its arrays disagree on the number of objects or classes")
     return imported
 
 

@@ -89,7 +89,7 @@ class QuadIndex:
         sets = np.unique(neighbour_sets(positions[:, :2], np.arange(len(positions)), cKDTree(positions[:, :2])), axis=0)
         quads = possible_quads(plane, sets, tolerance_m)
         quad, entry = self._candidates(quads.lengths, labels[quads.vertices], tolerance_m)
-        reference = self.vertices[entry].astype(np.int64)
+        reference = np.minimum(self.vertices[entry], len(map_positions) - 1).astype(np.int64)
         corners = map_positions[reference, :2].astype(np.float64)
         fits = _differences(corners[..., 0] + 1j * corners[..., 1], quads.lengths[quad]) <= tolerance_m
         return QuadMatches(quads.vertices[quad[fits]], reference[fits])
@@ -104,7 +104,7 @@ class QuadIndex:
         row, step = np.nonzero((probes <= highest[:, None]).all(axis=2))
         bucket = _buckets(probes[row, step], labels[row], len(self.starts) - 1)
         first = self.starts[bucket].astype(np.int64)
-        counts = self.starts[bucket + 1].astype(np.int64) - first
+        counts = np.maximum(np.minimum(self.starts[bucket + 1], len(self)).astype(np.int64) - first, 0)
         totals = np.bincount(row, weights=counts, minlength=len(lengths))
         order = np.argsort(totals, kind="stable")
         is_chosen = np.zeros(len(lengths), dtype=bool)

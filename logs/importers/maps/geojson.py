@@ -65,7 +65,7 @@ def _points(path: Path, number: int, feature: Any) -> Iterator[list[float]]:
     geometry = feature.get("geometry") if isinstance(feature, dict) else None
     if not isinstance(geometry, dict) or geometry.get("type") not in ("Point", "MultiPoint"):
         return
-    coordinates = geometry.get("coordinates")
+    coordinates: Any = geometry.get("coordinates")
     for point in [coordinates] if geometry["type"] == "Point" else coordinates or []:
         try:
             longitude, latitude, *height = (float(value) for value in point)
