@@ -37,6 +37,7 @@ from slam.frontend.label_map import LabelMap
 from slam.frontend.sensor_frames import SensorFrames
 from slam.localization.prior_map import PriorMap
 from slam.object_map.map_io import METADATA, save_map
+from slam.place_recognition.place_prior import PlacePrior
 from slam.self_calibration.calibration import Calibration, calibrate
 from slam.self_calibration.survey import survey
 from slam.system import FinalMap, Slam
@@ -93,6 +94,7 @@ def replay(
     *,
     topics: Mapping[str, str] | None = None,
     prior_map: PriorMap | None = None,
+    place_prior: PlacePrior | None = None,
     extend: bool = True,
     map_path: Path | None = None,
     copy: Collection[str] = (),
@@ -107,6 +109,7 @@ def replay(
         config: the effective configuration, which is written into the output.
         topics: kind -> topic, where the log leaves a choice.
         prior_map: a map to localize in.
+        place_prior: where in it the robot starts.
         extend: go on from that map and improve it; else it stays as it is.
         map_path: where to save the map, for later drives.
         copy: further topics of the input, for example of cameras, that go into the output as they are.
@@ -140,7 +143,7 @@ def replay(
         lost_before = reader.decoding_counters
         mapped = mapped.without(RecordKind.TRANSFORMS)
         calibration = _calibrate(reader, mapped, config, frames, labels)
-        slam = Slam(calibration.config, prior_map, extend=extend, frames=frames)
+        slam = Slam(calibration.config, prior_map, extend=extend, place_prior=place_prior, frames=frames)
         display = DriveDisplay(calibration.config.detection.sensor_range_m, _ground_truth(source, config, selection))
         inputs = InputRecords(calibration.config, labels, frames)
         max_message_latency_s, tracked = 0.0, 0

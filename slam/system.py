@@ -49,6 +49,7 @@ from slam.odometry.track import OdometryTrack
 from slam.odometry.unexpected_step import Continuation, UnexpectedStep
 from slam.place_recognition.imported_map import ImportedMap
 from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
+from slam.place_recognition.place_prior import PlacePrior
 
 logger = logging.getLogger(__name__)
 
@@ -78,9 +79,11 @@ class Slam:
         prior_map: PriorMap | None = None,
         *,
         extend: bool = True,
+        place_prior: PlacePrior | None = None,
         frames: SensorFrames | None = None,
     ) -> None:
-        """``prior_map``: a map to localize in; ``extend``: update it instead of keeping it fixed.
+        """``prior_map``: a map to localize in; ``extend``: update it instead of keeping it fixed; ``place_prior``:
+        where in it the robot starts.
 
         ``frames``: where the sensors sit, as far as it is known before the drive; transforms add to it.
         """
@@ -106,6 +109,7 @@ class Slam:
         self._extends = extend
         self._mapper = Mapper(config, self._object_map, self._graph, known)
         self._closer = LoopCloser(config, self._object_map, self._graph, self._mapper.keyframes, imported)
+        self._closer.place_prior = place_prior
         self._waiting: list[tuple[int, int, ObjectDetections]] = []
         self._arrivals = 0
         self._odometry_offset_ns = round(config.odometry.time_offset_s * 1e9)

@@ -11,6 +11,7 @@ from tools.arguments import ConfigFile, InputLog, Json, Picture, Settings, Topic
 
 if TYPE_CHECKING:
     from slam.localization.prior_map import PriorMap
+    from slam.place_recognition.place_prior import PlacePrior
     from slam.replay import ReplaySummary
 
 NOT_FOUND = 1
@@ -20,20 +21,31 @@ def relocalize(
     source: InputLog,
     map_log: Annotated[Path, typer.Option("--map", metavar="MAP.mcap", help="The map to find the robot in.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.mcap", help="The log to write.")],
+    near: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y[,YAW],SIGMA",
+            help="Where the robot starts: metres in the map, degrees from its x axis, metres.",
+            show_default=False,
+        ),
+    ] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,
     topics: Topics = None,
     json: Json = False,
     picture: Picture = None,
 ) -> None:
-    """Find a robot in a saved map, and follow it there; the map stays as it is.
+    """Find a robot in a saved or imported map, and follow it there; the map stays as it is.
+
+    With --near only places count that are within 3.5 SIGMA and as far as the robot has gone since, and, where YAW is
+    given, within 52 deg of the heading that follows from it.
 
     Poses are on /slam/pose from the first fix on, each recognised keyframe with its covariance is on
     /slam/relocalizations, and what happened is on /slam/status. Exits 1 if the robot was never found.
 
-    Example: dslam relocalize tuesday.mcap --map monday_map.mcap -o tuesday_found.mcap
+    Example: dslam relocalize tuesday.mcap --map monday_map.mcap -o tuesday_found.mcap --near 120,-35,90,10
     """
-    chosen = parse_topics(topics)
+    chosen, prior = parse_topics(topics), _parsed_prior(near)
     check_outputs([output, picture], [source, config_file, map_log])
     from slam.common.config import load_config
     from slam.localization.prior_map import load_prior_map
@@ -43,7 +55,16 @@ def relocalize(
     config = load_config(config_file, settings or ())
     known = load_prior_map(map_log)
     with console.progress_bar("looking", "optimising") as progress:
-        summary = replay(source, output, config, topics=chosen, prior_map=known, extend=False, progress=progress)
+        summary = replay(
+            source,
+            output,
+            config,
+            topics=chosen,
+            prior_map=known,
+            place_prior=prior,
+            extend=False,
+            progress=progress,
+        )
     if picture is not None and summary.relocalization_times_s:
         _draw(output, picture, known)
     times_s, distances_m = summary.relocalization_times_s, summary.relocalization_distances_m
@@ -68,6 +89,26 @@ def relocalize(
         _show(summary, output, picture if summary.relocalization_times_s else None)
     if not summary.relocalization_times_s:
         raise typer.Exit(NOT_FOUND)
+
+
+def _parsed_prior(near: str | None) -> PlacePrior | None:
+    import numpy as np
+
+    from slam.place_recognition.place_prior import PlacePrior
+
+    if near is None:
+        return None
+    try:
+        x_m, y_m, *yaw_deg, sigma_m = (float(part) for part in near.split(","))
+    except ValueError:
+        x_m, y_m, yaw_deg, sigma_m = 0.0, 0.0, [], -1.0
+    if len(yaw_deg) > 1 or not (sigma_m > 0.0 and np.isfinite([x_m, y_m, *yaw_deg, sigma_m]).all()):
+        raise typer.BadParameter(
+            f"{near!r} is not X,Y,SIGMA or X,Y,YAW,SIGMA in metres and degrees, as in 120,-35,90,10.",
+            param_hint="--near",
+        )
+    yaw_rad = float(np.deg2rad(yaw_deg[0])) if yaw_deg else None
+    return PlacePrior(np.array([x_m, y_m]), sigma_m, yaw_rad=yaw_rad)
 
 
 def _draw(output: Path, picture: Path, known: PriorMap) -> None:

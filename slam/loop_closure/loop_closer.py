@@ -15,6 +15,7 @@ from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import IntArray
 from slam.common.config import Config
+from slam.common.geometry import invert
 from slam.localization.continuity_monitor import ContinuityMonitor, recent_landmarks
 from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.accepted_closures import AcceptedClosures
@@ -143,7 +144,9 @@ class LoopCloser:
         prior = self.place_prior
         if prior is None or place.segment != self._keyframes[0].odometry.segment or not self._monitors_localization:
             return True
-        return prior.allows(place.T_local_query, query.keyframe.odometry.T_odom_body, query.travel_m)
+        first = next(each for each in self._keyframes if not each.is_prior)
+        T_first_query = invert(first.odometry.T_odom_body) @ query.keyframe.odometry.T_odom_body
+        return prior.allows(place.T_local_query, T_first_query, query.travel_m)
 
     def _any_acceptable(self, verified: Sequence[Candidate | LoopClosureRecord]) -> bool:
         """Whether a candidate would be accepted if there was no other."""

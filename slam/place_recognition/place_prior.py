@@ -1,4 +1,4 @@
-"""What is known of the robot's place before any object was recognised: a guess of a person, or a fix by GNSS."""
+"""What a person says of the robot's place before any object was recognised."""
 
 from __future__ import annotations
 
@@ -17,27 +17,23 @@ YAW_SIGMA_RAD = np.pi / 12.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacePrior:
-    """The robot was at ``position`` (2,) m in the map, with ``sigma_m`` of each coordinate, after ``travel_m``.
-
-    ``yaw_rad``: its heading there, None if unknown; ``odometry_yaw_rad``: what the odometry said then.
+    """The robot started at ``position`` (2,) m in the map, with ``sigma_m`` of each coordinate, heading to ``yaw_rad``,
+    None if that is unknown.
     """
 
     position: FloatArray
     sigma_m: float
-    travel_m: float = 0.0
     yaw_rad: float | None = None
-    odometry_yaw_rad: float = 0.0
 
     def radius_m(self, travel_m: float) -> float:
         """How far from ``position`` the robot can be after ``travel_m``."""
-        return GATE_SIGMAS * self.sigma_m + abs(travel_m - self.travel_m)
+        return GATE_SIGMAS * self.sigma_m + travel_m
 
-    def allows(self, T_map_query: FloatArray, T_odom_query: FloatArray, travel_m: float) -> bool:
-        """Whether a robot whose odometry says ``T_odom_query`` (4, 4) can be at ``T_map_query`` (4, 4)."""
+    def allows(self, T_map_query: FloatArray, T_first_query: FloatArray, travel_m: float) -> bool:
+        """Whether a robot that moved by ``T_first_query`` (4, 4) since the start can be at ``T_map_query`` (4, 4)."""
         if np.hypot(*(T_map_query[:2, 3] - self.position)) > self.radius_m(travel_m):
             return False
         if self.yaw_rad is None:
             return True
-        turned_rad = float(yaw_rad(T_odom_query)) - self.odometry_yaw_rad
-        off_rad = float(yaw_rad(T_map_query)) - self.yaw_rad - turned_rad
+        off_rad = float(yaw_rad(T_map_query)) - self.yaw_rad - float(yaw_rad(T_first_query))
         return bool(abs(np.angle(np.exp(1j * off_rad))) <= GATE_SIGMAS * YAW_SIGMA_RAD)

@@ -12,6 +12,7 @@ from slam.benchmarks.known_map import truth_of
 from slam.common.config import Config
 from slam.localization.prior_map import PriorMap
 from slam.place_recognition.imported_map import make_imported_map
+from slam.place_recognition.place_prior import PlacePrior
 from slam.simulation.config import SimulationConfig
 from slam.simulation.simulation import simulate
 from slam.simulation.street_grid import generate_street_grid
@@ -39,11 +40,13 @@ def city_map(town: World, sigma_m: float = 0.3) -> PriorMap:
     )
 
 
-def drive(town: World, known: PriorMap, *, extend: bool) -> tuple[list[float], FinalMap, Slam]:
+def drive(
+    town: World, known: PriorMap, *, extend: bool, place_prior: PlacePrior | None = None
+) -> tuple[list[float], FinalMap, Slam]:
     """Errors [m] of the poses in the map when they came."""
     records = [record for _, _, record in simulate(town.shortened(LENGTH_M), SimulationConfig(), seed=2)]
     truth = truth_of(records)
-    slam, errors = Slam(Config(), known, extend=extend), list[float]()
+    slam, errors = Slam(Config(), known, extend=extend, place_prior=place_prior), list[float]()
     for record in records:
         if not isinstance(record, Odometry | ObjectDetections | Transform) or isinstance(record, GroundTruthPose):
             continue
@@ -84,6 +87,14 @@ def test_a_fixed_map_stays_as_it_is_and_another_is_bent(town: World) -> None:
         observed = final.object_map.observation_counts > 5
         moved = offsets[observed] > 1e-3
         assert moved.any() if extend else (~moved).any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("off_m", [0.0, 500.0])
+def test_it_is_looked_for_only_where_it_is_said_to_be(town: World, off_m: float) -> None:
+    prior = PlacePrior(town.tour[0] + [off_m, 0.0], 20.0)
+    _, _, slam = drive(town, city_map(town), extend=False, place_prior=prior)
+    assert bool(slam.fixes) == (off_m == 0.0)
 
 
 @pytest.mark.slow

@@ -1,0 +1,33 @@
+"""Where a robot may be by what a person says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.common.geometry import transform_from_xyz_yaw
+from slam.place_recognition.place_prior import PlacePrior
+
+
+@pytest.mark.parametrize(
+    ("x_m", "travel_m", "yaw_deg", "turned_deg", "is_allowed"),
+    [
+        (100.0, 0.0, 90.0, 0.0, True),
+        (134.0, 0.0, 90.0, 0.0, True),
+        (136.0, 0.0, 90.0, 0.0, False),  # beyond 3.5 sigmas
+        (136.0, 20.0, 90.0, 0.0, True),  # ... unless the robot went there
+        (100.0, 0.0, 180.0, 0.0, False),
+        (100.0, 0.0, 180.0, 90.0, True),  # ... unless it turned
+        (100.0, 0.0, -170.0, 90.0, True),
+    ],
+)
+def test_places_and_headings(x_m: float, travel_m: float, yaw_deg: float, turned_deg: float, is_allowed: bool) -> None:
+    prior = PlacePrior(np.array([100.0, 50.0]), 10.0, yaw_rad=np.pi / 2)
+    T_map_query = transform_from_xyz_yaw(np.array([x_m, 50.0, 0.0]), np.deg2rad(yaw_deg))
+    T_first_query = transform_from_xyz_yaw(np.zeros(3), np.deg2rad(turned_deg))
+    assert prior.allows(T_map_query, T_first_query, travel_m) is is_allowed
+
+
+def test_without_a_heading_any_is_allowed() -> None:
+    prior = PlacePrior(np.zeros(2), 1.0)
+    assert prior.allows(transform_from_xyz_yaw(np.zeros(3), 3.0), np.eye(4), 0.0)
