@@ -14,6 +14,7 @@ from slam.common.geometry import invert
 from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses, synchronize
 from slam.evaluation.metrics.alignment import align_path
 from slam.evaluation.metrics.trajectory import compute_absolute_error
+from slam.localization.prior_map import PriorMap
 from slam.object_map.map_io import SavedMap, confirmed
 from slam.system import Slam
 
@@ -27,11 +28,16 @@ class KnownMap:
     ``T_world_map`` (4, 4) lays the whole drive on the truth, from which it then is ``ate_m`` away (rmse).
     """
 
-    saved: SavedMap
+    saved: PriorMap
     T_map_body: FloatArray
     T_world_body_gt: FloatArray
     T_world_map: FloatArray
     ate_m: float
+
+    @property
+    def landmark_count(self) -> int:
+        """Landmarks of the map."""
+        return len(self.saved.objects.ids) if isinstance(self.saved, SavedMap) else len(self.saved)
 
     def to_world(self, T_map_body: FloatArray) -> FloatArray:
         """Where a pose (4, 4) in the map is, by the whole drive."""
@@ -42,6 +48,12 @@ class KnownMap:
         offsets = self.T_world_body_gt[:, :2, 3] - T_world_near[:2, 3]
         row = int(np.argmin(np.einsum("ij,ij->i", offsets, offsets)))
         return np.asarray(self.T_world_body_gt[row] @ invert(self.T_map_body[row]) @ T_map_body)
+
+
+def map_of_world(saved: PriorMap) -> KnownMap:
+    """A map that has the frame of the world, such as an imported one of its objects."""
+    frame = np.eye(4)
+    return KnownMap(saved, frame[None], frame[None], frame, 0.0)
 
 
 def map_drive(records: Iterable[Record], config: Config) -> KnownMap:

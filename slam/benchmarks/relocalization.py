@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from logs.messages import GroundTruthPose, ObjectDetections, Odometry
 from slam.benchmarks.kidnapping.oracle import Oracle
 from slam.benchmarks.kidnaps import Kidnap, change_world, draw_kidnaps, thin_world, worsen
-from slam.benchmarks.known_map import KnownMap, map_drive, truth_of
+from slam.benchmarks.known_map import KnownMap, map_drive, map_of_world, truth_of
 from slam.benchmarks.relocalization_figures import (
     RECOVERED_WITHIN_M,
     Outcome,
@@ -27,6 +27,7 @@ from slam.benchmarks.relocalization_figures import (
 from slam.benchmarks.relocalization_trial import Drive, put_down
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
+from slam.localization.prior_map import PriorMap
 from slam.self_calibration.calibration import calibrate
 from slam.self_calibration.survey import survey
 from slam.simulation.config import SimulationConfig
@@ -59,6 +60,7 @@ def benchmark_relocalization(
     oracle: bool = False,
     max_travel_m: float = 60.0,
     jobs: int = 1,
+    prior_map: PriorMap | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> RelocalizationBenchmark:
     """Map the tour of ``world`` once, and then be put down somewhere on it again and again.
@@ -76,6 +78,7 @@ def benchmark_relocalization(
         oracle: also ask what could have been found; see :mod:`slam.benchmarks.kidnapping.oracle`.
         max_travel_m: length of each search.
         jobs: processes that search at a time.
+        prior_map: in the frame of the world; instead of one that is made.
         on_progress: called with the fraction done, in [0, 1].
 
     Raises:
@@ -89,7 +92,7 @@ def benchmark_relocalization(
     now = change_world(world, changed, reach_m=simulation.sensor.max_range_m, rng=np.random.default_rng([seed, 2]))
     with threadpool_limits(1):
         config = calibrate_on_tour(world, config, simulation, seed=seed)
-        known = map_tour(world, config, simulation, seed=seed)
+        known = map_of_world(prior_map) if prior_map else map_tour(world, config, simulation, seed=seed)
     outcomes, search = list[Outcome](), Search(known, now, config, worse, seed + 1)
     for outcome in search_all(search, places, jobs=jobs):
         outcomes.append(outcome)
@@ -99,7 +102,7 @@ def benchmark_relocalization(
         outcomes,
         world=world.name,
         tour_m=world.tour_length_m,
-        landmarks=len(known.saved.objects.ids),
+        landmarks=known.landmark_count,
         map_ate_m=known.ate_m,
         oracle_rate=ask_oracle(search, places) if oracle else None,
     )

@@ -25,6 +25,15 @@ def relocalization(
     trajectory: Annotated[
         Path | None, typer.Option(metavar="CSV", help="Tour that is mapped: x_m,y_m.", show_default=False)
     ] = None,
+    map_log: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            metavar="MAP.mcap",
+            help="Search in that map, in the frame of the objects, instead of driving.",
+            show_default=False,
+        ),
+    ] = None,
     log: Annotated[
         Path | None,
         typer.Option(metavar="LOG.mcap", help="A real drive with its truth instead of a world.", show_default=False),
@@ -73,6 +82,8 @@ def relocalization(
 
     Example: dslam benchmark relocalization --objects objects.csv --trajectory trajectory.csv --thin 5 --oracle
 
+    With --map no tour is driven first: the map may be one of open data (dslam import).
+
     Example: dslam benchmark relocalization --log kitti00.mcap --map-until 311 --kidnaps 40
     """
     from slam.common.config import load_config
@@ -80,9 +91,9 @@ def relocalization(
     chosen = parse_topics(topics)
     config = load_config(config_file, settings or ())
     if log is not None:
-        if objects is not None or trajectory is not None or map_until is None:
+        if objects is not None or trajectory is not None or map_log is not None or map_until is None:
             raise typer.BadParameter(
-                "it goes with --map-until, and without --objects and --trajectory.", param_hint="--log"
+                "it goes with --map-until, and without --objects, --trajectory and --map.", param_hint="--log"
             )
         if (seed, noise, changed, thin, oracle, jobs) != (0, 1.0, 0.0, 1.0, False, 1):
             raise typer.BadParameter("a log is as it is; they go with --objects.", param_hint="--seed, --noise, ...")
@@ -102,12 +113,13 @@ def relocalization(
         "oracle": oracle,
         "max_travel_m": max_travel,
     }
-    _run_world(objects, trajectory, config, kidnaps, jobs, conditions, as_json=json)
+    _run_world(objects, trajectory, map_log, config, kidnaps, jobs, conditions, as_json=json)
 
 
 def _run_world(
     objects: Path,
     trajectory: Path,
+    map_log: Path | None,
     config: Config,
     kidnaps: int,
     jobs: int,
@@ -116,12 +128,21 @@ def _run_world(
     as_json: bool,
 ) -> None:
     from slam.benchmarks.relocalization import benchmark_relocalization
+    from slam.localization.prior_map import load_prior_map
     from slam.simulation.world import load_world
     from tools import console
 
     world = load_world(objects, trajectory)
     with console.progress_bar("carrying off", "carrying off") as move:
-        result = benchmark_relocalization(world, config, kidnaps=kidnaps, jobs=jobs, on_progress=move, **conditions)
+        result = benchmark_relocalization(
+            world,
+            config,
+            kidnaps=kidnaps,
+            jobs=jobs,
+            prior_map=load_prior_map(map_log) if map_log is not None else None,
+            on_progress=move,
+            **conditions,
+        )
     if as_json:
         _show_json(result, conditions)
     else:
