@@ -10,6 +10,7 @@ import numpy as np
 from logs.messages import GroundTruthPose, Record
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
+from slam.common.errors import SavedMapError
 from slam.common.geometry import invert
 from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses, synchronize
 from slam.evaluation.metrics.alignment import align_path
@@ -38,6 +39,17 @@ class KnownMap:
     def landmark_count(self) -> int:
         """Landmarks of the map."""
         return len(self.saved.objects.ids) if isinstance(self.saved, SavedMap) else len(self.saved)
+
+    @property
+    def driven(self) -> SavedMap:
+        """The map, where a drive made it.
+
+        Raises:
+            SavedMapError: nobody drove it.
+        """
+        if not isinstance(self.saved, SavedMap):
+            raise SavedMapError("the map was imported, and has no keyframes; give one that 'dslam replay' saved")
+        return self.saved
 
     def to_world(self, T_map_body: FloatArray) -> FloatArray:
         """Where a pose (4, 4) in the map is, by the whole drive."""

@@ -106,7 +106,7 @@ def benchmark_log(
         outcomes[: len(chosen[0])],
         world=path.stem,
         tour_m=float(truth.travelled_at_m(np.array([end_ns]))[0]),
-        landmarks=len(known.saved.objects.ids),
+        landmarks=known.landmark_count,
         map_ate_m=known.ate_m,
     )
     return LoggedRelocalization(summary, tuple(outcomes[len(chosen[0]) :]))

@@ -48,7 +48,8 @@ class Oracle:
     """Searches one map."""
 
     def __init__(self, known: KnownMap, config: Config) -> None:
-        objects = known.saved.objects
+        saved = known.driven
+        objects = saved.objects
         labels = objects.class_probabilities.argmax(axis=1).astype(np.int64)
         rows = np.arange(len(labels))
         sigmas = np.full(len(labels), config.submap.landmark_sigma_m)
@@ -63,7 +64,7 @@ class Oracle:
             objects.positions, labels, self._registration, reach_m=REACH_M, map_sigmas=sigmas
         )
         cells = MapArea(cell_m=config.detection.sensor_range_m * 2.0 / 3.0)
-        cells.cover_positions(known.saved.graph.T_map_body[:, :2, 3])
+        cells.cover_positions(saved.graph.T_map_body[:, :2, 3])
         self._area_m2 = cells.area_m2
 
     def answer(self, records: Iterable[Record], length_m: float, tolerance: Tolerance) -> OracleAnswer:
