@@ -21,6 +21,10 @@ _Name = Annotated[str, StringConstraints(min_length=1)]
 class _Branch(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+    def __hash__(self) -> int:
+        """By the values, tables included, whose own type has no hash."""
+        return hash(self.model_dump_json())
+
 
 class KeyframeConfig(_Branch):
     """When a new keyframe is made: whichever comes first."""

@@ -130,7 +130,8 @@ def to_toml(tree: BaseModel) -> str:
             lines += ["", f"[{head}]"]
             branch = head
         changed = "" if setting.value == setting.default else f"; default {_toml_value(setting.default)}"
-        lines += [f"# {setting.meaning} ({setting.allowed}{changed})", f"{name} = {_toml_value(setting.value)}"]
+        value = f"# {name} is not set" if setting.value is None else f"{name} = {_toml_value(setting.value)}"
+        lines += [f"# {setting.meaning} ({setting.allowed}{changed})", value]
     return "\n".join(lines).lstrip("\n") + "\n"
 
 

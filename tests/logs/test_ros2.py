@@ -165,7 +165,9 @@ def test_detections(tmp_path):
     }
     (raw,) = messages(tmp_path, "vision_msgs/msg/Detection3DArray", DETECTIONS, content)
     (record,) = decode(raw, "detections")
-    assert (record.labels, record.track_ids, record.frame_id) == (("tree", "car"), ("7", "8"), "lidar")
+    assert (record.labels, record.track_ids, record.frame_id) == (("tree", "car"), ("7", "8"), "odom"), (
+        "that of the detections"
+    )
     np.testing.assert_array_equal(record.positions, [[1, 2, 3], [4, 5, 6]])
     np.testing.assert_array_equal(record.scores, [0.7, 0.5])
     np.testing.assert_array_equal(record.sizes, [[1, 1, 2], [1, 1, 2]])

@@ -23,8 +23,19 @@ FIGURES = {
     *("median_seconds", "median_error_m", "p95_error_m", "median_error_deg", "p95_error_deg"),
     *("misplaced_rate", "success_in_map_rate", "kept_rate", "revoked_rate"),
 }
-CONDITIONS = {"seed", "noise", "changed", "max_travel_m"}
-RESULT = {"world", "tour_m", "landmarks", "map_ate_m", "load_s", "query_ms", "groups", "outcomes"}
+CONDITIONS = {"seed", "noise", "changed", "thin", "max_travel_m"}
+RESULT = {
+    "world",
+    "tour_m",
+    "landmarks",
+    "map_ate_m",
+    "load_s",
+    "query_ms",
+    "groups",
+    "outcomes",
+    "oracle",
+    "oracle_rate",
+}
 
 
 @pytest.fixture

@@ -65,7 +65,7 @@ def test_it_is_a_descriptor_with_the_sizes_and_the_radius_of_its_training(tmp_pa
     assert (made.name, made.length, made.radius_m, made.vocabulary_size) == ("descriptellation_paper", 16, 17.5, 6)
 
 
-@pytest.mark.parametrize("architecture", [TINY, PointNetArchitecture(length=24), SGNetArchitecture(length=24)])
+@pytest.mark.parametrize("architecture", [PointNetArchitecture(length=24), SGNetArchitecture(length=24)])
 def test_a_unit_vector_for_each_constellation(tmp_path, constellations, architecture):
     vectors = saved(tmp_path / "a.safetensors", architecture).describe(constellations)
     assert vectors.shape == (len(constellations), architecture.length)
