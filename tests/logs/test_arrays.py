@@ -12,7 +12,7 @@ from logs.errors import UnreadableLogError
 from logs.reader import LogReader
 from logs.writer import LogWriter
 
-ARRAYS = {
+ARRAYS: dict[str, np.ndarray] = {
     "positions": np.arange(12, dtype=np.float32).reshape(4, 3),
     "keys": np.array([3, 2**40], dtype=np.int64),
     "names": np.array([b"a", b"tree"]),
