@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import messages as m
+from logs.container.pending import LAST_NS
 from logs.reader import LogReader
 from logs.selection import Selection, select_all
 from logs.writer import LogWriter
@@ -116,7 +117,7 @@ def test_a_path_for_viewers_has_all_poses(tmp_path):
 @settings(max_examples=30, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
-    stamp_ns=st.integers(1, 2**62),
+    stamp_ns=st.integers(1, LAST_NS),
     frame=st.text(min_size=1, max_size=8),
     near_identity=st.booleans(),
 )
