@@ -13,7 +13,6 @@ from itertools import islice
 import numpy as np
 
 from logs.messages import Odometry
-from slam.common.arrays import FloatArray
 from slam.common.config import DetectionConfig, OdometryConfig
 from slam.common.geometry import invert
 from slam.odometry.expected_motion import ExpectedMotion
@@ -111,16 +110,27 @@ class OdometryTrack:
         """The step that waits for ``resolve``; None where none does."""
         if not self._held:
             return None
-        first, last = self._held[0], self._held[-1]
-        poses = {Continuation.REPORTED: self._held_poses(self._T_odom_reported, 0.0, 0.0)}
+        first, last, before = self._held[0], self._held[-1], self._poses[-1]
+        unmended = replace(
+            before,
+            stamp_ns=first.stamp_ns,
+            T_odom_body=self._T_odom_reported @ first.T_odom_body,
+            T_odom_reported=self._T_odom_reported,
+        )
+        poses = {Continuation.REPORTED: unmended}
         T_expected = self._motion.predict(first.stamp_ns)
-        if T_expected is not None and np.isfinite(self._motion.tolerances(first.stamp_ns)).all():
-            mended_m, mended_rad = self._motion.tolerances(first.stamp_ns).tolist()
-            T_odom_reported = T_expected @ invert(first.T_odom_body)
-            poses[Continuation.EXPECTED] = self._held_poses(T_odom_reported, mended_m**2, mended_rad**2)
+        mended_m, mended_rad = self._motion.tolerances(first.stamp_ns).tolist()
+        if T_expected is not None and np.isfinite([mended_m, mended_rad]).all():
+            poses[Continuation.EXPECTED] = replace(
+                unmended,
+                T_odom_body=T_expected,
+                T_odom_reported=T_expected @ invert(first.T_odom_body),
+                mended_m2=before.mended_m2 + mended_m**2,
+                mended_rad2=before.mended_rad2 + mended_rad**2,
+            )
         is_overdue = last.stamp_ns - first.stamp_ns > self._config.max_gap_s * 1e9 or len(self._held) >= HISTORY
         default = Continuation.BROKEN if self._is_beyond_limits(first) else Continuation.REPORTED
-        return UnexpectedStep(poses, default, is_overdue)
+        return UnexpectedStep(tuple(self._held), poses, default, is_overdue)
 
     def resolve(self, continuation: Continuation) -> list[OdometryPose]:
         """Go on after an unexpected step; returns the poses that this adds. Another such step may be among them."""
@@ -131,11 +141,11 @@ class OdometryTrack:
         if continuation is Continuation.BROKEN:
             self._breaks_next = True
         elif continuation is Continuation.EXPECTED:
-            pose = step.poses[continuation][0]
+            pose = step.first_poses[continuation]
             self._T_odom_reported = pose.T_odom_reported
             self._mended = np.array([pose.mended_m2, pose.mended_rad2])
             self._counters["odometry_jumps_mended"] += 1
-        added = [self._append(first)]
+        added = [self._append(first, is_usual=self._is_usual(first))]
         for message in others:
             added += self._take(message)
         return added
@@ -166,23 +176,23 @@ class OdometryTrack:
             if len(self._held) == 1 and self._is_wild(self._held[0], odometry):
                 self._held = []
                 self._counters["odometry_wild"] += 1
-                return [self._append(odometry)]
+                return [self._append(odometry, is_usual=True)]
             self._held.append(odometry)
             return []
-        if self._poses and not self._breaks_next and not self._is_expected(odometry):
+        is_usual = self._is_usual(odometry)
+        if self._poses and not self._breaks_next and (not is_usual or self._is_beyond_limits(odometry)):
             self._held = [odometry]
             return []
-        return [self._append(odometry)]
+        return [self._append(odometry, is_usual=is_usual)]
 
-    def _is_expected(self, odometry: Odometry) -> bool:
-        T_odom_body = self._T_odom_reported @ odometry.T_odom_body
-        return not self._is_beyond_limits(odometry) and self._motion.is_usual(odometry.stamp_ns, T_odom_body)
+    def _is_usual(self, odometry: Odometry) -> bool:
+        return self._motion.is_usual(odometry.stamp_ns, self._T_odom_reported @ odometry.T_odom_body)
 
     def _is_wild(self, odometry: Odometry, following: Odometry) -> bool:
         """Whether a message alone is off: the following one goes on from before it."""
         seconds = (odometry.stamp_ns - self._poses[-1].stamp_ns) * 1e-9
         may_be = seconds <= self._config.max_gap_s and not self._starts_over(odometry, seconds)
-        return may_be and self._is_expected(following)
+        return may_be and self._is_usual(following) and not self._is_beyond_limits(following)
 
     def _is_beyond_limits(self, odometry: Odometry) -> bool:
         """Whether a step is a discontinuity if nothing shows that it is not: by a silence, a jump or a restart."""
@@ -196,23 +206,7 @@ class OdometryTrack:
             or self._starts_over(odometry, seconds)
         )
 
-    def _held_poses(
-        self, T_odom_reported: FloatArray, mended_m2: float, mended_rad2: float
-    ) -> tuple[OdometryPose, ...]:
-        last = self._poses[-1]
-        return tuple(
-            replace(
-                last,
-                stamp_ns=odometry.stamp_ns,
-                T_odom_body=T_odom_reported @ odometry.T_odom_body,
-                T_odom_reported=T_odom_reported,
-                mended_m2=last.mended_m2 + mended_m2,
-                mended_rad2=last.mended_rad2 + mended_rad2,
-            )
-            for odometry in self._held
-        )
-
-    def _append(self, odometry: Odometry) -> OdometryPose:
+    def _append(self, odometry: Odometry, *, is_usual: bool) -> OdometryPose:
         last = self.latest
         T_odom_body = self._T_odom_reported @ odometry.T_odom_body
         xyz_m = T_odom_body[:3, 3]
@@ -229,7 +223,7 @@ class OdometryTrack:
             counted_m = float(np.linalg.norm(xyz_m - self._counted_xyz_m))
             if breaks or counted_m >= self._jitter_m:
                 self._counted_xyz_m = xyz_m
-            if breaks or not self._motion.is_usual(odometry.stamp_ns, T_odom_body):
+            if breaks or not is_usual:
                 self._motion.restart(odometry.stamp_ns, T_odom_body)
             else:
                 self._motion.add(odometry.stamp_ns, T_odom_body)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
+from logs.messages import Odometry
 from slam.odometry.pose import OdometryPose, between
 
 
@@ -24,25 +26,32 @@ class Continuation(Enum):
 class UnexpectedStep:
     """A step that is not to be expected and the messages since then.
 
-    ``poses`` has those of the messages if the odometry is right, and if the body went on as before where that can be
-    said; ``default``: how the track goes on if the detections do not tell; ``is_overdue``: they are late.
+    ``first_poses`` has the pose of the first message if the odometry is right, and if the body went on as before where
+    that can be said; ``default``: how the track goes on if the detections do not tell; ``is_overdue``: they are late.
     """
 
-    poses: Mapping[Continuation, tuple[OdometryPose, ...]]
+    messages: tuple[Odometry, ...]
+    first_poses: Mapping[Continuation, OdometryPose]
     default: Continuation
     is_overdue: bool
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """Times of the first and the last pose."""
-        poses = self.poses[Continuation.REPORTED]
-        return poses[0].stamp_ns, poses[-1].stamp_ns
+        """Times of the first and the last message."""
+        return self.messages[0].stamp_ns, self.messages[-1].stamp_ns
 
     def at(self, stamp_ns: int) -> dict[Continuation, OdometryPose]:
         """The poses at a time within the span."""
-        found = {}
-        for continuation, poses in self.poses.items():
-            after = next(i for i, pose in enumerate(poses) if pose.stamp_ns >= stamp_ns)
-            is_exact = poses[after].stamp_ns == stamp_ns
-            found[continuation] = poses[after] if is_exact else between(poses[after - 1], poses[after], stamp_ns)
-        return found
+        after = bisect_left(self.messages, stamp_ns, key=lambda message: message.stamp_ns)
+        return {continuation: self._pose(first, after, stamp_ns) for continuation, first in self.first_poses.items()}
+
+    def _pose(self, first: OdometryPose, after: int, stamp_ns: int) -> OdometryPose:
+        following = _moved(first, self.messages[after])
+        if following.stamp_ns == stamp_ns:
+            return following
+        return between(_moved(first, self.messages[after - 1]), following, stamp_ns)
+
+
+def _moved(first: OdometryPose, message: Odometry) -> OdometryPose:
+    """The pose of a message on the track that goes on from the pose of the first message."""
+    return replace(first, stamp_ns=message.stamp_ns, T_odom_body=first.T_odom_reported @ message.T_odom_body)

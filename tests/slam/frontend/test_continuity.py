@@ -62,9 +62,9 @@ REPORTED, EXPECTED, BROKEN = Continuation.REPORTED, Continuation.EXPECTED, Conti
     ],
 )
 def test_a_way_on_is_taken_if_it_is_much_likelier_than_the_others(reported, expected, default, way):
-    step = UnexpectedStep({}, default, False)
+    step = UnexpectedStep((), {}, default, False)
     assert decide(step, {REPORTED: reported, EXPECTED: expected}) is way
 
 
 def test_the_last_velocity_may_not_be_known():
-    assert decide(UnexpectedStep({}, BROKEN, False), {REPORTED: 20.0}) is REPORTED
+    assert decide(UnexpectedStep((), {}, BROKEN, False), {REPORTED: 20.0}) is REPORTED

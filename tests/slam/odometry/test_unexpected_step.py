@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from logs.messages import Odometry
 from slam.common.config import OdometryConfig
 from slam.common.geometry import transform_from_xyz_yaw, yaw_rad
 from slam.odometry.noise import step_variances
+from slam.odometry.pose import OdometryPose
 from slam.odometry.track import OdometryTrack
 from slam.odometry.unexpected_step import Continuation
 
@@ -125,3 +127,22 @@ def test_a_second_jump_while_one_is_open_is_held_back_in_its_turn():
         track.add(message(step, turned_rad=1.5))
     assert len(track.resolve(Continuation.EXPECTED)) == 3
     assert track.unexpected.span_ns[0] == message(103).stamp_ns
+
+
+def test_asking_costs_the_same_however_long_it_waits(monkeypatch):
+    made = Counter[str]()
+
+    def counted(pose: OdometryPose, **changes: object) -> OdometryPose:
+        made["poses"] += 1
+        return replace(pose, **changes)
+
+    for module in ("slam.odometry.track", "slam.odometry.unexpected_step"):
+        monkeypatch.setattr(f"{module}.replace", counted)
+    track = held(aside_m=100.0)
+    costs = []
+    for step in range(102, 180):
+        made.clear()
+        track.add(message(step, aside_m=100.0))
+        track.unexpected.at(message(step - 1).stamp_ns + 5 * 10**7)
+        costs.append(made["poses"])
+    assert set(costs) == {costs[0]}
