@@ -19,6 +19,7 @@ from logs.storage.storage import Storage
 
 SQLITE_MAGIC = b"SQLite format 3\x00"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_SUFFIXES = (".mcap", ".db3", ".zstd")
 
 _log = logging.getLogger(__name__)
 
@@ -34,6 +35,18 @@ def find_files(path: Path) -> list[Path]:
     if not path.exists():
         raise UnreadableLogError(f"cannot read {path}: No such file or directory; check the path")
     return [path]
+
+
+def is_log(path: Path) -> bool:
+    """Whether what is at ``path`` is to be read as a log: by its name, else by its first bytes; also if nothing is."""
+    if path.is_dir() or path.suffix in _SUFFIXES:
+        return True
+    try:
+        with open(path, "rb") as stream:
+            magic = stream.read(len(SQLITE_MAGIC))
+    except OSError:
+        return True
+    return not magic or magic.startswith((blocks.MAGIC, SQLITE_MAGIC, ZSTD_MAGIC))
 
 
 def open_storage(path: Path, limits: ReadingLimits, until_closed: ExitStack) -> Storage:

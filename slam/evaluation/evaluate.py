@@ -69,16 +69,23 @@ class _Evaluator:
         self._map_alignment = map_alignment
         self._unavailable: dict[str, str] = {}
         self._truth = _series([(r.stamp_ns, r.T_world_body) for r in records.true_poses])
+        closure_poses = records.closure_true_poses
+        self._closure_truth = (
+            _series([(r.stamp_ns, r.T_world_body) for r in closure_poses]) if closure_poses else self._truth
+        )
         self._odometry = _series([(r.stamp_ns, r.T_odom_body) for r in records.odometry])
 
     def run(self) -> Evaluation:
         records = self._records
         final = records.trajectory
-        estimate = self._trajectory(
-            "trajectory",
-            clean_poses(final.stamps_ns, final.T_map_body) if final else _series([]),
-            "no final trajectory (/slam/trajectory_stamped): was the run finished?",
-        )
+        final_poses = clean_poses(final.stamps_ns, final.T_map_body) if final else _series([])
+        no_estimate = "no final trajectory (/slam/trajectory_stamped): was the run finished?"
+        estimate = self._trajectory("trajectory", final_poses, no_estimate)
+        by_closure_reference = None
+        if self._closure_truth is not self._truth:
+            by_closure_reference = self._trajectory(
+                "closure_reference", final_poses, no_estimate, truth=self._closure_truth
+            )
         odometry = self._trajectory(
             "odometry",
             self._odometry,
@@ -101,6 +108,7 @@ class _Evaluator:
             estimate=estimate,
             odometry=odometry,
             online=online,
+            by_closure_reference=by_closure_reference,
             associations=associations,
             landmarks=landmarks,
             closures=closures,
@@ -113,14 +121,17 @@ class _Evaluator:
             unavailable=self._unavailable,
         )
 
-    def _trajectory(self, part: str, estimate: PoseSeries, absent: str) -> TrajectoryErrors | None:
-        if len(estimate.stamps_ns) == 0 or len(self._truth.stamps_ns) == 0:
+    def _trajectory(
+        self, part: str, estimate: PoseSeries, absent: str, *, truth: PoseSeries | None = None
+    ) -> TrajectoryErrors | None:
+        truth = self._truth if truth is None else truth
+        if len(estimate.stamps_ns) == 0 or len(truth.stamps_ns) == 0:
             self._unavailable[part] = absent if len(estimate.stamps_ns) == 0 else NO_TRUTH
             return None
         try:
             return evaluate_trajectory(
                 estimate,
-                self._truth,
+                truth,
                 max_gap_s=self._protocol.max_truth_gap_s,
                 lengths_m=self._protocol.relative_lengths_m,
                 short_lengths_m=self._protocol.short_relative_lengths_m,
@@ -200,10 +211,10 @@ class _Evaluator:
     def _closures(self) -> ClosureQuality | None:
         graph, candidates = self._records.graph, self._records.closures
         no_rows = np.zeros(0, dtype=np.int64)
-        if not candidates and (graph is None or len(self._truth.stamps_ns) == 0):
+        if not candidates and (graph is None or len(self._closure_truth.stamps_ns) == 0):
             self._unavailable["closures"] = "no loop-closure candidate in the log"
             return None
-        if len(self._truth.stamps_ns) == 0:
+        if len(self._closure_truth.stamps_ns) == 0:
             self._unavailable["closures"] = NO_TRUTH
         elif graph is None:
             self._unavailable["closures"] = NO_KEYFRAMES
@@ -214,7 +225,7 @@ class _Evaluator:
             candidates,
             graph.keyframe_ids if graph else no_rows,
             graph.keyframe_stamps_ns if graph else no_rows,
-            self._truth,
+            self._closure_truth,
             self._protocol,
         )
 
@@ -228,7 +239,7 @@ class _Evaluator:
                 self._records.closures,
                 closures.revisits.revisits,
                 dict(zip(graph.keyframe_ids.tolist(), graph.keyframe_stamps_ns.tolist(), strict=True)),
-                self._truth,
+                self._closure_truth,
                 self._protocol,
                 place_count=self._records.verified_places,
             )
@@ -238,11 +249,11 @@ class _Evaluator:
 
     def _literature_protocols(self) -> tuple[PairQuality, OnlineQuality] | tuple[None, None]:
         graph = self._records.graph
-        if graph is None or len(self._truth.stamps_ns) == 0:
+        if graph is None or len(self._closure_truth.stamps_ns) == 0:
             self._unavailable["literature_protocols"] = NO_KEYFRAMES if graph is None else NO_TRUTH
             return None, None
         candidates = find_final_decisions(self._records.closures)
-        keyframes = compare_keyframes(candidates, graph, self._odometry.stamps_ns, self._truth, self._protocol)
+        keyframes = compare_keyframes(candidates, graph, self._odometry.stamps_ns, self._closure_truth, self._protocol)
         return evaluate_pairs(keyframes, self._protocol), evaluate_online(keyframes, self._protocol)
 
     def _relocalization(self, T_world_estimate: FloatArray | None) -> RelocalizationQuality | None:
@@ -256,7 +267,7 @@ class _Evaluator:
         is_located = is_given and self._map_alignment is not None
         quality = evaluate_relocalization(
             records,
-            self._truth,
+            self._truth if is_given else self._closure_truth,
             self._odometry,
             self._protocol,
             T_world_map=self._map_alignment if is_located else T_world_estimate,

@@ -27,6 +27,7 @@ class Evaluation:
     """What could be measured of one output log; a part that could not is None, and ``unavailable`` has its reason.
 
     ``estimate`` is the final trajectory, ``odometry`` the input alone, ``online`` the poses as they were at their time.
+    ``by_closure_reference`` is the final one by the second truth, where closures have one of their own.
     ``pairs`` and ``online_queries`` are the two protocols of papers on place recognition.
     """
 
@@ -34,6 +35,7 @@ class Evaluation:
     estimate: TrajectoryErrors | None = None
     odometry: TrajectoryErrors | None = None
     online: TrajectoryErrors | None = None
+    by_closure_reference: TrajectoryErrors | None = None
     associations: AssociationQuality | None = None
     landmarks: LandmarkQuality | None = None
     closures: ClosureQuality | None = None
@@ -63,7 +65,13 @@ class Evaluation:
 
     def _trajectory_dict(self) -> dict[str, Any]:
         head: dict[str, Any] = {}
-        for prefix, errors in (("", self.estimate), ("odometry_", self.odometry), ("online_", self.online)):
+        trajectories = {
+            "": self.estimate,
+            "odometry_": self.odometry,
+            "online_": self.online,
+            "closure_reference_": self.by_closure_reference,
+        }
+        for prefix, errors in trajectories.items():
             relative = errors.relative if errors else None
             head[f"{prefix}ate_m"] = _finite(errors.absolute.rmse_m) if errors else None
             yaw = errors.absolute_yaw if errors else None
@@ -75,6 +83,7 @@ class Evaluation:
             "estimate": _trajectory_errors_dict(self.estimate),
             "odometry": _trajectory_errors_dict(self.odometry),
             "online": _trajectory_errors_dict(self.online),
+            "closure_reference": _trajectory_errors_dict(self.by_closure_reference),
         }
 
 

@@ -62,6 +62,30 @@ class TestOneLog:
         ]
         assert [each["method"] for each in told] == ["trajectory", "map"]
 
+    def test_truth_in_text_files_and_two_side_by_side(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
+        alone = json.loads(dslam("evaluate", mapped, "--json").out)
+        tum, kitti = tmp_path / "gt.tum", tmp_path / "gt.txt"
+        assert dslam("export", mapped, "--of", "truth", "--tum", tum, "--kitti", kitti).code == 0
+        for path in (tum, kitti):
+            told = json.loads(dslam("evaluate", mapped, "--reference", path, "--json").out)
+            for key in ("ate_m", "rpe_rotation_deg_per_100m"):
+                assert told["trajectory"][key] == pytest.approx(alone["trajectory"][key], abs=1e-5)
+        lines = [line.split() for line in tum.read_text().splitlines() if not line.startswith("#")]
+        stretched = [[at, *(str(1.1 * float(number)) for number in rest[:3]), *rest[3:]] for at, *rest in lines]
+        tum.write_text("".join(" ".join(line) + "\n" for line in stretched))
+        result = dslam("evaluate", mapped, "--closure-reference", tum, "--json")
+        both = json.loads(result.out)
+        assert both["trajectory"]["ate_m"] == alone["trajectory"]["ate_m"]
+        assert both["trajectory"]["closure_reference_ate_m"] > 2.0 * alone["trajectory"]["ate_m"]
+        assert alone["trajectory"]["closure_reference_ate_m"] is None
+        assert "by the closure reference" in dslam("evaluate", mapped, "--closure-reference", tum).out
+
+    def test_a_reference_that_is_none(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
+        text = tmp_path / "gt.txt"
+        text.write_text("1 2 3\n")
+        assert_refused(dslam("evaluate", mapped, "--reference", text), f"{text}, line 1", "no pose")
+        assert_refused(dslam("evaluate", mapped, "--reference", tmp_path / "none.tum"), "none.tum", "No such file")
+
     def test_a_map_that_cannot_be_located(self, dslam: Run, mapped: Path) -> None:
         assert_refused(dslam("evaluate", mapped, "--map-run", SAMPLE), f"--map-run {SAMPLE}", "no final trajectory")
 

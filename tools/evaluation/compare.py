@@ -10,7 +10,18 @@ import typer
 
 from tools.arguments import Json, Topics, check_outputs, parse_topics
 from tools.evaluation.evaluated_log import Truth, evaluate_log, locate_map_of
-from tools.evaluation.output import Findings, JsonFile, MapRun, Reference, Require, Rules, report
+from tools.evaluation.output import (
+    Calib,
+    ClosureReference,
+    Findings,
+    JsonFile,
+    MapRun,
+    Reference,
+    Require,
+    Rules,
+    Times,
+    report,
+)
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -27,6 +38,9 @@ def compare(
         list[Path], typer.Argument(metavar="OUT.mcap...", help="Logs that 'dslam replay' wrote.", show_default=False)
     ],
     reference: Reference = None,
+    closure_reference: ClosureReference = None,
+    times: Times = None,
+    calib: Calib = None,
     topics: Topics = None,
     as_json: Json = False,
     json_file: JsonFile = None,
@@ -44,11 +58,12 @@ def compare(
     chosen = parse_topics(topics)
     if len(logs) < 2:
         raise typer.BadParameter("one log was given; give two or more, or use 'dslam evaluate'", param_hint="OUT.mcap")
-    check_outputs([json_file], [*logs, reference, map_run])
+    check_outputs([json_file], [*logs, reference, closure_reference, times, calib, map_run])
     from slam.evaluation.requirements import parse_requirement
 
     requirements = [parse_requirement(text) for text in require or ()]
-    truth = Truth(reference, chosen, None if map_run is None else locate_map_of(map_run))
+    alignment = None if map_run is None else locate_map_of(map_run)
+    truth = Truth(reference, closure_reference, times, calib, chosen, alignment)
     report(compare_logs(logs, truth), requirements, as_json=as_json, with_rules=rules, json_file=json_file)
 
 

@@ -9,12 +9,26 @@ import typer
 
 from tools.arguments import Json, Picture, SlamLog, Topics, check_outputs, parse_topics
 from tools.evaluation.evaluated_log import Truth, evaluate_log, locate_map_of
-from tools.evaluation.output import Findings, JsonFile, MapRun, Reference, Require, Rules, report
+from tools.evaluation.output import (
+    Calib,
+    ClosureReference,
+    Findings,
+    JsonFile,
+    MapRun,
+    Reference,
+    Require,
+    Rules,
+    Times,
+    report,
+)
 
 
 def evaluate(
     log: SlamLog,
     reference: Reference = None,
+    closure_reference: ClosureReference = None,
+    times: Times = None,
+    calib: Calib = None,
     topics: Topics = None,
     as_json: Json = False,
     json_file: JsonFile = None,
@@ -33,11 +47,12 @@ def evaluate(
     Example: dslam evaluate map.mcap --require "trajectory.ate_m<=4.0" --picture map.png
     """
     chosen = parse_topics(topics)
-    check_outputs([json_file, picture, page], [log, reference, map_run])
+    check_outputs([json_file, picture, page], [log, reference, closure_reference, times, calib, map_run])
     from slam.evaluation.requirements import parse_requirement
 
     requirements = [parse_requirement(text) for text in require or ()]
-    truth = Truth(reference, chosen, None if map_run is None else locate_map_of(map_run))
+    alignment = None if map_run is None else locate_map_of(map_run)
+    truth = Truth(reference, closure_reference, times, calib, chosen, alignment)
     findings = _evaluate_log(log, truth, picture, page, every=every)
     report(findings, requirements, as_json=as_json, with_rules=rules, json_file=json_file)
 

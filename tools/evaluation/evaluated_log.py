@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from slam.common.arrays import FloatArray
     from slam.evaluation.inputs.records import EvaluationRecords
+    from slam.evaluation.inputs.text_reference import TextReference
     from slam.evaluation.result import Evaluation
 
 
@@ -17,13 +18,26 @@ if TYPE_CHECKING:
 class Truth:
     """What the logs are compared with, if it is not in themselves.
 
-    ``reference``: the log that holds the truth; ``topics``: by kind; ``map_alignment``: ``T_world_map`` (4, 4) of the
-    map in which the robot found itself.
+    ``reference``: the log, or the file of poses, that holds the truth; ``closure_reference``: another one for closures;
+    ``times`` and ``calib``: of poses in KITTI's format; ``topics``: by kind; ``map_alignment``: ``T_world_map`` (4, 4)
+    of the map in which the robot found itself.
     """
 
     reference: Path | None = None
+    closure_reference: Path | None = None
+    times: Path | None = None
+    calib: Path | None = None
     topics: Mapping[str, str] | None = None
     map_alignment: FloatArray | None = None
+
+    def of(self, path: Path | None) -> Path | TextReference | None:
+        """The reference at ``path``: a log as it stands, a file of poses with what belongs to it."""
+        from logs.storage.opening import is_log
+        from slam.evaluation.inputs.text_reference import TextReference
+
+        if path is None or is_log(path):
+            return path
+        return TextReference(path, self.times, self.calib)
 
 
 def evaluate_log(log: Path, truth: Truth) -> tuple[EvaluationRecords, Evaluation]:
@@ -37,7 +51,12 @@ def evaluate_log(log: Path, truth: Truth) -> tuple[EvaluationRecords, Evaluation
     from slam.evaluation.evaluate import evaluate
     from slam.evaluation.inputs.records import read_records
 
-    records = read_records(log, reference=truth.reference, topics=truth.topics)
+    records = read_records(
+        log,
+        reference=truth.of(truth.reference),
+        closure_reference=truth.of(truth.closure_reference),
+        topics=truth.topics,
+    )
     if records.trajectory is None and not records.online_poses:
         raise EvaluationError(f"{log} holds no estimate (no topics under /slam); give a log that 'dslam replay' wrote")
     return records, evaluate(records, map_alignment=truth.map_alignment)

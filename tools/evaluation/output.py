@@ -19,7 +19,32 @@ if TYPE_CHECKING:
 FELL_SHORT = 1
 
 Reference = Annotated[
-    Path | None, typer.Option(metavar="LOG.mcap", help="Take the truth from this log.", show_default=False)
+    Path | None,
+    typer.Option(
+        metavar="LOG|POSES",
+        help="Take the truth from this log, or from poses of the body: TUM, KITTI, EuRoC or CSV, also .gz.",
+        show_default=False,
+    ),
+]
+ClosureReference = Annotated[
+    Path | None,
+    typer.Option(metavar="LOG|POSES", help="Measure closures by another truth than the rest.", show_default=False),
+]
+Times = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Seconds of each pose in KITTI's format; not needed for one pose a message of the odometry.",
+        show_default=False,
+    ),
+]
+Calib = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="KITTI's calib.txt, if references in its format are of the left camera.",
+        show_default=False,
+    ),
 ]
 MapRun = Annotated[
     Path | None,

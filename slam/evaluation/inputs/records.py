@@ -6,7 +6,10 @@ import json
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from logs.container.limits import RESULT_LIMITS
 from logs.messages import (
@@ -25,8 +28,11 @@ from logs.messages import (
 )
 from logs.reader import LogReader
 from logs.selection import OUTPUT_PREFIX, Selection, select_all, select_topics
+from logs.storage.opening import is_log
 from logs.topics import RecordKind, TopicInfo
 from slam.common.errors import EvaluationError
+from slam.evaluation.inputs.synchronization import clean_poses
+from slam.evaluation.inputs.text_reference import TextReference
 
 _ESTIMATED_KINDS = frozenset(
     {
@@ -51,13 +57,14 @@ class EvaluationRecords:
 
     ``statuses``: all of them, ``status`` is the last. ``configuration``: the tree by which the log was made, empty
     where it does not tell. ``provenance``: what the replay recorded of itself. ``has_prior_map``: the robot was to find
-    itself in the map of an earlier drive.
+    itself in the map of an earlier drive. ``closure_true_poses``: by which closures are measured; empty: as all else.
     """
 
     trajectory: TrajectoryRecord | None = None
     online_poses: tuple[SlamPose, ...] = ()
     odometry: tuple[Odometry, ...] = ()
     true_poses: tuple[GroundTruthPose, ...] = ()
+    closure_true_poses: tuple[GroundTruthPose, ...] = ()
     associations: tuple[DetectionAssociations, ...] = ()
     detection_truths: tuple[DetectionTruth, ...] = ()
     object_map: ObjectMapRecord | None = None
@@ -152,24 +159,50 @@ def collect_records(records: Iterable[tuple[str, Record]]) -> EvaluationRecords:
 def read_records(
     path: str | os.PathLike[str],
     *,
-    reference: str | os.PathLike[str] | None = None,
+    reference: TextReference | str | os.PathLike[str] | None = None,
+    closure_reference: TextReference | str | os.PathLike[str] | None = None,
     topics: Mapping[str, str] | None = None,
 ) -> EvaluationRecords:
-    """Read an output log in one pass, and the truth from a reference log where one is given.
+    """Read an output log in one pass, and the truth from a reference where one is given.
 
     Args:
         path: log with the topics under ``/slam/``, and with copies of odometry and truth if it was recorded so.
-        reference: log whose truth replaces that of ``path``, kind by kind.
+        reference: log, or file of poses, whose truth replaces that of ``path``, kind by kind.
+        closure_reference: another, whose poses closures are measured by.
         topics: record kind -> topic, where odometry or truth are not where they usually are; they apply to the
             reference if there is one, else to the output. Before them stands what the replay used.
 
     Raises:
         UnreadableLogError: a file is missing or no log.
+        DatasetError: a file of poses is wrong.
         TopicSelectionError: ``topics`` names a kind or a topic that does not exist.
-        EvaluationError: the reference holds no truth.
+        EvaluationError: a reference holds no truth, or not the poses of this robot's body.
     """
     found = _read(path, None if reference else topics)
-    return found.with_truth_of(_read(reference, topics)) if reference else found
+    output = found
+    if reference is not None:
+        found = found.with_truth_of(_read_reference(reference, topics, output))
+    if closure_reference is not None:
+        second = found.with_truth_of(_read_reference(closure_reference, topics, output))
+        found = replace(found, closure_true_poses=second.true_poses)
+    return found
+
+
+def _read_reference(
+    reference: TextReference | str | os.PathLike[str], topics: Mapping[str, str] | None, output: EvaluationRecords
+) -> EvaluationRecords:
+    if not isinstance(reference, TextReference):
+        if is_log(Path(reference)):
+            return _read(reference, topics)
+        reference = TextReference(Path(reference))
+    final, odometry = output.trajectory, output.odometry
+    if odometry:
+        stamps_ns, poses = [r.stamp_ns for r in odometry], np.array([r.T_odom_body for r in odometry])
+    elif final is not None:
+        stamps_ns, poses = final.stamps_ns.tolist(), final.T_map_body
+    else:
+        stamps_ns, poses = [], np.zeros((0, 4, 4))
+    return EvaluationRecords(true_poses=reference.read(clean_poses(np.array(stamps_ns, dtype=np.int64), poses)))
 
 
 def _read(path: str | os.PathLike[str], topics: Mapping[str, str] | None) -> EvaluationRecords:

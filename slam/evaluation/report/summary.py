@@ -36,7 +36,9 @@ def _trajectory(evaluation: Evaluation) -> str:
         return ""
     first: TrajectoryErrors = next(iter(known.values()))
     errors_m = ", ".join(f"{name}{errors.absolute.rmse_m:.3f} m" for name, errors in known.items())
-    return f"ATE {errors_m}; {first.pose_count} poses over {first.length_m:.0f} m"
+    second = evaluation.by_closure_reference
+    by_second = f" ({second.absolute.rmse_m:.3f} m by the closure reference)" if second else ""
+    return f"ATE {errors_m}{by_second}; {first.pose_count} poses over {first.length_m:.0f} m"
 
 
 def _landmarks(quality: LandmarkQuality | None) -> str:

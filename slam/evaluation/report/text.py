@@ -40,6 +40,7 @@ def render(evaluation: Evaluation, *, with_rules: bool = True) -> list[Renderabl
             ("estimate", evaluation.estimate),
             ("odometry", evaluation.odometry),
             ("online", evaluation.online),
+            ("estimate by\nclosure reference", evaluation.by_closure_reference),
         )
         if errors is not None
     ]

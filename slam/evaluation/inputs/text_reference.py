@@ -1,0 +1,86 @@
+"""True poses in a text file: TUM, KITTI, EuRoC or CSV, also packed by gzip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from logs.importers.tables import SourceText, read_source_text
+from logs.importers.trajectory_files import Trajectory, TrajectoryFormat, find_format, read_trajectory
+from logs.messages import GroundTruthPose
+from slam.common.errors import EvaluationError
+from slam.evaluation.inputs.protocol import Protocol
+from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses, synchronize
+
+_STRETCHES = 200
+_TURNED_DEG = 45.0
+"""Directions of travel that differ by more, in the median, are of other axes: x, y and z are 90 deg apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class TextReference:
+    """The file at ``path``; for poses in KITTI's format ``times`` (seconds, one a line), and ``calib`` if they are of
+    the left camera.
+    """
+
+    path: Path
+    times: Path | None = None
+    calib: Path | None = None
+
+    def read(self, path: PoseSeries) -> tuple[GroundTruthPose, ...]:
+        """The true poses of the body.
+
+        Args:
+            path: the odometry, or an estimate. Poses in KITTI's format are at its stamps if no times are given and
+                there are as many.
+
+        Raises:
+            DatasetError: a file is missing or wrong.
+            EvaluationError: the axes of the poses are not those of the body.
+        """
+        source = read_source_text(self.path)
+        is_kitti = find_format(source) == TrajectoryFormat.KITTI
+        trajectory = read_trajectory(
+            source,
+            times=self._times(source, path) if is_kitti else None,
+            calib=read_source_text(self.calib) if is_kitti and self.calib is not None else None,
+        )
+        self._check_axes(trajectory, path)
+        stamps_ns = trajectory.stamps.stamps_ns.tolist()
+        return tuple(GroundTruthPose(at, T) for at, T in zip(stamps_ns, trajectory.T_world_body, strict=True))
+
+    def _times(self, source: SourceText, path: PoseSeries) -> SourceText | None:
+        if self.times is not None:
+            return read_source_text(self.times)
+        if len(source.lines()) != len(path.stamps_ns):
+            return None
+        seconds = (f"{at // 10**9}.{at % 10**9:09d}" for at in path.stamps_ns.tolist())
+        return SourceText("the stamps of the odometry", "\n".join(seconds), "")
+
+    def _check_axes(self, truth: Trajectory, path: PoseSeries) -> None:
+        """The robot moves in the same direction of its body by both, on stretches of equal length."""
+        series = clean_poses(truth.stamps.stamps_ns, truth.T_world_body)
+        try:
+            both = synchronize(path, series, max_gap_s=Protocol().max_truth_gap_s)
+        except EvaluationError:
+            return  # That they do not meet is told where they are compared.
+        travelled = PoseSeries(both.stamps_ns, both.T_world_body_gt).travelled_m
+        rows = np.unique(np.searchsorted(travelled, np.linspace(0.0, travelled[-1], _STRETCHES + 1)))
+        ways = []
+        for T in (both.T_map_body_est[rows], both.T_world_body_gt[rows]):
+            ways.append(np.einsum("nji,nj->ni", T[:-1, :3, :3], np.diff(T[:, :3, 3], axis=0)))
+        lengths = np.linalg.norm(ways[0], axis=1) * np.linalg.norm(ways[1], axis=1)
+        moved = lengths > 0.0
+        if not moved.any():
+            return
+        cosines = np.sum(ways[0] * ways[1], axis=1)[moved] / lengths[moved]
+        turned_deg = float(np.rad2deg(np.median(np.arccos(np.clip(cosines, -1.0, 1.0)))))
+        if turned_deg > _TURNED_DEG:
+            is_camera = truth.format == TrajectoryFormat.KITTI and self.calib is None
+            remedy = "give --calib, as KITTI's are of the left camera" if is_camera else "give poses of the body"
+            raise EvaluationError(
+                f"{self.path}: the robot moves {turned_deg:.0f} deg (median) away from where it moves by its odometry, "
+                f"so the axes of these poses are not those of its body; {remedy}"
+            )

@@ -1,0 +1,103 @@
+"""Truth in the text formats of others."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from logs.errors import DatasetError
+from logs.messages import FloatArray, GroundTruthPose
+from slam.common.errors import EvaluationError
+from slam.evaluation.inputs.synchronization import PoseSeries
+from slam.evaluation.inputs.text_reference import TextReference
+
+STAMPS_NS = 10**9 * (1_700_000_000 + np.arange(30, dtype=np.int64))
+T_CAMERA_BODY = np.array([[0.0, -1.0, 0.0, 0.1], [0.0, 0.0, -1.0, -0.2], [1.0, 0.0, 0.0, 0.3], [0.0, 0.0, 0.0, 1.0]])
+
+
+def circle(radius_m: float = 10.0) -> FloatArray:
+    """Forward along a circle, (30, 4, 4)."""
+    angles = np.linspace(0.0, 5.0, len(STAMPS_NS))
+    T = np.tile(np.eye(4), (len(angles), 1, 1))
+    T[:, :3, :3] = Rotation.from_euler("z", angles[:, None]).as_matrix()
+    T[:, :3, 3] = radius_m * np.stack([np.sin(angles), 1.0 - np.cos(angles), np.zeros(len(angles))], axis=1)
+    return T
+
+
+ODOMETRY = PoseSeries(STAMPS_NS, circle(9.8))
+
+
+def written(path: Path, lines: list[str]) -> Path:
+    text = "".join(f"{line}\n" for line in lines).encode()
+    path.write_bytes(gzip.compress(text) if path.suffix == ".gz" else text)
+    return path
+
+
+def seconds() -> list[str]:
+    return [f"{at / 1e9:.9f}" for at in STAMPS_NS.tolist()]
+
+
+def tum() -> list[str]:
+    q = Rotation.from_matrix(circle()[:, :3, :3]).as_quat()
+    rows = np.hstack([circle()[:, :3, 3], q]).tolist()
+    return [f"{at} {' '.join(map(repr, row))}" for at, row in zip(seconds(), rows, strict=True)]
+
+
+def euroc() -> list[str]:
+    q = Rotation.from_matrix(circle()[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
+    rows = np.hstack([circle()[:, :3, 3], q]).tolist()
+    head = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
+    return [head, *(f"{at},{','.join(map(repr, row))}" for at, row in zip(STAMPS_NS.tolist(), rows, strict=True))]
+
+
+def table() -> list[str]:
+    yaw = np.linspace(0.0, 5.0, len(STAMPS_NS)).tolist()
+    rows = zip(seconds(), circle()[:, :2, 3].tolist(), yaw, strict=True)
+    return ["stamp_s,x_m,y_m,yaw", *(f"{at},{x!r},{y!r},{angle!r}" for at, (x, y), angle in rows)]
+
+
+def kitti(T: FloatArray) -> list[str]:
+    return [" ".join(map(repr, row)) for row in T[:, :3].reshape(-1, 12).tolist()]
+
+
+def camera_poses() -> FloatArray:
+    return np.asarray(T_CAMERA_BODY @ circle() @ np.linalg.inv(T_CAMERA_BODY))
+
+
+def assert_circle(poses: tuple[GroundTruthPose, ...]) -> None:
+    assert [pose.stamp_ns for pose in poses] == STAMPS_NS.tolist()
+    np.testing.assert_allclose([pose.T_world_body for pose in poses], circle(), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "lines"), [("gt.tum", tum()), ("gt.tum.gz", tum()), ("data.csv", euroc()), ("gt.csv.gz", table())]
+)
+def test_every_format_gives_the_same_poses(tmp_path: Path, name: str, lines: list[str]) -> None:
+    assert_circle(TextReference(written(tmp_path / name, lines)).read(ODOMETRY))
+
+
+def test_poses_without_stamps_are_at_those_of_the_odometry(tmp_path: Path) -> None:
+    path = written(tmp_path / "00.txt", kitti(circle()))
+    assert_circle(TextReference(path).read(ODOMETRY))
+    times = written(tmp_path / "times.txt", seconds())
+    assert_circle(TextReference(path, times).read(PoseSeries(STAMPS_NS[:20], circle()[:20])))
+    with pytest.raises(DatasetError, match="--times"):
+        TextReference(path).read(PoseSeries(STAMPS_NS[:20], circle()[:20]))
+
+
+def test_poses_of_the_camera_need_its_calibration(tmp_path: Path) -> None:
+    path = written(tmp_path / "00.txt", kitti(camera_poses()))
+    calib = written(tmp_path / "calib.txt", [f"Tr: {' '.join(map(repr, T_CAMERA_BODY[:3].ravel().tolist()))}"])
+    assert_circle(TextReference(path, calib=calib).read(ODOMETRY))
+    with pytest.raises(EvaluationError, match=r"00\.txt: the robot moves 9. deg .*; give --calib"):
+        TextReference(path).read(ODOMETRY)
+
+
+def test_a_robot_that_stands_or_another_drive_is_left_to_the_comparison(tmp_path: Path) -> None:
+    path = written(tmp_path / "gt.tum", tum())
+    assert_circle(TextReference(path).read(PoseSeries(STAMPS_NS + 10**15, circle())))
+    assert_circle(TextReference(path).read(PoseSeries(STAMPS_NS, np.tile(np.eye(4), (len(STAMPS_NS), 1, 1)))))
