@@ -9,7 +9,7 @@ that it turned so far and J = [0 -1; 1 0], at
     W + tau (v + omega J x) + phi J x + R e + s P + g (h J x + integral of h J v)
 
 which does not move. Robust regression (Cauchy's weights) of the apparent motion between scans on the differences of the
-six terms finds them all; the jackknife over blocks of time says how surely.
+six terms finds them all; the jackknife over blocks of time, of one Newton step each, says how surely.
 """
 
 from __future__ import annotations
@@ -69,11 +69,10 @@ def estimate_input_errors(tracks: ObjectTracks, motion: BodyMotion) -> InputErro
     X = effects[first] - effects[second]  # (P, 2, 6)
     y = tracks.points[second] - tracks.points[first]
     block = tracks.scan[second] * BLOCKS // (int(tracks.scan.max()) + 1)
-    solution, weights = _regress(X, y)
-    parts = [_regress(X[block != each], y[block != each])[0] for each in range(BLOCKS) if np.any(block == each)]
+    solution, weights, parts = _regress(X, y, block)
     if len(parts) < BLOCKS // 2:
         return InputErrors()
-    errors = np.sqrt((len(parts) - 1) / len(parts) * np.sum((np.array(parts) - np.mean(parts, axis=0)) ** 2, axis=0))
+    errors = np.sqrt((len(parts) - 1) / len(parts) * np.sum((parts - np.mean(parts, axis=0)) ** 2, axis=0))
     left = y - X @ solution
     before = float(np.sum(weights[:, None] * y**2))
     gain = 1.0 - float(np.sum(weights[:, None] * left**2)) / max(before, 1e-300)
@@ -104,16 +103,40 @@ def _effects(tracks: ObjectTracks, motion: BodyMotion) -> FloatArray:
     return np.stack([late, turned, motion.positions[tracks.scan], along, across, overturned], axis=2)
 
 
-def _regress(X: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Solution (6,) of y = X s, robustly, and the weights (P,)."""
-    weights = np.ones(len(y))
+def _regress(X: FloatArray, y: FloatArray, block: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Solution (6,) of y = X s, robustly, the weights (P,), and what the solution is without each block (B, 6)."""
+    size = X.shape[2]
     scale = np.maximum(np.sqrt(np.mean(X**2, axis=(0, 1))), 1e-300)
-    X = X / scale
-    solution = np.zeros(X.shape[2])
+    rows, sides = (X / scale).reshape(-1, size), y.reshape(-1)
+    least = 1e-9 * len(y) * np.eye(size)
+    weights, limit, left = np.ones(len(y)), np.inf, y
+    solution = np.zeros(size)
     for _ in range(ROUNDS):
-        A = np.einsum("p,pij,pik->jk", weights, X, X) + 1e-9 * len(y) * np.eye(X.shape[2])
-        solution = np.linalg.solve(A, np.einsum("p,pij,pi->j", weights, X, y))
-        squares = np.sum((y - X @ solution) ** 2, axis=1)
+        weighted = rows.T * np.repeat(weights, 2)
+        solution = np.linalg.solve(weighted @ rows + least, weighted @ sides)
+        left = (sides - rows @ solution).reshape(-1, 2)
+        squares = np.sum(left**2, axis=1)
         limit = CAUCHY**2 * float(np.median(squares)) + 1e-12
         weights = 1.0 / (1.0 + squares / limit)
-    return solution / scale, weights
+    parts = solution + _changes(rows.reshape(X.shape), left, weights, limit, block)
+    return solution / scale, weights, parts / scale
+
+
+def _changes(X: FloatArray, left: FloatArray, weights: FloatArray, limit: float, block: IntArray) -> FloatArray:
+    """By how much (B, 6) the solution changes without each block: Newton's step on the cost of all others.
+
+    ``left`` (P, 2) are the residuals. The weight w = 1 / (1 + r^2 / limit) falls with the squared residual by
+    w^2 / limit, so the cost has the curvature w X^T X - 2 w^2 / limit (X^T r) (X^T r)^T.
+    """
+    size = X.shape[2]
+    gradients, curvatures = np.zeros((BLOCKS, size)), np.zeros((BLOCKS, size, size))
+    present = np.unique(block).tolist()
+    for each in present:
+        members = block == each
+        weight = weights[members]
+        across = np.einsum("pij,pi->pj", X[members], left[members])
+        rows = X[members].reshape(-1, size)
+        gradients[each] = weight @ across
+        curvatures[each] = (rows.T * np.repeat(weight, 2)) @ rows - (across.T * (2.0 * weight**2 / limit)) @ across
+    gradient, curvature = gradients.sum(axis=0), curvatures.sum(axis=0) + 1e-9 * len(left) * np.eye(size)
+    return np.array([np.linalg.solve(curvature - curvatures[b], gradient - gradients[b]) for b in present])
