@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
+from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -15,6 +16,11 @@ from rosbags.typesys.store import Typestore
 from logs.topics import Schema
 from logs.validation import Refusal
 
+_MAX_BYTES = 65_536
+"""Of a definition: reading one takes 10 ms for each kilobyte."""
+_MAX_FIELDS = 1024
+"""Of a message and all its parts; each element of an array of fixed length counts, as code is generated for it."""
+_MAX_DEPTH = 32
 _DAMAGE = (SerdeError, struct.error, ValueError, IndexError, KeyError, OverflowError, MemoryError)
 _SEPARATOR = re.compile(r"^={80}\nIDL: .*\n", re.MULTILINE)
 _DIRECTIVE = re.compile(r"^\s*#.*$", re.MULTILINE)
@@ -43,10 +49,20 @@ def constants_of(schema: Schema, type_name: str) -> Mapping[str, int | float | s
     return {name: value for name, _, value in constants}
 
 
-@lru_cache(maxsize=64)
 def _typestore(schema: Schema) -> Typestore:
+    found = _read_definition(schema)
+    if isinstance(found, str):
+        raise Refusal(f"definition of {schema.name} cannot be read", found)
+    return found
+
+
+@lru_cache(maxsize=64)
+def _read_definition(schema: Schema) -> Typestore | str:
+    """The types of a definition, or why there are none: not read again for each message either."""
     store = get_typestore(Stores.EMPTY)
     try:
+        if len(schema.data) > _MAX_BYTES:
+            raise ValueError(f"{len(schema.data)} bytes, more than {_MAX_BYTES}")
         text = schema.data.decode()
         if schema.encoding == "ros2idl":
             # The library knows no directives of a preprocessor; what they include stands in the same text.
@@ -54,6 +70,29 @@ def _typestore(schema: Schema) -> Typestore:
             store.register({name: t for part in parts if part.strip() for name, t in get_types_from_idl(part).items()})
         else:
             store.register(get_types_from_msg(text, schema.name))
-    except (TypesysError, SyntaxError, *_DAMAGE) as error:
-        raise Refusal(f"definition of {schema.name} cannot be read", " ".join(str(error).split())[:200]) from error
+        _count_fields(store, schema.name, _MAX_DEPTH)
+    except (TypesysError, SyntaxError, RecursionError, *_DAMAGE) as error:
+        return " ".join(str(error).split())[:200]
     return store
+
+
+def _count_fields(store: Typestore, type_name: str, depth: int) -> int:
+    """Number of a type and its parts, and of their fields.
+
+    Raises:
+        ValueError: there are more than ``_MAX_FIELDS``, or parts of parts more than ``depth`` times.
+        KeyError: a part is not defined.
+    """
+    if depth == 0:
+        raise ValueError(f"parts of parts more than {_MAX_DEPTH} times")
+    count = 1
+    fielddefs: list[tuple[str, Any]] = list(store.fielddefs[type_name][1])
+    for _, (kind, described) in fielddefs:
+        is_array = kind in (Nodetype.ARRAY, Nodetype.SEQUENCE)
+        (element_kind, element), length = described if is_array else ((kind, described), 1)
+        fields = _count_fields(store, element, depth - 1) if element_kind == Nodetype.NAME else 1
+        is_unrolled = kind == Nodetype.ARRAY and (element_kind == Nodetype.NAME or element[0] == "string")
+        count += fields * max(length, 1) if is_unrolled else fields
+        if count > _MAX_FIELDS:
+            raise ValueError(f"more than {_MAX_FIELDS} fields in {type_name} and its parts")
+    return count

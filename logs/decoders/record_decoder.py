@@ -11,7 +11,10 @@ from logs.decoders.registry import kinds_of
 from logs.errors import InvalidRecordError
 from logs.messages import Record
 from logs.selection import Selection
-from logs.topics import RawMessage
+from logs.topics import RawMessage, Schema
+
+MAX_DEFINITIONS = 32
+"""Different definitions of messages in one log; further ones are not read, as each takes time and memory."""
 
 _log = logging.getLogger(__name__)
 
@@ -26,6 +29,7 @@ class RecordDecoder:
     def __init__(self, selection: Selection, limits: ReadingLimits | None = None) -> None:
         self._selection = selection
         self._limits = limits or ReadingLimits()
+        self._definitions: set[Schema] = set()
         self._told: set[tuple[str, str]] = set()
         self.counters: Counter[str] = Counter()
 
@@ -38,7 +42,7 @@ class RecordDecoder:
         if not wanted:
             return ()
         possible = [kind for kind in wanted if kind in kinds_of(raw.channel)]
-        if not possible:
+        if not possible or not self._is_readable(raw.channel.schema):
             self.counters["undecodable"] += 1
             return ()
         try:
@@ -50,3 +54,11 @@ class RecordDecoder:
                 _log.warning("%s; more of the same on this topic is only counted", error)
             return ()
         return found[0] if len(found) == 1 else tuple(record for some in found for record in some)
+
+    def _is_readable(self, schema: Schema | None) -> bool:
+        if schema is None or schema in self._definitions:
+            return True
+        if len(self._definitions) == MAX_DEFINITIONS:
+            return False
+        self._definitions.add(schema)
+        return True

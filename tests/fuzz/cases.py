@@ -16,7 +16,6 @@ from tests.fuzz.mcap_file import Layout, write_file
 from tests.fuzz.seeds import Seeds
 
 _SETTINGS = [setting.key for setting in settings_of(Config())]
-_FAULTS = ("labels_unique", "odometry_frozen", "objects_burst", "heading_jump")
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,76 @@
+"""Definitions that ask for more than a message can need are refused, once."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+
+from logs.decoders import cdr
+from logs.decoders.record_decoder import MAX_DEFINITIONS, RecordDecoder
+from logs.selection import Selection
+from logs.topics import Channel, RawMessage, Schema
+from logs.validation import Refusal
+
+EMPTY = b"\0\1\0\0" + b"\0" * 8
+
+
+def part(name: str, text: str) -> str:
+    return "\n" + "=" * 80 + f"\nMSG: p/{name}\n{text}"
+
+
+def schema(text: str) -> Schema:
+    return Schema(1, "p/msg/T", "ros2msg", text.encode())
+
+
+def refusal(text: str, data: bytes = EMPTY) -> str:
+    with pytest.raises(Refusal) as error:
+        cdr.parse(schema(text), data)
+    return str(error.value)
+
+
+@pytest.mark.parametrize("text", [
+    "string[1000000000] a",
+    "p/E[1000000000] a" + part("E", "float64 x"),
+    "p/A[100] a" + part("A", "p/B[100] b") + part("B", "string c"),
+    "\n".join(f"float64 a{i}" for i in range(1025)),
+    "p/A a\np/A b" + "".join(part(c, f"p/{d} a\np/{d} b") for c, d in zip("ABCDEFGHIJ", "BCDEFGHIJK", strict=True))
+    + part("K", ""),
+])  # fmt: skip
+def test_too_many_fields_are_refused_before_code_is_generated_for_them(text):
+    assert "more than 1024 fields" in refusal(text)
+
+
+@pytest.mark.parametrize("text", [
+    "p/T a",
+    "p/T[] a\np/T[] b",
+    "p/A[] a" + part("A", "p/B b") + part("B", "p/A a"),
+])  # fmt: skip
+def test_definitions_that_contain_themselves_are_refused(text):
+    assert "parts of parts more than 32 times" in refusal(text)
+
+
+def test_long_definitions_are_refused_unread():
+    assert "bytes, more than 65536" in refusal("# " + "x" * 65_536 + "\nfloat64 a")
+
+
+def test_large_arrays_of_numbers_are_no_matter():
+    assert refusal("float64[1000000] a").startswith("bytes do not decode")
+
+
+def test_a_refused_definition_is_not_read_for_each_message(monkeypatch):
+    calls = []
+    inner = cdr.get_types_from_msg
+    monkeypatch.setattr(cdr, "get_types_from_msg", lambda *a: calls.append(1) or inner(*a))
+    for _ in range(3):
+        refusal("p/T again")
+    assert len(calls) == 1
+
+
+def test_a_log_with_many_definitions_is_read_in_part():
+    decoder = RecordDecoder(Selection.of({"/odom": "odometry"}))
+    for i in range(MAX_DEFINITIONS + 5):
+        text = f"float64 x{i}".encode()
+        channel = Channel(i, "/odom", "cdr", Schema(i, "nav_msgs/msg/Odometry", "ros2msg", text))
+        decoder.records(RawMessage(channel, 1, 1, 0, EMPTY))
+    assert decoder.counters == Counter(invalid_messages=MAX_DEFINITIONS, undecodable=5)
