@@ -40,7 +40,7 @@ def train(
         typer.Option(
             "--input",
             metavar="embedding|one_hot|integer|position",
-            help="What descriptellation_paper is told of an object; position leaves its class out.",
+            help="What descriptellation_paper is given of an object; position leaves its class out.",
             show_default=False,
         ),
     ] = None,
@@ -74,7 +74,8 @@ def train(
 def _train_towers(folder: Path, maps: list[Path], epochs: int | None, seed: int, threads: int, *, json: bool) -> None:
     from dataclasses import asdict
 
-    from descriptors.towers.training import WEIGHTS, Step, TowersTraining, train_towers
+    from descriptors.learned.training_folder import WEIGHTS
+    from descriptors.towers.training import Step, TowersTraining, train_towers
     from tools import console
 
     config = TowersTraining(seed=seed) if epochs is None else TowersTraining(seed=seed, epochs=epochs)
@@ -153,8 +154,9 @@ def _train_network(
 ) -> None:
     from dataclasses import asdict
 
-    from descriptors.descriptellation.training import WEIGHTS, TrainingConfig, train_network
+    from descriptors.descriptellation.training import TrainingConfig, train_network
     from descriptors.learned.architectures import default_architecture
+    from descriptors.learned.training_folder import WEIGHTS
     from tools import console
 
     settings = {} if input_kind is None else {"input": input_kind}

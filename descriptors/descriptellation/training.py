@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import importlib.metadata
 import json
-import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
@@ -26,12 +24,9 @@ from descriptors.errors import DescriptorError
 from descriptors.learned.architectures import Architecture, make_network
 from descriptors.learned.inference import describe_padded, tensors
 from descriptors.learned.padded import PaddedConstellations
+from descriptors.learned.training_folder import Stateful, TrainingFolder
 from descriptors.learned.weights import WeightsMetadata, save_weights
 from descriptors.top_k import top_k_ratio
-
-CHECKPOINT = "checkpoint.pt"
-WEIGHTS = "weights.safetensors"
-CURVES = "curves.csv"
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +89,8 @@ def train_network(
         folder: made if it does not exist.
         device: as torch names it.
         threads: of torch, on a CPU.
-        on_epoch: told of every epoch that ends.
-        on_batch: told after each batch of the share that is done, its loss, and how many seconds the rest takes.
+        on_epoch: called with every epoch that ends.
+        on_batch: called after each batch with the share done, its loss, and how many seconds the rest takes.
 
     Returns:
         All epochs, those before an interruption too.
@@ -106,17 +101,16 @@ def train_network(
     """
     torch.set_num_threads(threads)
     torch.use_deterministic_algorithms(True)
-    folder.mkdir(parents=True, exist_ok=True)
     run = _Run(config, device)
-    run.resume(folder / CHECKPOINT)
+    kept = TrainingFolder(folder, Epoch, config.as_json(), frozenset({"epochs"}))
+    run.epochs = kept.resume(run.parts, run.device)
     training = make_dataset(config.simulation, config.augmentation, config.dataset, seed=2 * config.seed)
     validation = make_dataset(config.simulation, config.augmentation, config.dataset, seed=2 * config.seed + 1)
     while len(run.epochs) < config.epochs:
         epoch = run.next_epoch(training, validation, on_batch)
         if epoch is max(run.epochs, key=lambda each: each.validation_top_k):  # of equals the first
-            save_weights(folder / WEIGHTS, run.network, _metadata(config, epoch))
-        _write_curves(folder / CURVES, run.epochs)
-        run.save(folder / CHECKPOINT)
+            save_weights(kept.weights, run.network, _metadata(config, epoch))
+        kept.save(run.epochs, run.parts)
         on_epoch(epoch)
     return run.epochs
 
@@ -128,12 +122,13 @@ class _Run:
         torch.manual_seed(config.seed)
         self._config = config
         try:
-            self._device = torch.device(device)
-            self.network: nn.Module = make_network(config.architecture).to(self._device)
+            self.device = torch.device(device)
+            self.network: nn.Module = make_network(config.architecture).to(self.device)
         except (RuntimeError, AssertionError) as error:
             raise DescriptorError(f"device {device!r} cannot be used: {str(error).splitlines()[0]}") from error
         self._optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
         self.epochs: list[Epoch] = []
+        self.parts: dict[str, Stateful] = {"network": self.network, "optimizer": self._optimizer}
 
     def next_epoch(
         self,
@@ -182,11 +177,11 @@ class _Run:
             yield np.concatenate(groups[start : start + self._config.anchors_per_batch])
 
     def _loss(self, constellations: PaddedConstellations, anchors: NDArray[np.int64]) -> torch.Tensor:
-        vectors = self.network(*tensors(constellations, self._device))
-        return batch_triplet_loss(vectors, torch.as_tensor(anchors, device=self._device), self._config.margin)
+        vectors = self.network(*tensors(constellations, self.device))
+        return batch_triplet_loss(vectors, torch.as_tensor(anchors, device=self.device), self._config.margin)
 
     def _describe(self, dataset: ConstellationDataset) -> NDArray[np.float32]:
-        return describe_padded(self.network, dataset.constellations, self._device)
+        return describe_padded(self.network, dataset.constellations, self.device)
 
     def _mean_loss(self, vectors: NDArray[np.float32], dataset: ConstellationDataset) -> float:
         """Of the batches that the first epoch would draw."""
@@ -198,49 +193,8 @@ class _Run:
         ]
         return float(torch.stack(losses).mean())
 
-    def save(self, path: Path) -> None:
-        """Write a checkpoint."""
-        part = path.with_name(path.name + ".part")
-        state = {
-            "config": json.dumps(self._config.as_json(), sort_keys=True),
-            "epochs": json.dumps([asdict(epoch) for epoch in self.epochs]),
-            "network": self.network.state_dict(),
-            "optimizer": self._optimizer.state_dict(),
-        }
-        torch.save(state, part)
-        os.replace(part, path)
-
-    def resume(self, path: Path) -> None:
-        """Go on from a checkpoint, if there is one."""
-        if not path.exists():
-            return
-        try:
-            state = torch.load(path, map_location=self._device, weights_only=True)
-            config, epochs = str(state["config"]), [Epoch(**epoch) for epoch in json.loads(state["epochs"])]
-        except Exception as error:  # what torch raises depends on where the file is broken
-            raise DescriptorError(f"{path}: cannot be read: {error}; delete it to start anew") from error
-        theirs, ours = json.loads(config), self._config.as_json()
-        others = sorted(key for key in ours if key != "epochs" and theirs.get(key) != ours[key])
-        if others:
-            raise DescriptorError(
-                f"{path}: of a training with another configuration ({', '.join(others)}); choose another folder, or "
-                "delete it to start anew"
-            )
-        self.network.load_state_dict(state["network"])
-        self._optimizer.load_state_dict(state["optimizer"])
-        self.epochs = epochs
-
 
 def _metadata(config: TrainingConfig, epoch: Epoch) -> WeightsMetadata:
     version = importlib.metadata.version("descriptellation-slam")
     metrics = {key: value for key, value in asdict(epoch).items() if key != "seconds"}
     return WeightsMetadata(training=config.as_json(), seed=config.seed, code_version=version, metrics=metrics)
-
-
-def _write_curves(path: Path, epochs: list[Epoch]) -> None:
-    part = path.with_name(path.name + ".part")
-    with part.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fieldnames=list(Epoch.__slots__))
-        writer.writeheader()
-        writer.writerows(asdict(epoch) for epoch in epochs)
-    os.replace(part, path)

@@ -6,10 +6,8 @@ new views of it. Oord et al., Representation Learning with Contrastive Predictiv
 
 from __future__ import annotations
 
-import csv
 import importlib.metadata
 import json
-import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -23,16 +21,21 @@ from safetensors.torch import save
 from torch import Tensor
 
 from descriptors.constellation import Constellations, gather_constellations
-from descriptors.errors import DescriptorError
+from descriptors.learned.training_folder import Stateful, TrainingFolder, replaced
 from descriptors.learned.weights import with_sorted_header
 from descriptors.towers.learned_likelihood import FORMAT
 from descriptors.towers.network import Towers, TowersArchitecture, background_of, query_scores
 from descriptors.towers.training_maps import TrainingMap, draw_map
 from descriptors.towers.views import draw_view
 
-CHECKPOINT, WEIGHTS, CURVES = "checkpoint.pt", "weights.safetensors", "curves.csv"
 STEPS_PER_EPOCH = 50
+"""New maps before the weights are validated, half a minute's work."""
 LEAST_SEEN = 4
+"""Objects without which a view is drawn anew; loops are closed by as many."""
+LEAST_BACKGROUND = 5
+"""Objects of the map that give its background at least, as in a map in the making."""
+LONGEST_STEP = 1.0
+"""Norm to which gradients are clipped: one map with few objects does not undo what others taught."""
 RANKS = (1, 5, 25)
 
 
@@ -86,7 +89,7 @@ class Step:
 class Sample:
     """Objects of a map, and constellations of views with the places (Q,) of their objects among these.
 
-    ``background`` (C, R): as some of the map tell it, for a map in the making is small at first.
+    ``background`` (C, R): that of some of the map, for a map in the making is small at first.
     """
 
     constellations: Constellations
@@ -113,17 +116,16 @@ def train_towers(
         DescriptorError: the folder holds the checkpoint of another training, or one that cannot be read.
     """
     torch.set_num_threads(threads)
-    folder.mkdir(parents=True, exist_ok=True)
     run = _Run(config, given)
-    run.resume(folder / CHECKPOINT)
+    kept = TrainingFolder(folder, TowersEpoch, {**config.as_json(), "maps": run.maps_digest})
+    run.epochs = kept.resume(run.parts)
     rng = np.random.default_rng(2**31)
     validation = [draw_sample(config, (), rng=rng) for _ in range(config.validation_maps)]
     while len(run.epochs) < config.epochs:
         run.next_epoch(validation, on_step)
         if run.epochs[-1] is max(run.epochs, key=lambda each: each.validation_top_5):
-            _save(folder / WEIGHTS, run.towers, config, run.epochs[-1], run.maps_digest)
-        _write_curves(folder / CURVES, run.epochs)
-        run.save(folder / CHECKPOINT)
+            _save(kept.weights, run.towers, config, run.epochs[-1], run.maps_digest)
+        kept.save(run.epochs, run.parts)
     return run.epochs
 
 
@@ -156,7 +158,7 @@ def draw_sample(config: TowersTraining, given: Sequence[TrainingMap], *, rng: np
             constellations = gather_constellations(
                 drawn.positions + noise_m, drawn.labels, vocabulary, radius_m=radius_m, centres=compared
             )
-            counted = rng.permutation(len(compared))[: rng.integers(5, len(compared) + 5)]
+            counted = rng.permutation(len(compared))[: rng.integers(LEAST_BACKGROUND, len(compared) + LEAST_BACKGROUND)]
             background = background_of(constellations[counted], config.architecture.rings)
             return Sample(constellations, background, tuple(queries), np.searchsorted(asked, np.concatenate(objects)))
 
@@ -185,6 +187,12 @@ class _Run:
             self._optimizer, config.epochs * STEPS_PER_EPOCH, eta_min=config.last_rate
         )
         self.epochs: list[TowersEpoch] = []
+        self.parts: dict[str, Stateful] = {
+            "towers": self.towers,
+            "optimizer": self._optimizer,
+            "schedule": self._schedule,
+            "draws": _Draws(self._rng),
+        }
 
     def next_epoch(self, validation: list[Sample], on_step: Callable[[Step], None]) -> None:
         """50 steps, and what they achieved."""
@@ -204,47 +212,23 @@ class _Run:
         loss = torch.nn.functional.cross_entropy(scores_of(self.towers, sample), torch.as_tensor(sample.objects))
         self._optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
-        torch.nn.utils.clip_grad_norm_(self.towers.parameters(), 1.0)
+        torch.nn.utils.clip_grad_norm_(self.towers.parameters(), LONGEST_STEP)
         self._optimizer.step()
         self._schedule.step()
         return float(loss.detach())
 
-    def _identity(self) -> str:
-        return json.dumps([self._config.as_json(), self.maps_digest], sort_keys=True)
 
-    def save(self, path: Path) -> None:
-        """Write a checkpoint."""
-        part = path.with_name(path.name + ".part")
-        state = {
-            "identity": self._identity(),
-            "epochs": json.dumps([asdict(epoch) for epoch in self.epochs]),
-            "towers": self.towers.state_dict(),
-            "optimizer": self._optimizer.state_dict(),
-            "schedule": self._schedule.state_dict(),
-            "rng": json.dumps(self._rng.bit_generator.state),
-        }
-        torch.save(state, part)
-        os.replace(part, path)
+class _Draws:
+    """The state of a generator of random numbers; its integers are too long for a tensor."""
 
-    def resume(self, path: Path) -> None:
-        """Go on from a checkpoint, if there is one."""
-        if not path.exists():
-            return
-        try:
-            state = torch.load(path, weights_only=True)
-            identity, epochs = str(state["identity"]), [TowersEpoch(**each) for each in json.loads(state["epochs"])]
-        except Exception as error:  # what torch raises depends on where the file is broken
-            raise DescriptorError(f"{path}: cannot be read: {error}; delete it to start anew") from error
-        if identity != self._identity():
-            raise DescriptorError(
-                f"{path}: of a training with another configuration or other maps; choose another folder, or delete it "
-                "to start anew"
-            )
-        self.towers.load_state_dict(state["towers"])
-        self._optimizer.load_state_dict(state["optimizer"])
-        self._schedule.load_state_dict(state["schedule"])
-        self._rng.bit_generator.state = json.loads(state["rng"])
-        self.epochs = epochs
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+
+    def state_dict(self) -> str:
+        return json.dumps(self._rng.bit_generator.state)
+
+    def load_state_dict(self, state: str, /) -> None:
+        self._rng.bit_generator.state = json.loads(state)
 
 
 def _validate(towers: Towers, validation: list[Sample]) -> tuple[float, list[float]]:
@@ -269,16 +253,6 @@ def _save(path: Path, towers: Towers, config: TowersTraining, epoch: TowersEpoch
         "metrics": json.dumps(metrics),
         "code_version": json.dumps(importlib.metadata.version("descriptellation-slam")),
     }
-    part = path.with_name(path.name + ".part")
     tensors = {name: tensor.contiguous() for name, tensor in towers.state_dict().items()}
-    part.write_bytes(with_sorted_header(save(tensors, metadata=texts)))
-    os.replace(part, path)
-
-
-def _write_curves(path: Path, epochs: list[TowersEpoch]) -> None:
-    part = path.with_name(path.name + ".part")
-    with part.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fieldnames=list(TowersEpoch.__slots__))
-        writer.writeheader()
-        writer.writerows(asdict(epoch) for epoch in epochs)
-    os.replace(part, path)
+    with replaced(path) as part:
+        part.write_bytes(with_sorted_header(save(tensors, metadata=texts)))

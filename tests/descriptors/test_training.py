@@ -18,10 +18,11 @@ from descriptors.baselines.sgnet import SGNetArchitecture
 from descriptors.descriptellation import training
 from descriptors.descriptellation.dataset import DatasetConfig, make_dataset
 from descriptors.descriptellation.network import DescriptellationArchitecture
-from descriptors.descriptellation.training import CHECKPOINT, CURVES, WEIGHTS, Epoch, TrainingConfig, train_network
+from descriptors.descriptellation.training import Epoch, TrainingConfig, train_network
 from descriptors.errors import DescriptorError
 from descriptors.learned.architectures import default_architecture
 from descriptors.learned.inference import describe_padded
+from descriptors.learned.training_folder import CHECKPOINT, CURVES, WEIGHTS
 from descriptors.learned.weights import load_weights
 from descriptors.top_k import top_k_ratio
 

@@ -15,7 +15,8 @@ from descriptors.baselines.pointnet import PointNetArchitecture
 from descriptors.descriptellation import training
 from descriptors.descriptellation.dataset import DatasetConfig
 from descriptors.descriptellation.network import DescriptellationArchitecture
-from descriptors.descriptellation.training import WEIGHTS, Epoch, TrainingConfig
+from descriptors.descriptellation.training import Epoch, TrainingConfig
+from descriptors.learned.training_folder import WEIGHTS
 from descriptors.learned.weights import load_weights
 from descriptors.likelihood_index import LikelihoodIndex
 from descriptors.registry import make_index
