@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,22 +13,30 @@ from tools.arguments import Json, check_outputs
 
 if TYPE_CHECKING:
     from slam.benchmarks.descriptors import Cell, DescriptorBenchmark
+    from slam.benchmarks.map_size import SizeCell
+    from slam.simulation.world import World
 
 HEADINGS = ("success %", "of ceiling %", "ceiling %", "top 5 %", "candidates", "match ms", "verify ms")
 
 
+Objects = Annotated[
+    Path | None, typer.Option(metavar="CSV", help="Objects of a map: x_m,y_m,z_m,class,id.", show_default=False)
+]
+Trajectory = Annotated[
+    Path | None, typer.Option(metavar="CSV", help="Where queries are drawn: x_m,y_m.", show_default=False)
+]
+Methods = Annotated[
+    list[str] | None,
+    typer.Option("--descriptor", metavar="NAME", help="Only these; 'exhaustive search' is one. Repeatable."),
+]
+Neighbours = Annotated[int, typer.Option(min=1, help="Candidates for each object that is seen.")]
+
+
 def descriptors(
-    objects: Annotated[
-        Path | None, typer.Option(metavar="CSV", help="Objects of a map: x_m,y_m,z_m,class,id.", show_default=False)
-    ] = None,
-    trajectory: Annotated[
-        Path | None, typer.Option(metavar="CSV", help="Where queries are drawn: x_m,y_m.", show_default=False)
-    ] = None,
-    descriptor: Annotated[
-        list[str] | None,
-        typer.Option("--descriptor", metavar="NAME", help="Only these; 'exhaustive search' is one. Repeatable."),
-    ] = None,
-    neighbours: Annotated[int, typer.Option(min=1, help="Candidates for each object that is seen.")] = 100,
+    objects: Objects = None,
+    trajectory: Trajectory = None,
+    descriptor: Methods = None,
+    neighbours: Neighbours = 100,
     queries: Annotated[int, typer.Option(min=1, help="For each scenario and seed.")] = 500,
     seeds: Annotated[int, typer.Option(min=1, help="How often, each time with other queries.")] = 5,
     registration: Annotated[
@@ -48,33 +58,16 @@ def descriptors(
     """
     from dataclasses import asdict
 
-    import numpy as np
-
     from descriptors.registry import DESCRIPTOR_NAMES
     from slam.benchmarks.descriptors import EXHAUSTIVE, benchmark_descriptors
     from slam.benchmarks.localization_queries import labelled_map
-    from slam.simulation.street import generate_street
-    from slam.simulation.world import load_world
     from tools import console
 
     if registration not in ("vote", "ransac"):
         raise typer.BadParameter(f"{registration!r} is neither vote nor ransac.", param_hint="--registration")
-    if (objects is None) != (trajectory is None):
-        raise typer.BadParameter("--objects and --trajectory belong together; give both or neither.")
-    if objects is not None and trajectory is not None:
-        world = load_world(objects, trajectory)
-    else:
-        world = generate_street(rng=np.random.default_rng(0))
+    world = _world(objects, trajectory)
     methods = descriptor or [*DESCRIPTOR_NAMES, EXHAUSTIVE]
     with console.progress_bar("localizing", "localizing") as move:
-        done = 0
-
-        def report(_line: str) -> None:
-            nonlocal done
-            done += 1
-            if move is not None:
-                move(done / (3 * len(methods)))
-
         result = benchmark_descriptors(
             labelled_map(world),
             world.tour,
@@ -83,7 +76,7 @@ def descriptors(
             queries=queries,
             seeds=seeds,
             registration=registration,
-            on_progress=report,
+            on_progress=_counted(move, 3 * len(methods)),
         )
     if json:
         console.show_json({"map": world.name, **asdict(result)})
@@ -91,6 +84,31 @@ def descriptors(
         console.show(*_markdown(world.name, result))
     else:
         _show(world.name, result)
+
+
+def _world(objects: Path | None, trajectory: Path | None) -> World:
+    """The map of the files, or a simulated street."""
+    import numpy as np
+
+    from slam.simulation.street import generate_street
+    from slam.simulation.world import load_world
+
+    if (objects is None) != (trajectory is None):
+        raise typer.BadParameter("--objects and --trajectory belong together; give both or neither.")
+    if objects is not None and trajectory is not None:
+        return load_world(objects, trajectory)
+    return generate_street(rng=np.random.default_rng(0))
+
+
+def _counted(move: Callable[[float], None] | None, total: int) -> Callable[[object], None]:
+    """Moves a progress bar, if there is one, by one of ``total`` steps at each call."""
+    steps = count(1)
+
+    def step(_: object) -> None:
+        if move is not None:
+            move(next(steps) / total)
+
+    return step
 
 
 def map_size(
@@ -105,7 +123,7 @@ def map_size(
     size: Annotated[
         list[int] | None, typer.Option("--size", metavar="N", min=1, help="Objects in the map. Repeatable.")
     ] = None,
-    neighbours: Annotated[int, typer.Option(min=1, help="Candidates for each object that is seen.")] = 100,
+    neighbours: Neighbours = 100,
     queries: Annotated[int, typer.Option(min=1, help="For each scenario.")] = 100,
     picture: Annotated[
         Path | None, typer.Option("--picture", metavar="PNG", help="Draw success and time over size.")
@@ -130,24 +148,25 @@ def map_size(
     methods = descriptor or ["ring_likelihood", EXHAUSTIVE]
     sizes = sorted(size or SIZES)
     with console.progress_bar("localizing", "localizing") as move:
-
-        def report(done: int) -> None:
-            if move is not None:
-                move(done / (3 * len(methods) * len(sizes)))
-
         cells = benchmark_map_size(
             load_world(objects, trajectory),
             methods,
             sizes=sizes,
             queries=queries,
             neighbours=neighbours,
-            on_progress=report,
+            on_progress=_counted(move, 3 * len(methods) * len(sizes)),
         )
     if picture is not None:
         draw_map_size(picture, cells)
     if json:
         console.show_json({"cells": [asdict(cell) for cell in cells]})
-        return
+    else:
+        _show_sizes(cells)
+
+
+def _show_sizes(cells: Sequence[SizeCell]) -> None:
+    from tools import console
+
     headings = ("objects", "within 1 m %", "median ms", "p95 ms", "map s")
     table = console.grid({"descriptor": False, "scenario": False, **dict.fromkeys(headings, True)})
     for cell in cells:

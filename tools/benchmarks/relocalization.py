@@ -18,50 +18,59 @@ RIGHT = (4.0, 10.0)
 HEADINGS = ("drives", "found", "in map", "late", "wrong", "lost", "m", "95 %", "s", "off m", "95 % off", "deg", "kept")
 
 
+Objects = Annotated[
+    Path | None, typer.Option(metavar="CSV", help="Objects of a world: x_m,y_m,z_m,class,id.", show_default=False)
+]
+Trajectory = Annotated[
+    Path | None, typer.Option(metavar="CSV", help="Tour that is mapped: x_m,y_m.", show_default=False)
+]
+MapLog = Annotated[
+    Path | None,
+    typer.Option(
+        "--map",
+        metavar="MAP.mcap",
+        help="Search in that map, in the frame of the objects, instead of driving.",
+        show_default=False,
+    ),
+]
+RealLog = Annotated[
+    Path | None,
+    typer.Option(metavar="LOG.mcap", help="A real drive with its truth instead of a world.", show_default=False),
+]
+MapUntil = Annotated[
+    float | None,
+    typer.Option(metavar="SECONDS", min=1.0, help="With --log: what makes the map ends there.", show_default=False),
+]
+Right = Annotated[
+    tuple[float, float], typer.Option(metavar="METRES DEGREES", help="With --log: most error of a right fix.")
+]
+Noise = Annotated[
+    float, typer.Option(min=0.0, max=10.0, help="Factor on the errors of the sensor after the map was made.")
+]
+Changed = Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of the objects replaced after the map was made.")]
+Thin = Annotated[
+    float, typer.Option(metavar="FACTOR", min=1.0, help="One of so many objects is left before the map is made.")
+]
+WithOracle = Annotated[
+    bool, typer.Option("--oracle", help="Also measure what could be found: all poses, all observations of 40 m.")
+]
+MaxTravel = Annotated[float, typer.Option("--max-travel", metavar="METRES", min=5.0, help="How long each drive is.")]
+
+
 def relocalization(
-    objects: Annotated[
-        Path | None, typer.Option(metavar="CSV", help="Objects of a world: x_m,y_m,z_m,class,id.", show_default=False)
-    ] = None,
-    trajectory: Annotated[
-        Path | None, typer.Option(metavar="CSV", help="Tour that is mapped: x_m,y_m.", show_default=False)
-    ] = None,
-    map_log: Annotated[
-        Path | None,
-        typer.Option(
-            "--map",
-            metavar="MAP.mcap",
-            help="Search in that map, in the frame of the objects, instead of driving.",
-            show_default=False,
-        ),
-    ] = None,
-    log: Annotated[
-        Path | None,
-        typer.Option(metavar="LOG.mcap", help="A real drive with its truth instead of a world.", show_default=False),
-    ] = None,
-    map_until: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", min=1.0, help="With --log: what makes the map ends there.", show_default=False),
-    ] = None,
-    right: Annotated[
-        tuple[float, float], typer.Option(metavar="METRES DEGREES", help="With --log: most error of a right fix.")
-    ] = RIGHT,
+    objects: Objects = None,
+    trajectory: Trajectory = None,
+    map_log: MapLog = None,
+    log: RealLog = None,
+    map_until: MapUntil = None,
+    right: Right = RIGHT,
     kidnaps: Annotated[int, typer.Option(min=1, help="How often the robot is kidnapped.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the map, the places and all errors.")] = 0,
-    noise: Annotated[
-        float, typer.Option(min=0.0, max=10.0, help="Factor on the errors of the sensor after the map was made.")
-    ] = 1.0,
-    changed: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Share of the objects replaced after the map was made.")
-    ] = 0.0,
-    thin: Annotated[
-        float, typer.Option(metavar="FACTOR", min=1.0, help="One of so many objects is left before the map is made.")
-    ] = 1.0,
-    oracle: Annotated[
-        bool, typer.Option("--oracle", help="Also tell what could be found: all poses, all observations of 40 m.")
-    ] = False,
-    max_travel: Annotated[
-        float, typer.Option("--max-travel", metavar="METRES", min=5.0, help="How long each drive is.")
-    ] = 60.0,
+    noise: Noise = 1.0,
+    changed: Changed = 0.0,
+    thin: Thin = 1.0,
+    oracle: WithOracle = False,
+    max_travel: MaxTravel = 60.0,
     jobs: Annotated[int, typer.Option(min=1, help="Processes that search at a time; with --log one.")] = 1,
     config_file: ConfigFile = None,
     settings: Settings = None,
@@ -90,30 +99,30 @@ def relocalization(
 
     chosen = parse_topics(topics)
     config = load_config(config_file, settings or ())
+    conditions = {"seed": seed, "noise": noise, "changed": changed, "thin": thin, "oracle": oracle}
+    conditions["max_travel_m"] = max_travel
     if log is not None:
         if objects is not None or trajectory is not None or map_log is not None or map_until is None:
             raise typer.BadParameter(
                 "it goes with --map-until, and without --objects, --trajectory and --map.", param_hint="--log"
             )
-        if (seed, noise, changed, thin, oracle, jobs) != (0, 1.0, 0.0, 1.0, False, 1):
-            raise typer.BadParameter("a log is as it is; they go with --objects.", param_hint="--seed, --noise, ...")
-        if not min(right) > 0.0:
-            raise typer.BadParameter(f"{right[0]:g} m and {right[1]:g} deg must be above 0.", param_hint="--right")
+        _check_log(right, conditions, jobs)
         _run_log(log, config, map_until, kidnaps, max_travel, right, chosen, as_json=json)
         return
     if objects is None or trajectory is None:
         raise typer.BadParameter("give both, or --log with --map-until.", param_hint="--objects and --trajectory")
     if map_until is not None or topics or right != RIGHT:
         raise typer.BadParameter("they go with --log.", param_hint="--map-until, --right and --topic")
-    conditions = {
-        "seed": seed,
-        "noise": noise,
-        "changed": changed,
-        "thin": thin,
-        "oracle": oracle,
-        "max_travel_m": max_travel,
-    }
     _run_world(objects, trajectory, map_log, config, kidnaps, jobs, conditions, as_json=json)
+
+
+def _check_log(right: tuple[float, float], conditions: dict[str, Any], jobs: int) -> None:
+    """Refuse options that do not go with --log."""
+    as_it_is = {"seed": 0, "noise": 1.0, "changed": 0.0, "thin": 1.0, "oracle": False}
+    if jobs != 1 or any(conditions[name] != value for name, value in as_it_is.items()):
+        raise typer.BadParameter("a log is as it is; they go with --objects.", param_hint="--seed, --noise, ...")
+    if not min(right) > 0.0:
+        raise typer.BadParameter(f"{right[0]:g} m and {right[1]:g} deg must be above 0.", param_hint="--right")
 
 
 def _run_world(
