@@ -5,12 +5,13 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed
 PROTOC := build/protoc/bin/python
 
-.PHONY: help demo check test lint fuzz schemas clean
+.PHONY: help demo check test bench-check lint fuzz schemas clean
 
 help:
 	@echo 'make demo     simulate a drive, map it, evaluate it; leaves out/demo*.mcap, out/demo.html and out/demo.png'
 	@echo 'make check    lint, types and the tests that are not slow: about a minute'
 	@echo 'make test     lint, types and all tests'
+	@echo 'make bench-check  the headline figures against their bands, in docs/results/headline.md (minutes; needs ../shared/data)'
 	@echo 'make lint     only ruff and mypy'
 	@echo 'make fuzz     run N=200 mutated files of SEED=0 through all commands; those that fail stay in out/fuzz'
 	@echo 'make docs     the documentation as a site, in build/site'
@@ -55,6 +56,9 @@ check: lint
 
 test: lint
 	$(BIN)/pytest -n auto --dist loadfile
+
+bench-check: $(INSTALLED)
+	OMP_NUM_THREADS=1 $(BIN)/python docs/run_results.py headline --again
 
 N ?= 200
 SEED ?= 0

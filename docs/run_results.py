@@ -43,11 +43,11 @@ def read_blocks(page: str) -> list[Block]:
     return [Block(f"{page}-{number}", commands, data) for number, commands in enumerate(_BLOCK.findall(text), start=1)]
 
 
-def run(block: Block, folder: Path) -> int:
-    """Run the commands, unless they were run; returns the exit code. The commands stand above their output."""
+def run(block: Block, folder: Path, *, again: bool = False) -> int:
+    """Run the commands, unless they were run and not wanted ``again``; returns the exit code. The commands stand above their output."""
     done, part = folder / f"{block.name}.txt", folder / f"{block.name}.part"
     head = f"{block.commands}\n----\n"
-    if done.is_file() and done.read_text(encoding="utf-8").startswith(head):
+    if not again and done.is_file() and done.read_text(encoding="utf-8").startswith(head):
         print(f"{block.name}: there already")
         return 0
     print(f"{block.name}: {done}", flush=True)
@@ -68,6 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("pages", nargs="*", choices=[[], *PAGES], default=[], help="all by default")
     parser.add_argument("--list", action="store_true", help="print the commands instead")
+    parser.add_argument("--again", action="store_true", help="run also what was run before")
     chosen = parser.parse_args(arguments)
     blocks = [block for page in chosen.pages or PAGES for block in read_blocks(page)]
     if chosen.list:
@@ -76,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     folder = ROOT / "out" / "results"
     folder.mkdir(parents=True, exist_ok=True)
-    failed = [block.name for block in blocks if run(block, folder) != 0]
+    failed = [block.name for block in blocks if run(block, folder, again=chosen.again) != 0]
     if failed:
         print(f"failed: {', '.join(failed)}; their output is in {folder}/NAME.part", file=sys.stderr)
     return int(bool(failed))

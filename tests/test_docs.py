@@ -109,6 +109,8 @@ def test_results_are_run_from_the_pages_themselves(tmp_path: Path) -> None:
     block = results["Block"]("page-1", "echo $D; echo once >> times\n", tmp_path)
     assert results["run"](block, tmp_path) == results["run"](block, tmp_path) == 0
     assert (tmp_path / "times").read_text() == "once\n"
+    assert results["run"](block, tmp_path, again=True) == 0
+    assert (tmp_path / "times").read_text() == "once\nonce\n"
     assert (tmp_path / "page-1.txt").read_text().endswith(f"----\n{tmp_path}\n")
     failing = results["Block"]("page-2", "false\n", tmp_path)
     assert results["run"](failing, tmp_path) == 1
