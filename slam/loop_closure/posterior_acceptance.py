@@ -27,9 +27,7 @@ class PosteriorAcceptance:
         self._sensor_range_m = config.detection.sensor_range_m
         self._verifier = verifier
         self._keyframes = keyframes
-        self._localizer = Localizer(
-            config.localization, verifier.agree, memory_m=config.loop_closure.propagation_distance_m
-        )
+        self._localizer = Localizer(config.localization, memory_m=config.loop_closure.propagation_distance_m)
 
     def reset(self) -> None:
         """Forget all hypotheses."""
@@ -39,7 +37,7 @@ class PosteriorAcceptance:
         """Where the hypotheses are by the odometry."""
         places = (
             self._verifier.place_at(query, T_local_query, segment)
-            for segment, T_local_query in self._localizer.predictions(query.T_local_gravity)
+            for segment, T_local_query in self._localizer.predictions(query.T_local_gravity, query.travel_m)
         )
         return [place for place in places if place is not None]
 
@@ -69,7 +67,6 @@ class PosteriorAcceptance:
             best = replace(best, best_rival_llr=best_rival)
         else:
             is_best = True
-        best = replace(best, accumulated_llr=float(posterior.log_odds[posterior.best]))
         rejected = tuple(each.record(Stage.ACCEPTANCE, "another candidate is likelier") for each in others)
         if is_best and self._is_sure(posterior):
             return Decision(rejected, best)
@@ -94,8 +91,7 @@ class PosteriorAcceptance:
             candidate.T_local_query,
             self._keyframes[candidate.reference].odometry.segment,
             -candidate.odometry_penalty,
-            candidate.rows,
-            candidate.log_likelihood_ratios,
+            candidate.log_likelihood_ratio,
         )
 
     def _is_sure(self, posterior: Posterior) -> bool:
