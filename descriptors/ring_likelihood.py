@@ -9,7 +9,7 @@ where density_m adds up one kernel for each neighbour of class c that m has in t
 has of any one class, and e the share of neighbours that are not where the map has them. The vector of m holds these
 numbers for every class and ring; what a query scores against m is the sum of the entries that its own neighbours fall
 into. So objects that the query does not see (out of range, hidden, missed) cost nothing, which no distance between
-histograms can say. The kernel has a narrow and a wide part: exact detections are told apart exactly, noisy ones still
+histograms can say. The kernel has a narrow and a wide part: exact detections are distinguished, noisy ones still
 found.
 
 Nothing in it turns with the sensor or depends on the order of the objects.

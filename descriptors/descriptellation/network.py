@@ -77,7 +77,7 @@ class Descriptellation(nn.Module):
 
 
 class NodeInput(nn.Module):
-    """What the network is told of an object: its position, and, but for ``position``, its class."""
+    """What the network is given of an object: its position, and, but for ``position``, its class."""
 
     def __init__(
         self, kind: InputKind, vocabulary_size: int, embedding_length: int, position_scale_m: float = 1.0

@@ -17,6 +17,7 @@ from descriptors.towers.rings import FINE, Background, Rings, horizontal_m, neig
 
 FORMAT = "descriptellation towers 1"
 MOST_NATS = 6.0
+"""Most of one neighbour: what a byte of the index holds above ``least_nats``, 8 nats from -2 on."""
 
 
 class LearnedLikelihood:
@@ -92,12 +93,12 @@ class LearnedLikelihood:
         return np.asarray(csr_matrix((gate, (rows, fine)), shape=(count, FINE)) @ kernel)
 
     def _ring_terms(self, background: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        told = ring_features(background, self._rings).reshape(-1, 2).astype(np.float32)
-        terms = self._perceive("ring", told).reshape(*background.shape, 2)
+        features = ring_features(background, self._rings).reshape(-1, 2).astype(np.float32)
+        terms = self._perceive("ring", features).reshape(*background.shape, 2)
         return np.exp(terms[:, :, 0]), np.asarray(expit(terms[:, :, 1]))
 
-    def _perceive(self, name: str, told: NDArray[np.float32]) -> NDArray[np.float32]:
-        hidden = np.tanh(told @ self._weights[f"{name}.0.weight"].T + self._weights[f"{name}.0.bias"])
+    def _perceive(self, name: str, features: NDArray[np.float32]) -> NDArray[np.float32]:
+        hidden = np.tanh(features @ self._weights[f"{name}.0.weight"].T + self._weights[f"{name}.0.bias"])
         return np.asarray(hidden @ self._weights[f"{name}.2.weight"].T + self._weights[f"{name}.2.bias"])
 
 

@@ -16,7 +16,8 @@ from descriptors.towers.rings import FEATURES, Background, Rings, horizontal_m, 
 @dataclass(frozen=True, slots=True)
 class TowersArchitecture:
     """Sizes of the towers. ``widths_m`` and ``widths_per_m``: of the kernels before training, at distance 0 and how
-    they grow with it; ``level_width_m``, ``level_width_per_m``: of the kernel that tells how crowded an object is.
+    they grow with it; ``level_width_m``, ``level_width_per_m``: of the kernel that measures how crowded an object is;
+    ``odds``: of a gate before training, P_D / (1 - P_D) with P_D 0.75.
     """
 
     name: str = "descriptellation"
@@ -24,6 +25,7 @@ class TowersArchitecture:
     least_ring_m: float = 0.25
     ring_growth: float = 0.02
     hidden: int = 24
+    ring_hidden: int = 8
     widths_m: tuple[float, ...] = (0.12, 0.3, 0.7, 1.0)
     widths_per_m: tuple[float, ...] = (0.002, 0.01, 0.03, 0.08)
     level_width_m: float = 3.0
@@ -41,7 +43,7 @@ class Towers(nn.Module):
 
     Each neighbour n of an object lays kernels of several widths over the rings; how much each counts, a small network
     decides from what is around (attention over the neighbours). The level is the same sum with one wide kernel: among
-    many neighbours, that there is one tells nothing, and where exactly it is tells all.
+    many neighbours, the presence of one carries no information; only its exact position does.
     """
 
     def __init__(self, architecture: TowersArchitecture | None = None) -> None:
@@ -53,7 +55,7 @@ class Towers(nn.Module):
         self.log_width = nn.Parameter(torch.log(torch.tensor([*sizes.widths_m, sizes.level_width_m])))
         self.log_growth = nn.Parameter(torch.log(torch.tensor([*sizes.widths_per_m, sizes.level_width_per_m])))
         self.gate = _perceptron(FEATURES, sizes.hidden, kernels, start=float(np.log(sizes.odds)))
-        self.ring = _perceptron(2, 8, 2, start=0.0)
+        self.ring = _perceptron(2, sizes.ring_hidden, 2, start=0.0)
 
     def kernels(self) -> Tensor:
         """Densities (W + 1, FINE, R) per metre: mean over each ring of a normal density at each distance."""
@@ -81,7 +83,7 @@ class Towers(nn.Module):
         return worth * (there - crowded * torch.log1p(level.view(-1, size, rings) * per_background))
 
     def ring_terms(self, background: NDArray[np.float64]) -> tuple[Tensor, Tensor]:
-        """For each class and ring (C, R), how much an observed neighbour tells there, 1 if it were independent of all
+        """For each class and ring (C, R), the weight of an observed neighbour there, 1 if it were independent of all
         others, and how much of the level is taken off, 0 to 1.
         """
         terms = self.ring(torch.as_tensor(ring_features(background, self.rings), dtype=torch.float32))

@@ -1,4 +1,4 @@
-"""What both towers agree on: rings of distance, and what is told of a neighbour beside its class and distance."""
+"""What both towers agree on: rings of distance, and the features of neighbours and rings."""
 
 from __future__ import annotations
 
@@ -9,15 +9,18 @@ from scipy.ndimage import convolve
 from descriptors.constellation import Constellations
 
 FEATURES = 6
+"""Numbers that :func:`neighbour_features` gives for each neighbour."""
 FINE = 1024
-"""Steps into which the distance of a neighbour of the map is rounded before kernels are laid over it."""
+"""Steps into which the distance of a neighbour of the map is rounded before kernels are laid over it: 6 cm, half of the
+narrowest kernel."""
 SMOOTHED_RINGS = 4
-"""Rings to either side over which the background is averaged."""
+"""Rings to either side over which the background is averaged: few counts of a small map are spread over 2 m."""
 PRIOR_OBJECTS = 2.0
-"""Constellations that the prior background stands for, while the map is small."""
+"""Constellations that the prior background stands for: a few of the map outweigh it."""
 PRIOR_PER_KM2 = 500.0
+"""Objects of one class on a square kilometre of a city, as in :mod:`descriptors.ring_likelihood`."""
 SHARED = 0.5
-"""Share of the background that all classes have in common."""
+"""Share of the background that all classes have in common: half, as nothing is known of how much they differ."""
 
 
 class Rings:
@@ -55,7 +58,7 @@ def horizontal_m(positions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def neighbour_features(constellations: Constellations) -> NDArray[np.float32]:
-    """What the gates are told (P, FEATURES) of each neighbour; all of it stays as it is when the sensor turns.
+    """Features (P, FEATURES) of each neighbour for the gates; none of them changes when the sensor turns.
 
     Its distance; how many neighbours the centre has; the share of its class among them; whether that is the class of
     the centre; how many of its class stand equally far from the centre; its height above the centre.
@@ -82,7 +85,7 @@ def neighbour_features(constellations: Constellations) -> NDArray[np.float32]:
 
 
 def ring_features(background: NDArray[np.float64], rings: Rings) -> NDArray[np.float64]:
-    """What is told (C, R, 2) of a ring: its distance, and how much is there in an average place."""
+    """Features (C, R, 2) of each ring: its distance, and how much is there in an average place."""
     middles = np.broadcast_to(np.log(rings.middles_m / 10.0), background.shape)
     return np.stack([middles, np.log(background)], axis=2)
 

@@ -98,7 +98,7 @@ def benchmark_descriptors(
         queries: for each scenario and seed.
         seeds: 0 to ``seeds`` - 1.
         registration: what verifies the candidates of descriptors, as in ``registration.method``.
-        on_progress: told what was measured.
+        on_progress: called with what was measured.
 
     Raises:
         DescriptorError: a descriptor that does not exist, or that the map's classes are too many for.

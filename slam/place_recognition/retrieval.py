@@ -113,7 +113,7 @@ class PlaceRetriever:
     def retrieve(self, query: Submap, *, before_m: float, seed: int) -> list[Place]:
         """The best places of a query, given in its gravity frame, among landmarks seen before that travel.
 
-        By triangles first, and by descriptors where the classes are told apart.
+        By triangles first, and by descriptors where classes are distinctive.
         """
         landmarks = self._map.rows
         usable = (landmarks["first_seen_travel_m"] < before_m) & (landmarks["state"] == LandmarkState.CONFIRMED)

@@ -70,7 +70,7 @@ class Sweep:
     @property
     def failures(self) -> list[str]:
         """One line for each cell that failed."""
-        return [f"{_told(cell)}: {result.error}" for cell, result in self.results if result.error]
+        return [f"{_description(cell)}: {result.error}" for cell, result in self.results if result.error]
 
     def to_json_dict(self) -> dict[str, Any]:
         """Plain dicts, lists, strings and finite numbers, which but for ``times`` depend on the input alone."""
@@ -140,7 +140,7 @@ def run_sweep(
                 result = _after_death(outcome) if isinstance(outcome, Death) else outcome
                 kept.keep(task.cell, result)
                 results[task.cell] = result
-                _log.info("%s: %s", _told(task.cell), result.error or "done")
+                _log.info("%s: %s", _description(task.cell), result.error or "done")
                 if on_progress is not None:
                     on_progress(len(results) / len(cells))
     rows = tuple(
@@ -174,7 +174,7 @@ def _after_death(death: Death) -> CellResult:
     return CellResult(None, why, {})
 
 
-def _told(cell: Cell) -> str:
+def _description(cell: Cell) -> str:
     return f"{cell.degradation.name}, seed {cell.seed}"
 
 

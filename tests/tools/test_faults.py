@@ -12,7 +12,7 @@ from slam.benchmarks.faults.run import FaultRun
 from slam.simulation.faults.registry import FAULTS
 from tests.helpers.short_drives import Entry, keep_until, write_log
 from tests.tools.runs import SAMPLE, Run, assert_refused
-from tools.benchmarks.faults import told_of
+from tools.benchmarks.faults import report_of
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +103,7 @@ class TestBenchmark:
 
     def test_what_the_user_is_told(self) -> None:
         counters = {"closures_removed": 3, "closures_rejected_by_odometry": 2, "odometry_breaks": 1, "keyframes": 9}
-        told = told_of(FaultRun("odometry_wild", final_status="optimised", counters=counters, warnings=("lost",)))
+        told = report_of(FaultRun("odometry_wild", final_status="optimised", counters=counters, warnings=("lost",)))
         assert told.startswith(
             "status: optimised; warnings: odometry breaks 1; 3 closures removed as outliers; 2 more rejected"
         )

@@ -32,7 +32,7 @@ def faults(
     jobs: Annotated[int, typer.Option(min=1, help="Processes at a time.")] = 1,
     json: Json = False,
 ) -> None:
-    """Put faults into the input of a drive with truth, map it with each, and tell what becomes of it and is said.
+    """Put faults into the input of a drive with truth, map it with each, and measure the map and what is reported.
 
     The faults are those of 'dslam degrade --list-faults'. Each is mapped in a process of its own, and so is the drive
     as it is. Progress goes to standard error, a line for each fault.
@@ -54,18 +54,18 @@ def faults(
     runs: dict[str, FaultRun] = {}
     for run in benchmark_faults(log, cases, config, seed=seed, jobs=jobs, topics=chosen):
         runs[run.fault] = run
-        _tell_progress(run, len(runs), len(order))
+        _print_progress(run, len(runs), len(order))
         finished = [runs[name] for name in order if name in runs]
         if output is not None:
             _write(output, log, seed, finished)
     if json:
-        told = [{**asdict(run), "told": told_of(run)} for run in finished]
-        console.show_json({"log": str(log), "seed": seed, "runs": told})
+        rows = [{**asdict(run), "reported": report_of(run)} for run in finished]
+        console.show_json({"log": str(log), "seed": seed, "runs": rows})
     else:
         _show(finished, output)
 
 
-def told_of(run: FaultRun) -> str:
+def report_of(run: FaultRun) -> str:
     """What 'dslam replay' prints of the run beside its numbers: final status, warnings, closures taken out, doubts."""
     warnings = ", ".join(noted_counters(run.counters)) or "none"
     doubted = rejected_by_odometry_note(run.counters.get("closures_rejected_by_odometry", 0)).removeprefix("; ")
@@ -77,7 +77,7 @@ def told_of(run: FaultRun) -> str:
     return "; ".join([*said, *(f"on the way: {text}" for text in run.warnings if text != run.final_status)])
 
 
-def _tell_progress(run: FaultRun, done: int, total: int) -> None:
+def _print_progress(run: FaultRun, done: int, total: int) -> None:
     from slam.benchmarks.faults.table import HEADINGS, table_row
 
     cells = dict(zip(HEADINGS, table_row(run, ""), strict=True))
@@ -91,14 +91,14 @@ def _write(output: Path, log: Path, seed: int, runs: list[FaultRun]) -> None:
     from slam.benchmarks.faults.table import render_markdown, table_row
     from slam.sweeps.cells import write_text
 
-    write_text(output, render_markdown(log, seed, [table_row(run, told_of(run)) for run in runs]))
+    write_text(output, render_markdown(log, seed, [table_row(run, report_of(run)) for run in runs]))
 
 
 def _show(runs: list[FaultRun], output: Path | None) -> None:
     from slam.benchmarks.faults.table import HEADINGS, table_row
     from tools import console
 
-    table = console.grid({heading: heading not in ("fault", "told") for heading in HEADINGS})
+    table = console.grid({heading: heading not in ("fault", "reported") for heading in HEADINGS})
     for run in runs:
-        table.add_row(*table_row(run, told_of(run)))
+        table.add_row(*table_row(run, report_of(run)))
     console.show(table, *([f"written {output}"] if output is not None else []))

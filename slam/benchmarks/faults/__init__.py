@@ -1,1 +1,1 @@
-"""What faults of the input do to a map, and what the user is told of them."""
+"""What faults of the input do to a map, and what is reported of them."""

@@ -129,7 +129,7 @@ def _measured(
     fault: str, summary: ReplaySummary, records: EvaluationRecords, evaluation: Evaluation, seconds: float
 ) -> FaultRun:
     closures = evaluation.closures
-    told = (status.message for status in records.statuses if status.level != "info")
+    warnings = (status.message for status in records.statuses if status.level != "info")
     return FaultRun(
         fault=fault,
         ate_m=evaluation.estimate.absolute.rmse_m if evaluation.estimate else None,
@@ -141,7 +141,7 @@ def _measured(
         seconds=seconds,
         final_status=summary.final_status,
         notes=summary.notes,
-        warnings=tuple(dict.fromkeys(told)),
+        warnings=tuple(dict.fromkeys(warnings)),
         counters=summary.counters,
     )
 

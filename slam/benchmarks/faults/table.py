@@ -15,13 +15,13 @@ HEADINGS = (
     "precision",
     "false in the graph",
     "landmarks",
-    "told",
+    "reported",
     "s",
 )
 
 
-def table_row(run: FaultRun, told: str) -> tuple[str, ...]:
-    """The cells of a run under :data:`HEADINGS`; ``told`` is what the user was told of it."""
+def table_row(run: FaultRun, reported: str) -> tuple[str, ...]:
+    """The cells of a run under :data:`HEADINGS`; ``reported`` is what 'dslam replay' prints of it."""
     return (
         run.fault,
         _decimal(run.ate_m, 3),
@@ -30,13 +30,13 @@ def table_row(run: FaultRun, told: str) -> tuple[str, ...]:
         _decimal(run.precision, 3),
         _whole(run.false_closures_in_graph),
         _whole(run.landmarks),
-        f"error: {run.error}" if run.error else told,
+        f"error: {run.error}" if run.error else reported,
         _decimal(run.seconds, 0),
     )
 
 
 def render_markdown(log: Path, seed: int, rows: Sequence[Sequence[str]]) -> str:
-    """The rows under a heading that tells the drive."""
+    """The rows under a heading with the name of the drive."""
     lines = [
         f"# Faults of the input of {log.name}, seed {seed}",
         "",

@@ -1,6 +1,6 @@
 """What could be known of a kidnapped robot's place: all poses, all observations of a drive, and their true noise.
 
-It is told which detections are of one object, by their true ids, and how the robot moved; then every pair of objects
+It is given which detections are of one object, by their true ids, and how the robot moved; then every pair of objects
 is tried against every pair of landmarks of the map. What it finds bounds what any relocalization can find.
 """
 

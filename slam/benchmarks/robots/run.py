@@ -57,7 +57,7 @@ class RobotRun:
 
 
 def run_drives(drives: Sequence[RobotDrive], config: Config) -> Iterator[RobotRun]:
-    """Run each drive; one that fails is told and does not end the others."""
+    """Run each drive; one that fails is reported and does not end the others."""
     for drive in drives:
         try:
             with TemporaryDirectory() as folder:

@@ -57,8 +57,8 @@ def test_what_cannot_be_mapped_is_a_row(log: Path, tmp_path: Path) -> None:
     run = run_fault(task(log, "no_such_fault", tmp_path))
     assert "no_such_fault" in run.error
     assert run.ate_m is None
-    cells = dict(zip(HEADINGS, table_row(run, "told"), strict=True))
-    assert cells["told"] == f"error: {run.error}"
+    cells = dict(zip(HEADINGS, table_row(run, "reported"), strict=True))
+    assert cells["reported"] == f"error: {run.error}"
     assert cells["ATE m"] == "–"
 
 
