@@ -44,7 +44,10 @@ def read_blocks(page: str) -> list[Block]:
 
 
 def run(block: Block, folder: Path, *, again: bool = False) -> int:
-    """Run the commands, unless they were run and not wanted ``again``; returns the exit code. The commands stand above their output."""
+    """Run the commands, if they were not run before or are wanted ``again``; returns the exit code.
+
+    The commands stand above their output.
+    """
     done, part = folder / f"{block.name}.txt", folder / f"{block.name}.part"
     head = f"{block.commands}\n----\n"
     if not again and done.is_file() and done.read_text(encoding="utf-8").startswith(head):
