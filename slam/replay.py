@@ -298,7 +298,10 @@ def _about_map(prior_map: PriorMap | None, *, extend: bool) -> dict[str, str]:
     """Which map the drive was given, by the drives that made it."""
     if prior_map is None:
         return {}
-    return {"map_drives": json.dumps([dict(drive) for drive in prior_map.drives]), "map_extended": json.dumps(extend)}
+    about = {"map_drives": json.dumps([dict(drive) for drive in prior_map.drives]), "map_extended": json.dumps(extend)}
+    if prior_map.georeference is not None:  # the output is in the frame of that map
+        about["georeference"] = prior_map.georeference.to_json()
+    return about
 
 
 def _span(reader: LogReader, selection: Selection) -> tuple[int, int]:

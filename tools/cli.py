@@ -27,6 +27,7 @@ from tools import (
 from tools import main as main
 from tools.benchmarks import commands as benchmark
 from tools.evaluation import compare, evaluate, sweep
+from tools.maps import commands as maps
 from tools.results import export, view
 
 BAD_INPUT = 2
@@ -54,6 +55,7 @@ app.add_typer(import_logs.app, name="import")
 app.command()(info.info)
 app.command()(replay.replay)
 app.command()(relocalize.relocalize)
+app.add_typer(maps.app, name="map")
 app.command()(evaluate.evaluate)
 app.command()(compare.compare)
 app.command()(sweep.sweep)

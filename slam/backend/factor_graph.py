@@ -122,20 +122,25 @@ class FactorGraph:
         landmarks: Mapping[int, FloatArray],
         edges: Sequence[Edge],
         observations: Sequence[Observation],
+        *,
+        tie: Edge | None = None,
     ) -> None:
-        """Restore the optimised graph of a prior map, into an empty graph.
+        """Restore the optimised graph of a prior map, into an empty graph or beside what is there.
 
         Args:
-            keyframes: ids; the first one fixes the map frame.
+            keyframes: ids; without a ``tie`` the first one fixes the map frame.
             T_map_body: (K, 4, 4), their estimates.
             landmarks: estimates (3,) m by id.
             edges: between those keyframes, which they tie all together.
             observations: of those landmarks from those keyframes.
+            tie: leads from a keyframe that is there to one of these.
         """
-        self.add_first_keyframe(keyframes[0], T_map_body[0])
-        for keyframe, T in zip(keyframes[1:], T_map_body[1:], strict=True):
-            self._insert_keyframe(keyframe, T)
-        for edge in edges:
+        for keyframe, T in zip(keyframes, T_map_body, strict=True):
+            if tie is None and keyframe == keyframes[0]:
+                self.add_first_keyframe(keyframe, T)
+            else:
+                self._insert_keyframe(keyframe, T)
+        for edge in edges if tie is None else (tie, *edges):
             self.add_edge(edge)
         for observation in observations:
             self._enter(observation.landmark, landmarks[observation.landmark])

@@ -41,6 +41,15 @@ def apply(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
     return points_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]
 
 
+def adjoint(T_a_b: FloatArray) -> FloatArray:
+    """Matrix (6, 6) that turns a small motion (rotation, translation) along the axes of frame b into one of frame a."""
+    R, (x, y, z) = T_a_b[:3, :3], T_a_b[:3, 3]
+    Ad = np.zeros((6, 6))
+    Ad[:3, :3] = Ad[3:, 3:] = R
+    Ad[3:, :3] = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ R
+    return Ad
+
+
 def covariance_in_axes(covariance_a: FloatArray, R_a_b: FloatArray) -> FloatArray:
     """Covariance (6, 6) of a rotation and a translation, each in the axes of frame a, in those of frame b."""
     R = np.zeros((6, 6))

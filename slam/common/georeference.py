@@ -13,9 +13,12 @@ import numpy as np
 
 from slam.common.arrays import FloatArray
 from slam.common.errors import GeometryError
+from slam.common.geometry import transform_from_xyz_yaw
 
 SEMI_MAJOR_M = 6378137.0
 ECCENTRICITY_SQUARED = 6.69437999014e-3
+_BASELINE_M = 100.0
+"""Over that length the heading of one frame in another is taken."""
 _ITERATIONS = 20
 """Each brings the point nearer by a factor, 0.1 at 100 km and 80 deg of latitude, less elsewhere."""
 
@@ -55,6 +58,13 @@ class Georeference:
             east_north = (positions[:, :2] - reached[:, :2]) @ turn.T
             degrees = degrees + east_north[:, ::-1] * degrees_per_metre
         return np.column_stack([degrees, positions[:, 2] + self.altitude_m])
+
+    def T_map_other(self, other: Georeference) -> FloatArray:
+        """``T_map_other`` (4, 4): where the frame of another georeference lies in this one, both upright."""
+        ends = np.array([[0.0, 0.0, 0.0], [_BASELINE_M, 0.0, 0.0]])
+        origin, ahead = self.to_map(other.to_geodetic(ends))
+        along = ahead - origin
+        return transform_from_xyz_yaw(origin, float(np.arctan2(along[1], along[0])))
 
     def _axes(self) -> FloatArray:
         """East, north and up (3, 3) at the origin, in the earth's frame."""

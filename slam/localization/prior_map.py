@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -73,39 +74,52 @@ def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed
         positions = dict(zip(rows.tolist(), saved.objects.positions, strict=True))
         graph.add_fixed_map(range(len(keyframes)), saved.graph.T_map_body, positions)
         return keyframes
-    row_of = dict(zip(saved.objects.ids, rows.tolist(), strict=True))
-    record = saved.graph
-    number_of = {int(keyframe): number for number, keyframe in enumerate(record.keyframe_ids)}
-    graph.restore(
-        list(number_of.values()),
-        record.T_map_body,
-        dict(zip(rows.tolist(), saved.objects.positions, strict=True)),
-        [
-            Edge(number_of[int(first)], number_of[int(second)], T_from_to, covariance, EdgeKind(kind))
-            for (first, second), T_from_to, covariance, kind in zip(
-                record.edge_keyframe_ids,
-                record.edge_transforms,
-                record.edge_covariances,
-                record.edge_kinds,
-                strict=True,
-            )
-        ],
-        [
-            Observation(
-                number_of[int(keyframe)],
-                row_of[landmark],
-                position,
-                covariance / covariance_inflation,
-                covariance_inflation,
-            )
-            for keyframe, landmark, position, covariance, covariance_inflation in zip(
-                record.observation_keyframe_ids,
-                record.observation_landmark_ids,
-                record.observation_positions,
-                record.observation_covariances,
-                record.observation_redundancies.tolist() or [1.0] * len(record.observation_landmark_ids),
-                strict=True,
-            )
-        ],
-    )
+    landmarks = dict(zip(saved.objects.ids, rows.tolist(), strict=True))
+    restore_graph(saved, graph, range(len(keyframes)), landmarks)
     return keyframes
+
+
+def restore_graph(
+    saved: SavedMap, graph: FactorGraph, numbers: Sequence[int], landmarks: Mapping[str, int], tie: Edge | None = None
+) -> None:
+    """Put the graph of a map into ``graph``.
+
+    Args:
+        saved: the map.
+        graph: empty, or the ``tie`` leads from a keyframe that it has to one of these.
+        numbers: (K,) its keyframes there.
+        landmarks: its landmarks there, by their ids.
+        tie: see ``graph``.
+    """
+    record = saved.graph
+    number_of = dict(zip(record.keyframe_ids.tolist(), numbers, strict=True))
+    positions = {landmarks[name]: at for name, at in zip(saved.objects.ids, saved.objects.positions, strict=True)}
+    edges = [
+        Edge(number_of[first], number_of[second], T_from_to, covariance, EdgeKind(kind))
+        for (first, second), T_from_to, covariance, kind in zip(
+            record.edge_keyframe_ids.tolist(),
+            record.edge_transforms,
+            record.edge_covariances,
+            record.edge_kinds,
+            strict=True,
+        )
+    ]
+    observations = [
+        Observation(
+            number_of[keyframe], landmarks[landmark], position, covariance / covariance_inflation, covariance_inflation
+        )
+        for keyframe, landmark, position, covariance, covariance_inflation in zip(
+            record.observation_keyframe_ids.tolist(),
+            record.observation_landmark_ids,
+            record.observation_positions,
+            record.observation_covariances,
+            record.observation_redundancies.tolist() or [1.0] * len(record.observation_landmark_ids),
+            strict=True,
+        )
+    ]
+    observed = set(record.observation_landmark_ids)
+    for name, covariance in zip(saved.objects.ids, saved.objects.covariances, strict=True):
+        if name not in observed:  # only keyframes that are not in the map saw it
+            row = landmarks[name]
+            graph.add_known_landmarks({row: positions[row]}, np.sqrt(np.diag(covariance)), is_fixed=False)
+    graph.restore(numbers, record.T_map_body, positions, edges, observations, tie=tie)

@@ -21,6 +21,7 @@ from logs.writer import LogWriter
 from slam.backend.factors import EdgeKind
 from slam.common.arrays import FloatArray
 from slam.common.errors import SavedMapError
+from slam.common.georeference import Georeference
 from slam.object_map.map_validation import find_fault, parts
 
 logger = logging.getLogger(__name__)
@@ -29,6 +30,7 @@ FORMAT_VERSION = "1"
 METADATA = "dslam_map"
 OBJECTS_TOPIC, GRAPH_TOPIC, MARKERS_TOPIC = "/map/objects", "/map/graph", "/map/landmarks"
 GRAVITY = "z of the frame map points up"
+_OF_THE_FILE = ("format_version", "gravity", "drives")
 MAKE_IT = "make it again by 'dslam replay LOG -o OUT.mcap --save-map MAP.mcap'"
 
 
@@ -45,6 +47,16 @@ class SavedMap:
     graph: FactorGraphRecord
     metadata: Mapping[str, str] = field(default_factory=dict)
     drives: tuple[Mapping[str, str], ...] = ()
+
+    @property
+    def georeference(self) -> Georeference | None:
+        """Where on earth the map lies, if that is known.
+
+        Raises:
+            GeometryError: what stands there is none.
+        """
+        text = self.metadata.get("georeference")
+        return None if text is None else Georeference.from_json(text)
 
     def positions_around(self, path: FloatArray) -> FloatArray:
         """Positions (K, 3) m of the landmarks, all of them, whatever the ``path`` (N, 3)."""
@@ -79,13 +91,13 @@ def save_map(
         SavedMapError: what is to be saved would be refused when it is loaded.
     """
     kept = confirmed(objects)
-    graph = _observing(graph, kept, np.ones(len(graph.keyframe_ids), dtype=np.bool_))
+    graph = observing(graph, kept, np.ones(len(graph.keyframe_ids), dtype=np.bool_))
     _refuse_fault(path, kept, graph)
     is_tied = _tied(graph, to_first=earlier_drives is not None)
     seen = set(graph.observation_landmark_ids)
-    graph = _observing(graph, kept, is_tied)
+    graph = observing(graph, kept, is_tied)
     adrift = seen - set(graph.observation_landmark_ids)
-    kept = _of_rows(kept, np.array([landmark not in adrift for landmark in kept.ids]))
+    kept = of_rows(kept, np.array([landmark not in adrift for landmark in kept.ids]))
     _refuse_fault(path, kept, graph)
     if not is_tied.all():
         logger.warning(
@@ -101,6 +113,19 @@ def save_map(
         writer.write(GRAPH_TOPIC, graph, objects.stamp_ns)
         writer.write(MARKERS_TOPIC, _of_ids(markers, set(kept.ids)), objects.stamp_ns)
     return int(np.count_nonzero(~is_tied))
+
+
+def write_map(path: Path, saved: SavedMap) -> None:
+    """Write a map that was made of saved ones; its metadata say what its last drive was.
+
+    Raises:
+        LogError: it cannot be written.
+        SavedMapError: it would be refused when it is loaded.
+    """
+    objects = saved.objects
+    markers = SceneMarkers(objects.stamp_ns, objects.frame_id, objects.positions, objects.labels, objects.ids)
+    provenance = {key: text for key, text in saved.metadata.items() if key not in _OF_THE_FILE}
+    save_map(path, objects, saved.graph, markers, provenance, earlier_drives=saved.drives[:-1])
 
 
 def _refuse_fault(path: Path, objects: ObjectMapRecord, graph: FactorGraphRecord) -> None:
@@ -157,11 +182,11 @@ def are_of_kind(graph: FactorGraphRecord, kind: EdgeKind) -> NDArray[np.bool_]:
 
 def confirmed(objects: ObjectMapRecord) -> ObjectMapRecord:
     """The same map without its tentative and retired landmarks."""
-    return _of_rows(objects, np.array([state == "confirmed" for state in objects.states], dtype=np.bool_))
+    return of_rows(objects, np.array([state == "confirmed" for state in objects.states], dtype=np.bool_))
 
 
-def _of_rows(objects: ObjectMapRecord, kept: NDArray[np.bool_]) -> ObjectMapRecord:
-    """The landmarks that are ``kept`` (N,)."""
+def of_rows(objects: ObjectMapRecord, kept: NDArray[np.bool_]) -> ObjectMapRecord:
+    """Of the landmarks those that are ``kept`` (N,)."""
     rows = np.flatnonzero(kept)
     return replace(
         objects,
@@ -178,8 +203,11 @@ def _of_rows(objects: ObjectMapRecord, kept: NDArray[np.bool_]) -> ObjectMapReco
     )
 
 
-def _observing(graph: FactorGraphRecord, objects: ObjectMapRecord, kept: NDArray[np.bool_]) -> FactorGraphRecord:
-    """The graph of the keyframes that are ``kept`` (K,), with what they observed of these landmarks."""
+def observing(graph: FactorGraphRecord, objects: ObjectMapRecord, kept: NDArray[np.bool_]) -> FactorGraphRecord:
+    """The graph of the keyframes that are ``kept`` (K,), with what they observed of these landmarks.
+
+    Edges to keyframes that are not kept are left out.
+    """
     keyframes = graph.keyframe_ids[kept]
     landmarks = set(objects.ids)
     edges = np.flatnonzero(np.isin(graph.edge_keyframe_ids, keyframes).all(axis=1))

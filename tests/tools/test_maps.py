@@ -157,6 +157,51 @@ class TestReplay:
         assert not target.exists()
 
 
+class TestMap:
+    def test_merge_crop_and_info(self, dslam: Run, folder: Path, town: Path, tmp_path: Path) -> None:
+        monday, tuesday = town, tmp_path / "tuesday.mcap"
+        assert dslam("replay", folder / "second.mcap", "-o", tmp_path / "o.mcap", "--save-map", tuesday).code == 0
+        merged, part = tmp_path / "merged.mcap", tmp_path / "part.mcap"
+        result = dslam("map", "merge", monday, tuesday, "-o", merged)
+        assert result.code == 0
+        assert re.search(r"\d+ of \d+ keyframes recognised, \d+ landmarks in both", " ".join(result.out.split()))
+        told = json.loads(dslam("map", "info", merged, "--json").out)
+        assert len(told["drives"]) == 2
+        assert told["landmark_count"] <= 1.05 * json.loads(dslam("map", "info", monday, "--json").out)["landmark_count"]
+        assert "keyframes" in dslam("map", "info", merged).out
+        for area in (("--circle", "20,0,25"), ("--box", "-10,-20,40,20"), ("--polygon", "-10,-20 40,-20 40,20 -10,20")):
+            assert dslam("map", "crop", merged, "-o", part, *area).code == 0
+            assert 0 < json.loads(dslam("map", "info", part, "--json").out)["landmark_count"] < told["landmark_count"]
+        found = dslam("relocalize", folder / "second.mcap", "--map", merged, "-o", tmp_path / "found.mcap", "--json")
+        assert json.loads(found.out)["found"] is True
+
+    def test_what_shares_no_place_is_not_merged(self, dslam: Run, folder: Path, town: Path, tmp_path: Path) -> None:
+        other = tmp_path / "other.mcap"
+        assert dslam("replay", folder / "other.mcap", "-o", tmp_path / "o.mcap", "--save-map", other).code == 0
+        result = dslam("map", "merge", town, other, "-o", tmp_path / "both.mcap")
+        assert_refused(result, "no place of", "is recognised", "not all georeferenced")
+        assert not (tmp_path / "both.mcap").exists()
+
+    @pytest.mark.parametrize(
+        ("area", "told"),
+        [
+            ((), "give one of --box"),
+            (("--circle", "1,2"), "X,Y,RADIUS"),
+            (("--box", "5,0,0,5"), "the lower one comes first"),
+            (("--polygon", "0,0 1,1"), "at least 3 corners"),
+            (("--circle", "9999,0,5"), "lie in that area"),
+        ],
+    )
+    def test_an_area_that_is_none_is_refused(
+        self, dslam: Run, town: Path, tmp_path: Path, area: tuple[str, ...], told: str
+    ) -> None:
+        assert_refused(dslam("map", "crop", town, "-o", tmp_path / "part.mcap", *area), told)
+        assert not (tmp_path / "part.mcap").exists()
+
+    def test_one_map_is_not_merged(self, dslam: Run, town: Path, tmp_path: Path) -> None:
+        assert_refused(dslam("map", "merge", town, "-o", tmp_path / "m.mcap"), "give the maps to join")
+
+
 class TestInfo:
     def test_says_what_a_map_is(self, dslam: Run, town: Path) -> None:
         result = dslam("info", town)

@@ -1,0 +1,178 @@
+"""dslam map."""
+
+from __future__ import annotations
+
+import math
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tools import info_map
+from tools.arguments import Json, check_outputs
+
+if TYPE_CHECKING:
+    from slam.common.areas import Area
+    from slam.localization.prior_map import PriorMap
+    from slam.object_map.map_io import SavedMap
+
+app = typer.Typer(help="Look into saved maps, cut a part out of one, make one of several.", no_args_is_help=True)
+
+SavedMapFile = Annotated[Path, typer.Argument(metavar="MAP.mcap", help="A saved or imported map.", show_default=False)]
+Output = Annotated[Path, typer.Option("-o", "--output", metavar="NEW.mcap", help="The map to write.")]
+
+
+@app.command()
+def info(map_log: SavedMapFile, json: Json = False) -> None:
+    """Tell what a map holds, and what a drive could do with it.
+
+    Example: dslam map info town.mcap
+    """
+    from tools import console
+
+    if json:
+        console.show_json(info_map.plain_map(map_log))
+    else:
+        info_map.show_map(map_log, datetime.now(UTC))
+
+
+@app.command()
+def crop(
+    map_log: SavedMapFile,
+    output: Output,
+    box: Annotated[str | None, typer.Option(metavar="XMIN,YMIN,XMAX,YMAX", help="A rectangle [m].")] = None,
+    circle: Annotated[str | None, typer.Option(metavar="X,Y,RADIUS", help="All around a place [m].")] = None,
+    polygon: Annotated[
+        str | None, typer.Option(metavar='"X,Y X,Y X,Y ..."', help="The corners of an area [m].")
+    ] = None,
+) -> None:
+    """Keep the landmarks and keyframes in an area of the map frame; they stay where they are.
+
+    Example: dslam map crop town.mcap -o square.mcap --circle 120,40,60
+    """
+    check_outputs([output], [map_log])
+    area = _area(box, circle, polygon)
+    from slam.localization.imported_map_editing import crop_imported_map
+    from slam.localization.prior_map import load_prior_map
+    from slam.object_map.map_cropping import crop_map
+    from slam.place_recognition.imported_map import ImportedMap, save_imported_map
+    from tools import console
+
+    known = load_prior_map(map_log)
+    if isinstance(known, ImportedMap):
+        part = crop_imported_map(known, area)
+        save_imported_map(output, part)
+        console.show(f"{output}: {len(part)} of {len(known)} landmarks")
+        return
+    _write(output, cropped := crop_map(known, area))
+    console.show(
+        f"{output}: {len(cropped.objects.ids)} of {len(known.objects.ids)} landmarks, "
+        f"{len(cropped.graph.keyframe_ids)} of {len(known.graph.keyframe_ids)} keyframes"
+    )
+
+
+@app.command()
+def merge(
+    map_logs: Annotated[
+        list[Path], typer.Argument(metavar="MAP.mcap MAP.mcap ...", help="Two maps or more.", show_default=False)
+    ],
+    output: Output,
+) -> None:
+    """Make one map of several, in the frame of the first one, with each object once.
+
+    Maps that drives made are joined where places of one are recognised in another, or else by the georeferences of
+    both; imported maps by their georeferences.
+
+    Example: dslam map merge monday.mcap tuesday.mcap -o town.mcap
+    """
+    if len(map_logs) < 2:
+        raise typer.BadParameter("one map is no two; give the maps to join.")
+    check_outputs([output], map_logs)
+    from slam.localization.imported_map_editing import merge_imported_maps
+    from slam.localization.prior_map import load_prior_map
+    from slam.place_recognition.imported_map import ImportedMap, save_imported_map
+    from tools import console
+
+    maps = [(path, load_prior_map(path)) for path in map_logs]
+    imported = [known for _, known in maps if isinstance(known, ImportedMap)]
+    if len(imported) == len(maps):
+        whole = imported[0]
+        for each in imported[1:]:
+            whole = merge_imported_maps(whole, each)
+        save_imported_map(output, whole)
+        console.show(f"{output}: {len(whole)} landmarks of {sum(map(len, imported))}")
+        return
+    driven = [(path, known) for path, known in maps if not isinstance(known, ImportedMap)]
+    if imported:
+        raise typer.BadParameter(
+            f"{_first_imported(maps)} is an imported map and {driven[0][0]} is not; map the drive again by "
+            "'dslam replay LOG -o OUT.mcap --map IMPORTED.mcap'."
+        )
+    _write(output, _merge_driven(driven))
+    console.show(str(output))
+
+
+def _first_imported(maps: list[tuple[Path, PriorMap]]) -> Path:
+    from slam.place_recognition.imported_map import ImportedMap
+
+    return next(path for path, known in maps if isinstance(known, ImportedMap))
+
+
+def _merge_driven(maps: list[tuple[Path, SavedMap]]) -> SavedMap:
+    """All in one; a map that shares no place with those before it is tried again with those after it."""
+    from slam.common.errors import SavedMapError
+    from slam.loop_closure.map_merging import merge_maps
+    from tools import console
+
+    (_, whole), *waiting = maps
+    while waiting:
+        for path, other in waiting:
+            with console.progress_bar(f"recognising {path.name}", "optimising everything at once") as progress:
+                merged = merge_maps(whole, other, progress)
+            if merged is not None:
+                break
+        else:
+            raise SavedMapError(
+                f"no place of {', '.join(str(path) for path, _ in waiting)} is recognised in the other maps, and they "
+                "are not all georeferenced, so nothing tells how they lie to each other"
+            )
+        by = f"{merged.recognised} of {len(other.graph.keyframe_ids)} keyframes recognised"
+        console.show(
+            f"{path}: {by if merged.recognised else 'joined by georeference alone'}, "
+            f"{merged.shared} landmarks in both, {len(merged.saved.objects.ids)} in all"
+        )
+        whole, waiting = merged.saved, [each for each in waiting if each[1] is not other]
+    return whole
+
+
+def _write(output: Path, saved: SavedMap) -> None:
+    from slam.object_map.map_io import write_map
+
+    write_map(output, saved)
+
+
+def _area(box: str | None, circle: str | None, polygon: str | None) -> Area:
+    if sum(each is not None for each in (box, circle, polygon)) != 1:
+        raise typer.BadParameter("give one of --box, --circle and --polygon.")
+    import numpy as np
+
+    from slam.common.areas import Circle, Polygon
+
+    if circle is not None:
+        return Circle(*_numbers("--circle", "X,Y,RADIUS", circle, 3))
+    if box is not None:
+        low_high = np.array(_numbers("--box", "XMIN,YMIN,XMAX,YMAX", box, 4)).reshape(2, 2)
+        return Polygon.box(*low_high)
+    corners = [_numbers("--polygon", "X,Y X,Y X,Y ...", corner, 2) for corner in (polygon or "").split()]
+    return Polygon(np.array(corners).reshape(-1, 2))
+
+
+def _numbers(option: str, pattern: str, text: str, count: int) -> list[float]:
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise typer.BadParameter(f"{text!r} is not {pattern}.", param_hint=option)
+    return numbers
