@@ -121,9 +121,9 @@ def messages() -> str:
 def _root_command() -> Any:
     from typer.main import get_command
 
-    from tools.cli import app
+    from tools.cli import make_app
 
-    return get_command(app)
+    return get_command(make_app())
 
 
 PAGES = {"commands": commands, "settings": settings, "json": json_keys, "messages": messages}

@@ -17,7 +17,7 @@ from typer.main import get_command
 
 from slam.common.config import load_config
 from slam.simulation.config import load_simulation_config
-from tools.cli import app
+from tools.cli import make_app
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [
@@ -70,7 +70,7 @@ def commands(block: str) -> Iterator[list[str]]:
 
 def parse(arguments: list[str]) -> Any:
     """The context of the command that they name; raises for a command, an option or a value that there is not."""
-    command: Any = get_command(app)
+    command: Any = get_command(make_app())
     context = None
     while True:
         context = command.make_context(command.name, list(arguments), parent=context)

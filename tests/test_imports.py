@@ -118,13 +118,16 @@ def test_libraries_print_nothing_and_do_not_exit() -> None:
 
 
 def test_the_command_line_starts_light() -> None:
-    code = f"import sys, tools.cli; print([m for m in {HEAVY!r} if m in sys.modules])"
+    code = (
+        "import sys; from typer.main import get_command; from tools.cli import make_app; get_command(make_app()); "
+        f"print([m for m in {HEAVY!r} if m in sys.modules])"
+    )
     result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
 
 
 def test_looking_into_a_log_loads_only_what_reads_it() -> None:
-    heavy = ("torch", "matplotlib", "plotly", "scipy", "gtsam", "rosbags", "numpy.ma", "slam")
+    heavy = ("torch", "matplotlib", "plotly", "scipy", "gtsam", "rosbags", "numpy.ma", "slam", "tools.train")
     code = (
         "import sys; from tools.cli import run; run(['info', 'logs/samples/short_drive.mcap']); "
         f"print([m for m in {heavy!r} if m in sys.modules])"

@@ -7,28 +7,13 @@ import logging
 import sys
 import traceback
 from collections.abc import Sequence
+from importlib import import_module
 from typing import Annotated
 
 import typer
 
-from tools import (
-    Stopped,
-    config,
-    degrade,
-    import_logs,
-    info,
-    optimize,
-    relocalize,
-    replay,
-    simulate,
-    stopped,
-    train,
-)
+from tools import Stopped, stopped
 from tools import main as main
-from tools.benchmarks import commands as benchmark
-from tools.evaluation import compare, evaluate, sweep
-from tools.maps import commands as maps
-from tools.results import export, view
 
 BAD_INPUT = 2
 INTERNAL_ERROR = 70
@@ -40,31 +25,48 @@ _ANYWHERE = ("--debug", "--verbose", "-v")
 _PREFIX = __name__.removesuffix("tools.cli")
 """Of the names of our packages: "dslam." in a wheel."""
 
-app = typer.Typer(
-    name="dslam",
-    help="Semantic SLAM: a log of odometry and object detections becomes a trajectory and an object map.",
-    epilog="--verbose and --debug may also stand after the command. Exit codes: 0 done, 1 a required bar was not met, "
-    "2 bad input.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-app.command()(simulate.simulate)
-app.command()(degrade.degrade)
-app.add_typer(import_logs.app, name="import")
-app.command()(info.info)
-app.command()(replay.replay)
-app.command()(relocalize.relocalize)
-app.add_typer(maps.app, name="map")
-app.command()(evaluate.evaluate)
-app.command()(compare.compare)
-app.command()(sweep.sweep)
-app.command()(view.view)
-app.command()(export.export)
-app.command()(optimize.optimize)
-app.command()(config.config)
-app.command()(train.train)
-app.add_typer(benchmark.app, name="benchmark")
+_COMMANDS = {
+    "simulate": "simulate:simulate",
+    "degrade": "degrade:degrade",
+    "import": "import_logs:app",
+    "info": "info:info",
+    "replay": "replay:replay",
+    "relocalize": "relocalize:relocalize",
+    "map": "maps.commands:app",
+    "evaluate": "evaluation.evaluate:evaluate",
+    "compare": "evaluation.compare:compare",
+    "sweep": "evaluation.sweep:sweep",
+    "view": "results.view:view",
+    "export": "results.export:export",
+    "optimize": "optimize:optimize",
+    "config": "config:config",
+    "train": "train:train",
+    "benchmark": "benchmarks.commands:app",
+}
+"""Module of this package and function, or group of commands, of each command, in the order of the help."""
+
+
+def make_app(arguments: Sequence[str] = ()) -> typer.Typer:
+    """The command line; with ``arguments`` only of the command that they name, as all others take time to import."""
+    app = typer.Typer(
+        name="dslam",
+        help="Semantic SLAM: a log of odometry and object detections becomes a trajectory and an object map.",
+        epilog="--verbose and --debug may also stand after the command. Exit codes: 0 done, 1 a required bar was not "
+        "met, 2 bad input.",
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.callback()(_global_options)
+    named = next((argument for argument in arguments if not argument.startswith("-")), None)
+    for name in (named,) if named in _COMMANDS else _COMMANDS:
+        module, _, attribute = _COMMANDS[name].partition(":")
+        command = getattr(import_module(f".{module}", __package__), attribute)
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, name=name)
+        else:
+            app.command(name)(command)
+    return app
 
 
 def _print_version(wanted: bool) -> None:
@@ -75,7 +77,6 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _global_options(
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log what is done to standard error.")] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Log every detail, and show tracebacks.")] = False,
@@ -100,7 +101,7 @@ def run(arguments: Sequence[str]) -> int:
     if logging.lastResort is not None:
         logging.lastResort.setFormatter(_message_format("%(message)s"))
     try:
-        code = app(args=[*moved, *rest], prog_name="dslam", standalone_mode=False)
+        code = make_app(rest)(args=[*moved, *rest], prog_name="dslam", standalone_mode=False)
         sys.stdout.flush()
     except KeyboardInterrupt:
         code = INTERRUPTED
