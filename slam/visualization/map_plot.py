@@ -64,9 +64,9 @@ class MapPicture:
     estimate, odometry, truth (N, 3) positions along the path, N may be 0; landmarks (L, 3) with ``labels`` (L,);
     closures, true_closures, false_closures (C, 2, 3) ends of accepted loop closures of which it is unknown whether they
     are right, that are, that are not; missed_revisits (M, 3) where a closure was possible and not made; lost, found
-    (J, 3) where the robot lost and found its place; estimate_jumps, odometry_jumps: rows after which a path jumps, for
-    example because the robot was carried away, and no line is drawn; known (K, 3)
-    landmarks of a map that was given, drawn in grey; errors of estimate and odometry where they are known.
+    (J, 3) where the robot lost and found its place; estimate_jumps, odometry_jumps, truth_jumps: rows after which a
+    path jumps, for example because the robot was carried away, and no line is drawn; known (K, 3) landmarks of a map
+    that was given, drawn in grey; errors of estimate and odometry where they are known.
     """
 
     estimate: FloatArray
@@ -82,6 +82,7 @@ class MapPicture:
     found: FloatArray = field(default_factory=_nowhere)
     estimate_jumps: IntArray = field(default_factory=_no_rows)
     odometry_jumps: IntArray = field(default_factory=_no_rows)
+    truth_jumps: IntArray = field(default_factory=_no_rows)
     known: FloatArray = field(default_factory=_nowhere)
     title: str = "Object map"
     ate_m: float | None = None
@@ -189,10 +190,11 @@ def _draw_paths(axes: Axes, picture: MapPicture) -> list[Line2D]:
     handles = []
     estimate = lift_pen(picture.estimate, picture.estimate_jumps)
     odometry = lift_pen(picture.odometry, picture.odometry_jumps)
+    truth = lift_pen(picture.truth, picture.truth_jumps)
     paths: tuple[tuple[FloatArray, str, str, float, _LineStyle, float], ...] = (
         (estimate, "estimate", ESTIMATE, 2.8, "-", 4.0),
         (odometry, "odometry", ODOMETRY, 1.6, "-", 3.0),
-        (picture.truth, "ground truth", TRUTH, 1.2, (0, (6, 4)), 4.5),
+        (truth, "ground truth", TRUTH, 1.2, (0, (6, 4)), 4.5),
     )
     for positions, name, color, width, style, zorder in paths:
         if len(positions):

@@ -46,8 +46,11 @@ def draw_trajectory(paths: MapPaths, quality: ClosureQuality | None, errors: Pos
     return Chart("trajectory", f"The trajectory from above{counts}", traces, map_layout(points), "map")
 
 
-def draw_object_map(object_map: ObjectMapRecord | None, paths: MapPaths) -> Chart | None:
-    """Confirmed landmarks by class over the estimated path; None where there is none."""
+def draw_object_map(object_map: ObjectMapRecord | None, paths: MapPaths, sensor_range_m: float) -> Chart | None:
+    """Confirmed landmarks by class over the estimated path; None where there is none.
+
+    ``sensor_range_m``: how far about a keyframe its submap reaches, where a candidate is shown.
+    """
     if object_map is None:
         return None
     rows = [row for row, state in enumerate(object_map.states) if state == CONFIRMED]
@@ -55,7 +58,7 @@ def draw_object_map(object_map: ObjectMapRecord | None, paths: MapPaths) -> Char
         return None
     names = object_map.labels
     labels = tuple(names[row] for row in rows)
-    path = paths.estimate.positions[thin_rows(len(paths.estimate.stamps_ns))]
+    path = _thinned(paths.estimate.positions, paths.estimate_jumps)
     traces = [draw_line(path, "path", "--online", 1.0, hoverinfo="skip", showlegend=False)] if len(path) else []
     size = float(np.clip(220.0 / np.sqrt(len(rows)), 6.0, 11.0))
     for index, (name, members) in enumerate(group_classes(labels)):
@@ -72,7 +75,8 @@ def draw_object_map(object_map: ObjectMapRecord | None, paths: MapPaths) -> Char
         marker = {"color": color, "symbol": symbol, "size": size, "line": {"color": "--surface", "width": 0.7}}
         traces.append(draw_points(object_map.positions[chosen], f"{escape_name(name)} ({count})", texts, marker))
     summary = f"{len(rows)} landmarks of {len(set(labels))} classes from above"
-    return Chart("objects", summary, traces, map_layout(np.concatenate([path, object_map.positions[rows]])), "map")
+    layout = map_layout(np.concatenate([paths.estimate.positions, object_map.positions[rows]]))
+    return Chart("objects", summary, traces, layout | {"meta": {"sensor_range_m": sensor_range_m}}, "map")
 
 
 def _draw_paths(paths: MapPaths) -> list[Trace]:
@@ -88,7 +92,7 @@ def _draw_paths(paths: MapPaths) -> list[Trace]:
         line = draw_line(positions, "estimate (after)", "--estimate", 2.5)
         traces.append(line | {"text": moments, "hovertemplate": "%{text}<extra>estimate</extra>"})
     if len(paths.truth):
-        thinned = paths.truth[thin_rows(len(paths.truth))]
+        thinned = _thinned(paths.truth, paths.truth_jumps)
         traces.append(draw_line(thinned, "ground truth", "--truth", 1.2, dash="dash", hoverinfo="skip"))
     return traces
 
@@ -117,13 +121,12 @@ def _draw_errors(errors: PositionErrors) -> Trace:
         "colorbar": {
             "title": {"text": "error [m]", "font": {"color": "--muted", "size": 11}},
             "tickfont": {"color": "--muted", "size": 10},
-            "x": 0.99,
-            "y": 0.99,
-            "xanchor": "right",
+            "x": 1.01,
+            "y": 1.0,
+            "xanchor": "left",
             "yanchor": "top",
             "len": 0.32,
             "thickness": 10,
-            "bgcolor": "--surface",
             "outlinewidth": 0,
         },
     }

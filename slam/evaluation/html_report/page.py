@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from logs.errors import UnwritableLogError
+from slam.common.config import DetectionConfig
 from slam.evaluation.html_report.calibration_charts import draw_calibration
 from slam.evaluation.html_report.chart import Chart
 from slam.evaluation.html_report.closure_charts import draw_candidates, draw_precision_recall
@@ -20,7 +22,7 @@ from slam.evaluation.html_report.theme import style_properties
 from slam.evaluation.html_report.tiles import compose_tiles, describe_run, render_run, render_tiles
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.place_recognition.closures import ClosureQuality
-from slam.evaluation.report.map_frame import bring_into_map
+from slam.evaluation.report.map_frame import MapPaths, bring_into_map
 from slam.evaluation.result import Evaluation
 
 NOTHING_LOADED = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
@@ -113,23 +115,21 @@ def _compose_panels(records: EvaluationRecords, evaluation: Evaluation) -> list[
     return [
         Panel(
             "Trajectory",
-            "From above, odometry and estimate from the same start, the truth aligned with the estimate. The estimate "
-            "is coloured by its error. Each dot is a keyframe at which a loop was closed, its stroke leads to the "
-            "earlier keyframe." + _describe_missed(quality),
+            _describe_paths(paths) + _describe_missed(quality),
             draw_trajectory(paths, quality, measure_errors(records, evaluation)),
             "There is no trajectory: the log holds neither an estimate nor odometry.",
         ),
         Panel(
             "Object map",
             "The confirmed landmarks of the final map. A click on a class hides it, a double click shows it alone.",
-            draw_object_map(records.object_map, paths),
+            draw_object_map(records.object_map, paths, _sensor_range_m(records)),
             "There is no map: no object map in the log (/slam/map), or no confirmed landmark in it.",
         ),
         Panel(
             "Precision and recall",
             "What accepting every best candidate from a score on would have given." + _describe_sweep(quality),
             draw_precision_recall(quality),
-            _reason(without_closures, "No curve: the drive comes back to no earlier place, or nothing was a candidate"),
+            _reason(without_closures, "the drive comes back to no earlier place, or nothing was a candidate"),
             is_wide=False,
         ),
         Panel(
@@ -143,7 +143,8 @@ def _compose_panels(records: EvaluationRecords, evaluation: Evaluation) -> list[
             "Candidates over time",
             "Each candidate by its score (0 before it has one), coloured by the stage at which it was decided. Dots "
             "are true by the ground truth, crosses false, rings undecided. A click shows the candidate on the object "
-            "map: a line between its keyframes, and the landmarks of the later one, as rings, where it puts them.",
+            "map: a line between its keyframes, and over the landmarks about the earlier one those about the later "
+            "one, as rings of their colours, where the candidate puts them. If it is true, rings lie about dots.",
             draw_candidates(quality, start_ns, paths),
             _reason(without_closures, "no loop-closure candidate in the log"),
         ),
@@ -190,6 +191,22 @@ def _render_protocol(evaluation: Evaluation) -> str:
         "<details>\n<summary>The rules and thresholds by which everything was measured</summary>\n"
         f'<dl class="rules">\n{rules}</dl>\n</details>\n'
     )
+
+
+def _describe_paths(paths: MapPaths) -> str:
+    text = "From above, odometry and estimate from the same start"
+    if len(paths.truth):
+        text += ", the truth aligned with the estimate. The estimate is coloured by its error"
+    if paths.estimate_jumps.size or paths.odometry_jumps.size:
+        text += ". Where a line ends and another begins, the robot was carried off or the odometry jumped"
+    return f"{text}. Each dot is a keyframe at which a loop was closed, its stroke leads to the earlier keyframe."
+
+
+def _sensor_range_m(records: EvaluationRecords) -> float:
+    """That by which the log was made."""
+    detection = records.configuration.get("detection")
+    known = detection.get("sensor_range_m") if isinstance(detection, Mapping) else None
+    return float(known) if isinstance(known, int | float) else DetectionConfig().sensor_range_m
 
 
 def _describe_missed(quality: ClosureQuality | None) -> str:

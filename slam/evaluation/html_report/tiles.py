@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 
+import numpy as np
+
 from slam.common.config import Config
 from slam.common.config_tree import changes
+from slam.common.geometry import travelled_m
 from slam.evaluation.html_report.markup import UNDEFINED, escape, format_metres, format_percent
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.metrics.landmarks import CONFIRMED
@@ -36,16 +39,25 @@ def describe_run(records: EvaluationRecords, evaluation: Evaluation) -> dict[str
 def _run(records: EvaluationRecords, evaluation: Evaluation) -> str:
     errors = evaluation.estimate or evaluation.online or evaluation.odometry
     parts = []
-    if errors is not None:
-        minutes, seconds = divmod(round(errors.duration_s), 60)
-        parts.append(f"{errors.length_m:.0f} m in {minutes} min {seconds} s")
+    length_m, duration_s = (errors.length_m, errors.duration_s) if errors is not None else _extent(records)
+    if duration_s > 0.0:
+        minutes, seconds = divmod(round(duration_s), 60)
+        parts.append(f"{length_m:.0f} m in {minutes} min {seconds} s")
     if "keyframes" in evaluation.counters:
         parts.append(f"{evaluation.counters['keyframes']} keyframes")
     if records.has_prior_map:
         parts.append("localized in the saved map of an earlier drive")
     if digest := records.provenance.get("input_sha256"):
         parts.append(f"input sha256 {digest[:12]}")
-    return ", ".join(parts) or "no trajectory could be compared with a truth"
+    return ", ".join(parts) or "the log holds no trajectory"
+
+
+def _extent(records: EvaluationRecords) -> tuple[float, float]:
+    """Length [m] and duration [s] of the trajectory where no truth tells them."""
+    trajectory = records.trajectory
+    if trajectory is None or len(trajectory.stamps_ns) == 0:
+        return 0.0, 0.0
+    return float(travelled_m(trajectory.T_map_body)[-1]), float(np.ptp(trajectory.stamps_ns)) * 1e-9
 
 
 def _settings(records: EvaluationRecords) -> str:

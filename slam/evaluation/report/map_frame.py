@@ -14,14 +14,20 @@ from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses
 from slam.evaluation.place_recognition.closure_labels import JudgedClosures
 from slam.evaluation.result import Evaluation
 
+_USUAL_SHARE, _LEAP_STEPS = 0.9, 10.0
+"""A leap is that many times as long as that share of all steps with motion."""
+_LEAP_SHARE = 0.02
+"""And that long, in parts of the extent of the path: shorter ones are not seen."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapPaths:
     """Paths in the map frame, metres; each may be empty.
 
     ``estimate`` is the final trajectory, or the poses as they were at their time where a run did not finish.
-    odometry, truth (N, 3): positions along the path. estimate_jumps, odometry_jumps: rows before a discontinuity of the
-    odometry, after which the path goes on elsewhere. lost, found (J, 3): where the robot lost and found its place.
+    odometry, truth (N, 3): positions along the path. estimate_jumps, odometry_jumps, truth_jumps: rows before a
+    discontinuity of the odometry or a step that no robot makes, after which the path goes on elsewhere. lost, found
+    (J, 3): where the robot lost and found its place.
     """
 
     estimate: PoseSeries
@@ -29,6 +35,7 @@ class MapPaths:
     truth: FloatArray
     estimate_jumps: IntArray
     odometry_jumps: IntArray
+    truth_jumps: IntArray
     lost: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     found: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
@@ -70,6 +77,7 @@ def bring_into_map(records: EvaluationRecords, evaluation: Evaluation) -> MapPat
         truth=apply(invert(errors.alignment.T_world_map), truth) if errors else np.zeros((0, 3)),
         estimate_jumps=_jumps(estimate.stamps_ns, estimate.positions, spans_ns),
         odometry_jumps=_jumps(odometry_ns, odometry, spans_ns),
+        truth_jumps=_leaps(truth) if errors else np.zeros(0, dtype=np.int64),
     )
     losses = evaluation.relocalization.losses if evaluation.relocalization else ()
     lost_ns = np.array([loss.lost_ns for loss in losses], dtype=np.int64)
@@ -92,7 +100,7 @@ def _discontinuities(graph: FactorGraphRecord | None) -> IntArray:
 
 
 def _jumps(stamps_ns: IntArray, positions: FloatArray, spans_ns: IntArray) -> IntArray:
-    """Row before the longest step of a path (N, 3) within each span (J, 2)."""
+    """Rows before the longest step of a path (N, 3) within each span (J, 2), and before each leap."""
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     rows = []
     for first_ns, last_ns in spans_ns:
@@ -100,7 +108,18 @@ def _jumps(stamps_ns: IntArray, positions: FloatArray, spans_ns: IntArray) -> In
         within = steps[begin : np.searchsorted(stamps_ns, last_ns)]
         if len(within) and first_ns < last_ns:
             rows.append(begin + int(np.argmax(within)))
-    return np.unique(np.array(rows, dtype=np.int64))
+    return np.union1d(np.array(rows, dtype=np.int64), _leaps(positions))
+
+
+def _leaps(positions: FloatArray) -> IntArray:
+    """Rows before steps of a path (N, 3) that are far longer than the others, and long on the map."""
+    steps_m = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    moving_m = steps_m[steps_m > 0.0]
+    if not len(moving_m):
+        return np.zeros(0, dtype=np.int64)
+    extent_m = float(np.linalg.norm(np.ptp(positions, axis=0)))
+    usual_m = float(np.quantile(moving_m, _USUAL_SHARE))
+    return np.flatnonzero(steps_m > max(_LEAP_STEPS * usual_m, _LEAP_SHARE * extent_m))
 
 
 def _odometry_in_map(records: EvaluationRecords, estimate: PoseSeries) -> FloatArray:

@@ -33,6 +33,7 @@ def compose_picture(records: EvaluationRecords, evaluation: Evaluation, *, title
         found=paths.found,
         estimate_jumps=paths.estimate_jumps,
         odometry_jumps=paths.odometry_jumps,
+        truth_jumps=paths.truth_jumps,
         landmarks=records.object_map.positions[rows] if records.object_map else np.zeros((0, 3)),
         labels=tuple(labels[row] for row in rows),
         title=title,

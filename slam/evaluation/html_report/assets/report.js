@@ -38,7 +38,7 @@
     return painted;
   }
 
-  function completeLayout(layout, width) {
+  function completeLayout(layout, width, hasScale) {
     const narrow = width < 560;
     const size = narrow ? 11 : 12.5;
     const completeAxis = (axis) => ({
@@ -55,7 +55,7 @@
       plot_bgcolor: "rgba(0,0,0,0)",
       font: { family: getComputedStyle(document.body).fontFamily, size, color: "--ink" },
       // Margins that grow with the labels would have every chart drawn twice.
-      margin: { l: 58, r: 14, t: 30, b: 46 },
+      margin: { l: 58, r: hasScale ? 62 : 14, t: 30, b: 46 },
       hovermode: layout.hovermode || "closest",
       hoverlabel: { bgcolor: "--surface", bordercolor: "--line", font: { color: "--ink" }, align: "left", namelength: -1 },
       showlegend: false,
@@ -68,7 +68,8 @@
     const style = getComputedStyle(document.documentElement);
     const { traces, layout } = charts[index];
     const width = holders[index].clientWidth;
-    const painted = paint(completeLayout(layout, width), style);
+    const hasScale = traces.some((trace) => trace.marker && trace.marker.colorbar);
+    const painted = paint(completeLayout(layout, width, hasScale), style);
     const options = {
       displaylogo: false,
       displayModeBar: "hover",
@@ -112,7 +113,6 @@
   }
 
   // The candidate on the object map: its keyframes, and the landmarks about the later one where it puts them.
-  const SUBMAP_M = 40;
   function showCandidate(place) {
     const index = charts.findIndex((chart) => chart.name === "objects");
     if (index < 0 || !place) {
@@ -120,25 +120,31 @@
     }
     const [queryX, queryY, referenceX, referenceY, x, y, yaw] = place;
     const chart = charts[index];
+    const radius = chart.layout.meta.sensor_range_m;
     chart.traces = chart.traces.filter((trace) => !trace.isCandidate);
-    const moved = { x: [], y: [] };
-    for (const trace of chart.traces.filter((each) => each.mode === "markers")) {
-      trace.x.forEach((landmarkX, row) => {
-        const landmarkY = trace.y[row];
-        if (Math.hypot(landmarkX - queryX, landmarkY - queryY) < SUBMAP_M) {
-          moved.x.push(x + Math.cos(yaw) * landmarkX - Math.sin(yaw) * landmarkY);
-          moved.y.push(y + Math.sin(yaw) * landmarkX + Math.cos(yaw) * landmarkY);
-        }
-      });
-    }
-    const color = "--closure-undecided";
     const base = { type: "scatter", isCandidate: true, showlegend: false, hoverinfo: "skip" };
+    const rings = chart.traces.filter((each) => each.mode === "markers").map((trace) => {
+      const near = trace.x.map((_, row) => row).filter((row) => Math.hypot(trace.x[row] - queryX, trace.y[row] - queryY) < radius);
+      const color = trace.marker.color;
+      return {
+        ...base,
+        mode: "markers",
+        name: "moved",
+        visible: trace.visible,
+        x: near.map((row) => x + Math.cos(yaw) * trace.x[row] - Math.sin(yaw) * trace.y[row]),
+        y: near.map((row) => y + Math.sin(yaw) * trace.x[row] + Math.cos(yaw) * trace.y[row]),
+        marker: { color, symbol: "circle-open", size: 17, line: { width: 2.5, color } },
+      };
+    });
+    const ends = { x: [queryX, referenceX], y: [queryY, referenceY] };
+    const color = "--closure-undecided";
     chart.traces.push(
-      { ...base, mode: "lines", name: "candidate", x: [queryX, referenceX], y: [queryY, referenceY], line: { color, width: 2.5 } },
-      { ...base, ...moved, mode: "markers", name: "moved", marker: { color, symbol: "circle-open", size: 14, line: { width: 2, color } } },
+      { ...base, ...ends, mode: "lines", name: "candidate", line: { color, width: 2.5 } },
+      { ...base, ...ends, mode: "text", name: "keyframes", text: ["later", "earlier"], textposition: ["top center", "bottom center"], textfont: { color } },
+      ...rings,
     );
-    chart.layout.xaxis.range = [referenceX - 1.5 * SUBMAP_M, referenceX + 1.5 * SUBMAP_M];
-    chart.layout.yaxis.range = [referenceY - 1.5 * SUBMAP_M, referenceY + 1.5 * SUBMAP_M];
+    chart.layout.xaxis.range = [referenceX - 2 * radius, referenceX + 2 * radius];
+    chart.layout.yaxis.range = [referenceY - 1.4 * radius, referenceY + 1.4 * radius];
     chart.revision = (chart.revision || 0) + 1;
     draw(index);
     holders[index].scrollIntoView({ behavior: "smooth", block: "center" });

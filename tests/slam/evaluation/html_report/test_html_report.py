@@ -347,26 +347,52 @@ def file(page: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@needs_chromium
-@pytest.mark.parametrize("width_px", [390, 1280, 1920])
-def test_a_browser_draws_the_page(browser: Browser, file: Path, tmp_path: Path, width_px: int) -> None:
-    browser.requests()
+def assert_whole(browser: Browser, file: Path, width_px: int) -> None:
+    """Nothing is cut off, and nothing is said on the console."""
     browser.console()
     browser.open(file, width_px=width_px)
     assert browser.run("return innerWidth") == width_px
     assert browser.console() == []
-    assert set(browser.requests()) == {file.as_uri()}
-    counts = browser.run(
-        "return Object.fromEntries([...document.querySelectorAll('.chart')]"
-        ".map(c => [c.id, c.querySelectorAll('svg .scatterlayer .trace').length]))"
-    )
-    assert {name.removeprefix("chart-") for name, count in counts.items() if count > 0} == set(CHARTS)
     assert browser.run("return document.documentElement.scrollWidth") == width_px
     overflowing = browser.run(
         "return [...document.querySelectorAll('main *')].filter(e => !e.closest('.scroll, svg, .legend, .modebar') && "
         "e.getBoundingClientRect().right > innerWidth + 1).map(e => e.tagName + '.' + e.className)"
     )
     assert overflowing == []
+    cut_off = browser.run(
+        "return [...document.querySelectorAll('.chart svg text')].filter(t => t.textContent.trim()).filter(t => {"
+        "const at = t.getBoundingClientRect(), chart = t.closest('.chart').getBoundingClientRect();"
+        "return at.width && (at.left < chart.left - 1 || at.right > chart.right + 1);}).map(t => t.textContent)"
+    )
+    assert cut_off == []
+
+
+@needs_chromium
+@pytest.mark.slow
+@pytest.mark.parametrize("width_px", [390, 1280, 1920])
+@pytest.mark.parametrize("kind", ["kidnapped", "without truth", "sparse"])
+def test_other_drives_are_drawn_whole_too(browser: Browser, tmp_path: Path, kind: str, width_px: int) -> None:
+    logged = drive()
+    records = {
+        "kidnapped": kidnapped_drive(),
+        "without truth": collect_records([(t, r) for t, r in logged if t != "/ground_truth"]),
+        "sparse": collect_records([(t, r) for t, r in logged if t not in ("/slam/map", "/slam/closures")]),
+    }[kind]
+    write_report(tmp_path / "report.html", records, evaluate(records), title=kind)
+    assert_whole(browser, tmp_path / "report.html", width_px)
+
+
+@needs_chromium
+@pytest.mark.parametrize("width_px", [390, 1280, 1920])
+def test_a_browser_draws_the_page(browser: Browser, file: Path, tmp_path: Path, width_px: int) -> None:
+    browser.requests()
+    assert_whole(browser, file, width_px)
+    assert set(browser.requests()) == {file.as_uri()}
+    counts = browser.run(
+        "return Object.fromEntries([...document.querySelectorAll('.chart')]"
+        ".map(c => [c.id, c.querySelectorAll('svg .scatterlayer .trace').length]))"
+    )
+    assert {name.removeprefix("chart-") for name, count in counts.items() if count > 0} == set(CHARTS)
     buttons = browser.run("return [...document.querySelectorAll('.modebar-btn')].map(b => b.dataset.title)")
     assert not [title for title in buttons if "Share" in title or "Cloud" in title]
     browser.screenshot(tmp_path / f"report_{width_px}.png")
@@ -413,7 +439,8 @@ def test_a_class_has_the_colour_that_it_has_in_the_viewers() -> None:
     )
 
 
-def test_a_kidnapping_is_marked_and_is_no_line_across_the_map() -> None:
+def kidnapped_drive() -> EvaluationRecords:
+    """Carried off by 500 m half-way: lost, and found again."""
     truth = there_and_back()
     poses = truth.T_world_body.copy()
     poses[120:, 0, 3] += 500.0
@@ -427,8 +454,10 @@ def test_a_kidnapping_is_marked_and_is_no_line_across_the_map() -> None:
     )
     lost = StatusRecord(int(stamps_ns[120]), "LOST", "warning", "kidnapped", {})
     found = StatusRecord(int(stamps_ns[150]), "RELOCALIZED", "info", "relocalized", {})
-    records = collect_records(
+    return collect_records(
         [
+            *(("/ground_truth", GroundTruthPose(t, T)) for t, T in zip(stamps_ns, poses, strict=True)),
+            *(("/odometry", Odometry(t, T)) for t, T in zip(stamps_ns, poses, strict=True)),
             ("/slam/trajectory_stamped", TrajectoryRecord(0, "map", stamps_ns, poses)),
             ("/slam/graph", known),
             ("/slam/status", StatusRecord(int(stamps_ns[0]), "MAPPING", "info", "", {})),
@@ -436,13 +465,29 @@ def test_a_kidnapping_is_marked_and_is_no_line_across_the_map() -> None:
             ("/slam/status", found),
         ]
     )
-    traces = {trace["name"]: trace for trace in charts_of(page_of(records))["trajectory"]["traces"]}
-    x = np.array(traces["estimate (after)"]["x"], dtype=float)
-    assert np.isnan(x).sum() == 1
-    assert np.nanmax(np.abs(np.diff(x))) < 5.0
-    assert len(traces["estimate (after)"]["text"]) == len(x)
-    assert traces["lost (1)"]["x"] == [poses[120, 0, 3]]
-    assert traces["found (1)"]["x"] == [poses[150, 0, 3]]
+
+
+@pytest.mark.parametrize("has_graph", [True, False])
+def test_a_kidnapping_is_marked_and_is_no_line_across_the_map(has_graph: bool) -> None:
+    records = kidnapped_drive()
+    charts = charts_of(page_of(records if has_graph else replace(records, graph=None)))
+    traces = {trace["name"]: trace for trace in charts["trajectory"]["traces"]}
+    for name in ("estimate (after)", "odometry (before)", "ground truth"):
+        x = np.array(traces[name]["x"], dtype=float)
+        assert np.isnan(x).sum() == 1, name
+        assert np.nanmax(np.abs(np.diff(x))) < 5.0, name
+    assert len(traces["estimate (after)"]["text"]) == len(traces["estimate (after)"]["x"])
+    assert records.trajectory is not None
+    at = records.trajectory.T_map_body[:, 0, 3]
+    assert traces["lost (1)"]["x"] == [at[120]]
+    assert traces["found (1)"]["x"] == [at[150]]
+
+
+def test_without_truth_the_page_tells_the_length_and_speaks_of_no_error() -> None:
+    text = page_of(collect_records([(t, r) for t, r in drive() if t != "/ground_truth"]))
+    assert "240 m in" in text
+    assert "coloured by its error" not in text
+    assert "coloured by its error" in page_of(collect_records(drive()))
 
 
 @needs_chromium
@@ -456,6 +501,20 @@ def test_a_click_on_a_candidate_shows_it_on_the_map(browser: Browser, file: Path
     )
     browser.wait("return document.getElementById('chart-objects').data.some(t => t.isCandidate && t.mode === 'lines')")
     assert browser.console() == []
+    trees = browser.run(
+        """const data = document.getElementById('chart-objects').data, old = data.find(t => t.name.startsWith('tree'));
+        const rings = data.filter(t => t.isCandidate && t.name === 'moved' && t.marker.color === old.marker.color);
+        return [old.x, old.y, rings.flatMap(t => t.x), rings.flatMap(t => t.y), rings[0].marker.symbol]"""
+    )
+    x, y, ring_x, ring_y, symbol = trees
+    assert symbol == "circle-open"
+    # The first one is 9 m off: every ring lies that far beside a landmark of its class.
+    assert len(ring_x) > 0
+    for at_x, at_y in zip(ring_x, ring_y, strict=True):
+        nearest = min(
+            np.hypot(at_x - a, at_y - b) for a, b in zip(x, y, strict=True) if a is not None and b is not None
+        )
+        assert nearest == pytest.approx(9.0, abs=0.05)
 
 
 @needs_chromium
