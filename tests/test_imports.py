@@ -73,11 +73,12 @@ LAYERS = (
     {"self_calibration"},
     {"localization"},
     {"loop_closure"},
-    {"display"},
+    {"display", "map_joining"},
     {"system"},
     {"replay"},
     {"simulation", "evaluation"},
     {"sweeps", "library"},
+    {"fleet"},
     {"benchmarks"},
 )
 """The stages of the method: each imports only from the rows above its own."""

@@ -32,6 +32,7 @@ _COMMANDS = {
     "info": "info:info",
     "replay": "replay:replay",
     "relocalize": "relocalize:relocalize",
+    "fleet": "fleet:fleet",
     "map": "maps.commands:app",
     "evaluate": "evaluation.evaluate:evaluate",
     "compare": "evaluation.compare:compare",

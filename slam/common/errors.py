@@ -37,3 +37,7 @@ class SimulationError(SlamError):
 
 class ViewerError(SlamError):
     """A viewer that is not installed, or cannot start."""
+
+
+class FleetError(SlamError):
+    """A fleet that cannot be mapped: no logs, or nobody who computes."""

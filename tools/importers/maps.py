@@ -101,7 +101,7 @@ def _make(
 
     if label is not None:
         objects = objects.relabelled(label)
-    imported = import_map(objects, sigma_m=sigma_m, origin=_parsed(origin))
+    imported = import_map(objects, sigma_m=sigma_m, origin=parse_origin(origin))
     save_imported_map(output, imported)
     counts = Counter(objects.labels).most_common()
     georeference = imported.georeference
@@ -132,7 +132,8 @@ def _make(
     )
 
 
-def _parsed(origin: str | None) -> Georeference | None:
+def parse_origin(origin: str | None) -> Georeference | None:
+    """Latitude and longitude of "LAT,LON"; None where nothing was said."""
     from slam.common.georeference import Georeference
 
     if origin is None:

@@ -1,0 +1,218 @@
+"""What changed where a fleet drove: objects that appeared, went or moved, with probability and dates."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from slam.backend.factors import EdgeKind
+from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.common.georeference import Georeference
+from slam.fleet.presence import Presence, estimate_presence, seen_probabilities
+from slam.map_joining.joint_map import JointMap
+from slam.object_map.map_io import are_of_kind
+from slam.sweeps.cells import write_text
+
+REPORTED = 0.5
+"""Changes of at least that probability are told."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A landmark that changed. ``kind``: "appeared", "gone" or "moved"; ``probability`` of that; it happened between
+    ``after`` and ``before`` (UTC), the sessions that tell. ``position`` (3,) m in the map, for a moved object where it
+    is now, ``from_position`` where it was, and ``from_landmark`` what it was there; else None and empty.
+    """
+
+    kind: str
+    landmark: str
+    label: str
+    probability: float
+    after: str
+    before: str
+    position: tuple[float, float, float]
+    from_landmark: str = ""
+    from_position: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LivingMap:
+    """``presence`` of the landmarks of a joint map, and the ``changes`` that this shows."""
+
+    presence: Presence
+    changes: tuple[Change, ...]
+
+
+def detect_changes(joint: JointMap, stamps_ns: Sequence[int]) -> LivingMap:
+    """What changed in a joint map.
+
+    Args:
+        joint: the map; its members have to be in the order of their dates.
+        stamps_ns: when each member drove.
+    """
+    seen, distances_m = _sightings(joint)
+    when = np.array(stamps_ns, dtype=np.int64)
+    presence = estimate_presence(seen, seen_probabilities(seen, distances_m), when)
+    return LivingMap(presence, _changes(joint, presence, when, area_m2=_area_m2(joint)))
+
+
+def write_changes(path: Path, changes: Sequence[Change], georeference: Georeference | None) -> None:
+    """Write a point a change as GeoJSON: degrees on WGS 84, or metres in the map where its place on earth is unknown.
+
+    Raises:
+        UnwritableLogError: the file cannot be written.
+    """
+    features = [
+        {
+            "type": "Feature",
+            "geometry": {"type": "Point", "coordinates": _coordinates(change.position, georeference)},
+            "properties": {
+                **{key: value for key, value in asdict(change).items() if key not in ("position", "from_position")},
+                "from": None if change.from_position is None else _coordinates(change.from_position, georeference),
+            },
+        }
+        for change in changes
+    ]
+    collection: dict[str, object] = {"type": "FeatureCollection", "features": features}
+    if georeference is None:
+        collection["coordinates"] = "metres in the frame of the map"
+    write_text(path, json.dumps(collection, indent=1) + "\n")
+
+
+def _coordinates(position: tuple[float, float, float], georeference: Georeference | None) -> list[float]:
+    if georeference is None:
+        return [round(value, 3) for value in position]
+    latitude, longitude, altitude_m = georeference.to_geodetic(np.array([position]))[0].tolist()
+    return [round(longitude, 9), round(latitude, 9), round(altitude_m, 3)]
+
+
+def _sightings(joint: JointMap) -> tuple[BoolArray, FloatArray]:
+    """Which landmarks (L, M) each member saw, and their distances (L, M) m from its path."""
+    row_of = {name: row for row, name in enumerate(joint.objects.ids)}
+    column_of = {number: column for column, number in enumerate(joint.members)}
+    seen = np.zeros((len(row_of), len(column_of)), dtype=np.bool_)
+    for sighting in joint.sightings:
+        seen[row_of[sighting.landmark], column_of[sighting.map_number]] = True
+    distances_m = np.full(seen.shape, np.inf)
+    for number, column in column_of.items():
+        starts, ends = _path(joint, number)
+        distances_m[:, column] = _distances_m(joint.objects.positions[:, :2], starts, ends)
+    return seen, distances_m
+
+
+def _path(joint: JointMap, number: int) -> tuple[FloatArray, FloatArray]:
+    """Straight pieces (P, 2) of the path of a member, from and to; at least its first place."""
+    graph = joint.graph
+    ends = graph.edge_keyframe_ids[are_of_kind(graph, EdgeKind.ODOMETRY)]
+    ends = ends[joint.place_maps[ends[:, 0]] == number]
+    places = graph.T_map_body[:, :2, 3]
+    first = int(np.flatnonzero(joint.place_maps == number)[0])
+    ends = np.vstack([ends, [[first, first]]])
+    return places[ends[:, 0]], places[ends[:, 1]]
+
+
+def _distances_m(points: FloatArray, starts: FloatArray, ends: FloatArray) -> FloatArray:
+    """Distance (N,) of points (N, 2) from the nearest of some straight pieces (P, 2)."""
+    along = ends - starts
+    length2 = np.maximum(np.einsum("pi,pi->p", along, along), 1e-12)
+    nearest = np.full(len(points), np.inf)
+    for start, step, square in zip(starts, along, length2, strict=True):
+        share = np.clip((points - start) @ step / square, 0.0, 1.0)
+        offsets = points - start - share[:, None] * step
+        nearest = np.minimum(nearest, np.hypot(offsets[:, 0], offsets[:, 1]))
+    return nearest
+
+
+def _area_m2(joint: JointMap) -> float:
+    """Area of the map, as its landmarks cover it."""
+    positions = joint.objects.positions[:, :2]
+    spacing_m = float(np.median(cKDTree(positions).query(positions, k=min(2, len(positions)))[0])) + 1e-3
+    return max(len(positions) * np.pi * spacing_m**2, 1.0)
+
+
+def _changes(joint: JointMap, presence: Presence, when: IntArray, *, area_m2: float) -> tuple[Change, ...]:
+    if len(when) < 2:
+        return ()
+    appeared = np.flatnonzero(presence.appeared >= REPORTED).tolist()
+    gone = np.flatnonzero(presence.gone >= REPORTED).tolist()
+    moves = _moves(joint, presence, appeared, gone, area_m2)
+    came, went = {new for new, _, _ in moves}, {old for _, old, _ in moves}
+    changes = [
+        *(_moved(joint, presence, when, *move) for move in moves),
+        *(_change(joint, presence, when, row, "appeared") for row in appeared if row not in came),
+        *(_change(joint, presence, when, row, "gone") for row in gone if row not in went),
+    ]
+    return tuple(sorted(changes, key=lambda change: (change.before, change.kind, int(change.landmark))))
+
+
+def _moves(
+    joint: JointMap, presence: Presence, appeared: list[int], gone: list[int], area_m2: float
+) -> list[tuple[int, int, float]]:
+    """Rows of what appeared and of what went that are one object, with the probability.
+
+    Another object of the class appears by chance within the distance d with probability 1 - exp(-density pi d^2); the
+    two have to be the nearest of each other.
+    """
+    labels = np.array(joint.objects.labels)
+    positions = joint.objects.positions[:, :2]
+    moves = []
+    for label in sorted({*labels[appeared].tolist()} & {*labels[gone].tolist()}):
+        new, old = [row for row in appeared if labels[row] == label], [row for row in gone if labels[row] == label]
+        apart_m = np.hypot(*(positions[new][:, None] - positions[old][None]).transpose(2, 0, 1))
+        for i, row in enumerate(new):
+            j = int(apart_m[i].argmin())
+            if int(apart_m[:, j].argmin()) != i:
+                continue
+            alone = np.exp(-len(new) / area_m2 * np.pi * apart_m[i, j] ** 2)
+            probability = float(presence.appeared[row] * presence.gone[old[j]] * alone)
+            if probability >= REPORTED:
+                moves.append((row, old[j], probability))
+    return moves
+
+
+def _moved(joint: JointMap, presence: Presence, when: IntArray, new: int, old: int, probability: float) -> Change:
+    base = _change(joint, presence, when, new, "appeared")
+    return Change(
+        "moved",
+        base.landmark,
+        base.label,
+        round(probability, 4),
+        _change(joint, presence, when, old, "gone").after,
+        base.before,
+        base.position,
+        joint.objects.ids[old],
+        _position(joint, old),
+    )
+
+
+def _change(joint: JointMap, presence: Presence, when: IntArray, row: int, kind: str) -> Change:
+    """A change of one landmark, between the sessions around the likeliest time."""
+    column = ("appeared", "gone").index(kind)
+    probability = float((presence.appeared, presence.gone)[column][row])
+    likely = presence.changed[row, :, column]
+    # All sessions among which the change may lie: those that did not pass leave it open.
+    span = np.flatnonzero(likely > 0.05 * likely.max())
+    return Change(
+        kind,
+        joint.objects.ids[row],
+        joint.objects.labels[row],
+        round(probability, 4),
+        _date(int(when[span[0]])),
+        _date(int(when[span[-1] + 1])),
+        _position(joint, row),
+    )
+
+
+def _position(joint: JointMap, row: int) -> tuple[float, float, float]:
+    x, y, z = joint.objects.positions[row].tolist()
+    return x, y, z
+
+
+def _date(stamp_ns: int) -> str:
+    return datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC).isoformat()

@@ -1,0 +1,110 @@
+"""What became of each log of a fleet: where it joined, which did not and why; the same bytes for the same fleet."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slam.fleet.fleet import Fleet
+from slam.sweeps.cells import write_text
+
+
+def fleet_report(fleet: Fleet) -> dict[str, Any]:
+    """The report as JSON: of the logs, of the parts of the map, and of the pairs that did not join."""
+    names = _names(fleet)
+    part_of = {number: rank for rank, part in enumerate(fleet.parts) for number in part.members}
+    first: dict[str, str] = {}
+    logs = []
+    for name, digest in fleet.logs.items():
+        entry: dict[str, Any] = {"log": name, "sha256": digest}
+        session = fleet.sessions[digest]
+        if digest in first:
+            entry |= {"status": "repeated", "reason": f"the same log as {first[digest]}"}
+        elif not session.is_mapped:
+            entry |= {"status": "not mapped", "reason": session.reason}
+        else:
+            entry |= _of_session(fleet, fleet.order.index(digest), part_of, names)
+        first.setdefault(digest, name)
+        logs.append(entry)
+    return {
+        "logs": logs,
+        "parts": [_of_part(fleet, rank) for rank, name in enumerate(fleet.maps) if name],
+        "refused": [
+            {"logs": [names[pair.first], names[pair.second]], "reason": pair.reason}
+            for pair in fleet.pairs
+            if not pair.accepted
+        ],
+        "changes": len(fleet.changes),
+    }
+
+
+def write_report(path: Path, fleet: Fleet) -> None:
+    """Write the report.
+
+    Raises:
+        UnwritableLogError: the file cannot be written.
+    """
+    write_text(path, json.dumps(fleet_report(fleet), indent=1) + "\n")
+
+
+def _of_session(fleet: Fleet, number: int, part_of: dict[int, int], names: list[str]) -> dict[str, Any]:
+    session = fleet.sessions[fleet.order[number]]
+    rank = part_of[number]
+    joined = [
+        {
+            "log": names[pair.second if pair.first == number else pair.first],
+            "places": len(pair.joins),
+            "llr": round(pair.llr, 1),
+        }
+        for pair in fleet.pairs
+        if pair.accepted and number in (pair.first, pair.second) and part_of[pair.first] == part_of[pair.second]
+    ]
+    entry: dict[str, Any] = {
+        "status": "joined" if joined else "alone",
+        "reason": "" if joined else _why_alone(fleet, number, names),
+        "map": fleet.maps[rank],
+        "travel_m": session.travel_m,
+        "landmarks": session.landmarks,
+        "joined": joined,
+        "notes": list(session.notes),
+    }
+    return entry
+
+
+def _why_alone(fleet: Fleet, number: int, names: list[str]) -> str:
+    """Why a session joined no other."""
+    pairs = [pair for pair in fleet.pairs if number in (pair.first, pair.second)]
+    if not pairs:
+        return "no place of it was recognised in another log"
+    best = max(pairs, key=lambda pair: pair.llr)
+    other = names[best.second if best.first == number else best.first]
+    if best.accepted:
+        return f"its joins contradict those of other logs; the best was with {other}"
+    return f"the best was with {other}: {best.reason}"
+
+
+def _of_part(fleet: Fleet, rank: int) -> dict[str, Any]:
+    part, living = fleet.parts[rank], fleet.living[rank]
+    sigmas_m = np.sqrt(np.trace(part.objects.covariances[:, :2, :2], axis1=1, axis2=2) / 2.0)
+    return {
+        "map": fleet.maps[rank],
+        "logs": len(part.members),
+        "landmarks": len(part.objects.ids),
+        "landmarks_of_logs": len(part.sightings),
+        "present": int(np.count_nonzero(living.presence.present >= 0.5)),
+        "median_sigma_m": round(float(np.median(sigmas_m)), 3),
+        "joins_rejected": len(part.rejected),
+        "hazard_per_day": living.presence.hazard_per_day,
+        "changes": len(living.changes),
+    }
+
+
+def _names(fleet: Fleet) -> list[str]:
+    """A name for each session number: that of the first log with its content."""
+    name_of: dict[str, str] = {}
+    for name, digest in fleet.logs.items():
+        name_of.setdefault(digest, name)
+    return [name_of[digest] for digest in fleet.order]

@@ -1,0 +1,113 @@
+"""One log, mapped by itself: the first task of a fleet, a function of the log and the settings."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from logs.errors import LogError
+from logs.messages import SceneMarkers
+from slam.common.config import Config
+from slam.common.errors import SlamError
+from slam.map_joining.condensed_map import condense_map
+from slam.map_joining.session_config import session_config
+from slam.object_map.map_io import SavedMap, load_map, save_map
+from slam.replay import replay
+from slam.sweeps.cells import write_text
+
+MAP_NAME, LEDGER_NAME = "map.mcap", "session.json"
+STRETCHES_A_SUBMAP = 2.0
+"""Places on the travel of a submap."""
+
+
+@dataclass(frozen=True, slots=True)
+class SessionTask:
+    """A log at ``path`` that is to be mapped with ``config`` into the folder ``folder``."""
+
+    path: Path
+    sha256: str
+    config: Config
+    folder: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """What became of a log. ``reason``: why it has no map; ``first_ns``, ``last_ns``: stamps of its keyframes;
+    ``notes``: what a replay would warn of. Nothing in it depends on when or where it was mapped.
+    """
+
+    sha256: str
+    reason: str
+    keyframes: int = 0
+    landmarks: int = 0
+    travel_m: float = 0.0
+    first_ns: int = 0
+    last_ns: int = 0
+    notes: tuple[str, ...] = ()
+
+    @property
+    def is_mapped(self) -> bool:
+        """Whether there is a map."""
+        return not self.reason
+
+
+def map_session(task: SessionTask) -> Session:
+    """Map a log into ``folder``: its condensed map and its ledger, which is written last."""
+    task.folder.mkdir(parents=True, exist_ok=True)
+    scratch = Path(tempfile.mkdtemp(prefix="mapping-", dir=task.folder))
+    try:
+        session = _mapped(task, scratch)
+    except (LogError, SlamError) as error:
+        session = Session(task.sha256, " ".join([str(error), *getattr(error, "__notes__", ())]))
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+    write_text(task.folder / LEDGER_NAME, json.dumps(asdict(session), indent=1) + "\n")
+    return session
+
+
+def read_session(folder: Path) -> Session | None:
+    """What a finished task left in its folder; None if there is nothing, or nothing that can be used."""
+    try:
+        values = json.loads((folder / LEDGER_NAME).read_text(encoding="utf-8"))
+        session = Session(**{**values, "notes": tuple(values["notes"])})
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+    return session if session.reason or (folder / MAP_NAME).exists() else None
+
+
+def _mapped(task: SessionTask, scratch: Path) -> Session:
+    whole = scratch / MAP_NAME
+    summary = replay(task.path, scratch / "replay.mcap", task.config, map_path=whole)
+    saved = load_map(whole)
+    config = session_config(saved.metadata)
+    condensed = condense_map(saved, stretch_m=config.submap.travel_m / STRETCHES_A_SUBMAP)
+    _save(task.folder / MAP_NAME, condensed, dict(saved.metadata))
+    stamps_ns = saved.graph.keyframe_stamps_ns
+    return Session(
+        sha256=task.sha256,
+        reason="",
+        keyframes=len(saved.graph.keyframe_ids),
+        landmarks=len(saved.objects.ids),
+        travel_m=summary_travel_m(saved),
+        first_ns=int(stamps_ns.min()),
+        last_ns=int(stamps_ns.max()),
+        notes=summary.notes,
+    )
+
+
+def summary_travel_m(saved: SavedMap) -> float:
+    """Path of the drives of a map [m]."""
+    from slam.object_map.map_summary import summarize_map
+
+    return round(summarize_map(saved).path_m, 3)
+
+
+def _save(path: Path, condensed: SavedMap, metadata: Mapping[str, str]) -> None:
+    objects = condensed.objects
+    markers = SceneMarkers(objects.stamp_ns, "map", objects.positions, objects.labels, objects.ids)
+    provenance = {key: value for key, value in metadata.items() if key not in ("format_version", "gravity", "drives")}
+    save_map(path, objects, condensed.graph, markers, provenance)

@@ -1,0 +1,1 @@
+"""Maps of several drives found in one another, and joined to one."""

@@ -1,0 +1,173 @@
+"""A map of a drive in a few upright places: what a stretch of the drive observed, as seen from its middle.
+
+Keyframes stand metres apart and see the same landmarks again and again. Once a drive is optimised, a place every
+sensor range keeps its shape: the observations of a landmark in a stretch become one, by the sum of their information,
+and the steps of the odometry between two places one edge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from logs.messages import FactorGraphRecord
+from slam.backend.factors import EdgeKind
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.geometry import apply, covariance_in_axes, invert
+from slam.object_map.map_io import SavedMap, are_of_kind
+from slam.object_map.submap import gravity_frame
+
+LEAST_DISTANCE_SHARE = 0.02
+"""A landmark nearer to a place, in lengths of a stretch, has no bearing there; the places beside it observe it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stretches:
+    """``of`` (K,): stretch of each keyframe, ascending; ``middles`` (S,): row of the keyframe in the middle of each;
+    ``steps``: edge from a row to the next one of its drive.
+    """
+
+    of: IntArray
+    middles: IntArray
+    steps: Mapping[int, int]
+
+
+def condense_map(saved: SavedMap, *, stretch_m: float) -> SavedMap:
+    """The same landmarks, observed from a place in each stretch of ``stretch_m`` of travel.
+
+    The keyframes of the result are these places, upright, numbered from 0 along the drive; edges of kind odometry lead
+    from each to the next one, those of kind closure are loop closures between stretches.
+    """
+    graph = saved.graph
+    stretches = _stretches(graph, stretch_m)
+    T_map_place = gravity_frame(graph.T_map_body[stretches.middles])
+    edges, transforms, covariances, kinds = _edges(graph, stretches, T_map_place)
+    places, names, positions, noises = _observations(saved, stretches, T_map_place)
+    is_far = np.linalg.norm(positions, axis=1) > LEAST_DISTANCE_SHARE * stretch_m
+    condensed = FactorGraphRecord(
+        stamp_ns=graph.stamp_ns,
+        keyframe_ids=np.arange(len(T_map_place)),
+        keyframe_stamps_ns=graph.keyframe_stamps_ns[stretches.middles],
+        T_map_body=T_map_place,
+        edge_keyframe_ids=edges,
+        edge_transforms=transforms,
+        edge_covariances=covariances,
+        edge_kinds=kinds,
+        observation_keyframe_ids=places[is_far],
+        observation_landmark_ids=tuple(np.array(names, dtype=object)[is_far].tolist()),
+        observation_positions=positions[is_far],
+        observation_covariances=noises[is_far],
+    )
+    return replace(saved, graph=condensed)
+
+
+def _stretches(graph: FactorGraphRecord, stretch_m: float) -> _Stretches:
+    count = len(graph.keyframe_ids)
+    row_of = {keyframe: row for row, keyframe in enumerate(graph.keyframe_ids.tolist())}
+    steps: dict[int, int] = {}
+    for edge in np.flatnonzero(are_of_kind(graph, EdgeKind.ODOMETRY)).tolist():
+        first, second = (row_of[keyframe] for keyframe in graph.edge_keyframe_ids[edge].tolist())
+        if second == first + 1:
+            steps[first] = edge
+    of, travel_m = np.zeros(count, dtype=np.int64), np.zeros(count)
+    for row in range(1, count):
+        if row - 1 not in steps:
+            of[row] = of[row - 1] + 1
+            continue
+        travel_m[row] = travel_m[row - 1] + np.linalg.norm(graph.edge_transforms[steps[row - 1], :3, 3])
+        is_next = travel_m[row] // stretch_m > travel_m[row - 1] // stretch_m
+        of[row] = of[row - 1] + is_next
+    firsts = np.flatnonzero(np.diff(of, prepend=-1))
+    lasts = np.append(firsts[1:], count) - 1
+    wanted_m = 0.5 * (travel_m[firsts] + travel_m[lasts])
+    middles = [
+        first + int(np.abs(travel_m[first : last + 1] - at_m).argmin())
+        for first, last, at_m in zip(firsts.tolist(), lasts.tolist(), wanted_m.tolist(), strict=True)
+    ]
+    return _Stretches(of, np.array(middles, dtype=np.int64), steps)
+
+
+def _edges(
+    graph: FactorGraphRecord, stretches: _Stretches, T_map_place: FloatArray
+) -> tuple[IntArray, FloatArray, FloatArray, tuple[str, ...]]:
+    """Edges (E, 2) between places, T_from_to (E, 4, 4), covariances (E, 6, 6) and kinds (E,)."""
+    found: dict[tuple[int, int], tuple[FloatArray, EdgeKind]] = {}
+    for place, (first, last) in enumerate(zip(stretches.middles[:-1], stretches.middles[1:], strict=True)):
+        steps = [stretches.steps.get(row, -1) for row in range(first, last)]
+        if min(steps, default=-1) >= 0:
+            found[place, place + 1] = _composed(graph, steps, last), EdgeKind.ODOMETRY
+    row_of = {keyframe: row for row, keyframe in enumerate(graph.keyframe_ids.tolist())}
+    for edge in np.flatnonzero(are_of_kind(graph, EdgeKind.LOOP_CLOSURE)).tolist():
+        ends = [row_of[keyframe] for keyframe in graph.edge_keyframe_ids[edge].tolist()]
+        first, second = (int(stretches.of[row]) for row in ends)
+        if first != second:
+            found.setdefault((first, second), (graph.edge_covariances[edge], EdgeKind.LOOP_CLOSURE))
+    pairs = np.array(list(found), dtype=np.int64).reshape(-1, 2)
+    transforms = invert(T_map_place[pairs[:, 0]]) @ T_map_place[pairs[:, 1]]
+    covariances = np.array([covariance for covariance, _ in found.values()]).reshape(-1, 6, 6)
+    return pairs, transforms, covariances, tuple(str(kind) for _, kind in found.values())
+
+
+def _composed(graph: FactorGraphRecord, steps: list[int], last: int) -> FloatArray:
+    """Covariance (6, 6) of a chain of edges, in the upright frame of its last keyframe, row ``last``."""
+    P = np.zeros((6, 6))
+    for step in steps:
+        A = _adjoint(invert(graph.edge_transforms[step]))
+        P = A @ P @ A.T + graph.edge_covariances[step]
+    T_map_body = graph.T_map_body[last]
+    return covariance_in_axes(P, T_map_body[:3, :3].T @ gravity_frame(T_map_body)[:3, :3])
+
+
+def _adjoint(T: FloatArray) -> FloatArray:
+    """Adjoint (6, 6) of a transform, rotation before translation."""
+    R, (x, y, z) = T[:3, :3], T[:3, 3]
+    A = np.zeros((6, 6))
+    A[:3, :3] = A[3:, 3:] = R
+    A[3:, :3] = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ R
+    return A
+
+
+def _observations(
+    saved: SavedMap, stretches: _Stretches, T_map_place: FloatArray
+) -> tuple[IntArray, list[str], FloatArray, FloatArray]:
+    """Places (O,), ids of landmarks, positions (O, 3) and covariances (O, 3, 3) in the frame of the place."""
+    graph, objects = saved.graph, saved.objects
+    row_of = {keyframe: row for row, keyframe in enumerate(graph.keyframe_ids.tolist())}
+    landmark_of = {name: row for row, name in enumerate(objects.ids)}
+    rows = np.array([row_of[keyframe] for keyframe in graph.observation_keyframe_ids.tolist()], dtype=np.int64)
+    landmarks = np.array([landmark_of[name] for name in graph.observation_landmark_ids], dtype=np.int64)
+    key, inverse = np.unique(stretches.of[rows] * len(objects.ids) + landmarks, return_inverse=True)
+    places, seen = key // len(objects.ids), key % len(objects.ids)
+    R_map_body = graph.T_map_body[rows, :3, :3]
+    information = R_map_body @ np.linalg.inv(graph.observation_covariances) @ np.swapaxes(R_map_body, 1, 2)
+    total = np.zeros((len(key), 3, 3))
+    np.add.at(total, inverse, information)
+    R_place_map = np.swapaxes(T_map_place[places, :3, :3], 1, 2)
+    covariances = R_place_map @ np.linalg.inv(total) @ np.swapaxes(R_place_map, 1, 2)
+    T_place_map = invert(T_map_place[places])
+    positions = np.einsum("nij,nj->ni", T_place_map[:, :3, :3], objects.positions[seen]) + T_place_map[:, :3, 3]
+    return (
+        places,
+        [objects.ids[row] for row in seen.tolist()],
+        positions,
+        0.5 * (covariances + np.swapaxes(covariances, 1, 2)),
+    )
+
+
+def place_submap_rows(condensed: SavedMap, place: int) -> IntArray:
+    """Rows (N,) of the landmarks that were observed from a place and those before and after it on its drive."""
+    graph = condensed.graph
+    is_driven = are_of_kind(graph, EdgeKind.ODOMETRY)
+    beside = graph.edge_keyframe_ids[is_driven & (graph.edge_keyframe_ids == place).any(axis=1)]
+    around = np.unique(np.append(beside, place))
+    row_of = {name: row for row, name in enumerate(condensed.objects.ids)}
+    names = np.array(graph.observation_landmark_ids, dtype=object)
+    seen = names[np.isin(graph.observation_keyframe_ids, around)]
+    return np.unique(np.array([row_of[name] for name in seen.tolist()], dtype=np.int64))
+
+
+def positions_from(condensed: SavedMap, place: int, rows: IntArray) -> FloatArray:
+    """Positions (N, 3) m of landmarks in the frame of a place."""
+    return apply(invert(condensed.graph.T_map_body[place]), condensed.objects.positions[rows])

@@ -1,0 +1,127 @@
+"""Places of one map recognised in others: retrieved by quads, registered, and weighed by a likelihood ratio."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.backend.factors import EdgeKind
+from slam.common.arrays import FloatArray
+from slam.common.config import Config
+from slam.loop_closure.consistency import poses_agree
+from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratio
+from slam.map_joining.condensed_map import place_submap_rows, positions_from
+from slam.map_joining.place_index import PlaceIndex
+from slam.object_map.map_io import SavedMap, are_of_kind
+from slam.object_map.submap import Submap
+from slam.registration.registration import refine
+
+MAPS_PER_PLACE = 8
+"""Poses of a place that are verified: where many maps overlap, a few of them suffice to join it to all."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Join:
+    """A place of map ``query_map`` recognised in map ``reference_map``.
+
+    ``T_reference_place`` (4, 4): the place in the frame of the other map, with its covariance (6, 6), rotation first;
+    ``llr``: log-likelihood ratio of the same place against chance [nats]; ``matched``: objects.
+    """
+
+    query_map: int
+    place: int
+    reference_map: int
+    T_reference_place: FloatArray
+    covariance: FloatArray
+    llr: float
+    matched: int
+
+
+def find_joins(query: SavedMap, number: int, index: PlaceIndex, config: Config) -> list[Join]:
+    """Where places of a condensed map, which has a ``number`` in the index, are in the other maps.
+
+    Only those with a log-likelihood ratio of ``loop_closure.hypothesis_llr`` are returned; whether they are right is
+    decided by all of them together (:mod:`slam.map_joining.acceptance`).
+    """
+    joins = []
+    shares = index.objects.class_shares()
+    for place in range(len(query.graph.keyframe_ids)):
+        submap = _query_submap(query, place, index, config)
+        if len(submap) < config.loop_closure.min_inliers:
+            continue
+        known: list[Join] = []
+        for found in index.find(submap, count=MAPS_PER_PLACE, besides=number):
+            reach_m = float(np.hypot(*submap.positions[:, :2].T).max()) + config.likelihood_ratio.coverage_radius_m
+            reference = index.submap(
+                found.map_number, found.T_map_query[:3, 3], reach_m, sigma_m=config.submap.landmark_sigma_m
+            )
+            registration = refine(
+                submap.positions,
+                submap.labels,
+                reference.positions,
+                reference.labels,
+                found.T_map_query,
+                config.registration,
+                query_sigmas=submap.sigmas,
+                reference_sigmas=reference.sigmas,
+            )
+            T, covariance = registration.T_reference_query, registration.covariance
+            if T is None or covariance is None or len(registration.pairs) < config.loop_closure.min_inliers:
+                continue
+            ratio = compute_log_likelihood_ratio(
+                submap, reference, T, registration.pairs, config.likelihood_ratio, shares
+            )
+            join = Join(
+                number,
+                place,
+                found.map_number,
+                T,
+                covariance + _shared_covariance(config),
+                ratio.total,
+                ratio.matched_count,
+            )
+            if ratio.total >= config.loop_closure.hypothesis_llr and not _is_known(join, known, config):
+                known.append(join)
+        joins += known
+    return joins
+
+
+def _is_known(join: Join, known: list[Join], config: Config) -> bool:
+    """Whether another pose from which the registration began has led to the same one."""
+    return any(
+        join.reference_map == other.reference_map
+        and poses_agree(join.T_reference_place, other.T_reference_place, sensor_range_m=config.detection.sensor_range_m)
+        for other in known
+    )
+
+
+def _query_submap(query: SavedMap, place: int, index: PlaceIndex, config: Config) -> Submap:
+    """What was observed around a place, in its frame; only classes that the index has."""
+    rows = place_submap_rows(query, place)
+    positions = positions_from(query, place, rows)
+    distances_m = np.hypot(positions[:, 0], positions[:, 1])
+    sigmas = np.hypot(config.submap.landmark_sigma_m, config.submap.sigma_per_m * distances_m)
+    names = query.objects.labels
+    labels = index.labels_of([names[row] for row in rows.tolist()])
+    submap = Submap(positions, sigmas, labels, rows)
+    return submap.of(np.flatnonzero(labels >= 0))
+
+
+def _shared_covariance(config: Config) -> FloatArray:
+    """Covariance (6, 6) of what all inliers of a registration have in common."""
+    limits = config.loop_closure
+    tilt, yaw, shift = np.deg2rad(limits.tilt_sigma_deg), np.deg2rad(limits.base_sigma_deg), limits.base_sigma_m
+    height = np.hypot(shift, limits.base_height_sigma_m)
+    return np.diag(np.array([tilt, tilt, yaw, shift, shift, height]) ** 2)
+
+
+def mean_drift(condensed: SavedMap) -> tuple[float, float]:
+    """Variances of the odometry on a metre of the drive: of the position [m^2 / m] and of the heading [rad^2 / m]."""
+    graph = condensed.graph
+    is_driven = are_of_kind(graph, EdgeKind.ODOMETRY)
+    travel_m = float(np.linalg.norm(graph.edge_transforms[is_driven, :3, 3], axis=1).sum())
+    covariances = graph.edge_covariances[is_driven]
+    if travel_m == 0.0:
+        return 0.0, 0.0
+    return float(covariances[:, 4, 4].sum()) / travel_m, float(covariances[:, 2, 2].sum()) / travel_m

@@ -1,0 +1,261 @@
+"""One map of several: a robust pose graph of their places, landmarks fused, and all of it optimised together."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.messages import FactorGraphRecord, ObjectMapRecord
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import Edge, EdgeKind, Observation
+from slam.backend.pose_graph import PoseGraph
+from slam.backend.pose_graph_optimization import optimize_pose_graph
+from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.common.config import Config
+from slam.common.geometry import invert
+from slam.common.union_find import UnionFind, find_components
+from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
+from slam.map_joining.acceptance import MapPair
+from slam.map_joining.joins import Join
+from slam.object_map.landmarks import ObjectMap
+from slam.object_map.map_io import SavedMap, confirmed
+
+logger = logging.getLogger(__name__)
+
+TIE_SIGMA_RAD, TIE_SIGMA_PITCHES = 10.0, 10.0
+"""Of the edges that place one map beside another before any join is weighed, in radians and extents of the maps."""
+FUSIONS = 3
+"""Rounds of fusing landmarks and optimising: better positions show more duplicates."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """Landmark ``landmark`` of the joint map is ``name`` in the map ``map_number``."""
+
+    map_number: int
+    name: str
+    landmark: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointMap:
+    """``objects`` and ``graph`` of all maps that are joined, whose numbers are ``members``.
+
+    ``place_maps`` (K,): the map of each place (keyframe) of the graph; ``sightings``: what became of the landmarks of
+    the maps; ``rejected``: joins that contradict the others.
+    """
+
+    members: tuple[int, ...]
+    objects: ObjectMapRecord
+    graph: FactorGraphRecord
+    place_maps: IntArray
+    sightings: tuple[Sighting, ...]
+    rejected: tuple[Join, ...]
+
+
+def join_maps(maps: Mapping[int, SavedMap], pairs: Sequence[MapPair], config: Config) -> list[JointMap]:
+    """The joint maps, that of most maps first; each map is in one of them, by itself if nothing joins it.
+
+    Args:
+        maps: condensed, by their numbers.
+        pairs: verdicts; those that were not accepted join nothing.
+        config: of the optimisation and the fusion.
+
+    Raises:
+        FactorGraphError: GTSAM cannot solve it.
+    """
+    accepted = sorted((pair for pair in pairs if pair.accepted), key=lambda pair: (pair.first, pair.second))
+    joined = [_join(group, maps, _within(accepted, group), config) for group in _groups(sorted(maps), accepted)]
+    return sorted((each for group in joined for each in group), key=lambda each: (-len(each.members), each.members))
+
+
+def _join(group: list[int], maps: Mapping[int, SavedMap], pairs: list[MapPair], config: Config) -> list[JointMap]:
+    first = _first_places(group, maps)
+    joins = [join for pair in pairs for join in pair.joins]
+    if not joins:
+        return [_solved(group, maps, [], [], np.zeros((0, 4, 4)), config) for group in ([each] for each in group)]
+    T_map_place, kept = _placed(group, maps, pairs, joins, first)
+    held = [join for join, is_kept in zip(joins, kept, strict=True) if is_kept]
+    rejected = [join for join, is_kept in zip(joins, kept, strict=True) if not is_kept]
+    parts = _connected(group, [(join.query_map, join.reference_map) for join in held])
+    return [
+        _solved(
+            part,
+            maps,
+            [join for join in held if join.query_map in part],
+            [join for join in rejected if join.query_map in part],
+            np.concatenate([T_map_place[_rows(number, maps, first)] for number in part]),
+            config,
+        )
+        for part in parts
+    ]
+
+
+def _groups(numbers: list[int], pairs: Sequence[MapPair]) -> list[list[int]]:
+    return _connected(numbers, [(pair.first, pair.second) for pair in pairs])
+
+
+def _connected(numbers: list[int], ties: Sequence[tuple[int, int]]) -> list[list[int]]:
+    row_of = {number: row for row, number in enumerate(numbers)}
+    ends = np.array([(row_of[a], row_of[b]) for a, b in ties], dtype=np.int64).reshape(-1, 2)
+    component = find_components(len(numbers), ends)
+    return [[numbers[row] for row in np.flatnonzero(component == each)] for each in np.unique(component)]
+
+
+def _within(pairs: Sequence[MapPair], group: list[int]) -> list[MapPair]:
+    return [pair for pair in pairs if pair.first in group]
+
+
+def _first_places(group: Sequence[int], maps: Mapping[int, SavedMap]) -> dict[int, int]:
+    """Number of the first place of each map, when those of all maps are numbered in their order."""
+    counts = [len(maps[number].graph.keyframe_ids) for number in group]
+    return dict(zip(group, np.cumsum([0, *counts[:-1]]).tolist(), strict=True))
+
+
+def _rows(number: int, maps: Mapping[int, SavedMap], first: Mapping[int, int]) -> slice:
+    return slice(first[number], first[number] + len(maps[number].graph.keyframe_ids))
+
+
+def _placed(
+    group: list[int], maps: Mapping[int, SavedMap], pairs: list[MapPair], joins: list[Join], first: Mapping[int, int]
+) -> tuple[FloatArray, BoolArray]:
+    """Poses (K, 4, 4) of all places in the frame of the first map, and which joins (J,) agree with them.
+
+    The maps are placed one by one, by the pair with the highest log-likelihood ratio that leads to the next one.
+    """
+    T_joint_map, ties = {group[0]: np.eye(4)}, list[tuple[int, int]]()
+    sets = UnionFind()
+    tree = [pair for pair in sorted(pairs, key=lambda pair: -pair.llr) if sets.merge(pair.first, pair.second)]
+    while len(T_joint_map) < len(group):
+        pair = next(p for p in tree if (p.first in T_joint_map) != (p.second in T_joint_map))
+        join = pair.best
+        T_reference_query = join.T_reference_place @ invert(maps[join.query_map].graph.T_map_body[join.place])
+        if join.reference_map in T_joint_map:
+            T_joint_map[join.query_map] = T_joint_map[join.reference_map] @ T_reference_query
+        else:
+            T_joint_map[join.reference_map] = T_joint_map[join.query_map] @ invert(T_reference_query)
+        ties.append((first[pair.first], first[pair.second]))
+    poses = np.concatenate([T_joint_map[number] @ maps[number].graph.T_map_body for number in group])
+    extent_m = float(np.ptp(poses[:, :2, 3], axis=0).max()) + 1.0
+    edges, transforms, information = [], [], []
+    for number in group:
+        graph = maps[number].graph
+        edges.append(graph.edge_keyframe_ids + first[number])
+        transforms.append(graph.edge_transforms)
+        information.append(np.linalg.inv(graph.edge_covariances).reshape(-1, 6, 6))
+    tied = np.array(ties, dtype=np.int64)
+    loose = np.diag(np.repeat([TIE_SIGMA_RAD, TIE_SIGMA_PITCHES * extent_m], 3) ** -2.0)
+    closing = [_edge(join, maps, first) for join in joins]
+    given = sum(len(each) for each in edges) + len(tied)
+    pose_graph = PoseGraph(
+        vertex_ids=np.arange(len(poses)),
+        T_world_vertex=poses,
+        edges=np.concatenate([*edges, tied, np.array([edge[:2] for edge in closing], dtype=np.int64)]),
+        T_from_to=np.concatenate(
+            [*transforms, invert(poses[tied[:, 0]]) @ poses[tied[:, 1]], np.array([edge[2] for edge in closing])]
+        ),
+        information=np.concatenate(
+            [*information, np.tile(loose, (len(tied), 1, 1)), np.linalg.inv([join.covariance for join in joins])]
+        ),
+        fixed_ids=np.zeros(0, dtype=np.int64),
+    )
+    is_closure = np.arange(len(pose_graph.edges)) >= given
+    solved = optimize_pose_graph(pose_graph, is_closure)
+    return solved.graph.T_world_vertex, solved.solution.kept
+
+
+def _edge(join: Join, maps: Mapping[int, SavedMap], first: Mapping[int, int]) -> tuple[int, int, FloatArray]:
+    """From the nearest place of the reference map to the place: their numbers and the transform."""
+    T_reference = maps[join.reference_map].graph.T_map_body
+    offsets = T_reference[:, :2, 3] - join.T_reference_place[:2, 3]
+    nearest = int(np.hypot(offsets[:, 0], offsets[:, 1]).argmin())
+    T_from_to = invert(T_reference[nearest]) @ join.T_reference_place
+    return first[join.reference_map] + nearest, first[join.query_map] + join.place, T_from_to
+
+
+def _solved(
+    members: list[int],
+    maps: Mapping[int, SavedMap],
+    joins: list[Join],
+    rejected: list[Join],
+    T_map_place: FloatArray,
+    config: Config,
+) -> JointMap:
+    """All places and landmarks of maps that are placed already, estimated together."""
+    first = _first_places(members, maps)
+    if not joins:
+        T_map_place = maps[members[0]].graph.T_map_body
+    object_map = ObjectMap(config.association)
+    graph = FactorGraph(config.factor_graph, sensor_range_m=config.detection.sensor_range_m)
+    rows_of: dict[int, dict[str, int]] = {}
+    edges, observations, positions = list[Edge](), list[Observation](), dict[int, FloatArray]()
+    for number in members:
+        saved = maps[number]
+        rows = object_map.restore(saved.objects, travel_m=0.0)
+        rows_of[number] = dict(zip(saved.objects.ids, rows.tolist(), strict=True))
+        edges += _edges_of(saved.graph, first[number])
+        observed = _observations_of(saved.graph, first[number], rows_of[number])
+        for each in observed:
+            T = T_map_place[each.keyframe]
+            positions.setdefault(each.landmark, T[:3, :3] @ each.position + T[:3, 3])
+        observations += observed
+    edges += [Edge(*_edge(join, maps, first), join.covariance, EdgeKind.LOOP_CLOSURE) for join in joins]
+    graph.restore(range(len(T_map_place)), T_map_place, positions, edges, observations)
+    for _ in range(FUSIONS):
+        graph.optimize()
+        if not fuse_duplicate_landmarks(
+            object_map, graph, range(len(T_map_place)), radius_m=2.0 * config.submap.landmark_sigma_m
+        ):
+            break
+    else:
+        graph.optimize()
+    stamps_ns = np.concatenate([maps[number].graph.keyframe_stamps_ns for number in members])
+    stamp_ns = int(stamps_ns.max())
+    in_graph = graph.landmarks
+    object_map.rows["position_map"][in_graph] = graph.landmark_positions(in_graph)
+    object_map.rows["covariance_map"][in_graph] = graph.landmark_covariances(in_graph)
+    objects = confirmed(object_map.to_record(stamp_ns))
+    known = set(objects.ids)
+    sightings = [
+        Sighting(number, name, landmark)
+        for number in members
+        for name, row in rows_of[number].items()
+        if (landmark := str(object_map.canonical_id(row))) in known
+    ]
+    return JointMap(
+        members=tuple(members),
+        objects=objects,
+        graph=graph.to_record(stamp_ns, stamps_ns),
+        place_maps=np.repeat(members, [len(maps[number].graph.keyframe_ids) for number in members]),
+        sightings=tuple(sightings),
+        rejected=tuple(rejected),
+    )
+
+
+def _edges_of(graph: FactorGraphRecord, first: int) -> list[Edge]:
+    return [
+        Edge(start + first, end + first, T, covariance, EdgeKind(kind))
+        for (start, end), T, covariance, kind in zip(
+            graph.edge_keyframe_ids.tolist(),
+            graph.edge_transforms,
+            graph.edge_covariances,
+            graph.edge_kinds,
+            strict=True,
+        )
+    ]
+
+
+def _observations_of(graph: FactorGraphRecord, first: int, row_of: Mapping[str, int]) -> list[Observation]:
+    return [
+        Observation(place + first, row_of[name], position, covariance)
+        for place, name, position, covariance in zip(
+            graph.observation_keyframe_ids.tolist(),
+            graph.observation_landmark_ids,
+            graph.observation_positions,
+            graph.observation_covariances,
+            strict=True,
+        )
+    ]

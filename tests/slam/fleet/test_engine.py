@@ -1,0 +1,54 @@
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from slam.common.errors import FleetError
+from slam.fleet.engine import ProcessEngine, open_engine
+from slam.sweeps.workers import Death
+
+
+def doubled(task: int) -> int:
+    return 2 * task
+
+
+def die_once(task: Path) -> str:
+    """The first process at a task is killed."""
+    if task.exists():
+        return "done"
+    task.write_text("begun")
+    os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(60.0)
+    return "never"
+
+
+def die_always(task: int) -> int:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return task
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2])
+def test_all_tasks_are_computed(workers: int) -> None:
+    assert dict(ProcessEngine(workers).compute(doubled, [1, 2, 3])) == {1: 2, 2: 4, 3: 6}
+
+
+@pytest.mark.slow
+def test_a_task_whose_process_dies_is_begun_again(tmp_path: Path) -> None:
+    tasks = [tmp_path / name for name in "ab"]
+    assert dict(ProcessEngine(2).compute(die_once, tasks)) == dict.fromkeys(tasks, "done")
+
+
+@pytest.mark.slow
+def test_a_task_that_always_kills_its_process_is_given_up() -> None:
+    assert isinstance(dict(ProcessEngine(1).compute(die_always, [1]))[1], Death)
+
+
+def test_a_cluster_needs_ray(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(FleetError, match="pip install"), open_engine(2, address="10.0.0.1:6379"):
+        pass

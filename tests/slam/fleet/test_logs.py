@@ -1,0 +1,37 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from slam.common.errors import FleetError
+from slam.fleet.logs import find_logs
+
+
+def test_a_manifest_is_relative_to_itself_and_names_each_log_once(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"a")
+    (tmp_path / "list.txt").write_text("# of Monday\na.mcap\n\na.mcap\n")
+    (log,) = find_logs([], tmp_path / "list.txt", tmp_path / "cache")
+    assert log.path == tmp_path / "a.mcap"
+
+
+def test_a_url_is_fetched_once(tmp_path: Path) -> None:
+    source = tmp_path / "drive.mcap"
+    source.write_bytes(b"content")
+    url = f"file://{source}"
+    (log,) = find_logs([url], None, tmp_path / "cache")
+    assert (log.name, log.path.read_bytes()) == (url, b"content")
+    source.unlink()
+    assert find_logs([url], None, tmp_path / "cache") == [log]
+
+
+@pytest.mark.parametrize("source", ["missing.mcap", "file:///nowhere/drive.mcap", "odd://drive.mcap"])
+def test_what_is_not_there_is_told_in_one_line(source: str, tmp_path: Path) -> None:
+    with pytest.raises(FleetError, match=source.rpartition("/")[2]):
+        find_logs([source], None, tmp_path / "cache")
+
+
+def test_a_manifest_that_is_no_text_is_told(tmp_path: Path) -> None:
+    (tmp_path / "list.txt").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(FleetError, match="manifest"):
+        find_logs([], tmp_path / "list.txt", tmp_path / "cache")

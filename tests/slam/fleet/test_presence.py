@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+import numpy as np
+
+from slam.fleet.presence import estimate_presence, seen_probabilities
+
+DAY_NS = 86_400 * 10**9
+MONTHS_NS = np.arange(8) * 30 * DAY_NS
+SEEN = 0.9
+
+
+def presence(seen: list[list[int]], passed: list[list[int]] | None = None):  # type: ignore[no-untyped-def]
+    sightings = np.array(seen, dtype=bool)
+    probabilities = np.where(np.ones_like(sightings) if passed is None else np.array(passed, bool), SEEN, 0.0)
+    return estimate_presence(sightings, probabilities, MONTHS_NS)
+
+
+def test_what_is_always_seen_neither_appeared_nor_went() -> None:
+    result = presence([[1] * 8, [1, 1, 0, 1, 1, 1, 0, 1]])
+    assert (result.appeared < 0.1).all()
+    assert (result.gone < 0.1).all()
+
+
+def test_what_is_missed_from_a_month_on_is_gone_and_that_month_is_told() -> None:
+    steady = [[1] * 8] * 20
+    result = presence([*steady, [1, 1, 1, 1, 0, 0, 0, 0], [0, 0, 0, 0, 1, 1, 1, 1]])
+    assert result.gone[20] > 0.95
+    assert result.changed[20, :, 1].argmax() == 3
+    assert result.appeared[21] > 0.95
+    assert result.changed[21, :, 0].argmax() == 3
+    assert result.present[20] < 0.05
+
+
+def test_a_session_that_did_not_pass_says_nothing() -> None:
+    steady = [[1] * 8] * 20
+    seen = [1, 1, 1, 1, 0, 0, 0, 0]
+    result = presence([*steady, seen], [*[[1] * 8] * 20, seen])
+    assert result.gone[20] < 0.5
+
+
+def test_a_single_miss_at_the_end_is_no_proof() -> None:
+    result = presence([[1] * 8] * 40 + [[1] * 7 + [0]])
+    assert result.gone[40] < 0.5
+
+
+def test_the_hazard_follows_the_share_that_changes() -> None:
+    rng = np.random.default_rng(0)
+    rows = []
+    for _ in range(400):
+        begins, ends = rng.exponential(300.0), rng.exponential(300.0)
+        days = np.arange(8) * 30.0
+        there = (days < ends) & (days > (begins - 200.0 if rng.random() < 0.5 else -1.0))
+        rows.append((there & (rng.random(8) < SEEN)).astype(int).tolist())
+    kept = [row for row in rows if sum(row)]
+    few, many = presence([[1] * 8] * len(kept)).hazard_per_day, presence(kept).hazard_per_day
+    assert few < 1e-4
+    assert 1.0 / 600.0 < many < 1.0 / 100.0
+
+
+def test_probabilities_are_learned_by_distance_from_what_certainly_stood_there() -> None:
+    rng = np.random.default_rng(1)
+    distances_m = rng.uniform(0.0, 30.0, (300, 8))
+    seen = rng.random((300, 8)) < np.where(distances_m < 15.0, 0.95, 0.5)
+    seen[:, [0, -1]] = True
+    far = distances_m.copy()
+    far[:, 1] = 200.0
+    seen[:, 1] = False
+    probabilities = seen_probabilities(seen, far)
+    middle = slice(2, 7)
+    missed = ~seen[:, middle]
+    near = far[:, middle] < 12.0
+    assert abs(np.median(probabilities[:, middle][missed & near]) - 0.95) < 0.05
+    assert (
+        abs(np.median(probabilities[:, middle][missed & (far[:, middle] > 18.0) & (far[:, middle] < 27)]) - 0.5) < 0.1
+    )
+    assert (probabilities[:, 1] == 0.0).all()

@@ -1,0 +1,96 @@
+"""dslam fleet."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tools.arguments import ConfigFile, Json, Settings
+
+if TYPE_CHECKING:
+    from slam.fleet.logs import FleetLog
+
+REPORT_NAME = "report.json"
+
+
+def fleet(
+    logs: Annotated[
+        list[str] | None, typer.Argument(metavar="[LOG]...", help="Logs, by path or URL.", show_default=False)
+    ] = None,
+    folder: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Where maps and report go; what is finished is kept.")
+    ] = Path("fleet"),
+    manifest: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Paths or URLs of more logs, one a line.", show_default=False)
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Tasks at a time. \\[default: one a core]", show_default=False)
+    ] = None,
+    address: Annotated[
+        str | None, typer.Option(metavar="HOST:PORT", help="A Ray cluster that runs already.", show_default=False)
+    ] = None,
+    origin: Annotated[
+        str | None, typer.Option(metavar="LAT,LON", help="Where on earth the first log began.", show_default=False)
+    ] = None,
+    config_file: ConfigFile = None,
+    settings: Settings = None,
+    json: Json = False,
+) -> None:
+    """Map many logs of one city, find them in one another, and make one map of them.
+
+    Each log is mapped by itself; report.json says which joined where and which did not and why, changes.geojson what
+    appeared, went or moved. If it is killed, the same command goes on where it was.
+
+    Example: dslam fleet monday.mcap tuesday.mcap wednesday.mcap -o city
+    """
+    from slam.common.config import load_config
+    from slam.fleet.engine import open_engine
+    from slam.fleet.fleet import map_fleet
+    from slam.fleet.logs import find_logs
+    from slam.fleet.report import fleet_report, write_report
+    from tools import console
+    from tools.importers.maps import parse_origin
+
+    config = load_config(config_file, settings or ())
+    georeference = parse_origin(origin)
+    folder.mkdir(parents=True, exist_ok=True)
+    found: list[FleetLog] = find_logs(logs or [], manifest, folder / "logs")
+    with (
+        open_engine(workers or os.cpu_count() or 1, address=address) as engine,
+        console.progress_line("fleet") as progress,
+    ):
+        result = map_fleet(
+            found, folder, config, engine, georeference=georeference, **({"progress": progress} if progress else {})
+        )
+    write_report(folder / REPORT_NAME, result)
+    report = fleet_report(result)
+    if json:
+        console.show_json(report)
+    else:
+        _show(folder, report)
+
+
+def _show(folder: Path, report: dict[str, Any]) -> None:
+    from tools import console
+
+    table = console.grid({"log": False, "status": False, "map": False, "joined": True, "reason": False})
+    for log in report["logs"]:
+        table.add_row(
+            log["log"], log["status"], log.get("map", ""), str(len(log.get("joined", []))), log.get("reason", "")
+        )
+    parts = console.grid(
+        {"map": False, **dict.fromkeys(("logs", "landmarks", "there now", "sigma m", "changes"), True)}
+    )
+    for part in report["parts"]:
+        parts.add_row(
+            str(folder / part["map"]),
+            str(part["logs"]),
+            str(part["landmarks"]),
+            str(part["present"]),
+            f"{part['median_sigma_m']:.3f}",
+            str(part["changes"]),
+        )
+    console.show(table, parts, f"written: {folder / REPORT_NAME}, {folder / 'changes.geojson'}")
