@@ -8,9 +8,10 @@ noise: the spacing of the objects is the yardstick.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam.common.arrays import FloatArray, IntArray
 
@@ -18,6 +19,8 @@ AMBIGUITY = 0.5
 """A track goes on with a detection nearer than this share of the distance to the next object of its class."""
 RANGE_SHARE = 0.25
 """... and of the range, for an object that is alone of its class."""
+SMOOTHED = 4
+"""Detections of a track before and after one that, together with it, say where its object is."""
 MISSED_SCANS = 2
 """Scans in a row in which an object may be missed before its track ends."""
 
@@ -39,8 +42,10 @@ class SurveyScan:
 class ObjectTracks:
     """Detections (S,) that belong to tracks, ordered by track and time.
 
-    ``track`` and ``scan`` (S,): ids; ``offsets`` (S, 2) m from the body and ``points`` (S, 2) m, both in the axes of
-    the odometry frame; ``labels`` (S,); ``claimed`` (S,) m^2; ``heights`` (S,) m in the odometry frame.
+    ``track`` and ``scan`` (S,): ids; ``offsets`` (S, 2) m of the object from the body, smoothed along the track so that
+    they have little of the noise of the detections, and ``points`` (S, 2) m where they were detected, both in the axes of the odometry
+    frame; ``labels`` (S,); ``claimed`` (S,) m^2; ``heights`` (S,) m in the odometry frame; ``rooms`` (S,) m: the
+    distance from where the track ended within which a detection continued it.
     """
 
     track: IntArray
@@ -50,38 +55,52 @@ class ObjectTracks:
     labels: IntArray
     claimed: FloatArray
     heights: FloatArray
+    rooms: FloatArray
+
+    def of(self, chosen: NDArray[np.bool_] | IntArray) -> ObjectTracks:
+        """Some of the detections, by mask or rows."""
+        return ObjectTracks(*(getattr(self, each.name)[chosen] for each in fields(self)))
 
 
 def follow_objects(scans: Sequence[SurveyScan], headings_rad: FloatArray) -> ObjectTracks:
     """Tracks of the objects in ``scans`` (K), whose bodies head to ``headings_rad`` (K,) in the odometry frame."""
-    tracks, numbers = [], []
-    offsets, points, labels, claimed, heights = [], [], [], [], []
+    if not scans:
+        none, nowhere = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
+        return ObjectTracks(none, none, nowhere, nowhere, none, np.zeros(0), np.zeros(0), np.zeros(0))
+    tracks, numbers, points, rooms = [], [], [], []
     ends = _OpenTracks()
     for number, (scan, heading) in enumerate(zip(scans, headings_rad, strict=True)):
         c, s = np.cos(heading), np.sin(heading)
-        offset = scan.positions[:, :2] @ np.array([[c, s], [-s, c]])
-        point = offset + scan.T_odom_body[:2, 3]
-        tracks.append(ends.extend(number, point, np.hypot(offset[:, 0], offset[:, 1]), scan.labels))
-        numbers.append(np.full(len(point), number))
-        offsets.append(offset)
-        points.append(point)
-        labels.append(scan.labels)
-        claimed.append(scan.variances)
-        heights.append(scan.positions[:, 2] + scan.T_odom_body[2, 3])
-    if not tracks:
-        none, nowhere = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
-        return ObjectTracks(none, none, nowhere, nowhere, none, np.zeros(0), np.zeros(0))
+        offsets = scan.positions[:, :2] @ np.array([[c, s], [-s, c]])
+        points.append(offsets + scan.T_odom_body[:2, 3])
+        found, room = ends.extend(number, points[-1], np.hypot(offsets[:, 0], offsets[:, 1]), scan.labels)
+        tracks.append(found)
+        rooms.append(room)
+        numbers.append(np.full(len(offsets), number))
     track, scan_of = np.concatenate(tracks), np.concatenate(numbers)
     order = np.lexsort((scan_of, track))
+    track, scan_of, point = track[order], scan_of[order], np.concatenate(points)[order]
+    bodies = np.stack([scan.T_odom_body[:, 3] for scan in scans])
+    heights = [scan.positions[:, 2] + scan.T_odom_body[2, 3] for scan in scans]
     return ObjectTracks(
-        track[order],
-        scan_of[order],
-        np.concatenate(offsets)[order],
-        np.concatenate(points)[order],
-        np.concatenate(labels)[order],
-        np.concatenate(claimed)[order],
+        track,
+        scan_of,
+        _smoothed(point, track) - bodies[scan_of, :2],
+        point,
+        np.concatenate([scan.labels for scan in scans])[order],
+        np.concatenate([scan.variances for scan in scans])[order],
         np.concatenate(heights)[order],
+        np.concatenate(rooms)[order],
     )
+
+
+def _smoothed(points: FloatArray, track: IntArray) -> FloatArray:
+    """The mean (S, 2) of each point and those around it on its track."""
+    row = np.arange(len(track))
+    first = np.maximum(row - SMOOTHED, np.searchsorted(track, track, side="left"))
+    end = np.minimum(row + SMOOTHED + 1, np.searchsorted(track, track, side="right"))
+    sums = np.concatenate([np.zeros((1, 2)), np.cumsum(points, axis=0)])
+    return np.asarray((sums[end] - sums[first]) / (end - first)[:, None])
 
 
 class _OpenTracks:
@@ -94,11 +113,24 @@ class _OpenTracks:
         self._tracks = np.zeros(0, dtype=np.int64)
         self._scans = np.zeros(0, dtype=np.int64)
 
-    def extend(self, scan: int, points: FloatArray, ranges: FloatArray, labels: IntArray) -> IntArray:
-        """Tracks (N,) of the detections of a scan; those that continue none begin one."""
+    def extend(
+        self, scan: int, points: FloatArray, ranges: FloatArray, labels: IntArray
+    ) -> tuple[IntArray, FloatArray]:
+        """Tracks (N,) of the detections of a scan, those that continue none begin one; and the room (N,) of each."""
+        apart = np.linalg.norm(points[:, None] - self._points[None], axis=2)
+        apart[labels[:, None] != self._labels[None]] = np.inf
+        others = np.linalg.norm(points[:, None] - points[None], axis=2)
+        others[(labels[:, None] != labels[None]) | np.eye(len(points), dtype=np.bool_)] = np.inf
+        rooms = np.minimum(AMBIGUITY * others.min(axis=1, initial=np.inf), RANGE_SHARE * ranges)
         tracks = np.full(len(points), -1, dtype=np.int64)
-        if len(points) and len(self._points):
-            tracks = self._continued(points, ranges, labels)
+        if apart.size:
+            rows = np.arange(len(points))
+            nearest = np.argmin(apart, axis=1)
+            distances = apart[rows, nearest]
+            mutual = np.argmin(apart, axis=0)[nearest] == rows
+            apart[rows, nearest] = np.inf
+            rooms = np.minimum(rooms, AMBIGUITY * apart.min(axis=1))
+            tracks = np.where(mutual & (distances < rooms), self._tracks[nearest], -1)
         fresh = tracks < 0
         tracks[fresh] = self._count + np.arange(int(fresh.sum()))
         self._count += int(fresh.sum())
@@ -107,18 +139,4 @@ class _OpenTracks:
         self._labels = np.concatenate([self._labels[kept], labels])
         self._tracks = np.concatenate([self._tracks[kept], tracks])
         self._scans = np.concatenate([self._scans[kept], np.full(len(points), scan)])
-        return tracks
-
-    def _continued(self, points: FloatArray, ranges: FloatArray, labels: IntArray) -> IntArray:
-        apart = np.linalg.norm(points[:, None] - self._points[None], axis=2)
-        apart[labels[:, None] != self._labels[None]] = np.inf
-        nearest = np.argmin(apart, axis=1)
-        rows = np.arange(len(points))
-        distances = apart[rows, nearest]
-        mutual = np.argmin(apart, axis=0)[nearest] == rows
-        apart[rows, nearest] = np.inf
-        others = np.linalg.norm(points[:, None] - points[None], axis=2)
-        others[(labels[:, None] != labels[None]) | np.eye(len(points), dtype=np.bool_)] = np.inf
-        room = AMBIGUITY * np.minimum(apart.min(axis=1), others.min(axis=1))
-        continues = mutual & (distances < np.minimum(room, RANGE_SHARE * ranges))
-        return np.where(continues, self._tracks[nearest], -1)
+        return tracks, rooms

@@ -33,6 +33,9 @@ BLOCKS = 8
 """Stretches of the log that the jackknife leaves out one at a time."""
 CLIP = 8.0
 """Displacements are clipped at that many robust standard deviations."""
+ROOM_SIGMAS = 4.0
+"""Room of a track that its noise does not fill, in robust standard deviations of its steps."""
+LEAST_SHARE = 0.25
 LEAST_PAIRS = 100
 """Lags with fewer tracked pairs are left out."""
 EXACT = 1e-18
@@ -81,6 +84,7 @@ class ComponentEstimate:
 
 def estimate_components(tracks: ObjectTracks, motion: Motion) -> ComponentEstimate | None:
     """Variance components of a log; None where too few objects could be tracked."""
+    tracks = _well_apart(tracks)
     sums = [_equations(tracks, motion, first, second) for first, second in _lagged_pairs(tracks)]
     if not sums:
         return None
@@ -95,6 +99,22 @@ def estimate_components(tracks: ObjectTracks, motion: Motion) -> ComponentEstima
 def component_names() -> tuple[str, ...]:
     """Names of the components, in the order of the equations."""
     return tuple(field.name for field in fields(NoiseComponents))
+
+
+def _well_apart(tracks: ObjectTracks) -> ObjectTracks:
+    """The tracks that had room for all the noise there is: those between near neighbours end where it is large.
+
+    Where there are few of them, the quarter of the detections with the most room stands for them.
+    """
+    same = tracks.track[1:] == tracks.track[:-1]
+    steps = (tracks.points[1:] - tracks.points[:-1])[same]
+    if not len(steps):
+        return tracks
+    _, start, row = np.unique(tracks.track, return_index=True, return_inverse=True)
+    room = np.minimum.reduceat(tracks.rooms, start)[row]
+    sigma = 1.4826 * float(np.median(np.abs(steps)))
+    kept = room >= min(ROOM_SIGMAS * sigma, float(np.quantile(room, 1.0 - LEAST_SHARE, method="lower")))
+    return tracks.of(kept)
 
 
 def _lagged_pairs(tracks: ObjectTracks) -> Iterator[tuple[IntArray, IntArray]]:

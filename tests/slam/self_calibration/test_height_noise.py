@@ -39,5 +39,6 @@ def test_a_wrong_match_counts_little():
 
 def test_too_few_objects_tell_nothing():
     few = np.zeros(20, dtype=np.int64)
-    alone = ObjectTracks(few, np.arange(20), np.ones((20, 2)), np.ones((20, 2)), few, np.zeros(20), np.zeros(20))
+    none = np.zeros(20)
+    alone = ObjectTracks(few, np.arange(20), np.ones((20, 2)), np.ones((20, 2)), few, none, none, none)
     assert estimate_height_noise(alone) == HeightNoise()

@@ -7,7 +7,7 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 
-from slam.self_calibration.object_tracks import ObjectTracks
+from slam.self_calibration.object_tracks import ObjectTracks, follow_objects
 from slam.self_calibration.variance_components import (
     ComponentEstimate,
     Motion,
@@ -134,15 +134,7 @@ def test_a_robot_that_neither_moves_nor_turns_tells_the_noise_of_its_detector():
     drive = SurveyedDrive(3, DETECTOR)
     tracks, motion = drive.tracks, drive.motion
     standing = np.flatnonzero((tracks.scan >= 155) & (tracks.scan < 220))  # 31 s to 44 s: it stands
-    part = ObjectTracks(
-        tracks.track[standing],
-        tracks.scan[standing],
-        tracks.offsets[standing],
-        tracks.points[standing],
-        tracks.labels[standing],
-        tracks.claimed[standing],
-        tracks.heights[standing],
-    )
+    part = tracks.of(standing)
     found = estimate_components(part, motion)
     assert found is not None
     assert 0.05 / 1.5 < np.sqrt(0.5 * (found.variances.radial + found.variances.tangential)) < 0.05 * 1.5
@@ -158,6 +150,7 @@ def test_too_few_detections_tell_nothing(count):
         np.zeros(count, dtype=np.int64),
         np.full(count, np.nan),
         np.zeros(count),
+        np.full(count, np.inf),
     )
     times = np.arange(float(count))
     assert estimate_components(tracks, Motion(times, times, times)) is None
@@ -171,8 +164,17 @@ def test_a_log_without_any_noise_has_none() -> None:
     points = np.array([[10.0, 5.0], [-20.0, 8.0], [60.0, -4.0]])[track]
     offsets = points - np.stack([0.3 * scan, np.zeros(len(scan))], axis=1)
     none = np.zeros(len(track))
-    tracks = ObjectTracks(track, scan, offsets, points, np.zeros(len(track), np.int64), none, none)
+    tracks = ObjectTracks(track, scan, offsets, points, np.zeros(len(track), np.int64), none, none, none + np.inf)
     motion = Motion(np.arange(count) * 0.3, np.zeros(count), np.arange(count) * 0.1)
     found = estimate_components(tracks, motion)
     assert found is not None
     assert np.isfinite(astuple(found.variances)).all()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_noise_of_half_the_spacing_is_no_bias_of_the_view(seed):
+    drive = SurveyedDrive(seed, {"radial": 0.5, "tangential": 0.5}, objects=60)
+    found = estimate_components(follow_objects(drive.scans, drive.headings), drive.motion)
+    assert found is not None
+    assert 0.5 / 1.5 < np.sqrt(0.5 * (found.variances.radial + found.variances.tangential)) < 0.5 * 1.5
+    assert np.sqrt(found.variances.view) < 0.25
