@@ -7,8 +7,8 @@ import numpy as np
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 
 RANGE_CELLS, BEARING_CELLS = 6, 8
-PRIOR_EXPECTED, PRIOR_SEEN = 2.0, 0.5
-"""What is assumed of a cell before anything was seen there."""
+PRIOR_EXPECTED, PRIOR_SEEN = 2.0, 0.0
+"""What is assumed of a cell: it may be hidden from the sensor as long as nothing was seen there."""
 
 
 class Visibility:
