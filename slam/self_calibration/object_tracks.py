@@ -43,9 +43,9 @@ class ObjectTracks:
     """Detections (S,) that belong to tracks, ordered by track and time.
 
     ``track`` and ``scan`` (S,): ids; ``offsets`` (S, 2) m of the object from the body, smoothed along the track so that
-    they have little of the noise of the detections, and ``points`` (S, 2) m where they were detected, both in the axes of the odometry
-    frame; ``labels`` (S,); ``claimed`` (S,) m^2; ``heights`` (S,) m in the odometry frame; ``rooms`` (S,) m: the
-    distance from where the track ended within which a detection continued it.
+    they have little of the noise of the detections, and ``points`` (S, 2) m where they were detected, both in the axes
+    of the odometry frame; ``labels`` (S,); ``claimed`` (S,) m^2; ``heights`` (S,) m in the odometry frame; ``rooms``
+    (S,) m: the distance from where the track ended within which a detection continued it.
     """
 
     track: IntArray
