@@ -211,7 +211,9 @@ class FactorGraphConfig(_Branch):
         default=0.05, gt=0, description="iSAM2: change of a variable that relinearises it"
     )
     relinearize_skip: int = Field(default=10, ge=1, description="iSAM2: updates between checks for relinearisation")
-    update_keyframes: int = Field(default=3, ge=1, description="keyframes between two updates of iSAM2")
+    update_keyframes: int = Field(
+        default=10, ge=1, description="keyframes between two updates of iSAM2; in between the local map goes on"
+    )
 
 
 class SubmapConfig(_Branch):

@@ -64,7 +64,9 @@ class Mapper:
             self._graph.add_first_keyframe(keyframe.id, pose.T_odom_body)
         else:
             self.close_keyframe()
-            self._graph.add_next_keyframe(self._odometry_edge(self.keyframes[-1], keyframe))
+            self._graph.add_next_keyframe(
+                self._odometry_edge(self.keyframes[-1], keyframe), _local_step(self.keyframes[-1], keyframe)
+            )
         self.keyframes.append(keyframe)
         if keyframe.id % self._config.factor_graph.update_keyframes == 0:
             self._graph.update()
@@ -263,6 +265,13 @@ class Mapper:
         for row in rows.tolist():
             self._held_back.pop(row, None)
             self._graph.remove_landmark(row)
+
+
+def _local_step(previous: Keyframe, keyframe: Keyframe) -> FloatArray | None:
+    """``T_previous_keyframe`` (4, 4) by odometry and landmarks; None where the odometry breaks off in between."""
+    if keyframe.odometry.segment != previous.odometry.segment:
+        return None
+    return relative(previous.T_local_body, keyframe.T_local_body)
 
 
 def _associations(scan: Scan, rows: IntArray, created: NDArray[np.bool_]) -> DetectionAssociations:

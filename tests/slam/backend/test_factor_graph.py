@@ -535,3 +535,34 @@ def test_a_chain_of_merges_can_be_undone():
     assert_same_estimate(graph, untouched, atol=1e-4)
     with pytest.raises(FactorGraphError, match="no merge can be undone"):
         graph.undo_merge()
+
+
+def test_a_landmark_that_comes_and_goes_between_two_updates_was_never_there() -> None:
+    edges, observations = noisy_edges(), sightings()
+    graph, twin = build(edges, observations), build(edges, observations)
+    seen = np.array([3.0, 1.0, 0.5])
+    graph.add_observations([Observation(k, 99, seen, SEEN_COVARIANCE) for k in (3, 4)])
+    graph.remove_landmark(99)
+    graph.update()
+    assert 99 not in graph.landmarks
+    np.testing.assert_array_equal(graph.poses(), twin.poses())
+
+
+def test_a_landmark_that_leaves_and_comes_again_between_two_updates_is_estimated() -> None:
+    edges, observations = noisy_edges(), sightings()
+    graph = build(edges, observations)
+    of_landmark = [o for o in observations if o.landmark == observations[0].landmark]
+    graph.remove_landmark(of_landmark[0].landmark)
+    graph.add_observations(of_landmark)
+    graph.update()
+    assert_is_true(graph)
+
+
+def test_a_keyframe_is_placed_by_the_better_estimate_until_the_next_update() -> None:
+    T = true_poses()
+    graph = FactorGraph(PLAIN)
+    graph.add_first_keyframe(0, T[0])
+    graph.add_next_keyframe(noisy_edges()[0], invert(T[0]) @ T[1])
+    np.testing.assert_allclose(graph.pose(1), T[1], atol=1e-9)
+    graph.update()
+    np.testing.assert_allclose(graph.pose(1), T[0] @ noisy_edges()[0].T_from_to, atol=1e-4)
