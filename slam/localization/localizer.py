@@ -1,28 +1,28 @@
 """Where the robot is: a posterior over poses in earlier traversals, and "somewhere new".
 
-Each hypothesis is a pose with its log-likelihood ratio over the landmarks of the submap around the robot (same place
-against somewhere new; see :mod:`slam.loop_closure.likelihood_ratio`) and a prior
-(:mod:`slam.localization.pose_prior`). From keyframe to keyframe its pose is carried along by the odometry, and it is
-measured again there. The posterior odds of hypothesis k against "somewhere new" are
+Each hypothesis is a pose with the log-likelihood ratios of the landmarks around the robot (same place against somewhere
+new; see :mod:`slam.loop_closure.likelihood_ratio`) and a prior (:mod:`slam.localization.pose_prior`). From keyframe to
+keyframe its pose is carried along by the odometry, and it is measured again there. The posterior odds of hypothesis k
+against "somewhere new" are
 
-    log o_k = log pi_k + LLR_k,        p_k = o_k / (1 + sum_j o_j).
+    log o_k = log pi_k + sum_i LLR_ki + min(0, sum_j LLR_kj),        p_k = o_k / (1 + sum_k o_k),
 
-Evidence adds up in the submap and nowhere else: its landmarks of the last stretch of travel all count at one pose. What
-was measured at an earlier keyframe does not count beside it, because each keyframe is registered anew and the poses
-may differ by more than the odometry can explain.
+where i are the landmarks of the submap, which all count at one pose, and j those that the robot has left behind, as
+they were last measured at that hypothesis. They can only speak against it: each keyframe is registered anew, so what
+fitted somewhat different poses before is no evidence for the pose of today.
 
 All decisions are reads of the posterior; this class changes nothing but itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import logsumexp
 
-from slam.common.arrays import FloatArray
+from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import LocalizationConfig
 from slam.common.geometry import invert
 
@@ -31,18 +31,40 @@ from slam.common.geometry import invert
 class PoseEvidence:
     """What one keyframe says of one pose: ``T_local_query`` (4, 4) of its gravity frame in the frame of a ``segment``.
 
-    ``log_prior``: log pi_k; ``log_likelihood_ratio``: LLR_k.
+    ``log_prior``: log pi_k; ``rows`` (N,): landmarks of the query; ``log_likelihood_ratios`` (N,): LLR_ki of each.
     """
 
     T_local_query: FloatArray
     segment: int
     log_prior: float
-    log_likelihood_ratio: float
+    rows: IntArray
+    log_likelihood_ratios: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """A pose of the robot, ``T_local_query`` (4, 4), at the keyframe whose gravity frame is ``T_odom_query`` (4, 4).
+
+    ``evidence``: LLR of each landmark in the submap; ``left_behind``: of those that were in it before; ``measured_m``:
+    travel at which it was last measured.
+    """
+
+    T_local_query: FloatArray
+    segment: int
+    log_prior: float
+    evidence: Mapping[int, float]
+    left_behind: Mapping[int, float]
+    T_odom_query: FloatArray
+    measured_m: float
 
     @property
     def log_odds(self) -> float:
         """Log posterior odds against "somewhere new"."""
-        return self.log_prior + self.log_likelihood_ratio
+        return self.log_prior + sum(self.evidence.values()) + min(sum(self.left_behind.values()), 0.0)
+
+    def carried(self, T_odom_query: FloatArray) -> FloatArray:
+        """The pose (4, 4) at another keyframe, by the odometry."""
+        return np.asarray(self.T_local_query @ invert(self.T_odom_query) @ T_odom_query)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,30 +83,27 @@ class Posterior:
 
 
 class Localizer:
-    """The hypotheses of one robot, all of one keyframe."""
+    """The hypotheses of one robot."""
 
-    def __init__(self, config: LocalizationConfig, *, memory_m: float) -> None:
-        """``memory_m``: travel after which hypotheses that are no longer measured are forgotten."""
-        self._max_hypotheses = config.max_hypotheses
+    def __init__(
+        self, config: LocalizationConfig, poses_agree: Callable[[FloatArray, FloatArray], bool], *, memory_m: float
+    ) -> None:
+        """``poses_agree``: whether two estimates (4, 4) of one pose agree; ``memory_m``: travel after which a
+        hypothesis that is no longer measured is forgotten.
+        """
+        self._config = config
+        self._poses_agree = poses_agree
         self._memory_m = memory_m
-        self._hypotheses: list[PoseEvidence] = []
-        self._T_odom_query = np.eye(4)
-        self._measured_m = -np.inf
+        self._hypotheses: list[Hypothesis] = []
 
     def reset(self) -> None:
         """Forget all hypotheses."""
         self._hypotheses = []
 
-    def predictions(self, T_odom_query: FloatArray, travel_m: float) -> list[tuple[int, FloatArray]]:
-        """Segment and pose (4, 4) of the likeliest hypotheses at a keyframe, for them to be measured there.
-
-        ``T_odom_query`` (4, 4) is its gravity frame in the frame of the odometry, ``travel_m`` the travel up to it.
-        """
-        if travel_m - self._measured_m > self._memory_m:
-            return []
-        likely = sorted(self._hypotheses, key=lambda each: -each.log_odds)[: self._max_hypotheses]
-        T_step = invert(self._T_odom_query) @ T_odom_query
-        return [(each.segment, np.asarray(each.T_local_query @ T_step)) for each in likely]
+    def predictions(self, T_odom_query: FloatArray) -> list[tuple[int, FloatArray]]:
+        """Segment and pose (4, 4) at a keyframe of the likeliest hypotheses, for them to be measured there."""
+        likely = sorted(self._hypotheses, key=lambda each: -each.log_odds)[: self._config.max_hypotheses]
+        return [(each.segment, each.carried(T_odom_query)) for each in likely]
 
     def update(
         self,
@@ -101,15 +120,42 @@ class Localizer:
             measured: the poses; no two of them agree.
             are_consistent: whether two of them, by their indices, can be true together: a place that was passed twice.
         """
-        self._hypotheses = list(measured)
-        self._T_odom_query, self._measured_m = T_odom_query, travel_m
-        log_odds = np.array([each.log_odds for each in measured])
-        same = np.eye(len(measured), dtype=bool)
-        for i in range(len(measured)):
+        known = [each for each in self._hypotheses if travel_m - each.measured_m <= self._memory_m]
+        joined = [self._joined(each, known, T_odom_query, travel_m) for each in measured]
+        others = [each for each in known if not any(self._agrees(each, new, T_odom_query) for new in measured)]
+        self._hypotheses = joined + others
+        log_odds = np.array([each.log_odds for each in joined])
+        same = np.eye(len(joined), dtype=bool)
+        for i in range(len(joined)):
             for j in range(i):
                 same[i, j] = same[j, i] = are_consistent(i, j)
         total = float(logsumexp(np.append(log_odds, 0.0)))
         return Posterior(log_odds, np.exp(np.array([logsumexp(log_odds[row]) for row in same]) - total))
+
+    def _joined(
+        self, measured: PoseEvidence, known: Sequence[Hypothesis], T_odom_query: FloatArray, travel_m: float
+    ) -> Hypothesis:
+        """The hypothesis at a measured pose, with what those from before that lead there have left behind."""
+        evidence = dict(zip(measured.rows.tolist(), measured.log_likelihood_ratios.tolist(), strict=True))
+        before: dict[int, float] = {}
+        for each in known:
+            if self._agrees(each, measured, T_odom_query):
+                before |= {**each.left_behind, **each.evidence}
+        left_behind = {row: llr for row, llr in before.items() if row not in evidence}
+        return Hypothesis(
+            measured.T_local_query,
+            measured.segment,
+            measured.log_prior,
+            evidence,
+            left_behind,
+            T_odom_query,
+            travel_m,
+        )
+
+    def _agrees(self, known: Hypothesis, measured: PoseEvidence, T_odom_query: FloatArray) -> bool:
+        return known.segment == measured.segment and self._poses_agree(
+            known.carried(T_odom_query), measured.T_local_query
+        )
 
 
 def log_odds_of(probability: float) -> float:

@@ -27,7 +27,9 @@ class PosteriorAcceptance:
         self._sensor_range_m = config.detection.sensor_range_m
         self._verifier = verifier
         self._keyframes = keyframes
-        self._localizer = Localizer(config.localization, memory_m=config.loop_closure.propagation_distance_m)
+        self._localizer = Localizer(
+            config.localization, verifier.agree, memory_m=config.loop_closure.propagation_distance_m
+        )
 
     def reset(self) -> None:
         """Forget all hypotheses."""
@@ -37,7 +39,7 @@ class PosteriorAcceptance:
         """Where the hypotheses are by the odometry."""
         places = (
             self._verifier.place_at(query, T_local_query, segment)
-            for segment, T_local_query in self._localizer.predictions(query.T_local_gravity, query.travel_m)
+            for segment, T_local_query in self._localizer.predictions(query.T_local_gravity)
         )
         return [place for place in places if place is not None]
 
@@ -67,6 +69,7 @@ class PosteriorAcceptance:
             best = replace(best, best_rival_llr=best_rival)
         else:
             is_best = True
+        best = replace(best, accumulated_llr=float(posterior.log_odds[posterior.best]))
         rejected = tuple(each.record(Stage.ACCEPTANCE, "another candidate is likelier") for each in others)
         if is_best and self._is_sure(posterior):
             return Decision(rejected, best)
@@ -91,7 +94,8 @@ class PosteriorAcceptance:
             candidate.T_local_query,
             self._keyframes[candidate.reference].odometry.segment,
             -candidate.odometry_penalty,
-            candidate.log_likelihood_ratio,
+            candidate.rows,
+            candidate.log_likelihood_ratios,
         )
 
     def _is_sure(self, posterior: Posterior) -> bool:

@@ -9,6 +9,7 @@ from slam.common.arrays import FloatArray
 from slam.common.config import LocalizationConfig
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.localization.localizer import Localizer, PoseEvidence, Posterior, log_odds_of
+from slam.loop_closure.consistency import poses_agree
 
 MEMORY_M = 50.0
 PRIOR = -15.0
@@ -18,15 +19,16 @@ def pose(x_m: float = 0.0, y_m: float = 0.0, yaw_rad: float = 0.0) -> FloatArray
     return transform_from_xyz_yaw(np.array([x_m, y_m, 0.0]), yaw_rad)
 
 
-def evidence(T: FloatArray, llr: float, *, segment: int = 0, log_prior: float = PRIOR) -> PoseEvidence:
-    return PoseEvidence(T, segment, log_prior, llr)
+def evidence(T: FloatArray, llrs: dict[int, float], *, segment: int = 0, log_prior: float = PRIOR) -> PoseEvidence:
+    return PoseEvidence(T, segment, log_prior, np.array(list(llrs)), np.array(list(llrs.values())))
 
 
 class Robot:
     """Drives straight ahead, in a map that it entered with another heading."""
 
     def __init__(self, *, max_hypotheses: int = 5) -> None:
-        self.localizer = Localizer(LocalizationConfig(max_hypotheses=max_hypotheses), memory_m=MEMORY_M)
+        config = LocalizationConfig(max_hypotheses=max_hypotheses)
+        self.localizer = Localizer(config, lambda a, b: poses_agree(a, b, sensor_range_m=30.0), memory_m=MEMORY_M)
         self.travel_m = 0.0
 
     @property
@@ -38,9 +40,6 @@ class Robot:
 
     def measure(self, *measured: PoseEvidence, together: bool = False) -> Posterior:
         return self.localizer.update(self.T_odom, self.travel_m, measured, lambda i, j: together)
-
-    def predictions(self) -> list[tuple[int, FloatArray]]:
-        return self.localizer.predictions(self.T_odom, self.travel_m)
 
 
 @pytest.fixture
@@ -54,56 +53,91 @@ def there(travel_m: float) -> FloatArray:
 
 
 def test_one_pose_against_somewhere_new(robot):
-    posterior = robot.measure(evidence(pose(), 18.0))
+    posterior = robot.measure(evidence(pose(), {1: 10.0, 2: 8.0}))
     assert posterior.log_odds == pytest.approx([3.0])
     assert posterior.probabilities == pytest.approx([1.0 / (1.0 + np.exp(-3.0))])
-    assert robot.measure(evidence(pose(500.0), 15.0)).probabilities == pytest.approx([0.5])
+    assert robot.measure(evidence(pose(500.0), {3: 15.0})).probabilities == pytest.approx([0.5])
 
 
 def test_two_poses_that_fit_alike_are_ambiguous_unless_both_can_be_true(robot):
-    alike = evidence(pose(), 40.0), evidence(pose(80.0), 40.0)
+    alike = evidence(pose(), {1: 40.0}), evidence(pose(80.0), {1: 40.0})
     assert robot.measure(*alike).probabilities == pytest.approx([0.5, 0.5])
     assert Robot().measure(*alike, together=True).probabilities == pytest.approx([1.0, 1.0])
 
 
 def test_the_likeliest_is_the_best(robot):
-    assert robot.measure(evidence(pose(), 20.0), evidence(pose(80.0), 22.0)).best == 1
+    assert robot.measure(evidence(pose(), {1: 20.0}), evidence(pose(80.0), {1: 22.0})).best == 1
 
 
-def test_what_an_earlier_keyframe_said_does_not_count_again(robot):
-    for llr in (16.0, 17.0, 3.0):
-        assert robot.measure(evidence(there(robot.travel_m), llr)).log_odds == pytest.approx([llr + PRIOR])
+def test_what_was_left_behind_does_not_speak_for_a_pose(robot):
+    robot.measure(evidence(there(0.0), {1: 8.0, 2: 8.0}))
+    robot.drive(20.0)
+    assert robot.measure(evidence(there(20.0), {3: 8.0})).log_odds == pytest.approx([8.0 + PRIOR])
+
+
+def test_what_was_left_behind_speaks_against_a_pose_as_long_as_it_is_measured(robot):
+    robot.measure(evidence(there(0.0), {1: -4.0, 2: -3.0, 3: 1.0}))
+    for travel_m in (20.0, 40.0, 60.0):
+        robot.travel_m = travel_m
+        posterior = robot.measure(evidence(there(travel_m), {3: 8.0}))
+        assert posterior.log_odds == pytest.approx([8.0 - 7.0 + PRIOR])
+
+
+def test_a_landmark_counts_once_with_what_was_last_known_of_it(robot):
+    for llr in (8.0, 9.0, 5.0):
+        posterior = robot.measure(evidence(there(robot.travel_m), {1: llr, 2: 7.0}))
+        assert posterior.log_odds == pytest.approx([llr + 7.0 + PRIOR])
         robot.drive(2.0)
 
 
+def test_the_prior_counts_once(robot):
+    for log_prior in (-15.0, -14.0):
+        posterior = robot.measure(evidence(pose(), {1: 16.0}, log_prior=log_prior))
+        assert posterior.log_odds == pytest.approx([16.0 + log_prior])
+
+
+def test_a_pose_that_the_odometry_does_not_lead_to_is_another_hypothesis(robot):
+    robot.measure(evidence(there(0.0), {1: -6.0}))
+    robot.drive(20.0)
+    for T in (there(0.0), there(20.0) @ pose(0.0, 0.0, 0.3), there(23.0)):
+        assert robot.measure(evidence(T, {2: 3.0})).log_odds == pytest.approx([3.0 + PRIOR])
+
+
+def test_hypotheses_of_another_segment_are_others(robot):
+    robot.measure(evidence(there(0.0), {1: -6.0}, segment=1))
+    assert robot.measure(evidence(there(0.0), {2: 3.0}, segment=0)).log_odds == pytest.approx([3.0 + PRIOR])
+
+
 def test_what_is_no_longer_measured_is_forgotten(robot):
-    robot.measure(evidence(there(0.0), 8.0))
-    robot.drive(MEMORY_M)
-    assert len(robot.predictions()) == 1
-    robot.drive(1.0)
-    assert robot.predictions() == []
-
-
-def test_a_hypothesis_that_is_measured_elsewhere_is_given_up(robot):
-    robot.measure(evidence(pose(-300.0), 8.0))
-    robot.drive(2.0)
-    robot.measure(evidence(pose(300.0), 8.0))
-    np.testing.assert_allclose([T for _, T in robot.predictions()], [pose(300.0)], atol=1e-9)
+    for travel_m, expected in ((0.0, -6.0), (MEMORY_M, -12.0), (2.0 * MEMORY_M + 1.0, -6.0)):
+        robot.travel_m = travel_m
+        rows = {int(travel_m): -6.0}
+        assert robot.measure(evidence(there(travel_m), rows)).log_odds == pytest.approx([expected + PRIOR])
 
 
 def test_forgetting_everything(robot):
-    robot.measure(evidence(there(0.0), 16.0))
+    robot.measure(evidence(there(0.0), {1: -6.0}))
     robot.localizer.reset()
-    assert robot.predictions() == []
+    assert robot.localizer.predictions(robot.T_odom) == []
+    assert robot.measure(evidence(there(0.0), {2: 3.0})).log_odds == pytest.approx([3.0 + PRIOR])
 
 
 def test_the_likeliest_hypotheses_are_predicted_by_the_odometry():
     robot = Robot(max_hypotheses=2)
-    robot.measure(evidence(pose(-300.0), 5.0), evidence(there(0.0), 9.0), evidence(pose(300.0), 7.0, segment=4))
+    robot.measure(
+        evidence(pose(-300.0), {1: 5.0}), evidence(there(0.0), {1: 9.0}), evidence(pose(300.0), {1: 7.0}, segment=4)
+    )
     robot.drive(10.0)
-    predicted = robot.predictions()
+    predicted = robot.localizer.predictions(robot.T_odom)
     assert [segment for segment, _ in predicted] == [0, 4]
     np.testing.assert_allclose(predicted[0][1], there(10.0), atol=1e-9)
+
+
+def test_a_hypothesis_that_is_measured_again_is_not_kept_twice(robot):
+    for _ in range(3):
+        robot.measure(evidence(there(robot.travel_m), {1: 9.0}))
+        robot.drive(2.0)
+    assert len(robot.localizer.predictions(robot.T_odom)) == 1
 
 
 def test_log_odds():

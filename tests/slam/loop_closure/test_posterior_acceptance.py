@@ -107,9 +107,17 @@ def test_a_pattern_that_repeats_itself_leaves_it_open(acceptance, patterns, wher
     assert acceptance.decide(query(), [candidate(0.0, SURE_LLR + 5.0)]).accepted is not None
 
 
-def test_candidates_of_several_keyframes_do_not_add_up(acceptance):
-    for travel_m in (300.0, 310.0, 320.0):
-        assert acceptance.decide(query(travel_m), [candidate(travel_m - 300.0, SURE_LLR - 1.0)]).accepted is None
+def test_what_spoke_for_a_pose_at_other_keyframes_does_not_add_up(acceptance):
+    for row in range(3):
+        found = acceptance.decide(query(300.0 + 10.0 * row), [candidate(10.0 * row, SURE_LLR - 1.0, row=row)])
+        assert found.accepted is None
+
+
+def test_what_spoke_against_a_pose_at_other_keyframes_does(acceptance):
+    acceptance.decide(query(300.0), [candidate(0.0, -8.0, row=1)])
+    assert acceptance.decide(query(310.0), [candidate(10.0, SURE_LLR + 5.0, row=2)]).accepted is None
+    acceptance.reset()
+    assert acceptance.decide(query(310.0), [candidate(10.0, SURE_LLR + 5.0, row=2)]).accepted is not None
 
 
 def test_hypotheses_are_expected_where_the_odometry_leads(acceptance):
