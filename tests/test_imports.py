@@ -138,10 +138,11 @@ def test_looking_into_a_log_loads_only_what_reads_it() -> None:
 
 
 @pytest.mark.slow
-def test_handcrafted_descriptors_need_no_torch() -> None:
+def test_likelihoods_of_constellations_need_no_torch() -> None:
     assert importers_of("torch", "slam", "tools", "logs") == set()
     code = (
         "import sys; from descriptors.registry import make_index; make_index('ring_likelihood'); "
+        "make_index('descriptellation'); "
         "import slam.system; print('torch' in sys.modules)"
     )
     result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)

@@ -24,8 +24,9 @@ class TrainingMap:
 
 
 PATTERNS = MapSimulation(patterns=(40, 80), side_m=300.0, uniform_pattern_share=0.4, classes=(2, 30))
+"""As for the paper's network, with fewer objects: a step takes in one whole map."""
 PIECE_OBJECTS = 500
-"""Most objects of a piece of a given map: what a step of the training takes in."""
+"""Most objects of a piece of a given map, and about those of a simulated one: a step takes them in within a second."""
 
 
 def draw_map(given: Sequence[TrainingMap], *, rng: np.random.Generator) -> TrainingMap:

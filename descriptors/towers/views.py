@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from descriptors.towers.training_maps import TrainingMap
 
 CLUTTER = -1
+"""What is seen and is no object of the map."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
