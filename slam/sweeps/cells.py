@@ -32,13 +32,17 @@ _NAME_LENGTH = 80
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What all cells have in common: the log at ``path``, its digest, and how it is mapped, by which program."""
+    """What cells have in common: the log at ``path``, its digest, and how it is mapped, by which program.
+
+    ``variant``: what people call the configuration, "" where there is only one.
+    """
 
     path: Path
     sha256: str
     config: Config
     version: str
     topics: tuple[tuple[str, str], ...] = ()
+    variant: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +52,11 @@ class Cell:
     drive: Drive
     degradation: Degradation
     seed: int
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        return ", ".join(each for each in (self.drive.variant, self.degradation.name, f"seed {self.seed}") if each)
 
     @property
     def key(self) -> str:

@@ -10,7 +10,7 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -33,10 +33,14 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class SweepRow:
-    """One degradation with all its seeds; ``spreads`` are of the cells that did not fail, by the key of the figure."""
+    """One degradation with all its seeds; ``spreads`` are of the cells that did not fail, by the key of the figure.
+
+    ``variant``: of the configuration, "" where there is only one.
+    """
 
     degradation: Degradation
     results: tuple[tuple[Cell, CellResult], ...]
+    variant: str = ""
 
     @property
     def spreads(self) -> dict[str, Spread]:
@@ -52,9 +56,9 @@ class SweepRow:
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """``rows`` in the order of the degradations; ``computed`` of the cells are new, the others were there before.
+    """``rows`` by variant, then in the order of the degradations.
 
-    ``wall_s``: what this time it took.
+    ``computed`` of the cells are new, the others were there before. ``wall_s``: what this time it took.
     """
 
     drive: Drive
@@ -70,7 +74,12 @@ class Sweep:
     @property
     def failures(self) -> list[str]:
         """One line for each cell that failed."""
-        return [f"{_description(cell)}: {result.error}" for cell, result in self.results if result.error]
+        return [f"{cell.name}: {result.error}" for cell, result in self.results if result.error]
+
+    @property
+    def variants(self) -> list[str]:
+        """Names of the configurations, in their order."""
+        return list(dict.fromkeys(row.variant for row in self.rows))
 
     def to_json_dict(self) -> dict[str, Any]:
         """Plain dicts, lists, strings and finite numbers, which but for ``times`` depend on the input alone."""
@@ -80,6 +89,9 @@ class Sweep:
             "version": drive.version,
             "configuration": json.loads(drive.config.model_dump_json()),
             "changes": changes(Config(), drive.config.model_dump_json()),
+            "variants": {
+                row.variant: changes(Config(), row.results[0][0].drive.config.model_dump_json()) for row in self.rows
+            },
             "degradations": [_row_dict(row) for row in self.rows],
             "protocol": {**_plain(asdict(protocol)), "rules": protocol.describe()},
             "times": {
@@ -101,6 +113,7 @@ def run_sweep(
     seeds: int,
     jobs: int,
     topics: Mapping[str, str] | None = None,
+    variants: Mapping[str, Config] | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Sweep:
     """Degrade, map and evaluate a drive again and again.
@@ -112,10 +125,11 @@ def run_sweep(
         source: a log that can be mapped, with the truth.
         folder: keeps the cells; made if it is not there.
         degradations: what to do to the log, no two alike.
-        config: of the estimator.
+        config: of the estimator, where there are no variants.
         seeds: 0, 1, ... of the degradations.
         jobs: processes at a time.
         topics: kind -> topic, where the log leaves a choice.
+        variants: configurations by name, to be compared over the same degraded drives.
         on_progress: called with the fraction of the cells done, in [0, 1].
 
     Raises:
@@ -131,7 +145,8 @@ def run_sweep(
         version=version("descriptellation-slam"),
         topics=tuple(sorted((topics or {}).items())),
     )
-    cells = _cells(drive, degradations, seeds)
+    drives = [replace(drive, config=each, variant=name) for name, each in (variants or {"": config}).items()]
+    cells = [cell for each in drives for cell in _cells(each, degradations, seeds)]
     with CellFolder(folder).opened() as kept:
         results = {cell: result for cell in cells if (result := kept.finished(cell)) is not None}
         tasks = [CellTask(cell, kept.scratch) for cell in cells if cell not in results]
@@ -140,11 +155,16 @@ def run_sweep(
                 result = _after_death(outcome) if isinstance(outcome, Death) else outcome
                 kept.keep(task.cell, result)
                 results[task.cell] = result
-                _log.info("%s: %s", _description(task.cell), result.error or "done")
+                _log.info("%s: %s", task.cell.name, result.error or "done")
                 if on_progress is not None:
                     on_progress(len(results) / len(cells))
     rows = tuple(
-        SweepRow(degradation, tuple((cell, results[cell]) for cell in cells if cell.degradation == degradation))
+        SweepRow(
+            degradation,
+            tuple((c, results[c]) for c in cells if (c.drive, c.degradation) == (each, degradation)),
+            each.variant,
+        )
+        for each in drives
         for degradation in degradations
     )
     return Sweep(drive, rows, len(tasks), time.perf_counter() - started)
@@ -174,14 +194,11 @@ def _after_death(death: Death) -> CellResult:
     return CellResult(None, why, {})
 
 
-def _description(cell: Cell) -> str:
-    return f"{cell.degradation.name}, seed {cell.seed}"
-
-
 def _row_dict(row: SweepRow) -> dict[str, Any]:
     strength = row.degradation.strength
     return {
         "name": row.degradation.name,
+        "variant": row.variant,
         "options": row.degradation.config.in_effect(),
         "strength": None if strength is None else {"option": strength[0], "value": strength[1]},
         "figures": {key: asdict(spread) for key, spread in row.spreads.items()},

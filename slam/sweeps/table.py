@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from slam.evaluation.metrics.statistics import CHIEF_FIGURES
+from slam.evaluation.sheets.sheet import Sheet
 from slam.sweeps.sweep import Sweep, SweepRow
 
 _CLOSURES = {"closures.precision": "precision", "closures.recall": "recall", "closures.recall_opposite": "opposite"}
@@ -26,7 +27,7 @@ def closure_table(sweep: Sweep) -> list[list[str]]:
     """Headings, then a row for each degradation."""
     return [
         ["degradation", "runs", *_CLOSURES.values()],
-        *([row.degradation.name, _runs(row), *_figures(row, _CLOSURES)] for row in sweep.rows),
+        *([_name(row), _runs(row), *_figures(row, _CLOSURES)] for row in sweep.rows),
     ]
 
 
@@ -34,7 +35,16 @@ def map_table(sweep: Sweep) -> list[list[str]]:
     """Headings, then a row for each degradation."""
     return [
         ["degradation", *_MAP.values(), _SPEED],
-        *([row.degradation.name, *_figures(row, _MAP), row.real_time_factor.text(1)] for row in sweep.rows),
+        *([_name(row), *_figures(row, _MAP), row.real_time_factor.text(1)] for row in sweep.rows),
+    ]
+
+
+def sweep_sheets(sweep: Sweep) -> list[Sheet]:
+    """Both tables, for files."""
+    tables = {"Loop closures": closure_table(sweep), "Trajectory and map": map_table(sweep)}
+    return [
+        Sheet(title, tuple(headings), tuple(tuple(row) for row in rows), NOTE)
+        for title, (headings, *rows) in tables.items()
     ]
 
 
@@ -55,6 +65,10 @@ def to_markdown(sweep: Sweep) -> str:
     ]
     lines += ["", *(f"- failed: {failure}" for failure in sweep.failures)] if sweep.failures else []
     return "\n".join(lines) + "\n"
+
+
+def _name(row: SweepRow) -> str:
+    return f"{row.degradation.name}: {row.variant}" if row.variant else row.degradation.name
 
 
 def _line(cells: Sequence[str]) -> str:

@@ -95,3 +95,13 @@ def test_what_cannot_be_is_refused(dslam: Run, files: tuple[object, ...], tmp_pa
     assert_refused(dslam(*command, "--set", "loop_closure.topk=3"), "loop_closure.top_k")
     (tmp_path / "trajectory.csv").write_text("x_m,y_m\n0,0\n0,0\n")
     assert_refused(dslam(*command), "tour")
+
+
+@pytest.mark.slow
+def test_without_a_world_it_goes_through_a_generated_town(dslam: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    town = one_block().shortened(120.0)
+    monkeypatch.setattr("slam.simulation.street_grid.generate_street_grid", lambda *, rng: town)
+    result = dslam("benchmark", "relocalization", "--kidnaps", 1, "--max-travel", 10, "--json")
+    assert result.code == 0
+    assert json.loads(result.out)["world"] == town.name
+    assert_refused(dslam("benchmark", "relocalization", "--map", "map.mcap"), "--map")

@@ -87,6 +87,10 @@ def relocalization(
     With --log the first part of a real drive makes the map, and the robot is put down at places of the rest, evenly
     spread: some where the map has been, and some where it has not, at which it must not be found.
 
+    Without --objects the world is a generated town.
+
+    Example: dslam benchmark relocalization --kidnaps 20
+
     Example: dslam benchmark relocalization --objects objects.csv --trajectory trajectory.csv --noise 2 --changed 0.1
 
     Example: dslam benchmark relocalization --objects objects.csv --trajectory trajectory.csv --thin 5 --oracle
@@ -109,8 +113,10 @@ def relocalization(
         _check_log(right, conditions, jobs)
         _run_log(log, config, map_until, kidnaps, max_travel, right, chosen, as_json=json)
         return
-    if objects is None or trajectory is None:
-        raise typer.BadParameter("give both, or --log with --map-until.", param_hint="--objects and --trajectory")
+    if (objects is None) != (trajectory is None):
+        raise typer.BadParameter("give both, or none for a generated town.", param_hint="--objects and --trajectory")
+    if objects is None and map_log is not None:
+        raise typer.BadParameter("it goes with --objects and --trajectory, in whose frame it is.", param_hint="--map")
     if map_until is not None or topics or right != RIGHT:
         raise typer.BadParameter("they go with --log.", param_hint="--map-until, --right and --topic")
     _run_world(objects, trajectory, map_log, config, kidnaps, jobs, conditions, as_json=json)
@@ -126,8 +132,8 @@ def _check_log(right: tuple[float, float], conditions: dict[str, Any], jobs: int
 
 
 def _run_world(
-    objects: Path,
-    trajectory: Path,
+    objects: Path | None,
+    trajectory: Path | None,
     map_log: Path | None,
     config: Config,
     kidnaps: int,
@@ -136,12 +142,18 @@ def _run_world(
     *,
     as_json: bool,
 ) -> None:
+    import numpy as np
+
     from slam.benchmarks.relocalization import benchmark_relocalization
     from slam.localization.prior_map import load_prior_map
+    from slam.simulation.street_grid import generate_street_grid
     from slam.simulation.world import load_world
     from tools import console
 
-    world = load_world(objects, trajectory)
+    if objects is not None and trajectory is not None:
+        world = load_world(objects, trajectory)
+    else:
+        world = generate_street_grid(rng=np.random.default_rng(conditions["seed"]))
     with console.progress_bar("carrying off", "carrying off") as move:
         result = benchmark_relocalization(
             world,

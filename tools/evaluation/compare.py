@@ -47,44 +47,58 @@ def compare(
     map_run: MapRun = None,
     require: Require = None,
     rules: Rules = False,
+    table: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE.csv|.tex|.html",
+            help="Write the table: CSV, LaTeX, or a page with the precision-recall curves of all runs. Repeatable.",
+        ),
+    ] = None,
 ) -> None:
     """Evaluate several maps and set them side by side.
 
     Runs of one version and configuration are taken as its repetitions, and
     differences that exceed their spread are marked.
 
-    Example: dslam compare a1.mcap a2.mcap a3.mcap b1.mcap b2.mcap b3.mcap
+    Example: dslam compare a1.mcap a2.mcap a3.mcap b1.mcap b2.mcap b3.mcap --table ab.html --table ab.tex
     """
     chosen = parse_topics(topics)
     if len(logs) < 2:
         raise typer.BadParameter("one log was given; give two or more, or use 'dslam evaluate'", param_hint="OUT.mcap")
-    check_outputs([json_file], [*logs, reference, closure_reference, times, calib, map_run])
+    check_outputs([json_file, *(table or ())], [*logs, reference, closure_reference, times, calib, map_run])
     from slam.evaluation.requirements import parse_requirement
 
     requirements = [parse_requirement(text) for text in require or ()]
     alignment = None if map_run is None else locate_map_of(map_run)
     truth = Truth(reference, closure_reference, times, calib, chosen, alignment)
-    report(compare_logs(logs, truth), requirements, as_json=as_json, with_rules=rules, json_file=json_file)
+    findings = compare_logs(logs, truth, table or ())
+    report(findings, requirements, as_json=as_json, with_rules=rules, json_file=json_file)
 
 
-def compare_logs(logs: Sequence[Path], truth: Truth) -> Findings:
-    """Evaluate each log and set them side by side.
+def compare_logs(logs: Sequence[Path], truth: Truth, tables: Sequence[Path] = ()) -> Findings:
+    """Evaluate each log, set them side by side and write the tables.
 
     Raises:
         LogError, SlamError: a log cannot be evaluated, or two are the same.
     """
     from slam.evaluation.comparison import NO_SPREAD, RULE, compare_runs
+    from slam.evaluation.sheets.files import check_endings, write_sheets
+    from slam.evaluation.sheets.sheet import compare_sheet
 
+    check_endings(tables)
     _refuse_copies(logs)
     runs = [_evaluate(log, truth) for log in logs]
     comparison = compare_runs(runs)
+    evaluations = {run.name: run.results for run in runs}
+    for path in tables:
+        write_sheets(path, "Runs side by side", [compare_sheet(comparison)], evaluations)
     notes = [RULE if comparison.has_spread else NO_SPREAD]
     if comparison.marked:
         notes.insert(0, "* differs from the first column by more than the spread of the seeds")
     return Findings(
         results=comparison.to_json_dict(),
         parts=[compare_table(comparison), "", *_members(comparison), *notes],
-        runs={run.name: run.results for run in runs},
+        runs=evaluations,
     )
 
 

@@ -25,6 +25,13 @@ def sweep(
             help="Options of 'dslam degrade' that belong together. Repeatable; without it five usual ones.",
         ),
     ] = None,
+    variant: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=VALUE;...",
+            help="Settings, joined by ;, to compare with those of the others over the same drives. Repeatable.",
+        ),
+    ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="Seeds of each degradation.")] = 3,
     jobs: Annotated[
         int | None, typer.Option(min=1, help="Processes. \\[default: one a core]", show_default=False)
@@ -37,11 +44,14 @@ def sweep(
     require: Require = None,
     rules: Rules = False,
 ) -> None:
-    """Degrade, map and evaluate a drive again and again, for each --degrade and seed.
+    """Degrade, map and evaluate a drive again and again, for each --degrade, --variant and seed.
 
     If it is killed, the same command goes on where it was.
 
     Example: dslam sweep drive.mcap -o out/sweep --degrade dropout=0.5 --degrade dropout=0.8,max_range=30
+
+    Example: dslam sweep drive.mcap -o out/descriptors --variant loop_closure.descriptor=ring_likelihood
+    --variant loop_closure.descriptor=descriptellation
     """
     chosen = parse_topics(topics)
     check_outputs([json_file], [log])
@@ -52,6 +62,7 @@ def sweep(
         log,
         folder,
         degradations=degrade or (),
+        variants=variant or (),
         seeds=seeds,
         jobs=jobs,
         config_file=config_file,
@@ -66,6 +77,7 @@ def sweep_drive(
     folder: Path,
     *,
     degradations: Sequence[str],
+    variants: Sequence[str],
     seeds: int,
     jobs: int | None,
     config_file: Path | None,
@@ -79,13 +91,14 @@ def sweep_drive(
     """
     from slam.common.config import load_config
     from slam.sweeps.degradations import parse_degradations
-    from slam.sweeps.outputs import JSON_NAME, PICTURE_NAME, TABLE_NAME, write_outputs
+    from slam.sweeps.outputs import JSON_NAME, PICTURE_NAME, SHEET_NAMES, TABLE_NAME, write_outputs
     from slam.sweeps.sweep import run_sweep
     from slam.sweeps.table import NOTE, closure_table, map_table
     from tools import console
 
     wanted = parse_degradations(degradations)
     config = load_config(config_file, settings)
+    compared = {text: load_config(config_file, [*settings, *text.split(";")]) for text in variants}
     with console.progress_bar("sweeping", "drawing") as progress:
         sweep = run_sweep(
             source,
@@ -95,6 +108,7 @@ def sweep_drive(
             seeds=seeds,
             jobs=jobs or os.cpu_count() or 1,
             topics=topics,
+            variants=compared or None,
             on_progress=progress,
         )
         write_outputs(folder, sweep)
@@ -113,12 +127,8 @@ def sweep_drive(
             *tables,
             NOTE,
             f"{sweep.computed} cells computed in {sweep.wall_s:.0f} s, {reused} were there before",
-            f"written: {', '.join(str(folder / name) for name in (JSON_NAME, TABLE_NAME, PICTURE_NAME))}",
+            f"written: {', '.join(str(folder / name) for name in (JSON_NAME, TABLE_NAME, *SHEET_NAMES, PICTURE_NAME))}",
         ],
-        runs={
-            f"{cell.degradation.name}, seed {cell.seed}": result.evaluation
-            for cell, result in sweep.results
-            if result.evaluation is not None
-        },
+        runs={cell.name: result.evaluation for cell, result in sweep.results if result.evaluation is not None},
         failures=sweep.failures,
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from logs.closures import STAGES
@@ -46,11 +48,16 @@ def draw_precision_recall(quality: ClosureQuality | None) -> Chart | None:
                 "cliponaxis": False,
             }
         )
-    layout = {
+    summary = "Precision over recall of every threshold on the score"
+    return Chart("precision-recall", summary, traces, precision_recall_layout())
+
+
+def precision_recall_layout() -> dict[str, Any]:
+    """Axes from nothing to a little more than all."""
+    return {
         "xaxis": axis("recall of revisits", range=[0.0, 1.03], tickformat=".0%"),
         "yaxis": axis("precision", range=[0.0, 1.05], tickformat=".0%"),
     }
-    return Chart("precision-recall", "Precision over recall of every threshold on the score", traces, layout)
 
 
 def draw_candidates(quality: ClosureQuality | None, start_ns: int, paths: MapPaths) -> Chart | None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from slam.evaluation.html_report.chart import Chart, Trace
 
-_DASHES = {"dash": "6 4", "dot": "2 3"}
+_DASHES = {"dash": "6 4", "dot": "2 3", "dashdot": "6 3 2 3"}
 _CROSS = ((-1, -3), (1, -3), (1, -1), (3, -1), (3, 1), (1, 1), (1, 3), (-1, 3), (-1, 1), (-3, 1), (-3, -1), (-1, -1))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +27,7 @@ from slam.evaluation.result import Evaluation
 
 NOTHING_LOADED = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 """The browser itself refuses whatever would come from outside."""
+_NO_SCRIPT = '<noscript><p class="notice">The charts need JavaScript; the tables below do not.</p></noscript>'
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +64,32 @@ def write_report(path: Path, records: EvaluationRecords, evaluation: Evaluation,
 def compose_page(records: EvaluationRecords, evaluation: Evaluation, *, title: str) -> str:
     """The whole page as text; as :func:`write_report`."""
     panels = _compose_panels(records, evaluation)
+    main = f"""{render_tiles(compose_tiles(records, evaluation))}
+{_NO_SCRIPT}
+<div class="panels">
+{"".join(_render_panel(panel) for panel in panels)}</div>
+<section aria-labelledby="tables">
+<h2 id="tables">All numbers</h2>
+<p class="explanation">The keys are those of <code>--json</code> and <code>--require</code>.</p>
+<div class="tables">
+{render_tables(evaluation.to_json_dict())}</div>
+{_render_missing(evaluation)}</section>
+<section aria-labelledby="protocol">
+<h2 id="protocol">Protocol</h2>
+{_render_protocol(evaluation)}</section>"""
+    return _compose(title, render_run(describe_run(records, evaluation)), main, panels)
+
+
+def compose_charts_page(title: str, heading: str, chart: Chart | None, explanation: str, tables: str) -> str:
+    """A page with one chart, or in its place ``explanation``, above ``tables`` in HTML."""
+    panel = Panel(heading, explanation, chart, explanation)
+    section = f'<section aria-label="Tables">\n<div class="tables">\n{tables}</div>\n</section>'
+    main = f'{_NO_SCRIPT}\n<div class="panels">\n{_render_panel(panel)}</div>\n{section}'
+    return _compose(title, "", main, [panel])
+
+
+def _compose(title: str, head: str, main: str, panels: Sequence[Panel]) -> str:
+    """A page around its parts, with the charts of the panels."""
     charts = [
         {"name": chart.name, "traces": chart.traces, "layout": chart.layout}
         for panel in panels
@@ -82,21 +109,9 @@ def compose_page(records: EvaluationRecords, evaluation: Evaluation, *, title: s
 <body>
 <header>
 <h1>{escape(title)}</h1>
-{render_run(describe_run(records, evaluation))}</header>
+{head}</header>
 <main>
-{render_tiles(compose_tiles(records, evaluation))}
-<noscript><p class="notice">The charts need JavaScript; the tables below do not.</p></noscript>
-<div class="panels">
-{"".join(_render_panel(panel) for panel in panels)}</div>
-<section aria-labelledby="tables">
-<h2 id="tables">All numbers</h2>
-<p class="explanation">The keys are those of <code>--json</code> and <code>--require</code>.</p>
-<div class="tables">
-{render_tables(evaluation.to_json_dict())}</div>
-{_render_missing(evaluation)}</section>
-<section aria-labelledby="protocol">
-<h2 id="protocol">Protocol</h2>
-{_render_protocol(evaluation)}</section>
+{main}
 </main>
 <script type="application/json" id="charts">{embed_json(charts)}</script>
 <script type="text/plain" id="plotly">{compressed_plotly()}</script>

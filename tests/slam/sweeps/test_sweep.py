@@ -224,3 +224,24 @@ def test_the_json_names_what_it_was_made_from(log: Path, finished: tuple[Path, S
     assert told["degradations"][2]["strength"] == {"option": "field_of_view", "value": 120.0}
     assert all(os.path.exists(folder / "cells" / name) for name in told["times"]["cells"])
     assert (folder / "sweep.md").read_text().count("\n| dropout=0.3 | 2 |") == 1
+
+
+def test_variants_are_compared_over_the_same_drives(log: Path, tmp_path: Path) -> None:
+    settings = {"fine": "keyframe.distance_m=1.0", "coarse": "keyframe.distance_m=4.0"}
+    variants = {name: load_tree(Config, None, [text]) for name, text in settings.items()}
+    wanted = parse_degradations(("dropout=0.3",))
+    sweep = run_sweep(log, tmp_path, wanted, Config(), seeds=1, jobs=1, variants=variants)
+    assert [(row.variant, row.degradation.name) for row in sweep.rows] == [
+        (variant, degradation.name) for variant in settings for degradation in wanted
+    ]
+    assert sweep.computed == 2 * len(wanted)
+    assert len({cell.file_name for cell, _ in sweep.results}) == len({cell.name for cell, _ in sweep.results}) == 4
+    counts = {row.variant: row.results[0][1].evaluation["counters"]["keyframes"] for row in sweep.rows}
+    assert counts["fine"] > counts["coarse"]
+    told = sweep.to_json_dict()
+    assert told["variants"] == {name: [text] for name, text in settings.items()}
+    write_outputs(tmp_path, sweep)
+    assert "dropout=0.3: coarse" in (tmp_path / "sweep.csv").read_text(encoding="utf-8")
+    assert (tmp_path / "sweep.png").read_bytes().startswith(b"\x89PNG")
+    for name in ("sweep.tex", "sweep.html"):
+        assert "coarse" in (tmp_path / name).read_text(encoding="utf-8")
