@@ -1,4 +1,4 @@
-"""Hooks of the site: reference pages made from the code, and links to files of the repository."""
+"""Hooks of the site: reference pages made from the code; links to files outside docs/ become names of these files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
-_LINK = re.compile(r"\]\((?P<target>[^)#\s]+)(?P<anchor>#[^)\s]*)?\)")
+_LINK = re.compile(r"(?<!!)\[(?P<text>[^]]*)\]\((?P<target>[^)#\s]+)(?:#[^)\s]*)?\)")
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -24,13 +24,16 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """Point links that leave the folder docs/ at the repository."""
+    """Leave only the text of links that leave the folder docs/: the site does not hold those files."""
     folder = posixpath.dirname(page.file.src_uri)
 
     def replaced(match: re.Match[str]) -> str:
         target = posixpath.normpath(posixpath.join("docs", folder, match["target"]))
         inside = target.startswith("docs/") or "://" in match["target"] or not (ROOT / target).exists()
-        return match[0] if inside else f"]({config['repo_url']}/blob/main/{target}{match['anchor'] or ''})"
+        if inside:
+            return match[0]
+        name = f"`{target}`"
+        return name if match["text"].strip("`") == target else f"{match['text']} ({name} in the repository)"
 
     return _LINK.sub(replaced, markdown)
 

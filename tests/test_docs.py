@@ -26,7 +26,8 @@ PAGES = [
 ]
 NAMES = [page.relative_to(ROOT).as_posix() for page in PAGES]
 GENERATED = {f"docs/reference/{name}.md" for name in ("commands", "settings", "json", "messages")}
-BLOCK = re.compile(r"^```(?:sh|bash|console)?\n(.*?)^```", re.DOTALL | re.MULTILINE)
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+SHELLS = ("", "sh", "bash", "console")
 LINK = re.compile(r"!?\[[^]]*\]\(([^)\s]+)\)")
 ENDS = {";", "&&", "|", "||", "&", "(", ")", "do", "done", "then", "else"}
 
@@ -50,6 +51,12 @@ def test_links_lead_to_files_and_headings(name: str) -> None:
             continue
         assert file.exists(), f"{name}: {target}"
         assert not anchor or file.suffix != ".md" or anchor in anchors(file), f"{name}: {target}"
+
+
+def blocks_of(name: str) -> list[str]:
+    """The fenced blocks of a page that are of no other language than shell."""
+    text = (ROOT / name).read_text(encoding="utf-8")
+    return [block for language, block in FENCE.findall(text) if language in SHELLS]
 
 
 def commands(block: str) -> Iterator[list[str]]:
@@ -81,7 +88,7 @@ def parse(arguments: list[str]) -> Any:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_commands_are_those_of_the_program(name: str) -> None:
-    for block in BLOCK.findall((ROOT / name).read_text(encoding="utf-8")):
+    for block in blocks_of(name):
         for arguments in commands(block):
             if arguments[0].startswith("--"):  # options of dslam itself act while they are parsed
                 continue

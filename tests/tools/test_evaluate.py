@@ -160,7 +160,8 @@ class TestSweep:
         assert (result.code, result.err) == (0, "")
         assert "2 cells computed" in result.out
         assert "Rules" in result.out
-        assert {path.name for path in folder.iterdir()} == {"cells", "sweep.json", "sweep.md", "sweep.png"}
+        endings = ("json", "md", "png", "csv", "tex", "html")
+        assert {path.name for path in folder.iterdir()} == {"cells", *(f"sweep.{ending}" for ending in endings)}
         assert (folder / "sweep.png").read_bytes().startswith(b"\x89PNG")
         again = dslam(*command, "--json", "--set", "keyframe.distance_m=3", "--require", "trajectory.ate_m<=0")
         assert again.code == 1

@@ -84,7 +84,7 @@ def merge(
     Maps that drives made are joined where places of one are recognised in another, or else by the georeferences of
     both; imported maps by their georeferences.
 
-    Example: dslam map merge monday.mcap tuesday.mcap -o town.mcap
+    Example: dslam map merge monday_map.mcap tuesday_map.mcap -o town.mcap
     """
     if len(map_logs) < 2:
         raise typer.BadParameter("one map is no two; give the maps to join.")

@@ -1,0 +1,134 @@
+"""Every command of README and guides, run as it stands in a folder where the files of its page are."""
+
+from __future__ import annotations
+
+import csv
+import re
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from logs.messages import ObjectDetections
+from logs.reader import LogReader
+from logs.selection import Selection
+from logs.topics import RecordKind
+from tests.helpers.loop_drives import one_block
+from tests.test_docs import blocks_of, commands
+from tools import cli
+
+pytestmark = pytest.mark.slow
+
+PAGES = [
+    *("README.md", "docs/quick_start.md", "docs/viewers.md", "docs/maps.md", "docs/evaluation.md", "docs/sweeps.md"),
+    *("docs/import.md", "docs/loop_closing.md", "docs/descriptors.md"),
+]
+SHORTER = {
+    "simulate": ("--length", "120"),
+    "sweep": ("--seeds", "1", "--jobs", "1"),
+    "benchmark descriptors": ("--queries", "2"),
+}
+"""Of an option that comes twice, the last one counts."""
+ELSEWHERE = {
+    r"import kitti-objects|kitti00": "KITTI is not here; its importer has tests of its own",
+    r"import semantic-kitti": "so has this one",
+    r"import osm": "pyosmium may not be here; tests/logs/importers/maps",
+    r"^view map\.mcap$|--view": "opens a window; tests/slam/display draws without one",
+    r"^--": "acts on the shell of who types it",
+    r"my_package": "tests/descriptors/test_registry.py has a class",
+    r"^train|out/mine": "takes minutes; tests/tools/test_train.py",
+}
+"""Commands that are run by other tests, and where."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two drives through one town under all names that pages give to drives, and what becomes of them."""
+    folder = tmp_path_factory.mktemp("pages")
+    drive, tuesday = folder / "drive.mcap", folder / "tuesday.mcap"
+    world = one_block()
+    rows = zip(world.positions.tolist(), world.labels, world.object_ids, strict=True)
+    write_table(folder / "world.csv", ["x_m", "y_m", "z_m", "class", "id"], ([*at, *of] for at, *of in rows))
+    write_table(folder / "tour.csv", ["x_m", "y_m"], world.tour.tolist())
+    simulate = ["simulate", "--objects", str(folder / "world.csv"), "--trajectory", str(folder / "tour.csv")]
+    assert cli.run([*simulate, str(drive)]) == 0
+    assert cli.run([*simulate, str(tuesday), "--length", "120", "--set", "sensor.dropout=0.3"]) == 0
+    for source, output, saved in ((drive, "map.mcap", "town.mcap"), (tuesday, "b1.mcap", "harbour.mcap")):
+        made = ["replay", str(source), "-o", str(folder / output), "--save-map", str(folder / saved)]
+        assert cli.run(made) == 0
+    for name, setting in (("a2", "1.9"), ("a3", "1.8"), ("b2", "1.7"), ("b3", "1.6")):
+        changed = ["--set", f"keyframe.distance_m={setting}"]
+        assert cli.run(["replay", str(tuesday), "-o", str(folder / f"{name}.mcap"), *changed]) == 0
+    shutil.copy(drive, folder / "monday.mcap")
+    shutil.copy(drive, folder / "mine.mcap")
+    shutil.copy(folder / "map.mcap", folder / "a1.mcap")
+    export = ["export", str(folder / "map.mcap")]
+    for name, kind in (
+        ("gt.tum", "--tum"),
+        ("truth.tum", "--tum"),
+        ("00.txt", "--kitti"),
+        ("consistent.txt", "--kitti"),
+    ):
+        assert cli.run([*export, "--of", "truth", kind, str(folder / name)]) == 0
+    assert cli.run([*export, "--of", "odometry", "--tum", str(folder / "odometry.tum")]) == 0
+    assert cli.run([*export, "--geojson", str(folder / "trees.geojson"), "--origin", "60.17,24.94"]) == 0
+    (folder / "calib.txt").write_text("Tr: 1 0 0 0 0 1 0 0 0 0 1 0\n", encoding="utf-8")
+    write_objects(folder / "objects.csv", folder / "map.mcap")
+    write_detections(folder / "detections.csv", drive)
+    (folder / "out").mkdir()
+    return folder
+
+
+def write_objects(path: Path, mapped: Path) -> None:
+    """The landmarks of a map as a table of places."""
+    from dslam import landmark_table, read_map
+
+    table = landmark_table(read_map(mapped))
+    rows = zip(table["x_m"], table["y_m"], table["label"], table["id"], strict=True)
+    write_table(path, ["x_m", "y_m", "class", "id"], rows)
+
+
+def write_detections(path: Path, drive: Path) -> None:
+    with LogReader(drive) as log:
+        scans = [entry.record for entry in log.records(Selection.of({"/detections": RecordKind.DETECTIONS}))]
+    rows = (
+        [scan.stamp_ns, *at, label]
+        for scan in scans
+        if isinstance(scan, ObjectDetections)
+        for at, label in zip(scan.positions.tolist(), scan.labels, strict=True)
+    )
+    write_table(path, ["stamp_ns", "x_m", "y_m", "z_m", "label"], rows)
+
+
+def write_table(path: Path, header: list[str], rows: Iterable[Iterable[object]]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([header, *rows])
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_each_command_of_a_page_runs(
+    folder: Path, page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    work = tmp_path / "work"
+    shutil.copytree(folder, work)
+    monkeypatch.chdir(work)
+    ran = 0
+    for block in blocks_of(page):
+        for arguments in commands(block):
+            line = " ".join(arguments)
+            if any(re.search(pattern, line) for pattern in ELSEWHERE):
+                continue
+            shorter = next((more for name, more in SHORTER.items() if line.startswith(name)), ())
+            code = cli.run([*arguments, *shorter])
+            assert code == 0, f"{page}: dslam {line}: {capsys.readouterr().err}"
+            ran += 1
+    assert ran > 0
+    np.testing.assert_equal(sorted(each.name for each in work.glob("*.part")), [])
+
+
+def test_what_is_left_out_is_in_the_pages() -> None:
+    lines = [" ".join(each) for page in PAGES for block in blocks_of(page) for each in commands(block)]
+    for pattern in ELSEWHERE:
+        assert any(re.search(pattern, line) for line in lines), pattern
