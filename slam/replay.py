@@ -34,6 +34,7 @@ from slam.common.errors import InputDataError, SavedMapError
 from slam.display.drive_display import FRAMES, DriveDisplay
 from slam.frontend.input_records import InputRecords
 from slam.frontend.label_map import LabelMap
+from slam.frontend.scan_objects import ScanObjects
 from slam.frontend.sensor_frames import SensorFrames
 from slam.localization.prior_map import PriorMap
 from slam.object_map.map_io import METADATA, save_map
@@ -142,10 +143,11 @@ def replay(
         frames = _read_frames(reader, mapped)
         lost_before = reader.decoding_counters
         mapped = mapped.without(RecordKind.TRANSFORMS)
-        calibration = _calibrate(reader, mapped, config, frames, labels)
+        scans = ScanObjects(labels, frames)
+        calibration = _calibrate(reader, mapped, config, InputRecords(config, labels, frames, scans), frames)
         slam = Slam(calibration.config, prior_map, extend=extend, place_prior=place_prior, frames=frames)
         display = DriveDisplay(calibration.config.detection.sensor_range_m, _ground_truth(source, config, selection))
-        inputs = InputRecords(calibration.config, labels, frames)
+        inputs = InputRecords(calibration.config, labels, frames, scans)
         max_message_latency_s, tracked = 0.0, 0
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output) as writer:
@@ -278,12 +280,11 @@ def _read_frames(reader: LogReader, selection: Selection) -> SensorFrames:
 
 
 def _calibrate(
-    reader: LogReader, selection: Selection, config: Config, frames: SensorFrames, labels: LabelMap
+    reader: LogReader, selection: Selection, config: Config, inputs: InputRecords, frames: SensorFrames
 ) -> Calibration:
     """The settings for a log: those that were not given by hand are estimated from it."""
     if not config.calibration.enabled:
         return Calibration(config)
-    inputs = InputRecords(config, labels, frames)
     records = inputs.prepare(entry.record for entry in reader.records(selection))
     with threadpool_limits(1, user_api="blas"):
         return calibrate(config, survey(records, config.detection, frames))

@@ -112,7 +112,8 @@ def find_objects(
         if viewpoint is None:
             centre = seen_from_all_sides(voxels, voxel_m)
         else:
-            centre = seen_from_one_side(voxels, viewpoint, voxel_m, upright=settings.upright)
+            spacing_m = _spacing_m(points, viewpoint)
+            centre = seen_from_one_side(voxels, viewpoint, voxel_m, upright=settings.upright, spacing_m=spacing_m)
             if size[0] > (settings.max_extent_m or 15.0 * scale):
                 found.left_out["long"] += 1
                 continue
@@ -188,6 +189,14 @@ def _split(points: FloatArray, gap_m: float, voxel_m: float, *, flat: bool) -> l
     cluster = clusters(centres, max(gap_m, 1.5 * voxel_m))[cell.ravel()]
     order = np.argsort(cluster, kind="stable")
     return np.split(points[order], np.flatnonzero(np.diff(cluster[order])) + 1)
+
+
+def _spacing_m(points: FloatArray, viewpoint: FloatArray) -> float:
+    """The widest gap between points (K, 3) m beside each other, as seen from the viewpoint (3,) m."""
+    xy = (points - viewpoint)[:, :2]
+    middle = complex(*xy.mean(axis=0))
+    bearings = np.sort(np.angle((xy[:, 0] + 1j * xy[:, 1]) * np.conj(middle)))
+    return abs(middle) * float(np.diff(bearings).max(initial=0.0))
 
 
 def _size(voxels: FloatArray) -> FloatArray:

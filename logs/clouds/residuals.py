@@ -12,6 +12,8 @@ from logs.messages import FloatArray, ObjectDetections
 
 LARGEST_SHARE = 0.15
 """Share of the motion between two scans by which all objects may move along: a sensor turned by 9 deg gives as much."""
+REACH = 2.5
+"""How far objects are followed, in ways driven: under a sensor that is turned by 180 deg they move by 2, and noise."""
 FEWEST_STEPS = 10
 FEWEST_OBJECTS = 3
 
@@ -58,7 +60,7 @@ def _by_class(detections: ObjectDetections, T_odom_body: FloatArray) -> dict[str
 
 def _displacements(here: FloatArray, there: FloatArray, shift: FloatArray) -> FloatArray:
     """Displacements (K, 3) m of mutually nearest objects that no others are near enough to be mistaken for."""
-    reach_m = 2.0 * float(np.linalg.norm(shift))
+    reach_m = REACH * float(np.linalg.norm(shift))
     distances = cdist(here, there)  # (here, there)
     nearest, back = distances.argmin(axis=1), distances.argmin(axis=0)
     rows = np.arange(len(here))

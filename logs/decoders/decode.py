@@ -8,13 +8,16 @@ from logs.container.limits import ReadingLimits
 from logs.container.pending import LAST_NS
 from logs.decoders.registry import decoder_for, kinds_of
 from logs.errors import InvalidRecordError
-from logs.messages import ImageDetections, ObjectDetections, Odometry, Record, Transform
+from logs.messages import ImageDetections, LabelledScan, ObjectDetections, Odometry, Record, Transform
 from logs.topics import RawMessage, RecordKind
 from logs.validation import Refusal
 
 _LARGE = frozenset(
     {RecordKind.OBJECT_MAP, RecordKind.OBJECT_TRUTH, RecordKind.TRAJECTORY, RecordKind.FACTOR_GRAPH, RecordKind.DEPTH}
 )  # each a whole result, or an image, in one message
+
+
+_CLOUDS = ("sensor_msgs/msg/PointCloud2",)
 
 
 def decode(
@@ -38,7 +41,8 @@ def decode(
         raise KeyError(f"{raw.topic}: {raw.channel.schema_name!r} does not decode to {kind}")
     limits = limits or ReadingLimits()
     try:
-        if kind not in _LARGE and len(raw.data) > limits.input_bytes:
+        is_large = kind in _LARGE or raw.channel.schema_name in _CLOUDS
+        if not is_large and len(raw.data) > limits.input_bytes:
             raise Refusal("too many bytes for limits.objects", f"{len(raw.data)}, more than {limits.input_bytes}")
         records = decoder(raw, kind, Counter() if counters is None else counters)
         for record in records:
@@ -62,6 +66,8 @@ def _check(record: Record, limits: ReadingLimits) -> None:
         if len(record.labels) > limits.objects:
             raise Refusal("more objects than limits.objects", f"{len(record.labels)}, more than {limits.objects}")
         names = (record.frame_id, *record.labels)
+    elif isinstance(record, LabelledScan):
+        names = (record.frame_id,)
     elif isinstance(record, Odometry):
         names = (record.frame_id, record.child_frame_id)
     elif isinstance(record, Transform):

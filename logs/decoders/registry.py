@@ -34,6 +34,7 @@ ROS2_DETECTIONS = (
     "geometry_msgs/msg/PoseArray",
     "vision_msgs/msg/Detection2DArray",
     "apriltag_msgs/msg/AprilTagDetectionArray",
+    "sensor_msgs/msg/PointCloud2",
 )
 _DEFINITIONS = ("ros2msg", "ros2idl")
 

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
+from logs.decoders import ros2_clouds as clouds
 from logs.decoders import ros2_detections as objects
 from logs.decoders import ros2_images as images
 from logs.decoders.cdr import parse
@@ -92,6 +93,7 @@ _OBJECTS: dict[str, Callable[[Any, RawMessage, Counter[str]], tuple[Record, ...]
     "geometry_msgs/msg/PoseArray": objects.poses,
     "vision_msgs/msg/Detection2DArray": images.detections_2d,
     "apriltag_msgs/msg/AprilTagDetectionArray": images.tags,
+    "sensor_msgs/msg/PointCloud2": clouds.labelled_scan,
     "sensor_msgs/msg/CameraInfo": images.camera_info,
     "sensor_msgs/msg/Image": images.depth_image,
 }

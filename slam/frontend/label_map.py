@@ -34,13 +34,14 @@ class LabelMap:
         """The detections under their names in the map, ``DROPPED`` for those that are left out."""
         if not self._rules:
             return detections
-        return replace(detections, labels=tuple(self._name(label) for label in detections.labels))
+        return replace(detections, labels=tuple(self.name(label) for label in detections.labels))
 
     def unused(self) -> list[str]:
         """The settings that named no class so far, "labels.drop: cars" each."""
         return [f"labels.{setting}: {name}" for setting, name, _ in self._rules if name not in self._used]
 
-    def _name(self, label: str) -> str:
+    def name(self, label: str) -> str:
+        """The name of a class in the map, ``DROPPED`` if it is left out."""
         name = self._known.get(label)
         if name is None:
             name = label

@@ -40,13 +40,13 @@ _CHECKED = ("positions", "classes", "ids", "tiles", "tile_starts")
 class ImportedMap:
     """Objects and the index of their quads.
 
-    ``positions`` (N, 3) m float32, z up; ``classes`` (N,) in ``vocabulary``; ``ids`` (N,) of the source, UTF-8;
+    ``positions`` (N, 3) m, z up; ``classes`` (N,) in ``vocabulary``; ``ids`` (N,) of the source, UTF-8;
     ``sigma_m``: standard deviation of a coordinate; ``tile_m``: edge of a tile; ``tiles`` (T,): those with objects,
     numbered row by row, ``columns`` in a row, from ``corner`` (2,) m; ``tile_starts`` (T + 1,): the first object of
     each. ``georeference``: None where the source tells none.
     """
 
-    positions: NDArray[np.float32]
+    positions: FloatArray
     classes: NDArray[np.uint16]
     ids: NDArray[np.bytes_]
     vocabulary: tuple[str, ...]
@@ -86,7 +86,7 @@ class ImportedMap:
         """Positions (K, 3) m of the landmarks in the tiles around a path (N, 3), one row at least."""
         middle = 0.5 * (path[:, :2].min(axis=0) + path[:, :2].max(axis=0))
         radius_m = float(np.abs(path[:, :2] - middle).max()) + self.tile_m
-        return self.positions[self.near(middle, radius_m)].astype(np.float64)
+        return np.asarray(self.positions[self.near(middle, radius_m)], dtype=np.float64)
 
     def class_shares(self) -> FloatArray:
         """Frequency (C,) of each class, with a pseudo-count of 1."""
@@ -125,7 +125,7 @@ def make_imported_map(
     order = np.argsort(tile, kind="stable")
     tiles, starts = np.unique(tile[order], return_index=True)
     vocabulary, classes = np.unique(np.array(labels), return_inverse=True)
-    ordered = positions[order].astype(np.float32)
+    ordered = positions[order]
     ordered_classes = classes[order].astype(np.uint16)
     return ImportedMap(
         positions=ordered,
@@ -138,7 +138,7 @@ def make_imported_map(
         columns=columns,
         tiles=tiles,
         tile_starts=np.append(starts, len(tile)),
-        quads=build_quad_index(ordered.astype(np.float64), ordered_classes.astype(np.int64), sigma_m=sigma_m),
+        quads=build_quad_index(ordered, ordered_classes.astype(np.int64), sigma_m=sigma_m),
         georeference=georeference,
         metadata=dict(source or {}),
     )

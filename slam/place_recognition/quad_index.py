@@ -72,7 +72,7 @@ class QuadIndex:
         self,
         positions: FloatArray,
         labels: IntArray,
-        map_positions: NDArray[np.float32],
+        map_positions: FloatArray,
         *,
         sigma_m: float,
     ) -> QuadMatches:

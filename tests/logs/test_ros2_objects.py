@@ -11,7 +11,7 @@ import pytest
 from logs.decoders.decode import decode
 from logs.decoders.registry import ROS2_DETECTIONS
 from logs.errors import InvalidRecordError, TopicSelectionError
-from logs.messages import ObjectDetections
+from logs.messages import LabelledScan, ObjectDetections
 from logs.selection import select_all, select_topics
 from logs.topics import TopicInfo
 from tests.helpers.ros2_logs import at, detection3d, encoded, header, vector
@@ -152,7 +152,8 @@ def test_poses_are_named_after_their_topic() -> None:
 @pytest.mark.parametrize("type_name", ROS2_DETECTIONS)
 def test_an_empty_message_is_an_empty_scan(type_name: str) -> None:
     found = decoded(type_name, {})
-    assert [len(record.labels) for record in found] == ([0] if "Marker" not in type_name else [])
+    counts = [len(record.classes if isinstance(record, LabelledScan) else record.labels) for record in found]
+    assert counts == ([0] if "Marker" not in type_name else [])
 
 
 def info(topic: str, schema: str, *kinds: str) -> TopicInfo:
@@ -237,3 +238,39 @@ def test_cameras_and_depth_are_read_where_objects_are_in_images() -> None:
     chosen = select_topics([odometry, objects, camera, *images])
     assert chosen.topics == ("/objects", "/odom")
     assert "/color/image" not in select_all([odometry, *images]).topics
+
+
+def cloud(points: np.ndarray, **fields: Any) -> dict[str, Any]:
+    """A PointCloud2 of a structured array (N,)."""
+    codes = {"<f4": 7, "<f8": 8, "<u2": 4, "<u4": 6, "|u1": 2}
+    described = [
+        {"name": name, "offset": points.dtype.fields[name][1], "datatype": codes[kind], "count": 1}
+        for name, kind in points.dtype.descr
+    ]
+    values = {"height": 1, "width": len(points), "fields": described, "point_step": points.itemsize}
+    values |= {"row_step": points.nbytes, "data": np.frombuffer(points.tobytes(), np.uint8)}
+    return {"header": header(SECOND, "lidar"), **values, **fields}
+
+
+def scan_of(values: dict[str, Any]) -> Any:
+    (record,) = decode(encoded(("/points", "sensor_msgs/msg/PointCloud2", 5 * SECOND, values)), "detections")
+    return record
+
+
+def test_clouds_whose_points_have_a_class() -> None:
+    points = np.zeros(3, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("label", "<u4"), ("id", "|u1")])
+    points["x"], points["label"], points["id"] = [1.0, np.nan, 3.0], [80, 80, 71], [5, 6, 0]
+    record = scan_of(cloud(points))
+    assert (record.stamp_ns, record.frame_id) == (SECOND, "lidar")
+    assert record.positions[:, 0].tolist() == [1.0, 3.0]
+    assert (record.classes.tolist(), record.instances.tolist()) == ([80, 71], [5, 0])
+
+
+def test_clouds_without_a_class_or_cut_off_are_refused() -> None:
+    points = np.zeros(3, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
+    with pytest.raises(InvalidRecordError, match=r"no field tells the class of a point .*; it has x, y, z, intensity"):
+        scan_of(cloud(points))
+    with pytest.raises(InvalidRecordError, match="lengths disagree"):
+        scan_of(cloud(points, width=4))
+    with pytest.raises(InvalidRecordError, match="fields of the points are none"):
+        scan_of(cloud(points, point_step=4, row_step=12))

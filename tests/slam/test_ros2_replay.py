@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from google.protobuf.json_format import MessageToJson
 
-from logs.decoders.protobuf import DECODERS
 from logs.messages import GroundTruthPose, ObjectDetections, Odometry
-from logs.topics import Channel, Schema
-from logs.writer import LogWriter
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
@@ -22,7 +17,7 @@ from slam.evaluation.inputs.records import read_records
 from slam.replay import ReplaySummary
 from slam.replay import replay as run_replay
 from tests.helpers.ros2_logs import Message, detections3d, header, ros2_messages, tf, write_bag
-from tests.helpers.short_drives import drive, keep_until, raw_messages, records_of, write_log
+from tests.helpers.short_drives import drive, keep_until
 
 SECONDS = 25.0
 UNCALIBRATED = Config.model_validate({"calibration": {"enabled": False}})
@@ -52,32 +47,6 @@ def swinging(*, own_frame: bool = True, told: bool = True) -> list[Message]:
     first_ns, last_ns = found[0][2], found[-1][2]
     times = range(first_ns - first_ns % 10**9, last_ns + 10**9, 2 * 10**8) if told else ()
     return found + [_tf(time_ns, "base_link", "mast", T_body_mast(time_ns)) for time_ns in times]
-
-
-def as_json(source: Path, path: Path) -> Path:
-    """The same log with every message in JSON."""
-    with LogWriter(path) as writer:
-        for raw in raw_messages(source):
-            message = DECODERS[raw.channel.schema_name][0].FromString(raw.data)
-            schema = Schema(1, raw.channel.schema_name, "jsonschema", b"{}")
-            channel = Channel(raw.channel.id, raw.topic, "json", schema)
-            writer.write_raw(replace(raw, channel=channel, data=MessageToJson(message).encode()))
-    return path
-
-
-@pytest.mark.slow
-def test_one_drive_in_three_encodings_is_one_map(tmp_path: Path) -> None:
-    entries = keep_until(drive(), SECONDS)
-    protobuf = write_log(tmp_path / "drive.mcap", entries)
-    bag = write_bag(tmp_path / "bag", ros2_messages(entries), storage="sqlite3")
-    maps = []
-    for source in (protobuf, as_json(protobuf, tmp_path / "json.mcap"), bag):
-        run_replay(source, tmp_path / "out.mcap", Config())
-        maps.append(records_of(tmp_path / "out.mcap", "/slam/map")[-1])
-    for other in maps[1:]:
-        assert other.labels == maps[0].labels
-        np.testing.assert_allclose(other.positions, maps[0].positions, atol=1e-9)
-    assert maps[0].states.count("confirmed") > 10
 
 
 def _tf(time_ns: int, parent: str, child: str, T: np.ndarray) -> Message:

@@ -95,7 +95,10 @@ def relocalization(
 
     Example: dslam benchmark relocalization --objects objects.csv --trajectory trajectory.csv --thin 5 --oracle
 
-    With --map no tour is driven first: the map may be one of open data (dslam import).
+    With --map no tour is driven first: the map may be one of open data (dslam import). Without --objects the robot is
+    put down beside objects of that map, and goes straight on along the row in which they stand.
+
+    Example: dslam benchmark relocalization --map trees_map.mcap --max-travel 150 --kidnaps 50
 
     Example: dslam benchmark relocalization --log kitti00.mcap --map-until 311 --kidnaps 40
     """
@@ -116,7 +119,11 @@ def relocalization(
     if (objects is None) != (trajectory is None):
         raise typer.BadParameter("give both, or none for a generated town.", param_hint="--objects and --trajectory")
     if objects is None and map_log is not None:
-        raise typer.BadParameter("it goes with --objects and --trajectory, in whose frame it is.", param_hint="--map")
+        if topics or right != RIGHT or (map_until, thin, oracle, jobs) != (None, 1.0, False, 1):
+            raise typer.BadParameter("they go with --objects or --log.", param_hint="--thin, --oracle, --jobs, ...")
+        chances = {"seed": seed, "noise": noise, "changed": changed, "max_travel_m": max_travel}
+        _run_map(map_log, config, kidnaps, chances, as_json=json)
+        return
     if map_until is not None or topics or right != RIGHT:
         raise typer.BadParameter("they go with --log.", param_hint="--map-until, --right and --topic")
     _run_world(objects, trajectory, map_log, config, kidnaps, jobs, conditions, as_json=json)
@@ -164,6 +171,21 @@ def _run_world(
             on_progress=move,
             **conditions,
         )
+    _tell(result, conditions, as_json=as_json)
+
+
+def _run_map(map_log: Path, config: Config, kidnaps: int, conditions: dict[str, Any], *, as_json: bool) -> None:
+    from slam.benchmarks.kidnapping.unknown_streets import benchmark_in_map
+    from slam.localization.prior_map import load_prior_map
+    from tools import console
+
+    known = load_prior_map(map_log)
+    with console.progress_bar("carrying off", "carrying off") as move:
+        result = benchmark_in_map(known, config, kidnaps=kidnaps, on_progress=move, **conditions)
+    _tell(result, conditions, as_json=as_json)
+
+
+def _tell(result: RelocalizationBenchmark, conditions: dict[str, Any], *, as_json: bool) -> None:
     if as_json:
         _show_json(result, conditions)
     else:

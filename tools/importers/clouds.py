@@ -1,13 +1,28 @@
-"""dslam import semantic-kitti."""
+"""dslam import semantic-kitti, paris-lille, iqmulus, ply and pcd: labelled point clouds."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tools.arguments import Json, NewLog, check_outputs
+from tools.importers.maps import SURVEYED_SIGMA_M, NewMap, Origin, Sigma, make_map
+
+if TYPE_CHECKING:
+    from logs.clouds.cloud_files import CloudFields
+    from logs.clouds.map_of_cloud import CloudSummary
+
+CloudFile = Annotated[Path, typer.Option(metavar="FILE", help="PLY with x, y, z, class and the number of the object.")]
+AnyCloud = Annotated[
+    Path, typer.Option(metavar="FILE", help="With fields x, y, z, class or label, and perhaps instance.")
+]
+Names = Annotated[
+    list[str] | None,
+    typer.Option("--name", metavar="NUMBER=CLASS", help="What is an object, instead of all but 0. Repeatable."),
+]
 
 
 def semantic_kitti(
@@ -58,3 +73,106 @@ def semantic_kitti(
             progress=progress,
         )
     tell(output, summary, json=json)
+
+
+def paris_lille(
+    output: NewMap, file: CloudFile, origin: Origin = None, sigma: Sigma = SURVEYED_SIGMA_M, json: Json = False
+) -> None:
+    """A map of the objects of Paris-Lille-3D: a file of 50 classes, with the fields class and label (the object).
+
+    What moves or may move, what is unknown, bollards and surfaces are left out, as in "Descriptellation" (Xing et al.);
+    printed is how many objects and classes there were and are left, as in its Table II. Needs the extra "clouds".
+
+    Example: dslam import paris-lille lille_map.mcap --file training_50_classes/Lille1.ply
+    """
+    from logs.clouds.cloud_files import PARIS_LILLE
+
+    _make_urban(output, file, PARIS_LILLE, origin, sigma, json=json)
+
+
+def iqmulus(
+    output: NewMap, file: CloudFile, origin: Origin = None, sigma: Sigma = SURVEYED_SIGMA_M, json: Json = False
+) -> None:
+    """A map of the objects of IQmulus & TerraMobilita, with the fields class and id; as for paris-lille.
+
+    Example: dslam import iqmulus cassette_map.mcap --file Cassette_GT.ply
+    """
+    from logs.clouds.cloud_files import IQMULUS
+
+    _make_urban(output, file, IQMULUS, origin, sigma, json=json)
+
+
+def ply(
+    output: NewMap,
+    file: AnyCloud,
+    name: Names = None,
+    origin: Origin = None,
+    sigma: Sigma = SURVEYED_SIGMA_M,
+    json: Json = False,
+) -> None:
+    """A map of the objects of any labelled cloud of a whole place, from a PLY file. Needs the extra "clouds".
+
+    Example: dslam import ply town_map.mcap --file town.ply --name 80=pole --name 71=trunk
+    """
+    _make_named(output, file, name, origin, sigma, json=json)
+
+
+def pcd(
+    output: NewMap,
+    file: AnyCloud,
+    name: Names = None,
+    origin: Origin = None,
+    sigma: Sigma = SURVEYED_SIGMA_M,
+    json: Json = False,
+) -> None:
+    """A map of the objects of any labelled cloud of a whole place, from a PCD file. Needs the extra "clouds".
+
+    Example: dslam import pcd town_map.mcap --file town.pcd --name 80=pole --name 71=trunk
+    """
+    _make_named(output, file, name, origin, sigma, json=json)
+
+
+def _make_urban(
+    output: Path, file: Path, fields: CloudFields, origin: str | None, sigma_m: float, *, json: bool
+) -> None:
+    check_outputs([output], [file])
+    from logs.clouds.cloud_files import read_cloud
+    from logs.clouds.map_of_cloud import urban_objects
+    from logs.digest import file_sha256
+
+    cloud = read_cloud(file, fields)
+    objects, summary = urban_objects(cloud, str(file), file_sha256(file))
+    make_map(output, objects, origin, None, sigma_m, json=json, more=_statistics(summary))
+
+
+def _make_named(
+    output: Path, file: Path, names: list[str] | None, origin: str | None, sigma_m: float, *, json: bool
+) -> None:
+    check_outputs([output], [file])
+    from logs.clouds.cloud_files import read_cloud
+    from logs.clouds.map_of_cloud import named_objects
+    from logs.digest import file_sha256
+
+    named = _parsed_names(names)
+    objects, summary = named_objects(read_cloud(file), str(file), file_sha256(file), named)
+    make_map(output, objects, origin, None, sigma_m, json=json, more=_statistics(summary))
+
+
+def _parsed_names(names: list[str] | None) -> Mapping[int, str] | None:
+    named: dict[int, str] = {}
+    for pair in names or ():
+        number, _, label = pair.partition("=")
+        if not number.isdecimal() or not label:
+            raise typer.BadParameter(f"{pair!r} is not NUMBER=CLASS, for example 80=pole.", param_hint="--name")
+        named[int(number)] = label
+    return named or None
+
+
+def _statistics(summary: CloudSummary) -> dict[str, object]:
+    """Table II of the paper, a line each."""
+    (objects, classes), (objects_left, classes_left) = summary.original, summary.preprocessed
+    return {
+        "original": f"{objects} objects, {classes} classes",
+        "preprocessed": f"{objects_left} objects, {classes_left} classes",
+        "left out": ", ".join(f"{count} {why}" for why, count in sorted(summary.left_out.items())) or "none",
+    }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -47,7 +48,7 @@ def osm(
     check_outputs([output], [file])
     from logs.importers.maps.osm import read_osm
 
-    _make(output, read_osm(file, tags=tag or ()), origin, label, sigma, json=json)
+    make_map(output, read_osm(file, tags=tag or ()), origin, label, sigma, json=json)
 
 
 def geojson(
@@ -68,7 +69,7 @@ def geojson(
     check_outputs([output], [file])
     from logs.importers.maps.geojson import read_geojson
 
-    _make(output, read_geojson(file, class_property=class_property), origin, label, sigma, json=json)
+    make_map(output, read_geojson(file, class_property=class_property), origin, label, sigma, json=json)
 
 
 def csv_map(
@@ -89,12 +90,20 @@ def csv_map(
     check_outputs([output], [file])
     from logs.importers.maps.object_table import read_object_table
 
-    _make(output, read_object_table(file), origin, label, sigma, json=json)
+    make_map(output, read_object_table(file), origin, label, sigma, json=json)
 
 
-def _make(
-    output: Path, objects: MapObjects, origin: str | None, label: str | None, sigma_m: float, *, json: bool
+def make_map(
+    output: Path,
+    objects: MapObjects,
+    origin: str | None,
+    label: str | None,
+    sigma_m: float,
+    *,
+    json: bool,
+    more: Mapping[str, object] | None = None,
 ) -> None:
+    """Write the map of ``objects`` and print what is in it, and ``more`` of its source."""
     from slam.localization.map_import import import_map
     from slam.place_recognition.imported_map import save_imported_map
     from tools import console
@@ -113,11 +122,12 @@ def _make(
                 "class_counts": dict(counts),
                 "origin": None if georeference is None else [georeference.latitude_deg, georeference.longitude_deg],
                 "notes": list(objects.notes),
+                **{name.replace(" ", "_"): value for name, value in (more or {}).items()},
             }
         )
         return
     classes = ", ".join(f"{name} {count}" for name, count in counts[:10])
-    more = f" and {len(counts) - 10} classes more" if len(counts) > 10 else ""
+    others = f" and {len(counts) - 10} classes more" if len(counts) > 10 else ""
     where = (
         "unknown: give --origin LAT,LON for poses in latitude and longitude"
         if georeference is None
@@ -126,8 +136,9 @@ def _make(
     width_m, height_m = (imported.positions[:, :2].max(axis=0) - imported.positions[:, :2].min(axis=0)).tolist()
     console.show(
         f"{output}: {len(imported)} objects in {width_m:.0f} m x {height_m:.0f} m",
-        f"  {classes}{more}",
+        f"  {classes}{others}",
         f"  origin at {where}" if georeference is not None else f"  origin {where}",
+        *(f"  {name}: {value}" for name, value in (more or {}).items()),
         *(f"  note: {note}" for note in objects.notes),
     )
 

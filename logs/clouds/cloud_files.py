@@ -1,0 +1,99 @@
+"""Labelled clouds in PLY and PCD files, by the names of their fields."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.clouds.geometry import open3d
+from logs.clouds.labelled_cloud import LabelledCloud
+from logs.clouds.ply import read_ply
+from logs.errors import DatasetError
+
+_PREFIX = "scalar_"
+"""CloudCompare puts it before the names of fields."""
+
+
+@dataclass(frozen=True, slots=True)
+class CloudFields:
+    """Names of the fields that hold a point's class and instance, likeliest first."""
+
+    classes: tuple[str, ...]
+    instances: tuple[str, ...]
+
+
+PARIS_LILLE = CloudFields(("class",), ("label",))
+"""Paris-Lille-3D, the files of 50 classes: "label" numbers the objects (Roynard et al., IJRR 2018)."""
+IQMULUS = CloudFields(("class",), ("id",))
+"""IQmulus & TerraMobilita (Vallet et al., Computers & Graphics 2015)."""
+ANY = CloudFields(
+    ("class", "class_id", "classification", "semantic", "semantic_label", "label", "category"),
+    ("instance", "instance_id", "instance_label", "object_id", "object", "id", "label"),
+)
+"""Clouds of others: a "label" is the class, unless another field is that."""
+
+
+def read_cloud(path: Path, fields: CloudFields = ANY) -> LabelledCloud:
+    """The labelled cloud in a PLY or PCD file.
+
+    Raises:
+        DatasetError: the file cannot be read, or has no positions, or no classes; names the fields that it has.
+    """
+    columns = _read_pcd(path) if path.suffix.lower() == ".pcd" else read_ply(path)
+    return labelled_cloud(columns, fields, str(path))
+
+
+def labelled_cloud(columns: Mapping[str, NDArray[Any]], fields: CloudFields, name: str) -> LabelledCloud:
+    """The cloud of ``columns``, name -> values (N,). ``name`` is what messages call it.
+
+    Where no field tells instances and the classes are those of SemanticKITTI with the instance in their upper half,
+    they are taken apart.
+
+    Raises:
+        DatasetError: no positions or classes; names the fields.
+    """
+    plain = {key.lower().removeprefix(_PREFIX): values for key, values in columns.items()}
+    there = ", ".join(columns) or "none"
+    if not {"x", "y", "z"} <= plain.keys():
+        raise DatasetError(f"{name}: no fields x, y and z; it has {there}")
+    class_field = _first(plain, fields.classes)
+    if class_field is None:
+        raise DatasetError(
+            f"{name}: no field tells the class of a point ({' or '.join(fields.classes)}); it has {there}"
+        )
+    positions = np.stack([plain[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    classes = _whole(plain[class_field], f"{name}: field {class_field}")
+    instance_field = _first(plain, [field for field in fields.instances if field != class_field])
+    if instance_field is not None:
+        return LabelledCloud(positions, classes, _whole(plain[instance_field], f"{name}: field {instance_field}"))
+    if class_field == "label" and len(classes) and classes.max() > 0xFFFF:
+        return LabelledCloud(positions, classes & 0xFFFF, classes >> 16)
+    return LabelledCloud(positions, classes)
+
+
+def _first(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> str | None:
+    return next((name for name in names if name in columns), None)
+
+
+def _whole(values: NDArray[Any], what: str) -> NDArray[np.int64]:
+    if values.dtype.kind == "f" and not (np.isfinite(values) & (values == np.round(values))).all():
+        raise DatasetError(f"{what} holds numbers that are not whole, so they are no labels; rename the field")
+    return values.astype(np.int64)
+
+
+def _read_pcd(path: Path) -> Mapping[str, NDArray[Any]]:
+    if not path.is_file():
+        raise DatasetError(f"{path}: cannot be read (No such file or directory); check the path")
+    o3d = open3d()
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        cloud = o3d.t.io.read_point_cloud(str(path)).point
+    columns = {name: values.numpy() for name, values in cloud.items()}
+    positions = columns.pop("positions", None)
+    if positions is None or not len(positions):
+        raise DatasetError(f"{path}: no PCD file with points that Open3D can read; write it again")
+    return {**dict(zip("xyz", positions.T, strict=True)), **{key: values[:, 0] for key, values in columns.items()}}
