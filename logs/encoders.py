@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry as FoxgloveOdometry
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
@@ -95,6 +96,18 @@ def _transform(r: m.Transform) -> FrameTransform:
     t.x, t.y, t.z = r.T_parent_child[:3, 3].tolist()
     q.x, q.y, q.z, q.w = quaternion_xyzw(r.T_parent_child)
     return message
+
+
+def _location_fix(r: m.GeodeticFix) -> Message:
+    return LocationFix(
+        timestamp=_timestamp(r.stamp_ns),
+        frame_id=r.frame_id,
+        latitude=r.latitude_deg,
+        longitude=r.longitude_deg,
+        altitude=r.altitude_m,
+        position_covariance=[0.0] * 9 if r.covariance is None else _flat(r.covariance),
+        position_covariance_type=LocationFix.UNKNOWN if r.covariance is None else LocationFix.KNOWN,
+    )
 
 
 def _frame_tree(r: m.FrameTree) -> Message:
@@ -223,6 +236,7 @@ _ENCODERS: dict[type, Callable[[Any], Message]] = {
     m.GroundTruthPose: _ground_truth,
     m.SlamPose: _slam_pose,
     m.Transform: _transform,
+    m.GeodeticFix: _location_fix,
     m.ObjectDetections: _detections,
     m.DetectionTruth: _detection_truth,
     m.DetectionAssociations: _associations,

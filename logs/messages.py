@@ -105,6 +105,21 @@ class Transform:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class GeodeticFix:
+    """Where satellites see the robot: latitude and longitude [deg] and altitude [m] on WGS 84.
+
+    ``covariance`` (3, 3) m^2 of east, north and up, None where unknown.
+    """
+
+    stamp_ns: int
+    frame_id: str
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    covariance: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class GroundTruthPose:
     """True pose of the body. The estimator never reads it."""
 
@@ -349,6 +364,7 @@ Record = (
     | CameraModel
     | DepthImage
     | LabelledScan
+    | GeodeticFix
     | Transform
     | GroundTruthPose
     | DetectionTruth

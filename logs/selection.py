@@ -45,6 +45,7 @@ _SCHEMAS: dict[RecordKind, tuple[tuple[str, ...], ...]] = {
         IN_IMAGES,
         ("visualization_msgs/msg/MarkerArray",),
     ),
+    RecordKind.GNSS: (("sensor_msgs/msg/NavSatFix", "foxglove.LocationFix"),),
 }
 
 

@@ -16,6 +16,7 @@ class RecordKind(StrEnum):
     TRANSFORMS = "transforms"
     CAMERA_INFO = "camera_info"
     DEPTH = "depth"
+    GNSS = "gnss"
     DETECTION_TRUTH = "detection_truth"
     OBJECT_TRUTH = "object_truth"
     OBJECT_MAP = "object_map"

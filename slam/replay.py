@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from logs.errors import TopicSelectionError, UnwritableLogError
 from logs.messages import (
     DetectionAssociations,
+    GeodeticFix,
     GroundTruthPose,
     LoopClosureRecord,
     Record,
@@ -31,13 +32,17 @@ from logs.writer import LogWriter, partial_path
 from slam.common.config import Config
 from slam.common.config_tree import CHANGED_SETTINGS, changed_settings
 from slam.common.errors import InputDataError, SavedMapError
+from slam.common.georeference import Georeference
 from slam.display.drive_display import FRAMES, DriveDisplay
 from slam.frontend.input_records import InputRecords
 from slam.frontend.label_map import LabelMap
 from slam.frontend.scan_objects import ScanObjects
 from slam.frontend.sensor_frames import SensorFrames
+from slam.localization.gnss import find_georeference
+from slam.localization.mirrored_map import is_mirrored
 from slam.localization.prior_map import PriorMap
 from slam.object_map.map_io import METADATA, save_map
+from slam.place_recognition.imported_map import ImportedMap
 from slam.place_recognition.place_prior import PlacePrior
 from slam.self_calibration.calibration import Calibration, calibrate
 from slam.self_calibration.survey import survey
@@ -56,10 +61,12 @@ _MAPPED = (
     RecordKind.TRANSFORMS,
     RecordKind.CAMERA_INFO,
     RecordKind.DEPTH,
+    RecordKind.GNSS,
 )
 # The estimator never sees these; they are copied as they are, so that the output can be evaluated on its own.
 _COPIED = (RecordKind.ODOMETRY, RecordKind.GROUND_TRUTH, RecordKind.DETECTION_TRUTH, RecordKind.OBJECT_TRUTH)
 
+LOCATION = "/slam/location"
 DEFAULTS = Config()
 
 
@@ -148,7 +155,8 @@ def replay(
         slam = Slam(calibration.config, prior_map, extend=extend, place_prior=place_prior, frames=frames)
         display = DriveDisplay(calibration.config.detection.sensor_range_m, _ground_truth(source, config, selection))
         inputs = InputRecords(calibration.config, labels, frames, scans)
-        max_message_latency_s, tracked = 0.0, 0
+        max_message_latency_s, tracked, fixes = 0.0, 0, list[GeodeticFix]()
+        georeference = _georeference_of(prior_map)
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output) as writer:
             provenance = (
@@ -167,6 +175,7 @@ def replay(
                 if item.raw.topic in copied:
                     writer.write_raw(item.raw)
                 before = time.perf_counter()
+                fixes += [record for record in item.records if isinstance(record, GeodeticFix)]
                 for record in inputs.prepare(item.records):
                     # Everything is logged on the clock of the input, whatever its stamps are.
                     for update in slam.process(record):
@@ -175,6 +184,8 @@ def replay(
                         for topic, message in display.show(update):
                             write(topic, message, item.raw.log_time_ns)
                         tracked += isinstance(update, SlamPose)
+                        if isinstance(update, SlamPose) and georeference is not None:
+                            write(LOCATION, _location(update, georeference), item.raw.log_time_ns)
                     if (snapshot := slam.snapshot()) is not None:
                         for topic, message in display.show_map(snapshot):
                             write(topic, message, item.raw.log_time_ns)
@@ -185,6 +196,10 @@ def replay(
             inputs.check()
             slam.counters.update(Counter(reader.counters) + lost_before + Counter(inputs.counters))
             final = slam.finish()
+            if georeference is None and prior_map is None:
+                georeference = find_georeference(final.trajectory, fixes)
+            if georeference is not None:
+                writer.add_metadata("dslam_georeference", {"georeference": georeference.to_json()})
             writer.write_path("/slam/trajectory", final.trajectory, last_ns)
             for topic, final_record in _final_records(final):
                 write(topic, final_record, last_ns)
@@ -217,12 +232,36 @@ def replay(
         max_message_latency_s=max_message_latency_s,
         loop_closure_median_s=float(np.median(slam.closing_seconds)) if slam.closing_seconds else 0.0,
         final_status=final.status.message,
-        notes=(*calibration.notes, *(f"no detection has the class of {name}" for name in labels.unused())),
+        notes=(
+            *calibration.notes,
+            *_about_the_map(slam, prior_map, final, config),
+            *(f"no detection has the class of {name}" for name in labels.unused()),
+        ),
         relocalization_times_s=tuple((fix.stamp_ns - slam.first_stamp_ns) * 1e-9 for fix in slam.fixes),
         relocalization_distances_m=tuple(fix.travel_m for fix in slam.fixes),
         keyframes_not_saved=unsaved,
         tracked_ratio=tracked / max(final.status.counters.get("odometry_used", 0), 1),
     )
+
+
+def _georeference_of(prior_map: PriorMap | None) -> Georeference | None:
+    return prior_map.georeference if isinstance(prior_map, ImportedMap) else None
+
+
+def _location(pose: SlamPose, georeference: Georeference) -> GeodeticFix:
+    """Where on earth a pose in the map is."""
+    latitude, longitude, altitude_m = georeference.to_geodetic(pose.T_map_body[None, :3, 3])[0].tolist()
+    return GeodeticFix(pose.stamp_ns, "map", latitude, longitude, altitude_m)
+
+
+def _about_the_map(slam: Slam, prior_map: PriorMap | None, final: FinalMap, config: Config) -> list[str]:
+    """What explains that the robot was not found in its map."""
+    if not isinstance(prior_map, ImportedMap) or slam.fixes:
+        return []
+    sigma_m = config.submap.landmark_sigma_m
+    if not is_mirrored(prior_map, final.object_map, final.trajectory, sigma_m):
+        return []
+    return ["the map is mirrored: what was seen fits it once x and y change places; import it with them swapped"]
 
 
 def _final_records(final: FinalMap) -> Iterator[tuple[str, Record]]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from logs.messages import (
     FactorGraphRecord,
+    GeodeticFix,
     LoopClosureRecord,
     ObjectDetections,
     ObjectMapRecord,
@@ -37,6 +38,7 @@ from slam.frontend.continuity import decide
 from slam.frontend.mapper import Mapper
 from slam.frontend.scan import make_scan
 from slam.frontend.sensor_frames import SensorFrames, corrected
+from slam.localization.gnss import GnssPrior
 from slam.localization.prior_map import PriorMap, restore, restore_map_frame, with_heights_of
 from slam.localization.state import Fix, State
 from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
@@ -110,6 +112,9 @@ class Slam:
         self._mapper = Mapper(config, self._object_map, self._graph, known)
         self._closer = LoopCloser(config, self._object_map, self._graph, self._mapper.keyframes, imported)
         self._closer.place_prior = place_prior
+        self._gnss: GnssPrior | None = None
+        if isinstance(prior_map, ImportedMap) and prior_map.georeference is not None and place_prior is None:
+            self._gnss = GnssPrior(prior_map.georeference)
         self._waiting: list[tuple[int, int, ObjectDetections]] = []
         self._arrivals = 0
         self._odometry_offset_ns = round(config.odometry.time_offset_s * 1e9)
@@ -147,6 +152,9 @@ class Slam:
         """Take in the next record in the order of the log; returns what it made known."""
         if isinstance(record, Transform):
             self._frames.add(record)
+        elif isinstance(record, GeodeticFix):
+            if self._gnss is not None and self._poses:
+                self._closer.place_prior = self._gnss.add(record, self._poses[-1].travel_m)
         elif isinstance(record, ObjectDetections):
             # In the order of their stamps, so that a single stamp from the future holds up nothing.
             heapq.heappush(self._waiting, (record.stamp_ns + self._time_offset_ns, self._arrivals, record))

@@ -82,6 +82,7 @@ def relocalize(
         "kidnappings_detected": summary.counters.get("kidnappings_detected", 0),
         "relocalizations_revoked": summary.counters.get("relocalizations_revoked", 0),
         "query_median_s": summary.loop_closure_median_s,
+        "notes": list(summary.notes),
     }
     if json:
         console.show_json(found)
@@ -146,6 +147,7 @@ def _show(summary: ReplaySummary, output: Path, picture: Path | None) -> None:
         "kidnapped": f"detected {counters.get('kidnappings_detected', 0)} times; "
         f"{counters.get('relocalizations_revoked', 0)} relocalizations revoked",
         "a query takes": f"{1e3 * summary.loop_closure_median_s:.1f} ms in the median",
+        **({"of the log": "; ".join(summary.notes)} if summary.notes else {}),
         "final status": summary.final_status,
         "written": str(output) + (f", {picture}" if picture else ""),
     }

@@ -14,7 +14,7 @@ from typing import Any
 from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message import Message
 
-from logs.decoders.protobuf import DECODERS
+from logs.decoders.protobuf import decode_parsed
 from logs.messages import Record
 from logs.topics import RawMessage, RecordKind
 from logs.validation import Refusal
@@ -30,14 +30,17 @@ def decode(raw: RawMessage, kind: RecordKind, counters: Counter[str]) -> tuple[R
     Raises:
         Refusal: bytes that are no such message, or values that no record may have.
     """
-    name = raw.channel.schema_name
-    message_class, function = DECODERS[name]
+    return decode_parsed(_parse, raw, kind, counters)
+
+
+def _parse(message_class: Any, raw: RawMessage) -> Any:
     try:
         message = message_class()
         _fill(message, json.loads(raw.data))
     except _UNFIT as error:
-        raise Refusal("JSON does not decode", f"as {name}: {' '.join(str(error).split())[:200]}") from error
-    return function(message, kind, raw.log_time_ns, counters)
+        what = f"as {raw.channel.schema_name}: {' '.join(str(error).split())[:200]}"
+        raise Refusal("JSON does not decode", what) from error
+    return message
 
 
 def _fill(message: Message, values: Any) -> None:

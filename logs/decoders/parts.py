@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from logs.messages import GroundTruthPose, ObjectDetections, Odometry, Record, SlamPose, Transform
+from logs.messages import GeodeticFix, GroundTruthPose, ObjectDetections, Odometry, Record, SlamPose, Transform
 from logs.topics import RecordKind
 from logs.validation import LARGEST_M, FloatArray, Refusal, covariance_to_body, usable_covariance, usable_covariances
 
@@ -50,6 +50,26 @@ def covariance_6x6(values: Sequence[float], T: FloatArray, counters: Counter[str
         return None
     usable = usable_covariance(P, counters)
     return None if usable is None else covariance_to_body(usable, T)
+
+
+def fix_records(
+    stamp_ns: int,
+    frame_id: str,
+    place: tuple[float, float, float],
+    covariance: Sequence[float] | None,
+    counters: Counter[str],
+) -> tuple[Record, ...]:
+    """The record of a latitude [deg], longitude [deg] and altitude [m], and of 9 numbers, None or zeros if unknown.
+
+    An altitude that is NaN, as of a receiver that has none, is 0.
+    """
+    latitude, longitude, altitude_m = place
+    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
+        raise Refusal("no place on earth", f"latitude {latitude}, longitude {longitude}")
+    if not abs(altitude_m) <= LARGEST_M:
+        altitude_m = 0.0
+    P = None if covariance is None else usable_covariance(np.array(covariance, np.float64).reshape(3, 3), counters)
+    return (GeodeticFix(stamp_ns, frame_id, latitude, longitude, altitude_m, P),)
 
 
 class DetectionList:

@@ -15,13 +15,14 @@ from typing import Any
 
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry as FoxgloveOdometry
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import DecodeError
 
 from logs.decoders.dslam import DSLAM_DECODERS
-from logs.decoders.parts import DetectionGroups, covariance_6x6, frame_records, pose_record
+from logs.decoders.parts import DetectionGroups, covariance_6x6, fix_records, frame_records, pose_record
 from logs.messages import Record
 from logs.topics import RawMessage, RecordKind
 from logs.validation import FloatArray, Refusal, stamp_ns, transform_from_quaternion
@@ -35,13 +36,26 @@ def decode(raw: RawMessage, kind: RecordKind, counters: Counter[str]) -> tuple[R
     Raises:
         Refusal: bytes that are no such message, or values that no record may have.
     """
-    name = raw.channel.schema_name
-    message_class, function = DECODERS[name]
+    return decode_parsed(_parse, raw, kind, counters)
+
+
+def decode_parsed(
+    parse: Callable[[Any, RawMessage], Any], raw: RawMessage, kind: RecordKind, counters: Counter[str]
+) -> tuple[Record, ...]:
+    """Records of the message that ``parse`` makes of the message class of the schema, and of ``raw``.
+
+    Raises:
+        Refusal: values that no record may have.
+    """
+    message_class, function = DECODERS[raw.channel.schema_name]
+    return function(parse(message_class, raw), kind, raw.log_time_ns, counters)
+
+
+def _parse(message_class: Any, raw: RawMessage) -> Any:
     try:
-        message = message_class.FromString(raw.data)
+        return message_class.FromString(raw.data)
     except DecodeError as error:
-        raise Refusal("bytes do not decode", f"{len(raw.data)} bytes as {name}") from error
-    return function(message, kind, raw.log_time_ns, counters)
+        raise Refusal("bytes do not decode", f"{len(raw.data)} bytes as {raw.channel.schema_name}") from error
 
 
 def _stamp(message: Any, log_time_ns: int) -> int:
@@ -64,6 +78,14 @@ def _odometry(message: Any, kind: RecordKind, log_time_ns: int, counters: Counte
 def _pose_in_frame(message: Any, kind: RecordKind, log_time_ns: int, counters: Counter[str]) -> tuple[Record, ...]:
     T = _transform(message.pose.position, message.pose.orientation)
     return (pose_record(kind, _stamp(message, log_time_ns), message.frame_id, "", T, None),)
+
+
+def _location_fix(message: Any, kind: RecordKind, log_time_ns: int, counters: Counter[str]) -> tuple[Record, ...]:
+    known = message.position_covariance if message.position_covariance_type else None
+    if known is not None and len(known) != 9:
+        raise Refusal("lengths disagree", f"covariance of {len(known)} numbers, not 9")
+    place = (message.latitude, message.longitude, message.altitude)
+    return fix_records(_stamp(message, log_time_ns), message.frame_id, place, known, counters)
 
 
 def _frame_transforms(message: Any, kind: RecordKind, log_time_ns: int, counters: Counter[str]) -> tuple[Record, ...]:
@@ -113,6 +135,7 @@ DECODERS: dict[str, tuple[Any, _Function]] = {
     "foxglove.PoseInFrame": (PoseInFrame, _pose_in_frame),
     "foxglove.FrameTransform": (FrameTransform, _frame_transforms),
     "foxglove.FrameTransforms": (FrameTransforms, _frame_transforms),
+    "foxglove.LocationFix": (LocationFix, _location_fix),
     "foxglove.SceneUpdate": (SceneUpdate, _scene_update),
     **DSLAM_DECODERS,
 }

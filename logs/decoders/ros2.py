@@ -10,7 +10,7 @@ from logs.decoders import ros2_clouds as clouds
 from logs.decoders import ros2_detections as objects
 from logs.decoders import ros2_images as images
 from logs.decoders.cdr import parse
-from logs.decoders.parts import covariance_6x6, frame_records, pose_record
+from logs.decoders.parts import covariance_6x6, fix_records, frame_records, pose_record
 from logs.messages import Record
 from logs.topics import RawMessage, RecordKind
 from logs.validation import FloatArray, Refusal, stamp_ns, transform_from_quaternion
@@ -77,11 +77,20 @@ def _tf(message: Any, kind: RecordKind, log_time_ns: int, counters: Counter[str]
     return frame_records(kind, frames)
 
 
+def _fix(message: Any, kind: RecordKind, log_time_ns: int, counters: Counter[str]) -> tuple[Record, ...]:
+    if message.status.status < 0:  # the receiver says that it has no fix
+        return ()
+    known = message.position_covariance if message.position_covariance_type else None
+    place = (message.latitude, message.longitude, message.altitude)
+    return fix_records(_stamp(message.header, log_time_ns), message.header.frame_id, place, known, counters)
+
+
 _POSES: dict[str, Callable[[Any, RecordKind, int, Counter[str]], tuple[Record, ...]]] = {
     "nav_msgs/msg/Odometry": _odometry,
     "geometry_msgs/msg/PoseStamped": _pose_stamped,
     "geometry_msgs/msg/PoseWithCovarianceStamped": _pose_with_covariance,
     "tf2_msgs/msg/TFMessage": _tf,
+    "sensor_msgs/msg/NavSatFix": _fix,
 }
 _OBJECTS: dict[str, Callable[[Any, RawMessage, Counter[str]], tuple[Record, ...]]] = {
     "vision_msgs/msg/Detection3DArray": objects.detections_3d,

@@ -14,6 +14,7 @@ from logs.messages import FactorGraphRecord, ObjectMapRecord, TrajectoryRecord
 from slam.common.arrays import FloatArray
 from slam.common.errors import InputDataError
 from slam.common.geometry import invert
+from slam.common.georeference import Georeference
 from slam.formats.g2o import TRANSLATION_FIRST, format_numbers, quaternions, write_lines
 
 T_BODY_CAMERA = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
@@ -32,6 +33,20 @@ def write_tum(path: str | Path, trajectory: TrajectoryRecord) -> None:
     rows = np.hstack([poses[:, :3, 3], quaternions(poses)])
     lines = (f"{_seconds(int(t))} {format_numbers(row)}" for t, row in zip(trajectory.stamps_ns, rows, strict=True))
     write_lines(path, lines)
+
+
+def write_geodetic(path: Path, trajectory: TrajectoryRecord, georeference: Georeference) -> None:
+    """Write a row a pose: time [s], latitude, longitude [deg] and altitude [m] on WGS 84.
+
+    Raises:
+        UnwritableLogError: the file cannot be written.
+    """
+    places = georeference.to_geodetic(trajectory.T_map_body[:, :3, 3]).tolist()
+    rows = [
+        f"{stamp_ns // 10**9}.{stamp_ns % 10**9:09d},{latitude:.9f},{longitude:.9f},{altitude_m:.3f}"
+        for stamp_ns, (latitude, longitude, altitude_m) in zip(trajectory.stamps_ns.tolist(), places, strict=True)
+    ]
+    write_lines(path, ["stamp_s,latitude_deg,longitude_deg,altitude_m", *rows])
 
 
 def write_kitti(path: str | Path, trajectory: TrajectoryRecord) -> None:

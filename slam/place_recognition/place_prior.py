@@ -1,4 +1,4 @@
-"""What a person says of the robot's place before any object was recognised."""
+"""What a person or satellites say of the robot's place before any object was recognised."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ YAW_SIGMA_RAD = np.pi / 12.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacePrior:
-    """The robot started at ``position`` (2,) m in the map, with ``sigma_m`` of each coordinate, heading to ``yaw_rad``,
-    None if that is unknown.
+    """The robot was at ``position`` (2,) m in the map, with ``sigma_m`` of each coordinate, after ``at_travel_m`` of
+    the drive; it started with the heading ``yaw_rad``, None if that is unknown.
     """
 
     position: FloatArray
     sigma_m: float
     yaw_rad: float | None = None
+    at_travel_m: float = 0.0
 
     def radius_m(self, travel_m: float) -> float:
-        """How far from ``position`` the robot can be after ``travel_m``."""
-        return GATE_SIGMAS * self.sigma_m + travel_m
+        """How far from ``position`` the robot can be after ``travel_m`` of the drive."""
+        return GATE_SIGMAS * self.sigma_m + abs(travel_m - self.at_travel_m)
 
     def allows(self, T_map_query: FloatArray, T_first_query: FloatArray, travel_m: float) -> bool:
         """Whether a robot that moved by ``T_first_query`` (4, 4) since the start can be at ``T_map_query`` (4, 4)."""

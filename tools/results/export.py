@@ -42,6 +42,7 @@ def export(
     kitti_camera: Annotated[
         Path | None, _file("The same of a camera at the body: z ahead, x right, from its first pose.")
     ] = None,
+    geodetic: Annotated[Path | None, _file("Trajectory: latitude, longitude and altitude, a table.")] = None,
     g2o: Annotated[Path | None, _file("Keyframes, landmarks and all factors; no robust kernels.")] = None,
     csv: Annotated[Path | None, _file("Landmarks: a table.")] = None,
     geojson: Annotated[Path | None, _file("Landmarks: places on earth (WGS 84).")] = None,
@@ -53,7 +54,7 @@ def export(
         str | None,
         typer.Option(
             metavar="LAT,LON[,ALT[,YAW]]",
-            help="For --geojson: origin of the map (deg, deg, m) and heading of its x axis from east to north (deg).",
+            help="Where on earth the map has its origin (deg, deg, m), and the heading of x from east to north (deg).",
         ),
     ] = None,
 ) -> None:
@@ -61,10 +62,12 @@ def export(
 
     Example: dslam export map.mcap --tum trajectory.txt --csv landmarks.csv --ros2-bag bag
     """
-    of_landmarks, of_poses = [csv, geojson, ply, ros2_bag], [tum, kitti, kitti_camera, ros2_bag]
-    outputs = [tum, kitti, kitti_camera, g2o, csv, geojson, ply]
+    of_landmarks, of_poses = [csv, geojson, ply, ros2_bag], [tum, kitti, kitti_camera, geodetic, ros2_bag]
+    outputs = [tum, kitti, kitti_camera, geodetic, g2o, csv, geojson, ply]
     if not any([*outputs, ros2_bag]):
-        raise typer.BadParameter("nothing to write; give --tum, --kitti, --g2o, --csv, --geojson, --ply or --ros2-bag.")
+        raise typer.BadParameter(
+            "nothing to write; give --tum, --kitti, --geodetic, --g2o, --csv, --geojson, --ply or --ros2-bag."
+        )
     check_outputs(outputs, [log])
     from slam.evaluation.inputs.records import read_records
     from slam.formats import landmark_tables
@@ -80,6 +83,9 @@ def export(
             if path is not None:
                 write(path, track)
                 written.append(f"{path}: {len(track.stamps_ns)} poses")
+        if geodetic is not None:
+            text.write_geodetic(geodetic, track, _georeference(log, origin))
+            written.append(f"{geodetic}: {len(track.stamps_ns)} poses")
     if any(of_landmarks):
         objects = _landmarks(log, records)
         if csv is not None:

@@ -10,6 +10,7 @@ import pytest
 from logs.messages import GroundTruthPose, ObjectDetections, Odometry, SlamPose, Transform
 from slam.benchmarks.known_map import truth_of
 from slam.common.config import Config
+from slam.localization.mirrored_map import is_mirrored
 from slam.localization.prior_map import PriorMap
 from slam.place_recognition.imported_map import make_imported_map
 from slam.place_recognition.place_prior import PlacePrior
@@ -95,6 +96,17 @@ def test_it_is_looked_for_only_where_it_is_said_to_be(town: World, off_m: float)
     prior = PlacePrior(town.tour[0] + [off_m, 0.0], 20.0)
     _, _, slam = drive(town, city_map(town), extend=False, place_prior=prior)
     assert bool(slam.fixes) == (off_m == 0.0)
+
+
+@pytest.mark.slow
+def test_a_map_with_x_and_y_swapped_is_told_from_another_town(town: World) -> None:
+    swapped = replace(town, positions=town.positions[:, [1, 0, 2]])
+    other = generate_street_grid(rng=np.random.default_rng(99))
+    for world, is_it in ((swapped, True), (other, False), (town, False)):
+        known = city_map(world)
+        _, final, slam = drive(town, city_map(other), extend=False)
+        assert not slam.fixes
+        assert is_mirrored(known, final.object_map, final.trajectory, 0.35) == is_it
 
 
 @pytest.mark.slow

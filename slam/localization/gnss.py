@@ -1,0 +1,110 @@
+"""Fixes of satellites: where in a georeferenced map the robot may be, and where on earth a map lies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from logs.messages import GeodeticFix, TrajectoryRecord
+from slam.common.arrays import FloatArray
+from slam.common.georeference import Georeference
+from slam.place_recognition.place_prior import GATE_SIGMAS, PlacePrior
+
+RECENT = 50
+"""Latest fixes that are compared with one another."""
+LEAST_FIXES = 5
+HYPOTHESES = 300
+ITERATIONS = 20
+LEAST_EXTENT = 3.0
+"""Extent of the path, in errors of a fix, from which on it tells the heading of the map."""
+
+
+class GnssPrior:
+    """Where in a map the robot may be by its fixes. An outlier among them is one that most others contradict.
+
+    Fixes without covariance are not used: they may be off by any distance.
+    """
+
+    def __init__(self, georeference: Georeference) -> None:
+        self._georeference = georeference
+        self._fixes: list[PlacePrior] = []
+
+    def add(self, fix: GeodeticFix, travel_m: float) -> PlacePrior | None:
+        """Take in a fix after ``travel_m`` of the drive; the latest that most others agree with, None for none."""
+        if fix.covariance is None:
+            return None
+        geodetic = np.array([[fix.latitude_deg, fix.longitude_deg, fix.altitude_m]])
+        position = self._georeference.to_map(geodetic)[0, :2]
+        sigma_m = float(np.sqrt(np.linalg.eigvalsh(fix.covariance[:2, :2])[-1]))
+        self._fixes = [*self._fixes[1 - RECENT :], PlacePrior(position, sigma_m, at_travel_m=travel_m)]
+        for latest in reversed(self._fixes):
+            if 2 * sum(_agree(latest, other) for other in self._fixes) > len(self._fixes):
+                return latest
+        return None
+
+
+def _agree(a: PlacePrior, b: PlacePrior) -> bool:
+    reach_m = GATE_SIGMAS * float(np.hypot(a.sigma_m, b.sigma_m)) + abs(a.at_travel_m - b.at_travel_m)
+    return float(np.linalg.norm(a.position - b.position)) <= reach_m
+
+
+def find_georeference(trajectory: TrajectoryRecord, fixes: list[GeodeticFix]) -> Georeference | None:
+    """Where on earth the frame of a trajectory lies: heading and place by which it fits the fixes best.
+
+    Pairs of fixes propose poses; that with the least sum of absolute residuals, which up to half of the fixes may be
+    outliers of, is refined by weighted least squares with Cauchy's weights (Holland and Welsch, 1977). Fixes weigh by
+    their covariances; those without have the median variance of the others.
+
+    Returns:
+        The georeference, its origin that of the map; None for fewer than five fixes during the drive, or a path too
+        short against their errors to tell the heading.
+    """
+    first, last = (trajectory.stamps_ns[0], trajectory.stamps_ns[-1]) if len(trajectory.stamps_ns) else (0, -1)
+    used = [fix for fix in fixes if first <= fix.stamp_ns <= last]
+    if len(used) < LEAST_FIXES:
+        return None
+    seconds = np.array([(fix.stamp_ns - first) * 1e-9 for fix in used])
+    known_s = (trajectory.stamps_ns - first) * 1e-9
+    path = np.stack([np.interp(seconds, known_s, trajectory.T_map_body[:, axis, 3]) for axis in range(3)], axis=1)
+    geodetic = np.array([[fix.latitude_deg, fix.longitude_deg, fix.altitude_m] for fix in used])
+    start = Georeference(*np.median(geodetic, axis=0).tolist())
+    places = start.to_map(geodetic)
+    sigmas = _sigmas(used)
+    xy, east_north = path[:, :2] @ [1.0, 1.0j], places[:, :2] @ [1.0, 1.0j]
+    turn, shift, error_m = _fit(xy, east_north, sigmas)
+    if np.std(xy) < LEAST_EXTENT * error_m:
+        return None
+    height_m = float(np.median(places[:, 2] - path[:, 2]))
+    origin = start.to_geodetic(np.array([[shift.real, shift.imag, height_m]]))[0]
+    return replace(Georeference(*origin.tolist()), yaw_rad=float(np.angle(turn)))
+
+
+def _sigmas(fixes: list[GeodeticFix]) -> FloatArray:
+    """Standard deviation (N,) m of a coordinate in the plane."""
+    variances = np.array([np.nan if f.covariance is None else 0.5 * np.trace(f.covariance[:2, :2]) for f in fixes])
+    usual = np.nanmedian(variances) if np.isfinite(variances).any() else 1.0
+    return np.sqrt(np.where(np.isnan(variances), usual, variances))
+
+
+def _fit(xy: np.ndarray, places: np.ndarray, sigmas: FloatArray) -> tuple[complex, complex, float]:
+    """Rotation and translation of points (N,), complex, onto others, and the median residual [m]."""
+    rng = np.random.default_rng(0)
+    a, b = rng.integers(len(xy), size=(2, HYPOTHESES))
+    turns = (places[b] - places[a]) * np.conj(xy[b] - xy[a])
+    turns = turns[np.abs(turns) > 0.0]
+    turns = np.append(turns / np.abs(turns), 1.0)
+    offsets = places[None] - turns[:, None] * xy[None]  # (hypotheses, N)
+    shifts = np.median(offsets.real, axis=1) + 1j * np.median(offsets.imag, axis=1)
+    best = int(np.argmin((np.abs(offsets - shifts[:, None]) / sigmas).sum(axis=1)))
+    turn, shift = complex(turns[best]), complex(shifts[best])
+    for _ in range(ITERATIONS):
+        residuals = np.abs(places - turn * xy - shift) / sigmas
+        scale = max(float(np.median(residuals)), 1e-9)
+        weights = 1.0 / (sigmas**2 * (1.0 + (residuals / scale) ** 2))
+        weights = weights / weights.sum()
+        centre, middle = complex(weights @ xy), complex(weights @ places)
+        product = complex(weights @ ((places - middle) * np.conj(xy - centre)))
+        turn = product / abs(product) if product else turn
+        shift = middle - turn * centre
+    return turn, shift, float(np.median(np.abs(places - turn * xy - shift)))

@@ -1,0 +1,155 @@
+"""Fixes of satellites: a prior in a map, and where on earth a map lies."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from logs.decoders.decode import decode
+from logs.errors import InvalidRecordError
+from logs.messages import FloatArray, GeodeticFix, TrajectoryRecord
+from logs.reader import LogReader
+from logs.selection import select_topics
+from logs.writer import LogWriter
+from slam.common.config import Config
+from slam.common.geometry import transform_from_xyz_yaw
+from slam.common.georeference import Georeference
+from slam.evaluation.inputs.records import read_records
+from slam.formats.trajectory_and_graph import write_geodetic
+from slam.localization.gnss import GnssPrior, find_georeference
+from slam.replay import LOCATION, replay
+from tests.helpers.ros2_logs import encoded, header
+from tests.helpers.short_drives import Entry, drive, write_log
+
+SECOND = 10**9
+TRUE = Georeference(60.17, 24.94, 12.0, 0.7)
+
+
+def fixes_of(positions: FloatArray, sigma_m: float = 2.0, *, seed: int = 1) -> list[GeodeticFix]:
+    """Fixes once a second of a robot at ``positions`` (N, 3) m."""
+    noise = np.random.default_rng(seed).normal(0.0, sigma_m, positions.shape)
+    places = TRUE.to_geodetic(positions + noise).tolist()
+    return [
+        GeodeticFix(i * SECOND, "gps", latitude, longitude, altitude_m, sigma_m**2 * np.eye(3))
+        for i, (latitude, longitude, altitude_m) in enumerate(places)
+    ]
+
+
+def path(count: int = 200, step_m: float = 3.0) -> TrajectoryRecord:
+    yaw = 0.02 * np.arange(count)
+    xyz = np.cumsum(step_m * np.stack([np.cos(yaw), np.sin(yaw), np.zeros(count)], axis=1), axis=0)
+    stamps_ns = SECOND * np.arange(count, dtype=np.int64)
+    return TrajectoryRecord(0, "map", stamps_ns, transform_from_xyz_yaw(xyz, yaw))
+
+
+def far_off(fixes: list[GeodeticFix], share: float) -> list[GeodeticFix]:
+    """A ``share`` of the fixes reflected by the same wall: 300 m off, though they say 2 m."""
+    chosen = np.random.default_rng(2).random(len(fixes)) < share
+    return [
+        replace(f, latitude_deg=f.latitude_deg + 0.0027) if is_off else f
+        for f, is_off in zip(fixes, chosen, strict=True)
+    ]
+
+
+class TestGeoreference:
+    @pytest.mark.parametrize("share", [0.0, 0.3])
+    def test_the_place_of_a_map_is_found_with_outliers(self, share: float) -> None:
+        trajectory = path()
+        found = find_georeference(trajectory, far_off(fixes_of(trajectory.T_map_body[:, :3, 3]), share))
+        assert found is not None
+        positions = trajectory.T_map_body[:, :3, 3]
+        off = TRUE.to_map(found.to_geodetic(positions)) - positions
+        assert np.abs(off).max() < 1.0
+        assert abs(found.yaw_rad - TRUE.yaw_rad) < 0.01
+
+    def test_fixes_weigh_by_their_covariances(self) -> None:
+        positions = path().T_map_body[:, :3, 3]
+        good, bad = fixes_of(positions, 0.1), fixes_of(positions, 20.0, seed=3)
+        mixed = [good[i] if i % 2 else bad[i] for i in range(len(good))]
+        found = find_georeference(path(), mixed)
+        assert found is not None
+        assert np.abs(TRUE.to_map(found.to_geodetic(positions)) - positions)[:, :2].max() < 0.15
+
+    def test_a_path_too_short_or_few_fixes_tell_nothing(self) -> None:
+        short = path(step_m=0.01)
+        assert find_georeference(short, fixes_of(short.T_map_body[:, :3, 3])) is None
+        assert find_georeference(path(), fixes_of(path().T_map_body[:, :3, 3])[:4]) is None
+        late = [replace(fix, stamp_ns=fix.stamp_ns + 10**15) for fix in fixes_of(path().T_map_body[:, :3, 3])]
+        assert find_georeference(path(), late) is None
+
+
+class TestPrior:
+    def test_the_latest_fix_that_most_agree_with_holds(self) -> None:
+        positions = path(20).T_map_body[:, :3, 3]
+        prior, found = GnssPrior(TRUE), None
+        for i, fix in enumerate(far_off(fixes_of(positions), 0.3)):
+            found = prior.add(fix, 3.0 * i)
+        assert found is not None
+        assert np.linalg.norm(found.position - positions[-1, :2]) < found.radius_m(3.0 * 19)
+        assert found.radius_m(3.0 * 19) < 30.0
+
+    def test_fixes_without_covariance_are_no_prior(self) -> None:
+        (fix, *_) = fixes_of(path(2).T_map_body[:, :3, 3])
+        assert GnssPrior(TRUE).add(replace(fix, covariance=None), 0.0) is None
+
+
+def nav_sat_fix(**fields: object) -> dict[str, object]:
+    values = {"header": header(SECOND, "gps"), "latitude": 60.1, "longitude": 24.9, "altitude": float("nan")}
+    return {**values, "position_covariance": np.diag([1.0, 4.0, 9.0]), "position_covariance_type": 2, **fields}
+
+
+class TestMessages:
+    def test_nav_sat_fix(self) -> None:
+        def decoded(**fields: object) -> tuple[GeodeticFix, ...]:
+            raw = encoded(("/fix", "sensor_msgs/msg/NavSatFix", 5 * SECOND, nav_sat_fix(**fields)))
+            return decode(raw, "gnss", Counter())  # type: ignore[return-value, arg-type]
+
+        (fix,) = decoded()
+        assert (fix.stamp_ns, fix.frame_id, fix.latitude_deg, fix.longitude_deg) == (SECOND, "gps", 60.1, 24.9)
+        assert fix.altitude_m == 0.0
+        np.testing.assert_array_equal(fix.covariance, np.diag([1.0, 4.0, 9.0]))
+        assert decoded(position_covariance_type=0)[0].covariance is None
+        assert decoded(status={"status": -1, "service": 1}) == ()
+        with pytest.raises(InvalidRecordError, match="no place on earth"):
+            decoded(latitude=float("nan"))
+
+    def test_location_fix_comes_back_as_written(self, tmp_path: Path) -> None:
+        written = fixes_of(np.zeros((2, 3)))
+        with LogWriter(tmp_path / "log.mcap") as writer:
+            writer.write("/fix", written[0])
+            writer.write("/fix", replace(written[1], covariance=None))
+        with LogReader(tmp_path / "log.mcap") as reader:
+            selection = select_topics(reader.topics(), needed=())
+            assert selection.topics_of("gnss") == ("/fix",)
+            found = [entry.record for entry in reader.records(selection)]
+        assert found[0].latitude_deg == written[0].latitude_deg
+        np.testing.assert_array_equal(found[0].covariance, written[0].covariance)
+        assert found[1].covariance is None
+
+
+def with_fixes(entries: list[Entry]) -> list[Entry]:
+    """The drive with a receiver that sees the robot once in five poses."""
+    poses = [entry for entry in entries if entry[0] == "/ground_truth"][::5]
+    fixes = far_off(fixes_of(np.array([pose.T_world_body[:3, 3] for _, _, pose in poses]), 0.3), 0.2)
+    made = [("/fix", at, replace(fix, stamp_ns=pose.stamp_ns)) for fix, (_, at, pose) in zip(fixes, poses, strict=True)]
+    return sorted([*entries, *made], key=lambda entry: entry[1])
+
+
+@pytest.mark.slow
+def test_a_drive_with_fixes_tells_where_on_earth_it_was(tmp_path: Path) -> None:
+    source = write_log(tmp_path / "in.mcap", with_fixes(drive()))
+    replay(source, tmp_path / "out.mcap", Config())
+    with LogReader(tmp_path / "out.mcap") as reader:
+        found = Georeference.from_json(reader.metadata()["dslam_georeference"]["georeference"])
+        assert LOCATION not in {info.topic for info in reader.topics()}
+    records = read_records(tmp_path / "out.mcap")
+    assert records.trajectory is not None
+    write_geodetic(tmp_path / "places.csv", records.trajectory, found)
+    places = np.loadtxt(tmp_path / "places.csv", delimiter=",", skiprows=1)[:, 1:]
+    truth = np.array([pose.T_world_body[:3, 3] for pose in records.true_poses])
+    off = TRUE.to_map(places)[:, None] - truth[None]
+    assert np.linalg.norm(off, axis=2).min(axis=1).max() < 1.0
