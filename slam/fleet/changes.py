@@ -130,10 +130,12 @@ def _distances_m(points: FloatArray, starts: FloatArray, ends: FloatArray) -> Fl
 
 
 def _area_m2(joint: JointMap) -> float:
-    """Area of the map, as its landmarks cover it."""
+    """Area of the map, as its landmarks cover it: points at random are half a mean spacing from the nearest other."""
     positions = joint.objects.positions[:, :2]
-    spacing_m = float(np.median(cKDTree(positions).query(positions, k=min(2, len(positions)))[0])) + 1e-3
-    return max(len(positions) * np.pi * spacing_m**2, 1.0)
+    if len(positions) < 2:
+        return 1.0
+    nearest_m = np.asarray(cKDTree(positions).query(positions, k=2)[0])[:, 1]
+    return len(positions) * (2.0 * float(np.median(nearest_m)) + 1e-3) ** 2
 
 
 def _changes(joint: JointMap, presence: Presence, when: IntArray, *, area_m2: float) -> tuple[Change, ...]:

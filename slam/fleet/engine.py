@@ -70,12 +70,14 @@ class RayEngine:
         """See :class:`Engine`."""
         remote = self._ray.remote(num_cpus=1, max_retries=TRIES - 1)(function)
         running = {remote.remote(task): task for task in tasks}
+        errors = self._ray.exceptions
+        died = (errors.WorkerCrashedError, errors.OutOfMemoryError, errors.NodeDiedError)
         while running:
             finished, _ = self._ray.wait(list(running), num_returns=1)
             task = running.pop(finished[0])
             try:
                 yield task, self._ray.get(finished[0])
-            except self._ray.exceptions.WorkerCrashedError:
+            except died:
                 yield task, Death(None)
 
 

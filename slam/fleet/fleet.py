@@ -29,7 +29,7 @@ from slam.map_joining.acceptance import MapPair, judge_pairs
 from slam.map_joining.joins import Join, find_joins
 from slam.map_joining.joint_map import JointMap, join_maps
 from slam.map_joining.place_index import PlaceIndex, make_place_index, opened_place_index
-from slam.map_joining.session_config import session_config
+from slam.map_joining.session_config import common_config, session_config
 from slam.object_map.map_io import SavedMap, load_map
 from slam.place_recognition.imported_map import load_imported_map, make_imported_map, save_imported_map
 from slam.sweeps.workers import Death
@@ -105,7 +105,7 @@ def map_fleet(
     maps = [load_map(folders[digest] / MAP_NAME) for digest in order]
     pairs = _find_pairs(maps, [folders[digest] for digest in order], folder, engine, progress)
     progress(0.95, "joining the maps")
-    joint_config = session_config(maps[0].metadata)
+    joint_config = common_config(saved.metadata for saved in maps)
     parts = join_maps(dict(enumerate(maps)), pairs, joint_config)
     stamps_ns = [sessions[digest].first_ns for digest in order]
     living = [detect_changes(part, [stamps_ns[number] for number in part.members]) for part in parts]
@@ -126,8 +126,7 @@ def _map_sessions(
     progress: Callable[[float, str], None],
 ) -> tuple[dict[str, Session], dict[str, Path]]:
     """The session of each digest, and its folder."""
-    about = f"{config.model_dump_json()} {version('descriptellation-slam')}"
-    folders = {digest: folder / "sessions" / _key(digest, about) for digest in digests.values()}
+    folders = {digest: _session_folder(folder, digest, config) for digest in digests.values()}
     sessions, tasks = dict[str, Session](), list[SessionTask]()
     for log in logs:
         digest = digests[log.name]
@@ -144,6 +143,15 @@ def _map_sessions(
     return sessions, folders
 
 
+def session_maps(fleet: Fleet, folder: Path, config: Config) -> list[Path]:
+    """The condensed maps of the sessions of a fleet in a folder, by their numbers."""
+    return [_session_folder(folder, digest, config) / MAP_NAME for digest in fleet.order]
+
+
+def _session_folder(folder: Path, digest: str, config: Config) -> Path:
+    return folder / "sessions" / _key(digest, config.model_dump_json(), version("descriptellation-slam"))
+
+
 def _ordered(sessions: Mapping[str, Session]) -> list[str]:
     """Digests of the sessions that were mapped, by date."""
     mapped = [session for session in sessions.values() if session.is_mapped]
@@ -157,7 +165,7 @@ def _find_pairs(
     engine: Engine,
     progress: Callable[[float, str], None],
 ) -> list[MapPair]:
-    config = session_config(maps[0].metadata)
+    config = common_config(saved.metadata for saved in maps)
     key = _key(*(each.name for each in folders))
     index_path = folder / "joins" / key / "index.mcap"
     index_path.parent.mkdir(parents=True, exist_ok=True)

@@ -53,9 +53,7 @@ def find_joins(query: SavedMap, number: int, index: PlaceIndex, config: Config) 
         known: list[Join] = []
         for found in index.find(submap, count=MAPS_PER_PLACE, besides=number):
             reach_m = float(np.hypot(*submap.positions[:, :2].T).max()) + config.likelihood_ratio.coverage_radius_m
-            reference = index.submap(
-                found.map_number, found.T_map_query[:3, 3], reach_m, sigma_m=config.submap.landmark_sigma_m
-            )
+            reference = index.submap(found.map_number, found.T_map_query[:3, 3], reach_m, sigma_m=index.objects.sigma_m)
             registration = refine(
                 submap.positions,
                 submap.labels,

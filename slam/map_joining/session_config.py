@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 
 from slam.common.config import Config
 from slam.common.errors import SavedMapError
+
+EXACT_SHARE = 0.9
+"""Share of the maps whose landmarks are at least as exact as the common configuration says."""
 
 
 def session_config(metadata: Mapping[str, str]) -> Config:
@@ -28,3 +32,16 @@ def session_config(metadata: Mapping[str, str]) -> Config:
             "again with this version"
         ) from error
     return config.model_copy(update=changed)
+
+
+def common_config(maps: Iterable[Mapping[str, str]]) -> Config:
+    """The configuration for maps with these metadata, one at least, by which their landmarks are compared.
+
+    It is that of the map whose landmarks are less exact than in nine of ten maps: landmarks of one object are as far
+    apart as the errors of the worse of two maps, but one robot that is lost in noise is not to decide for all.
+
+    Raises:
+        SavedMapError: as :func:`session_config`.
+    """
+    configs = sorted((session_config(metadata) for metadata in maps), key=lambda each: each.submap.landmark_sigma_m)
+    return configs[math.ceil(EXACT_SHARE * (len(configs) - 1))]

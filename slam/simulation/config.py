@@ -32,6 +32,7 @@ class DriveConfig(_Branch):
     max_acceleration_mps2: float = Field(
         default=2.0, gt=0, le=50, description="limit on braking and speeding up [m/s^2]"
     )
+    start_day: int = Field(default=0, ge=0, le=36500, description="days after 2023-11-14 on which it begins [d]")
 
 
 class OdometryConfig(_Branch):

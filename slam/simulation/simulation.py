@@ -36,6 +36,7 @@ ODOMETRY_TOPIC = "/odom"
 DETECTIONS_TOPIC = "/detections"
 
 SHORTEST_TOUR_M = 2.0
+DAY_NS = 86_400 * 10**9
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,12 +117,12 @@ def _streams(seed: int) -> _Streams:
 
 def _drives(plan: DrivePlan, config: SimulationConfig) -> list[Drive]:
     if config.kidnap is None:
-        drives = [plan.sample(0.0, plan.length_m)]
+        drives = [plan.sample(0.0, plan.length_m, start_ns=_start_ns(config))]
     else:
         kidnap = config.kidnap
         first_m = 0.0 if kidnap.before_m is None else max(kidnap.from_m - kidnap.before_m, 0.0)
         last_m = plan.length_m if kidnap.after_m is None else min(kidnap.to_m + kidnap.after_m, plan.length_m)
-        before = plan.sample(first_m, kidnap.from_m)
+        before = plan.sample(first_m, kidnap.from_m, start_ns=_start_ns(config))
         gap_s = 1.0 / config.drive.rate_hz if kidnap.silent else kidnap.gap_s
         resume_ns = int(before.stamps_ns[-1]) + round(gap_s * 1e9)
         drives = [before, plan.sample(kidnap.to_m, last_m, start_ns=resume_ns)]
@@ -132,6 +133,10 @@ def _drives(plan: DrivePlan, config: SimulationConfig) -> list[Drive]:
             f"{SHORTEST_TOUR_M:g} m, and two scans before and after a kidnapping (drive.rate_hz scans a second)"
         )
     return drives
+
+
+def _start_ns(config: SimulationConfig) -> int:
+    return START_NS + config.drive.start_day * DAY_NS
 
 
 def _records(
@@ -145,9 +150,10 @@ def _records(
     radii_m = np.full(len(labels), config.sensor.occluder_radius_m)
     radii_m[len(world.labels) :] = config.traffic.radius_m
 
-    yield OBJECT_TRUTH_TOPIC, START_NS, _object_truth(world)
+    start_ns = _start_ns(config)
+    yield OBJECT_TRUTH_TOPIC, start_ns, _object_truth(world, start_ns)
     stamps_ns = np.concatenate([drive.stamps_ns for drive in drives])
-    vehicles = traffic.drive_traffic(plan, (stamps_ns - START_NS) * 1e-9, config.traffic, rng=streams.traffic)
+    vehicles = traffic.drive_traffic(plan, (stamps_ns - start_ns) * 1e-9, config.traffic, rng=streams.traffic)
     object_ids = world.object_ids + vehicles.ids
     row = 0
     T_odom_first = np.eye(4)
@@ -191,12 +197,12 @@ def _detections(stamp_ns: int, scan: Scan, vocabulary: tuple[str, ...], with_cov
     return ObjectDetections(stamp_ns, "base_link", scan.positions, labels, scan.scores, covariances)
 
 
-def _object_truth(world: World) -> ObjectMapRecord:
+def _object_truth(world: World, start_ns: int) -> ObjectMapRecord:
     count = len(world.object_ids)
     vocabulary = world.vocabulary
     class_indices = [vocabulary.index(label) for label in world.labels]
     return ObjectMapRecord(
-        stamp_ns=START_NS,
+        stamp_ns=start_ns,
         frame_id="world",
         vocabulary=vocabulary,
         ids=world.object_ids,
@@ -206,6 +212,6 @@ def _object_truth(world: World) -> ObjectMapRecord:
         states=("confirmed",) * count,
         reasons=("",) * count,
         observation_counts=np.zeros(count, dtype=np.int64),
-        first_seen_ns=np.full(count, START_NS, dtype=np.int64),
-        last_seen_ns=np.full(count, START_NS, dtype=np.int64),
+        first_seen_ns=np.full(count, start_ns, dtype=np.int64),
+        last_seen_ns=np.full(count, start_ns, dtype=np.int64),
     )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings
-from tools.benchmarks import closures, descriptors, faults, kidnapping, relocalization, retrieval, robots
+from tools.benchmarks import closures, descriptors, faults, fleet, kidnapping, relocalization, retrieval, robots
 
 if TYPE_CHECKING:
     from slam.benchmarks.registration import RegistrationBenchmark
@@ -20,6 +20,7 @@ app = typer.Typer(help="Measure speed, memory and success.", no_args_is_help=Tru
 app.command()(closures.closures)
 app.command()(descriptors.descriptors)
 app.command()(faults.faults)
+app.command()(fleet.fleet)
 app.command()(kidnapping.kidnapping)
 app.command("map-size")(descriptors.map_size)
 app.command()(relocalization.relocalization)

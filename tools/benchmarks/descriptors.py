@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tools.arguments import Json, check_outputs
+from tools.benchmarks.map_tiles import measure_tiles
 
 if TYPE_CHECKING:
     from slam.benchmarks.descriptors import Cell, DescriptorBenchmark
@@ -113,7 +114,12 @@ def _counted(move: Callable[[float], None] | None, total: int) -> Callable[[obje
 
 def map_size(
     objects: Annotated[Path, typer.Option(metavar="CSV", help="Objects of a map: x_m,y_m,z_m,class,id.")],
-    trajectory: Annotated[Path, typer.Option(metavar="CSV", help="Its first 500 m are driven: x_m,y_m.")],
+    trajectory: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CSV", help="Its first 500 m are driven: x_m,y_m. Without it, maps of tiles.", show_default=False
+        ),
+    ] = None,
     descriptor: Annotated[
         list[str] | None,
         typer.Option(
@@ -134,6 +140,9 @@ def map_size(
 
     Maps larger than the one given add altered copies of it. Sizes are 500 to 50,000 objects if none is said.
 
+    Without a trajectory a kidnapped robot drives 50 m anywhere, and is to be found in maps of tiles of the nearest
+    10,000 and of all objects; what these take to make and to open is measured as well.
+
     Example: dslam benchmark map-size --objects objects.csv --trajectory trajectory.csv --size 500 --size 2000
     """
     from dataclasses import asdict
@@ -145,6 +154,11 @@ def map_size(
     from tools import console
 
     check_outputs([picture], [objects, trajectory])
+    if trajectory is None:
+        if descriptor or picture is not None:
+            raise typer.BadParameter("--descriptor and --picture need --trajectory.", param_hint="--trajectory")
+        measure_tiles(objects, size or (), queries=queries, json=json)
+        return
     methods = descriptor or ["ring_likelihood", EXHAUSTIVE]
     sizes = sorted(size or SIZES)
     with console.progress_bar("localizing", "localizing") as move:

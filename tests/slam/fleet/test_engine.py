@@ -48,6 +48,15 @@ def test_a_task_that_always_kills_its_process_is_given_up() -> None:
     assert isinstance(dict(ProcessEngine(1).compute(die_always, [1]))[1], Death)
 
 
+@pytest.mark.slow
+def test_ray_computes_the_same_and_begins_tasks_again(tmp_path: Path) -> None:
+    pytest.importorskip("ray", reason="Ray is not installed")
+    tasks = [tmp_path / name for name in "ab"]
+    with open_engine(2) as engine:
+        assert dict(engine.compute(doubled, [1, 2, 3])) == {1: 2, 2: 4, 3: 6}
+        assert dict(engine.compute(die_once, tasks)) == dict.fromkeys(tasks, "done")
+
+
 def test_a_cluster_needs_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(FleetError, match="pip install"), open_engine(2, address="10.0.0.1:6379"):

@@ -1,0 +1,1 @@
+"""Fleets that never drove, and how right their maps are."""
