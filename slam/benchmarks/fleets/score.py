@@ -74,7 +74,8 @@ def score_fleet(truth: SimulatedFleet, fleet: Fleet, maps: Sequence[SavedMap]) -
     best: dict[int, int] = {}
     for part, living in joint:
         city = drives[part.members[0]].city
-        best[city] = max(best.get(city, 0), len(part.members))
+        if city >= 0:
+            best[city] = max(best.get(city, 0), len(part.members))
         fit = _fit(part.objects, drives[part.members[0]], _everything(truth, city))
         errors.append(fit.errors_m)
         duplicates += fit.duplicates

@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -70,10 +70,17 @@ class TilesCell:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TilesQuery:
-    """``submap`` in the frame of the robot, labels as in the map, and where that is, ``T_map_query_gt`` (4, 4)."""
+    """``submap`` in the frame of the robot, labels as in ``vocabulary``, and where it is, ``T_map_query_gt`` (4, 4)."""
 
     submap: Submap
+    vocabulary: tuple[str, ...]
     T_map_query_gt: FloatArray
+
+    def labelled_as(self, vocabulary: Sequence[str]) -> Submap:
+        """The submap with labels as in another vocabulary, which has all classes of this one."""
+        number = {name: place for place, name in enumerate(vocabulary)}
+        labels = np.array([number[name] for name in self.vocabulary], dtype=np.int64)[self.submap.labels]
+        return replace(self.submap, labels=labels)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,16 +157,19 @@ def _answers(method: str, imported: ImportedMap, queries: Sequence[TilesQuery]) 
     """What a method makes of queries; nothing where the memory does not suffice for it."""
     try:
         if method == TILES:
-            return [_timed(query, lambda submap: locate(imported, submap, Config())) for query in queries]
+            return [_timed(query, imported, lambda submap: locate(imported, submap, Config())) for query in queries]
         search = _exhaustive(imported)
-        return [_timed(query, search) for query in queries]
+        return [_timed(query, imported, search) for query in queries]
     except MemoryError:
         return []
 
 
-def _timed(query: TilesQuery, answer: Callable[[Submap], tuple[FloatArray | None, bool]]) -> _Answer:
+def _timed(
+    query: TilesQuery, imported: ImportedMap, answer: Callable[[Submap], tuple[FloatArray | None, bool]]
+) -> _Answer:
+    submap = query.labelled_as(imported.vocabulary)
     started = time.process_time()
-    T, is_accepted = answer(query.submap)
+    T, is_accepted = answer(submap)
     seconds = time.process_time() - started
     is_right = T is not None and bool(np.linalg.norm((T - query.T_map_query_gt)[:2, 3]) < RIGHT_M)
     return _Answer(is_right, is_accepted, seconds)
@@ -190,21 +200,25 @@ def draw_path_queries(
         if len(seen) < LEAST_OBJECTS:
             continue
         end = np.array([*(begin[:2] + steps[-1]), float(np.median(positions[seen, 2]))])
-        drawn.append(_observed(positions[seen], classes[seen], transform_from_xyz_yaw(end, yaw), rng))
+        drawn.append(_observed(positions[seen], classes[seen], transform_from_xyz_yaw(end, yaw), tuple(names), rng))
     raise SimulationError(
         f"paths of {travel_m:g} m rarely meet {LEAST_OBJECTS} objects within {range_m:g} m; give a denser map"
     )
 
 
 def _observed(
-    positions: FloatArray, classes: IntArray, T_map_query: FloatArray, rng: np.random.Generator
+    positions: FloatArray,
+    classes: IntArray,
+    T_map_query: FloatArray,
+    vocabulary: tuple[str, ...],
+    rng: np.random.Generator,
 ) -> TilesQuery:
     local = apply(invert(T_map_query), positions)
     invented = rng.choice(len(local), int(rng.binomial(len(local), CLUTTER)), replace=False)
     local[invented, :2] = rng.uniform(local[:, :2].min(axis=0), local[:, :2].max(axis=0), (len(invented), 2))
     local[:, :2] += rng.normal(0.0, QUERY_SIGMA_M, (len(local), 2))
     sigmas = np.full(len(local), QUERY_SIGMA_M)
-    return TilesQuery(Submap(local, sigmas, classes, np.arange(len(local))), T_map_query)
+    return TilesQuery(Submap(local, sigmas, classes, np.arange(len(local))), vocabulary, T_map_query)
 
 
 def locate(imported: ImportedMap, query: Submap, config: Config) -> tuple[FloatArray | None, bool]:

@@ -42,6 +42,13 @@ def test_a_query_is_found_in_tiles() -> None:
     assert all(is_right for is_right, (_, accepted) in zip(right, answers, strict=True) if accepted)
 
 
+def test_a_query_has_the_classes_of_the_map_that_it_is_asked_in() -> None:
+    query = draw_path_queries(forest(600, 300.0), ["tree", "lamp"] * 300, 1, rng=np.random.default_rng(0))[0]
+    names = [query.vocabulary[label] for label in query.submap.labels]
+    other = ("bench", "lamp", "post", "tree")
+    assert [other[label] for label in query.labelled_as(other).labels] == names
+
+
 def test_a_map_too_sparse_for_queries_and_degrees_are_refused() -> None:
     with pytest.raises(SimulationError, match="denser"):
         draw_path_queries(forest(50, 5000.0), ["tree"] * 50, 2, rng=np.random.default_rng(0))
