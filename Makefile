@@ -4,6 +4,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 PROTOC := build/protoc/bin/python
+# The build of torch at PyPI brings several gigabytes of CUDA, which nothing here needs.
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
 .PHONY: help demo check test bench-check lint fuzz schemas clean
 
@@ -29,6 +31,8 @@ $(INSTALLED): pyproject.toml constraints.txt
 	  echo 'missing: the venv module of $(PYTHON); on Debian and Ubuntu: sudo apt install python3-venv'; exit 1; }
 	@echo 'installing into .venv (once) ...'
 	@$(PYTHON) -m venv .venv
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --retries 1 --timeout 15 -c constraints.txt \
+	  --index-url $(TORCH_INDEX) torch 2>/dev/null || echo 'no CPU build of torch at $(TORCH_INDEX); taking the one of PyPI'
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 

@@ -60,16 +60,22 @@ def show_map(path: Path, now: datetime) -> None:
 
 def _read(path: Path) -> tuple[ImportedMap | None, MapSummary | None, str]:
     """An imported map, or the summary of one that was driven, or why it cannot be used."""
+    from logs.reader import LogReader
     from slam.common.errors import SavedMapError
-    from slam.localization.prior_map import load_prior_map
-    from slam.object_map.map_summary import summarize_map
-    from slam.place_recognition.imported_map import ImportedMap
+    from slam.object_map.map_io import IMPORTED, load_map
 
+    with LogReader(path) as reader:
+        kind = reader.metadata().get(METADATA, {}).get("kind")
     try:
-        known = load_prior_map(path)
+        if kind == IMPORTED:
+            from slam.place_recognition.imported_map import load_imported_map
+
+            return load_imported_map(path), None, ""
+        from slam.object_map.map_summary import summarize_map
+
+        return None, summarize_map(load_map(path)), ""
     except SavedMapError as error:
         return None, None, str(error)
-    return (known, None, "") if isinstance(known, ImportedMap) else (None, summarize_map(known), "")
 
 
 def _plain_imported(imported: ImportedMap) -> dict[str, Any]:

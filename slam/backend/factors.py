@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
+from slam.backend.edge_kind import EdgeKind as EdgeKind
 from slam.common.arrays import FloatArray
 from slam.common.config import FactorGraphConfig
 from slam.common.errors import FactorGraphError
@@ -43,18 +43,6 @@ class LandmarkPrior:
     landmark: int
     position: FloatArray
     sigmas_m: FloatArray
-
-
-class EdgeKind(StrEnum):
-    """Where an edge comes from; the values are those of logs.
-
-    ``DISCONTINUITY``: the odometry jumped, paused or restarted, so the edge holds no information, but keeps the graph
-    connected until a closure does it.
-    """
-
-    ODOMETRY = "odometry"
-    DISCONTINUITY = "discontinuity"
-    LOOP_CLOSURE = "closure"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,6 @@ import numpy as np
 
 from slam.common.arrays import FloatArray
 from slam.common.errors import GeometryError
-from slam.common.geometry import transform_from_xyz_yaw
 
 SEMI_MAJOR_M = 6378137.0
 ECCENTRICITY_SQUARED = 6.69437999014e-3
@@ -61,6 +60,8 @@ class Georeference:
 
     def T_map_other(self, other: Georeference) -> FloatArray:
         """``T_map_other`` (4, 4): where the frame of another georeference lies in this one, both upright."""
+        from slam.common.geometry import transform_from_xyz_yaw
+
         ends = np.array([[0.0, 0.0, 0.0], [_BASELINE_M, 0.0, 0.0]])
         origin, ahead = self.to_map(other.to_geodetic(ends))
         along = ahead - origin

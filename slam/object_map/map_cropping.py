@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from logs.messages import FactorGraphRecord
-from slam.backend.factors import EdgeKind
+from slam.backend.edge_kind import EdgeKind
 from slam.common.areas import Area
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import SavedMapError

@@ -18,7 +18,7 @@ from logs.reader import LogReader
 from logs.selection import Selection
 from logs.topics import RecordKind
 from logs.writer import LogWriter
-from slam.backend.factors import EdgeKind
+from slam.backend.edge_kind import EdgeKind
 from slam.common.arrays import FloatArray
 from slam.common.errors import SavedMapError
 from slam.common.georeference import Georeference
@@ -30,6 +30,8 @@ FORMAT_VERSION = "1"
 METADATA = "dslam_map"
 OBJECTS_TOPIC, GRAPH_TOPIC, MARKERS_TOPIC = "/map/objects", "/map/graph", "/map/landmarks"
 GRAVITY = "z of the frame map points up"
+IMPORTED = "imported"
+"""``kind`` in the metadata of a map that nobody drove."""
 _OF_THE_FILE = ("format_version", "gravity", "drives")
 MAKE_IT = "make it again by 'dslam replay LOG -o OUT.mcap --save-map MAP.mcap'"
 

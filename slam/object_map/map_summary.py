@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.backend.factors import EdgeKind
+from slam.backend.edge_kind import EdgeKind
 from slam.object_map.map_io import SavedMap, are_of_kind
 
 

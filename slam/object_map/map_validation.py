@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
-from slam.backend.factors import EdgeKind
+from slam.backend.edge_kind import EdgeKind
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.union_find import find_components
 

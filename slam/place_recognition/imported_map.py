@@ -22,10 +22,10 @@ from logs.writer import LogWriter
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import GeometryError, SavedMapError
 from slam.common.georeference import Georeference
-from slam.object_map.map_io import FORMAT_VERSION, GRAVITY, METADATA
+from slam.object_map.map_io import FORMAT_VERSION, GRAVITY, IMPORTED, METADATA
 from slam.place_recognition.quad_index import QuadIndex, build_quad_index
 
-KIND = "imported"
+KIND = IMPORTED
 MAKE_IT = "import it again by 'dslam import'"
 TILE_SPACINGS = 10.0
 """Edge of a tile, in median distances of an object to its nearest neighbour."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+import subprocess
+import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -203,6 +205,15 @@ class TestMap:
 
 
 class TestInfo:
+    def test_no_solver_is_loaded_to_look_into_a_map(self, town: Path) -> None:
+        heavy = ("gtsam", "scipy", "torch", "matplotlib", "slam.localization", "slam.common.config")
+        code = (
+            f"import sys; from tools.cli import run; run(['map', 'info', {str(town)!r}]); "
+            f"print([m for m in {heavy!r} if m in sys.modules])"
+        )
+        result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        assert result.stdout.splitlines()[-1] == "[]"
+
     def test_says_what_a_map_is(self, dslam: Run, town: Path) -> None:
         result = dslam("info", town)
         assert result.code == 0

@@ -1,0 +1,17 @@
+"""Kinds of edges between keyframes, without the solver: maps are looked into without it."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class EdgeKind(StrEnum):
+    """Where an edge comes from; the values are those of logs.
+
+    ``DISCONTINUITY``: the odometry jumped, paused or restarted, so the edge holds no information, but keeps the graph
+    connected until a closure does it.
+    """
+
+    ODOMETRY = "odometry"
+    DISCONTINUITY = "discontinuity"
+    LOOP_CLOSURE = "closure"
