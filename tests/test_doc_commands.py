@@ -35,7 +35,7 @@ ELSEWHERE = {
     r"import kitti-objects|kitti00": "KITTI is not here; its importer has tests of its own",
     r"import semantic-kitti": "so has this one",
     r"import osm": "pyosmium may not be here; tests/logs/importers/maps",
-    r"^view map\.mcap$|--view": "opens a window; tests/slam/display draws without one",
+    r"^view map\.mcap$|--view|\.rrd": "needs Rerun or opens a window; tests/slam/display draws without one",
     r"^--": "acts on the shell of who types it",
     r"my_package": "tests/descriptors/test_registry.py has a class",
     r"^train|out/mine": "takes minutes; tests/tools/test_train.py",

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
+from logs.reader import LogReader
 from logs.storage.ros2_definitions import typestore
 from slam.common.georeference import Georeference
 from slam.evaluation.evaluate import evaluate
@@ -131,3 +132,18 @@ class TestTracks:
         shutil.unpack_archive(tmp_path / "ape.zip", tmp_path / "ape")
         found = json.loads((tmp_path / "ape" / "stats.json").read_text())["rmse"]
         assert found == pytest.approx(evaluate(records).estimate.absolute.rmse_m, abs=1e-6)
+
+
+class TestFoxglove:
+    def test_the_layout_shows_topics_that_a_map_has(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
+        layout = tmp_path / "layout.json"
+        assert dslam("view", mapped, "--save", layout).code == 0
+        told = json.loads(layout.read_text(encoding="utf-8"))
+        panels = told["configById"]
+        with LogReader(mapped) as reader:
+            topics = {info.topic for info in reader.topics()}
+        # A drive without a closure has no lines of closures.
+        shown = {name for name in panels["3D!map"]["topics"] if "closure" not in name}
+        assert {*shown, panels["RosOut!log"]["topicToRender"], panels["RawMessages!status"]["topicPath"]} <= topics
+        assert panels["3D!map"]["topics"]["/slam/landmarks"]["visible"]
+        assert panels["3D!map"]["scene"]["transforms"]["enablePreloading"]

@@ -14,7 +14,11 @@ def view(
     log: SlamLog,
     save: Annotated[
         Path | None,
-        typer.Option("--save", metavar="FILE.rrd", help="Write a recording with its layout instead of showing it."),
+        typer.Option(
+            "--save",
+            metavar="FILE.rrd|FILE.json",
+            help="Write a Rerun recording with its layout, or the layout for Foxglove, instead of showing it.",
+        ),
     ] = None,
 ) -> None:
     """Show a mapped drive in Rerun: map, path, closures and submap at any of its times.
@@ -32,6 +36,10 @@ def view(
     with LogReader(log) as reader:
         if PATH not in {info.topic for info in reader.topics()}:
             raise typer.BadParameter(f"{log} has no topic {PATH}; give a log that 'dslam replay' wrote.")
+    if save is not None and save.suffix == ".json":
+        _save_foxglove_layout(save)
+        console.show(f"{save}: import it in Foxglove, with {log} open")
+        return
     rerun_view.import_rerun()
     import rerun as rr
 
@@ -50,3 +58,13 @@ def view(
     rerun_view.send_log(log, recording)
     recording.disconnect()
     console.show(f"{log} is shown in Rerun; the window stays open")
+
+
+def _save_foxglove_layout(path: Path) -> None:
+    from logs.errors import UnwritableLogError
+    from slam.display.foxglove_layout import read_foxglove_layout
+
+    try:
+        path.write_text(read_foxglove_layout(), encoding="utf-8")
+    except OSError as error:
+        raise UnwritableLogError(f"cannot write {path}: {error.strerror}") from error
