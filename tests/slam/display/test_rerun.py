@@ -49,8 +49,8 @@ def opened(path: Path) -> Iterator[ViewerClient]:
         client.open(str(path))
         yield client
     finally:
-        viewer.terminate()
-        viewer.wait(timeout=20)
+        viewer.kill()
+        viewer.wait()
 
 
 def screenshot(client: ViewerClient, at_ns: int) -> np.ndarray:
