@@ -21,7 +21,7 @@ CELL_SIGMAS = 4.0
 """... but not smaller than that many standard deviations of a position of the map."""
 TOLERANCE_SIGMAS = 1.8
 """By how much a length may differ, in standard deviations of a coordinate of an object."""
-BUDGET = 30_000
+BUDGET = 100_000
 """Quads of the map that are compared for a query. Those quads of it with the fewest candidates, which tell most, come
 first."""
 CHUNK = 50_000
