@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.logs.clouds.clouds import needs_open3d
+from tests.logs.clouds.test_cloud_files import street, write_ply
 from tests.logs.importers.text_drives import DETECTIONS, TextDrive
 from tests.tools.runs import ROOT, Run, assert_refused
 
@@ -79,3 +81,19 @@ def test_the_lines_of_the_docs_write_a_log_that_can_be_replayed(
 @pytest.mark.parametrize("word", ["stamp_s", "x_m", "diameter_m", "object_id", "sigma_x_m", "cxx", "track_id", "frame"])
 def test_the_help_names_the_columns(dslam: Run, word: str) -> None:
     assert word in dslam("import", "csv", "--help").out
+
+
+@needs_open3d
+def test_a_labelled_cloud_becomes_a_map(dslam: Run, tmp_path: Path) -> None:
+    cloud = write_ply(tmp_path / "Lille1.ply", street("class", "label"))
+    result = dslam("import", "paris-lille", tmp_path / "map.mcap", "--file", cloud)
+    assert (result.code, result.err) == (0, "")
+    assert "original: 9 objects, 6 classes" in result.out
+    assert "preprocessed: 6 objects, 3 classes" in result.out
+    told = json.loads(
+        dslam("import", "ply", tmp_path / "b.mcap", "--file", cloud, "--name", "302020400=lamp", "--name",
+              "302020600=sign", "--json").out
+    )  # fmt: skip
+    assert told["class_counts"] == {"lamp": 3, "sign": 2}
+    refused = dslam("import", "ply", tmp_path / "c.mcap", "--file", cloud, "--name", "lamp")
+    assert_refused(refused, "'lamp' is not NUMBER=CLASS")
