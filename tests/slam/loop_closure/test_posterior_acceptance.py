@@ -7,25 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.common.geometry import transform_from_xyz_yaw
 from slam.loop_closure.candidate import Candidate, Query
-from slam.loop_closure.consistency import poses_agree
 from slam.loop_closure.posterior_acceptance import PosteriorAcceptance
-from slam.object_map.submap import Submap
-from slam.odometry.keyframe import Keyframe
-from slam.odometry.pose import OdometryPose
-from slam.place_recognition.place import Place
 from tests.helpers.candidates import make_candidate
+from tests.slam.loop_closure.doubles import Patterns, at, make_keyframe, make_query
 
 PENALTY = 15.0
 SURE_LLR = PENALTY + 6.0
 """More than log odds of 0.995, 5.3, above the penalty."""
-
-
-def at(x_m: float) -> FloatArray:
-    return transform_from_xyz_yaw(np.array([x_m, 0.0, 0.0]), 0.0)
 
 
 def candidate(x_m: float, llr: float, *, row: int = 0, reference: int = 3) -> Candidate:
@@ -35,37 +25,7 @@ def candidate(x_m: float, llr: float, *, row: int = 0, reference: int = 3) -> Ca
 
 
 def query(travel_m: float = 300.0) -> Query:
-    keyframe = make_keyframe(50, travel_m)
-    none = np.zeros(0, dtype=np.int64)
-    return Query(keyframe, Submap(np.zeros((0, 3)), np.zeros(0), none, none), keyframe.T_local_body)
-
-
-def make_keyframe(number: int, travel_m: float) -> Keyframe:
-    return Keyframe(number, OdometryPose(10**9, at(travel_m), travel_m, 0, 2.0), at(travel_m))
-
-
-class Patterns:
-    """A verifier that knows of other poses at which the same objects fit."""
-
-    def __init__(self) -> None:
-        self.along_track: list[Candidate] = []
-        self.repeated: list[Candidate] = []
-        self.passed_twice = False
-
-    def agree(self, T_a: FloatArray, T_b: FloatArray) -> bool:
-        return poses_agree(T_a, T_b, sensor_range_m=30.0)
-
-    def are_consistent(self, a: Candidate, b: Candidate) -> bool:
-        return self.passed_twice
-
-    def shifted(self, query: Query, candidate: Candidate) -> list[Candidate]:
-        return self.along_track
-
-    def aliases(self, query: Query, candidate: Candidate) -> list[Candidate]:
-        return self.repeated
-
-    def place_at(self, query: Query, T_local_query: FloatArray, segment: int) -> Place | None:
-        return Place(T_local_query, 0.0, segment, np.inf)
+    return make_query(make_keyframe(50, travel_m))
 
 
 @pytest.fixture

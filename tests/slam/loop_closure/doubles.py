@@ -1,0 +1,64 @@
+"""What stands in for a verifier where the rules of acceptance are tested without a drive."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.common.arrays import FloatArray
+from slam.common.geometry import transform_from_xyz_yaw
+from slam.loop_closure.candidate import Candidate, Query
+from slam.loop_closure.consistency import poses_agree
+from slam.object_map.submap import Submap
+from slam.odometry.keyframe import Keyframe
+from slam.odometry.pose import OdometryPose
+from slam.place_recognition.place import Place
+
+SENSOR_RANGE_M = 30.0
+
+
+def at(x_m: float) -> FloatArray:
+    """A pose (4, 4) on a street along x."""
+    return transform_from_xyz_yaw(np.array([x_m, 0.0, 0.0]), 0.0)
+
+
+def make_keyframe(number: int, travel_m: float, *, segment: int = 0, is_prior: bool = False) -> Keyframe:
+    """A keyframe ``travel_m`` along the street."""
+    pose = OdometryPose(10**9 * number, at(travel_m), travel_m, segment, 2.0)
+    return Keyframe(number, pose, at(travel_m), is_prior=is_prior)
+
+
+def make_submap(positions: FloatArray, labels: list[int] | None = None, *, first_row: int = 0) -> Submap:
+    """Landmarks at ``positions`` (N, 3) m, of one class unless it is said."""
+    count = len(positions)
+    classes = np.array(labels if labels is not None else [0] * count, dtype=np.int64)
+    rows = np.arange(first_row, first_row + count)
+    return Submap(np.asarray(positions, dtype=np.float64).reshape(-1, 3), np.full(count, 0.3), classes, rows)
+
+
+def make_query(keyframe: Keyframe, count: int = 0) -> Query:
+    """A query with so many objects."""
+    return Query(keyframe, make_submap(np.zeros((count, 3))), keyframe.T_local_body)
+
+
+class Patterns:
+    """A verifier that knows of other poses at which the same objects fit."""
+
+    def __init__(self) -> None:
+        self.along_track: list[Candidate] = []
+        self.repeated: list[Candidate] = []
+        self.passed_twice = False
+
+    def agree(self, T_a: FloatArray, T_b: FloatArray) -> bool:
+        return poses_agree(T_a, T_b, sensor_range_m=SENSOR_RANGE_M)
+
+    def are_consistent(self, a: Candidate, b: Candidate) -> bool:
+        return self.passed_twice
+
+    def shifted(self, query: Query, candidate: Candidate) -> list[Candidate]:
+        return self.along_track
+
+    def aliases(self, query: Query, candidate: Candidate) -> list[Candidate]:
+        return self.repeated
+
+    def place_at(self, query: Query, T_local_query: FloatArray, segment: int) -> Place | None:
+        return Place(T_local_query, 0.0, segment, np.inf)

@@ -1,0 +1,327 @@
+"""What follows what when loops are looked for: each rule of ``LoopCloser`` with doubles of its parts, without a drive."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from logs.messages import LoopClosureRecord
+from slam.common.arrays import IntArray
+from slam.common.config import Config
+from slam.loop_closure import loop_closer as module
+from slam.loop_closure.acceptance import Decision
+from slam.loop_closure.candidate import Candidate, Query, Stage
+from slam.loop_closure.loop_closer import LoopCloser
+from slam.object_map.landmarks import LANDMARK
+from slam.object_map.submap import Submap
+from slam.odometry.keyframe import Keyframe
+from slam.place_recognition.place import Place
+from slam.place_recognition.place_prior import PlacePrior
+from tests.helpers.candidates import make_candidate
+from tests.slam.loop_closure.doubles import Patterns, at, make_keyframe, make_query
+
+STEP_M = 2.0
+LOOP_M = 400.0
+"""The street is driven again after so much travel."""
+FIRST = int(LOOP_M / STEP_M)
+SURE_LLR, TRACKED_LLR, WEAK_LLR = 30.0, 8.0, 1.0
+PLACE = Place(at(0.0), 0.0, 0, 0.5)
+
+
+class Parts(Patterns):
+    """All that a ``LoopCloser`` asks, and what it asked."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.llrs: dict[int, float] = {}
+        """What a query finds where the odometry leads; none where nothing is said."""
+        self.off_m = 0.0
+        """How far from there."""
+        self.objects = 10
+        self.places = [PLACE]
+        self.keyframes: Sequence[Keyframe] = []
+        self.is_connected = True
+        self.searched: list[int] = []
+        self.is_lost = False
+        self.kidnapped_at: Keyframe | None = None
+        self.resets = 0
+        self.closed: dict[int, int] = {}
+        # Acceptance.
+        self.min_objects = 4
+
+    # Verifier.
+    def latest_m(self, query: Query) -> float:
+        return query.travel_m - 100.0
+
+    def tracked_place(self, query: Query) -> Place | None:
+        return None
+
+    def predict(self, seed_closure: Candidate, query: Query) -> Place | None:
+        return Place(at(query.travel_m - LOOP_M), query.travel_m - LOOP_M, 0, 0.0)
+
+    def verify(self, query: Query, place: Place, *, seed_closure: int = -1) -> Candidate | LoopClosureRecord:
+        llr = self.llrs.get(query.keyframe.id)
+        if llr is None:
+            return query.refusal(Stage.REGISTRATION, "nothing fits")
+        found = make_candidate(
+            query=query.keyframe.id,
+            reference=max(query.keyframe.id - FIRST, 0) if not self.keyframes[0].is_prior else 0,
+            travel_m=query.travel_m,
+            T_local_query=at(query.travel_m - LOOP_M + self.off_m),
+            llrs={0: llr},
+        )
+        return replace(found, seed_closure=seed_closure)
+
+    # Retriever.
+    def index_inactive_landmarks(self, travel_m: float) -> None:
+        pass
+
+    def retrieve(self, query: Submap, *, before_m: float, seed: int) -> list[Place]:
+        return self.places
+
+    def search_imported_map(self, query: Submap) -> list[Place]:
+        return []
+
+    def search_exhaustively(self, query: Submap, *, segment: int) -> list[Place]:
+        self.searched.append(segment)
+        return []
+
+    def reference_submap(self, place: Place, *, before_m: float) -> Submap:
+        return make_query(self.keyframes[0], 1).submap
+
+    # Acceptance.
+    def expected_places(self, query: Query) -> list[Place]:
+        return []
+
+    def is_acceptable(self, candidate: Candidate) -> bool:
+        return candidate.score >= 20.0
+
+    def is_confirmed(self, propagated: Candidate) -> bool:
+        return propagated.score >= 6.0
+
+    def decide(self, query: Query, candidates: list[Candidate]) -> Decision:
+        if self.is_acceptable(candidates[0]):
+            return Decision((), candidates[0])
+        return Decision((candidates[0].record(Stage.ACCEPTANCE, "weak"),))
+
+    def reset(self) -> None:
+        self.resets += 1
+
+    # Accepted closures.
+    def is_closed(self, keyframe: int) -> bool:
+        return keyframe in self.closed
+
+    def is_localized(self, keyframe: Keyframe) -> bool:
+        return self.is_connected
+
+    def add(self, candidate: Candidate, reason: str) -> LoopClosureRecord:
+        assert candidate.query not in self.closed
+        self.closed[candidate.query] = candidate.reference
+        return candidate.record(Stage.ACCEPTED, reason)
+
+    def revoke_since(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
+        return [], True
+
+    # Monitors.
+    memory_m = 60.0
+    is_inconsistent = False
+    inconsistent_since = 7
+
+    def update(self, *arguments: Any) -> Any:
+        return self.kidnapped_at if isinstance(arguments[0], Keyframe) else self.is_lost
+
+    def restart(self) -> None:
+        pass
+
+    def confirm(self) -> None:
+        pass
+
+    def missing(self) -> IntArray:
+        return np.zeros(0, dtype=np.int64)
+
+
+class Map:
+    """An object map of landmarks in view."""
+
+    rows = np.zeros(20, dtype=LANDMARK)
+
+
+@pytest.fixture
+def parts(monkeypatch: pytest.MonkeyPatch) -> Parts:
+    parts = Parts()
+    for name in ("Verifier", "PlaceRetriever", "AcceptedClosures", "LocalizationMonitor", "ContinuityMonitor",
+                 "make_acceptance"):  # fmt: skip
+        monkeypatch.setattr(module, name, lambda *_, **__: parts)
+    monkeypatch.setattr(module, "recent_landmarks", lambda *_: None)
+    monkeypatch.setattr(module, "recent_submap", lambda *_: make_query(parts.keyframes[0], parts.objects).submap)
+    return parts
+
+
+class Drive:
+    """Along a street that was driven before, or that a prior map has."""
+
+    def __init__(self, parts: Parts, *, prior: bool = False, **settings: Any) -> None:
+        self.parts = parts
+        self.keyframes: list[Keyframe] = [make_keyframe(0, 0.0, is_prior=prior)]
+        if not prior:
+            self.keyframes += [make_keyframe(number, STEP_M * number) for number in range(1, FIRST)]
+        parts.keyframes = self.keyframes
+        config = Config.model_validate({"loop_closure": settings})
+        self.closer = LoopCloser(config, Map(), None, self.keyframes)  # type: ignore[arg-type]
+        self.prior = prior
+
+    def close(self, number: int, *, segment: int | None = None) -> list[LoopClosureRecord]:
+        own = 1 if self.prior else 0
+        keyframe = make_keyframe(number, STEP_M * number, segment=own if segment is None else segment)
+        while len(self.keyframes) < number:
+            filler = len(self.keyframes)
+            self.keyframes.append(make_keyframe(filler, STEP_M * filler, segment=own))
+        self.keyframes.append(keyframe)
+        return self.closer.close(keyframe)
+
+
+def accepted(records: list[LoopClosureRecord]) -> dict[int, str]:
+    return {record.query_keyframe_id: record.reason for record in records if record.accepted}
+
+
+def test_a_retrieved_closure_predicts_those_after_it(parts):
+    drive = Drive(parts)
+    parts.llrs = {FIRST: SURE_LLR, FIRST + 1: TRACKED_LLR}
+    assert accepted(drive.close(FIRST)) == {FIRST: ""}
+    parts.places = []
+    assert accepted(drive.close(FIRST + 1)) == {FIRST + 1: f"propagated from the closure of keyframe {FIRST}"}
+    assert accepted(drive.close(FIRST + 2)) == {}
+
+
+@pytest.mark.parametrize(("llr", "off_m"), [(WEAK_LLR, 0.0), (TRACKED_LLR, 5.0)])
+def test_what_is_predicted_must_be_confirmed_and_agree(parts, llr, off_m):
+    drive = Drive(parts)
+    parts.llrs = {FIRST: SURE_LLR, FIRST + 1: llr}
+    drive.close(FIRST)
+    parts.off_m = off_m
+    assert accepted(drive.close(FIRST + 1)) == {}
+
+
+def test_a_closure_predicts_over_some_travel_only(parts):
+    for off, expected in ((25, {FIRST + 25}), (26, set())):
+        parts.closed.clear()
+        parts.llrs = {FIRST: SURE_LLR, FIRST + off: TRACKED_LLR}
+        drive = Drive(parts)
+        drive.close(FIRST)
+        assert accepted(drive.close(FIRST + off)).keys() == expected
+
+
+def test_a_closure_predicts_those_before_it_that_are_not_closed(parts):
+    drive = Drive(parts)
+    for number in range(FIRST, FIRST + 4):
+        parts.llrs[number] = TRACKED_LLR
+        assert accepted(drive.close(number)) == {}
+    parts.closed[FIRST + 1] = 1
+    parts.llrs[FIRST + 4] = SURE_LLR
+    found = accepted(drive.close(FIRST + 4))
+    assert found.keys() == {FIRST, FIRST + 2, FIRST + 3, FIRST + 4}
+    assert found[FIRST + 2] == f"propagated from the closure of keyframe {FIRST + 3}"
+
+
+def test_few_objects_close_no_loop(parts):
+    drive = Drive(parts)
+    parts.llrs = {FIRST: SURE_LLR}
+    parts.objects = parts.min_objects - 1
+    (record,) = drive.close(FIRST)
+    assert record.reason == "3 landmarks in the submap, min_inliers is 4"
+    parts.objects += 1
+    parts.llrs[FIRST + 1] = SURE_LLR
+    assert accepted(drive.close(FIRST + 1))
+
+
+def test_the_whole_map_is_searched_only_by_who_is_lost_and_not_his_own_segment(parts):
+    drive = Drive(parts)
+    parts.places = []
+    drive.close(FIRST)
+    assert parts.searched == []
+    parts.is_connected = False
+    drive.close(FIRST + 1, segment=3)
+    assert parts.searched == [0]
+    parts.places, parts.llrs = [PLACE], {FIRST + 2: SURE_LLR}
+    drive.close(FIRST + 2, segment=3)
+    assert parts.searched == [0]
+
+
+def test_at_the_beginning_there_is_no_loop_to_close(parts):
+    parts.llrs = {40: SURE_LLR}
+    drive = Drive(parts)
+    del drive.keyframes[40:]
+    assert drive.close(40) == []
+
+
+# In a prior map
+
+
+def start_in_map(parts: Parts) -> Drive:
+    drive = Drive(parts, prior=True, min_travel_m=1.0)
+    parts.llrs = {FIRST: SURE_LLR}
+    assert accepted(drive.close(FIRST)) == {FIRST: ""}
+    return drive
+
+
+def test_who_misses_the_landmarks_of_the_map_is_lost(parts):
+    drive = start_in_map(parts)
+    parts.is_lost = True
+    (record,) = drive.close(FIRST + 1)
+    assert record.reason == "expected landmarks not observed"
+    assert drive.closer.lost_since_keyframe == parts.inconsistent_since
+
+
+def test_in_a_map_that_is_being_made_landmarks_may_be_missed(parts):
+    drive = Drive(parts)
+    parts.llrs = {FIRST: SURE_LLR, FIRST + 1: TRACKED_LLR}
+    drive.close(FIRST)
+    parts.is_lost = True
+    assert accepted(drive.close(FIRST + 1)).keys() == {FIRST + 1}
+
+
+@pytest.mark.parametrize(("off_m", "is_lost"), [(14.0, False), (16.0, True)])
+def test_a_closure_far_from_where_the_last_one_leads_is_a_kidnapping(parts, off_m, is_lost):
+    drive = start_in_map(parts)
+    parts.llrs[FIRST + 1], parts.off_m = SURE_LLR, off_m
+    found = drive.close(FIRST + 1)
+    assert bool(accepted(found)) is not is_lost
+    assert (drive.closer.lost_since_keyframe is not None) is is_lost
+    assert ("contradicts the odometry: kidnapped" in [record.reason for record in found]) is is_lost
+
+
+def test_places_where_the_robot_is_said_not_to_be_are_left_out(parts):
+    drive = Drive(parts, prior=True, min_travel_m=1.0)
+    parts.llrs = {FIRST: SURE_LLR, FIRST + 1: SURE_LLR}
+    drive.closer.place_prior = PlacePrior(np.array([5000.0, 0.0]), 10.0)
+    (record,) = drive.close(FIRST)
+    assert record.reason == "not where the robot is said to be"
+    drive.closer.place_prior = PlacePrior(np.array([-300.0, 0.0]), 10.0)
+    assert accepted(drive.close(FIRST + 1))
+
+
+def test_a_kidnapping_by_the_landmarks_in_view_loses_the_robot(parts):
+    drive = Drive(parts)
+    parts.llrs = {FIRST: SURE_LLR}
+    parts.kidnapped_at = drive.keyframes[3]
+    (record,) = drive.close(FIRST)
+    assert record.reason.startswith("kidnapped")
+    assert drive.closer.lost_since_keyframe == 3
+
+
+def test_who_was_lost_follows_no_closure_and_no_hypothesis_from_before(parts):
+    drive = start_in_map(parts)
+    drive.closer.declare_lost(drive.keyframes[-1], FIRST)
+    assert parts.resets == 1
+    assert drive.closer.lost_since_keyframe is None
+    parts.llrs[FIRST + 1] = TRACKED_LLR
+    assert accepted(drive.close(FIRST + 1)) == {}
+    parts.llrs[FIRST + 2] = SURE_LLR
+    parts.closed.clear()
+    assert FIRST not in accepted(drive.close(FIRST + 2))
+
+

@@ -1,0 +1,232 @@
+"""Verification without a drive: what is refused, the relative pose and its covariance, and what is compared with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from slam.common.arrays import FloatArray
+from slam.common.config import Config
+from slam.common.geometry import apply, covariance_in_axes, invert, make_transform, transform_from_xyz_yaw
+from slam.loop_closure.candidate import Candidate, Query
+from slam.loop_closure.verification import Verifier
+from slam.object_map.submap import Submap, gravity_frame
+from slam.odometry.drift import KeyframeTrack
+from slam.odometry.keyframe import Keyframe
+from slam.odometry.pose import OdometryPose
+from slam.place_recognition.place import Place
+from tests.helpers.candidates import make_candidate
+from tests.slam.loop_closure.doubles import make_submap
+
+STEP_M = 2.0
+ROUND = 90
+"""Keyframes of the first round; those after it stand where the first ones stood."""
+HERE = 20
+QUERY = ROUND + HERE
+ROLL_PITCH = {HERE: (0.06, -0.1), QUERY: (-0.12, 0.08)}
+
+
+def body(number: int) -> FloatArray:
+    """The body leans at the two keyframes that are compared."""
+    upright = transform_from_xyz_yaw(np.array([STEP_M * (number % ROUND), 0.0, 0.0]), 0.3)
+    roll, pitch = ROLL_PITCH.get(number, (0.0, 0.0))
+    return upright @ make_transform(Rotation.from_euler("xy", [roll, pitch]).as_matrix(), np.zeros(3))
+
+
+def make_keyframes(*, second_segment: int = 0) -> list[Keyframe]:
+    found = []
+    for number in range(ROUND + 40):
+        T = body(number)
+        segment = second_segment if number >= ROUND else 0
+        found.append(Keyframe(number, OdometryPose(10**9 * number, T, STEP_M * number, segment, STEP_M), T))
+    return found
+
+
+class Landmarks:
+    """A retriever that knows what stands around every place."""
+
+    def __init__(self, reference: Submap) -> None:
+        self.reference = reference
+        self.repeated = [np.eye(4)]
+        self.first_seen_m = np.full(len(reference), 1e3)
+
+    def reference_submap(self, place: Place, *, before_m: float) -> Submap:
+        return self.reference
+
+    def class_shares(self) -> FloatArray:
+        return np.full(4, 0.25)
+
+    def search_penalty(self, query: Submap) -> float:
+        return 7.0
+
+    def aliases(self, query: Submap, *, count: int) -> FloatArray:
+        return np.stack(self.repeated)
+
+    def first_seen_travels_m(self, submap: Submap) -> FloatArray:
+        return self.first_seen_m[: len(submap)]
+
+
+class Scene:
+    """Objects around a keyframe of the first round, seen again from the same place on the second one."""
+
+    def __init__(
+        self, objects: FloatArray, labels: list[int] | None = None, *, second_segment: int = 0, **settings: Any
+    ) -> None:
+        self.config = Config.model_validate(settings)
+        self.keyframes = make_keyframes(second_segment=second_segment)
+        track = KeyframeTrack(self.config.odometry)
+        for keyframe in self.keyframes:
+            track.add(keyframe)
+        world = objects + [STEP_M * HERE, 0.0, 0.0]
+        self.landmarks = Landmarks(make_submap(world, labels, first_row=0))
+        graph = SimpleNamespace(pose=lambda number: self.keyframes[number].odometry.T_odom_body)
+        self.verifier = Verifier(self.config, self.landmarks, track, graph, self.keyframes)  # type: ignore[arg-type]
+        T_local_gravity = gravity_frame(self.keyframes[QUERY].T_local_body)
+        seen = make_submap(apply(invert(T_local_gravity), world), labels, first_row=500)
+        self.query = Query(self.keyframes[QUERY], seen, T_local_gravity)
+        self.place = Place(T_local_gravity, STEP_M * HERE, 0, 0.5, rank=1)
+
+    def verified(self, place: Place | None = None, **more: int) -> Candidate:
+        found = self.verifier.verify(self.query, place or self.place, **more)
+        assert isinstance(found, Candidate), found.reason
+        return found
+
+    def refusal(self, place: Place | None = None, **more: int) -> str:
+        found = self.verifier.verify(self.query, place or self.place, **more)
+        assert not isinstance(found, Candidate)
+        return found.reason
+
+
+def scattered(count: int = 12) -> FloatArray:
+    return np.random.default_rng(5).uniform([-20.0, -15.0, -1.0], [20.0, 15.0, 1.0], (count, 3))
+
+
+def row(spacing_m: float, count: int = 9) -> FloatArray:
+    """Along the heading of the query, on either side."""
+    along = spacing_m * (np.arange(count) - count // 2)
+    line = np.stack([along * np.cos(0.3), along * np.sin(0.3), np.zeros(count)], axis=1)
+    side = 5.0 * np.array([-np.sin(0.3), np.cos(0.3), 0.0])
+    return np.concatenate([line + side, line - side])
+
+
+def test_the_relative_pose_is_that_of_the_bodies_tilt_included():
+    found = Scene(scattered()).verified()
+    assert (found.query, found.reference, found.rank) == (QUERY, HERE, 1)
+    np.testing.assert_allclose(found.T_reference_query, invert(body(HERE)) @ body(QUERY), atol=1e-6)
+    assert len(found.pairs) == 12
+    assert found.odometry_penalty == pytest.approx(0.0, abs=1e-6)
+
+
+def test_few_inliers_are_refused():
+    assert "3 inliers, min_inliers is 4" in Scene(scattered(3)).refusal()
+    assert len(Scene(scattered(4)).verified().pairs) == 4
+    limits = {"min_inliers": 4, "min_inliers_tracked": 6}
+    assert "5 inliers, min_inliers_tracked is 6" in Scene(scattered(5), loop_closure=limits).refusal(seed_closure=80)
+    assert len(Scene(scattered(3)).verified(seed_closure=80).pairs) == 3
+
+
+def test_far_from_every_keyframe_of_the_traversal_nothing_is_verified():
+    scene = Scene(scattered())
+    aside = transform_from_xyz_yaw(np.array([0.0, 25.0, 0.0]), 0.0)
+    scene.landmarks.reference = make_submap(apply(aside, scene.landmarks.reference.positions))
+    place = replace(scene.place, T_local_query=aside @ scene.place.T_local_query)
+    assert "no earlier keyframe within 20 m of the place" in scene.refusal(place)
+
+
+def test_the_reference_is_no_keyframe_of_the_same_traversal():
+    scene = Scene(scattered())
+    assert scene.verifier.latest_m(scene.query) == STEP_M * QUERY - scene.config.loop_closure.min_travel_m
+    assert "no earlier keyframe" in scene.refusal(replace(scene.place, travel_m=STEP_M * QUERY, T_local_query=(
+        scene.place.T_local_query)))  # fmt: skip
+
+
+def test_a_closure_predicts_within_its_segment():
+    scene = Scene(scattered())
+    seed = make_candidate(query=QUERY - 5, reference=HERE - 5, T_local_query=gravity_frame(body(QUERY - 5)))
+    place = scene.verifier.predict(seed, scene.query)
+    assert place is not None
+    np.testing.assert_allclose(place.T_local_query, gravity_frame(body(QUERY)), atol=1e-9)
+    assert place.travel_m == STEP_M * HERE
+    elsewhere = replace(scene.query, keyframe=replace(scene.query.keyframe, odometry=replace(
+        scene.query.keyframe.odometry, segment=1)))  # fmt: skip
+    assert scene.verifier.predict(seed, elsewhere) is None
+
+
+def test_the_errors_that_inliers_share_are_in_the_covariance_in_the_axes_of_the_body():
+    shared = {"base_sigma_m": 1.0, "base_height_sigma_m": 2.0, "base_sigma_deg": 5.0, "tilt_sigma_deg": 20.0}
+    little = {"base_sigma_m": 1e-6, "base_height_sigma_m": 0.0, "base_sigma_deg": 1e-6, "tilt_sigma_deg": 1e-6}
+    with_shared, without = (Scene(scattered(), loop_closure=settings).verified() for settings in (shared, little))
+    tilt, yaw = np.deg2rad([20.0, 5.0])
+    upright = np.diag([tilt**2, tilt**2, yaw**2, 1.0, 1.0, 5.0])
+    R_gravity_body = (invert(gravity_frame(body(QUERY))) @ body(QUERY))[:3, :3]
+    expected = covariance_in_axes(upright, R_gravity_body)
+    np.testing.assert_allclose(with_shared.covariance - without.covariance, expected, atol=1e-6)
+
+
+def test_landmarks_that_are_still_followed_close_no_loop_unless_that_is_wanted():
+    for close_tracked in (False, True):
+        scene = Scene(scattered(), loop_closure={"close_tracked": close_tracked})
+        scene.query = replace(scene.query, submap=replace(scene.query.submap, rows=scene.landmarks.reference.rows))
+        if close_tracked:
+            scene.verified()
+        else:
+            assert "still associated" in scene.refusal()
+
+
+def test_a_query_is_where_enough_landmarks_of_an_earlier_traversal_are_followed():
+    scene = Scene(scattered())
+    least = scene.config.loop_closure.min_inliers
+    assert scene.verifier.tracked_place(scene.query) is None
+    scene.landmarks.first_seen_m[: least - 1] = 10.0
+    assert scene.verifier.tracked_place(scene.query) is None
+    scene.landmarks.first_seen_m[:least] = 10.0
+    place = scene.verifier.tracked_place(scene.query)
+    assert place is not None
+    assert place.travel_m == STEP_M * HERE
+
+
+def test_candidates_are_consistent_if_the_odometry_relates_their_references():
+    verifier = Scene(scattered()).verifier
+
+    def candidate(reference: int, off_m: float = 0.0) -> Candidate:
+        T = invert(body(reference)) @ transform_from_xyz_yaw(np.array([off_m, 0.0, 0.0]), 0.0) @ body(QUERY)
+        return make_candidate(reference=reference, T_reference_query=T)
+
+    assert verifier.are_consistent(candidate(HERE), candidate(HERE + 10))
+    assert verifier.are_consistent(candidate(HERE + 10), candidate(HERE))
+    assert not verifier.are_consistent(candidate(HERE), candidate(HERE + 10, off_m=30.0))
+
+
+def test_across_a_break_candidates_have_a_constant_penalty_and_shares_of_classes():
+    found = Scene(scattered(), second_segment=1).verified()
+    assert found.odometry_penalty == Config().loop_closure.discontinuity_prior
+
+
+def test_poses_shifted_along_a_row_are_compared_by_objects_of_one_class():
+    scene = Scene(row(5.0), [0, 1, 0, 1, 0, 1, 0, 1, 0] * 2)
+    best = scene.verified()
+    along_m = sorted(
+        round(float(np.linalg.norm((each.T_local_query - best.T_local_query)[:2, 3])), 3)
+        for each in scene.verifier.shifted(scene.query, best)
+    )
+    assert along_m
+    assert set(along_m) == {10.0}
+
+
+def test_a_shift_that_leads_back_is_no_other_pose():
+    scene = Scene(scattered(20), registration={"search_radius_m": 8.0})
+    assert scene.verifier.shifted(scene.query, scene.verified()) == []
+
+
+def test_a_pattern_that_repeats_itself_is_another_pose():
+    scene = Scene(row(10.0))
+    best = scene.verified()
+    assert scene.verifier.aliases(scene.query, best) == []
+    scene.landmarks.repeated.append(transform_from_xyz_yaw(np.array([10.0, 0.0, 0.0]), 0.0))
+    (other,) = scene.verifier.aliases(scene.query, best)
+    assert np.linalg.norm((other.T_local_query - best.T_local_query)[:2, 3]) == pytest.approx(10.0, abs=1e-3)
