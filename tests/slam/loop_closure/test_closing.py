@@ -323,5 +323,3 @@ def test_who_was_lost_follows_no_closure_and_no_hypothesis_from_before(parts):
     parts.llrs[FIRST + 2] = SURE_LLR
     parts.closed.clear()
     assert FIRST not in accepted(drive.close(FIRST + 2))
-
-

@@ -1,0 +1,1 @@
+"""A long drive through one town in one go: does memory or time grow with it?"""
