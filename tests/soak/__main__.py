@@ -1,4 +1,4 @@
-"""``python -m tests.soak``: simulate many laps of one town, replay them in one go, and print memory and time per lap."""
+"""``python -m tests.soak``: simulate many laps of a town, replay them in one go, print memory and time per lap."""
 
 from __future__ import annotations
 
@@ -35,8 +35,11 @@ def main() -> int:
         log = Path(folder) / "drive.mcap"
         config = SimulationConfig(drive=DriveConfig(speed_mps=speed_mps))
         summary = write_simulation(log, world, config, seed=options.seed)
-        print(f"{summary.driven_m / 1000.0:.1f} km in {summary.duration_s / 3600.0:.2f} h, {options.laps} laps, "
-              f"{len(world.object_ids)} objects in the town, log of {log.stat().st_size / 1e6:.0f} MB", flush=True)  # fmt: skip
+        print(
+            f"{summary.driven_m / 1000.0:.1f} km in {summary.duration_s / 3600.0:.2f} h, {options.laps} laps, "
+            f"{len(world.object_ids)} objects in the town, log of {log.stat().st_size / 1e6:.0f} MB",
+            flush=True,
+        )
         laps = Laps(options.laps)
         result = replay(log, Path(folder) / "map.mcap", Config(), progress=laps.note)
         laps.note(1.0)

@@ -1,4 +1,4 @@
-"""What follows what when loops are looked for: each rule of ``LoopCloser`` with doubles of its parts, without a drive."""
+"""What follows what when loops are looked for: rules of ``LoopCloser`` with doubles of its parts, without a drive."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ def test_a_long_time_of_agreement_does_not_outweigh_what_is_missed_now(monitor):
     assert [monitor.update(10 + i, others, known, HERE) for i in range(4)] == [False, False, False, True]
 
 
-@pytest.mark.parametrize("known", [AHEAD * [-1.0, 1.0, 1.0], AHEAD + [10.0, 0.0, 0.0], AHEAD * [0.1, 0.1, 1.0]])
+@pytest.mark.parametrize("known", [AHEAD * [-1.0, 1.0, 1.0], AHEAD + np.array([10.0, 0.0, 0.0]), AHEAD * 0.1])
 def test_nothing_is_expected_behind_the_robot_far_away_or_on_top_of_it(monitor, known):
     assert watch(monitor, AHEAD, known, labels=[1] * len(AHEAD), keyframes=30) is None
 

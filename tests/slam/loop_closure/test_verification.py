@@ -82,7 +82,7 @@ class Scene:
         track = KeyframeTrack(self.config.odometry)
         for keyframe in self.keyframes:
             track.add(keyframe)
-        world = objects + [STEP_M * HERE, 0.0, 0.0]
+        world = objects + np.array([STEP_M * HERE, 0.0, 0.0])
         self.landmarks = Landmarks(make_submap(world, labels, first_row=0))
         graph = SimpleNamespace(pose=lambda number: self.keyframes[number].odometry.T_odom_body)
         self.verifier = Verifier(self.config, self.landmarks, track, graph, self.keyframes)  # type: ignore[arg-type]

@@ -1,0 +1,50 @@
+"""``python -m tests.kills``: kill commands with SIGKILL at random times and give them again."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from tests.kills.commands import make_commands
+from tests.kills.trial import kill_and_repeat, run_whole
+
+
+def main() -> int:
+    """Exit code 1 if a file was lost or half there, or a command needed help."""
+    parser = argparse.ArgumentParser(prog="python -m tests.kills", description=__doc__)
+    parser.add_argument("--count", type=int, default=200, help="kills in all")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", default="", help="commands whose name contains this")
+    options = parser.parse_args()
+    rng = np.random.default_rng(options.seed)
+    with tempfile.TemporaryDirectory(prefix="kills-") as name:
+        return _kill(Path(name), options.count, options.only, rng)
+
+
+def _kill(folder: Path, count: int, only: str, rng: np.random.Generator) -> int:
+    commands = [each for each in make_commands(folder) if only in each.name]
+    whole = {each.name: run_whole(each, folder / f"whole-{each.name}") for each in commands}
+    killed: Counter[str] = Counter()
+    faults = 0
+    for number in range(count):
+        command = commands[number % len(commands)]
+        reference = whole[command.name]
+        seconds = float(rng.uniform(0.0, reference.seconds))
+        was_killed, wrong = kill_and_repeat(command, folder / "trial", seconds, reference, is_new=bool(rng.integers(2)))
+        killed[command.name] += was_killed
+        faults += bool(wrong)
+        for each in wrong:
+            print(f"{number}: {command.name} after {seconds:.2f} s: {each}", flush=True)
+    print(f"{count} runs, {sum(killed.values())} killed before their end {dict(killed)}: {faults} with a fault")
+    return int(faults > 0)
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    sys.exit(main())

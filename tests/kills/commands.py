@@ -1,0 +1,51 @@
+"""The commands that are killed, each with small inputs, and what they are to leave in their folder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from slam.replay import replay
+from tests.helpers.short_drives import drive, keep_until, write_log
+from tests.logs.importers.text_drives import TextDrive
+from tools import cli
+
+
+@dataclass(frozen=True)
+class Command:
+    """``arguments`` of dslam, run in a folder of its own; ``is_repeatable``: the same bytes each time."""
+
+    name: str
+    arguments: tuple[str, ...]
+    is_repeatable: bool = True
+
+
+def make_commands(folder: Path) -> list[Command]:
+    """Make the inputs in ``folder``; a training is made small by its number of maps."""
+    from descriptors.descriptellation import training
+    from descriptors.descriptellation.dataset import DatasetConfig
+
+    training.TrainingConfig = partial(  # type: ignore[misc,assignment]
+        training.TrainingConfig, dataset=DatasetConfig(anchors=6, positives=2)
+    )
+    log, mapped = folder / "drive.mcap", folder / "mapped.mcap"
+    write_log(log, keep_until(drive(), 4.0))
+    replay(log, mapped)
+    text = TextDrive.make(folder)
+    tables = [part for role, path in text.files().items() for part in (f"--{role.replace('_', '-')}", str(path))]
+    network = ("--network", "descriptellation_paper", "--epochs", "2", "--threads", "1")
+    return [
+        Command("replay", ("replay", str(log), "-o", "out.mcap", "--save-map", "map.mcap")),
+        Command("evaluate", ("evaluate", str(mapped), "--html", "report.html", "--picture", "map.png")),
+        Command("export", ("export", str(mapped), "--tum", "a.txt", "--g2o", "a.g2o", "--csv", "a.csv")),
+        Command("import", ("import", "csv", "imported.mcap", *tables)),
+        Command("sweep", ("sweep", str(log), "-o", "sweep", "--degrade", "dropout=0.3", "--seeds", "2", "--jobs", "1"),
+                is_repeatable=False),
+        Command("train", ("train", "net", *network), is_repeatable=False),
+    ]  # fmt: skip
+
+
+def execute(command: Command) -> int:
+    """Run it in this process, in the current folder."""
+    return cli.run(list(command.arguments))

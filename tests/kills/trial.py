@@ -1,0 +1,119 @@
+"""One command, killed at a given time and given again."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+
+from logs.blocks import MAGIC
+from tests.kills.commands import Command, execute
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What a command leaves in its folder when nothing kills it, and how long it takes."""
+
+    files: dict[str, bytes]
+    seconds: float
+
+
+def run_whole(command: Command, folder: Path) -> Reference:
+    """Run a command that nobody kills."""
+    folder.mkdir()
+    started = time.monotonic()
+    code = os.waitstatus_to_exitcode(os.waitpid(_start(command, folder), 0)[1])
+    if code != 0:
+        raise RuntimeError(f"{command.name} ends with {code}: {(folder / 'said.txt').read_text()[-500:]}")
+    return Reference(_files(folder), time.monotonic() - started)
+
+
+def kill_and_repeat(
+    command: Command, folder: Path, seconds: float, reference: Reference, *, is_new: bool
+) -> tuple[bool, list[str]]:
+    """Kill a command after ``seconds``, in an empty folder if ``is_new``, or else over what a whole run left.
+
+    Returns whether it was killed before it ended, and what is wrong: empty if nothing is.
+    """
+    folder.mkdir()
+    if not is_new:
+        for name, content in reference.files.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(content)
+    child = _start(command, folder)
+    time.sleep(seconds)
+    os.kill(child, signal.SIGKILL)
+    was_killed = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
+    wrong = [f"after the kill: {each}" for each in _faults(command, _files(folder), reference)]
+    if not is_new:
+        wrong += [f"after the kill: {name} is gone" for name in reference.files if not (folder / name).exists()]
+    code = os.waitstatus_to_exitcode(os.waitpid(_start(command, folder), 0)[1])
+    if code != 0:
+        wrong.append(f"the second run ends with {code}: {(folder / 'said.txt').read_text()[-300:]}")
+    found = _files(folder)
+    wrong += [f"after the second run: {each}" for each in _faults(command, found, reference)]
+    wrong += [f"the second run left no {name}" for name in reference.files if name not in found]
+    shutil.rmtree(folder)
+    return was_killed, wrong
+
+
+def _start(command: Command, folder: Path) -> int:
+    child = os.fork()
+    if child == 0:
+        _be_the_child(command, folder)
+    return child
+
+
+def _be_the_child(command: Command, folder: Path) -> NoReturn:
+    code = 99
+    with contextlib.suppress(BaseException):
+        os.chdir(folder)
+        said = os.open("said.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        for descriptor in (1, 2):
+            os.dup2(said, descriptor)
+        sys.stdout, sys.stderr = (open(number, "w", closefd=False) for number in (1, 2))  # noqa: SIM115
+        code = execute(command)
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(code)
+
+
+def _files(folder: Path) -> dict[str, bytes]:
+    """What stands under its final name; parts and temporary files have others."""
+    found = {str(path.relative_to(folder)): path for path in sorted(folder.rglob("*")) if path.is_file()}
+    return {
+        name: path.read_bytes()
+        for name, path in found.items()
+        if name != "said.txt" and not any(part.endswith((".part", ".tmp")) for part in name.split("/"))
+    }
+
+
+def _faults(command: Command, found: dict[str, bytes], reference: Reference) -> list[str]:
+    faults = []
+    for name, content in found.items():
+        expected = reference.files.get(name)
+        if expected is None and command.is_repeatable:
+            faults.append(f"{name} is no file that a whole run leaves")
+        elif command.is_repeatable and content != expected:
+            faults.append(f"{name} has {len(content)} bytes, not those of a whole run")
+        elif not _is_complete(name, content):
+            faults.append(f"{name} is not complete")
+    return faults
+
+
+def _is_complete(name: str, content: bytes) -> bool:
+    if name.endswith(".mcap"):
+        return content.endswith(MAGIC)
+    if name.endswith(".json"):
+        with contextlib.suppress(ValueError):
+            json.loads(content)
+            return True
+        return False
+    return len(content) > 0
