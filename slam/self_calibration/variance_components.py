@@ -83,15 +83,20 @@ class ComponentEstimate:
 
 
 def estimate_components(tracks: ObjectTracks, motion: Motion) -> ComponentEstimate | None:
-    """Variance components of a log; None where too few objects could be tracked."""
+    """Variance components of a log; None where too few objects could be tracked, or at absurd distances."""
     tracks = _well_apart(tracks)
     sums = [_equations(tracks, motion, first, second) for first, second in _lagged_pairs(tracks)]
     if not sums:
         return None
     totals = np.concatenate(sums, axis=1)  # (BLOCKS, equations, COMPONENTS + 2)
+    if not np.isfinite(totals).all():
+        return None
     solution = _solve(totals.sum(axis=0))
     left_out = np.array([_solve(np.delete(totals, block, axis=0).sum(axis=0)) for block in range(BLOCKS)])
-    spread = np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((left_out - left_out.mean(axis=0)) ** 2, axis=0))
+    with np.errstate(over="ignore", invalid="ignore"):
+        spread = np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((left_out - left_out.mean(axis=0)) ** 2, axis=0))
+    if not np.isfinite([solution, spread]).all():
+        return None
     pairs = int(totals[:, :, -1].sum())
     return ComponentEstimate(NoiseComponents(*solution.tolist()), NoiseComponents(*spread.tolist()), pairs)
 

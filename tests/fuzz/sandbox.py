@@ -8,6 +8,7 @@ import resource
 import signal
 import sys
 import traceback
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
@@ -70,6 +71,7 @@ def _be_the_child(arguments: list[str], folder: Path, out: Path, err: Path, limi
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.setitimer(signal.ITIMER_REAL, 20.0 * limits.seconds)  # for what waits; a shared machine is slow
         resource.setrlimit(resource.RLIMIT_CPU, (3 * limits.seconds,) * 2)
+        warnings.simplefilter("ignore", RuntimeWarning)  # as ``tools.main`` does
         code = cli.run(arguments)
     except BaseException:
         traceback.print_exc()

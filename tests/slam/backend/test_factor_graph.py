@@ -566,3 +566,29 @@ def test_a_keyframe_is_placed_by_the_better_estimate_until_the_next_update() -> 
     np.testing.assert_allclose(graph.pose(1), T[1], atol=1e-9)
     graph.update()
     np.testing.assert_allclose(graph.pose(1), T[0] @ noisy_edges()[0].T_from_to, atol=1e-4)
+
+
+# Segments that a closure joins
+
+
+def test_what_only_a_break_tied_is_moved_as_a_whole_to_where_the_closure_puts_it():
+    graph = FactorGraph(PLAIN)
+    tight, loose = np.diag(np.repeat([1e-6, 1e-4], 3)), np.diag(np.repeat([1.0, 1e4], 3))
+    step = transform_from_xyz_yaw(np.array([2.0, 0.0, 0.0]), 0.0)
+    graph.add_first_keyframe(0, np.eye(4))
+    graph.add_next_keyframe(Edge(0, 1, step, tight, EdgeKind.ODOMETRY))
+    graph.add_next_keyframe(Edge(1, 2, np.eye(4), loose, EdgeKind.DISCONTINUITY))
+    graph.add_next_keyframe(Edge(2, 3, step, tight, EdgeKind.ODOMETRY))
+    seen = [(0, 5, [4.0, 3.0, 0.0]), (1, 5, [2.0, 3.0, 0.0]), (2, 6, [4.0, 3.0, 0.0]), (3, 6, [2.0, 3.0, 0.0])]
+    graph.add_observations([Observation(k, row, np.array(at), SEEN_COVARIANCE) for k, row, at in seen])
+    graph.update()
+    T_far = transform_from_xyz_yaw(np.array([-60.0, 45.0, 0.0]), 2.5)
+    graph.add_joining_edge(Edge(0, 2, T_far, tight, EdgeKind.LOOP_CLOSURE), np.array([2, 3]))
+    (break_now,) = (f for f in graph.factors.values() if isinstance(f, Edge) and f.kind == EdgeKind.DISCONTINUITY)
+    np.testing.assert_allclose(break_now.T_from_to, invert(step) @ T_far, atol=0.01)
+    np.testing.assert_allclose(graph.pose(3), T_far @ step, atol=0.1)
+    np.testing.assert_allclose(graph.landmark_positions(np.array([5])), [[4.0, 3.0, 0.0]], atol=1e-6)
+    graph.optimize()
+    expected = [[4.0, 3.0, 0.0], apply(T_far, np.array([[4.0, 3.0, 0.0]]))[0]]
+    np.testing.assert_allclose(graph.landmark_positions(np.array([5, 6])), expected, atol=1e-3)
+    np.testing.assert_allclose(graph.pose(3), T_far @ step, atol=1e-3)

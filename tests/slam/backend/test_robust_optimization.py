@@ -14,6 +14,7 @@ from slam.backend.robust_optimization import (
     LEAST_SHARE,
     _could_be_lower,
     _misfit,
+    _Solver,
     optimize_robustly,
 )
 from slam.common.errors import FactorGraphError
@@ -341,3 +342,22 @@ def test_the_false_closures_of_these_tests_are_false() -> None:
     assert apart.min() > np.linalg.norm(transforms[:, :3, 3], axis=1).max()
     assert pairs.max() < VERTICES
     assert ROUND // 2 - 10 > 1
+
+
+@pytest.mark.parametrize(("others_m", "is_more_than_chance"), [(2.0, False), (100.0, True)])
+def test_a_small_share_is_more_than_chance_unless_the_others_fit_the_odometry_as_well(others_m, is_more_than_chance):
+    kept, others = 9, 61
+    graph = gtsam.NonlinearFactorGraph()
+    unit = gtsam.noiseModel.Isotropic.Sigma(6, 1.0)
+    exact = gtsam.noiseModel.Isotropic.Sigma(6, 0.1)
+    graph.add(gtsam.PriorFactorPose3(0, gtsam.Pose3(), exact))
+    graph.add(gtsam.BetweenFactorPose3(0, 1, gtsam.Pose3(), unit))
+    offsets_m = [0.0] * kept + [others_m * (-1) ** number for number in range(others)]
+    for off_m in offsets_m:
+        graph.add(gtsam.BetweenFactorPose3(0, 1, gtsam.Pose3(gtsam.Rot3(), np.array([off_m, 0.0, 0.0])), exact))
+    values = gtsam.Values()
+    values.insert(0, gtsam.Pose3())
+    values.insert(1, gtsam.Pose3())
+    solver = _Solver(graph, values, np.arange(2, 2 + len(offsets_m)), 100)
+    assert LEAST_SHARE < kept / len(offsets_m) < LEAST_AGREEMENT
+    assert solver.agree(np.arange(len(offsets_m)) < kept, values) is is_more_than_chance

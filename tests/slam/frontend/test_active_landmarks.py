@@ -253,3 +253,20 @@ def test_where_objects_stand_densely_one_next_to_another_is_another():
         place = bench.map.rows["position_local"][3] + [0.0, 0.6, 0.0]
         bench.add(place[None])
         assert len(bench.active.merge_duplicates()) == expected
+
+
+def test_two_landmarks_that_were_seen_in_one_scan_are_two():
+    bench = Bench(detection=EXACT_CENTROIDS, association=FAR_APART)
+    bench.add(np.concatenate([scattered(), [[20.1, -10.05, 0.0]]]))
+    assert bench.active.merge_duplicates() == []
+
+
+def test_from_a_pose_that_was_not_reached_yet_landmarks_are_less_certain_by_the_way_there():
+    bench = Bench(odometry={"translation_sigma": 0.1}, association={"odometry_inflation": 2.0})
+    bench.add([[20.0, 3.0, 0.0]], confirmed=False)
+    T_local_body, there = bench.active.predict_from(pose_at(9.0))
+    assert T_local_body[0, 3] == pytest.approx(9.0)
+    here = bench.active.predict(round(9e9))
+    np.testing.assert_allclose(there.positions, here.positions)
+    grown = there.covariances[0, 0, 0] - here.covariances[0, 0, 0]
+    assert grown == pytest.approx(2.0**2 * 0.1**2 * 9.0, rel=0.01)

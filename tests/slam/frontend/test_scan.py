@@ -86,3 +86,9 @@ def test_the_noise_of_heights_is_along_the_vertical_of_a_body_that_leans():
     assert up_body @ covariance @ up_body == pytest.approx(0.01 + 4.0)
     across = np.array([0.0, 0.8, -0.6])
     assert across @ covariance @ across == pytest.approx(0.01)
+
+
+def test_what_messages_claim_is_scaled_by_how_much_they_understate():
+    config = DetectionConfig(claimed_sigma_factor=3.0, min_sigma_m=0.1)
+    scan = make_scan(detections([[10, 0, 0]], covariances=0.2**2 * np.eye(3)[None]), np.eye(4), config)
+    np.testing.assert_allclose(scan.covariances[0], (0.6**2 + 0.1**2) * np.eye(3))

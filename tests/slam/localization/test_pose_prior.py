@@ -78,3 +78,8 @@ def test_the_area_is_that_of_the_cells_with_a_keyframe():
     assert area.area_m2 == 100.0
     area.cover(keyframes)
     assert area.area_m2 == 300.0
+
+
+def test_a_measurement_that_says_nothing_is_no_more_than_certain():
+    prior = PosePrior(np.eye(4), 1.0, 0.1, 1e-3, 100.0)
+    assert prior.log_mass(np.eye(4), 1e6 * np.eye(6)) == 0.0

@@ -26,15 +26,16 @@ def pose(x_m: float) -> FloatArray:
 
 
 class Drive:
-    """A street driven twice, without objects."""
+    """A street driven twice, without objects; the second round may be another segment of the odometry."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, second_segment: int = 0) -> None:
         graph = FactorGraph(FactorGraphConfig(observation_kernel="none"))
         self.keyframes: list[Keyframe] = []
         self.closures = AcceptedClosures(Config(), ObjectMap(AssociationConfig()), graph, self.keyframes)
         self.graph = graph
         for number in range(ROUND + 30):
-            odometry = OdometryPose(10**9 * number, pose(STEP_M * number), STEP_M * number, 0, STEP_M)
+            segment = second_segment if number >= ROUND else 0
+            odometry = OdometryPose(10**9 * number, pose(STEP_M * number), STEP_M * number, segment, STEP_M)
             self.keyframes.append(Keyframe(number, odometry, odometry.T_odom_body))
             if number == 0:
                 graph.add_first_keyframe(0, pose(0.0))
@@ -43,12 +44,12 @@ class Drive:
                 graph.add_next_keyframe(Edge(number - 1, number, pose(STEP_M), covariance, "odometry"))
         graph.update()
 
-    def accept(self, query: int) -> None:
+    def accept(self, query: int, *, reference: int | None = None, off_m: float = 0.0) -> None:
         candidate = make_candidate(
             query=query,
-            reference=query - ROUND,
+            reference=query - ROUND if reference is None else reference,
             travel_m=STEP_M * query,
-            T_reference_query=pose(STEP_M * ROUND),
+            T_reference_query=pose(STEP_M * ROUND + off_m),
             T_local_query=pose(STEP_M * query),
         )
         self.closures.add(candidate, "")
@@ -96,3 +97,62 @@ def test_closures_from_before_the_robot_was_lost_stay(street):
     street.accept(110)
     assert street.declare_lost(since=105) == [110]
     assert street.closed == street.factors == [95]
+
+
+def test_at_the_end_a_closure_that_disagrees_goes_with_those_that_it_represents(street):
+    for query in (91, 101, 111):
+        street.accept(query)
+    street.graph.update()
+    assert street.closures.reject_outliers() == ([], "")
+    street = Drive()
+    street.accept(91)
+    street.accept(102, off_m=40.0)
+    street.accept(103, off_m=40.0)
+    street.accept(114)
+    records, _ = street.closures.reject_outliers()
+    assert sorted(record.query_keyframe_id for record in records) == [102, 103]
+    assert all("removed as an outlier" in record.reason for record in records)
+    assert street.closed == street.factors == [91, 114]
+
+
+def test_at_the_end_the_odometry_is_trusted_as_far_as_it_is_configured(street):
+    for query in (91, 101, 111):
+        street.accept(query, off_m=4.0)
+    assert street.closures.reject_outliers() == ([], "")
+
+
+def test_closures_across_a_break_are_never_judged():
+    street = Drive(second_segment=1)
+    street.accept(91, off_m=40.0)
+    assert street.closures.reject_outliers() == ([], "")
+    assert street.closed == [91]
+
+
+def test_who_was_relocalized_lately_was_never_there():
+    street = Drive(second_segment=1)
+    street.accept(91)
+    street.accept(118)
+    records, is_kidnapped = street.closures.revoke_since(street.keyframes[-1], 118)
+    assert not is_kidnapped
+    assert sorted(record.query_keyframe_id for record in records) == [91, 118]
+    assert street.closed == []
+
+
+def test_who_was_relocalized_long_ago_was_carried_off():
+    street = Drive(second_segment=1)
+    street.accept(ROUND)
+    last = street.keyframes[-1]
+    late = Keyframe(
+        last.id, OdometryPose(1, last.odometry.T_odom_body, STEP_M * ROUND + 61.0, 1, 1.0), last.T_local_body
+    )
+    assert street.closures.revoke_since(late, 118) == ([], True)
+    assert street.closed == [ROUND]
+
+
+def test_keyframes_near_a_closure_can_be_compared_once_they_are_localized(street):
+    street.accept(100)
+    reach = int(Config().loop_closure.propagation_distance_m / STEP_M)
+    assert street.closures.keyframes_nearby() == {*range(10 + reach + 1), *range(100 - reach, ROUND + 30)}
+    alone = Drive(second_segment=1)
+    alone.accept(118, reference=92)
+    assert alone.closures.keyframes_nearby() == set()

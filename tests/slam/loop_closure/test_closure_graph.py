@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -277,3 +277,22 @@ def test_the_nearest_closure_is_the_one_nearest_in_travel(street):
         found = street.loops.nearest(travel_m)
         assert found is not None
         assert found.candidate.query == query
+
+
+def test_a_landmark_that_stands_for_two_passes_is_not_merged_into_a_third(street):
+    street.merge_in_view(12, 7)
+    street.close(12, 2, [(12, 2)])
+    assert street.names()[12] == street.names()[7] == 12
+    assert street.names()[2] == 2
+
+
+def test_segments_are_connected_as_long_as_a_closure_does_it(street):
+    for number, keyframe in enumerate(street.keyframes):
+        pose_of = replace(keyframe.odometry, segment=number // STATIONS)
+        street.keyframes[number] = replace(keyframe, odometry=pose_of)
+    street.close(7, 2, [])
+    street.close(12, 7, [])
+    assert street.loops.are_connected(0, 14)
+    street.loops.remove([street.loops.loops[0]])
+    assert not street.loops.are_connected(0, 14)
+    assert street.loops.are_connected(7, 12)

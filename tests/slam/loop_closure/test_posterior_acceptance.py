@@ -94,3 +94,17 @@ def test_what_fits_but_not_with_the_prior_is_a_matter_of_consistency(acceptance)
     assert [each.stage for each in acceptance.decide(query(), [far]).rejected] == ["consistency"]
     acceptance.reset()
     assert [each.stage for each in acceptance.decide(query(), [candidate(0.0, 4.0)]).rejected] == ["acceptance"]
+
+
+def test_what_is_acceptable_suffices_alone(acceptance):
+    for is_enough in (acceptance.is_acceptable, acceptance.is_confirmed):
+        assert is_enough(candidate(0.0, SURE_LLR))
+        assert not is_enough(candidate(0.0, SURE_LLR - 1.0))
+
+
+@pytest.mark.parametrize("where", ["along_track", "repeated"])
+def test_a_pose_that_is_no_candidate_is_not_accepted_however_likely(acceptance, patterns, where):
+    setattr(patterns, where, [candidate(8.0, SURE_LLR + 30.0)])
+    decision = acceptance.decide(query(), [candidate(0.0, SURE_LLR + 5.0)])
+    assert decision.accepted is None
+    assert "of another pose" in decision.rejected[0].reason

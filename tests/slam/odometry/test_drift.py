@@ -126,3 +126,19 @@ def test_the_nearest_keyframe_is_the_one_that_brute_force_finds():
 def test_no_keyframe_is_nearest_where_there_is_none(from_m, to_m):
     assert track_of(OdometryConfig()).nearest(np.zeros(3), segment=0, from_m=from_m, to_m=to_m) is None
     assert KeyframeTrack(OdometryConfig()).nearest(np.zeros(3), segment=0, from_m=from_m, to_m=to_m) is None
+
+
+def test_the_nearest_keyframe_is_of_the_segment_that_is_asked_for():
+    track = KeyframeTrack(odometry_noise())
+    for number in range(20):  # to and fro; then from the beginning, as another segment
+        x_m = 2.0 * (number % 10)
+        T = transform_from_xyz_yaw(np.array([x_m, 0.5 if number >= 10 else 0.0, 0.0]), 0.0)
+        track.add(Keyframe(number, OdometryPose(number, T, 2.0 * number, number // 10, 1.0), T))
+    place = np.array([8.0, 0.5, 0.0])
+    everywhere = {"from_m": -np.inf, "to_m": np.inf}
+    assert track.nearest(place, segment=0, **everywhere) == (4, 0.5)
+    assert track.nearest(place, segment=1, **everywhere) == (14, 0.0)
+    assert track.nearest(place - [0.0, 0.5, 0.0], segment=1, **everywhere) == (14, 0.5)
+    assert track.nearest(place, segment=2, **everywhere) is None
+    assert track.nearest(place, segment=0, from_m=9.0, to_m=np.inf)[0] == 5
+    assert track.nearest(place, segment=1, from_m=-np.inf, to_m=24.0)[0] == 11

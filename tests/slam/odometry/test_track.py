@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 import pytest
 
@@ -132,3 +134,22 @@ def test_what_is_jitter_depends_on_how_far_the_sensor_sees(sensor_range_m, trave
     for seconds, x in ((0.0, 0.0), (0.1, 0.03), (0.2, 0.01)):
         made.add(odometry(seconds, x))
     assert made.latest.travel_m == pytest.approx(travel_m)
+
+
+def test_what_comes_again_or_late_is_counted_wherever_it_says_that_the_body_is():
+    counters = Counter[str]()
+    made = OdometryTrack(CONFIG, counters)
+    for seconds, x in ((0, 0), (1, 5), (2, 10), (2, 10), (1.5, 7.5)):
+        made.add(odometry(seconds, x))
+    assert made.latest is not None
+    assert (made.latest.stamp_ns, made.latest.travel_m) == (START_NS + 2_000_000_000, pytest.approx(10.0))
+    assert counters == {"odometry_duplicated": 1, "odometry_out_of_order": 1}
+
+
+def test_one_stamp_from_the_future_is_no_silence():
+    made = OdometryTrack(CONFIG)
+    for seconds, x in ((0, 0), (1, 1), (1000, 2), (2, 2), (3, 3)):
+        made.add(odometry(seconds, x))
+    assert made.latest is not None
+    assert (made.latest.segment, made.latest.travel_m) == (0, pytest.approx(3.0))
+    assert made.latest.stamp_ns == START_NS + 3_000_000_000

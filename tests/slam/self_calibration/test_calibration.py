@@ -11,6 +11,7 @@ from pydantic import BaseModel
 from slam.common.config import Config
 from slam.self_calibration.calibration import LEAST_DRIFT, LEAST_TURN_RAD, LENGTHS, calibrate
 from slam.self_calibration.height_noise import HeightNoise
+from slam.self_calibration.input_errors import InputErrors
 from slam.self_calibration.survey import Survey, summarize
 from slam.self_calibration.variance_components import ComponentEstimate, NoiseComponents
 from tests.helpers.surveyed_drives import SurveyedDrive
@@ -185,3 +186,38 @@ def test_a_robot_that_stands_still_has_finite_settings(surveyed, change):
     found = calibrate(Config(), replace(surveyed, **change))
     assert np.isfinite(list(found.estimated.values())).all()
     Config.model_validate_json(found.config.model_dump_json())
+
+
+# Faults of the input
+
+
+@pytest.mark.parametrize(("delay_s", "of_odometry", "of_detections"), [
+    (0.05, -0.05, 0.0), (-0.2, 0.2, 0.0), (0.21, 0.0, 0.21), (-0.5, 0.0, -0.5),
+])  # fmt: skip
+def test_a_delay_of_up_to_two_scans_is_one_of_the_odometry(surveyed, delay_s, of_odometry, of_detections):
+    late = replace(surveyed, errors=InputErrors(delay_s=delay_s), interval_s=0.1)
+    calibration = calibrate(Config(), late)
+    assert calibration.config.odometry.time_offset_s == of_odometry
+    assert calibration.config.detection.time_offset_s == of_detections
+    (note,) = (note for note in calibration.notes if "messages seem" in note)
+    assert ("older" in note) == ((of_odometry or of_detections) < 0.0)
+
+
+@pytest.mark.parametrize(("ratio", "factor"), [
+    (0.2, 0.2**0.5), (0.26, 1.0), (1.0, 1.0), (3.9, 1.0), (9.0, 3.0), (float("nan"), 1.0),
+])  # fmt: skip
+def test_covariances_that_are_far_off_are_scaled(surveyed, ratio, factor):
+    calibration = calibrate(Config(), replace(surveyed, claimed_ratio=ratio))
+    assert calibration.config.detection.claimed_sigma_factor == pytest.approx(factor)
+    assert any("scaled" in note for note in calibration.notes) == (factor != 1.0)
+
+
+def test_wrong_turns_lengths_and_sensors_are_told(surveyed):
+    wrong = replace(surveyed, errors=InputErrors(turn_share=0.05, length_share=-0.04), turned_deg=(180.0, 0.0, 0.0))
+    notes = " ".join(calibrate(Config(), wrong).notes)
+    for told in ("turns seem 5 % too small", "lengths seem 4 % too long", "turned by roll 180, pitch 0, yaw 0 deg"):
+        assert told in notes
+    right = replace(surveyed, errors=InputErrors(turn_share=0.02, length_share=0.02))
+    notes = " ".join(calibrate(Config(), right).notes)
+    assert "turn" not in notes
+    assert "lengths" not in notes

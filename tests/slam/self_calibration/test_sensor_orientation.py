@@ -50,3 +50,10 @@ def test_the_angles_give_the_rotation_back(angles_deg):
     R = Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix()
     again = Rotation.from_euler("xyz", roll_pitch_yaw_deg(R), degrees=True).as_matrix()
     np.testing.assert_allclose(again, R, atol=1e-9)
+
+
+def test_scans_that_never_agree_tell_nothing():
+    rng = np.random.default_rng(1)
+    drive = SurveyedDrive(0, NOISE, scans=120, objects=40)
+    scans = [replace(scan, positions=rng.uniform(-20.0, 20.0, scan.positions.shape)) for scan in drive.scans]
+    np.testing.assert_array_equal(find_orientation(scans, drive.headings), np.eye(3))

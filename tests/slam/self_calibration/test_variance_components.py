@@ -178,3 +178,11 @@ def test_noise_of_half_the_spacing_is_no_bias_of_the_view(seed):
     assert found is not None
     assert 0.5 / 1.5 < np.sqrt(0.5 * (found.variances.radial + found.variances.tangential)) < 0.5 * 1.5
     assert np.sqrt(found.variances.view) < 0.25
+
+
+@pytest.mark.parametrize("scale", [1e154, 1e200, 1e300])
+def test_absurd_distances_tell_nothing(scale):
+    drive = SurveyedDrive(0, {"radial": 0.1}, scans=60, objects=40)
+    far = replace(drive.tracks, offsets=scale * drive.tracks.offsets, points=scale * drive.tracks.points)
+    with np.errstate(all="ignore"):
+        assert estimate_components(far, drive.motion) is None

@@ -1,0 +1,57 @@
+"""Submaps: which landmarks they hold, where, and how exactly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.common.arrays import FloatArray
+from slam.common.config import AssociationConfig, SubmapConfig
+from slam.common.geometry import make_transform, transform_from_xyz_yaw
+from slam.object_map.landmarks import ObjectMap
+from slam.object_map.submap import gravity_frame, placed_submap, recent_submap
+from slam.odometry.keyframe import Keyframe
+from slam.odometry.pose import OdometryPose
+
+CONFIG = SubmapConfig(travel_m=50.0, landmark_sigma_m=0.4, sigma_per_m=0.02)
+OWN = np.diag([0.3**2, 0.5**2, 1.0])
+
+
+def objects(*places: tuple[float, float, int, bool]) -> ObjectMap:
+    """Landmarks at x, last seen at a travel, on a segment, confirmed or not."""
+    found = ObjectMap(AssociationConfig())
+    for x_m, travel_m, segment, is_confirmed in places:
+        labels = found.label_indices(("tree",))
+        rows = found.add(
+            np.array([[x_m, 0.0, 1.0]]), OWN[None], labels, stamp_ns=1, scan=1, travel_m=travel_m, segment=segment
+        )
+        if is_confirmed:
+            found.confirm(rows)
+    return found
+
+
+def keyframe(T: FloatArray, travel_m: float = 100.0) -> Keyframe:
+    return Keyframe(7, OdometryPose(1, T, travel_m, 0, 1.0), T)
+
+
+def test_a_recent_submap_holds_confirmed_landmarks_of_the_last_travel_on_its_segment():
+    known = objects((1, 50.1, 0, True), (2, 49.9, 0, True), (3, 99, 0, False), (4, 99, 1, True), (5, 99, 0, True))
+    found = recent_submap(known, keyframe(np.eye(4)), CONFIG)
+    assert found.rows.tolist() == [0, 4]
+
+
+def test_it_is_upright_at_the_keyframe():
+    lean = make_transform(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]).T, np.zeros(3))
+    T = transform_from_xyz_yaw(np.array([3.0, 4.0, 0.0]), np.pi / 2) @ transform_from_xyz_yaw(np.zeros(3), 0.0)
+    found = recent_submap(objects((13.0, 99, 0, True)), keyframe(T), CONFIG)
+    np.testing.assert_allclose(found.positions, [[-4.0, -10.0, 1.0]], atol=1e-12)
+    assert gravity_frame(T @ lean)[2, 2] == 1.0
+
+
+@pytest.mark.parametrize("x_m", [0.0, 10.0, 40.0])
+def test_a_landmark_is_the_less_exact_the_farther_away(x_m):
+    own = (0.3**2 + 0.5**2) / 2.0
+    expected = np.sqrt(0.4**2 + (0.02 * x_m) ** 2 + own)
+    near = recent_submap(objects((x_m, 99, 0, True)), keyframe(np.eye(4)), CONFIG)
+    placed = placed_submap(objects((x_m + 5.0, 99, 0, True)), np.array([0]), np.array([5.0, 0.0, 0.0]), CONFIG)
+    np.testing.assert_allclose([near.sigmas[0], placed.sigmas[0]], expected)

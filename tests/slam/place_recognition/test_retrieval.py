@@ -1,0 +1,107 @@
+"""Which landmarks a place is found among, and which are its reference."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.common.config import Config
+from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.object_map.landmarks import ObjectMap, RetirementReason
+from slam.object_map.submap import Submap
+from slam.place_recognition.place import Place
+from slam.place_recognition.retrieval import PLACE_RADIUS_RANGES, PlaceRetriever
+
+CONFIG = Config()
+COUNT = 25
+NOW_M = 1000.0
+BEFORE_M = NOW_M - CONFIG.loop_closure.min_travel_m
+RADIUS_M = PLACE_RADIUS_RANGES * CONFIG.detection.sensor_range_m
+
+
+class Places:
+    """Landmarks around places, each seen at one travel, and a retriever that knows those left behind."""
+
+    def __init__(self) -> None:
+        self.map = ObjectMap(CONFIG.association)
+        self.retriever = PlaceRetriever(CONFIG, self.map)
+        self.labels = self.map.label_indices(("tree", "lamp", "bench", "bin"))
+
+    def add(self, x_m: float, travel_m: float, *, segment: int = 0, seed: int = 1) -> np.ndarray:
+        """The objects of ``seed`` around a place."""
+        rng = np.random.default_rng(seed)
+        positions = [*rng.uniform([-20.0, -15.0, 0.0], [20.0, 15.0, 0.5], (COUNT, 3)), x_m, 0.0, 0.0]
+        rows = self.map.add(
+            positions,
+            np.tile(0.01 * np.eye(3), (COUNT, 1, 1)),
+            rng.choice(self.labels, COUNT),
+            stamp_ns=1,
+            scan=1,
+            travel_m=travel_m,
+            segment=segment,
+        )
+        self.map.confirm(rows)
+        return rows
+
+    def query(self, x_m: float, seed: int = 1) -> Submap:
+        """The same objects as seen from the place, under rows that the map does not have."""
+        here = Places()
+        rows = here.add(x_m, 0.0, seed=seed)
+        T_local_query = transform_from_xyz_yaw(np.array([x_m, 0.0, 0.0]), 0.4)
+        positions = apply(invert(T_local_query), here.map.rows["position_local"][rows])
+        return Submap(positions, np.full(COUNT, 0.4), here.map.classes(rows), 10_000 + rows)
+
+    def found_m(self, x_m: float, seed: int = 1) -> list[float]:
+        """Where the first place is said to be, if there is one."""
+        self.retriever.index_inactive_landmarks(NOW_M)
+        found = self.retriever.retrieve(self.query(x_m, seed), before_m=BEFORE_M, seed=0)
+        return [round(float(place.T_local_query[0, 3]), 1) for place in found[:1]]
+
+
+@pytest.fixture
+def places() -> Places:
+    return Places()
+
+
+def test_a_place_is_found_by_its_objects(places):
+    places.add(50.0, 100.0)
+    places.add(400.0, 450.0, seed=2)
+    assert places.found_m(50.0) == [50.0]
+    assert places.found_m(400.0, seed=2) == [400.0]
+
+
+def test_not_among_landmarks_of_this_traversal(places):
+    places.add(50.0, BEFORE_M + 1.0)
+    places.add(400.0, 450.0, seed=2)
+    assert places.found_m(50.0) != [50.0]
+
+
+def test_not_among_retired_landmarks(places):
+    rows = places.add(50.0, 100.0)
+    places.add(400.0, 450.0, seed=2)
+    places.retriever.index_inactive_landmarks(NOW_M)
+    places.map.retire(rows, RetirementReason.GONE)
+    assert places.found_m(50.0) != [50.0]
+
+
+def test_landmarks_are_left_behind_after_some_travel(places):
+    recent_m = NOW_M - CONFIG.loop_closure.inactive_travel_m
+    places.add(50.0, recent_m + 1.0)
+    places.retriever.index_inactive_landmarks(NOW_M)
+    found = places.retriever.retrieve(places.query(50.0), before_m=NOW_M, seed=0)
+    assert found == []
+    places.retriever.index_inactive_landmarks(NOW_M + 20.0)
+    assert places.retriever.retrieve(places.query(50.0), before_m=NOW_M, seed=0) != []
+
+
+def test_the_reference_of_a_place_is_of_its_traversal_its_segment_and_around_it(places):
+    extent_m = 1.1 * CONFIG.loop_closure.min_travel_m
+    here = places.add(50.0, 500.0)
+    places.add(50.0, 500.0 - extent_m - 1.0)
+    places.add(50.0, 500.0 + extent_m + 1.0)
+    places.add(50.0, 500.0, segment=1)
+    places.add(50.0 + RADIUS_M + 25.0, 500.0)
+    place = Place(transform_from_xyz_yaw(np.array([50.0, 0.0, 0.0]), 0.0), 500.0, 0, 0.0)
+    found = places.retriever.reference_submap(place, before_m=BEFORE_M)
+    assert found.rows.tolist() == here.tolist()
+    assert len(places.retriever.reference_submap(place, before_m=499.0)) == 0

@@ -1,0 +1,74 @@
+"""Systematic errors of the input from tracks that have them, and from those that have none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.common.arrays import FloatArray
+from slam.self_calibration.input_errors import BodyMotion, InputErrors, J, estimate_input_errors
+from slam.self_calibration.object_tracks import ObjectTracks
+
+SCANS, PERIOD_S, SPEED_MPS = 600, 0.1, 4.0
+SEEN = 40
+"""Scans that an object is seen in."""
+
+
+def weaving() -> BodyMotion:
+    """To the left and to the right, now faster, now slower."""
+    time_s = PERIOD_S * np.arange(SCANS)
+    headings = 1.5 * np.sin(0.5 * time_s)
+    velocities = (
+        SPEED_MPS * (1.0 + 0.5 * np.sin(1.3 * time_s))[:, None] * np.stack([np.cos(headings), np.sin(headings)], axis=1)
+    )
+    positions = np.cumsum(velocities * PERIOD_S, axis=0)
+    return BodyMotion(positions, headings, velocities, np.gradient(headings, PERIOD_S))
+
+
+def tracks(motion: BodyMotion, *, delay_s: float = 0.0, noise_m: float = 0.02, seen: int = SEEN) -> ObjectTracks:
+    """Objects that come and go on either side; what is seen is of a time later by ``delay_s`` than its stamp."""
+    rng = np.random.default_rng(3)
+    scans = np.concatenate([np.arange(first, first + seen) for first in range(0, SCANS - seen, 10)])
+    track = np.repeat(np.arange(len(scans) // seen), seen)
+    middles = motion.positions[np.unique(track) * 10 + seen // 2] + rng.uniform(-12.0, 12.0, (track.max() + 1, 2))
+    offsets = middles[track] - motion.positions[scans] + rng.normal(0.0, noise_m, (len(scans), 2))
+    moved = motion.velocities[scans] + motion.turn_rates[scans][:, None] * (offsets @ J.T)
+    offsets = offsets - delay_s * moved
+    zeros = np.zeros(len(scans))
+    points = motion.positions[scans] + offsets
+    return ObjectTracks(track, scans, offsets, points, np.zeros(len(scans), dtype=np.int64), zeros, zeros)
+
+
+@pytest.mark.parametrize("delay_s", [-0.2, 0.3])
+def test_late_and_early_detections_are_found(delay_s):
+    motion = weaving()
+    found = estimate_input_errors(tracks(motion, delay_s=delay_s), motion)
+    assert found.delay_s == pytest.approx(delay_s, abs=0.02)
+
+
+def test_nothing_is_corrected_where_nothing_is_wrong():
+    motion = weaving()
+    assert estimate_input_errors(tracks(motion), motion) == InputErrors()
+
+
+def test_a_correction_that_explains_almost_nothing_is_not_made():
+    motion = weaving()
+    found = estimate_input_errors(tracks(motion, delay_s=0.004, noise_m=0.2), motion)
+    assert found == InputErrors()
+
+
+def test_few_tracks_tell_nothing():
+    motion = weaving()
+    made = tracks(motion, delay_s=0.3)
+    few = made.track < 1
+    some = ObjectTracks(*(getattr(made, name)[few] for name in ObjectTracks.__dataclass_fields__))
+    assert estimate_input_errors(some, motion) == InputErrors()
+
+
+def test_a_few_wild_points_do_not_matter():
+    motion = weaving()
+    made = tracks(motion, delay_s=0.3)
+    wild: FloatArray = made.points.copy()
+    wild[::50] += 30.0
+    spoilt = ObjectTracks(made.track, made.scan, made.offsets, wild, made.labels, made.claimed, made.heights)
+    assert estimate_input_errors(spoilt, motion).delay_s == pytest.approx(0.3, abs=0.02)
