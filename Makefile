@@ -7,7 +7,7 @@ PROTOC := build/protoc/bin/python
 # The build of torch at PyPI brings several gigabytes of CUDA, which nothing here needs.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
-.PHONY: help demo check test bench-check lint fuzz schemas clean
+.PHONY: help demo check test bench-check lint ci audit wheel fuzz bombs mutants kills soak docs results schemas clean
 
 help:
 	@echo 'make demo     simulate a drive, map it, evaluate it; leaves out/demo*.mcap, out/demo.html and out/demo.png'
@@ -15,6 +15,13 @@ help:
 	@echo 'make test     lint, types and all tests'
 	@echo 'make bench-check  the headline figures against their bands, in docs/results/headline.md (minutes; needs ../shared/data)'
 	@echo 'make lint     only ruff and mypy'
+	@echo 'make ci       lint, types, all tests, a minute of fuzzing with another seed each time, audit'
+	@echo 'make audit    known weaknesses of the dependencies; skipped where the database cannot be reached'
+	@echo 'make wheel    the wheel, and the list of what it needs (SBOM, CycloneDX), in dist'
+	@echo 'make mutants  break rules of what is believed, one after the other: do the unit tests notice?'
+	@echo 'make bombs    files that are much larger inside than outside, through dslam info'
+	@echo 'make kills    kill N=200 commands at random times, and give them again'
+	@echo 'make soak     replay LAPS=40 laps of a town in HOURS=24 in one go; prints memory and time per lap'
 	@echo 'make fuzz     run N=200 mutated files of SEED=0 through all commands; those that fail stay in out/fuzz'
 	@echo 'make docs     the documentation as a site, in build/site'
 	@echo 'make results  run the commands of docs/results again (hours; goes on where it was); LIST=1 only lists them'
@@ -68,6 +75,40 @@ N ?= 200
 SEED ?= 0
 fuzz: $(INSTALLED)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz --count $(N) --seed $(SEED)
+
+bombs: $(INSTALLED)
+	$(BIN)/python -m tests.fuzz.bombs
+
+mutants: $(INSTALLED)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.mutants
+
+kills: N := $(if $(filter command line,$(origin N)),$(N),200)
+kills: $(INSTALLED)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.kills --count $(N) --seed $(SEED)
+
+LAPS ?= 40
+HOURS ?= 24
+soak: $(INSTALLED)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.soak --laps $(LAPS) --hours $(HOURS)
+
+# The seed of the fuzzer is that of the commit.
+ci: test audit
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz --count 5000 --minutes 1 --seed $$(printf '%d' 0x$$(git rev-parse --short=7 HEAD || echo 0))
+
+# Tools of their own environment: their dependencies are not ours.
+AUDIT := build/audit
+$(AUDIT)/.installed:
+	$(PYTHON) -m venv $(AUDIT)
+	$(AUDIT)/bin/pip install --quiet --disable-pip-version-check pip-audit==2.10.1 cyclonedx-bom==7.5.0
+	@touch $@
+
+audit: $(INSTALLED)
+	@$(MAKE) --no-print-directory $(AUDIT)/.installed || echo 'audit skipped: its tools cannot be installed'
+	@test ! -f $(AUDIT)/.installed || $(BIN)/python -m tests.supply_chain $(AUDIT)/bin
+
+wheel: $(INSTALLED) $(AUDIT)/.installed
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
+	$(BIN)/python -m tests.supply_chain $(AUDIT)/bin --sbom dist/descriptellation-slam.cdx.json
 
 docs: $(INSTALLED)
 	NO_MKDOCS_2_WARNING=true $(BIN)/mkdocs build --strict --quiet

@@ -1,0 +1,1 @@
+"""What this package depends on: licences, known weaknesses, and a list of it all."""
