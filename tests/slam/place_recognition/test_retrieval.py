@@ -30,7 +30,7 @@ class Places:
     def add(self, x_m: float, travel_m: float, *, segment: int = 0, seed: int = 1) -> np.ndarray:
         """The objects of ``seed`` around a place."""
         rng = np.random.default_rng(seed)
-        positions = [*rng.uniform([-20.0, -15.0, 0.0], [20.0, 15.0, 0.5], (COUNT, 3)), x_m, 0.0, 0.0]
+        positions = rng.uniform([-20.0, -15.0, 0.0], [20.0, 15.0, 0.5], (COUNT, 3)) + np.array([x_m, 0.0, 0.0])
         rows = self.map.add(
             positions,
             np.tile(0.01 * np.eye(3), (COUNT, 1, 1)),

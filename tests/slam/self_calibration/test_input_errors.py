@@ -36,7 +36,7 @@ def tracks(motion: BodyMotion, *, delay_s: float = 0.0, noise_m: float = 0.02, s
     offsets = offsets - delay_s * moved
     zeros = np.zeros(len(scans))
     points = motion.positions[scans] + offsets
-    return ObjectTracks(track, scans, offsets, points, np.zeros(len(scans), dtype=np.int64), zeros, zeros)
+    return ObjectTracks(track, scans, offsets, points, np.zeros(len(scans), dtype=np.int64), zeros, zeros, zeros)
 
 
 @pytest.mark.parametrize("delay_s", [-0.2, 0.3])
@@ -70,5 +70,7 @@ def test_a_few_wild_points_do_not_matter():
     made = tracks(motion, delay_s=0.3)
     wild: FloatArray = made.points.copy()
     wild[::50] += 30.0
-    spoilt = ObjectTracks(made.track, made.scan, made.offsets, wild, made.labels, made.claimed, made.heights)
+    spoilt = ObjectTracks(
+        made.track, made.scan, made.offsets, wild, made.labels, made.claimed, made.heights, made.rooms
+    )
     assert estimate_input_errors(spoilt, motion).delay_s == pytest.approx(0.3, abs=0.02)
