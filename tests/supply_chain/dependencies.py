@@ -40,9 +40,12 @@ def find_dependencies(name: str = PROJECT, extras: tuple[str, ...] = EXTRAS) -> 
 
 def licence_of(found: Distribution) -> str:
     """What a distribution says of its licence: its expression, its classifiers or its text."""
-    told = found.metadata
-    classifiers = [text.split(" :: ")[-1] for text in told.get_all("Classifier") or () if text.startswith("License ::")]
-    return told.get("License-Expression") or "; ".join(classifiers) or (told.get("License") or "").strip()[:200]
+
+    def told(key: str) -> list[str]:
+        return found.metadata.get_all(key) or []
+
+    classifiers = [text.split(" :: ")[-1] for text in told("Classifier") if text.startswith("License ::")]
+    return "; ".join(told("License-Expression") or classifiers) or "".join(told("License")).strip()[:200]
 
 
 def is_permitted(licence: str) -> bool:
