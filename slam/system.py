@@ -48,7 +48,7 @@ from slam.odometry.interpolation import interpolate_between_keyframes
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 from slam.odometry.track import OdometryTrack
-from slam.odometry.unexpected_step import Continuation, UnexpectedStep
+from slam.odometry.unexpected_step import Continuation, Correction, UnexpectedStep
 from slam.place_recognition.imported_map import ImportedMap
 from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
 from slam.place_recognition.place_prior import PlacePrior
@@ -246,10 +246,10 @@ class Slam:
         self._body_frame, self._odom_frame = odometry.child_frame_id, odometry.frame_id
         updates = [update for pose in self._track.add(odometry) for update in self._step(pose)]
         while (step := self._track.unexpected) is not None and (way := self._way_on(step)) is not None:
-            updates += [update for pose in self._track.resolve(way) for update in self._step(pose)]
+            updates += [update for pose in self._track.resolve(*way) for update in self._step(pose)]
         return updates + self._map_waiting_scans()
 
-    def _way_on(self, step: UnexpectedStep) -> Continuation | None:
+    def _way_on(self, step: UnexpectedStep) -> tuple[Continuation, Correction | None] | None:
         """How the odometry goes on at an unexpected step, by the next scan; None while that is to come."""
         first_ns, last_ns = step.span_ns
         for stamp_ns, _, detections in sorted(self._waiting, key=lambda waiting: waiting[:2]):
@@ -261,8 +261,15 @@ class Slam:
                 continue
             up_body = poses[Continuation.REPORTED].T_odom_body[2, :3]
             scan = make_scan(detections, T_body_sensor, self._config.detection, up_body)
-            return decide(step, {way: self._mapper.log_likelihood_ratio(scan, pose) for way, pose in poses.items()})
-        return step.default if step.is_overdue else None
+            reported = self._mapper.log_likelihood_ratio(scan, poses[Continuation.REPORTED])
+            if Continuation.EXPECTED not in poses:
+                return decide(step, {Continuation.REPORTED: reported}), None
+            expected = replace(poses[Continuation.REPORTED], T_odom_body=poses[Continuation.EXPECTED].T_odom_body)
+            aligned = self._mapper.align(scan, expected, step.tolerances)
+            ratios = {Continuation.REPORTED: reported, Continuation.EXPECTED: aligned.log_likelihood_ratio}
+            way = decide(step, ratios)
+            return way, Correction(aligned.T_correction, aligned.variances) if way is Continuation.EXPECTED else None
+        return (step.default, None) if step.is_overdue else None
 
     def _step(self, pose: OdometryPose) -> list[Record]:
         # Scans from before this pose belong to the keyframe before it, also where the odometry breaks in between.

@@ -79,6 +79,10 @@ class ActiveLandmarks:
             )
         return self.T_local_body
 
+    def anchor(self) -> None:
+        """Let covariances be relative to where the robot is now."""
+        self._local.anchor()
+
     def predict(self, stamp_ns: int) -> Prediction:
         """Where the active landmarks should be at a time; those that seem to move go on moving."""
         landmarks = self._map.rows[self.rows]

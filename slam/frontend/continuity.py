@@ -46,7 +46,7 @@ def scan_log_likelihood_ratio(
     """
     if len(positions) == 0 or len(predicted.positions) == 0:
         return 0.0
-    crowded = config.model_copy(update={"new_object_density": _density(predicted, covariances)})
+    crowded = in_a_crowd(config, predicted, covariances)
     assignment = associate(positions, covariances, labels, predicted.positions, predicted.covariances, beliefs, crowded)
     matched = int(assignment.matched.sum())
     unmatched = len(positions) - matched
@@ -54,12 +54,25 @@ def scan_log_likelihood_ratio(
     return float(assignment.log_likelihood_ratio + known)
 
 
+def in_a_crowd(config: AssociationConfig, predicted: Prediction, covariances: FloatArray) -> AssociationConfig:
+    """The configuration with the density of the landmarks around for that of new objects."""
+    if len(predicted.positions) == 0:
+        return config
+    return config.model_copy(update={"new_object_density": _density(predicted, covariances)})
+
+
 def decide(step: UnexpectedStep, log_likelihood_ratios: Mapping[Continuation, float]) -> Continuation:
-    """How the track goes on; ``step.default`` where the detections do not tell."""
+    """How the track goes on; ``step.default`` where the detections do not tell.
+
+    An odometry that repeats one pose to the last digit while the body should move is taken to be frozen, unless the
+    detections show that the body has stopped.
+    """
     margin = float(np.log(DECIDED / (1.0 - DECIDED)))
     reported = log_likelihood_ratios[Continuation.REPORTED]
     expected = log_likelihood_ratios.get(Continuation.EXPECTED, -np.inf)
     if expected > max(reported, 0.0) + margin:
+        return Continuation.EXPECTED
+    if step.is_frozen and expected > max(reported, 0.0) - margin:
         return Continuation.EXPECTED
     return Continuation.REPORTED if reported > margin else step.default
 

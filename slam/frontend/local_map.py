@@ -77,6 +77,19 @@ class LocalMap:
         self._P[:, :POSE] = self._P[:, :POSE] @ F.T
         self._P[[0, 1, 2], [0, 1, 2]] += [variances[0], variances[0], variances[1]]
 
+    def anchor(self) -> None:
+        """Hold the robot's pose to be known: all covariances are relative to it from now on.
+
+        No position changes. The frame itself is arbitrary, but the more uncertain the pose is in it, the worse is the
+        linearization: the filter gains information about the frame that no measurement holds, and pulls the whole map
+        along (Julier and Uhlmann, ICRA 2001; robocentric: Castellanos et al., Robotics and Autonomous Systems 2007).
+        """
+        G = _pose_jacobians(self._positions - self._pose[:2]).reshape(-1, POSE)
+        mixed = G @ self._P[:POSE, POSE:]
+        P = self._P[POSE:, POSE:] + mixed + mixed.T + G @ self._P[:POSE, :POSE] @ G.T
+        self._P = np.zeros_like(self._P)
+        self._P[POSE:, POSE:] = 0.5 * (P + P.T)
+
     def predict(self, slots: IntArray) -> tuple[FloatArray, FloatArray]:
         """Positions (K, 2) m and covariances (K, 2, 2) m^2 of landmarks relative to the robot, both in local axes.
 

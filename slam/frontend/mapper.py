@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +18,13 @@ from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
-from slam.common.geometry import relative, rotation_angle_rad
+from slam.common.geometry import invert, relative, rotation_angle_rad
 from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.continuity import scan_log_likelihood_ratio
 from slam.frontend.data_association import associate
 from slam.frontend.keyframe_observations import KeyframeObservations
 from slam.frontend.scan import Scan
+from slam.frontend.scan_alignment import Alignment, align_scan
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import BREAK_SIGMA_RAD, BREAK_SIGMA_RANGES, step_covariance
@@ -60,6 +62,7 @@ class Mapper:
             self._deactivate(np.ones(len(self._active.rows), dtype=np.bool_))
             self._active.restart(pose)
         keyframe = Keyframe(len(self.keyframes), pose, self._active.advance(pose))
+        self._active.anchor()
         if not self.keyframes:
             self._graph.add_first_keyframe(keyframe.id, pose.T_odom_body)
         else:
@@ -133,6 +136,25 @@ class Mapper:
             self._map.beliefs(self._active.rows),
             self._config.association,
         )
+
+    def align(self, scan: Scan, pose: OdometryPose, tolerances: FloatArray) -> Alignment:
+        """The scan aligned with the landmarks around, from an expected pose that may be off by ``tolerances`` (2,) m
+        and rad; the correction is in the frame of the odometry.
+        """
+        T_local_body, predicted = self._active.predict_from(pose)
+        in_local = scan.seen_from(T_local_body)
+        alignment = align_scan(
+            in_local.positions,
+            in_local.covariances + self._common_covariances(scan),
+            self._map.label_indices(scan.labels),
+            predicted,
+            self._map.beliefs(self._active.rows),
+            self._config.association,
+            origin=T_local_body[:3, 3],
+            sigmas=tolerances,
+        )
+        T_odom_local = pose.T_odom_body @ invert(T_local_body)
+        return replace(alignment, T_correction=T_odom_local @ alignment.T_correction @ invert(T_odom_local))
 
     def retire_gone(self, rows: IntArray) -> None:
         """Retire landmarks that no longer exist; a landmark that others were merged into was observed again."""

@@ -11,13 +11,15 @@ from dataclasses import replace
 from itertools import islice
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from logs.messages import Odometry
+from slam.common.arrays import FloatArray
 from slam.common.config import DetectionConfig, OdometryConfig
-from slam.common.geometry import invert
+from slam.common.geometry import invert, make_transform
 from slam.odometry.expected_motion import ExpectedMotion
 from slam.odometry.pose import OdometryPose, between
-from slam.odometry.unexpected_step import Continuation, UnexpectedStep
+from slam.odometry.unexpected_step import Continuation, Correction, UnexpectedStep
 
 # Scans wait for the odometry message that follows them; older ones than this many messages have lost their pose.
 HISTORY = 6000
@@ -58,6 +60,8 @@ class OdometryTrack:
         self._held: list[Odometry] = []
         self._T_odom_reported = np.eye(4)
         self._mended = np.zeros(2)  # m^2, rad^2
+        self._is_frozen = False
+        self._T_reported = np.eye(4)
         self._doubtful: Odometry | None = None
         self._counted_xyz_m = np.zeros(3)
         self._T_odom_first = np.eye(4)
@@ -118,22 +122,27 @@ class OdometryTrack:
             T_odom_reported=self._T_odom_reported,
         )
         poses = {Continuation.REPORTED: unmended}
-        T_expected = self._motion.predict(first.stamp_ns)
-        mended_m, mended_rad = self._motion.tolerances(first.stamp_ns).tolist()
-        if T_expected is not None and np.isfinite([mended_m, mended_rad]).all():
+        T_expected, tolerances = self._motion.predict(first.stamp_ns), self._motion.tolerances(first.stamp_ns)
+        frozen_velocity = None
+        if T_expected is not None and np.isfinite(tolerances).all():
             poses[Continuation.EXPECTED] = replace(
                 unmended,
                 T_odom_body=T_expected,
                 T_odom_reported=T_expected @ invert(first.T_odom_body),
-                mended_m2=before.mended_m2 + mended_m**2,
-                mended_rad2=before.mended_rad2 + mended_rad**2,
+                mended_m2=before.mended_m2 + float(tolerances[0]) ** 2,
+                mended_rad2=before.mended_rad2 + float(tolerances[1]) ** 2,
             )
+            if self._repeats(first):
+                frozen_velocity = self._motion.velocity
         is_overdue = last.stamp_ns - first.stamp_ns > self._config.max_gap_s * 1e9 or len(self._held) >= HISTORY
         default = Continuation.BROKEN if self._is_beyond_limits(first) else Continuation.REPORTED
-        return UnexpectedStep(tuple(self._held), poses, default, is_overdue)
+        return UnexpectedStep(tuple(self._held), poses, default, is_overdue, tolerances, frozen_velocity)
 
-    def resolve(self, continuation: Continuation) -> list[OdometryPose]:
-        """Go on after an unexpected step; returns the poses that this adds. Another such step may be among them."""
+    def resolve(self, continuation: Continuation, correction: Correction | None = None) -> list[OdometryPose]:
+        """Go on after an unexpected step; returns the poses that this adds. Another such step may be among them.
+
+        ``correction``: what the detections say of the pose that was expected.
+        """
         step = self.unexpected
         assert step is not None
         first, *others = self._held
@@ -141,14 +150,22 @@ class OdometryTrack:
         if continuation is Continuation.BROKEN:
             self._breaks_next = True
         elif continuation is Continuation.EXPECTED:
-            pose = step.first_poses[continuation]
-            self._T_odom_reported = pose.T_odom_reported
-            self._mended = np.array([pose.mended_m2, pose.mended_rad2])
-            self._counters["odometry_jumps_mended"] += 1
-        added = [self._append(first, is_usual=self._is_usual(first))]
+            self._mend(step, correction)
+        added = [self._append(first, is_usual=self._is_usual(first), correction=correction)]
         for message in others:
             added += self._take(message)
         return added
+
+    def _mend(self, step: UnexpectedStep, correction: Correction | None) -> None:
+        """Let the track go on at the pose that was expected, corrected by the detections."""
+        pose, last = step.first_poses[Continuation.EXPECTED], self._poses[-1]
+        self._T_odom_reported = pose.T_odom_reported
+        self._mended = np.array([pose.mended_m2, pose.mended_rad2])
+        if correction is not None:
+            self._T_odom_reported = _rigid(correction.T_odom @ pose.T_odom_reported)
+            self._mended = np.array([last.mended_m2, last.mended_rad2]) + correction.variances
+        self._is_frozen = step.is_frozen
+        self._counters["odometry_frozen" if step.is_frozen else "odometry_jumps_mended"] += 1
 
     def at(self, stamp_ns: int) -> OdometryPose | None:
         """The pose at a time, between the two messages around it; None where the track has none or breaks there."""
@@ -186,7 +203,10 @@ class OdometryTrack:
         return [self._append(odometry, is_usual=is_usual)]
 
     def _is_usual(self, odometry: Odometry) -> bool:
-        return self._motion.is_usual(odometry.stamp_ns, self._T_odom_reported @ odometry.T_odom_body)
+        T_odom_body = self._T_odom_reported @ odometry.T_odom_body
+        if self._is_frozen and self._repeats(odometry):
+            return False
+        return self._motion.is_usual(odometry.stamp_ns, T_odom_body)
 
     def _is_wild(self, odometry: Odometry, following: Odometry) -> bool:
         """Whether a message alone is off: the following one goes on from before it."""
@@ -206,7 +226,7 @@ class OdometryTrack:
             or self._starts_over(odometry, seconds)
         )
 
-    def _append(self, odometry: Odometry, *, is_usual: bool) -> OdometryPose:
+    def _append(self, odometry: Odometry, *, is_usual: bool, correction: Correction | None = None) -> OdometryPose:
         last = self.latest
         T_odom_body = self._T_odom_reported @ odometry.T_odom_body
         xyz_m = T_odom_body[:3, 3]
@@ -223,7 +243,11 @@ class OdometryTrack:
             counted_m = float(np.linalg.norm(xyz_m - self._counted_xyz_m))
             if breaks or counted_m >= self._jitter_m:
                 self._counted_xyz_m = xyz_m
-            if breaks or not is_usual:
+            self._is_frozen = self._is_frozen and self._repeats(odometry)
+            if correction is not None or self._is_frozen:
+                variances = np.zeros(2) if correction is None else correction.variances
+                self._motion.correct(odometry.stamp_ns, T_odom_body, variances)
+            elif breaks or not is_usual:
                 self._motion.restart(odometry.stamp_ns, T_odom_body)
             else:
                 self._motion.add(odometry.stamp_ns, T_odom_body)
@@ -238,7 +262,12 @@ class OdometryTrack:
                 mended_rad2=float(self._mended[1]),
             )
         self._poses.append(pose)
+        self._T_reported = odometry.T_odom_body
         return pose
+
+    def _repeats(self, odometry: Odometry) -> bool:
+        """Whether a message has the pose of the one before it to the last digit."""
+        return bool(np.array_equal(odometry.T_odom_body, self._T_reported))
 
     def _starts_over(self, odometry: Odometry, seconds: float) -> bool:
         """Whether the odometry was started again: it is where it began, to the last digit, or at the identity.
@@ -260,3 +289,8 @@ class OdometryTrack:
         speed_mps = max(pose.speed_mps for pose in islice(reversed(self._poses), RECENT_STEPS))
         reachable_mps = speed_mps + self._config.max_acceleration_mps2 * seconds
         return min(reachable_mps, self._config.max_speed_mps) * seconds + self._jump_slack_m
+
+
+def _rigid(T: FloatArray) -> FloatArray:
+    """``T`` (4, 4) without the rounding that products gather."""
+    return make_transform(Rotation.from_matrix(T[:3, :3]).as_matrix(), T[:3, 3])

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
+import numpy as np
+
 from logs.messages import Odometry
+from slam.common.arrays import FloatArray
+from slam.odometry.expected_motion import motion
 from slam.odometry.pose import OdometryPose, between
 
 
@@ -23,17 +27,36 @@ class Continuation(Enum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Correction:
+    """What the detections say of the pose that was expected: ``T_odom`` (4, 4) moves it, in the odometry frame;
+    ``variances`` (2,) of what is left, m^2 and rad^2.
+    """
+
+    T_odom: FloatArray
+    variances: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class UnexpectedStep:
     """A step that is not to be expected and the messages since then.
 
     ``first_poses`` has the pose of the first message if the odometry is right, and if the body went on as before where
-    that can be said; ``default``: how the track goes on if the detections do not tell; ``is_overdue``: they are late.
+    that can be said, with how far off (2,), in metres and radians, that may be; ``default``: how the track goes on if
+    the detections do not tell; ``is_overdue``: they are late. ``frozen_velocity`` (6,): the twist at which the body
+    should go on where the messages only repeat the last pose.
     """
 
     messages: tuple[Odometry, ...]
     first_poses: Mapping[Continuation, OdometryPose]
     default: Continuation
     is_overdue: bool
+    tolerances: FloatArray = field(default_factory=lambda: np.zeros(2))
+    frozen_velocity: FloatArray | None = None
+
+    @property
+    def is_frozen(self) -> bool:
+        """Whether the messages only repeat the last pose."""
+        return self.frozen_velocity is not None
 
     @property
     def span_ns(self) -> tuple[int, int]:
@@ -43,7 +66,12 @@ class UnexpectedStep:
     def at(self, stamp_ns: int) -> dict[Continuation, OdometryPose]:
         """The poses at a time within the span."""
         after = bisect_left(self.messages, stamp_ns, key=lambda message: message.stamp_ns)
-        return {continuation: self._pose(first, after, stamp_ns) for continuation, first in self.first_poses.items()}
+        poses = {continuation: self._pose(first, after, stamp_ns) for continuation, first in self.first_poses.items()}
+        if self.frozen_velocity is not None and Continuation.EXPECTED in poses:
+            first = self.first_poses[Continuation.EXPECTED]
+            T_moved = motion(self.frozen_velocity * (stamp_ns - first.stamp_ns) * 1e-9)
+            poses[Continuation.EXPECTED] = replace(first, stamp_ns=stamp_ns, T_odom_body=first.T_odom_body @ T_moved)
+        return poses
 
     def _pose(self, first: OdometryPose, after: int, stamp_ns: int) -> OdometryPose:
         following = _moved(first, self.messages[after])

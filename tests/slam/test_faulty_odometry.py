@@ -32,7 +32,7 @@ def mapped(source: Path, output: Path) -> tuple[float, dict[str, int]]:
 @pytest.fixture(scope="module")
 def clean_ate_m(log, tmp_path_factory) -> float:
     ate_m, counters = mapped(log, tmp_path_factory.mktemp("clean") / "mapped.mcap")
-    assert not {"odometry_jumps_mended", "odometry_wild"} & set(counters)
+    assert not {"odometry_jumps_mended", "odometry_wild", "odometry_frozen"} & set(counters)
     return ate_m
 
 
@@ -53,4 +53,15 @@ def test_a_jump_changes_nothing_and_is_counted(log, clean_ate_m, tmp_path, fault
     ate_m, counters = mapped(faulty, tmp_path / "mapped.mcap")
     assert ate_m < 1.5 * clean_ate_m + 0.01
     assert counters[counter] == 1
+    assert counters.get("odometry_breaks", 0) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["odometry_freezes=5", "odometry_frozen=0.5"])
+def test_where_the_odometry_freezes_the_landmarks_tell_the_motion(log, clean_ate_m, tmp_path, fault):
+    faulty = tmp_path / "faulty.mcap"
+    write_faulty(log, faulty, parse_faults([fault]), seed=0)
+    ate_m, counters = mapped(faulty, tmp_path / "mapped.mcap")
+    assert ate_m < 1.5 * clean_ate_m + 0.05
+    assert counters["odometry_frozen"] > 10
     assert counters.get("odometry_breaks", 0) == 0

@@ -68,3 +68,11 @@ def test_a_way_on_is_taken_if_it_is_much_likelier_than_the_others(reported, expe
 
 def test_the_last_velocity_may_not_be_known():
     assert decide(UnexpectedStep((), {}, BROKEN, False), {REPORTED: 20.0}) is REPORTED
+
+
+@pytest.mark.parametrize(
+    ("reported", "expected", "way"), [(20.0, 20.0, EXPECTED), (30.0, 20.0, REPORTED), (-10.0, -20.0, BROKEN)]
+)
+def test_a_frozen_odometry_is_believed_only_if_the_body_has_stopped(reported, expected, way):
+    step = UnexpectedStep((), {}, BROKEN, False, frozen_velocity=np.array([5.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    assert decide(step, {REPORTED: reported, EXPECTED: expected}) is way

@@ -379,3 +379,17 @@ def test_a_new_start_forgets_everything():
     local.update(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)))
     local.insert(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)))
     np.testing.assert_array_equal(local.T_local_odom(np.eye(4)), np.eye(4))
+
+
+def test_an_anchor_changes_nothing_that_can_be_measured():
+    _, local = driven(0)
+    slots = np.arange(len(local.ids))
+    positions, covariances = local.predict(slots)
+    first, second = np.triu_indices(len(slots), 1)
+    apart = local.difference(first, second)
+    local.anchor()
+    assert_is_covariance(local._P)
+    np.testing.assert_array_equal(local.pose_covariance, np.zeros((3, 3)))
+    for before, after in ((positions, local.predict(slots)[0]), (covariances, local.predict(slots)[1])):
+        np.testing.assert_allclose(after, before, atol=1e-12)
+    np.testing.assert_allclose(local.difference(first, second)[0], apart[0], atol=1e-12)

@@ -58,3 +58,27 @@ def test_after_a_restart_the_velocity_is_not_known_but_what_is_usual_is():
     motion.restart(stamp_ns, arc(500.0))
     assert motion.predict(stamp_ns + 10**9) is None
     assert motion.tolerances(stamp_ns + 10**9) == pytest.approx([FLOOR_RANGES * RANGE_M, FLOOR_RAD])
+
+
+def test_a_repeated_pose_is_usual_only_for_a_body_that_can_stop_at_once():
+    stamp_ns = 2 * LEAST_STEPS * 10**9
+    assert not on_arc(2 * LEAST_STEPS).is_usual(stamp_ns, arc(2.0 * LEAST_STEPS - 1.0))
+    jerky = ExpectedMotion(RANGE_M)
+    for step in range(2 * LEAST_STEPS):
+        jerky.add(step * 10**9, transform_from_xyz_yaw(np.array([float(step // 2), 0.0, 0.0]), 0.0))
+    assert jerky.is_usual(stamp_ns, transform_from_xyz_yaw(np.array([LEAST_STEPS - 1.0, 0.0, 0.0]), 0.0))
+
+
+def test_corrections_change_the_velocity_by_as_much_as_they_are_certain():
+    stamp_ns = 2 * LEAST_STEPS * 10**9
+    faster = transform_from_xyz_yaw(np.array([2.0 * LEAST_STEPS + 1.0, 0.0, 0.0]), 0.0)
+    speeds = []
+    for sigma_m in (1e-3, 0.2, 100.0):
+        motion = ExpectedMotion(RANGE_M)
+        for step in range(2 * LEAST_STEPS):
+            motion.add(step * 10**9, transform_from_xyz_yaw(np.array([step + 0.1 * (step % 2), 0.0, 0.0]), 0.0))
+        before = float(motion.velocity[0])
+        motion.correct(stamp_ns, faster, np.array([sigma_m**2, 1e-6]))
+        speeds.append(float(motion.velocity[0]) - before)
+        np.testing.assert_array_equal(motion.predict(stamp_ns), faster)
+    assert speeds[0] > 2.0 * speeds[1] > 10.0 * speeds[2] > 0.0

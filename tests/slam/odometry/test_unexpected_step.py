@@ -14,7 +14,7 @@ from slam.common.geometry import transform_from_xyz_yaw, yaw_rad
 from slam.odometry.noise import step_variances
 from slam.odometry.pose import OdometryPose
 from slam.odometry.track import OdometryTrack
-from slam.odometry.unexpected_step import Continuation
+from slam.odometry.unexpected_step import Continuation, Correction
 
 CONFIG = OdometryConfig()
 RATE_HZ, SPEED_MPS = 10, 5.0
@@ -146,3 +146,51 @@ def test_asking_costs_the_same_however_long_it_waits(monkeypatch):
         track.unexpected.at(message(step - 1).stamp_ns + 5 * 10**7)
         costs.append(made["poses"])
     assert set(costs) == {costs[0]}
+
+
+def frozen(steps: int = 3) -> tuple[OdometryTrack, Counter[str]]:
+    """The odometry repeats the pose of step 99 at a speed of 5 m/s."""
+    track, counters = driven()
+    for step in range(100, 100 + steps):
+        track.add(Odometry(message(step).stamp_ns, message(99).T_odom_body))
+    return track, counters
+
+
+def test_an_odometry_that_repeats_a_pose_is_expected_to_go_on():
+    track, _ = frozen()
+    assert track.unexpected.is_frozen
+    assert not held(aside_m=1.0).unexpected.is_frozen
+    poses = track.unexpected.at(message(102).stamp_ns)
+    assert poses[Continuation.EXPECTED].T_odom_body[0, 3] == pytest.approx(message(102).T_odom_body[0, 3], abs=0.1)
+    np.testing.assert_array_equal(poses[Continuation.REPORTED].T_odom_body, message(99).T_odom_body)
+
+
+def test_a_correction_moves_the_pose_that_was_expected_and_says_how_uncertain_it_is():
+    track, counters = frozen()
+    expected = track.unexpected.first_poses[Continuation.EXPECTED].T_odom_body
+    T = transform_from_xyz_yaw(np.array([0.1, -0.2, 0.0]), 0.01)
+    (pose,) = track.resolve(Continuation.EXPECTED, Correction(T, np.array([0.04, 1e-4])))
+    np.testing.assert_allclose(pose.T_odom_body, T @ expected, atol=1e-12)
+    assert (pose.mended_m2, pose.mended_rad2) == pytest.approx((0.04, 1e-4))
+    assert counters["odometry_frozen"] == 1
+    assert track.unexpected is not None, "the next message repeats the pose, too"
+
+
+def test_a_frozen_odometry_stays_so_while_the_body_stands_until_it_reports_motion():
+    track, _ = frozen(steps=2)
+    unmoved = Correction(np.eye(4), np.full(2, 1e-6))
+    track.resolve(Continuation.EXPECTED, unmoved)
+    track.resolve(Continuation.REPORTED)
+    for step in range(102, 110):
+        track.add(Odometry(message(step).stamp_ns, message(99).T_odom_body))
+        assert track.unexpected.is_frozen
+        assert Continuation.EXPECTED in track.unexpected.first_poses
+        track.resolve(Continuation.REPORTED)
+    moved = transform_from_xyz_yaw(np.array([0.05, 0.0, 0.0]), 0.0)
+    for step in range(110, 120):
+        track.add(Odometry(message(step).stamp_ns, message(99).T_odom_body @ moved))
+        if track.unexpected is not None:
+            assert not track.unexpected.is_frozen
+            track.resolve(Continuation.REPORTED)
+    track.add(Odometry(message(120).stamp_ns, message(99).T_odom_body @ moved))
+    assert track.unexpected is None
