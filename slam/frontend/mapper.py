@@ -33,6 +33,9 @@ from slam.odometry.pose import OdometryPose
 # The robot stands still below that motion.
 MOVED_RANGES = 0.1 / 30
 MOVED_RAD = 0.02
+# After that travel, in sensor ranges, covariances of the local map are made relative to the robot again: what is in
+# view is far nearer, and a small turn about a start far away is a large shift.
+ANCHOR_RANGES = 10.0
 # A speed is significant if it is that many of its standard deviations.
 MOVING_SIGMAS = 3.0
 
@@ -49,6 +52,7 @@ class Mapper:
         self._active = ActiveLandmarks(config, object_map)
         self._keyframe_observations = KeyframeObservations()
         self._held_back: defaultdict[int, list[Observation]] = defaultdict(list)
+        self._anchored_m = 0.0
         self._message_count = 0
         self._sensors: set[str] = set()
         self._scan_count = 0
@@ -62,7 +66,9 @@ class Mapper:
             self._deactivate(np.ones(len(self._active.rows), dtype=np.bool_))
             self._active.restart(pose)
         keyframe = Keyframe(len(self.keyframes), pose, self._active.advance(pose))
-        self._active.anchor()
+        if pose.travel_m - self._anchored_m > ANCHOR_RANGES * self._config.detection.sensor_range_m:
+            self._active.anchor()
+            self._anchored_m = pose.travel_m
         if not self.keyframes:
             self._graph.add_first_keyframe(keyframe.id, pose.T_odom_body)
         else:

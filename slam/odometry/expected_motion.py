@@ -91,7 +91,7 @@ class ExpectedMotion:
     def is_usual(self, stamp_ns: int, T_odom_body: FloatArray) -> bool:
         """Whether a pose at a later time is where the body can be expected."""
         T_predicted = self.predict(stamp_ns)
-        if T_predicted is None or self._velocity is None:
+        if T_predicted is None or self._velocity is None or self._T_odom_body is None:
             return True
         if np.array_equal(T_odom_body, self._T_odom_body):
             # To the last digit, as a live odometry is only once the body has stopped.

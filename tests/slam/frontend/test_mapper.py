@@ -301,3 +301,14 @@ def test_two_landmarks_that_are_one_are_merged_as_themselves_whatever_they_were_
     bench.mapper._merge(1, 2)
     assert bench.map.merges[-1] == Merge(kept_item=1, dropped_item=2, kept=0, dropped=2)
     assert [bench.map.canonical_id(row) for row in range(3)] == [0, 0, 0]
+
+
+def test_the_pose_in_the_local_map_is_never_much_more_uncertain_than_over_ten_sensor_ranges():
+    bench = Bench(odometry={"yaw_sigma": 0.01})
+    sigmas = []
+    for metre in range(0, 1500, 2):
+        bench.move(0.2 * metre, float(metre))
+        sigmas.append(np.sqrt(bench.mapper._active._local.pose_covariance[1, 1]))
+    over_300_m = sigmas[150]
+    assert over_300_m > 20.0
+    assert max(sigmas) < 1.1 * over_300_m
