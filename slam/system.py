@@ -201,6 +201,7 @@ class Slam:
             )
         self.counters["detections_without_odometry"] += len(self._waiting)
         self._mapper.close_keyframe()
+        self._graph.settle()
         removed, warning = self._closer.closures.reject_outliers()
         if self._first_keyframe and self._extends:
             self._mapper.retire_gone(self._closer.missing_landmarks())

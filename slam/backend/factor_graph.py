@@ -11,6 +11,7 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from logs.messages import FactorGraphRecord
+from slam.backend.batch_solver import BatchSolver, Optimization
 from slam.backend.estimates import Estimates
 from slam.backend.factors import (
     MIN_RANGE_RANGES,
@@ -28,13 +29,14 @@ from slam.backend.factors import (
     map_frame_factor,
     prior_factor,
 )
-from slam.backend.incremental_solver import IncrementalSolver, Optimization
+from slam.backend.gtsam_calls import GtsamCalls
+from slam.backend.incremental_solver import IncrementalSolver
 from slam.backend.marginals import Marginals, compute_marginals, marginals_one_by_one
 from slam.backend.observed_landmarks import ObservedLandmarks
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import DetectionConfig, FactorGraphConfig
 from slam.common.errors import FactorGraphError
-from slam.common.geometry import apply, invert
+from slam.common.geometry import invert
 
 logger = logging.getLogger(__name__)
 
@@ -50,7 +52,10 @@ class FactorGraph:
         self._config = config
         self._min_range_m = MIN_RANGE_RANGES * sensor_range_m
         self._prior_sigma_m = PRIOR_SIGMA_RANGES * sensor_range_m
-        self._solver = IncrementalSolver(config, sensor_range_m=sensor_range_m)
+        self._calls = GtsamCalls()
+        self._solver: IncrementalSolver | BatchSolver = IncrementalSolver(
+            config, self._calls, sensor_range_m=sensor_range_m
+        )
         self._landmarks = ObservedLandmarks()
         self._marginals: tuple[gtsam.Values, Marginals] | None = None
         self._fixed_poses: dict[int, FloatArray] = {}
@@ -65,7 +70,7 @@ class FactorGraph:
     @property
     def solver_seconds(self) -> float:
         """Time spent inside GTSAM."""
-        return self._solver.seconds
+        return self._calls.seconds
 
     @property
     def keyframes(self) -> IntArray:
@@ -121,8 +126,6 @@ class FactorGraph:
                 self._insert_keyframe(keyframe, T)
         for edge in edges if tie is None else (tie, *edges):
             self.add_edge(edge)
-        for observation in observations:
-            self._enter(observation.landmark, landmarks[observation.landmark])
         self.add_observations(observations)
         self.update()
 
@@ -182,7 +185,7 @@ class FactorGraph:
             T_shift = T_from @ edge.T_from_to @ invert(T_to)
         else:
             T_shift = T_to @ invert(edge.T_from_to) @ invert(T_from)
-        with self._solver.timed("the joining of two segments"):
+        with self._calls.doing("the joining of two segments"):
             values = self._moved(set(moved.tolist()), T_shift)
             self._solver.restart(values, self._relax_breaks(set(moved.tolist()), values))
         return number
@@ -215,6 +218,8 @@ class FactorGraph:
             pose = estimate.atPose3(X(keyframe))
             values.insert(X(keyframe), shift.compose(pose) if keyframe in keyframes else pose)
         for variable in self._landmarks.variables:
+            if not self._solver.holds_landmark(variable):
+                continue
             point = estimate.atPoint3(L(variable))
             is_kept = variable in stays or variable in self._known_positions
             values.insert(L(variable), point if is_kept else shift.transformFrom(point))
@@ -227,14 +232,22 @@ class FactorGraph:
         under-constrained. Observations nearer than ``MIN_RANGE_RANGES``, whose bearing is undefined, are passed over.
         """
         used = [each for each in observations if not np.linalg.norm(each.position) < self._min_range_m]
-        poses = {keyframe: self.pose(keyframe) for keyframe in dict.fromkeys(each.keyframe for each in used)}
         factors = bearing_range_factors([self._canonical(each) for each in used], self._config)
-        for observation, factor in zip(used, factors, strict=True):
-            T_map_body = poses[observation.keyframe]
+        for observation, factor, position in zip(used, factors, self._positions_map(used), strict=True):
             if observation.landmark not in self._landmarks:
-                self._enter(observation.landmark, apply(T_map_body, observation.position[None])[0])
-            self._landmarks.observe(observation.landmark, self._add(observation, factor))
+                self._enter(observation.landmark)
+            number = self._number(observation)
+            variable = self._landmarks.variable_of(observation.landmark)
+            self._solver.add_observation(number, factor, observation.keyframe, variable, position)
+            self._landmarks.observe(observation.landmark, number)
         return len(used)
+
+    def _positions_map(self, observations: Sequence[Observation]) -> FloatArray:
+        """Where observations (N,) put their landmarks, (N, 3) m in the map."""
+        poses = {keyframe: self.pose(keyframe) for keyframe in dict.fromkeys(each.keyframe for each in observations)}
+        T = np.array([poses[each.keyframe] for each in observations]).reshape(-1, 4, 4)
+        positions = np.array([each.position for each in observations]).reshape(-1, 3, 1)
+        return np.asarray((T[:, :3, :3] @ positions)[..., 0] + T[:, :3, 3])
 
     def observers(self) -> dict[int, set[int]]:
         """The keyframes that saw each landmark which has a variable of its own, those merged into it included."""
@@ -249,8 +262,8 @@ class FactorGraph:
         self._solver.remove(number)
         if isinstance(factor, Observation):
             unseen = self._landmarks.forget(factor.landmark, number)
-            if unseen is not None:
-                self._leave(unseen)
+            if unseen in self._landmark_priors:
+                self.remove_factor(self._landmark_priors.pop(unseen))
 
     def remove_landmark(self, landmark: int) -> None:
         """Take a landmark, with all that was merged into it, and all observations of it out of the graph.
@@ -291,28 +304,35 @@ class FactorGraph:
         variable = self._landmarks.variable_of(observation.landmark)
         return observation if variable == observation.landmark else replace(observation, landmark=variable)
 
-    def _enter(self, landmark: int, position_map: FloatArray) -> None:
-        """Take a landmark in, where it is not in the graph."""
-        if landmark in self._landmarks or not self._landmarks.enter(landmark):
+    def _enter(self, landmark: int) -> None:
+        """Take a landmark in that is not in the graph."""
+        if not self._landmarks.enter(landmark):
             return
         variable = self._landmarks.variable_of(landmark)
-        known, sigmas_m = self._known_positions.get(variable, (None, None))
-        self._solver.insert_landmark(variable, position_map if known is None else known)
-        if known is not None and sigmas_m is not None:
+        if variable in self._known_positions:
+            known, sigmas_m = self._known_positions[variable]
+            self._solver.insert_landmark(variable, known)
             self._landmark_priors[variable] = self._add(LandmarkPrior(variable, known, sigmas_m))
-
-    def _leave(self, variable: int) -> None:
-        if variable in self._landmark_priors:
-            self.remove_factor(self._landmark_priors.pop(variable))
-        self._solver.release_landmark(variable)
 
     def update(self) -> None:
         """Bring the incremental estimate up to date with all that was added and removed."""
         self._solver.update()
 
+    def settle(self) -> BatchSolver:
+        """End the incremental estimate: from now on all observations are used, and updates are steps in batch."""
+        self.update()
+        new = {
+            variable: last
+            for variable, numbers in self._landmarks.factors_of_variables()
+            if not self._solver.holds_landmark(variable) and isinstance(last := self.factors[numbers[-1]], Observation)
+        }
+        positions = self._positions_map(list(new.values()))
+        self._solver = settled = self._solver.settle(dict(zip(new, positions, strict=True)))
+        return settled
+
     def optimize(self) -> Optimization:
         """Solve the whole graph at once, from the incremental estimate."""
-        return self._solver.optimize()
+        return self.settle().optimize()
 
     def pose(self, keyframe: int) -> FloatArray:
         """``T_map_body`` (4, 4) of a keyframe."""
@@ -386,19 +406,19 @@ class FactorGraph:
 
     def _all_marginals(self) -> Marginals:
         """The covariances at the current estimate, computed once."""
-        values = self._solver.estimate()
+        values = self.settle().estimate()
         if self._marginals is None or self._marginals[0] is not values:
-            with self._solver.timed("the marginal covariances"):
+            with self._calls.doing("the marginal covariances"):
                 self._marginals = values, self._compute_marginals(values)
         return self._marginals[1]
 
     def _compute_marginals(self, values: gtsam.Values) -> Marginals:
         try:
-            records = [self.factors[number] for number in self._solver.numbers]
-            return compute_marginals(self._solver.isam.getFactorsUnsafe(), values, records, self._config)
+            records = [self.factors[number] for number in self.settle().numbers]
+            return compute_marginals(self.settle().graph, values, records, self._config)
         except np.linalg.LinAlgError as error:
             logger.info("the marginals come one by one from the incremental solver: %s", error)
-            return marginals_one_by_one(self._solver.isam, values)
+            return marginals_one_by_one(self.settle().graph, values)
 
     def _check_landmarks(self, landmarks: IntArray) -> None:
         variables = self._landmarks.variables
@@ -414,11 +434,14 @@ class FactorGraph:
         self._keyframes.append(keyframe)
 
     def _add(self, record: Factor, factor: gtsam.NonlinearFactor | None = None) -> int:
-        number = self._next_factor
+        number = self._number(record)
         self._solver.add(number, factor if factor is not None else self._factor(record))
-        self._next_factor += 1
-        self.factors[number] = record
         return number
+
+    def _number(self, record: Factor) -> int:
+        self._next_factor += 1
+        self.factors[self._next_factor - 1] = record
+        return self._next_factor - 1
 
     def _factor(self, record: Factor) -> gtsam.NonlinearFactor:
         match record:

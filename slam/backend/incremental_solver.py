@@ -1,51 +1,39 @@
-"""The solver: iSAM2 while the drive goes on, Levenberg-Marquardt at its end.
-
-Errors of GTSAM become ``FactorGraphError`` with the keyframe or landmark they concern.
-"""
+"""The solver while the drive goes on: iSAM2."""
 
 from __future__ import annotations
 
 import logging
-import re
-import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Mapping
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
+from slam.backend.batch_solver import BatchSolver, graph_of
 from slam.backend.estimates import Estimates, read_estimates
+from slam.backend.gtsam_calls import GtsamCalls, first_line
 from slam.common.arrays import FloatArray
 from slam.common.config import FactorGraphConfig
 from slam.common.errors import FactorGraphError
 
 logger = logging.getLogger(__name__)
 
-MAX_BATCH_ITERATIONS = 50
 RELINEARIZE_UNIT_RANGES = 1.0 / 30.0
 """Unit of length in which a position changes by as much as a rotation in radians, in sensor ranges."""
 
 
-@dataclass(frozen=True, slots=True)
-class Optimization:
-    """How the batch optimisation ended."""
-
-    converged: bool
-    iterations: int
-    error_before: float
-    error_after: float
-
-
 class IncrementalSolver:
-    """iSAM2 (Kaess et al. 2012), and what it takes in with its next update; ``seconds`` is the time inside GTSAM.
+    """iSAM2 (Kaess et al. 2012), and what it takes in with its next update.
 
-    Each factor has a number of the caller's, which never changes.
+    Each factor has a number of the caller's, which never changes. The observations from most keyframes wait for the
+    batch solution: neighbouring keyframes see the same landmarks, to which the local map has fitted them already, and
+    the memory of iSAM2 grows with the keyframes that are tied to many landmarks.
     """
 
-    def __init__(self, config: FactorGraphConfig, *, sensor_range_m: float) -> None:
+    def __init__(self, config: FactorGraphConfig, calls: GtsamCalls, *, sensor_range_m: float) -> None:
         self._config = config
+        self._calls = calls
         self._relinearize_unit_m = RELINEARIZE_UNIT_RANGES * sensor_range_m
         self._isam = self._new_isam("CHOLESKY")
         self._values: gtsam.Values | None = None
@@ -54,11 +42,18 @@ class IncrementalSolver:
         self._slots: dict[int, int] = {}
         self._removed_slots: list[int] = []
         self._leaving: set[int] = set()
-        self.seconds = 0.0
+        self._waiting: dict[int, gtsam.NonlinearFactor] = {}
+        self._landmark_of: dict[int, int] = {}  # by the number of the factor
+        self._uses: Counter[int] = Counter()  # factors of each landmark
 
     def holds_keyframe(self, keyframe: int) -> bool:
         """Whether a keyframe is among the variables."""
         return self._pending_values.exists(X(keyframe)) or self._isam.valueExists(X(keyframe))
+
+    def holds_landmark(self, landmark: int) -> bool:
+        """Whether a landmark is among the variables."""
+        is_held = self._isam.valueExists(L(landmark)) and landmark not in self._leaving
+        return is_held or self._pending_values.exists(L(landmark))
 
     def insert_keyframe(self, keyframe: int, T_map_body: gtsam.Pose3) -> None:
         """Add a keyframe, with its initial pose."""
@@ -71,35 +66,56 @@ class IncrementalSolver:
         else:
             self._pending_values.insert(L(landmark), position_map)
 
-    def release_landmark(self, landmark: int) -> None:
-        """A landmark without factors leaves."""
+    def add(self, number: int, factor: gtsam.NonlinearFactor) -> None:
+        """Add a factor between variables that are held."""
+        self._pending[number] = factor
+        for key in list(factor.keys()):
+            if gtsam.symbolChr(key) == ord("l"):
+                self._landmark_of[number] = gtsam.symbolIndex(key)
+                self._uses[self._landmark_of[number]] += 1
+
+    def add_observation(
+        self, number: int, factor: gtsam.NonlinearFactor, keyframe: int, landmark: int, position_map: FloatArray
+    ) -> None:
+        """Add an observation of a landmark, which has the position (3,) m if it is new; most only wait."""
+        if keyframe % self._config.observed_keyframes:
+            self._waiting[number] = factor
+            return
+        if not self.holds_landmark(landmark):
+            self.insert_landmark(landmark, position_map)
+        self.add(number, factor)
+
+    def remove(self, number: int) -> None:
+        """Take a factor out again; a landmark leaves with its last one."""
+        if number in self._waiting:
+            del self._waiting[number]
+        elif number in self._pending:
+            del self._pending[number]
+        else:
+            self._removed_slots.append(self._slots.pop(number))
+        landmark = self._landmark_of.pop(number, None)
+        if landmark is not None:
+            self._uses[landmark] -= 1
+            if not self._uses[landmark]:
+                self._release(landmark)
+
+    def _release(self, landmark: int) -> None:
         if self._pending_values.exists(L(landmark)):
             self._pending_values.erase(L(landmark))
         else:
             self._leaving.add(landmark)
 
-    def add(self, number: int, factor: gtsam.NonlinearFactor) -> None:
-        """Add a factor."""
-        self._pending[number] = factor
-
-    def remove(self, number: int) -> None:
-        """Take a factor out again."""
-        if number in self._pending:
-            del self._pending[number]
-        else:
-            self._removed_slots.append(self._slots.pop(number))
-
     def update(self) -> None:
         """Bring the incremental estimate up to date with all that was added and removed."""
         if not self._pending and not self._removed_slots:
             return
-        with self.timed("the incremental update"):
+        with self._calls.doing("the incremental update"):
             try:
-                new = _graph_of(self._pending)
+                new = graph_of(self._pending.values())
                 result = self._isam.update(new, self._pending_values, self._removed_slots)
                 numbers = list(self._pending)
             except RuntimeError as error:
-                logger.info("the incremental update failed (%s); solving afresh by QR", _first_line(error))
+                logger.info("the incremental update failed (%s); solving afresh by QR", first_line(error))
                 numbers = sorted([*self._slots, *self._pending])
                 # The failed update has taken the new variables in already.
                 result = self._start_over(self._factors(), self._isam.getLinearizationPoint(), "QR")
@@ -113,25 +129,20 @@ class IncrementalSolver:
         try:
             result = self._start_over(factors, values, "CHOLESKY")
         except RuntimeError as error:
-            logger.info("joining by Cholesky failed (%s); solving afresh by QR", _first_line(error))
+            logger.info("joining by Cholesky failed (%s); solving afresh by QR", first_line(error))
             result = self._start_over(factors, values, "QR")
         self._values = None
         self._slots = {}
         self._took_in(list(factors), result)
 
-    def optimize(self) -> Optimization:
-        """Solve the whole graph at once, from the incremental estimate, by Levenberg-Marquardt."""
+    def settle(self, landmarks: Mapping[int, FloatArray]) -> BatchSolver:
+        """The batch solver that goes on from here with all factors; positions (3,) m of ``landmarks`` not held yet."""
         self.update()
-        with self.timed("the batch optimisation"):
-            graph = self._isam.getFactorsUnsafe().clone()
-            parameters = gtsam.LevenbergMarquardtParams()
-            parameters.setMaxIterations(MAX_BATCH_ITERATIONS)
-            optimizer = gtsam.LevenbergMarquardtOptimizer(graph, self.estimate(), parameters)
-            error_before = optimizer.error()
-            self._values = optimizer.optimize()
-        return Optimization(
-            optimizer.iterations() < MAX_BATCH_ITERATIONS, optimizer.iterations(), error_before, optimizer.error()
-        )
+        values = gtsam.Values(self.estimate())
+        for landmark, position_map in landmarks.items():
+            values.insert(L(landmark), position_map)
+        factors = self._factors() | self._waiting
+        return BatchSolver({number: factors[number] for number in sorted(factors)}, values, self._calls)
 
     def pose(self, keyframe: int) -> FloatArray:
         """``T_map_body`` (4, 4) of a keyframe."""
@@ -142,13 +153,13 @@ class IncrementalSolver:
             raise FactorGraphError(f"keyframe {keyframe} is not in the graph")
         if self._values is not None:
             return np.asarray(self._values.atPose3(key).matrix())
-        with self.timed(f"the estimate of keyframe {keyframe}"):
+        with self._calls.doing(f"the estimate of keyframe {keyframe}"):
             return np.asarray(self._isam.calculateEstimatePose3(key).matrix())
 
     def estimate(self) -> gtsam.Values:
         """All variables as of the last update; iSAM2 computes those not queried before only here."""
         if self._values is None:
-            with self.timed("the estimate"):
+            with self._calls.doing("the estimate"):
                 self._values = self._isam.calculateEstimate()
         return self._values
 
@@ -156,29 +167,8 @@ class IncrementalSolver:
         """Where everything is as far as it is known now; nothing is solved for it."""
         return read_estimates(self.estimate(), self._pending_values)
 
-    @property
-    def isam(self) -> gtsam.ISAM2:
-        """The solver itself, as of the last update."""
-        return self._isam
-
-    @property
-    def numbers(self) -> list[int]:
-        """The factors of the last update, in the order in which the solver holds them."""
-        return sorted(self._slots, key=self._slots.__getitem__)
-
-    @contextmanager
-    def timed(self, doing: str) -> Iterator[None]:
-        """Measure the time inside GTSAM, and convert its exceptions to ``FactorGraphError``."""
-        started = time.perf_counter()
-        try:
-            yield
-        except (RuntimeError, ValueError, IndexError) as error:
-            raise FactorGraphError(f"{doing} failed{_variable_in(str(error))}: {_first_line(error)}") from error
-        finally:
-            self.seconds += time.perf_counter() - started
-
     def _factors(self) -> dict[int, gtsam.NonlinearFactor]:
-        """All factors in force, by their numbers, which ascend."""
+        """The factors that iSAM2 holds or takes in next, by their numbers, which ascend."""
         held = self._isam.getFactorsUnsafe()
         factors = {number: held.at(slot) for number, slot in self._slots.items()} | self._pending
         return {number: factors[number] for number in sorted(factors)}
@@ -191,7 +181,7 @@ class IncrementalSolver:
         One that eliminates by QR is slower than Cholesky, but it bears the poor conditioning of, say, a very sure
         odometry beside landmarks that the robust kernel has all but switched off.
         """
-        graph, kept = _graph_of(factors), gtsam.Values()
+        graph, kept = graph_of(factors.values()), gtsam.Values()
         for key in graph.keyVector():
             if gtsam.symbolChr(key) == ord("x"):
                 kept.insert(key, values.atPose3(key))
@@ -219,22 +209,3 @@ class IncrementalSolver:
         parameters.relinearizeSkip = self._config.relinearize_skip
         parameters.setFactorization(factorization)
         return gtsam.ISAM2(parameters)
-
-
-def _graph_of(factors: Mapping[int, gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
-    graph = gtsam.NonlinearFactorGraph()
-    for factor in factors.values():
-        graph.add(factor)
-    return graph
-
-
-def _variable_in(message: str) -> str:
-    """The keyframe or landmark that a GTSAM message names as a symbol, e.g. x12 or l7."""
-    found = re.search(r"\b([xl])(\d+)\b", message)
-    if found is None:
-        return ""
-    return f" at {'keyframe' if found[1] == 'x' else 'landmark'} {found[2]}"
-
-
-def _first_line(error: Exception) -> str:
-    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)

@@ -69,12 +69,19 @@ def compute_marginals(
     return Marginals(keys[points:], keys[:points], blocks[points:], blocks[:points, :POINT_SIZE, :POINT_SIZE].copy())
 
 
-def marginals_one_by_one(isam: gtsam.ISAM2, values: gtsam.Values) -> Marginals:
-    """Covariances as the incremental solver has them, which is slow, but bears a conditioning that others do not.
+def marginals_one_by_one(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Marginals:
+    """Covariances of all variables by elimination with QR, which is slow, but bears a conditioning that others do not.
 
     Raises:
         RuntimeError: GTSAM finds that a variable is not determined.
     """
+    parameters = gtsam.ISAM2Params()
+    parameters.setFactorization("QR")
+    isam, factors = gtsam.ISAM2(parameters), gtsam.NonlinearFactorGraph()
+    for place in range(graph.size()):
+        if graph.exists(place):
+            factors.add(graph.at(place))
+    isam.update(factors, values)
     keys = np.array(sorted(values.keys()), dtype=np.uint64)
     points = int(np.searchsorted(keys, np.uint64(X(0))))
     covariances = [np.asarray(isam.marginalCovariance(int(key))) for key in keys]

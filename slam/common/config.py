@@ -214,6 +214,11 @@ class FactorGraphConfig(_Branch):
     update_keyframes: int = Field(
         default=10, ge=1, description="keyframes between two updates of iSAM2; in between the local map goes on"
     )
+    observed_keyframes: int = Field(
+        default=4,
+        ge=1,
+        description="iSAM2 takes in the observations from one keyframe in so many; the batch solution takes in all",
+    )
 
 
 class SubmapConfig(_Branch):

@@ -18,7 +18,7 @@ from slam.common.config import FactorGraphConfig
 from slam.common.errors import FactorGraphError
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
 
-PLAIN = FactorGraphConfig(observation_kernel="none")
+PLAIN = FactorGraphConfig(observation_kernel="none", observed_keyframes=1)
 EDGE_COVARIANCE = np.diag(np.repeat([0.05**2, 0.2**2], 3))
 SEEN_COVARIANCE = 0.02**2 * np.eye(3)
 KEYFRAMES, LANDMARKS = 12, 15
@@ -106,7 +106,7 @@ def assert_same_estimate(a: FactorGraph, b: FactorGraph, atol: float = 1e-6) -> 
 
 @pytest.mark.parametrize("kernel", ["none", "huber", "cauchy"])
 def test_the_truth_is_recovered_from_initial_values_that_are_metres_off(kernel):
-    config = FactorGraphConfig(observation_kernel=kernel, observation_kernel_width=30.0)
+    config = FactorGraphConfig(observed_keyframes=1, observation_kernel=kernel, observation_kernel_width=30.0)
     assert worst_pose_error_m(build(noisy_edges(), [], config)) > 1.0
     graph = build(noisy_edges(), sightings(), config)
     optimization = graph.optimize()
@@ -142,13 +142,17 @@ def test_a_robust_kernel_holds_against_one_mirrored_observation():
     observations = sightings()
     observations[20] = replace(observations[20], position=observations[20].position * [1, -1, 1])
     exact = [edge(i, i + 1, invert(true_poses()[i]) @ true_poses()[i + 1]) for i in range(KEYFRAMES - 1)]
-    graph = build(exact, observations, FactorGraphConfig(observation_kernel="cauchy"))
+    graph = build(exact, observations, FactorGraphConfig(observation_kernel="cauchy", observed_keyframes=1))
     graph.optimize()
     assert_is_true(graph)
 
 
 def test_the_incremental_and_the_batch_estimate_agree():
-    graph = build(noisy_edges(), sightings(), FactorGraphConfig(observation_kernel="none", relinearize_skip=1))
+    graph = build(
+        noisy_edges(),
+        sightings(),
+        FactorGraphConfig(observation_kernel="none", observed_keyframes=1, relinearize_skip=1),
+    )
     before = graph.poses()
     rows = graph.landmarks
     landmarks_before = graph.landmark_positions(rows)
@@ -566,6 +570,19 @@ def test_a_keyframe_is_placed_by_the_better_estimate_until_the_next_update() -> 
     np.testing.assert_allclose(graph.pose(1), T[1], atol=1e-9)
     graph.update()
     np.testing.assert_allclose(graph.pose(1), T[0] @ noisy_edges()[0].T_from_to, atol=1e-4)
+
+
+def test_the_batch_solution_uses_the_observations_that_the_incremental_estimate_left_out() -> None:
+    sparse = PLAIN.model_copy(update={"observed_keyframes": KEYFRAMES})
+    graph, twin = (build(noisy_edges(), sightings(), config) for config in (sparse, PLAIN))
+    assert len(graph.estimates().landmarks) < len(twin.estimates().landmarks)
+    graph.optimize()
+    twin.optimize()
+    assert_is_true(graph)
+    np.testing.assert_allclose(graph.poses(), twin.poses(), atol=1e-4)
+    np.testing.assert_allclose(
+        graph.landmark_positions(graph.landmarks), twin.landmark_positions(twin.landmarks), atol=1e-3
+    )
 
 
 # Segments that a closure joins

@@ -29,7 +29,7 @@ class Drive:
     """A street driven twice, without objects; the second round may be another segment of the odometry."""
 
     def __init__(self, *, second_segment: int = 0) -> None:
-        graph = FactorGraph(FactorGraphConfig(observation_kernel="none"))
+        graph = FactorGraph(FactorGraphConfig(observation_kernel="none", observed_keyframes=1))
         self.keyframes: list[Keyframe] = []
         self.closures = AcceptedClosures(Config(), ObjectMap(AssociationConfig()), graph, self.keyframes)
         self.graph = graph

@@ -41,7 +41,7 @@ class Street:
     def __init__(self, *, pass_m: float = PASS_M, min_travel_m: float = 100.0) -> None:
         self.pass_m = pass_m
         self.map = ObjectMap(AssociationConfig())
-        self.graph = FactorGraph(FactorGraphConfig(observation_kernel="none"))
+        self.graph = FactorGraph(FactorGraphConfig(observation_kernel="none", observed_keyframes=1))
         self.keyframes: list[Keyframe] = []
         self.loops = ClosedLoops(self.map, self.graph, self.keyframes, min_travel_m=min_travel_m)
         self.graph.add_first_keyframe(0, pose(0.0))

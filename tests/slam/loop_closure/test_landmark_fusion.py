@@ -21,7 +21,10 @@ Seen = tuple[str, tuple[float, float, float], tuple[int, ...]]
 
 def mapped(landmarks: list[Seen], tentative: tuple[int, ...] = ()) -> tuple[ObjectMap, FactorGraph]:
     """A map of those landmarks, seen without noise along a straight street."""
-    object_map, graph = ObjectMap(AssociationConfig()), FactorGraph(FactorGraphConfig(observation_kernel="none"))
+    object_map, graph = (
+        ObjectMap(AssociationConfig()),
+        FactorGraph(FactorGraphConfig(observation_kernel="none", observed_keyframes=1)),
+    )
     T = transform_from_xyz_yaw(np.arange(KEYFRAMES)[:, None] * [2.0, 0.0, 0.0], np.zeros(KEYFRAMES))
     graph.add_first_keyframe(0, T[0])
     for k in range(1, KEYFRAMES):
@@ -94,7 +97,7 @@ def test_three_passes_make_one_landmark_and_what_stands_alone_stays() -> None:
 
 def test_what_stays_as_it_is_is_not_merged_among_itself() -> None:
     object_map, _ = mapped([FIRST, ("tree", (5.3, 3.8, 0.2), (3, 4))])
-    graph = FactorGraph(FactorGraphConfig())
+    graph = FactorGraph(FactorGraphConfig(observed_keyframes=1))
     T = np.tile(np.eye(4), (2, 1, 1))
     graph.add_fixed_map([0, 1], T, {0: np.array([5.0, 4, 0]), 1: np.array([5.3, 3.8, 0.2])})
     for row in (0, 1):

@@ -1,0 +1,147 @@
+"""The solver at the end of a drive: the whole graph at once, by Levenberg-Marquardt."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import L, X
+
+from slam.backend.estimates import Estimates, read_estimates
+from slam.backend.gtsam_calls import GtsamCalls
+from slam.common.arrays import FloatArray
+from slam.common.errors import FactorGraphError
+
+MAX_ITERATIONS = 50
+LEAST_DECREASE = 0.005
+"""Of the cost, in nats: the next step would move all variables together by a tenth of a standard deviation."""
+
+
+@dataclass(frozen=True, slots=True)
+class Optimization:
+    """How the batch optimisation ended."""
+
+    converged: bool
+    iterations: int
+    error_before: float
+    error_after: float
+
+
+class BatchSolver:
+    """All factors by their numbers, and the values of all variables, which ``update`` improves by one step."""
+
+    def __init__(self, factors: Mapping[int, gtsam.NonlinearFactor], values: gtsam.Values, calls: GtsamCalls) -> None:
+        self._factors = dict(factors)
+        self._values = values
+        self._calls = calls
+        self._uses = Counter(key for factor in factors.values() for key in _keys(factor))
+        self._is_changed = False
+
+    def holds_keyframe(self, keyframe: int) -> bool:
+        """Whether a keyframe is among the variables."""
+        return bool(self._values.exists(X(keyframe)))
+
+    def holds_landmark(self, landmark: int) -> bool:
+        """Whether a landmark is among the variables."""
+        return bool(self._values.exists(L(landmark)))
+
+    def insert_keyframe(self, keyframe: int, T_map_body: gtsam.Pose3) -> None:
+        """Add a keyframe, with its initial pose."""
+        self._values.insert(X(keyframe), T_map_body)
+
+    def insert_landmark(self, landmark: int, position_map: FloatArray) -> None:
+        """Add a landmark, with its initial position (3,) m."""
+        self._values.insert(L(landmark), position_map)
+
+    def add(self, number: int, factor: gtsam.NonlinearFactor) -> None:
+        """Add a factor."""
+        self._factors[number] = factor
+        self._uses.update(_keys(factor))
+        self._is_changed = True
+
+    def add_observation(
+        self, number: int, factor: gtsam.NonlinearFactor, _keyframe: int, landmark: int, position_map: FloatArray
+    ) -> None:
+        """Add an observation of a landmark, which has the position (3,) m if it is new."""
+        if not self.holds_landmark(landmark):
+            self.insert_landmark(landmark, position_map)
+        self.add(number, factor)
+
+    def remove(self, number: int) -> None:
+        """Take a factor out again; a variable leaves with its last one."""
+        for key in _keys(self._factors.pop(number)):
+            self._uses[key] -= 1
+            if not self._uses[key]:
+                self._values.erase(key)
+        self._is_changed = True
+
+    def update(self) -> None:
+        """Improve the values by one step, if anything changed."""
+        if self._is_changed:
+            with self._calls.doing("a step of the batch optimisation"):
+                self._optimize(1)
+
+    def restart(self, values: gtsam.Values, changed: Mapping[int, gtsam.NonlinearFactor]) -> None:
+        """Go on from other values, with other factors in the place of some."""
+        self._factors |= changed
+        self._values, self._is_changed = gtsam.Values(values), True
+        self.update()
+
+    def optimize(self) -> Optimization:
+        """Solve to the end."""
+        with self._calls.doing("the batch optimisation"):
+            return self._optimize(MAX_ITERATIONS)
+
+    def _optimize(self, max_iterations: int) -> Optimization:
+        parameters = gtsam.LevenbergMarquardtParams()
+        parameters.setMaxIterations(max_iterations)
+        parameters.setAbsoluteErrorTol(LEAST_DECREASE)
+        optimizer = gtsam.LevenbergMarquardtOptimizer(self.graph, self._values, parameters)
+        error_before = optimizer.error()
+        self._values = optimizer.optimize()
+        self._is_changed = False
+        iterations = optimizer.iterations()
+        return Optimization(iterations < max_iterations, iterations, error_before, optimizer.error())
+
+    def pose(self, keyframe: int) -> FloatArray:
+        """``T_map_body`` (4, 4) of a keyframe."""
+        if not self.holds_keyframe(keyframe):
+            raise FactorGraphError(f"keyframe {keyframe} is not in the graph")
+        return np.asarray(self._values.atPose3(X(keyframe)).matrix())
+
+    def estimate(self) -> gtsam.Values:
+        """All variables as of the last step."""
+        return self._values
+
+    def estimates(self) -> Estimates:
+        """All positions as of the last step."""
+        return read_estimates(self._values)
+
+    def settle(self, landmarks: Mapping[int, FloatArray]) -> BatchSolver:
+        """This one."""
+        return self
+
+    @property
+    def numbers(self) -> list[int]:
+        """The factors, in the order of ``graph``."""
+        return list(self._factors)
+
+    @property
+    def graph(self) -> gtsam.NonlinearFactorGraph:
+        """All factors."""
+        return graph_of(self._factors.values())
+
+
+def graph_of(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
+    """A graph of some factors, in their order."""
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in factors:
+        graph.add(factor)
+    return graph
+
+
+def _keys(factor: gtsam.NonlinearFactor) -> list[int]:
+    return list(factor.keys())
