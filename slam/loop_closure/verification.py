@@ -12,11 +12,10 @@ from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.geometry import apply, covariance_in_axes, invert
-from slam.localization.map_area import MapArea
-from slam.localization.pose_prior import PosePrior
 from slam.loop_closure.candidate import NOWHERE, Candidate, Query, Stage
 from slam.loop_closure.consistency import odometry_penalty, poses_agree
 from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratio, expected_log_likelihood_ratios
+from slam.loop_closure.query_priors import PASSED_RANGES, QueryPriors
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, gravity_frame
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
@@ -35,8 +34,6 @@ ALONG_TRACK_MATCH_RANGES = 1.5 / 30.0
 ALONG_TRACK_SHIFTS_TRIED = 4
 # Poses of a query in itself that are tried in the aliasing test, the identity among them.
 ALIASES_TRIED = 5
-# All objects so near to the path of the robot, in sensor ranges, have been seen when it has driven on for as long.
-PASSED_RANGES = 0.5
 
 
 class Verifier:
@@ -57,7 +54,9 @@ class Verifier:
         self._graph = graph
         self._keyframes = keyframes
         self._by_posterior = config.localization.method == "posterior"
-        self._area = MapArea(cell_m=MAX_REFERENCE_RANGES * self._sensor_range_m)
+        self._priors = QueryPriors(
+            config, track, graph, keyframes, cell_m=MAX_REFERENCE_RANGES * config.detection.sensor_range_m
+        )
 
     def latest_m(self, query: Query) -> float:
         """Travel up to which landmarks and keyframes may be the reference of a loop closure."""
@@ -221,14 +220,14 @@ class Verifier:
                 reference_submap,
                 T_local_gravity,
                 registration.pairs,
-                self._path(query),
+                self._priors.path(query),
                 radius_m=PASSED_RANGES * self._sensor_range_m,
                 seen=self._config.likelihood_ratio.detection_probability,
             )
             # Landmarks of the map are told from those of the query by their sign.
             rows = np.concatenate([rows, -1 - reference_submap.rows[passed]])
             ratios = np.concatenate([ratios, of_passed])
-            prior = self._prior(query, place, reference, seed_closure)
+            prior = self._priors.prior(query, place, reference, seed_closure)
             penalty = -prior.log_mass(T_local_gravity, covariance)
         return Candidate(
             query=query.keyframe.id,
@@ -249,40 +248,6 @@ class Verifier:
             retrieval_distance=place.retrieval_distance,
             seed_closure=seed_closure,
             rank=place.rank,
-        )
-
-    def _path(self, query: Query) -> FloatArray:
-        """Where the robot was (P, 3), in the frame of the query, so long ago that all around is mapped by now."""
-        latest_m = query.travel_m - PASSED_RANGES * self._sensor_range_m
-        earliest_m = query.travel_m - self._config.submap.travel_m
-        positions = list[FloatArray]()
-        for keyframe in reversed(self._keyframes[: query.keyframe.id]):
-            pose = keyframe.odometry
-            if pose.segment != query.keyframe.odometry.segment or pose.travel_m < earliest_m:
-                break
-            if pose.travel_m <= latest_m:
-                positions.append(keyframe.T_local_body[:3, 3])
-        return apply(invert(query.T_local_gravity), np.array(positions).reshape(-1, 3))
-
-    def _prior(self, query: Query, place: Place, reference: Keyframe, seed_closure: int) -> PosePrior:
-        """The prior of the query's pose: by the odometry since the seed closure, or else since the reference."""
-        self._area.cover(self._keyframes)
-        T_local_query = place.T_local_query
-        since = seed_closure
-        if seed_closure == NOWHERE:
-            since = reference.id
-            T_predicted = invert(self._graph.pose(reference.id)) @ self._graph.pose(query.keyframe.id)
-            T_gravity_body = invert(query.T_local_gravity) @ query.keyframe.T_local_body
-            T_local_query = gravity_frame(reference.T_local_body @ T_predicted @ invert(T_gravity_body))
-        sigma_m, sigma_rad = self._track.drift_sigmas(*sorted((since, query.keyframe.id)))
-        limits, inflation = self._config.loop_closure, self._config.odometry.inflation
-        travel_m = abs(query.travel_m - self._keyframes[since].odometry.travel_m)
-        return PosePrior(
-            T_local_query,
-            float(np.hypot(inflation * sigma_m, limits.base_sigma_m)),
-            float(np.hypot(inflation * sigma_rad, np.deg2rad(limits.base_sigma_deg))),
-            float(-np.expm1(-self._config.localization.failures_per_km * max(travel_m, 1.0) / 1000.0)),
-            self._area.area_m2,
         )
 
     def _covariance(self, registered: FloatArray) -> FloatArray:

@@ -1,0 +1,70 @@
+"""What is known of a query before it is registered: where the robot came from, and how far it may be from there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from slam.backend.factor_graph import FactorGraph
+from slam.common.arrays import FloatArray
+from slam.common.config import Config
+from slam.common.geometry import apply, invert
+from slam.localization.map_area import MapArea
+from slam.localization.pose_prior import PosePrior
+from slam.loop_closure.candidate import NOWHERE, Query
+from slam.object_map.submap import gravity_frame
+from slam.odometry.drift import KeyframeTrack
+from slam.odometry.keyframe import Keyframe
+from slam.place_recognition.place import Place
+
+PASSED_RANGES = 0.5
+"""All objects so near to the path of the robot, in sensor ranges, have been seen when it has driven on for as long."""
+
+
+class QueryPriors:
+    """Paths and priors of the poses of queries; ``cell_m`` is the resolution of the area that is mapped."""
+
+    def __init__(
+        self, config: Config, track: KeyframeTrack, graph: FactorGraph, keyframes: Sequence[Keyframe], *, cell_m: float
+    ) -> None:
+        self._config = config
+        self._sensor_range_m = config.detection.sensor_range_m
+        self._track = track
+        self._graph = graph
+        self._keyframes = keyframes
+        self._area = MapArea(cell_m=cell_m)
+
+    def path(self, query: Query) -> FloatArray:
+        """Where the robot was (P, 3), in the frame of the query, so long ago that all around is mapped by now."""
+        latest_m = query.travel_m - PASSED_RANGES * self._sensor_range_m
+        earliest_m = query.travel_m - self._config.submap.travel_m
+        positions = list[FloatArray]()
+        for keyframe in reversed(self._keyframes[: query.keyframe.id]):
+            pose = keyframe.odometry
+            if pose.segment != query.keyframe.odometry.segment or pose.travel_m < earliest_m:
+                break
+            if pose.travel_m <= latest_m:
+                positions.append(keyframe.T_local_body[:3, 3])
+        return apply(invert(query.T_local_gravity), np.array(positions).reshape(-1, 3))
+
+    def prior(self, query: Query, place: Place, reference: Keyframe, seed_closure: int) -> PosePrior:
+        """The prior of the query's pose: by the odometry since the seed closure, or else since the reference."""
+        self._area.cover(self._keyframes)
+        T_local_query = place.T_local_query
+        since = seed_closure
+        if seed_closure == NOWHERE:
+            since = reference.id
+            T_predicted = invert(self._graph.pose(reference.id)) @ self._graph.pose(query.keyframe.id)
+            T_gravity_body = invert(query.T_local_gravity) @ query.keyframe.T_local_body
+            T_local_query = gravity_frame(reference.T_local_body @ T_predicted @ invert(T_gravity_body))
+        sigma_m, sigma_rad = self._track.drift_sigmas(*sorted((since, query.keyframe.id)))
+        limits, inflation = self._config.loop_closure, self._config.odometry.inflation
+        travel_m = abs(query.travel_m - self._keyframes[since].odometry.travel_m)
+        return PosePrior(
+            T_local_query,
+            float(np.hypot(inflation * sigma_m, limits.base_sigma_m)),
+            float(np.hypot(inflation * sigma_rad, np.deg2rad(limits.base_sigma_deg))),
+            float(-np.expm1(-self._config.localization.failures_per_km * max(travel_m, 1.0) / 1000.0)),
+            self._area.area_m2,
+        )
