@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
+import time
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import gtsam
@@ -11,13 +14,43 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from slam.backend.estimates import Estimates, read_estimates
-from slam.backend.gtsam_calls import GtsamCalls
 from slam.common.arrays import FloatArray
 from slam.common.errors import FactorGraphError
 
 MAX_ITERATIONS = 50
 LEAST_DECREASE = 0.005
 """Of the cost, in nats: the next step would move all variables together by a tenth of a standard deviation."""
+
+
+class GtsamCalls:
+    """Measures the time inside GTSAM, ``seconds``, and converts its exceptions to ``FactorGraphError``."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+
+    @contextmanager
+    def doing(self, what: str) -> Iterator[None]:
+        """The block calls GTSAM for ``what``, which goes into the error with the keyframe or landmark it concerns."""
+        started = time.perf_counter()
+        try:
+            yield
+        except (RuntimeError, ValueError, IndexError) as error:
+            raise FactorGraphError(f"{what} failed{_variable_in(str(error))}: {first_line(error)}") from error
+        finally:
+            self.seconds += time.perf_counter() - started
+
+
+def first_line(error: Exception) -> str:
+    """The first line of what an exception says."""
+    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
+
+
+def _variable_in(message: str) -> str:
+    """The keyframe or landmark that a GTSAM message names as a symbol, e.g. x12 or l7."""
+    found = re.search(r"\b([xl])(\d+)\b", message)
+    if found is None:
+        return ""
+    return f" at {'keyframe' if found[1] == 'x' else 'landmark'} {found[2]}"
 
 
 @dataclass(frozen=True, slots=True)

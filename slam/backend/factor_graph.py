@@ -11,7 +11,7 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from logs.messages import FactorGraphRecord
-from slam.backend.batch_solver import BatchSolver, Optimization
+from slam.backend.batch_solver import BatchSolver, GtsamCalls, Optimization
 from slam.backend.estimates import Estimates
 from slam.backend.factors import (
     MIN_RANGE_RANGES,
@@ -29,7 +29,6 @@ from slam.backend.factors import (
     map_frame_factor,
     prior_factor,
 )
-from slam.backend.gtsam_calls import GtsamCalls
 from slam.backend.incremental_solver import IncrementalSolver
 from slam.backend.marginals import Marginals, compute_marginals, marginals_one_by_one
 from slam.backend.observed_landmarks import ObservedLandmarks

@@ -10,9 +10,8 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from slam.backend.batch_solver import BatchSolver, graph_of
+from slam.backend.batch_solver import BatchSolver, GtsamCalls, first_line, graph_of
 from slam.backend.estimates import Estimates, read_estimates
-from slam.backend.gtsam_calls import GtsamCalls, first_line
 from slam.common.arrays import FloatArray
 from slam.common.config import FactorGraphConfig
 from slam.common.errors import FactorGraphError
