@@ -348,9 +348,8 @@ class FactorGraph:
 
     def landmark_positions(self, landmarks: IntArray) -> FloatArray:
         """Positions (N, 3) m in the map of landmarks that are in the graph."""
-        self.update()
         self._check_landmarks(landmarks)
-        values = self._solver.estimate()
+        values = self.settle().estimate()
         return np.array([values.atPoint3(L(int(i))) for i in landmarks]).reshape(-1, 3)
 
     def estimates(self) -> Estimates:
