@@ -76,3 +76,10 @@ def test_freedom_to_move_the_pose_is_paid_for():
     narrow, wide = align(np.eye(4), 0, (0.1, 0.01)), align(np.eye(4), 0, (1.0, 0.1))
     assert wide.log_likelihood_ratio < narrow.log_likelihood_ratio < held + 3.0
     assert wide.log_likelihood_ratio < held
+
+
+def test_a_prior_as_certain_as_the_scan_is_met_half_way():
+    sigma_m = NOISE_M * float(np.sqrt(2.0 / OBJECTS))
+    off = turned((0.06, 0.0), 0.0)
+    alone, held = align(off, 1, (1.0, 1e-6)), align(off, 1, (sigma_m, 1e-6))
+    assert held.T_correction[0, 3] == pytest.approx(0.5 * alone.T_correction[0, 3], rel=0.01)

@@ -82,3 +82,12 @@ def test_corrections_change_the_velocity_by_as_much_as_they_are_certain():
         speeds.append(float(motion.velocity[0]) - before)
         np.testing.assert_array_equal(motion.predict(stamp_ns), faster)
     assert speeds[0] > 2.0 * speeds[1] > 10.0 * speeds[2] > 0.0
+
+
+def test_a_slow_body_that_repeats_its_pose_is_no_more_usual_than_a_fast_one():
+    slow = ExpectedMotion(RANGE_M)
+    for step in range(2 * LEAST_STEPS):
+        slow.add(step * 10**9, transform_from_xyz_yaw(np.array([0.05 * step, 0.0, 0.0]), 0.0))
+    last = transform_from_xyz_yaw(np.array([0.05 * (2 * LEAST_STEPS - 1), 0.0, 0.0]), 0.0)
+    assert not slow.is_usual(2 * LEAST_STEPS * 10**9, last)
+    assert slow.is_usual(2 * LEAST_STEPS * 10**9, last @ transform_from_xyz_yaw(np.array([0.01, 0.0, 0.0]), 0.0))
