@@ -119,7 +119,7 @@ class Slam:
         self._arrivals = 0
         self._odometry_offset_ns = round(config.odometry.time_offset_s * 1e9)
         self._time_offset_ns = round(config.detection.time_offset_s * 1e9)
-        self._last_scan_ns = -1
+        self._last_scan_ns = self._judged_ns = -1
         self._last_scan_frames: set[str] = set()
         self._body_frame = ""
         self._odom_frame = ""
@@ -247,6 +247,7 @@ class Slam:
         self._body_frame, self._odom_frame = odometry.child_frame_id, odometry.frame_id
         updates = [update for pose in self._track.add(odometry) for update in self._step(pose)]
         while (step := self._track.unexpected) is not None and (way := self._way_on(step)) is not None:
+            self._judged_ns = -1
             updates += [update for pose in self._track.resolve(*way) for update in self._step(pose)]
         return updates + self._map_waiting_scans()
 
@@ -254,7 +255,9 @@ class Slam:
         """How the odometry goes on at an unexpected step, by the next scan; None while that is to come."""
         first_ns, last_ns = step.span_ns
         for stamp_ns, _, detections in sorted(self._waiting, key=lambda waiting: waiting[:2]):
-            if not first_ns <= stamp_ns <= last_ns or len(detections.positions) == 0 or not self._mapper.keyframes:
+            if not max(first_ns, self._judged_ns + 1) <= stamp_ns <= last_ns or not self._mapper.keyframes:
+                continue
+            if len(detections.positions) == 0:
                 continue
             poses = step.at(stamp_ns)
             T_body_sensor = self._sensor_pose(detections, poses[Continuation.REPORTED])
@@ -262,14 +265,17 @@ class Slam:
                 continue
             up_body = poses[Continuation.REPORTED].T_odom_body[2, :3]
             scan = make_scan(detections, T_body_sensor, self._config.detection, up_body)
-            reported = self._mapper.log_likelihood_ratio(scan, poses[Continuation.REPORTED])
-            if Continuation.EXPECTED not in poses:
-                return decide(step, {Continuation.REPORTED: reported}), None
-            expected = replace(poses[Continuation.REPORTED], T_odom_body=poses[Continuation.EXPECTED].T_odom_body)
-            aligned = self._mapper.align(scan, expected, step.tolerances)
-            ratios = {Continuation.REPORTED: reported, Continuation.EXPECTED: aligned.log_likelihood_ratio}
+            ratios = {Continuation.REPORTED: self._mapper.log_likelihood_ratio(scan, poses[Continuation.REPORTED])}
+            correction = None
+            if Continuation.EXPECTED in poses:
+                expected = replace(poses[Continuation.REPORTED], T_odom_body=poses[Continuation.EXPECTED].T_odom_body)
+                aligned = self._mapper.align(scan, expected, step.tolerances)
+                ratios[Continuation.EXPECTED] = aligned.log_likelihood_ratio
+                correction = Correction(aligned.T_correction, aligned.variances)
             way = decide(step, ratios)
-            return way, Correction(aligned.T_correction, aligned.variances) if way is Continuation.EXPECTED else None
+            if way is not None:
+                return way, correction if way is Continuation.EXPECTED else None
+            self._judged_ns = stamp_ns
         return (step.default, None) if step.is_overdue else None
 
     def _step(self, pose: OdometryPose) -> list[Record]:

@@ -61,19 +61,21 @@ def in_a_crowd(config: AssociationConfig, predicted: Prediction, covariances: Fl
     return config.model_copy(update={"new_object_density": _density(predicted, covariances)})
 
 
-def decide(step: UnexpectedStep, log_likelihood_ratios: Mapping[Continuation, float]) -> Continuation:
-    """How the track goes on; ``step.default`` where the detections do not tell.
+def decide(step: UnexpectedStep, log_likelihood_ratios: Mapping[Continuation, float]) -> Continuation | None:
+    """How the track goes on; ``step.default`` where the detections do not tell, None where the next ones will.
 
-    An odometry that repeats one pose to the last digit while the body should move is taken to be frozen, unless the
-    detections show that the body has stopped.
+    An odometry that repeats one pose to the last digit may be right or frozen, which shows the farther the body should
+    be by now. Once it was found to be frozen, it is until the detections show that the body has stopped.
     """
     margin = float(np.log(DECIDED / (1.0 - DECIDED)))
     reported = log_likelihood_ratios[Continuation.REPORTED]
     expected = log_likelihood_ratios.get(Continuation.EXPECTED, -np.inf)
     if expected > max(reported, 0.0) + margin:
         return Continuation.EXPECTED
-    if step.is_frozen and expected > max(reported, 0.0) - margin:
+    if step.is_frozen and step.goes_on_frozen and expected > max(reported, 0.0) - margin:
         return Continuation.EXPECTED
+    if step.is_frozen and not step.goes_on_frozen and abs(expected - reported) <= margin:
+        return None
     return Continuation.REPORTED if reported > margin else step.default
 
 

@@ -136,7 +136,9 @@ class OdometryTrack:
                 frozen_velocity = self._motion.velocity
         is_overdue = last.stamp_ns - first.stamp_ns > self._config.max_gap_s * 1e9 or len(self._held) >= HISTORY
         default = Continuation.BROKEN if self._is_beyond_limits(first) else Continuation.REPORTED
-        return UnexpectedStep(tuple(self._held), poses, default, is_overdue, tolerances, frozen_velocity)
+        return UnexpectedStep(
+            tuple(self._held), poses, default, is_overdue, tolerances, frozen_velocity, self._is_frozen
+        )
 
     def resolve(self, continuation: Continuation, correction: Correction | None = None) -> list[OdometryPose]:
         """Go on after an unexpected step; returns the poses that this adds. Another such step may be among them.
@@ -191,8 +193,8 @@ class OdometryTrack:
     def _take(self, odometry: Odometry) -> list[OdometryPose]:
         if self._held:
             if len(self._held) == 1 and self._is_wild(self._held[0], odometry):
+                self._counters["odometry_wild"] += not self._repeats(self._held[0])
                 self._held = []
-                self._counters["odometry_wild"] += 1
                 return [self._append(odometry, is_usual=True)]
             self._held.append(odometry)
             return []
@@ -247,7 +249,7 @@ class OdometryTrack:
             if correction is not None or self._is_frozen:
                 variances = np.zeros(2) if correction is None else correction.variances
                 self._motion.correct(odometry.stamp_ns, T_odom_body, variances)
-            elif breaks or not is_usual:
+            elif breaks or not (is_usual or self._repeats(odometry)):
                 self._motion.restart(odometry.stamp_ns, T_odom_body)
             else:
                 self._motion.add(odometry.stamp_ns, T_odom_body)

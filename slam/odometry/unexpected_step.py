@@ -43,7 +43,8 @@ class UnexpectedStep:
     ``first_poses`` has the pose of the first message if the odometry is right, and if the body went on as before where
     that can be said, with how far off (2,), in metres and radians, that may be; ``default``: how the track goes on if
     the detections do not tell; ``is_overdue``: they are late. ``frozen_velocity`` (6,): the twist at which the body
-    should go on where the messages only repeat the last pose.
+    should go on where the messages only repeat the last pose; ``goes_on_frozen``: they did so before, and the body
+    moved.
     """
 
     messages: tuple[Odometry, ...]
@@ -52,6 +53,7 @@ class UnexpectedStep:
     is_overdue: bool
     tolerances: FloatArray = field(default_factory=lambda: np.zeros(2))
     frozen_velocity: FloatArray | None = None
+    goes_on_frozen: bool = False
 
     @property
     def is_frozen(self) -> bool:

@@ -71,8 +71,18 @@ def test_the_last_velocity_may_not_be_known():
 
 
 @pytest.mark.parametrize(
-    ("reported", "expected", "way"), [(20.0, 20.0, EXPECTED), (30.0, 20.0, REPORTED), (-10.0, -20.0, BROKEN)]
+    ("reported", "expected", "known", "way"),
+    [
+        (20.0, 20.0, True, EXPECTED),
+        (30.0, 20.0, True, REPORTED),
+        (-10.0, -20.0, True, BROKEN),
+        (20.0, 22.0, False, None),
+        (20.0, 18.0, False, None),
+        (20.0, 30.0, False, EXPECTED),
+        (30.0, 20.0, False, REPORTED),
+    ],
 )
-def test_a_frozen_odometry_is_believed_only_if_the_body_has_stopped(reported, expected, way):
-    step = UnexpectedStep((), {}, BROKEN, False, frozen_velocity=np.array([5.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+def test_whether_an_odometry_that_repeats_a_pose_is_frozen_may_show_later(reported, expected, known, way):
+    velocity = np.array([5.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    step = UnexpectedStep((), {}, BROKEN, False, frozen_velocity=velocity, goes_on_frozen=known)
     assert decide(step, {REPORTED: reported, EXPECTED: expected}) is way

@@ -194,3 +194,22 @@ def test_a_frozen_odometry_stays_so_while_the_body_stands_until_it_reports_motio
             track.resolve(Continuation.REPORTED)
     track.add(Odometry(message(120).stamp_ns, message(99).T_odom_body @ moved))
     assert track.unexpected is None
+
+
+def test_one_repeated_pose_is_left_out_and_no_fault():
+    track, counters = frozen(steps=1)
+    (pose,) = track.add(message(101))
+    np.testing.assert_array_equal(pose.T_odom_body, message(101).T_odom_body)
+    assert counters["odometry_wild"] == counters["odometry_frozen"] == 0
+
+
+def test_a_body_that_has_stopped_at_once_may_do_so_again():
+    track, _ = frozen(steps=2)
+    assert not track.unexpected.goes_on_frozen
+    for _ in range(2):
+        if track.unexpected is not None:
+            track.resolve(Continuation.REPORTED)
+    assert track.unexpected is None
+    for step in range(102, 110):
+        track.add(Odometry(message(step).stamp_ns, message(99).T_odom_body))
+        assert track.unexpected is None
