@@ -326,7 +326,8 @@ def _calibrate(
         return Calibration(config)
     records = inputs.prepare(entry.record for entry in reader.records(selection))
     with threadpool_limits(1, user_api="blas"):
-        return calibrate(config, survey(records, config.detection, frames))
+        found = survey(records, config.detection, frames, max_classes=config.association.max_classes)
+        return calibrate(config, found)
 
 
 def _about_calibration(calibration: Calibration) -> dict[str, str]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from logs.messages import ObjectDetections, Odometry, Record, Transform
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import DetectionConfig
+from slam.common.config import AssociationConfig, DetectionConfig
 from slam.common.geometry import apply, interpolate, invert, transform_from_xyz_yaw, yaw_rad
 from slam.frontend.scan import is_wanted
 from slam.frontend.sensor_frames import SensorFrames, corrected
@@ -23,6 +23,7 @@ from slam.self_calibration.variance_components import ComponentEstimate, Motion,
 
 MAX_DETECTIONS = 150_000
 """The survey ends after that many detections; what it estimates has converged by then."""
+MAX_CLASSES = int(AssociationConfig.model_fields["max_classes"].get_default())
 RANGE_QUANTILE = 0.95
 FAR_OFF = 100.0
 """Detections beyond so many median ranges are no measurements."""
@@ -65,12 +66,19 @@ class Survey:
     turned_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-def survey(records: Iterable[Record], config: DetectionConfig, frames: SensorFrames | None = None) -> Survey | None:
+def survey(
+    records: Iterable[Record],
+    config: DetectionConfig,
+    frames: SensorFrames | None = None,
+    *,
+    max_classes: int = MAX_CLASSES,
+) -> Survey | None:
     """The survey of the records of a log, in its order; None where no detection could be placed on the odometry.
 
     ``frames``: where the sensors sit, as far as it is known already; transforms among the records add to it.
+    ``max_classes``: all labels beyond so many are one, as they are in the map.
     """
-    gathered = _Gathered(frames or SensorFrames())
+    gathered = _Gathered(frames or SensorFrames(), max_classes)
     for record in records:
         if gathered.add(record) >= MAX_DETECTIONS:
             break
@@ -188,7 +196,8 @@ def _claimed_ratio(tracks: ObjectTracks, estimate: ComponentEstimate | None) -> 
 class _Gathered:
     """The records of a log that a survey needs."""
 
-    def __init__(self, frames: SensorFrames) -> None:
+    def __init__(self, frames: SensorFrames, max_classes: int) -> None:
+        self._max_classes = max_classes
         self._odometry: list[Odometry] = []
         self._detections: list[ObjectDetections] = []
         self._frames = frames
@@ -224,6 +233,7 @@ class _Gathered:
             if T_body_sensor is None:
                 continue
             scans.append(_upright_scan(detections, T, corrected(T_body_sensor, config), vocabulary, config))
+            np.minimum(scans[-1].labels, self._max_classes - 1, out=scans[-1].labels)
         return _without_far_off(scans)
 
     def motion(self, scans: list[SurveyScan], delay_s: float) -> BodyMotion:

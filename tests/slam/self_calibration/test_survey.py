@@ -177,3 +177,9 @@ def test_a_sensor_that_is_turned_is_turned_back(yaw_deg):
 def test_an_angle_that_was_set_by_hand_is_kept():
     found = survey(turned_records(25.0), DetectionConfig(assume_body_frame=True, yaw_deg=5.0))
     assert found.turned_deg == pytest.approx((0.0, 0.0, 5.0))
+
+
+def test_labels_beyond_the_most_classes_are_one_class():
+    records = straight(labels=["tree", "lamp", "sign"])
+    assert np.isnan(survey(records, CONFIG, max_classes=3).spacing_m)
+    assert np.isfinite(survey(records, CONFIG, max_classes=2).spacing_m)
