@@ -38,6 +38,7 @@ ELSEWHERE = {
     r"^view map\.mcap$|--view|\.rrd": "needs Rerun or opens a window; tests/slam/display draws without one",
     r"^--": "acts on the shell of who types it",
     r"my_package": "tests/descriptors/test_registry.py has a class",
+    r"relocalize .*trees_map|places.csv": "the drives have no satellite fixes; tests/slam/localization/test_gnss.py",
     r"^train|out/mine": "takes minutes; tests/tools/test_train.py",
 }
 """Commands that are run by other tests, and where."""

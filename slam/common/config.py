@@ -212,7 +212,7 @@ class FactorGraphConfig(_Branch):
     )
     relinearize_skip: int = Field(default=10, ge=1, description="iSAM2: updates between checks for relinearisation")
     update_keyframes: int = Field(
-        default=10, ge=1, description="keyframes between two updates of iSAM2; in between the local map goes on"
+        default=5, ge=1, description="keyframes between two updates of iSAM2; in between the local map goes on"
     )
     observed_keyframes: int = Field(
         default=4,

@@ -104,4 +104,3 @@ def test_without_a_world_it_goes_through_a_generated_town(dslam: Run, monkeypatc
     result = dslam("benchmark", "relocalization", "--kidnaps", 1, "--max-travel", 10, "--json")
     assert result.code == 0
     assert json.loads(result.out)["world"] == town.name
-    assert_refused(dslam("benchmark", "relocalization", "--map", "map.mcap"), "--map")

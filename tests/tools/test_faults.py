@@ -92,7 +92,7 @@ class TestBenchmark:
         result = dslam("benchmark", "faults", tiny, "--only", "labels_case", "--json", "--set", "keyframe.distance_m=1")
         told = json.loads(result.out)
         assert [run["fault"] for run in told["runs"]] == ["none", "labels_case"]
-        assert all(run["ate_m"] is not None and run["told"] for run in told["runs"])
+        assert all(run["ate_m"] is not None and run["reported"] for run in told["runs"])
 
     def test_refusals(self, dslam: Run, tiny: Path, tmp_path: Path) -> None:
         benchmark = ("benchmark", "faults", tiny)
