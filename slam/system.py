@@ -267,7 +267,7 @@ class Slam:
             scan = make_scan(detections, T_body_sensor, self._config.detection, up_body)
             ratios = {Continuation.REPORTED: self._mapper.log_likelihood_ratio(scan, poses[Continuation.REPORTED])}
             correction = None
-            if Continuation.EXPECTED in poses:
+            if Continuation.EXPECTED in poses and self._mapper.can_align(step.tolerances):
                 expected = replace(poses[Continuation.REPORTED], T_odom_body=poses[Continuation.EXPECTED].T_odom_body)
                 aligned = self._mapper.align(scan, expected, step.tolerances)
                 ratios[Continuation.EXPECTED] = aligned.log_likelihood_ratio

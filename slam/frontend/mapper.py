@@ -143,6 +143,11 @@ class Mapper:
             self._config.association,
         )
 
+    def can_align(self, tolerances: FloatArray) -> bool:
+        """Whether objects are told apart from a pose that may be off by ``tolerances`` (2,) m and rad."""
+        farthest_m = tolerances[0] + tolerances[1] * self._config.detection.sensor_range_m
+        return bool(farthest_m < self._config.association.confusion_distance_m)
+
     def align(self, scan: Scan, pose: OdometryPose, tolerances: FloatArray) -> Alignment:
         """The scan aligned with the landmarks around, from an expected pose that may be off by ``tolerances`` (2,) m
         and rad; the correction is in the frame of the odometry.

@@ -65,3 +65,12 @@ def test_where_the_odometry_freezes_the_landmarks_tell_the_motion(log, clean_ate
     assert ate_m < 1.5 * clean_ate_m + 0.05
     assert counters["odometry_frozen"] > 10
     assert counters.get("odometry_breaks", 0) == 0
+
+
+@pytest.mark.slow
+def test_a_pause_of_ten_seconds_is_no_jump(log, clean_ate_m, tmp_path):
+    faulty = tmp_path / "faulty.mcap"
+    write_faulty(log, faulty, parse_faults(["odometry_pause=9"]), seed=0)
+    ate_m, counters = mapped(faulty, tmp_path / "mapped.mcap")
+    assert ate_m < 2.0 * clean_ate_m + 0.1
+    assert counters.get("kidnappings_detected", 0) == 0

@@ -312,3 +312,9 @@ def test_the_pose_in_the_local_map_is_never_much_more_uncertain_than_over_ten_se
     over_300_m = sigmas[150]
     assert over_300_m > 20.0
     assert max(sigmas) < 1.1 * over_300_m
+
+
+@pytest.mark.parametrize(("tolerances", "can"), [((0.3, 0.03), True), ((4.0, 0.0), False), ((0.0, 0.2), False)])
+def test_a_scan_is_aligned_only_from_where_its_objects_cannot_be_confused(tolerances, can):
+    bench = Bench(association={"confusion_distance_m": 3.0}, detection={"sensor_range_m": 30.0})
+    assert bench.mapper.can_align(np.array(tolerances)) is can
