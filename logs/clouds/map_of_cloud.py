@@ -75,5 +75,5 @@ def _instances(cloud: LabelledCloud) -> list[int]:
     """The class of each instance; of a cloud without instances, of each class once."""
     instances = cloud.instances if cloud.instances is not None else np.zeros(len(cloud.classes), dtype=np.int64)
     pairs = np.unique(np.stack([cloud.classes, instances], axis=1), axis=0)
-    told = pairs[pairs[:, 1] != 0] if cloud.instances is not None else pairs
-    return [int(number) for number in told[:, 0]]
+    labelled = pairs[pairs[:, 1] != 0] if cloud.instances is not None else pairs
+    return [int(number) for number in labelled[:, 0]]
