@@ -34,10 +34,10 @@ from slam.common.config_tree import CHANGED_SETTINGS, changed_settings
 from slam.common.errors import InputDataError, SavedMapError
 from slam.common.georeference import Georeference
 from slam.display.drive_display import FRAMES, DriveDisplay
-from slam.frontend.input_records import InputRecords
-from slam.frontend.label_map import LabelMap
-from slam.frontend.scan_objects import ScanObjects
-from slam.frontend.sensor_frames import SensorFrames
+from slam.frontend.input.input_records import InputRecords
+from slam.frontend.input.label_map import LabelMap
+from slam.frontend.input.scan_objects import ScanObjects
+from slam.frontend.input.sensor_frames import SensorFrames
 from slam.localization.gnss import find_georeference
 from slam.localization.mirrored_map import is_mirrored
 from slam.localization.prior_map import PriorMap

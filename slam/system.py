@@ -35,9 +35,9 @@ from slam.common.errors import FactorGraphError, InputDataError
 from slam.common.geometry import invert
 from slam.display.snapshot import MapSnapshot, take_snapshot
 from slam.frontend.continuity import decide
+from slam.frontend.input.sensor_frames import SensorFrames, corrected
 from slam.frontend.mapper import Mapper
 from slam.frontend.scan import make_scan
-from slam.frontend.sensor_frames import SensorFrames, corrected
 from slam.localization.gnss import GnssPrior
 from slam.localization.prior_map import PriorMap, restore, restore_map_frame, with_heights_of
 from slam.localization.state import Fix, State

@@ -11,7 +11,7 @@ import typer
 from tools.arguments import Json, check_outputs
 
 if TYPE_CHECKING:
-    from slam.backend.pose_graph_optimization import PoseGraphSolution
+    from slam.backend.pose_graph.pose_graph_optimization import PoseGraphSolution
 
 NOT_CONVERGED = 1
 
@@ -40,7 +40,7 @@ def optimize(
     check_outputs([output, weights], [source])
     import numpy as np
 
-    from slam.backend.pose_graph_optimization import optimize_pose_graph
+    from slam.backend.pose_graph.pose_graph_optimization import optimize_pose_graph
     from slam.formats.g2o import read_pose_graph, write_lines, write_pose_graph
     from tools import console
 

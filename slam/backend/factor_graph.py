@@ -12,6 +12,7 @@ from gtsam.symbol_shorthand import L, X
 
 from logs.messages import FactorGraphRecord
 from slam.backend.batch_solver import BatchSolver, GtsamCalls, Optimization
+from slam.backend.covariance.marginals import Marginals, compute_marginals, marginals_one_by_one
 from slam.backend.estimates import Estimates
 from slam.backend.factors import (
     MIN_RANGE_RANGES,
@@ -30,7 +31,6 @@ from slam.backend.factors import (
     prior_factor,
 )
 from slam.backend.incremental_solver import IncrementalSolver
-from slam.backend.marginals import Marginals, compute_marginals, marginals_one_by_one
 from slam.backend.observed_landmarks import ObservedLandmarks
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import DetectionConfig, FactorGraphConfig

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.backend.factors import EdgeKind
-from slam.backend.pose_graph import PoseGraph, make_pose_graph
-from slam.backend.pose_graph_optimization import optimize_pose_graph
+from slam.backend.pose_graph.pose_graph import PoseGraph, make_pose_graph
+from slam.backend.pose_graph.pose_graph_optimization import optimize_pose_graph
 from slam.benchmarks.false_closures import KINDS, Closures, make_true_closures
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import EvaluationError

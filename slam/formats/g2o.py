@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from logs.errors import UnwritableLogError
-from slam.backend.pose_graph import PoseGraph, make_pose_graph
+from slam.backend.pose_graph.pose_graph import PoseGraph, make_pose_graph
 from slam.common.arrays import FloatArray
 from slam.common.errors import InputDataError
 from slam.common.geometry import make_transform

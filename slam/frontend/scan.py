@@ -11,7 +11,7 @@ from logs.messages import ObjectDetections
 from slam.common.arrays import FloatArray
 from slam.common.config import DetectionConfig
 from slam.common.geometry import apply
-from slam.frontend.label_map import DROPPED
+from slam.frontend.input.label_map import DROPPED
 
 UPRIGHT = np.array([0.0, 0.0, 1.0])
 """The vertical in the axes of a body that does not lean."""

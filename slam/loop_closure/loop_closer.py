@@ -17,13 +17,13 @@ from slam.common.arrays import IntArray
 from slam.common.config import Config
 from slam.common.geometry import invert
 from slam.localization.continuity_monitor import ContinuityMonitor, recent_landmarks
-from slam.loop_closure.acceptance import Acceptance
+from slam.loop_closure.acceptance.acceptance import Acceptance
+from slam.loop_closure.acceptance.posterior_acceptance import PosteriorAcceptance
+from slam.loop_closure.acceptance.threshold_acceptance import ThresholdAcceptance
 from slam.loop_closure.accepted_closures import AcceptedClosures
 from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.consistency import suppress_non_maxima
 from slam.loop_closure.divergence_monitor import LocalizationMonitor
-from slam.loop_closure.posterior_acceptance import PosteriorAcceptance
-from slam.loop_closure.threshold_acceptance import ThresholdAcceptance
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.submap import gravity_frame, recent_submap

@@ -11,8 +11,8 @@ import numpy as np
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
-from slam.backend.pose_graph import PoseGraph
-from slam.backend.pose_graph_optimization import optimize_pose_graph
+from slam.backend.pose_graph.pose_graph import PoseGraph
+from slam.backend.pose_graph.pose_graph_optimization import optimize_pose_graph
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import invert

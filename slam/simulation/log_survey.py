@@ -12,7 +12,7 @@ from logs.selection import Selection
 from logs.topics import RecordKind
 from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
-from slam.frontend.sensor_frames import SensorFrames
+from slam.frontend.input.sensor_frames import SensorFrames
 from slam.simulation.degradation import (
     DegradationConfig,
     Donors,

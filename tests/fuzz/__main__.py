@@ -20,8 +20,8 @@ from tests.fuzz.sandbox import Limits, run
 from tests.fuzz.seeds import make_seeds
 
 _IMPORTED = ("slam.replay", "slam.evaluation.evaluate", "slam.evaluation.html_report.page", "logs.summary",
-             "slam.visualization.map_plot", "slam.backend.robust_optimization", "rich.table", "matplotlib.pyplot",
-             "slam.object_map.map_io", "slam.formats.g2o", "tools.console")  # fmt: skip
+             "slam.visualization.map_plot", "slam.backend.pose_graph.robust_optimization", "rich.table",
+             "matplotlib.pyplot", "slam.object_map.map_io", "slam.formats.g2o", "tools.console")  # fmt: skip
 
 
 def main() -> int:

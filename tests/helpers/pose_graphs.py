@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slam.backend.pose_graph import PoseGraph
+from slam.backend.pose_graph.pose_graph import PoseGraph
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import invert, make_transform, transform_from_xyz_yaw
 

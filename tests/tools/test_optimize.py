@@ -11,7 +11,7 @@ import pytest
 
 from logs.messages import FactorGraphRecord, GroundTruthPose
 from logs.writer import LogWriter
-from slam.backend.pose_graph import PoseGraph
+from slam.backend.pose_graph.pose_graph import PoseGraph
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.formats.g2o import read_pose_graph, write_pose_graph
 from tests.helpers.pose_graphs import VERTICES, rmse_m, true_poses, with_false
@@ -150,9 +150,9 @@ class TestBenchmarkClosures:
         self, dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """The twin: without a kernel, and nothing is taken out."""
-        monkeypatch.setattr("slam.backend.robust_optimization._with_kernel", lambda factor, _: factor)
+        monkeypatch.setattr("slam.backend.pose_graph.robust_optimization._with_kernel", lambda factor, _: factor)
         for name in ("LEAST_WEIGHT", "KEPT_WEIGHT"):
-            monkeypatch.setattr(f"slam.backend.robust_optimization.{name}", 0.0)
+            monkeypatch.setattr(f"slam.backend.pose_graph.robust_optimization.{name}", 0.0)
         log = write_map(tmp_path / "map.mcap", with_false(TRUE, 0))
         _, clean, mixed, _ = self.runs(dslam, log, "--kind", "random", "--seeds", 1)
         assert mixed["ate_m"] > 3.0 * clean["ate_m"]

@@ -18,7 +18,7 @@ from logs.topics import RawMessage
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import SimulationError
 from slam.common.geometry import interpolate
-from slam.frontend.sensor_frames import SensorFrames
+from slam.frontend.input.sensor_frames import SensorFrames
 
 HALF = 0.5
 """Faults that set in at some time do so at this part of the time of the drive, unless a parameter says when."""

@@ -13,7 +13,7 @@ from logs.messages import LoopClosureRecord
 from slam.common.arrays import IntArray
 from slam.common.config import Config
 from slam.loop_closure import loop_closer as module
-from slam.loop_closure.acceptance import Decision
+from slam.loop_closure.acceptance.acceptance import Decision
 from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.loop_closer import LoopCloser
 from slam.object_map.landmarks import LANDMARK

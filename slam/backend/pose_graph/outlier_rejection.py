@@ -10,7 +10,7 @@ import numpy as np
 from gtsam.symbol_shorthand import X
 
 from slam.backend.factors import Edge, EdgeKind, Factor, PosePrior, between_factor, prior_factor
-from slam.backend.robust_optimization import optimize_robustly
+from slam.backend.pose_graph.robust_optimization import optimize_robustly
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import FactorGraphError
 

@@ -11,7 +11,7 @@ from logs.messages import ObjectDetections
 from slam.common.config import DetectionConfig, LabelsConfig, load_config
 from slam.common.config_tree import to_toml
 from slam.common.errors import ConfigurationError
-from slam.frontend.label_map import LabelMap
+from slam.frontend.input.label_map import LabelMap
 from slam.frontend.scan import make_scan
 
 NAMES = ("car", "van", "person", "pole_1", "tree")

@@ -8,7 +8,7 @@ import pytest
 from logs.messages import Transform
 from slam.common.errors import InputDataError
 from slam.common.geometry import invert, make_transform, transform_from_xyz_yaw
-from slam.frontend.sensor_frames import SensorFrames
+from slam.frontend.input.sensor_frames import SensorFrames
 from tests.logs.examples import random_transform
 
 

@@ -24,7 +24,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 from scipy.stats import chi2
 
-from slam.backend.selected_inverse import diagonal_blocks_of_inverse
+from slam.backend.covariance.selected_inverse import diagonal_blocks_of_inverse
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 
 OUTLIER_PROBABILITY = 0.001

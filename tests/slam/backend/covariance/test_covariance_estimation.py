@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from slam.backend.covariance_estimation import STRETCH_STEPS, LinearSystem, covariance_blocks, variance_factors
+from slam.backend.covariance.covariance_estimation import (
+    STRETCH_STEPS,
+    LinearSystem,
+    covariance_blocks,
+    variance_factors,
+)
 from slam.common.arrays import FloatArray
 
 AXES = 6

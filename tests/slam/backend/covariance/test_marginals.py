@@ -10,6 +10,7 @@ import pytest
 from gtsam.symbol_shorthand import L, X
 from scipy.spatial.transform import Rotation
 
+from slam.backend.covariance.marginals import compute_marginals
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import (
     Edge,
@@ -20,7 +21,6 @@ from slam.backend.factors import (
     between_factor,
     prior_factor,
 )
-from slam.backend.marginals import compute_marginals
 from slam.common.arrays import FloatArray
 from slam.common.config import FactorGraphConfig
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw

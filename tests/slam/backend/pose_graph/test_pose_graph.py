@@ -9,8 +9,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from slam.backend.pose_graph import PoseGraph
-from slam.backend.pose_graph_optimization import optimize_pose_graph
+from slam.backend.pose_graph.pose_graph import PoseGraph
+from slam.backend.pose_graph.pose_graph_optimization import optimize_pose_graph
 from slam.common.errors import InputDataError
 from slam.formats.g2o import read_pose_graph, write_pose_graph
 from slam.formats.trajectory_and_graph import write_g2o

@@ -14,7 +14,7 @@ from logs.messages import CameraModel, DepthImage, ImageDetections, ObjectDetect
 from slam.common.arrays import FloatArray
 from slam.common.config import DetectionConfig
 from slam.common.geometry import invert
-from slam.frontend.sensor_frames import SensorFrames
+from slam.frontend.input.sensor_frames import SensorFrames
 
 BOX_SIGMA = 1.0 / 6.0
 """Of the sides of a box: two sigmas are the shift, a third of a side, at which a box counts as wrong (IoU 0.5)."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from slam.common.config import LoopClosureConfig
+from slam.loop_closure.acceptance.threshold_acceptance import ThresholdAcceptance
 from slam.loop_closure.candidate import Candidate, Query
-from slam.loop_closure.threshold_acceptance import ThresholdAcceptance
 from tests.helpers.candidates import make_candidate
 from tests.slam.loop_closure.doubles import Patterns, at, make_keyframe, make_query
 

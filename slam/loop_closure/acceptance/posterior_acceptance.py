@@ -9,7 +9,7 @@ import numpy as np
 
 from slam.common.config import Config
 from slam.localization.localizer import Localizer, PoseEvidence, Posterior, log_odds_of
-from slam.loop_closure.acceptance import Decision
+from slam.loop_closure.acceptance.acceptance import Decision
 from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.consistency import suppress_non_maxima
 from slam.loop_closure.verification import Verifier

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from logs.messages import LabelledScan, ObjectDetections
-from slam.frontend.label_map import DROPPED, LabelMap
-from slam.frontend.sensor_frames import SensorFrames
+from slam.frontend.input.label_map import DROPPED, LabelMap
+from slam.frontend.input.sensor_frames import SensorFrames
 
 _UPRIGHT = 0.7
 """Cosine of the tilt of a sensor below which it stands upright; between those of level and optical frames, 1 and 0."""

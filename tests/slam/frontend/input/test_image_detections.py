@@ -9,10 +9,10 @@ from logs.messages import CameraModel, DepthImage, ImageDetections, Odometry, Tr
 from slam.common.config import Config, DetectionConfig, LabelsConfig
 from slam.common.errors import InputDataError
 from slam.common.geometry import apply, invert, make_transform
-from slam.frontend.image_detections import ImageLifter, place_by_depth, place_on_ground, place_tag, ray
-from slam.frontend.input_records import InputRecords
-from slam.frontend.label_map import LabelMap
-from slam.frontend.sensor_frames import SensorFrames
+from slam.frontend.input.image_detections import ImageLifter, place_by_depth, place_on_ground, place_tag, ray
+from slam.frontend.input.input_records import InputRecords
+from slam.frontend.input.label_map import LabelMap
+from slam.frontend.input.sensor_frames import SensorFrames
 
 K = np.array([[500.0, 0.0, 320.0], [0.0, 510.0, 240.0], [0.0, 0.0, 1.0]])
 PINHOLE = CameraModel(0, "camera", K, np.zeros(5), "plumb_bob")
@@ -41,7 +41,7 @@ def sigma_along(covariance: np.ndarray, direction: np.ndarray) -> float:
 def test_a_distorted_pixel_leads_back_to_its_direction(
     model: str, distortion: tuple[float, ...], seen: tuple[float, float] | None
 ) -> None:
-    from slam.frontend.image_detections import _distorted
+    from slam.frontend.input.image_detections import _distorted
 
     camera = CameraModel(0, "camera", K, np.array(distortion), model)
     direction = np.array([0.45, -0.22])

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Iterator
 from logs.messages import CameraModel, DepthImage, ImageDetections, LabelledScan, ObjectDetections, Odometry, Record
 from slam.common.config import Config
 from slam.common.errors import InputDataError
-from slam.frontend.image_detections import ImageLifter
-from slam.frontend.label_map import LabelMap
-from slam.frontend.scan_objects import ScanObjects
-from slam.frontend.sensor_frames import SensorFrames
+from slam.frontend.input.image_detections import ImageLifter
+from slam.frontend.input.label_map import LabelMap
+from slam.frontend.input.scan_objects import ScanObjects
+from slam.frontend.input.sensor_frames import SensorFrames
 
 _REMEDIES = {
     "objects_without_camera_info": "no CameraInfo has their frame: record it, or choose it with "

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from slam.common.config import Config
+from slam.loop_closure.acceptance.posterior_acceptance import PosteriorAcceptance
 from slam.loop_closure.candidate import Candidate, Query
-from slam.loop_closure.posterior_acceptance import PosteriorAcceptance
 from tests.helpers.candidates import make_candidate
 from tests.slam.loop_closure.doubles import Patterns, at, make_keyframe, make_query
 

@@ -6,9 +6,9 @@ import gtsam
 import numpy as np
 import pytest
 
-from slam.backend.pose_graph import PoseGraph
-from slam.backend.pose_graph_optimization import PoseGraphSolution, optimize_pose_graph
-from slam.backend.robust_optimization import (
+from slam.backend.pose_graph.pose_graph import PoseGraph
+from slam.backend.pose_graph.pose_graph_optimization import PoseGraphSolution, optimize_pose_graph
+from slam.backend.pose_graph.robust_optimization import (
     INFLATION,
     LEAST_AGREEMENT,
     LEAST_SHARE,
@@ -102,7 +102,7 @@ def test_shifted_closures_that_agree_by_chance_are_rejected_as_a_whole() -> None
 def test_shifted_closures_that_agree_by_chance_would_otherwise_be_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """The twin of the test before."""
     for name in ("LEAST_AGREEMENT", "LEAST_SHARE"):
-        monkeypatch.setattr(f"slam.backend.robust_optimization.{name}", 0.0)
+        monkeypatch.setattr(f"slam.backend.pose_graph.robust_optimization.{name}", 0.0)
     assert robust(shifted(0, 60)).solution.kept.any()
 
 
@@ -157,7 +157,7 @@ def test_the_majority_wins_even_if_the_odometry_sides_with_the_minority() -> Non
 
 def test_a_narrow_kernel_alone_would_side_with_the_odometry(monkeypatch: pytest.MonkeyPatch) -> None:
     """The twin of the test before."""
-    monkeypatch.setattr("slam.backend.robust_optimization.CLEAR_SHARE", 0.0)
+    monkeypatch.setattr("slam.backend.pose_graph.robust_optimization.CLEAR_SHARE", 0.0)
     assert rmse_m(robust(drifted()).graph) > 1.5
 
 
@@ -178,7 +178,7 @@ def test_the_initial_values_hardly_matter() -> None:
 
 def test_what_the_closures_do_does_not_depend_on_the_initial_values(monkeypatch: pytest.MonkeyPatch) -> None:
     """From the truth the narrow kernel would side with the true closures here, from the odometry it does not."""
-    monkeypatch.setattr("slam.backend.robust_optimization.CLEAR_SHARE", 0.0)
+    monkeypatch.setattr("slam.backend.pose_graph.robust_optimization.CLEAR_SHARE", 0.0)
     graph = drifted()
     from_truth = robust(replace(graph, T_world_vertex=true_poses()))
     np.testing.assert_allclose(from_truth.solution.weights, robust(graph).solution.weights, atol=1e-3)

@@ -8,8 +8,8 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from slam.backend.pose_graph import PoseGraph
-from slam.backend.robust_optimization import MAX_ITERATIONS, RobustSolution, optimize_robustly
+from slam.backend.pose_graph.pose_graph import PoseGraph
+from slam.backend.pose_graph.robust_optimization import MAX_ITERATIONS, RobustSolution, optimize_robustly
 from slam.common.arrays import BoolArray, FloatArray
 from slam.common.errors import FactorGraphError
 
@@ -32,7 +32,7 @@ def optimize_pose_graph(
     """Solve a connected pose graph; without a fixed vertex that of the least id is held.
 
     Args:
-        graph: as :func:`slam.backend.pose_graph.make_pose_graph` makes it.
+        graph: as :func:`slam.backend.pose_graph.pose_graph.make_pose_graph` makes it.
         is_closure: (E,), the edges that may be false; the others connect all vertices. All false: plain least squares.
         max_iterations: of one solution, of which there are several.
 

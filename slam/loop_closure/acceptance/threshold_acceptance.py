@@ -11,7 +11,7 @@ import numpy as np
 from slam.common.arrays import FloatArray
 from slam.common.config import LoopClosureConfig
 from slam.common.geometry import invert
-from slam.loop_closure.acceptance import Decision
+from slam.loop_closure.acceptance.acceptance import Decision
 from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.consistency import accumulated_llr
 from slam.loop_closure.verification import Verifier

@@ -11,7 +11,12 @@ from gtsam.symbol_shorthand import L, X
 from numpy.typing import NDArray
 from scipy import sparse
 
-from slam.backend.covariance_estimation import LinearSystem, covariance_blocks, outlier_limit, variance_factors
+from slam.backend.covariance.covariance_estimation import (
+    LinearSystem,
+    covariance_blocks,
+    outlier_limit,
+    variance_factors,
+)
 from slam.backend.factors import CLOSURE_KERNEL_WIDTH, Edge, EdgeKind, Factor, LandmarkPrior, Observation
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import FactorGraphConfig
@@ -48,7 +53,7 @@ def compute_marginals(
 ) -> Marginals:
     """Covariances of all variables of an optimised graph, with the noise that the drive itself shows.
 
-    The estimation of the noise is described in ``slam.backend.covariance_estimation``. GTSAM's own marginals
+    The estimation of the noise is described in ``slam.backend.covariance.covariance_estimation``. GTSAM's own marginals
     eliminate anew for each variable, which takes ten times as long where loops are closed.
 
     Args:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from slam.backend.selected_inverse import diagonal_blocks_of_inverse
+from slam.backend.covariance.selected_inverse import diagonal_blocks_of_inverse
 
 
 def information(rng, *, blocks: int, size: int, rows: int, density: float) -> sparse.csc_array:

@@ -1,0 +1,1 @@
+"""Covariances: the noise of the input estimated, marginals of poses and landmarks."""

@@ -1,0 +1,1 @@
+"""From messages to scans: records, labels, and where the sensors sit."""
