@@ -236,6 +236,10 @@ def replay(
             *calibration.notes,
             *_about_the_map(slam, prior_map, final, config),
             *(f"no detection has the class of {name}" for name in labels.unused()),
+            *(
+                f"the class {name} is taken for {to}: they differ in case only"
+                for name, to in labels.respelled().items()
+            ),
         ),
         relocalization_times_s=tuple((fix.stamp_ns - slam.first_stamp_ns) * 1e-9 for fix in slam.fixes),
         relocalization_distances_m=tuple(fix.travel_m for fix in slam.fixes),

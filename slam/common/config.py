@@ -163,7 +163,7 @@ class AssociationConfig(_Branch):
         default=200, ge=10, description="landmarks around the robot that are kept for association, the latest seen"
     )
     max_classes: int = Field(
-        default=256, ge=2, le=10_000, description="classes that are told apart; all that come later are one class"
+        default=256, ge=1, le=10_000, description="classes that are told apart; all that come later are one class"
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from slam.common.config import Config, DetectionConfig
+from slam.self_calibration.label_noise import LabelNoise
 from slam.self_calibration.survey import Survey
 from slam.self_calibration.variance_components import NoiseComponents
 
@@ -155,6 +156,13 @@ def _notes(config: Config, survey: Survey, estimated: Mapping[str, float]) -> tu
             f"detections scatter {np.sqrt(survey.claimed_ratio):.1f} times as much as their covariances say: scaled "
             "(detection.claimed_sigma_factor)"
         )
+    if survey.labels.renamed_ns is not None:
+        notes.append(
+            f"all labels change at {survey.labels.renamed_ns * 1e-9:.3f} s: classes seem to have other names from then "
+            "on; labels are ignored (association.max_classes = 1)"
+        )
+    elif survey.labels.is_useless:
+        notes.append("labels of one object seem drawn at random: they are ignored (association.max_classes = 1)")
     if survey.components is None:
         notes.append("too few objects could be tracked to estimate noise: it is taken to be large")
     return tuple(notes)
@@ -167,8 +175,15 @@ def _corrections(survey: Survey) -> dict[str, float]:
         "odometry.time_offset_s": -errors.delay_s if of_odometry else 0.0,
         "detection.time_offset_s": 0.0 if of_odometry else errors.delay_s,
         "detection.claimed_sigma_factor": _claimed_factor(survey),
+        **_label_settings(survey.labels),
         **{f"detection.{name}": angle for name, angle in zip(TURNS, survey.turned_deg, strict=True) if angle},
     }
+
+
+def _label_settings(labels: LabelNoise) -> dict[str, float]:
+    if labels.is_useless:
+        return {"association.max_classes": 1}
+    return {"association.label_accuracy": labels.accuracy} if np.isfinite(labels.accuracy) else {}
 
 
 def _claimed_factor(survey: Survey) -> float:

@@ -62,8 +62,11 @@ class ObjectTracks:
         return ObjectTracks(*(getattr(self, each.name)[chosen] for each in fields(self)))
 
 
-def follow_objects(scans: Sequence[SurveyScan], headings_rad: FloatArray) -> ObjectTracks:
-    """Tracks of the objects in ``scans`` (K), whose bodies head to ``headings_rad`` (K,) in the odometry frame."""
+def follow_objects(scans: Sequence[SurveyScan], headings_rad: FloatArray, *, by_class: bool = True) -> ObjectTracks:
+    """Tracks of the objects in ``scans`` (K), whose bodies head to ``headings_rad`` (K,) in the odometry frame.
+
+    ``by_class``: a track has one class; else objects are followed by their positions alone.
+    """
     if not scans:
         none, nowhere = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
         return ObjectTracks(none, none, nowhere, nowhere, none, np.zeros(0), np.zeros(0), np.zeros(0))
@@ -73,7 +76,8 @@ def follow_objects(scans: Sequence[SurveyScan], headings_rad: FloatArray) -> Obj
         c, s = np.cos(heading), np.sin(heading)
         offsets = scan.positions[:, :2] @ np.array([[c, s], [-s, c]])
         points.append(offsets + scan.T_odom_body[:2, 3])
-        found, room = ends.extend(number, points[-1], np.hypot(offsets[:, 0], offsets[:, 1]), scan.labels)
+        labels = scan.labels if by_class else np.zeros_like(scan.labels)
+        found, room = ends.extend(number, points[-1], np.hypot(offsets[:, 0], offsets[:, 1]), labels)
         tracks.append(found)
         rooms.append(room)
         numbers.append(np.full(len(offsets), number))

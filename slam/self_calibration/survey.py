@@ -17,6 +17,7 @@ from slam.frontend.scan import is_wanted
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
 from slam.self_calibration.height_noise import HeightNoise, estimate_height_noise
 from slam.self_calibration.input_errors import BodyMotion, InputErrors, estimate_input_errors
+from slam.self_calibration.label_noise import LabelNoise, estimate_label_noise
 from slam.self_calibration.object_tracks import ObjectTracks, SurveyScan, follow_objects
 from slam.self_calibration.sensor_orientation import find_orientation, roll_pitch_yaw_deg
 from slam.self_calibration.variance_components import ComponentEstimate, Motion, estimate_components
@@ -42,8 +43,8 @@ class Survey:
     the same scan, NaN where classes never share a scan; ``objects``: mean number a scan; ``interval_s``: median time
     between scans; ``claimed_ratio``: the variance of detections by that which their messages claim, NaN where none
     does; ``shared_bias_m``: the rms bias that centroids of a class share; ``components`` is None where too few objects
-    could be tracked; ``heights``: how much the heights of detections vary; ``turned_deg``:
-    roll, pitch and yaw by which detections had to be turned beyond the transform of their sensor.
+    could be tracked; ``labels``: how far they can be trusted; ``heights``: how much the heights of detections vary;
+    ``turned_deg``: roll, pitch and yaw by which detections had to be turned beyond the transform of their sensor.
     """
 
     scans: int
@@ -62,6 +63,7 @@ class Survey:
     shared_bias_m: float
     components: ComponentEstimate | None
     errors: InputErrors
+    labels: LabelNoise = field(default_factory=LabelNoise)
     heights: HeightNoise = field(default_factory=HeightNoise)
     turned_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -83,6 +85,7 @@ def survey(
         if gathered.add(record) >= MAX_DETECTIONS:
             break
     is_yaw_given = "yaw_deg" in config.model_fields_set
+    labels = gathered.judge_labels(config)
     config = _oriented(gathered, config)
     errors = InputErrors()
     for _ in range(ROUNDS):
@@ -100,7 +103,7 @@ def survey(
     if not any(np.any(scan.positions) for scan in scans):
         return None
     turned_deg = (config.roll_deg, config.pitch_deg, (config.yaw_deg + 180.0) % 360.0 - 180.0)
-    return replace(summarize(scans, errors), turned_deg=turned_deg)
+    return replace(summarize(scans, errors), turned_deg=turned_deg, labels=labels)
 
 
 def _oriented(gathered: _Gathered, config: DetectionConfig) -> DetectionConfig:
@@ -213,6 +216,14 @@ class _Gathered:
             self._detections.append(record)
             self._count += len(record.positions)
         return self._count
+
+    def judge_labels(self, config: DetectionConfig) -> LabelNoise:
+        """How far labels can be trusted; where they say nothing, all scans to come have one class."""
+        scans = self.scans(config, 0.0)
+        labels = estimate_label_noise(scans, _headings(scans)) if len(scans) > 1 else LabelNoise()
+        if labels.is_useless:
+            self._max_classes = 1
+        return labels
 
     def scans(self, config: DetectionConfig, delay_s: float) -> list[SurveyScan]:
         """The scans that lie on the odometry, corrected, in the order of their stamps, without empty ones."""

@@ -15,7 +15,8 @@ which is linear in the twelve variances. Means over scan pairs with lags of 1, 2
 non-negative least squares solves (least-squares variance component estimation: Teunissen and Amiri-Simkooei, J. Geodesy
 2008; here with the means' own sampling errors as weights). Displacements are clipped at eight times their median, so
 that slips, wrong matches and moving objects count little. Uncertainty is found by leaving out a block of time at a time
-(the jackknife).
+(the jackknife), and is not less than what the misfit of the equations leaves of a component while all others are held:
+the jackknife does not see it in a component whose estimate stays at zero.
 """
 
 from __future__ import annotations
@@ -91,10 +92,11 @@ def estimate_components(tracks: ObjectTracks, motion: Motion) -> ComponentEstima
     totals = np.concatenate(sums, axis=1)  # (BLOCKS, equations, COMPONENTS + 2)
     if not np.isfinite(totals).all():
         return None
-    solution = _solve(totals.sum(axis=0))
-    left_out = np.array([_solve(np.delete(totals, block, axis=0).sum(axis=0)) for block in range(BLOCKS)])
+    solution, misfit = _solve(totals.sum(axis=0))
+    left_out = np.array([_solve(np.delete(totals, block, axis=0).sum(axis=0))[0] for block in range(BLOCKS)])
     with np.errstate(over="ignore", invalid="ignore"):
         spread = np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((left_out - left_out.mean(axis=0)) ** 2, axis=0))
+    spread = np.maximum(spread, misfit)
     if not np.isfinite([solution, spread]).all():
         return None
     pairs = int(totals[:, :, -1].sum())
@@ -251,8 +253,8 @@ def _binned(rows: FloatArray, weights: FloatArray, bins: IntArray, block: IntArr
     return sums
 
 
-def _solve(sums: FloatArray) -> FloatArray:
-    """Variances (COMPONENTS,) from the summed equations (E, COMPONENTS + 2)."""
+def _solve(sums: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Variances (COMPONENTS,) from the summed equations (E, COMPONENTS + 2); their errors while the others are held."""
     counts = sums[:, -1]
     used = counts >= LEAST_IN_BIN
     means = sums[used, :-1] / counts[used, None]
@@ -260,9 +262,10 @@ def _solve(sums: FloatArray) -> FloatArray:
     # The relative sampling error of a mean square of n values is sqrt(2 / n).
     weights = np.sqrt(counts[used]) / np.maximum(np.abs(y), EXACT)
     weights = np.minimum(weights, 10.0 * np.median(weights))
-    scale = np.maximum(np.linalg.norm(X * weights[:, None], axis=0), 1e-300)
-    solution, _ = nnls(X * weights[:, None] / scale, y * weights)
-    return np.asarray(solution / scale)
+    norms = np.linalg.norm(X * weights[:, None], axis=0)
+    scale = np.where(norms > 0.0, norms, np.inf)
+    solution, misfit = nnls(X * weights[:, None] / scale, y * weights)
+    return np.asarray(solution / scale), misfit / np.sqrt(max(len(y) - COMPONENTS, 1)) / scale
 
 
 def _clipped(d: FloatArray) -> FloatArray:

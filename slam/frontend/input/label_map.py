@@ -15,7 +15,9 @@ DROPPED = ""
 
 
 class LabelMap:
-    """Renames, merges and drops classes. The number of detections stays, so that each keeps its place in its message.
+    """Renames, merges and drops classes; names that differ in case only are one class, spelled as it was seen first.
+
+    The number of detections stays, so that each keeps its place in its message.
 
     Raises:
         ConfigurationError: one name stands in two of the settings.
@@ -29,12 +31,12 @@ class LabelMap:
                 raise ConfigurationError(f"labels: {name!r} stands in more than one of drop, rename and merge")
         self._known: dict[str, str] = {}
         self._used: set[str] = set()
+        self._spellings: dict[str, str] = {}
 
     def apply(self, detections: ObjectDetections) -> ObjectDetections:
         """The detections under their names in the map, ``DROPPED`` for those that are left out."""
-        if not self._rules:
-            return detections
-        return replace(detections, labels=tuple(self.name(label) for label in detections.labels))
+        names = tuple(self.name(label) for label in detections.labels)
+        return detections if names == detections.labels else replace(detections, labels=names)
 
     def unused(self) -> list[str]:
         """The settings that named no class so far, "labels.drop: cars" each."""
@@ -50,8 +52,12 @@ class LabelMap:
                     self._used.add(pattern)
                     name = target
                     break
-            self._known[label] = name
+            name = self._known[label] = self._spellings.setdefault(name.casefold(), name)
         return name
+
+    def respelled(self) -> dict[str, str]:
+        """Names so far that differ from the spelling seen first in case only, with that spelling."""
+        return {name: to for name, to in self._known.items() if name != to and name.casefold() == to.casefold()}
 
 
 def _rules(config: LabelsConfig) -> Iterator[tuple[str, str, str]]:

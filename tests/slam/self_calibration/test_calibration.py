@@ -12,6 +12,7 @@ from slam.common.config import Config
 from slam.self_calibration.calibration import LEAST_DRIFT, LEAST_TURN_RAD, LENGTHS, calibrate
 from slam.self_calibration.height_noise import HeightNoise
 from slam.self_calibration.input_errors import InputErrors
+from slam.self_calibration.label_noise import LabelNoise
 from slam.self_calibration.survey import Survey, summarize
 from slam.self_calibration.variance_components import ComponentEstimate, NoiseComponents
 from tests.helpers.surveyed_drives import SurveyedDrive
@@ -221,3 +222,18 @@ def test_wrong_turns_lengths_and_sensors_are_told(surveyed):
     notes = " ".join(calibrate(Config(), right).notes)
     assert "turn" not in notes
     assert "lengths" not in notes
+
+
+def test_the_accuracy_of_labels_is_that_of_the_log(surveyed):
+    config = calibrate(Config(), replace(surveyed, labels=LabelNoise(0.7))).config
+    assert config.association.label_accuracy == 0.7
+    assert config.association.max_classes == Config().association.max_classes
+
+
+@pytest.mark.parametrize(
+    ("labels", "told"), [(LabelNoise(0.1), "drawn at random"), (LabelNoise(0.9, 1_500_000_000), "change at 1.500 s")]
+)
+def test_labels_that_say_nothing_are_ignored_and_told(surveyed, labels, told):
+    calibration = calibrate(Config(), replace(surveyed, labels=labels))
+    assert calibration.config.association.max_classes == 1
+    assert any(told in note for note in calibration.notes)

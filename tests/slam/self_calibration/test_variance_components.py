@@ -186,3 +186,18 @@ def test_absurd_distances_tell_nothing(scale):
     far = replace(drive.tracks, offsets=scale * drive.tracks.offsets, points=scale * drive.tracks.points)
     with np.errstate(all="ignore"):
         assert estimate_components(far, drive.motion) is None
+
+
+def test_a_component_that_stays_at_zero_is_not_known_exactly():
+    """The jackknife sees no spread in it, but the equations do not fit exactly."""
+    found = estimate(SurveyedDrive(0, DETECTOR, scans=400))
+    variances, errors = np.array(astuple(found.variances)), np.array(astuple(found.standard_errors))
+    assert (variances == 0.0).any()
+    assert (errors > 0.0).all()
+
+
+def test_a_motion_that_never_was_tells_nothing_of_its_noise():
+    drive = SurveyedDrive(0, DETECTOR, scans=400)
+    found = estimate_components(drive.tracks, replace(drive.motion, turn_rad=np.zeros_like(drive.motion.turn_rad)))
+    assert found is not None
+    assert found.variances.heading_by_turn == found.standard_errors.heading_by_turn == 0.0

@@ -35,6 +35,14 @@ def test_without_settings_nothing_changes() -> None:
     assert LabelMap(LabelsConfig()).apply(given) is given
 
 
+def test_names_that_differ_in_case_only_are_one_class() -> None:
+    labels = LabelMap(LabelsConfig(rename={"pole_*": "Pole"}))
+    assert labels.apply(detections(("Car", "car", "CAR", "pole_1", "pole", "tree"))).labels == (
+        *("Car", "Car", "Car", "Pole", "Pole", "tree"),
+    )
+    assert labels.respelled() == {"car": "Car", "CAR": "Car", "pole": "Pole"}
+
+
 def test_names_that_no_detection_has_are_told() -> None:
     labels = LabelMap(LabelsConfig(rename={"cars": "car"}, merge={"vehicle": ("van", "bus")}, drop=("person", "dog*")))
     labels.apply(detections())

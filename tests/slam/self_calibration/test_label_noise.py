@@ -1,0 +1,101 @@
+"""How far labels can be trusted, from objects that are followed by their positions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slam.common.geometry import transform_from_xyz_yaw
+from slam.self_calibration.label_noise import LabelNoise, estimate_label_noise
+from slam.self_calibration.object_tracks import SurveyScan
+
+CLASSES = 4
+OBJECTS = np.random.default_rng(0).uniform([-10.0, -10.0, 0.0], [60.0, 10.0, 1.0], (60, 3))
+LABELS = np.random.default_rng(1).integers(0, CLASSES, 60)
+RANGE_M = 15.0
+
+
+def drive(scans: int = 100) -> list[SurveyScan]:
+    """Scans from a straight drive, 0.5 m apart, with the right labels."""
+    made = []
+    for number in range(scans):
+        T = transform_from_xyz_yaw(np.array([0.5 * number, 0.0, 0.0]), 0.0)
+        offsets = OBJECTS - T[:3, 3]
+        seen = np.hypot(offsets[:, 0], offsets[:, 1]) < RANGE_M
+        made.append(SurveyScan(number * 10**8, T, offsets[seen], LABELS[seen], np.full(int(seen.sum()), np.nan)))
+    return made
+
+
+def estimate(scans: list[SurveyScan]) -> LabelNoise:
+    return estimate_label_noise(scans, np.zeros(len(scans)))
+
+
+def confused(scans: list[SurveyScan], accuracy: float, seed: int) -> list[SurveyScan]:
+    rng = np.random.default_rng(seed)
+    return [
+        replace(
+            scan,
+            labels=np.where(rng.random(len(scan.labels)) < accuracy, scan.labels, rng.choice(LABELS, len(scan.labels))),
+        )
+        for scan in scans
+    ]
+
+
+def renamed(scans: list[SurveyScan], first: int) -> list[SurveyScan]:
+    return scans[:first] + [replace(scan, labels=(scan.labels + 1) % CLASSES) for scan in scans[first:]]
+
+
+def test_right_labels_are_trusted() -> None:
+    found = estimate(drive())
+    assert found.accuracy == pytest.approx(1.0)
+    assert found.renamed_ns is None
+    assert not found.is_useless
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("accuracy", [0.6, 0.8, 0.95])
+def test_the_accuracy_is_estimated(accuracy: float, seed: int) -> None:
+    found = estimate(confused(drive(), accuracy, seed))
+    assert found.accuracy == pytest.approx(accuracy, abs=0.05)
+    assert not found.is_useless
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_random_labels_are_useless(seed: int) -> None:
+    assert estimate(confused(drive(), 0.0, seed)).is_useless
+
+
+def test_one_class_tells_nothing_of_its_noise() -> None:
+    found = estimate([replace(scan, labels=np.zeros_like(scan.labels)) for scan in drive()])
+    assert np.isnan(found.accuracy)
+    assert not found.is_useless
+
+
+def test_too_few_sightings_tell_nothing() -> None:
+    assert np.isnan(estimate(drive(3)).accuracy)
+
+
+@pytest.mark.parametrize("accuracy", [1.0, 0.9])
+def test_new_names_of_all_classes_are_found(accuracy: float) -> None:
+    found = estimate(confused(renamed(drive(), 40), accuracy, 0))
+    assert found.renamed_ns == 40 * 10**8
+    assert found.is_useless
+
+
+def test_some_labels_that_change_at_once_are_no_new_names() -> None:
+    scans = drive()
+    half = np.arange(len(scans[40].labels)) % 2 == 0
+    scans[40] = replace(scans[40], labels=np.where(half, (scans[40].labels + 1) % CLASSES, scans[40].labels))
+    assert estimate(scans).renamed_ns is None
+
+
+def test_a_jump_of_the_odometry_is_no_new_names() -> None:
+    """Other objects then lie where the tracks ended."""
+    jump = transform_from_xyz_yaw(np.array([7.0, 3.0, 0.0]), 2.0)
+    scans = drive()
+    for number in range(40, len(scans)):
+        scans[number] = replace(scans[number], T_odom_body=jump @ scans[number].T_odom_body)
+    headings = np.where(np.arange(len(scans)) < 40, 0.0, 2.0)
+    assert estimate_label_noise(scans, headings).renamed_ns is None
