@@ -46,6 +46,7 @@ from slam.loop_closure.loop_closer import LoopCloser
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.interpolation import interpolate_between_keyframes
 from slam.odometry.keyframe import Keyframe
+from slam.odometry.path import OdometryPath
 from slam.odometry.pose import OdometryPose
 from slam.odometry.track import OdometryTrack
 from slam.odometry.unexpected_step import Continuation, Correction, UnexpectedStep
@@ -124,7 +125,7 @@ class Slam:
         self._body_frame = ""
         self._odom_frame = ""
         self._frames_missing: set[str] = set()
-        self._poses: list[OdometryPose] = []
+        self._path = OdometryPath()
         self._T_map_odom = np.eye(4)
         self._is_kidnapped = False
         self._state = State.MAPPING if prior_map is None else State.LOST
@@ -136,7 +137,7 @@ class Slam:
     @property
     def first_stamp_ns(self) -> int:
         """When the drive began."""
-        return self._poses[0].stamp_ns if self._poses else 0
+        return self._path.first_stamp_ns
 
     @property
     def state(self) -> State:
@@ -153,8 +154,8 @@ class Slam:
         if isinstance(record, Transform):
             self._frames.add(record)
         elif isinstance(record, GeodeticFix):
-            if self._gnss is not None and self._poses:
-                self._closer.place_prior = self._gnss.add(record, self._poses[-1].travel_m)
+            if self._gnss is not None and self._path.latest is not None:
+                self._closer.place_prior = self._gnss.add(record, self._path.latest.travel_m)
         elif isinstance(record, ObjectDetections):
             # In the order of their stamps, so that a single stamp from the future holds up nothing.
             heapq.heappush(self._waiting, (record.stamp_ns + self._time_offset_ns, self._arrivals, record))
@@ -281,9 +282,9 @@ class Slam:
     def _step(self, pose: OdometryPose) -> list[Record]:
         # Scans from before this pose belong to the keyframe before it, also where the odometry breaks in between.
         updates = self._map_waiting_scans(before_ns=pose.stamp_ns)
-        breaks = bool(self._poses) and self._poses[-1].segment != pose.segment
+        breaks = self._path.latest is not None and self._path.latest.segment != pose.segment
         self.counters["odometry_used"] += 1
-        self._poses.append(pose)
+        self._path.add(pose)
         if self._mapper.add_odometry(pose) is not None:
             updates += self._keyframe_updates(pose, breaks=breaks)
         # What leaves here refers to the odometry as its messages have it.
@@ -441,14 +442,14 @@ class Slam:
         )
 
     def _trajectory(self) -> TrajectoryRecord:
-        stamps_ns = np.array([pose.stamp_ns for pose in self._poses], dtype=np.int64)
+        stamps_ns = self._path.stamps_ns
         keyframe_stamps_ns = [keyframe.odometry.stamp_ns for keyframe in self._own_keyframes]
         T_map_body = interpolate_between_keyframes(
             stamps_ns,
-            np.stack([pose.T_odom_body for pose in self._poses]),
+            self._path.T_odom_body,
             np.searchsorted(stamps_ns, keyframe_stamps_ns),
             self._graph.poses()[self._first_keyframe :],
-            np.array([pose.segment for pose in self._poses]),
+            self._path.segments,
         )
         return TrajectoryRecord(self._now_ns, MAP_FRAME, stamps_ns, T_map_body)
 

@@ -18,7 +18,10 @@ PATH_COLOR = (0.15, 0.45, 1.0, 1.0)
 CLOSURE_COLOR = (0.84, 0.15, 0.79, 0.9)
 SUBMAP_COLOR = (1.0, 1.0, 1.0, 1.0)
 INTERVAL_NS = 5_000_000_000
-"""The whole map is written again when so much time has passed."""
+"""The whole of a small map is written again when so much time has passed."""
+SMALL_MAP = 5_000
+"""Points up to which a map is small. A larger one is written more seldom, so that a log grows with the drive and not
+with its square."""
 TOLERANCE_RANGES = 1.0 / 3000.0
 """What has moved by less, in sensor ranges, stays where viewers have it."""
 _POINTS_OF_CLOSURE = 5
@@ -53,12 +56,19 @@ class MapTopics:
         if len(changed) or len(removed) or is_final:
             messages.append((LANDMARKS, self._markers(snapshot.stamp_ns, changed, removed, replaces=is_final)))
         messages.append((SUBMAP, self._submap(snapshot)))
-        is_due = self._written_ns is None or snapshot.stamp_ns - self._written_ns >= INTERVAL_NS
-        if is_due or is_closed or is_final:
+        if is_final or self._is_due(snapshot, is_closed=is_closed):
             messages += [self._landmark_points(snapshot.stamp_ns), *self._path_and_closures(snapshot)]
         elif not self._are_points_right():
             messages.append(self._landmark_points(snapshot.stamp_ns))
         return messages
+
+    def _is_due(self, snapshot: MapSnapshot, *, is_closed: bool) -> bool:
+        """Whether the whole map is to be written: after an interval that grows with it; sooner after a closure."""
+        if self._written_ns is None:
+            return True
+        points = len(snapshot.landmarks) + len(self._path) + _POINTS_OF_CLOSURE * len(snapshot.closures)
+        interval_ns = INTERVAL_NS * max(points / SMALL_MAP, 1.0) - is_closed * INTERVAL_NS
+        return snapshot.stamp_ns - self._written_ns >= interval_ns
 
     def _take_over(self, snapshot: MapSnapshot) -> IntArray:
         """Note where the landmarks are now; returns those (N,) that are not as they were shown."""

@@ -16,7 +16,7 @@ from slam.common.config import CalibrationConfig, Config
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.display.drive_display import DriveDisplay
 from slam.display.frames import Frames
-from slam.display.map_topics import LANDMARK_POINTS, LANDMARKS, MapTopics
+from slam.display.map_topics import LANDMARK_POINTS, LANDMARKS, SMALL_MAP, MapTopics
 from slam.display.snapshot import MapSnapshot
 from slam.object_map.landmarks import LandmarkState
 from slam.replay import replay
@@ -170,6 +170,16 @@ def test_the_whole_map_is_written_after_a_closure():
     assert (topic, told.text) == ("/slam/log", "loop closed: keyframe 8 with 3")
     assert "/slam/path" in dict(display.show_map(snapshot(2, {1: [0.0, 0, 0]})))
     assert "/slam/path" not in dict(display.show_map(snapshot(3, {1: [0.0, 0, 0]})))
+
+
+@pytest.mark.parametrize("is_closed", [False, True])
+def test_a_large_map_is_written_more_seldom(is_closed):
+    large = {key: [float(key), 0.0, 0.0] for key in range(4 * SMALL_MAP)}
+    topics = MapTopics(30.0)
+    topics.update(snapshot(0, large))
+    due_s = 20 - 5 * is_closed
+    assert "/slam/path" not in dict(topics.update(snapshot(due_s - 1, large), is_closed=is_closed))
+    assert "/slam/path" in dict(topics.update(snapshot(due_s + 1, large), is_closed=is_closed))
 
 
 def test_the_world_is_tied_where_truth_and_estimate_are_both_known():
