@@ -18,6 +18,7 @@ class Constellations:
 
     ``positions`` (P, 3) m: neighbours relative to their centre, axes gravity-aligned, the centre itself left out.
     ``labels`` (P,) and ``centre_labels`` (B,): places in ``vocabulary``. ``offsets`` (B + 1,).
+    ``centres`` (B, 3) m: where the objects themselves are.
     """
 
     positions: NDArray[np.float64]
@@ -25,6 +26,7 @@ class Constellations:
     centre_labels: NDArray[np.int64]
     offsets: NDArray[np.int64]
     vocabulary: tuple[str, ...]
+    centres: NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.centre_labels)
@@ -35,7 +37,12 @@ class Constellations:
         offsets = np.concatenate([[0], np.cumsum(counts)])
         neighbours = np.arange(offsets[-1]) + np.repeat(self.offsets[rows] - offsets[:-1], counts)
         return Constellations(
-            self.positions[neighbours], self.labels[neighbours], self.centre_labels[rows], offsets, self.vocabulary
+            self.positions[neighbours],
+            self.labels[neighbours],
+            self.centre_labels[rows],
+            offsets,
+            self.vocabulary,
+            self.centres[rows],
         )
 
     @property
@@ -73,7 +80,8 @@ def gather_constellations(
     chosen = np.arange(len(positions)) if centres is None else centres
     if len(chosen) == 0:
         empty = np.zeros(0, dtype=np.int64)
-        return Constellations(np.zeros((0, 3)), empty, empty, np.zeros(1, dtype=np.int64), tuple(vocabulary))
+        nowhere = np.zeros((0, 3))
+        return Constellations(nowhere, empty, empty, np.zeros(1, dtype=np.int64), tuple(vocabulary), nowhere)
     tree = cKDTree(positions[:, :2])
     found = tree.query_ball_point(positions[chosen, :2], radius_m, return_sorted=True)
     around = [np.asarray(near, dtype=np.int64) for near in found]
@@ -88,4 +96,5 @@ def gather_constellations(
         labels[chosen],
         offsets,
         tuple(vocabulary),
+        positions[chosen],
     )

@@ -67,7 +67,13 @@ def make_index(name: str) -> ConstellationIndex:
     descriptor = make_descriptor(name)
     if isinstance(descriptor, RingLikelihood | LearnedLikelihood):
         return LikelihoodIndex(descriptor)
-    return VectorIndex(descriptor, of_own_class=descriptor.name != PAPER)
+    if descriptor.name == PAPER:
+        from descriptors.learned.network_descriptor import LearnedDescriptor  # loads torch
+        from descriptors.learned.paper_index import PaperIndex
+
+        if isinstance(descriptor, LearnedDescriptor):
+            return PaperIndex(descriptor)
+    return VectorIndex(descriptor)
 
 
 def _from_weights(path: Path) -> Descriptor:

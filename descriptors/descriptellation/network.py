@@ -22,9 +22,8 @@ InputKind = Literal["position", "integer", "one_hot", "embedding"]
 class DescriptellationArchitecture:
     """Sizes of the network; ``input`` names the four kinds of input of the paper's ablation (Section IV-G).
 
-    ``length``: numbers of the descriptor. ``edge_length_m``: threshold of the graph, the mean distance of two objects
-    of a simulated map. That of any map wider than some 110 m is above 60 m, too, so that with both all constellations
-    of 30 m are complete graphs.
+    ``length``: numbers of the descriptor. ``edge_length_m``: threshold of the graphs in training, the mean distance of
+    two objects of a simulated map, with which all constellations of 30 m are complete graphs.
     """
 
     name: str = "descriptellation_paper"
@@ -45,6 +44,8 @@ class Descriptellation(nn.Module):
         super().__init__()
         self.architecture = architecture or DescriptellationArchitecture()
         sizes = self.architecture
+        self.edge_length_m = sizes.edge_length_m
+        """Threshold of the graphs: the mean distance of two objects of the map that is described."""
         self.node_input = NodeInput(sizes.input, sizes.vocabulary_size, sizes.embedding_length)
         self.head = MaxRelativeConvolution(self.node_input.length, sizes.channels)
         self.backbone = nn.ModuleList(
@@ -65,7 +66,7 @@ class Descriptellation(nn.Module):
             labels: (B, N) places in the vocabulary, below ``vocabulary_size``.
             present: (B, N) bool, where an object is.
         """
-        near = neighbourhoods_of(distances(positions), present, self.architecture.edge_length_m)
+        near = neighbourhoods_of(distances(positions), present, self.edge_length_m)
         layers = [self.head(self.node_input(positions[present], labels[present]), near)]
         for block in self.backbone:
             layers.append(layers[-1] + block(layers[-1], near))

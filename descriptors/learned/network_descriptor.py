@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from descriptors.constellation import Constellations
+from descriptors.descriptellation.network import Descriptellation
 from descriptors.errors import WeightsError
 from descriptors.learned.architectures import check_labels
 from descriptors.learned.inference import describe_padded
@@ -40,6 +41,11 @@ class LearnedDescriptor:
                 f"{path}: its training configuration has no dataset.radius_m, so how far neighbours count is unknown; "
                 "train again"
             ) from error
+
+    def set_edge_length(self, length_m: float) -> None:
+        """Threshold of the graphs from now on; without effect on a network whose graphs have another rule."""
+        if isinstance(self._network, Descriptellation):
+            self._network.edge_length_m = length_m
 
     def describe(self, constellations: Constellations) -> NDArray[np.float32]:
         """Vectors (B, length).

@@ -43,8 +43,8 @@ def constellation(
     """One object with its neighbours, each with its label, distance (m) and bearing (rad)."""
     labels, distances_m, bearings_rad = np.array(neighbours, dtype=np.float64).reshape(-1, 3).T
     positions = np.column_stack([distances_m * np.cos(bearings_rad), distances_m * np.sin(bearings_rad), 0.0 * labels])
-    offsets = np.array([0, len(labels)])
-    return Constellations(positions, labels.astype(np.int64), np.array([centre_label]), offsets, tuple(vocabulary))
+    offsets, centre = np.array([0, len(labels)]), np.array([centre_label])
+    return Constellations(positions, labels.astype(np.int64), centre, offsets, tuple(vocabulary), np.zeros((1, 3)))
 
 
 def thinned(constellations: Constellations, kept: NDArray[np.bool_]) -> Constellations:
@@ -56,4 +56,5 @@ def thinned(constellations: Constellations, kept: NDArray[np.bool_]) -> Constell
         constellations.centre_labels,
         np.concatenate([[0], np.cumsum(counts)]),
         constellations.vocabulary,
+        constellations.centres,
     )

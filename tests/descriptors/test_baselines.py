@@ -291,6 +291,6 @@ def test_a_place_where_all_objects_are_one_spot_is_described_by_finite_vectors(d
 @pytest.mark.parametrize("vocabulary", [VOCABULARY, ()])
 def test_no_constellation_gives_no_vector(descriptor, vocabulary):
     nobody = np.zeros(0, dtype=np.int64)
-    none = Constellations(np.zeros((0, 3)), nobody, nobody, np.zeros(1, dtype=np.int64), vocabulary)
+    none = Constellations(np.zeros((0, 3)), nobody, nobody, np.zeros(1, dtype=np.int64), vocabulary, np.zeros((0, 3)))
     described = descriptor.describe(none)
     assert (described.shape, described.dtype) == ((0, LENGTHS[descriptor.name]), np.float32)

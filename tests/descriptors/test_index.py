@@ -27,7 +27,8 @@ def prepared(vectors: NDArray[np.float32], labels: NDArray[np.int64]) -> Constel
     """Constellations that have these vectors (B, LENGTH)."""
     offsets = 2 * np.arange(len(vectors) + 1)
     positions = vectors.astype(np.float64).reshape(-1, 3)
-    return Constellations(positions, np.zeros(len(positions), dtype=np.int64), labels, offsets, ("a", "b", "c"))
+    zeros = np.zeros(len(positions), dtype=np.int64)
+    return Constellations(positions, zeros, labels, offsets, ("a", "b", "c"), positions[::2])
 
 
 def alike(vector: float, count: int) -> Constellations:

@@ -199,7 +199,7 @@ def with_classes(count: int, classes: int, *, seed: int) -> Constellations:
 
 def in_larger_vocabulary(constellations: Constellations, vocabulary: tuple[str, ...]) -> Constellations:
     c = constellations
-    return Constellations(c.positions, c.labels, c.centre_labels, c.offsets, vocabulary)
+    return Constellations(c.positions, c.labels, c.centre_labels, c.offsets, vocabulary, c.centres)
 
 
 def test_the_vocabulary_may_grow_at_its_end_as_if_it_had_been_that_large_from_the_start():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -255,7 +257,7 @@ def views(request) -> tuple[Constellations, Constellations, Constellations]:
     entries = gather_constellations(*street(120, seed=request.param), VOCABULARY, radius_m=60.0)
     rng = np.random.default_rng(request.param)
     noisy = entries.positions + rng.normal(scale=0.2, size=entries.positions.shape)
-    again = Constellations(noisy, entries.labels, entries.centre_labels, entries.offsets, entries.vocabulary)
+    again = replace(entries, positions=noisy)
     ahead = rng.choice([-1.0, 1.0], len(entries))[entries.owners] * noisy[:, 0] > 0.0
     third = thinned(again, ahead & (np.hypot(noisy[:, 0], noisy[:, 1]) < 40.0))
     assert 0.25 < len(third.labels) / len(again.labels) < 0.4
