@@ -22,8 +22,9 @@ LEARNING = 80
 class Street:
     """A straight street with a landmark every five metres on either side, driven in one direction."""
 
-    def __init__(self) -> None:
-        self.monitor = ContinuityMonitor(LocalizationConfig(), RANGE_M)
+    def __init__(self, config: LocalizationConfig | None = None) -> None:
+        self.monitor = ContinuityMonitor(config or LocalizationConfig(), RANGE_M)
+        self.segment = 0
         self.x_m = np.arange(-30.0, 600.0, 5.0)
         self.positions = np.concatenate(
             [np.column_stack([self.x_m, np.full(len(self.x_m), side), np.zeros(len(self.x_m))]) for side in (6.0, -7.0)]
@@ -60,7 +61,7 @@ class Street:
 
     def _keyframe(self, travel_m: float) -> Keyframe:
         T = transform_from_xyz_yaw(np.array([travel_m, 0.0, 0.0]), 0.0)
-        return Keyframe(self.keyframe, OdometryPose(10**9 * self.keyframe, T, travel_m, 0, STEP_M), T)
+        return Keyframe(self.keyframe, OdometryPose(10**9 * self.keyframe, T, travel_m, self.segment, STEP_M), T)
 
     def _recent(self, travel_m: float) -> RecentLandmarks:
         rows = np.flatnonzero(self.last_m > travel_m - self.monitor.memory_m)
@@ -79,6 +80,14 @@ def test_a_kidnapping_is_noticed_within_a_sensor_range_and_dated(street):
     noticed = street.drive(int(RANGE_M / STEP_M), hidden=street.hide_known())
     assert noticed is not None
     assert abs(noticed.id - LEARNING) <= 1
+
+
+@pytest.mark.parametrize(("failures_per_km", "is_noticed"), [(1e-1, True), (1e-300, False)])
+def test_where_kidnappings_are_rare_one_takes_more_evidence(failures_per_km, is_noticed):
+    street = Street(LocalizationConfig(failures_per_km=failures_per_km))
+    assert street.drive(LEARNING) is None
+    street.carry_off()
+    assert (street.drive(15, hidden=street.hide_known()) is not None) == is_noticed
 
 
 def test_a_drive_without_one_raises_no_alarm(street):
@@ -101,8 +110,12 @@ def test_half_of_the_landmarks_that_vanish_are_none(street):
     assert street.drive(15, hidden=street.positions[:, 1] > 0.0) is None
 
 
-def test_after_a_new_segment_nothing_from_before_is_expected(street):
-    street.monitor.restart()
+@pytest.mark.parametrize("breaks", [False, True], ids=["restart", "break of the odometry"])
+def test_after_a_new_segment_nothing_from_before_is_expected(street, breaks):
+    if breaks:
+        street.segment = 1
+    else:
+        street.monitor.restart()
     street.carry_off()
     assert street.drive(20, hidden=street.hide_known()) is None
 

@@ -219,8 +219,15 @@ def test_poses_shifted_along_a_row_are_compared_by_objects_of_one_class():
 
 
 def test_a_shift_that_leads_back_is_no_other_pose():
-    scene = Scene(scattered(20), registration={"search_radius_m": 8.0})
-    assert scene.verifier.shifted(scene.query, scene.verified()) == []
+    # Two equal objects four metres apart make that shift worth trying; all others lead back from it.
+    twins = np.array([[2.0, 0.0, 0.0], [2.0 + 4.0 * np.cos(0.3), 4.0 * np.sin(0.3), 0.0]])
+    labels = [*range(12), 12, 12]
+    scene = Scene(np.concatenate([scattered(), twins]), labels, registration={"search_radius_m": 8.0})
+    best = scene.verified()
+    shifted = replace(scene.place, T_local_query=scene.place.T_local_query.copy())
+    shifted.T_local_query[:2, 3] += 4.0 * shifted.T_local_query[:2, 0]
+    np.testing.assert_allclose(scene.verified(shifted).T_local_query, best.T_local_query, atol=1e-3)
+    assert scene.verifier.shifted(scene.query, best) == []
 
 
 def test_a_pattern_that_repeats_itself_is_another_pose():
