@@ -10,6 +10,7 @@ import numpy as np
 from logs.reader import LogReader
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
+from slam.backend.map_restoration import add_fixed_map, add_map_frame, restore_factors
 from slam.common.config import Config
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.map_io import METADATA, SavedMap, load_map
@@ -43,7 +44,7 @@ def restore_map_frame(graph: FactorGraph) -> Keyframe:
     It stands where the map frame has its origin, and never moves.
     """
     T_map_body = np.eye(4)
-    graph.add_map_frame(0)
+    add_map_frame(graph, 0)
     pose = OdometryPose(STAMP_NS, T_map_body, TRAVEL_M, SEGMENT, np.inf)
     return Keyframe(0, pose, T_map_body, is_prior=True, is_map_frame=True)
 
@@ -72,7 +73,7 @@ def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed
     ]
     if fixed:
         positions = dict(zip(rows.tolist(), saved.objects.positions, strict=True))
-        graph.add_fixed_map(range(len(keyframes)), saved.graph.T_map_body, positions)
+        add_fixed_map(graph, range(len(keyframes)), saved.graph.T_map_body, positions)
         return keyframes
     landmarks = dict(zip(saved.objects.ids, rows.tolist(), strict=True))
     restore_graph(saved, graph, range(len(keyframes)), landmarks)
@@ -93,7 +94,6 @@ def restore_graph(
     """
     record = saved.graph
     number_of = dict(zip(record.keyframe_ids.tolist(), numbers, strict=True))
-    positions = {landmarks[name]: at for name, at in zip(saved.objects.ids, saved.objects.positions, strict=True)}
     edges = [
         Edge(number_of[first], number_of[second], T_from_to, covariance, EdgeKind(kind))
         for (first, second), T_from_to, covariance, kind in zip(
@@ -118,8 +118,8 @@ def restore_graph(
         )
     ]
     observed = set(record.observation_landmark_ids)
-    for name, covariance in zip(saved.objects.ids, saved.objects.covariances, strict=True):
+    objects = saved.objects
+    for name, position, covariance in zip(objects.ids, objects.positions, objects.covariances, strict=True):
         if name not in observed:  # only keyframes that are not in the map saw it
-            row = landmarks[name]
-            graph.add_known_landmarks({row: positions[row]}, np.sqrt(np.diag(covariance)), is_fixed=False)
-    graph.restore(numbers, record.T_map_body, positions, edges, observations, tie=tie)
+            graph.add_known_landmarks({landmarks[name]: position}, np.sqrt(np.diag(covariance)), is_fixed=False)
+    restore_factors(graph, numbers, record.T_map_body, edges, observations, tie=tie)

@@ -11,6 +11,7 @@ import numpy as np
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
+from slam.backend.map_restoration import restore_factors
 from slam.backend.pose_graph.pose_graph import PoseGraph
 from slam.backend.pose_graph.pose_graph_optimization import optimize_pose_graph
 from slam.common.arrays import BoolArray, FloatArray, IntArray
@@ -191,19 +192,15 @@ def _solved(
     object_map = ObjectMap(config.association)
     graph = FactorGraph(config.factor_graph, sensor_range_m=config.detection.sensor_range_m)
     rows_of: dict[int, dict[str, int]] = {}
-    edges, observations, positions = list[Edge](), list[Observation](), dict[int, FloatArray]()
+    edges, observations = list[Edge](), list[Observation]()
     for number in members:
         saved = maps[number]
         rows = object_map.restore(saved.objects, travel_m=0.0)
         rows_of[number] = dict(zip(saved.objects.ids, rows.tolist(), strict=True))
         edges += _edges_of(saved.graph, first[number])
-        observed = _observations_of(saved.graph, first[number], rows_of[number])
-        for each in observed:
-            T = T_map_place[each.keyframe]
-            positions.setdefault(each.landmark, T[:3, :3] @ each.position + T[:3, 3])
-        observations += observed
+        observations += _observations_of(saved.graph, first[number], rows_of[number])
     edges += [Edge(*_edge(join, maps, first), join.covariance, EdgeKind.LOOP_CLOSURE) for join in joins]
-    graph.restore(range(len(T_map_place)), T_map_place, positions, edges, observations)
+    restore_factors(graph, range(len(T_map_place)), T_map_place, edges, observations)
     for _ in range(FUSIONS):
         graph.optimize()
         if not fuse_duplicate_landmarks(

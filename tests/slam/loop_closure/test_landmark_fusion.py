@@ -7,6 +7,7 @@ import pytest
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation
+from slam.backend.map_restoration import add_fixed_map
 from slam.common.config import AssociationConfig, FactorGraphConfig
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.loop_closure.landmark_fusion import find_duplicate_landmarks, fuse_duplicate_landmarks
@@ -99,7 +100,7 @@ def test_what_stays_as_it_is_is_not_merged_among_itself() -> None:
     object_map, _ = mapped([FIRST, ("tree", (5.3, 3.8, 0.2), (3, 4))])
     graph = FactorGraph(FactorGraphConfig(observed_keyframes=1))
     T = np.tile(np.eye(4), (2, 1, 1))
-    graph.add_fixed_map([0, 1], T, {0: np.array([5.0, 4, 0]), 1: np.array([5.3, 3.8, 0.2])})
+    add_fixed_map(graph, [0, 1], T, {0: np.array([5.0, 4, 0]), 1: np.array([5.3, 3.8, 0.2])})
     for row in (0, 1):
         graph.add_observations([Observation(row, row, np.array([5.0, 4.0, 0.0]), SEEN)])
     graph.update()

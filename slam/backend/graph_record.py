@@ -1,0 +1,60 @@
+"""The factor graph as it goes into a log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+
+from logs.messages import FactorGraphRecord
+from slam.backend.factors import Edge, Factor, Observation
+from slam.common.arrays import FloatArray, IntArray
+
+
+def make_graph_record(
+    stamp_ns: int,
+    keyframes: IntArray,
+    keyframe_stamps_ns: IntArray,
+    T_map_body: FloatArray,
+    factors: Iterable[Factor],
+    variable_of: Callable[[int], int],
+    pose_covariances: FloatArray,
+) -> FactorGraphRecord:
+    """The record of a graph; priors are left out of it.
+
+    Args:
+        stamp_ns: of the record.
+        keyframes: (K,) ids.
+        keyframe_stamps_ns: (K,).
+        T_map_body: (K, 4, 4), their estimates.
+        factors: all that are in force.
+        variable_of: the landmark that stands for a landmark.
+        pose_covariances: (K, 6, 6), or (0, 6, 6) where they are not known.
+    """
+    factors = tuple(factors)
+    edges = [factor for factor in factors if isinstance(factor, Edge)]
+    observations = [factor for factor in factors if isinstance(factor, Observation)]
+    return FactorGraphRecord(
+        stamp_ns=stamp_ns,
+        keyframe_ids=keyframes,
+        keyframe_stamps_ns=keyframe_stamps_ns,
+        T_map_body=T_map_body,
+        edge_keyframe_ids=np.array([(e.from_keyframe, e.to_keyframe) for e in edges], dtype=np.int64).reshape(-1, 2),
+        edge_transforms=np.array([e.T_from_to for e in edges]).reshape(-1, 4, 4),
+        edge_covariances=np.array([e.covariance for e in edges]).reshape(-1, 6, 6),
+        edge_kinds=tuple(str(e.kind) for e in edges),
+        observation_keyframe_ids=np.array([o.keyframe for o in observations], dtype=np.int64),
+        observation_landmark_ids=tuple(str(variable_of(o.landmark)) for o in observations),
+        observation_positions=np.array([o.position for o in observations]).reshape(-1, 3),
+        observation_covariances=np.array([o.covariance_inflation * o.covariance for o in observations]).reshape(
+            -1, 3, 3
+        ),
+        pose_covariances=pose_covariances,
+        observation_redundancies=_covariance_inflations(observations),
+    )
+
+
+def _covariance_inflations(observations: Sequence[Observation]) -> FloatArray:
+    """Those of observations (O,), none where all are 1."""
+    inflations = np.array([observation.covariance_inflation for observation in observations], dtype=np.float64)
+    return inflations if (inflations != 1.0).any() else np.zeros(0)
