@@ -29,11 +29,12 @@ if TYPE_CHECKING:
     from slam.common.config import Config, load_config
     from slam.common.errors import InputDataError, SlamError
     from slam.evaluation.result import Evaluation
+    from slam.final_map import FinalMap
     from slam.library import ScanLocalizer, evaluate_log, landmark_table, read_map, read_trajectory
     from slam.object_map.map_io import SavedMap, load_map
     from slam.registration.registration import Registration
     from slam.replay import ReplaySummary, replay
-    from slam.system import FinalMap, Slam
+    from slam.system import Slam
 
 __all__ = [
     "Config",
@@ -92,7 +93,8 @@ _NAMES_OF_MODULES = {
     "slam.object_map.map_io": ("SavedMap", "load_map"),
     "slam.registration.registration": ("Registration",),
     "slam.replay": ("ReplaySummary", "replay"),
-    "slam.system": ("FinalMap", "Slam"),
+    "slam.final_map": ("FinalMap",),
+    "slam.system": ("Slam",),
 }
 _MODULE_OF = {name: module for module, names in _NAMES_OF_MODULES.items() for name in names}
 

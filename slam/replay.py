@@ -34,6 +34,7 @@ from slam.common.config_tree import CHANGED_SETTINGS, changed_settings
 from slam.common.errors import InputDataError, SavedMapError
 from slam.common.georeference import Georeference
 from slam.display.drive_display import FRAMES, DriveDisplay
+from slam.final_map import FinalMap
 from slam.frontend.input.input_records import InputRecords
 from slam.frontend.input.label_map import LabelMap
 from slam.frontend.input.scan_objects import ScanObjects
@@ -46,7 +47,7 @@ from slam.place_recognition.imported_map import ImportedMap
 from slam.place_recognition.place_prior import PlacePrior
 from slam.self_calibration.calibration import Calibration, calibrate
 from slam.self_calibration.survey import survey
-from slam.system import FinalMap, Slam
+from slam.system import Slam
 
 _TOPICS: Mapping[type[Record], str] = {
     SlamPose: "/slam/pose",

@@ -5,72 +5,46 @@
 
 from __future__ import annotations
 
-import heapq
-import logging
 import time
 from collections import Counter
-from dataclasses import dataclass, replace
-
-import numpy as np
+from collections.abc import Sequence
+from dataclasses import replace
 
 from logs.messages import (
-    FactorGraphRecord,
     GeodeticFix,
     LoopClosureRecord,
     ObjectDetections,
-    ObjectMapRecord,
     Odometry,
     Record,
-    RelocalizationRecord,
-    SceneMarkers,
-    SlamPose,
     StatusRecord,
-    TrajectoryRecord,
     Transform,
 )
+from slam.backend.batch_solver import Optimization
 from slam.backend.factor_graph import FactorGraph
-from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
-from slam.common.errors import FactorGraphError, InputDataError
-from slam.common.geometry import invert
+from slam.common.errors import InputDataError
 from slam.display.snapshot import MapSnapshot, take_snapshot
-from slam.frontend.continuity import decide
-from slam.frontend.input.sensor_frames import SensorFrames, corrected
+from slam.final_map import FinalMap, FinalRecords, judge_outcome
+from slam.frontend.input.scan_placer import ScanPlacer
+from slam.frontend.input.scan_queue import ScanQueue
+from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.mapper import Mapper
-from slam.frontend.scan import make_scan
+from slam.frontend.scan_mapper import ScanMapper
+from slam.frontend.step_resolver import StepResolver
 from slam.localization.gnss import GnssPrior
-from slam.localization.prior_map import PriorMap, restore, restore_map_frame, with_heights_of
-from slam.localization.state import Fix, State
+from slam.localization.pose_output import PoseOutput
+from slam.localization.prior_map import PriorMap, relocalizations, restore_prior_map, with_heights_of
+from slam.localization.state import Fix, LocalizationState, State
 from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
 from slam.loop_closure.loop_closer import LoopCloser
 from slam.object_map.landmarks import LandmarkState, ObjectMap
-from slam.odometry.interpolation import interpolate_between_keyframes
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.path import OdometryPath
 from slam.odometry.pose import OdometryPose
 from slam.odometry.track import OdometryTrack
-from slam.odometry.unexpected_step import Continuation, Correction, UnexpectedStep
 from slam.place_recognition.imported_map import ImportedMap
-from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
+from slam.place_recognition.imported_places import SEGMENT
 from slam.place_recognition.place_prior import PlacePrior
-
-logger = logging.getLogger(__name__)
-
-MAP_FRAME = "map"
-CONTRADICTED = "localization lost: observations are inconsistent with the map"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FinalMap:
-    """Results of a drive. ``closures``: those removed at the end as outliers."""
-
-    trajectory: TrajectoryRecord
-    object_map: ObjectMapRecord
-    graph: FactorGraphRecord
-    closures: tuple[LoopClosureRecord, ...]
-    markers: SceneMarkers
-    snapshot: MapSnapshot
-    status: StatusRecord
 
 
 class Slam:
@@ -100,14 +74,11 @@ class Slam:
             sensor_range_m=config.detection.sensor_range_m,
         )
         self._frames = frames or SensorFrames()
+        self._placer = ScanPlacer(config.detection, self._frames)
+        self._scans = ScanQueue(config.detection.time_offset_s)
         self._object_map = ObjectMap(config.association)
         self._graph = FactorGraph(config.factor_graph, sensor_range_m=config.detection.sensor_range_m)
-        known, imported = list[Keyframe](), None
-        if isinstance(prior_map, ImportedMap):
-            known = [restore_map_frame(self._graph)]
-            imported = ImportedPlaces(prior_map, self._object_map, self._graph, is_fixed=not extend)
-        elif prior_map is not None:
-            known = restore(prior_map, self._object_map, self._graph, fixed=not extend)
+        known, imported = restore_prior_map(prior_map, self._object_map, self._graph, fixed=not extend)
         self._first_keyframe = len(known)
         self._extends = extend
         self._mapper = Mapper(config, self._object_map, self._graph, known)
@@ -116,21 +87,15 @@ class Slam:
         self._gnss: GnssPrior | None = None
         if isinstance(prior_map, ImportedMap) and prior_map.georeference is not None and place_prior is None:
             self._gnss = GnssPrior(prior_map.georeference)
-        self._waiting: list[tuple[int, int, ObjectDetections]] = []
-        self._arrivals = 0
+        self._resolver = StepResolver(self._mapper, self._placer)
+        self._scan_mapper = ScanMapper(
+            config.detection, self._scans, self._placer, self._track, self._mapper, self.counters
+        )
+        self._localization = LocalizationState(has_prior_map=prior_map is not None)
         self._odometry_offset_ns = round(config.odometry.time_offset_s * 1e9)
-        self._time_offset_ns = round(config.detection.time_offset_s * 1e9)
-        self._last_scan_ns = self._judged_ns = -1
-        self._last_scan_frames: set[str] = set()
-        self._body_frame = ""
-        self._odom_frame = ""
-        self._frames_missing: set[str] = set()
         self._path = OdometryPath()
-        self._T_map_odom = np.eye(4)
-        self._is_kidnapped = False
-        self._state = State.MAPPING if prior_map is None else State.LOST
+        self._output = PoseOutput()
         self._keyframes_shown = self._first_keyframe
-        self.fixes: list[Fix] = []
         self.closing_seconds: list[float] = []
         """Time that looking for loops took, keyframe by keyframe."""
 
@@ -142,7 +107,12 @@ class Slam:
     @property
     def state(self) -> State:
         """The localization state of the robot."""
-        return self._state
+        return self._localization.state
+
+    @property
+    def fixes(self) -> Sequence[Fix]:
+        """The relocalizations so far."""
+        return self._localization.fixes
 
     @property
     def solver_seconds(self) -> float:
@@ -157,12 +127,10 @@ class Slam:
             if self._gnss is not None and self._path.latest is not None:
                 self._closer.place_prior = self._gnss.add(record, self._path.latest.travel_m)
         elif isinstance(record, ObjectDetections):
-            # In the order of their stamps, so that a single stamp from the future holds up nothing.
-            heapq.heappush(self._waiting, (record.stamp_ns + self._time_offset_ns, self._arrivals, record))
-            self._arrivals += 1
+            self._scans.add(record)
         elif isinstance(record, Odometry):
             return self._follow(replace(record, stamp_ns=record.stamp_ns + self._odometry_offset_ns))
-        return self._map_waiting_scans()
+        return [*self._scan_mapper.map_waiting()]
 
     def snapshot(self) -> MapSnapshot | None:
         """The map as it is known now, for viewers; None if no keyframe has brought it up to date since the last one."""
@@ -190,148 +158,103 @@ class Slam:
         """
         for pose in self._track.finish():
             self._step(pose)
-        self._map_waiting_scans()
+        self._scan_mapper.map_waiting()
         if len(self._mapper.keyframes) == self._first_keyframe:
             raise InputDataError(
                 "no odometry message was usable, so there is nothing to map; see 'dslam info' of the log"
             )
-        if self._frames_missing and not self.counters["detections_used"]:
+        if (missing := self._placer.describe_missing()) and not self.counters["detections_used"]:
             raise InputDataError(
-                f"{self._describe_missing()}, the body frame of the odometry, so no detection could be placed; record "
+                f"{missing}, the body frame of the odometry, so no detection could be placed; record "
                 "/tf_static, or say --set detection.assume_body_frame=true if the detections are in the body frame"
             )
-        self.counters["detections_without_odometry"] += len(self._waiting)
+        self.counters["detections_without_odometry"] += len(self._scans)
+        return self._final_map(*self._optimize())
+
+    def _optimize(self) -> tuple[list[LoopClosureRecord], str, Optimization]:
+        """Estimate all at once; returns the closures removed as outliers, a warning about them, and how it went."""
         self._mapper.close_keyframe()
         self._graph.settle()
         removed, warning = self._closer.closures.reject_outliers()
         if self._first_keyframe and self._extends:
             self._mapper.retire_gone(self._closer.missing_landmarks())
         if self._extends:
-            self._fuse_duplicate_landmarks()
+            self.counters["landmarks_fused"] = fuse_duplicate_landmarks(
+                self._object_map,
+                self._graph,
+                self._closer.closures.keyframes_nearby(),
+                radius_m=2.0 * self._config.submap.landmark_sigma_m,
+            )
         optimization = self._graph.optimize()
         self.counters["batch_iterations"] = optimization.iterations
-        message = "optimised" if optimization.converged else (
-            f"the final optimisation did not converge in {optimization.iterations} iterations"
-        )  # fmt: skip
-        if warning:
-            message += f"; closures: {warning}"
-        unused = self.counters["odometry_out_of_order"] + self.counters["odometry_duplicated"]
-        if unused > self.counters["odometry_used"]:
-            message += "; most odometry messages were unusable: their stamps do not increase"
-        object_map = self._map_record()
+        return removed, warning, optimization
+
+    def _final_map(self, removed: list[LoopClosureRecord], warning: str, optimization: Optimization) -> FinalMap:
+        records = FinalRecords(
+            self._graph,
+            self._object_map,
+            self._mapper.keyframes,
+            self._path,
+            first_keyframe=self._first_keyframe,
+            first_segment=self._first_segment,
+            stamp_ns=self._now_ns,
+        )
+        if unknown := records.place_landmarks():
+            self.counters["covariances_missing"] = unknown
         self.counters["labels_beyond_max_classes"] += self._object_map.unlisted_labels
         self.counters["closures_removed"] = len(removed)
         self.counters["closures_rejected_by_odometry"] = self._closer.rejected_by_odometry_count
-        is_well = optimization.converged and not warning and unused <= self.counters["odometry_used"]
-        level = "info" if is_well and not self.counters["covariances_missing"] else "warning"
-        confirmed = self._object_map.in_state(LandmarkState.CONFIRMED)
+        outcome = judge_outcome(optimization, warning, self.counters)
         return FinalMap(
-            trajectory=self._trajectory(),
-            object_map=object_map,
-            graph=self._graph_record(),
+            trajectory=records.trajectory(),
+            object_map=records.object_map(),
+            graph=records.graph(),
             closures=tuple(removed),
-            markers=self._markers(confirmed),
+            markers=records.markers(),
             snapshot=self._snapshot(),
-            status=self._status(message, level=level),
-        )
-
-    def _fuse_duplicate_landmarks(self) -> None:
-        """Merge landmarks that are duplicates in the optimised map."""
-        self.counters["landmarks_fused"] = fuse_duplicate_landmarks(
-            self._object_map,
-            self._graph,
-            self._closer.closures.keyframes_nearby(),
-            radius_m=2.0 * self._config.submap.landmark_sigma_m,
+            status=self._status(self.state, outcome.message, level=outcome.level),
         )
 
     def _follow(self, odometry: Odometry) -> list[Record]:
-        self._body_frame, self._odom_frame = odometry.child_frame_id, odometry.frame_id
+        self._placer.follow(odometry)
+        self._output.follow(odometry)
         updates = [update for pose in self._track.add(odometry) for update in self._step(pose)]
-        while (step := self._track.unexpected) is not None and (way := self._way_on(step)) is not None:
-            self._judged_ns = -1
-            updates += [update for pose in self._track.resolve(*way) for update in self._step(pose)]
-        return updates + self._map_waiting_scans()
-
-    def _way_on(self, step: UnexpectedStep) -> tuple[Continuation, Correction | None] | None:
-        """How the odometry goes on at an unexpected step, by the next scan; None while that is to come."""
-        first_ns, last_ns = step.span_ns
-        for stamp_ns, _, detections in sorted(self._waiting, key=lambda waiting: waiting[:2]):
-            if not max(first_ns, self._judged_ns + 1) <= stamp_ns <= last_ns or not self._mapper.keyframes:
-                continue
-            if len(detections.positions) == 0:
-                continue
-            poses = step.at(stamp_ns)
-            T_body_sensor = self._sensor_pose(detections, poses[Continuation.REPORTED])
-            if T_body_sensor is None:
-                continue
-            up_body = poses[Continuation.REPORTED].T_odom_body[2, :3]
-            scan = make_scan(detections, T_body_sensor, self._config.detection, up_body)
-            ratios = {Continuation.REPORTED: self._mapper.log_likelihood_ratio(scan, poses[Continuation.REPORTED])}
-            correction = None
-            if Continuation.EXPECTED in poses and self._mapper.can_align(step.tolerances):
-                expected = replace(poses[Continuation.REPORTED], T_odom_body=poses[Continuation.EXPECTED].T_odom_body)
-                aligned = self._mapper.align(scan, expected, step.tolerances)
-                ratios[Continuation.EXPECTED] = aligned.log_likelihood_ratio
-                correction = Correction(aligned.T_correction, aligned.variances)
-            way = decide(step, ratios)
-            if way is not None:
-                return way, correction if way is Continuation.EXPECTED else None
-            self._judged_ns = stamp_ns
-        return (step.default, None) if step.is_overdue else None
+        while (step := self._track.unexpected) is not None:
+            found = self._resolver.resolve(step, self._scans)
+            if found is None:
+                break
+            resumed = self._track.resolve(found.continuation, found.correction)
+            updates += [update for pose in resumed for update in self._step(pose)]
+        return [*updates, *self._scan_mapper.map_waiting()]
 
     def _step(self, pose: OdometryPose) -> list[Record]:
         # Scans from before this pose belong to the keyframe before it, also where the odometry breaks in between.
-        updates = self._map_waiting_scans(before_ns=pose.stamp_ns)
+        updates: list[Record] = [*self._scan_mapper.map_waiting(before_ns=pose.stamp_ns)]
         breaks = self._path.latest is not None and self._path.latest.segment != pose.segment
         self.counters["odometry_used"] += 1
         self._path.add(pose)
         if self._mapper.add_odometry(pose) is not None:
             updates += self._keyframe_updates(pose, breaks=breaks)
-        # What leaves here refers to the odometry as its messages have it.
-        T_odom_body = invert(pose.T_odom_reported) @ pose.T_odom_body
-        updates.append(Transform(pose.stamp_ns, self._odom_frame, self._body_frame, T_odom_body))
-        if self._state != State.LOST:
-            T_map_reported = self._T_map_odom @ pose.T_odom_reported
-            updates.append(SlamPose(pose.stamp_ns, self._T_map_odom @ pose.T_odom_body, T_map_reported))
-        return updates
+        return updates + self._output.at(pose, is_localized=self.state != State.LOST)
 
     def _keyframe_updates(self, pose: OdometryPose, *, breaks: bool) -> list[Record]:
         keyframe = self._mapper.keyframes[-1]
         closures = self._close_loops(keyframe)
         if self._closer.lost_since_keyframe is not None:
             closures += self._declare_lost(keyframe, self._closer.lost_since_keyframe)
-        self._T_map_odom = self._graph.pose(keyframe.id) @ invert(pose.T_odom_body)
-        changes = self._change_state(keyframe, self._why_lost(breaks=breaks))
-        updates: list[Record] = [*closures, *changes, *self._relocalizations(closures)]
-        if self._state != State.LOST:
-            T_map_reported = self._T_map_odom @ pose.T_odom_reported
-            updates.append(Transform(pose.stamp_ns, MAP_FRAME, self._odom_frame, T_map_reported))
+        self._output.place(pose, self._graph.pose(keyframe.id))
+        changes = self._change_state(keyframe, breaks=breaks)
+        found = relocalizations(closures, self._graph, self._first_keyframe)
+        self.counters["keyframes_recognised"] += len(found)
+        updates: list[Record] = [*closures, *changes, *found]
+        if self.state != State.LOST:
+            updates.append(self._output.map_to_odom(pose))
         self.counters["keyframes"] += 1
         self.counters["closures_accepted"] += sum(closure.accepted for closure in closures)
         self.counters["closures_inserted"] += sum(closure.inserted for closure in closures)
         if len(self._mapper.keyframes) == self._first_keyframe + 1:
-            updates.append(self._status("first odometry", level="info"))
+            updates.append(self._status(self.state, "first odometry", level="info"))
         return updates
-
-    def _relocalizations(self, closures: list[LoopClosureRecord]) -> list[RelocalizationRecord]:
-        """Poses of keyframes in the prior map, from closures with its keyframes."""
-        found = [
-            RelocalizationRecord(
-                stamp_ns=closure.stamp_ns,
-                success=True,
-                reason=closure.reason,
-                T_map_body=self._graph.pose(closure.reference_keyframe_id) @ closure.T_reference_query,
-                covariance=closure.covariance,
-                inlier_count=closure.inlier_count,
-                score=closure.score,
-            )
-            for closure in closures
-            if closure.accepted
-            and closure.reference_keyframe_id < self._first_keyframe
-            and closure.T_reference_query is not None
-        ]
-        self.counters["keyframes_recognised"] += len(found)
-        return found
 
     def _declare_lost(self, keyframe: Keyframe, since: int) -> list[LoopClosureRecord]:
         """Revoke a false relocalization, or begin a new segment after a kidnapping, from the keyframe ``since`` on."""
@@ -341,35 +264,19 @@ class Slam:
             self.counters["kidnappings_detected"] += 1
             self._mapper.retire_since(first)
             self._track.break_off()
-            self._is_kidnapped = True
+            self._localization.declare_kidnapped()
         else:
             self.counters["relocalizations_revoked"] += 1
         return revoked
 
-    def _why_lost(self, *, breaks: bool) -> str:
-        """Why the segment ended, empty if it did not."""
-        if not breaks:
-            return ""
-        self.counters["odometry_breaks"] += 1
-        cause = "kidnapped" if self._is_kidnapped else "odometry discontinuity (jump, gap or restart)"
-        self._is_kidnapped = False
-        return f"{cause}: active landmarks dropped"
-
-    def _change_state(self, keyframe: Keyframe, why_lost: str) -> list[Record]:
-        """Update the localization state: lost unless odometry and closures connect the newest keyframe to the map."""
-        if not self._closer.closures.is_localized(keyframe):
-            was_lost, self._state = self._state == State.LOST, State.LOST
-            if was_lost and not why_lost:
-                return []
-            return [self._status(why_lost or CONTRADICTED, level="warning")]
-        if self._state != State.LOST:
-            return []
-        self._state = State.RELOCALIZED
-        self.fixes.append(Fix(keyframe.odometry.stamp_ns, keyframe.odometry.travel_m))
-        self.counters["relocalizations"] += 1
-        found = self._status("relocalized in the map", level="info")
-        self._state = State.MAPPING if self._first_keyframe == 0 else State.TRACKING
-        return [found, self._status("localization continues", level="info")]
+    def _change_state(self, keyframe: Keyframe, *, breaks: bool) -> list[Record]:
+        if breaks:
+            self.counters["odometry_breaks"] += 1
+        is_localized = self._closer.closures.is_localized(keyframe)
+        changes = self._localization.update(keyframe, is_localized=is_localized, breaks=breaks)
+        if any(change.state == State.RELOCALIZED for change in changes):
+            self.counters["relocalizations"] += 1
+        return [self._status(change.state, change.message, level=change.level) for change in changes]
 
     def _close_loops(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
         if not self._config.loop_closure.enabled:
@@ -379,138 +286,12 @@ class Slam:
         self.closing_seconds.append(time.perf_counter() - started)
         return closures
 
-    def _map_waiting_scans(self, before_ns: int | None = None) -> list[Record]:
-        """Map the scans that the odometry has caught up with; ``before_ns`` keeps those at or after it waiting."""
-        updates: list[Record] = []
-        latest = self._track.latest
-        while self._waiting and latest is not None:
-            stamp_ns = self._waiting[0][0]
-            if stamp_ns > latest.stamp_ns or (before_ns is not None and stamp_ns >= before_ns):
-                break
-            updates += self._map_scan(heapq.heappop(self._waiting)[2])
-        return updates
-
-    def _map_scan(self, detections: ObjectDetections) -> list[Record]:
-        if detections.stamp_ns < self._last_scan_ns:
-            self.counters["detections_out_of_order"] += 1
-            return []
-        if detections.stamp_ns == self._last_scan_ns and detections.frame_id in self._last_scan_frames:
-            self.counters["detections_duplicated"] += 1
-            return []
-        pose = self._track.at(detections.stamp_ns + self._time_offset_ns)
-        # A scan from before a discontinuity does not constrain the keyframes after it.
-        if pose is None or not self._mapper.keyframes or pose.segment != self._mapper.keyframes[-1].odometry.segment:
-            self.counters["detections_without_odometry"] += 1
-            return []
-        T_body_sensor = self._sensor_pose(detections, pose)
-        if T_body_sensor is None:
-            self.counters["detections_without_transform"] += 1
-            return []
-        if detections.stamp_ns > self._last_scan_ns:
-            self._last_scan_frames.clear()
-        self._last_scan_frames.add(detections.frame_id)
-        self._last_scan_ns = detections.stamp_ns
-        scan = make_scan(detections, T_body_sensor, self._config.detection, pose.T_odom_body[2, :3])
-        self.counters["detections_used"] += 1
-        self.counters["detections_without_frame"] += not (
-            detections.frame_id or self._config.detection.assume_body_frame
-        )
-        self.counters["objects_used"] += len(scan.positions)
-        self.counters["objects_filtered"] += len(detections.positions) - len(scan.positions)
-        return [self._mapper.add_scan(scan, pose)]
-
-    def _sensor_pose(self, detections: ObjectDetections, pose: OdometryPose) -> FloatArray | None:
-        """``T_body_sensor`` at the stamp of the detections; None where the log has no transform."""
-        frame, body_frame = detections.frame_id.lstrip("/"), self._body_frame.lstrip("/")
-        if frame in ("", body_frame) or self._config.detection.assume_body_frame:
-            return corrected(np.eye(4), self._config.detection)
-        if frame == self._odom_frame.lstrip("/"):
-            return invert(pose.T_odom_body)
-        T_body_sensor = self._frames.find(body_frame, frame, detections.stamp_ns)
-        if T_body_sensor is None and frame not in self._frames_missing:
-            self._frames_missing.add(frame)
-            logger.warning("%s: detections in that frame are dropped", self._describe_missing())
-        return None if T_body_sensor is None else corrected(T_body_sensor, self._config.detection)
-
-    def _describe_missing(self) -> str:
-        """Which frames nothing connects with the body, and what they and the body are connected with."""
-        trees = {self._frames.tree_of(frame) for frame in (*self._frames_missing, self._body_frame)}
-        listed = "; ".join(", ".join(tree) for tree in sorted(trees))
-        return (
-            f"no transform leads from {', '.join(sorted(self._frames_missing))} to {self._body_frame} (frames that "
-            f"belong together: {listed})"
-        )
-
-    def _trajectory(self) -> TrajectoryRecord:
-        stamps_ns = self._path.stamps_ns
-        keyframe_stamps_ns = [keyframe.odometry.stamp_ns for keyframe in self._own_keyframes]
-        T_map_body = interpolate_between_keyframes(
-            stamps_ns,
-            self._path.T_odom_body,
-            np.searchsorted(stamps_ns, keyframe_stamps_ns),
-            self._graph.poses()[self._first_keyframe :],
-            self._path.segments,
-        )
-        return TrajectoryRecord(self._now_ns, MAP_FRAME, stamps_ns, T_map_body)
-
-    def _map_record(self) -> ObjectMapRecord:
-        landmarks = self._object_map.rows
-        # What never got into the graph has no place in the map but where the odometry put it when it was last seen;
-        # landmarks of a prior map stay where they were.
-        own = landmarks["segment"] >= self._first_segment
-        T_map_local = self._T_map_local_at(landmarks["last_seen_ns"][own])
-        R = T_map_local[:, :3, :3]
-        landmarks["position_map"][own] = (
-            np.einsum("nij,nj->ni", R, landmarks["position_local"][own]) + T_map_local[:, :3, 3]
-        )
-        landmarks["covariance_map"][own] = R @ landmarks["covariance_local"][own] @ np.swapaxes(R, 1, 2)
-        in_graph = self._graph.landmarks
-        landmarks["position_map"][in_graph] = self._graph.landmark_positions(in_graph)
-        try:
-            landmarks["covariance_map"][in_graph] = self._graph.landmark_covariances(in_graph)
-        except FactorGraphError as error:
-            # The map is worth having without them; what stands there then is the covariance relative to the robot.
-            logger.warning("the map has local covariances only: %s", error)
-            self.counters["covariances_missing"] = len(in_graph)
-        return self._object_map.to_record(self._now_ns)
-
-    def _T_map_local_at(self, stamps_ns: IntArray) -> FloatArray:
-        """``T_map_local`` (N, 4, 4) of the last keyframes before the stamps (N,)."""
-        keyframes = self._own_keyframes
-        T_local_body = np.stack([keyframe.T_local_body for keyframe in keyframes])
-        keyframe_stamps_ns = [keyframe.odometry.stamp_ns for keyframe in keyframes]
-        before = np.maximum(np.searchsorted(keyframe_stamps_ns, stamps_ns, side="right") - 1, 0)
-        T_map_body = self._graph.poses()[self._first_keyframe :]
-        return np.asarray((T_map_body @ invert(T_local_body))[before])
-
-    @property
-    def _own_keyframes(self) -> list[Keyframe]:
-        """Those of this drive."""
-        return self._mapper.keyframes[self._first_keyframe :]
-
-    def _graph_record(self) -> FactorGraphRecord:
-        keyframe_stamps_ns = np.array(
-            [keyframe.odometry.stamp_ns for keyframe in self._mapper.keyframes], dtype=np.int64
-        )
-        return self._graph.to_record(self._now_ns, keyframe_stamps_ns)
-
-    def _markers(self, rows: IntArray) -> SceneMarkers:
-        """Landmarks for viewers, where they are in the final map."""
-        classes = self._object_map.beliefs(rows).argmax(axis=1) if len(rows) else []
-        return SceneMarkers(
-            stamp_ns=self._now_ns,
-            frame_id=MAP_FRAME,
-            positions=self._object_map.rows["position_map"][rows],
-            labels=tuple(self._object_map.vocabulary[index] for index in classes),
-            ids=tuple(str(row) for row in rows),
-        )
-
-    def _status(self, message: str, *, level: str) -> StatusRecord:
+    def _status(self, state: State, message: str, *, level: str) -> StatusRecord:
         counters = {key: int(value) for key, value in sorted(self.counters.items())}
         counters |= {
             f"landmarks_{state.name.lower()}": len(self._object_map.in_state(state)) for state in LandmarkState
         }
-        return StatusRecord(self._now_ns, self._state.value, level, message, counters)
+        return StatusRecord(self._now_ns, state.value, level, message, counters)
 
     @property
     def _now_ns(self) -> int:

@@ -74,6 +74,7 @@ LAYERS = (
     {"localization"},
     {"loop_closure"},
     {"display", "map_joining"},
+    {"final_map"},
     {"system"},
     {"replay"},
     {"simulation", "evaluation"},

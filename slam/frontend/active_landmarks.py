@@ -17,9 +17,9 @@ from scipy.special import chdtri
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
+from slam.frontend.input.scan import Scan
 from slam.frontend.landmark_filter import predict_covariances, update_positions
 from slam.frontend.local_map import LocalMap, upright_step
-from slam.frontend.scan import Scan
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.noise import step_variances
 from slam.odometry.pose import OdometryPose

@@ -12,7 +12,7 @@ import numpy as np
 from slam.backend.factors import Observation
 from slam.common.arrays import IntArray
 from slam.common.config import DetectionConfig
-from slam.frontend.scan import Scan
+from slam.frontend.input.scan import Scan
 
 # More measurements than that from one pose, as of a robot that waits, add no information: they share their errors.
 MAX_MEASUREMENTS = 20

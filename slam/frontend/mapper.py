@@ -22,8 +22,8 @@ from slam.common.geometry import invert, relative, rotation_angle_rad
 from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.continuity import scan_log_likelihood_ratio
 from slam.frontend.data_association import associate
+from slam.frontend.input.scan import Scan
 from slam.frontend.keyframe_observations import KeyframeObservations
-from slam.frontend.scan import Scan
 from slam.frontend.scan_alignment import Alignment, align_scan
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from slam.odometry.keyframe import Keyframe

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from logs.messages import LoopClosureRecord, RelocalizationRecord
 from logs.reader import LogReader
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
@@ -17,7 +18,7 @@ from slam.object_map.map_io import METADATA, SavedMap, load_map
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 from slam.place_recognition.imported_map import KIND, ImportedMap, load_imported_map
-from slam.place_recognition.imported_places import HEIGHT_SIGMA_M, SEGMENT, TRAVEL_M, is_flat
+from slam.place_recognition.imported_places import HEIGHT_SIGMA_M, SEGMENT, TRAVEL_M, ImportedPlaces, is_flat
 
 PriorMap = SavedMap | ImportedMap
 """A map that drives made, or one that nobody drove."""
@@ -55,6 +56,20 @@ def with_heights_of(config: Config, prior_map: PriorMap | None) -> Config:
         return config
     registration = config.registration.model_copy(update={"height_sigma_m": HEIGHT_SIGMA_M})
     return config.model_copy(update={"registration": registration})
+
+
+def restore_prior_map(
+    prior_map: PriorMap | None, object_map: ObjectMap, graph: FactorGraph, *, fixed: bool
+) -> tuple[list[Keyframe], ImportedPlaces | None]:
+    """Put a map of either kind into an empty object map and an empty graph.
+
+    Returns its keyframes, and the places of one that nobody drove; of no map none.
+    """
+    if prior_map is None:
+        return [], None
+    if isinstance(prior_map, ImportedMap):
+        return [restore_map_frame(graph)], ImportedPlaces(prior_map, object_map, graph, is_fixed=fixed)
+    return restore(prior_map, object_map, graph, fixed=fixed), None
 
 
 def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed: bool) -> list[Keyframe]:
@@ -123,3 +138,22 @@ def restore_graph(
         if name not in observed:  # only keyframes that are not in the map saw it
             graph.add_known_landmarks({landmarks[name]: position}, np.sqrt(np.diag(covariance)), is_fixed=False)
     restore_factors(graph, numbers, record.T_map_body, edges, observations, tie=tie)
+
+
+def relocalizations(
+    closures: Sequence[LoopClosureRecord], graph: FactorGraph, first_keyframe: int
+) -> list[RelocalizationRecord]:
+    """Poses of keyframes in the prior map, from closures with its keyframes: those before ``first_keyframe``."""
+    return [
+        RelocalizationRecord(
+            stamp_ns=closure.stamp_ns,
+            success=True,
+            reason=closure.reason,
+            T_map_body=graph.pose(closure.reference_keyframe_id) @ closure.T_reference_query,
+            covariance=closure.covariance,
+            inlier_count=closure.inlier_count,
+            score=closure.score,
+        )
+        for closure in closures
+        if closure.accepted and closure.reference_keyframe_id < first_keyframe and closure.T_reference_query is not None
+    ]

@@ -5,6 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+from slam.odometry.keyframe import Keyframe
+
+CONTRADICTED = "localization lost: observations are inconsistent with the map"
+
 
 class State(StrEnum):
     """Localization state: in the map being built (MAPPING), in a prior map (TRACKING), or lost."""
@@ -21,3 +25,51 @@ class Fix:
 
     stamp_ns: int
     travel_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class StateChange:
+    """A state and what led to it, for people; ``level`` is that of the log, info or warning."""
+
+    state: State
+    message: str
+    level: str
+
+
+class LocalizationState:
+    """The state, keyframe by keyframe: lost unless odometry and closures connect the newest keyframe to the map.
+
+    ``fixes``: the relocalizations so far.
+    """
+
+    def __init__(self, *, has_prior_map: bool) -> None:
+        self._localized = State.TRACKING if has_prior_map else State.MAPPING
+        self._is_kidnapped = False
+        self.state = State.LOST if has_prior_map else State.MAPPING
+        self.fixes: list[Fix] = []
+
+    def declare_kidnapped(self) -> None:
+        """Name that as the cause of the next break of the odometry."""
+        self._is_kidnapped = True
+
+    def update(self, keyframe: Keyframe, *, is_localized: bool, breaks: bool) -> list[StateChange]:
+        """Follow to the newest keyframe; ``breaks``: it begins a segment of the odometry. Returns what changed."""
+        why_lost = self._why_lost() if breaks else ""
+        if not is_localized:
+            was_lost, self.state = self.state == State.LOST, State.LOST
+            if was_lost and not why_lost:
+                return []
+            return [StateChange(self.state, why_lost or CONTRADICTED, "warning")]
+        if self.state != State.LOST:
+            return []
+        self.fixes.append(Fix(keyframe.odometry.stamp_ns, keyframe.odometry.travel_m))
+        self.state = self._localized
+        return [
+            StateChange(State.RELOCALIZED, "relocalized in the map", "info"),
+            StateChange(self.state, "localization continues", "info"),
+        ]
+
+    def _why_lost(self) -> str:
+        cause = "kidnapped" if self._is_kidnapped else "odometry discontinuity (jump, gap or restart)"
+        self._is_kidnapped = False
+        return f"{cause}: active landmarks dropped"

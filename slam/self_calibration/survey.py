@@ -12,8 +12,8 @@ from logs.messages import ObjectDetections, Odometry, Record, Transform
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import AssociationConfig, DetectionConfig
 from slam.common.geometry import apply, interpolate, invert, transform_from_xyz_yaw, yaw_rad
+from slam.frontend.input.scan import is_wanted
 from slam.frontend.input.sensor_frames import SensorFrames, corrected
-from slam.frontend.scan import is_wanted
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
 from slam.self_calibration.height_noise import HeightNoise, estimate_height_noise
 from slam.self_calibration.input_errors import BodyMotion, InputErrors, estimate_input_errors

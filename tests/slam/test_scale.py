@@ -19,9 +19,10 @@ from logs.messages import (
 )
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
+from slam.final_map import FinalMap
 from slam.object_map.map_io import SavedMap, load_map, save_map
 from slam.simulation.config import DriveConfig, SimulationConfig
-from slam.system import FinalMap, Slam
+from slam.system import Slam
 from tests.helpers.loop_drives import one_block, with_objects
 from tests.helpers.scaled_settings import scaled_config
 from tests.helpers.short_drives import Entry, drive

@@ -25,8 +25,9 @@ from slam.common.geometry import invert, transform_from_xyz_yaw
 from slam.evaluation.evaluate import find_aliases
 from slam.evaluation.inputs.synchronization import clean_poses
 from slam.evaluation.metrics.association import evaluate_associations, label_detections
+from slam.final_map import FinalMap
 from slam.simulation.config import KidnapConfig, SimulationConfig, TrafficConfig
-from slam.system import FinalMap, Slam
+from slam.system import Slam
 from tests.helpers.short_drives import (
     EXACT_SENSOR,
     NO_DRIFT,

@@ -9,7 +9,7 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.frontend.active_landmarks import ActiveLandmarks
-from slam.frontend.scan import Scan
+from slam.frontend.input.scan import Scan
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.pose import OdometryPose
 

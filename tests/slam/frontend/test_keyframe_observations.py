@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from slam.common.config import DetectionConfig
+from slam.frontend.input.scan import Scan
 from slam.frontend.keyframe_observations import MAX_MEASUREMENTS, KeyframeObservations
-from slam.frontend.scan import Scan
 from tests.logs.examples import random_covariance
 
 CONFIG = DetectionConfig(common_sigma_m=0.3, covariance_inflation=25.0)

@@ -12,8 +12,8 @@ from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.common.union_find import Merge
+from slam.frontend.input.scan import Scan
 from slam.frontend.mapper import Mapper
-from slam.frontend.scan import Scan
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import BREAK_SIGMA_RANGES

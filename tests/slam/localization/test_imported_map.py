@@ -10,6 +10,7 @@ import pytest
 from logs.messages import GroundTruthPose, ObjectDetections, Odometry, SlamPose, Transform
 from slam.benchmarks.known_map import truth_of
 from slam.common.config import Config
+from slam.final_map import FinalMap
 from slam.localization.mirrored_map import is_mirrored
 from slam.localization.prior_map import PriorMap
 from slam.place_recognition.imported_map import make_imported_map
@@ -18,7 +19,7 @@ from slam.simulation.config import SimulationConfig
 from slam.simulation.simulation import simulate
 from slam.simulation.street_grid import generate_street_grid
 from slam.simulation.world import World
-from slam.system import FinalMap, Slam
+from slam.system import Slam
 
 LENGTH_M = 60.0
 FAR_M = 30_000.0

@@ -14,6 +14,7 @@ from slam.common.config import Config
 from slam.common.errors import SavedMapError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.common.georeference import Georeference
+from slam.final_map import FinalMap
 from slam.localization.imported_map_editing import crop_imported_map, merge_imported_maps
 from slam.loop_closure.map_merging import merge_maps, moved
 from slam.object_map.map_cropping import crop_map
@@ -21,7 +22,7 @@ from slam.object_map.map_io import SavedMap, confirmed, load_map, write_map
 from slam.object_map.map_validation import find_fault
 from slam.place_recognition.imported_map import ImportedMap, make_imported_map
 from slam.simulation.config import SimulationConfig
-from slam.system import FinalMap, Slam
+from slam.system import Slam
 from tests.helpers.short_drives import block_world, drive
 
 pytestmark = pytest.mark.slow

@@ -13,13 +13,14 @@ from logs.messages import LoopClosureRecord, SlamPose, StatusRecord
 from logs.writer import LogWriter
 from slam.common.config import Config, LoopClosureConfig
 from slam.common.errors import SavedMapError
+from slam.final_map import FinalMap
 from slam.localization.state import State
 from slam.object_map.landmarks import RetirementReason
 from slam.object_map.map_io import METADATA, SavedMap, confirmed, load_map, save_map
 from slam.place_recognition.retrieval import PlaceRetriever
 from slam.replay import replay
 from slam.simulation.config import SimulationConfig
-from slam.system import FinalMap, Slam
+from slam.system import Slam
 from tests.helpers.short_drives import Entry, block_world, drive, keep_until, records_of, write_log, write_map
 
 pytestmark = pytest.mark.slow

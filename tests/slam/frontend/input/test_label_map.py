@@ -12,7 +12,7 @@ from slam.common.config import DetectionConfig, LabelsConfig, load_config
 from slam.common.config_tree import to_toml
 from slam.common.errors import ConfigurationError
 from slam.frontend.input.label_map import LabelMap
-from slam.frontend.scan import make_scan
+from slam.frontend.input.scan import make_scan
 
 NAMES = ("car", "van", "person", "pole_1", "tree")
 

@@ -8,7 +8,7 @@ import pytest
 from logs.messages import ObjectDetections
 from slam.common.config import DetectionConfig
 from slam.common.geometry import apply, make_transform
-from slam.frontend.scan import make_scan
+from slam.frontend.input.scan import make_scan
 from tests.logs.examples import random_detections, random_transform
 
 

@@ -1,0 +1,51 @@
+"""Detections are placed on the body by the transforms of the log."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from logs.messages import ObjectDetections, Odometry, Transform
+from slam.common.config import DetectionConfig
+from slam.common.geometry import transform_from_xyz_yaw
+from slam.frontend.input.scan_placer import ScanPlacer
+from slam.frontend.input.sensor_frames import SensorFrames
+from slam.odometry.pose import OdometryPose
+
+T_ODOM_BODY = transform_from_xyz_yaw(np.array([5.0, 1.0, 0.0]), 0.5)
+POSE = OdometryPose(10, T_ODOM_BODY, 0.0, 0, 1.0)
+T_BODY_SENSOR = transform_from_xyz_yaw(np.array([1.0, 0.0, 2.0]), 0.0)
+
+
+def detections(frame_id: str, at: tuple[float, float, float] = (4.0, 0.0, 0.0)) -> ObjectDetections:
+    return ObjectDetections(10, frame_id, np.array([at]), ("tree",), np.ones(1), np.zeros((1, 3, 3)))
+
+
+@pytest.fixture
+def placer() -> ScanPlacer:
+    frames = SensorFrames()
+    frames.add(Transform(0, "base_link", "sensor", T_BODY_SENSOR))
+    placer = ScanPlacer(DetectionConfig(), frames)
+    placer.follow(Odometry(10, T_ODOM_BODY, frame_id="odom", child_frame_id="base_link"))
+    return placer
+
+
+@pytest.mark.parametrize(
+    ("frame_id", "expected"),
+    [("sensor", [5.0, 0.0, 2.0]), ("base_link", [4.0, 0.0, 0.0]), ("/base_link", [4.0, 0.0, 0.0]), ("", [4.0, 0, 0])],
+)
+def test_detections_come_out_in_the_body_frame(placer, frame_id, expected):
+    np.testing.assert_allclose(placer.place(detections(frame_id), POSE).positions, [expected], atol=1e-12)
+
+
+def test_detections_in_the_odometry_frame_are_seen_from_the_pose(placer):
+    (x, y, z), R = T_ODOM_BODY[:3, 3], T_ODOM_BODY[:3, :3]
+    ahead = R @ np.array([4.0, 0.0, 0.0])
+    scan = placer.place(detections("odom", (x + ahead[0], y + ahead[1], z)), POSE)
+    np.testing.assert_allclose(scan.positions, [[4.0, 0.0, 0.0]], atol=1e-12)
+
+
+def test_a_frame_that_nothing_connects_is_named(placer):
+    assert placer.describe_missing() == ""
+    assert placer.place(detections("camera"), POSE) is None
+    assert placer.describe_missing().startswith("no transform leads from camera to base_link")

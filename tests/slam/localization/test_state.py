@@ -1,0 +1,50 @@
+"""The localization state, keyframe by keyframe."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.localization.state import CONTRADICTED, Fix, LocalizationState, State
+from slam.odometry.keyframe import Keyframe
+from slam.odometry.pose import OdometryPose
+
+KEYFRAME = Keyframe(3, OdometryPose(7, np.eye(4), 20.0, 0, 1.0), np.eye(4))
+
+
+def update(state: LocalizationState, *, is_localized: bool, breaks: bool = False) -> list[tuple[State, str]]:
+    changes = state.update(KEYFRAME, is_localized=is_localized, breaks=breaks)
+    return [(change.state, change.message) for change in changes]
+
+
+def test_a_robot_maps_until_its_odometry_breaks():
+    state = LocalizationState(has_prior_map=False)
+    assert update(state, is_localized=True) == []
+    assert state.state is State.MAPPING
+    ((lost, why),) = update(state, is_localized=False, breaks=True)
+    assert lost is state.state is State.LOST
+    assert why.startswith("odometry discontinuity")
+    assert update(state, is_localized=False) == []
+
+
+def test_a_robot_that_was_moved_says_so_once():
+    state = LocalizationState(has_prior_map=False)
+    state.declare_kidnapped()
+    assert update(state, is_localized=False, breaks=True)[0][1].startswith("kidnapped")
+    assert update(state, is_localized=False, breaks=True)[0][1].startswith("odometry discontinuity")
+
+
+def test_a_lost_robot_is_found_again():
+    state = LocalizationState(has_prior_map=True)
+    assert state.state is State.LOST
+    assert update(state, is_localized=False) == []
+    assert [each for each, _ in update(state, is_localized=True)] == [State.RELOCALIZED, State.TRACKING]
+    assert state.state is State.TRACKING
+    assert state.fixes == [Fix(7, 20.0)]
+    assert update(state, is_localized=True) == []
+    assert update(state, is_localized=False) == [(State.LOST, CONTRADICTED)]
+
+
+def test_in_a_map_of_its_own_a_robot_that_is_found_again_maps_on():
+    state = LocalizationState(has_prior_map=False)
+    update(state, is_localized=False, breaks=True)
+    assert [each for each, _ in update(state, is_localized=True)] == [State.RELOCALIZED, State.MAPPING]

@@ -1,0 +1,32 @@
+"""Whether the result of a drive can be relied on."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+
+from slam.backend.batch_solver import Optimization
+from slam.final_map import judge_outcome
+
+CONVERGED = Optimization(True, 4, 10.0, 1.0)
+
+
+def test_a_drive_without_trouble_is_well():
+    outcome = judge_outcome(CONVERGED, "", Counter(odometry_used=10, odometry_duplicated=10))
+    assert (outcome.level, outcome.message) == ("info", "optimised")
+
+
+@pytest.mark.parametrize(
+    ("optimization", "warning", "counters", "message"),
+    [
+        (Optimization(False, 50, 10.0, 9.0), "", {"odometry_used": 1}, "did not converge in 50 iterations"),
+        (CONVERGED, "two parts", {"odometry_used": 1}, "closures: two parts"),
+        (CONVERGED, "", {"odometry_used": 1, "odometry_out_of_order": 2}, "their stamps do not increase"),
+        (CONVERGED, "", {"odometry_used": 1, "covariances_missing": 3}, "optimised"),
+    ],
+)
+def test_trouble_makes_it_a_warning(optimization, warning, counters, message):
+    outcome = judge_outcome(optimization, warning, Counter(counters))
+    assert outcome.level == "warning"
+    assert message in outcome.message
