@@ -11,6 +11,7 @@ import re
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,8 @@ LENGTH_UNITS: Mapping[str, float] = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3}
 NO_UNITS: Mapping[str, float] = {"": 1.0}
 
 _GZIP = b"\x1f\x8b"
+_UNPACKED_TIMES, _UNPACKED_BYTES = 100, 64_000_000
+"""Tables and paths pack to a tenth or so; what unpacks to far more, and to much, would only fill the memory."""
 _DELIMITERS = (",", ";", "\t")
 
 
@@ -56,14 +59,26 @@ def read_source_text(path: Path) -> SourceText:
     content = read_text_file(path).content
     digest = hashlib.sha256(content).hexdigest()
     if content.startswith(_GZIP):
-        try:
-            content = gzip.decompress(content)
-        except (OSError, EOFError, zlib.error) as error:
-            raise DatasetError(f"{path}: cannot be unpacked ({error}); copy or pack it again") from error
+        content = _unpacked(path, content)
     try:
         return SourceText(str(path), content.decode("utf-8-sig"), digest)
     except UnicodeDecodeError as error:
         raise DatasetError(f"{path}: not a text file (byte {error.start}); give CSV, JSON lines or poses") from error
+
+
+def _unpacked(path: Path, packed: bytes) -> bytes:
+    limit = max(_UNPACKED_TIMES * len(packed), _UNPACKED_BYTES)
+    try:
+        with gzip.open(BytesIO(packed)) as stream:
+            content = stream.read(limit + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        raise DatasetError(f"{path}: cannot be unpacked ({error}); copy or pack it again") from error
+    if len(content) > limit:
+        raise DatasetError(
+            f"{path}: its {len(packed)} bytes unpack to more than {limit / 1e6:.0f} MB, which no table or path does; "
+            "unpack it and give the file itself if it is one"
+        )
+    return content
 
 
 @dataclass(frozen=True, slots=True)

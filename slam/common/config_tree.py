@@ -23,6 +23,7 @@ _Tree = TypeVar("_Tree", bound=BaseModel)
 
 _FLAG = "--set"
 _SMALLEST, _LARGEST = 1e-9, 1e9
+_MOST_CHARACTERS = 10_000_000
 _BOUNDS = ((annotated_types.Gt, "gt", ">"), (annotated_types.Ge, "ge", ">="), (annotated_types.Lt, "lt", "<"),
            (annotated_types.Le, "le", "<="))  # fmt: skip
 _TYPE_NAMES = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
@@ -153,7 +154,11 @@ def _toml_value(value: object) -> str:
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        with path.open(encoding="utf-8-sig") as stream:
+            text = stream.read(_MOST_CHARACTERS + 1)
+        if len(text) > _MOST_CHARACTERS:
+            raise ConfigurationError(f"{path} has more than {_MOST_CHARACTERS} characters; it is no file of settings")
+        return tomllib.loads(text)
     except OSError as error:
         raise ConfigurationError(f"cannot read {path}: {error.strerror}; give the path of a TOML file") from error
     except ValueError as error:  # of TOML, of UTF-8, or a number with thousands of digits

@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+import tracemalloc
+import zlib
 from itertools import pairwise
 from pathlib import Path
 
@@ -72,6 +74,19 @@ def test_a_damaged_archive_is_refused(drive: TextDrive) -> None:
     path.write_bytes(path.read_bytes()[:-9])
     with pytest.raises(DatasetError, match=r"odometry\.tum\.gz: cannot be unpacked .*again"):
         read_text_log(**drive.files(odometry="odometry.tum.gz"))
+
+
+def test_an_archive_that_is_far_larger_inside_is_refused_before_it_fills_the_memory(drive: TextDrive) -> None:
+    path = drive.write("odometry.tum.gz", TUM)
+    packed = zlib.compressobj(9, wbits=31)
+    zeros = bytes(1_000_000)
+    path.write_bytes(b"".join([*(packed.compress(zeros) for _ in range(300)), packed.flush()]))
+    tracemalloc.start()
+    with pytest.raises(DatasetError, match=r"odometry\.tum\.gz: its \d+ bytes unpack to more than 64 MB"):
+        read_text_log(**drive.files(odometry="odometry.tum.gz"))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 200e6
 
 
 def test_truth_may_be_missing(drive: TextDrive) -> None:

@@ -172,3 +172,8 @@ def test_a_renamed_setting_is_not_hinted_at_in_a_tree_without_it() -> None:
     with pytest.raises(ConfigurationError) as caught:
         load_simulation_config(None, ["evidence.persistence=0.5"])
     assert "renamed" not in str(caught.value)
+
+
+def test_a_file_without_end_is_no_file_of_settings():
+    with pytest.raises(ConfigurationError, match="/dev/zero has more than 10000000 characters"):
+        load_config(Path("/dev/zero"))
