@@ -283,8 +283,8 @@ class LoopClosureConfig(_Branch):
 
     enabled: bool = Field(default=True, description="close loops")
     descriptor: str = Field(
-        default="ring_likelihood",
-        description="descriptor of constellations: ring_likelihood, descriptellation, one of the baselines, a file of "
+        default="descriptellation",
+        description="descriptor of constellations: descriptellation, ring_likelihood, one of the baselines, a file of "
         "weights (NAME.safetensors) or a class of your own (module:Class)",
     )
     min_travel_m: float = Field(

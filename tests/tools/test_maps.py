@@ -223,7 +223,7 @@ class TestInfo:
             "Landmarks by class",
             "steps of odometry, 0 closures and",
             "none stored: they are computed when the map is loaded",
-            "last drive was ring_likelihood",
+            "last drive was descriptellation",
             f"dslam relocalize LOG --map {town}",
         ):
             assert text in " ".join(result.out.split())

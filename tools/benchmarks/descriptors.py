@@ -55,7 +55,7 @@ def descriptors(
     at top 5 and at the time, or say --neighbours 5.
     Without CSV files the map is a simulated street of 1150 m with 795 objects of 25 classes.
 
-    Example: dslam benchmark descriptors --descriptor ring_likelihood --descriptor onion --queries 100 --seeds 1
+    Example: dslam benchmark descriptors --descriptor descriptellation --descriptor onion --queries 100 --seeds 1
     """
     from dataclasses import asdict
 
@@ -123,7 +123,7 @@ def map_size(
     descriptor: Annotated[
         list[str] | None,
         typer.Option(
-            "--descriptor", metavar="NAME", help="These instead of ring_likelihood and exhaustive search. Repeatable."
+            "--descriptor", metavar="NAME", help="These instead of the default and exhaustive search. Repeatable."
         ),
     ] = None,
     size: Annotated[
@@ -150,6 +150,7 @@ def map_size(
     from slam.benchmarks.descriptors import EXHAUSTIVE
     from slam.benchmarks.map_size import SIZES, benchmark_map_size
     from slam.benchmarks.map_size_picture import draw_map_size
+    from slam.common.config import LoopClosureConfig
     from slam.simulation.world import load_world
     from tools import console
 
@@ -159,7 +160,7 @@ def map_size(
             raise typer.BadParameter("--descriptor and --picture need --trajectory.", param_hint="--trajectory")
         measure_tiles(objects, size or (), queries=queries, json=json)
         return
-    methods = descriptor or ["ring_likelihood", EXHAUSTIVE]
+    methods = descriptor or [LoopClosureConfig().descriptor, EXHAUSTIVE]
     sizes = sorted(size or SIZES)
     with console.progress_bar("localizing", "localizing") as move:
         cells = benchmark_map_size(

@@ -100,6 +100,14 @@ def test_on_a_furnished_block_everybody_is_found(outcomes: list[Outcome], kidnap
         assert outcome.load_s > 0.0
 
 
+@pytest.mark.parametrize("descriptor", ["descriptellation", "ring_likelihood"])
+def test_a_descriptor_alone_finds_everybody(search: Search, kidnaps: list[Kidnap], descriptor: str):
+    """Without triangles and without the exhaustive search."""
+    closing = LoopClosureConfig(descriptor=descriptor, max_candidates_when_lost=0, max_candidates_by_triangles=0)
+    alone = replace(search, config=Config(loop_closure=closing))
+    assert [each.verdict for each in search_all(alone, kidnaps, jobs=1)] == [Verdict.RECOVERED] * 3
+
+
 def test_objects_are_counted_around_the_place_where_it_begins(
     outcomes: list[Outcome], kidnaps: list[Kidnap], block: World
 ):
