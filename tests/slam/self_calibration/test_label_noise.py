@@ -17,13 +17,13 @@ LABELS = np.random.default_rng(1).integers(0, CLASSES, 60)
 RANGE_M = 15.0
 
 
-def drive(scans: int = 100) -> list[SurveyScan]:
+def drive(scans: int = 100, range_m: float = RANGE_M) -> list[SurveyScan]:
     """Scans from a straight drive, 0.5 m apart, with the right labels."""
     made = []
     for number in range(scans):
         T = transform_from_xyz_yaw(np.array([0.5 * number, 0.0, 0.0]), 0.0)
         offsets = OBJECTS - T[:3, 3]
-        seen = np.hypot(offsets[:, 0], offsets[:, 1]) < RANGE_M
+        seen = np.hypot(offsets[:, 0], offsets[:, 1]) < range_m
         made.append(SurveyScan(number * 10**8, T, offsets[seen], LABELS[seen], np.full(int(seen.sum()), np.nan)))
     return made
 
@@ -91,11 +91,12 @@ def test_some_labels_that_change_at_once_are_no_new_names() -> None:
     assert estimate(scans).renamed_ns is None
 
 
-def test_a_jump_of_the_odometry_is_no_new_names() -> None:
+@pytest.mark.parametrize(("x_m", "yaw_rad"), [(11.0, 3.5), (0.0, 5.5)])
+def test_a_jump_of_the_odometry_is_no_new_names(x_m: float, yaw_rad: float) -> None:
     """Other objects then lie where the tracks ended."""
-    jump = transform_from_xyz_yaw(np.array([7.0, 3.0, 0.0]), 2.0)
-    scans = drive()
+    jump = transform_from_xyz_yaw(np.array([x_m, 3.0, 0.0]), yaw_rad)
+    scans = drive(60, range_m=40.0)
     for number in range(40, len(scans)):
         scans[number] = replace(scans[number], T_odom_body=jump @ scans[number].T_odom_body)
-    headings = np.where(np.arange(len(scans)) < 40, 0.0, 2.0)
+    headings = np.where(np.arange(len(scans)) < 40, 0.0, yaw_rad)
     assert estimate_label_noise(scans, headings).renamed_ns is None
