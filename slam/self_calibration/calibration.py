@@ -203,6 +203,8 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
     submap_m = _lengths(config, survey)["submap.travel_m"]
     between_passes = found.view + 0.5 * submap_m * found.translation_by_travel
     floor_m = 1e-4 * survey.range_m
+    scan_m = survey.travel_m / survey.scans
+    keyframe_m = _keyframe_distance_m(config, survey)
     return {
         "odometry.translation_sigma": max(
             np.sqrt(drift * found.translation_by_travel), LEAST_DRIFT * np.sqrt(survey.range_m)
@@ -217,12 +219,8 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         "detection.common_sigma_m": np.sqrt(found.view),
         "detection.height_sigma_m": _height_sigma(survey, white + by_range * survey.median_range_m**2),
         # Errors stay the same while the viewing direction changes by 1 rad.
-        "detection.covariance_inflation": max(
-            objects * survey.median_range_m / _keyframe_distance_m(config, survey), 1.0
-        ),
-        "detection.scans_per_view": max(
-            objects * survey.median_range_m / max(survey.travel_m / survey.scans, 1e-9), 1.0
-        ),
+        "detection.covariance_inflation": max(objects * survey.median_range_m / max(keyframe_m, scan_m), 1.0),
+        "detection.scans_per_view": max(objects * survey.median_range_m / max(scan_m, 1e-9), 1.0),
         "submap.landmark_sigma_m": max(np.sqrt(between_passes), floor_m),
         "loop_closure.base_sigma_m": max(np.sqrt(between_passes), floor_m),
         "loop_closure.base_height_sigma_m": np.sqrt(survey.heights.own + 2.0 * survey.heights.common),
