@@ -163,6 +163,11 @@ def _notes(config: Config, survey: Survey, estimated: Mapping[str, float]) -> tu
         )
     elif survey.labels.is_useless:
         notes.append("labels of one object seem drawn at random: they are ignored (association.max_classes = 1)")
+    if survey.components is not None and survey.components.repeated > 1:
+        notes.append(
+            f"detections repeat their errors over {survey.components.repeated} scans or more: their variance is taken "
+            "to be larger by as much"
+        )
     if survey.components is None:
         notes.append("too few objects could be tracked to estimate noise: it is taken to be large")
     return tuple(notes)
@@ -198,8 +203,9 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
     found = _components(survey)
     drift, turn = _shares_not_of_bias(found, survey)
     objects = _objects_that_err_alike(survey, found.view)
-    white = 0.5 * (found.radial + found.tangential)
-    by_range = 0.5 * (found.radial_by_range + found.tangential_by_range)
+    repeated = 1 if survey.components is None else survey.components.repeated
+    white = repeated * 0.5 * (found.radial + found.tangential)
+    by_range = repeated * 0.5 * (found.radial_by_range + found.tangential_by_range)
     submap_m = _lengths(config, survey)["submap.travel_m"]
     between_passes = found.view + 0.5 * submap_m * found.translation_by_travel
     floor_m = 1e-4 * survey.range_m

@@ -30,6 +30,11 @@ FAR_OFF = 100.0
 """Detections beyond so many median ranges are no measurements."""
 NOTED_YAW_RAD = 0.09
 """A sensor that is turned by more than that against its transform is corrected; less may be the road's."""
+SAME_VIEW_RAD = 0.05
+"""Change of the viewing direction within which scans may repeat the errors of one another: what errs by the view is a
+variance component of its own.
+"""
+MOST_REPEATED = 16
 ROUNDS = 8
 """Corrections of the input are found one after another: a large one is only seen in part at first."""
 
@@ -130,7 +135,9 @@ def summarize(scans: list[SurveyScan], errors: InputErrors | None = None) -> Sur
     ranges = np.concatenate([np.hypot(scan.positions[:, 0], scan.positions[:, 1]) for scan in scans])
     tracks = follow_objects(scans, headings)
     biases = centroid_biases(tracks)
-    components = estimate_components(without_bias(tracks, biases), motion)
+    components = estimate_components(
+        without_bias(tracks, biases), motion, most_repeated=_scans_of_a_view(float(np.median(ranges)), motion)
+    )
     return Survey(
         scans=len(scans),
         detections=len(ranges),
@@ -185,15 +192,19 @@ def _spacing(scans: list[SurveyScan]) -> float:
     return float(np.median(distances)) if len(distances) else float("nan")
 
 
+def _scans_of_a_view(range_m: float, motion: Motion) -> int:
+    """Scans in a row from which objects at that range look alike."""
+    scan_m = float(motion.travel_m[-1]) / len(motion.travel_m)
+    return int(np.clip(SAME_VIEW_RAD * range_m / max(scan_m, 1e-9), 1, MOST_REPEATED))
+
+
 def _claimed_ratio(tracks: ObjectTracks, estimate: ComponentEstimate | None) -> float:
     """Horizontal variance of detections as estimated, by that which their messages claim."""
     claimed = tracks.claimed[np.isfinite(tracks.claimed)]
     if estimate is None or len(claimed) == 0:
         return float("nan")
-    found = estimate.variances
     square = np.einsum("ni,ni->n", tracks.offsets, tracks.offsets)[np.isfinite(tracks.claimed)]
-    by_range = found.radial_by_range + found.tangential_by_range
-    return float(np.mean(0.5 * (found.radial + found.tangential + by_range * square)) / np.mean(claimed))
+    return estimate.repeated * estimate.white(float(np.mean(square)))[0] / float(np.mean(claimed))
 
 
 class _Gathered:

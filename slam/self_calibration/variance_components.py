@@ -22,7 +22,7 @@ the jackknife does not see it in a component whose estimate stays at zero.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.optimize import nnls
@@ -76,15 +76,45 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class ComponentEstimate:
-    """``variances`` with their ``standard_errors``; from ``pairs`` tracked pairs of detections."""
+    """``variances`` with their ``standard_errors``; from ``pairs`` tracked pairs of detections.
+
+    ``repeated``: so many scans in a row repeat what is said to be of a single one, as where a tracker fills in scans.
+    """
 
     variances: NoiseComponents
     standard_errors: NoiseComponents
     pairs: int
+    repeated: int = 1
+
+    def white(self, square_range: float) -> tuple[float, float]:
+        """Variance [m^2] of what a detection does not share with others, at a squared range, and its standard error."""
+        variance, error = (
+            0.5 * (each.radial + each.tangential + (each.radial_by_range + each.tangential_by_range) * square_range)
+            for each in (self.variances, self.standard_errors)
+        )
+        return variance, error
 
 
-def estimate_components(tracks: ObjectTracks, motion: Motion) -> ComponentEstimate | None:
-    """Variance components of a log; None where too few objects could be tracked, or at absurd distances."""
+def estimate_components(tracks: ObjectTracks, motion: Motion, *, most_repeated: int = 1) -> ComponentEstimate | None:
+    """Variance components of a log; None where too few objects could be tracked, or at absurd distances.
+
+    ``most_repeated``: scans up to so many apart may repeat their errors. Errors that are repeated hardly change from
+    scan to scan; every second, fourth, ... scan alone shows them.
+    """
+    found = []
+    for power in range(max(most_repeated, 1).bit_length()):
+        estimate = _estimate(tracks.of(tracks.scan % 2**power == 0), motion)
+        if estimate is None:
+            break
+        found.append(replace(estimate, repeated=2**power))
+    if not found:
+        return None
+    whites = [each.white(float(np.mean(tracks.offsets**2)) * 2.0) for each in found]
+    least = 0.5 * max(variance - error for variance, error in whites)
+    return next(each for each, (variance, error) in zip(found, whites, strict=True) if variance + error >= least)
+
+
+def _estimate(tracks: ObjectTracks, motion: Motion) -> ComponentEstimate | None:
     tracks = _well_apart(tracks)
     sums = [_equations(tracks, motion, first, second) for first, second in _lagged_pairs(tracks)]
     if not sums:

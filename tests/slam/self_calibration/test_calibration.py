@@ -237,3 +237,17 @@ def test_labels_that_say_nothing_are_ignored_and_told(surveyed, labels, told):
     calibration = calibrate(Config(), replace(surveyed, labels=labels))
     assert calibration.config.association.max_classes == 1
     assert any(told in note for note in calibration.notes)
+
+
+def test_errors_that_scans_repeat_average_out_more_slowly(surveyed):
+    assert surveyed.components is not None
+    repeated = replace(surveyed, components=replace(surveyed.components, repeated=4))
+    before, after = calibrate(Config(), surveyed), calibrate(Config(), repeated)
+    for key in ("detection.base_sigma_m", "detection.sigma_per_m"):
+        assert value_of(after.config, key) == pytest.approx(2.0 * value_of(before.config, key))
+    assert any("repeat their errors over 4 scans" in note for note in after.notes)
+
+
+def test_scans_that_are_rarer_than_keyframes_are_counted_by_themselves(surveyed):
+    rare = replace(surveyed, scans=2, shared_bias_m=0.0, travel_m=surveyed.median_range_m)
+    assert calibrate(Config(), rare).config.detection.covariance_inflation == pytest.approx(2.0)

@@ -201,3 +201,17 @@ def test_a_motion_that_never_was_tells_nothing_of_its_noise():
     found = estimate_components(drive.tracks, replace(drive.motion, turn_rad=np.zeros_like(drive.motion.turn_rad)))
     assert found is not None
     assert found.variances.heading_by_turn == found.standard_errors.heading_by_turn == 0.0
+
+
+@pytest.mark.parametrize("times", [1, 4, 8])
+def test_errors_that_scans_repeat_are_found(times):
+    drive = SurveyedDrive(0, DETECTOR, scans=400)
+    tracks, motion = drive.tracks, drive.motion
+    rows = np.repeat(np.arange(len(tracks.track)), times)
+    again = tracks.of(rows)
+    again = replace(again, scan=again.scan * times + np.tile(np.arange(times), len(tracks.track)))
+    motion = Motion(*(np.repeat(each, times) for each in (motion.travel_m, motion.turn_rad, motion.time_s)))
+    found = estimate_components(again, motion, most_repeated=16)
+    assert found is not None
+    assert found.repeated == times
+    assert np.sqrt(found.white(100.0)[0]) == pytest.approx(DETECTOR["radial"], rel=0.25)
