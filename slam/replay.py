@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -40,8 +40,8 @@ from slam.frontend.input.label_map import LabelMap
 from slam.frontend.input.scan_objects import ScanObjects
 from slam.frontend.input.sensor_frames import SensorFrames
 from slam.localization.gnss import find_georeference
-from slam.localization.mirrored_map import is_mirrored
 from slam.localization.prior_map import PriorMap
+from slam.localization.unrecognised_map import why_not_recognised
 from slam.object_map.map_io import METADATA, save_map
 from slam.place_recognition.imported_map import ImportedMap
 from slam.place_recognition.place_prior import PlacePrior
@@ -235,7 +235,7 @@ def replay(
         final_status=final.status.message,
         notes=(
             *calibration.notes,
-            *_about_the_map(slam, prior_map, final, config),
+            *_about_the_map(slam, prior_map, final, fixes, config),
             *(f"no detection has the class of {name}" for name in labels.unused()),
             *(
                 f"the class {name} is taken for {to}: they differ in case only"
@@ -259,14 +259,15 @@ def _location(pose: SlamPose, georeference: Georeference) -> GeodeticFix:
     return GeodeticFix(pose.stamp_ns, "map", latitude, longitude, altitude_m)
 
 
-def _about_the_map(slam: Slam, prior_map: PriorMap | None, final: FinalMap, config: Config) -> list[str]:
+def _about_the_map(
+    slam: Slam, prior_map: PriorMap | None, final: FinalMap, fixes: Sequence[GeodeticFix], config: Config
+) -> list[str]:
     """What explains that the robot was not found in its map."""
-    if not isinstance(prior_map, ImportedMap) or slam.fixes:
+    if prior_map is None or slam.fixes:
         return []
     sigma_m = config.submap.landmark_sigma_m
-    if not is_mirrored(prior_map, final.object_map, final.trajectory, sigma_m):
-        return []
-    return ["the map is mirrored: what was seen fits it once x and y change places; import it with them swapped"]
+    reason = why_not_recognised(prior_map, final.object_map, final.trajectory, sigma_m, fixes)
+    return [f"not recognised, probably because: {reason}"]
 
 
 def _final_records(final: FinalMap) -> Iterator[tuple[str, Record]]:

@@ -46,14 +46,22 @@ def train(
     ] = None,
     epochs: Annotated[
         int | None,
-        typer.Option(min=1, help="Of descriptellation 50 maps each, 8 of them; of the others all data, 100 times."),
+        typer.Option(
+            min=1,
+            help="Of descriptellation 50 maps each, 8 of them, with --maps 4; of the others all data, 100 times.",
+        ),
     ] = None,
+    anew: Annotated[
+        bool, typer.Option("--anew", help="With --maps: begin with random weights instead of the shipped ones.")
+    ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of the data and of the first weights.")] = 0,
     device: Annotated[str, typer.Option(help="As torch names it: cpu, cuda, ...; descriptellation: cpu.")] = "cpu",
     threads: Annotated[int, typer.Option(min=1, help="Of a CPU; another number gives slightly other weights.")] = 2,
     json: Json = False,
 ) -> None:
     """Train a descriptor network on simulated maps, and descriptellation on maps of your own, too.
+
+    With maps of your own the shipped weights are trained further, and kept where that makes nothing better there.
 
     A training that was interrupted goes on from its last epoch when the same command is given again. The weights are
     those of the epoch with the best top 5 on validation maps; 'dslam replay --set
@@ -64,21 +72,29 @@ def train(
     if network == TOWERS:
         if input_kind is not None or device != "cpu":
             raise typer.BadParameter(f"--input and --device belong to the other networks, not to {TOWERS}.")
-        _train_towers(folder, maps or [], epochs, seed, threads, json=json)
+        if anew and not maps:
+            raise typer.BadParameter("it goes with --maps.", param_hint="--anew")
+        _train_towers(folder, maps or [], epochs, seed, threads, anew=anew, json=json)
         return
-    if maps:
-        raise typer.BadParameter(f"--maps: {network} is trained on the simulated maps of its paper; leave it out.")
+    if maps or anew:
+        raise typer.BadParameter(f"--maps, --anew: {network} is trained on simulated maps alone; leave them out.")
     _train_network(folder, network, input_kind, epochs or 100, seed, device, threads, json=json)
 
 
-def _train_towers(folder: Path, maps: list[Path], epochs: int | None, seed: int, threads: int, *, json: bool) -> None:
-    from dataclasses import asdict
+def _train_towers(
+    folder: Path, maps: list[Path], epochs: int | None, seed: int, threads: int, *, anew: bool, json: bool
+) -> None:
+    from dataclasses import asdict, replace
 
     from descriptors.learned.training_folder import WEIGHTS
-    from descriptors.towers.training import Step, TowersTraining, train_towers
+    from descriptors.registry import SHIPPED, WEIGHTS_SUFFIX
+    from descriptors.towers.training import Step, TowersTraining, further_training, train_towers
     from tools import console
 
-    config = TowersTraining(seed=seed) if epochs is None else TowersTraining(seed=seed, epochs=epochs)
+    start = SHIPPED / f"{TOWERS}{WEIGHTS_SUFFIX}" if maps and not anew else None
+    config = TowersTraining(seed=seed) if start is None else further_training(seed=seed)
+    if epochs is not None:
+        config = replace(config, epochs=epochs)
     given = [_load_map(path) for path in maps]
     with console.progress_line(f"training {TOWERS}") as tell:
 
@@ -86,10 +102,10 @@ def _train_towers(folder: Path, maps: list[Path], epochs: int | None, seed: int,
             if tell is not None:
                 tell(step.done, _progress(step.loss, step.remaining_s))
 
-        history = train_towers(config, folder, given, threads=threads, on_step=report)
+        history = train_towers(config, folder, given, start=start, threads=threads, on_step=report)
     best = max(history, key=lambda epoch: epoch.validation_top_5)
     if json:
-        console.show_json({"weights": str(folder / WEIGHTS), "best": asdict(best), "epochs": len(history)})
+        console.show_json({"weights": str(folder / WEIGHTS), "best": asdict(best), "epochs": history[-1].epoch})
         return
     headings = ("epoch", "train loss", "validation loss", "top 1", "top 5", "top 25", "s")
     table = console.grid(dict.fromkeys(headings, True))
@@ -97,7 +113,7 @@ def _train_towers(folder: Path, maps: list[Path], epochs: int | None, seed: int,
         shares = (epoch.validation_top_1, epoch.validation_top_5, epoch.validation_top_25)
         table.add_row(
             str(epoch.epoch),
-            f"{epoch.train_loss:.3f}",
+            "-" if epoch.train_loss is None else f"{epoch.train_loss:.3f}",
             f"{epoch.validation_loss:.3f}",
             *(f"{100 * share:.1f} %" for share in shares),
             f"{epoch.seconds:.0f}",

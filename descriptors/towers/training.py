@@ -6,10 +6,11 @@ new views of it. Oord et al., Representation Learning with Contrastive Predictiv
 
 from __future__ import annotations
 
+import hashlib
 import importlib.metadata
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,9 +22,10 @@ from safetensors.torch import save
 from torch import Tensor
 
 from descriptors.constellation import Constellations, gather_constellations
+from descriptors.errors import WeightsError
 from descriptors.learned.training_folder import Stateful, TrainingFolder, replaced
 from descriptors.learned.weights import with_sorted_header
-from descriptors.towers.learned_likelihood import FORMAT
+from descriptors.towers.learned_likelihood import FORMAT, read_towers
 from descriptors.towers.network import Towers, TowersArchitecture, background_of, query_scores
 from descriptors.towers.training_maps import TrainingMap, draw_map
 from descriptors.towers.views import draw_view
@@ -37,6 +39,8 @@ LEAST_BACKGROUND = 5
 LONGEST_STEP = 1.0
 """Norm to which gradients are clipped: one map with few objects does not undo what others taught."""
 RANKS = (1, 5, 25)
+OWN_SHARE = 0.5
+"""Share of the steps that are on pieces of given maps, where there are any; the others keep what is true anywhere."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,12 +67,20 @@ class TowersTraining:
         return dict(json.loads(json.dumps(asdict(self))))
 
 
+def further_training(*, seed: int) -> TowersTraining:
+    """How weights that are trained already are trained further: for a shorter time, and with smaller steps."""
+    return TowersTraining(epochs=4, learning_rate=1e-3, last_rate=1e-4, seed=seed)
+
+
 @dataclass(frozen=True, slots=True)
 class TowersEpoch:
-    """What an epoch of 50 steps achieved: mean loss, and the share of objects found among the first 1, 5 and 25."""
+    """What an epoch of 50 steps achieved: mean loss, and the share of objects found among the first 1, 5 and 25.
+
+    ``epoch`` 0: the weights from which a training went on, with no ``train_loss``.
+    """
 
     epoch: int
-    train_loss: float
+    train_loss: float | None
     validation_loss: float
     validation_top_1: float
     validation_top_5: float
@@ -103,6 +115,7 @@ def train_towers(
     folder: Path,
     given: Sequence[TrainingMap] = (),
     *,
+    start: Path | None = None,
     threads: int = 1,
     on_step: Callable[[Step], None] = lambda step: None,
 ) -> list[TowersEpoch]:
@@ -110,29 +123,52 @@ def train_towers(
 
     Half of all steps are on pieces of the ``given`` maps, if there are any, the others on simulated maps. After every
     epoch the folder holds a checkpoint, the curves, and the weights of the epoch with the best top 5 on validation
-    maps, which are simulated and the same for every seed. Equal configurations give equal weights on a CPU.
+    maps, which are the same for every seed: simulated ones or, with ``start``, pieces of the given ones. Equal
+    configurations give equal weights on a CPU.
+
+    Args:
+        config: what is trained.
+        folder: for checkpoint, curves and weights.
+        given: maps of one's own.
+        start: weights to go on from instead of random ones. They compete with the epochs as epoch 0, so that the
+            result is no worse on the given maps than what it came from.
+        threads: of torch.
+        on_step: is told how far the training is.
 
     Raises:
         DescriptorError: the folder holds the checkpoint of another training, or one that cannot be read.
+        WeightsError: ``start`` cannot be read, or is of another architecture.
     """
     torch.set_num_threads(threads)
     run = _Run(config, given)
-    kept = TrainingFolder(folder, TowersEpoch, {**config.as_json(), "maps": run.maps_digest})
+    about = {**config.as_json(), "maps": run.maps_digest}
+    if start is not None:
+        run.go_on_from(start)
+        about["start"] = hashlib.sha256(start.read_bytes()).hexdigest()
+    kept = TrainingFolder(folder, TowersEpoch, about)
     run.epochs = kept.resume(run.parts)
     rng = np.random.default_rng(2**31)
-    validation = [draw_sample(config, (), rng=rng) for _ in range(config.validation_maps)]
-    while len(run.epochs) < config.epochs:
+    known, share = (given, 1.0) if start is not None else ((), 0.0)
+    validation = [draw_sample(config, known, share, rng=rng) for _ in range(config.validation_maps)]
+    if start is not None and not run.epochs:
+        run.epochs.append(_validated(run.towers, validation, 0, None, time.perf_counter()))
+        _save(kept.weights, run.towers, about, run.epochs[-1])
+    while run.trained < config.epochs:
         run.next_epoch(validation, on_step)
         if run.epochs[-1] is max(run.epochs, key=lambda each: each.validation_top_5):
-            _save(kept.weights, run.towers, config, run.epochs[-1], run.maps_digest)
+            _save(kept.weights, run.towers, about, run.epochs[-1])
         kept.save(run.epochs, run.parts)
     return run.epochs
 
 
-def draw_sample(config: TowersTraining, given: Sequence[TrainingMap], *, rng: np.random.Generator) -> Sample:
-    """A map with views of it in which at least one object is seen as what it is."""
+def draw_sample(
+    config: TowersTraining, given: Sequence[TrainingMap], own_share: float, *, rng: np.random.Generator
+) -> Sample:
+    """A map with views of it in which at least one object is seen as what it is; ``own_share``: how often of a given
+    map.
+    """
     while True:
-        drawn = draw_map(given, rng=rng)
+        drawn = draw_map(given, own_share, rng=rng)
         vocabulary = tuple(map(str, range(drawn.classes)))
         noise_m = rng.normal(0.0, rng.uniform(0.0, config.map_noise_m), drawn.positions.shape)
         radius_m = config.architecture.radius_m
@@ -194,19 +230,31 @@ class _Run:
             "draws": _Draws(self._rng),
         }
 
+    @property
+    def trained(self) -> int:
+        """Epochs so far."""
+        return self.epochs[-1].epoch if self.epochs else 0
+
+    def go_on_from(self, weights: Path) -> None:
+        """Take these weights instead of random ones."""
+        tensors, _ = read_towers(weights)
+        try:
+            self.towers.load_state_dict({name: torch.from_numpy(tensor) for name, tensor in tensors.items()})
+        except RuntimeError as error:
+            raise WeightsError(f"{weights}: of another architecture than {self._config.architecture}") from error
+
     def next_epoch(self, validation: list[Sample], on_step: Callable[[Step], None]) -> None:
         """50 steps, and what they achieved."""
         started = time.perf_counter()
         losses: list[float] = []
         for step in range(STEPS_PER_EPOCH):
-            losses.append(self._step(draw_sample(self._config, self._given, rng=self._rng)))
-            taken = len(self.epochs) * STEPS_PER_EPOCH + step + 1
+            losses.append(self._step(draw_sample(self._config, self._given, OWN_SHARE, rng=self._rng)))
+            taken = self.trained * STEPS_PER_EPOCH + step + 1
             left = self._config.epochs * STEPS_PER_EPOCH - taken
             pace_s = (time.perf_counter() - started) / (step + 1)
             on_step(Step(taken / (taken + left), losses[-1], left * pace_s))
-        loss, (top_1, top_5, top_25) = _validate(self.towers, validation)
-        number, seconds = len(self.epochs) + 1, time.perf_counter() - started
-        self.epochs.append(TowersEpoch(number, float(np.mean(losses)), loss, top_1, top_5, top_25, seconds))
+        number = self.trained + 1
+        self.epochs.append(_validated(self.towers, validation, number, float(np.mean(losses)), started))
 
     def _step(self, sample: Sample) -> float:
         loss = torch.nn.functional.cross_entropy(scores_of(self.towers, sample), torch.as_tensor(sample.objects))
@@ -231,6 +279,13 @@ class _Draws:
         self._rng.bit_generator.state = json.loads(state)
 
 
+def _validated(
+    towers: Towers, validation: list[Sample], number: int, train_loss: float | None, started: float
+) -> TowersEpoch:
+    loss, (top_1, top_5, top_25) = _validate(towers, validation)
+    return TowersEpoch(number, train_loss, loss, top_1, top_5, top_25, time.perf_counter() - started)
+
+
 def _validate(towers: Towers, validation: list[Sample]) -> tuple[float, list[float]]:
     """Mean loss, and the mean share of objects that are among the first of :data:`RANKS`."""
     losses, shares = [], []
@@ -238,18 +293,18 @@ def _validate(towers: Towers, validation: list[Sample]) -> tuple[float, list[flo
         for sample in validation:
             scores, objects = scores_of(towers, sample), torch.as_tensor(sample.objects)
             losses.append(float(torch.nn.functional.cross_entropy(scores, objects)))
-            before = (scores > scores.gather(1, objects[:, None])).sum(dim=1)
+            before = (~(scores <= scores.gather(1, objects[:, None]))).sum(dim=1)  # what is no number is before all
             shares.append([float((before < rank).float().mean()) for rank in RANKS])
     return float(np.mean(losses)), np.mean(shares, axis=0).tolist()
 
 
-def _save(path: Path, towers: Towers, config: TowersTraining, epoch: TowersEpoch, maps: list[list[float]]) -> None:
+def _save(path: Path, towers: Towers, about: Mapping[str, Any], epoch: TowersEpoch) -> None:
     metrics = {key: value for key, value in asdict(epoch).items() if key != "seconds"}
     texts = {
         "format": FORMAT,
-        "architecture": json.dumps(asdict(config.architecture)),
-        "training": json.dumps(config.as_json()),
-        "given_maps": json.dumps(maps),
+        "architecture": json.dumps(about["architecture"]),
+        "training": json.dumps({key: value for key, value in about.items() if key != "maps"}),
+        "given_maps": json.dumps(about["maps"]),
         "metrics": json.dumps(metrics),
         "code_version": json.dumps(importlib.metadata.version("descriptellation-slam")),
     }

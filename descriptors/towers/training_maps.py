@@ -29,9 +29,9 @@ PIECE_OBJECTS = 500
 """Most objects of a piece of a given map, and about those of a simulated one: a step takes them in within a second."""
 
 
-def draw_map(given: Sequence[TrainingMap], *, rng: np.random.Generator) -> TrainingMap:
-    """A street, a forest, superimposed patterns, or, half of the time where there are any, a piece of a given map."""
-    if given and rng.random() < 0.5:
+def draw_map(given: Sequence[TrainingMap], own_share: float, *, rng: np.random.Generator) -> TrainingMap:
+    """A street, a forest, superimposed patterns, or, with the probability ``own_share``, a piece of a given map."""
+    if given and rng.random() < own_share:
         return piece_of(given[int(rng.integers(len(given)))], rng=rng)
     kind = rng.integers(3)
     if kind == 0:

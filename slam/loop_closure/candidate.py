@@ -112,11 +112,15 @@ class Accepted:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Query:
-    """A keyframe and the landmarks around it, in its gravity frame."""
+    """A keyframe and the landmarks around it, in its gravity frame.
+
+    ``before``: queries of the stretches that led there, the latest first, where the robot is looked for in a large map.
+    """
 
     keyframe: Keyframe
     submap: Submap
     T_local_gravity: FloatArray
+    before: tuple[Query, ...] = ()
 
     @property
     def travel_m(self) -> float:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -41,6 +42,9 @@ IN_VIEW_RANGES = 4.0 / 30.0
 ELSEWHERE_RANGES = 15.0 / 30.0
 """Farther, in sensor ranges, than the odometry can drift between two propagated closures."""
 
+STRETCHES = 6
+"""How many stretches of half a submap's length are remembered while the robot is looked for in an imported map."""
+
 
 class LoopCloser:
     """Finds, verifies, accepts and inserts loop closures, keyframe by keyframe."""
@@ -65,6 +69,7 @@ class LoopCloser:
         self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes)
         self.closures = AcceptedClosures(config, object_map, graph, keyframes)
         self._recent: deque[Query] = deque()
+        self._stretches: deque[Query] = deque(maxlen=STRETCHES)
         self._seed_closure: Candidate | None = None
         self._monitor = LocalizationMonitor(self._sensor_range_m)
         self._continuity = ContinuityMonitor(config.localization, self._sensor_range_m)
@@ -169,12 +174,27 @@ class LoopCloser:
 
     def _take_query(self, keyframe: Keyframe) -> Query:
         submap = recent_submap(self._map, keyframe, self._submap_config)
-        query = Query(keyframe, submap, gravity_frame(keyframe.T_local_body))
+        query = Query(keyframe, submap, gravity_frame(keyframe.T_local_body), self._stretches_before(keyframe))
+        if self._retriever.has_imported_map:
+            self._remember_stretch(query)
         oldest_m = query.travel_m - self._limits.propagation_distance_m
         self._recent.append(query)
         while self._recent[0].travel_m < oldest_m:
             self._recent.popleft()
         return query
+
+    def _stretches_before(self, keyframe: Keyframe) -> tuple[Query, ...]:
+        """What was passed before by a robot that is looked for in an imported map, the latest first."""
+        if not self._stretches or self.closures.is_localized(keyframe):
+            return ()
+        segment = keyframe.odometry.segment
+        return tuple(each for each in reversed(self._stretches) if each.keyframe.odometry.segment == segment)
+
+    def _remember_stretch(self, query: Query) -> None:
+        """Keep a query of each half of a submap's length."""
+        step_m = 0.5 * self._submap_config.travel_m
+        if not self._stretches or query.travel_m - self._stretches[-1].travel_m >= step_m:
+            self._stretches.append(replace(query, before=()))
 
     def _propagate(self, query: Query) -> Candidate | None:
         """The closure that the last one predicts; None where it cannot be verified."""

@@ -118,7 +118,33 @@ class Verifier:
         if not limits.close_tracked and 2 * int(np.sum(seen == met)) > len(seen):
             reason = "its landmarks are still associated: there is no loop to close"
             return query.refusal(Stage.CONSISTENCY, reason, reference, rank=place.rank)
-        return self._candidate(query, place, reference_submap, registration, reference, seed_closure)
+        candidate = self._candidate(query, place, reference_submap, registration, reference, seed_closure)
+        return self._with_stretches_before(query, candidate) if seed_closure == NOWHERE else candidate
+
+    def _with_stretches_before(self, query: Query, candidate: Candidate) -> Candidate:
+        """The candidate with the LLR of what the robot passed before, each stretch registered where the next one leads.
+
+        Only a candidate that fits by itself is followed back, and as far as the stretches fit. A landmark of several
+        stretches counts once, as it was seen from the nearest of their keyframes.
+        """
+        if self._by_posterior or candidate.log_likelihood_ratio < self._config.loop_closure.hypothesis_llr:
+            return candidate
+        chain, sigmas = [candidate], [query.submap.sigmas]
+        for stretch in query.before:
+            if len(stretch.submap) < self._config.loop_closure.min_inliers_tracked:
+                continue
+            place = self.predict(chain[-1], stretch)
+            before = None if place is None else self.verify(stretch, place, seed_closure=query.keyframe.id)
+            if place is None or not isinstance(before, Candidate):
+                break
+            if not self.agree(before.T_local_query, place.T_local_query):
+                break
+            chain.append(before)
+            sigmas.append(stretch.submap.sigmas)
+        nearest = np.argsort(np.concatenate(sigmas), kind="stable")
+        rows, first = np.unique(np.concatenate([each.rows for each in chain])[nearest], return_index=True)
+        ratios = np.concatenate([each.log_likelihood_ratios for each in chain])[nearest]
+        return replace(candidate, rows=rows, log_likelihood_ratios=ratios[first])
 
     def _register(self, query: Query, reference_submap: Submap, T_local_query: FloatArray) -> Registration:
         """The query registered with a reference submap from an approximate pose (4, 4)."""

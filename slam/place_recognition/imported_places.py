@@ -67,7 +67,8 @@ class ImportedPlaces:
 
     def retrieve(self, query: Submap, *, count: int) -> list[Place]:
         """The ``count`` places with most votes of the quads of a query, given in its gravity frame."""
-        sigma_m = float(np.hypot(np.median(query.sigmas), self._imported.sigma_m)) if len(query) else 0.0
+        # The errors that grow with the distance from the robot are common to the corners of a quad.
+        sigma_m = float(np.hypot(query.sigmas.min(initial=np.inf), self._imported.sigma_m)) if len(query) else 0.0
         known = np.flatnonzero(query.labels < len(self._imported.vocabulary))
         if len(known) < 4:
             return []

@@ -152,6 +152,11 @@ class PlaceRetriever:
         """Poses (H, 4, 4) of a query in itself at which its objects repeat; one of them is the identity."""
         return self._triangles.aliases(query, count=count)
 
+    @property
+    def has_imported_map(self) -> bool:
+        """Whether there is a map that nobody drove."""
+        return self._imported is not None
+
     def search_penalty(self, query: Submap) -> float:
         """What a retrieved place must be likelier by than one in a small map [nats]; zero without an imported map."""
         return 0.0 if self._imported is None else self._imported.search_penalty(query)

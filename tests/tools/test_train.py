@@ -148,6 +148,8 @@ def test_maps_of_one_s_own_are_taken_and_the_weights_make_an_index(
     monkeypatch.setattr(towers, "TowersTraining", partial(TowersTraining, validation_maps=2, objects_per_map=20))
     typed = ("train", tmp_path / "net", "--maps", tmp_path / "town.csv", "--epochs", 1, "--threads", 1, "--json")
     result = dslam(*typed)
+    curves = (tmp_path / "net" / "curves.csv").read_text(encoding="utf-8").splitlines()
+    assert [line.split(",")[0] for line in curves] == ["epoch", "0", "1"]  # 0: the shipped weights
     assert result.code == 0, result.err
     path = tmp_path / "net" / WEIGHTS
     assert json.loads(result.out)["weights"] == str(path)
@@ -157,6 +159,7 @@ def test_maps_of_one_s_own_are_taken_and_the_weights_make_an_index(
 
 def test_maps_belong_to_descriptellation(dslam: Run, tmp_path: Path) -> None:
     assert_refused(dslam("train", tmp_path, "--network", "pointnet", "--maps", "town.csv"), "--maps", code=2)
+    assert_refused(dslam("train", tmp_path, "--anew"), "--anew", "--maps", code=2)
 
 
 def test_a_network_that_does_not_exist_is_refused(dslam: Run, tmp_path: Path) -> None:

@@ -35,8 +35,15 @@ class ThresholdAcceptance:
         self._hypotheses.clear()
 
     def expected_places(self, query: Query) -> list[Place]:
-        """None: hypotheses wait until they are retrieved again."""
-        return []
+        """Where the latest hypothesis in an imported map is by the odometry; all others wait to be retrieved again.
+
+        In so large a map a place that was found once may not be found again from the objects of the next stretch.
+        """
+        latest = self._hypotheses[-1] if self._hypotheses else None
+        if latest is None or not self._keyframes[latest.reference].is_map_frame:
+            return []
+        place = self._verifier.predict(latest, query)
+        return [] if place is None else [place]
 
     def is_acceptable(self, candidate: Candidate) -> bool:
         """Whether the score of a candidate reaches ``accept_llr``."""

@@ -123,7 +123,7 @@ def test_the_background_is_what_an_average_object_has_around_it() -> None:
 def test_maps_and_views_are_whole(seed: int) -> None:
     rng = np.random.default_rng(seed)
     given = TrainingMap(rng.normal(0.0, 100.0, (900, 3)), rng.integers(40, size=900), 40)
-    for drawn in (draw_map([given], rng=rng), draw_map([], rng=rng), piece_of(given, rng=rng)):
+    for drawn in (draw_map([given], 0.5, rng=rng), draw_map([], 0.5, rng=rng), piece_of(given, rng=rng)):
         assert np.isfinite(drawn.positions).all()
         assert drawn.labels.max() < drawn.classes
         view = draw_view(drawn, rng=rng)
@@ -156,6 +156,27 @@ def test_equal_trainings_give_equal_weights_interrupted_or_not(
     (tmp_path / CHECKPOINT).write_bytes(b"half a checkpoint")
     with pytest.raises(DescriptorError, match="cannot be read"):
         train_towers(TINY, tmp_path)
+
+
+def test_weights_that_are_trained_further_compete_with_what_they_came_from(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training, "STEPS_PER_EPOCH", 2)
+    rng = np.random.default_rng(1)
+    given = [TrainingMap(rng.normal(0.0, 60.0, (200, 3)), rng.integers(4, size=200), 4)]
+    start = folder / WEIGHTS
+    small_steps = replace(TINY, learning_rate=1e-4, last_rate=1e-5)
+    epochs = train_towers(small_steps, tmp_path / "further", given, start=start)
+    assert [each.epoch for each in epochs] == [0, 1, 2]
+    assert epochs[0].train_loss is None
+    assert train_towers(small_steps, tmp_path / "further", given, start=start) == epochs  # complete: nothing is done
+    # Steps that destroy what was learned: the weights are kept as they were.
+    ruined = train_towers(replace(TINY, learning_rate=50.0, last_rate=50.0), tmp_path / "ruined", given, start=start)
+    assert max(ruined, key=lambda each: each.validation_top_5).epoch == 0
+    kept, before = (LearnedLikelihood(path)._weights for path in (tmp_path / "ruined" / WEIGHTS, start))
+    assert all(np.array_equal(kept[name], before[name]) for name in before)
+    with pytest.raises(DescriptorError, match=r"another configuration \(start\)"):
+        train_towers(small_steps, tmp_path / "further", given, start=tmp_path / "ruined" / WEIGHTS)
 
 
 def test_damaged_weights_are_refused(folder: Path, tmp_path: Path) -> None:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from logs.messages import GroundTruthPose, ObjectDetections, Odometry, SlamPose, Transform
+from logs.messages import GeodeticFix, GroundTruthPose, ObjectDetections, Odometry, SlamPose, Transform
 from slam.benchmarks.known_map import truth_of
 from slam.common.config import Config
+from slam.common.georeference import Georeference
 from slam.final_map import FinalMap
-from slam.localization.mirrored_map import is_mirrored
 from slam.localization.prior_map import PriorMap
+from slam.localization.unrecognised_map import why_not_recognised
 from slam.place_recognition.imported_map import make_imported_map
 from slam.place_recognition.place_prior import PlacePrior
 from slam.simulation.config import SimulationConfig
@@ -100,14 +102,24 @@ def test_it_is_looked_for_only_where_it_is_said_to_be(town: World, off_m: float)
 
 
 @pytest.mark.slow
-def test_a_map_with_x_and_y_swapped_is_told_from_another_town(town: World) -> None:
+def test_why_a_map_is_not_recognised_is_told(town: World) -> None:
     swapped = replace(town, positions=town.positions[:, [1, 0, 2]])
     other = generate_street_grid(rng=np.random.default_rng(99))
-    for world, is_it in ((swapped, True), (other, False), (town, False)):
-        known = city_map(world)
-        _, final, slam = drive(town, city_map(other), extend=False)
-        assert not slam.fixes
-        assert is_mirrored(known, final.object_map, final.trajectory, 0.35) == is_it
+    foreign = replace(town, labels=tuple(f"Objekt {label}" for label in town.labels))
+    _, final, slam = drive(town, city_map(other), extend=False)
+    assert not slam.fixes
+
+    def reason(world: World, fixes: Sequence[GeodeticFix] = ()) -> str:
+        known = replace(city_map(world), georeference=Georeference(60.0, 25.0, 0.0, 0.0))
+        return why_not_recognised(known, final.object_map, final.trajectory, 0.35, fixes)
+
+    assert "x and y change places" in reason(swapped)
+    assert "another place" in reason(other)
+    assert "drive on" in reason(town)  # where it would be recognised
+    assert "no class in common: the map has Objekt" in reason(foreign)
+    assert "km from the nearest object" in reason(town, [GeodeticFix(0, "gps", 10.0, 25.0, 0.0)])
+    short = replace(final.trajectory, stamps_ns=final.trajectory.stamps_ns + 10**12)  # nothing was seen since it began
+    assert "0 landmarks" in why_not_recognised(city_map(town), final.object_map, short, 0.35)
 
 
 @pytest.mark.slow

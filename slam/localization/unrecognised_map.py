@@ -1,0 +1,134 @@
+"""Why a robot was probably not found in its map: what a user can change, in one line.
+
+The most telling reasons come first. One of them is a mirror image: plane coordinates come as (x, y) = (east, north)
+from some sources and as (north, east) from others, as geodesists write them. Taken the wrong way round they are a
+mirror image, which no motion of the robot explains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from logs.messages import GeodeticFix, ObjectMapRecord, TrajectoryRecord
+from slam.common.arrays import FloatArray, IntArray
+from slam.localization.prior_map import PriorMap
+from slam.place_recognition.imported_map import ImportedMap
+from slam.place_recognition.quad_index import TOLERANCE_SIGMAS, QuadMatches
+from slam.place_recognition.triangle_voting import vote_for_poses
+
+MOST_LANDMARKS = 60
+FEWEST_LANDMARKS = 4
+"""With fewer no place is told from others."""
+FEWEST_MET = 8
+PLACES = 5
+FAR_M = 1000.0
+"""Farther from all objects of a map no robot is that sees them."""
+NAMED = 5
+"""Classes that are listed."""
+
+
+def why_not_recognised(
+    known: PriorMap,
+    objects: ObjectMapRecord,
+    trajectory: TrajectoryRecord,
+    sigma_m: float,
+    fixes: Sequence[GeodeticFix] = (),
+) -> str:
+    """The likeliest reason that a drive was not found in a map.
+
+    Args:
+        known: the map.
+        objects: of the drive, in a frame of its own, those that were taken from the map among them.
+        trajectory: in the frame of ``objects``.
+        sigma_m: standard deviation of a coordinate of a landmark.
+        fixes: of satellites.
+    """
+    far_m = _distance_of_fixes(known, fixes)
+    if far_m > FAR_M:
+        return f"the fixes of the log are {far_m / 1000.0:.0f} km from the nearest object: a map of another place"
+    seen, labels = _landmarks_of_drive(objects, trajectory)
+    theirs = tuple(known.vocabulary if isinstance(known, ImportedMap) else sorted(_confirmed_labels(known.objects)))
+    shared = np.isin(labels, theirs)
+    if len(labels) and not shared.any():
+        return (
+            f"no class in common: the map has {_listed(theirs)}, the drive {_listed(sorted(set(labels)))}; rename them "
+            "in [labels]"
+        )
+    if shared.sum() < FEWEST_LANDMARKS:
+        return f"{shared.sum()} landmarks of a class of the map were seen, too few to tell a place; drive on"
+    if not isinstance(known, ImportedMap):
+        return f"none of its places fits the {shared.sum()} landmarks seen: a map of another place, or one that changed"
+    nearest = np.argsort(np.linalg.norm(seen[shared][:, :2], axis=1), kind="stable")[:MOST_LANDMARKS]
+    return _why_not_in_imported(known, seen[shared][nearest], np.array(labels)[shared][nearest], sigma_m)
+
+
+def _why_not_in_imported(known: ImportedMap, positions: FloatArray, names: np.ndarray, sigma_m: float) -> str:
+    """The reason by where landmarks (N, 3) m of the drive, whose classes are ``names`` (N,), fit best."""
+    number_of = {name: number for number, name in enumerate(known.vocabulary)}
+    labels = np.array([number_of[name] for name in names.tolist()], dtype=np.int64)
+    spread_m = float(np.hypot(sigma_m, known.sigma_m))
+    met = _met(known, positions, labels, spread_m)
+    if _met(known, positions[:, [1, 0, 2]], labels, spread_m) >= max(FEWEST_MET, len(labels) // 2, 2 * met):
+        return "the map is mirrored: what was seen fits it once x and y change places; import it with them swapped"
+    where = f"at the best place {met} of {len(labels)} landmarks meet an object of their class"
+    if 2 * met > len(labels):
+        return f"{where}, which chance finds among {len(known)} objects, too; drive on, or tell the place by --near"
+    return f"{where}: a map of another place, one that changed much, or one whose unit is not the metre"
+
+
+def _landmarks_of_drive(objects: ObjectMapRecord, trajectory: TrajectoryRecord) -> tuple[FloatArray, list[str]]:
+    """Positions (N, 3) m, from where the drive began, and classes of the landmarks that the drive itself has seen."""
+    if not len(trajectory.stamps_ns):
+        return np.zeros((0, 3)), []
+    is_own = (objects.first_seen_ns >= trajectory.stamps_ns[0]) & (np.array(objects.states) == "confirmed")
+    rows = np.flatnonzero(is_own)
+    labels = objects.labels
+    return objects.positions[rows] - trajectory.T_map_body[0, :3, 3], [labels[row] for row in rows.tolist()]
+
+
+def _confirmed_labels(objects: ObjectMapRecord) -> set[str]:
+    return {label for label, state in zip(objects.labels, objects.states, strict=True) if state == "confirmed"}
+
+
+def _distance_of_fixes(known: PriorMap, fixes: Sequence[GeodeticFix]) -> float:
+    """How far [m] the median of the fixes is from the nearest object of the map; 0 where that is unknown."""
+    if not isinstance(known, ImportedMap) or known.georeference is None or not fixes:
+        return 0.0
+    geodetic = np.array([[fix.latitude_deg, fix.longitude_deg, fix.altitude_m] for fix in fixes])
+    place = np.median(known.georeference.to_map(geodetic)[:, :2], axis=0)
+    return float(np.linalg.norm(known.positions[:, :2] - place, axis=1).min())
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} others" if len(names) > NAMED else "")
+
+
+def _met(imported: ImportedMap, positions: FloatArray, labels: IntArray, sigma_m: float) -> int:
+    """How many of the landmarks meet an object of their class, at the best of the poses that their quads propose."""
+    matches = imported.quads.match(positions, labels, imported.positions, sigma_m=sigma_m)
+    rows, corners = np.unique(matches.reference, return_inverse=True)
+    if not len(rows):
+        return 0
+    tolerance_m = TOLERANCE_SIGMAS * sigma_m
+    poses = vote_for_poses(
+        positions,
+        imported.positions[rows].astype(np.float64),
+        QuadMatches(matches.query, corners.reshape(-1, 4)),
+        tolerance_m=tolerance_m,
+        count=PLACES,
+    )
+    best = 0
+    for pose in poses:
+        moved = positions @ pose.T_reference_query[:3, :3].T + pose.T_reference_query[:3, 3]
+        middle = moved[:, :2].mean(axis=0)
+        near = imported.near(middle, float(np.abs(moved[:, :2] - middle).max()) + tolerance_m)
+        count = 0
+        for label in np.unique(labels).tolist():
+            theirs = imported.positions[near[imported.classes[near] == label], :2]
+            if len(theirs):
+                count += int(np.count_nonzero(cKDTree(theirs).query(moved[labels == label, :2])[0] <= tolerance_m))
+        best = max(best, count)
+    return best
