@@ -8,7 +8,9 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -59,11 +61,12 @@ def blocks_of(name: str) -> list[str]:
     return [block for language, block in FENCE.findall(text) if language in SHELLS]
 
 
-def commands(block: str) -> Iterator[list[str]]:
-    """Arguments of each ``dslam`` in a block of shell; variables are 1."""
+def commands(block: str, *, variables: bool = True) -> Iterator[list[str]]:
+    """Arguments of each ``dslam`` in a block of shell; ``variables``, if it has any, are 1."""
     block = re.sub(r"<<'END'.*?^END$", "", block, flags=re.DOTALL | re.MULTILINE).replace("\\\n", " ")
     for line in block.splitlines():
-        lexer = shlex.shlex(re.sub(r"\$\{?\w+\}?", "1", line), posix=True, punctuation_chars=True)
+        line = re.sub(r"\$\{?\w+\}?", "1", line) if variables else line
+        lexer = shlex.shlex(line, posix=True, punctuation_chars=True)
         lexer.whitespace_split = True
         words: list[str] = []
         for word in [*lexer, ";"]:
@@ -89,7 +92,7 @@ def parse(arguments: list[str]) -> Any:
 @pytest.mark.parametrize("name", NAMES)
 def test_commands_are_those_of_the_program(name: str) -> None:
     for block in blocks_of(name):
-        for arguments in commands(block):
+        for arguments in commands(next(expanded(block))):
             if arguments[0].startswith("--"):  # options of dslam itself act while they are parsed
                 continue
             try:
@@ -122,6 +125,51 @@ def test_results_are_run_from_the_pages_themselves(tmp_path: Path) -> None:
     failing = results["Block"]("page-2", "false\n", tmp_path)
     assert results["run"](failing, tmp_path) == 1
     assert not (tmp_path / "page-2.txt").exists()
+
+
+def expanded(block: str) -> Iterator[str]:
+    """The block for each combination of the values of its loops, other variables but ``$D`` replaced, too."""
+    block = re.sub(r"#.*", "", block)
+    fixed = dict(re.findall(r"^\s*(\w+)=(\S+)$", block, flags=re.MULTILINE))
+    loops = {name: values.split() for name, values in re.findall(r"for (\w+) in ([^;]+);", block)}
+    for values in product(*loops.values()):
+        text = block
+        for name, value in [*fixed.items(), *zip(loops, values, strict=True)]:
+            text = re.sub(rf"\$({name}\b|{{{name}}})", lambda _, value=value: value, text)
+        yield text
+
+
+def files_of(arguments: list[str]) -> tuple[set[str], set[str]]:
+    """Files of a command: what it reads, and what it writes."""
+    writes, reads = set[str](), set[str]()
+    words = iter(arguments)
+    for word in words:
+        if word in ("-o", "--save-map", "--picture", "--html"):
+            writes.add(next(words))
+        elif re.search(r"\.(mcap|csv|gz|txt|xz|safetensors)$", word):
+            reads.add(word.rpartition("=")[2])
+    if arguments[0] in ("simulate", "import", "train"):
+        first = arguments[2 if arguments[0] == "import" else 1]
+        writes.add(f"{first}/weights.safetensors" if arguments[0] == "train" else first)
+    return reads - writes, writes
+
+
+@pytest.mark.parametrize("wrong", ["", "dslam replay nowhere.mcap -o out.mcap\n", "dslam info $D/nowhere.csv\n"])
+def test_what_commands_of_results_read_is_data_or_made_before(wrong: str) -> None:
+    """Block by block, in the order in which they are run."""
+    results = runpy.run_path(str(ROOT / "docs" / "run_results.py"))
+    blocks = [block for page in results["PAGES"] for block in results["read_blocks"](page)]
+    made, missing = set[str](), list[str]()
+    for block in [*blocks, replace(blocks[0], commands=wrong)]:
+        texts = [text.replace("$D", str(block.data)) for text in expanded(block.commands)]
+        used = [files_of(arguments) for text in texts for arguments in commands(text, variables=False)]
+        scripts = re.findall(r"^python - (.*) <<", block.commands, flags=re.MULTILINE)
+        made.update(*(writes for _, writes in used), *(script.split() for script in scripts))
+        read = set[str]().union(*(reads for reads, _ in used)) - made
+        is_data = {each for each in read if each.startswith(str(block.data))}
+        there = {each for each in is_data if Path(each).is_file() or not block.data.is_dir()}
+        missing += [f"{block.name}: {each}" for each in sorted(read - there)]
+    assert len(missing) == bool(wrong), missing
 
 
 def test_reference_pages_hold_every_command_setting_and_key() -> None:
