@@ -13,7 +13,7 @@ from pathlib import Path
 from slam.common.errors import ViewerError
 
 LOOPBACK = "127.0.0.1"
-START_TIMEOUT_S = 30.0
+START_TIMEOUT_S = 60.0
 _POLL_S = 0.1
 
 

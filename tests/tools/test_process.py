@@ -115,7 +115,7 @@ class TestSignals:
             time.sleep(0.01)
         time.sleep(max(seconds, 0.0))
         process.send_signal(number)
-        _, told = process.communicate(timeout=60)
+        _, told = process.communicate(timeout=600)
         return process.returncode, told
 
     @pytest.mark.slow

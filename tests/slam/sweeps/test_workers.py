@@ -71,4 +71,4 @@ def test_no_process_outlives_one_that_is_killed(tmp_path: Path) -> None:
         assert set(process.stdout.read(2).decode()) == {"1", "2"}
         process.kill()
         # The pipe ends when the last process that holds it has ended; they would sleep for a minute.
-        assert process.communicate(timeout=20) == (b"", None)
+        assert process.communicate(timeout=50) == (b"", None)
