@@ -66,11 +66,13 @@ def _closures(quality: ClosureQuality | None, reason: str | None) -> str:
     if quality.true_count is None or quality.false_count is None:
         return f"{counted}; precision {_missing(reason)}"
     precision = fraction(quality.precision, quality.true_count, quality.true_count + quality.false_count)
+    origins = quality.discoveries
+    origin = f"{origins.found} found, {origins.followed} followed, {origins.led_back} led back"
     revisits = quality.revisits
     if revisits is None or not revisits.revisit_count:
-        return f"{counted}, precision {precision}; no revisit"
+        return f"{counted}, precision {precision}; {origin}; no revisit"
     recall = fraction(revisits.recalled_count / revisits.revisit_count, revisits.recalled_count, revisits.revisit_count)
-    return f"precision {precision}, recall {recall}"
+    return f"precision {precision}, recall {recall}; {origin}"
 
 
 def _relocalization(quality: RelocalizationQuality | None, reason: str | None) -> str:

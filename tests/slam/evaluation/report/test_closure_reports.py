@@ -11,6 +11,7 @@ from logs.messages import FactorGraphRecord, GroundTruthPose, LoopClosureRecord,
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import EvaluationRecords, collect_records
 from slam.evaluation.report.picture import compose_picture
+from slam.evaluation.report.summary import summarize
 from slam.evaluation.requirements import parse_requirement
 from tests.slam.evaluation.loops import closure, there_and_back
 from tests.slam.evaluation.results import at_json, graph, printed
@@ -57,6 +58,16 @@ def test_loop_closures_of_a_drive_there_and_back() -> None:
     report = printed(result)
     for text in ("50.00 % (1 of 2)", "2.70 % (1 of 37 revisits", "no true candidate 35 (35 without", "median 0.500 m"):
         assert text in report
+
+
+def test_the_summary_tells_what_was_found_from_what_was_followed() -> None:
+    log = there_and_back_log()
+    followed = [
+        (topic, replace(record, seed_query_keyframe_id=90) if isinstance(record, LoopClosureRecord) else record)
+        for topic, record in log
+    ]
+    assert summarize(evaluate(collect_records(log)))["closures"].endswith("; 2 found, 0 followed, 0 led back")
+    assert "; 0 found, " in summarize(evaluate(collect_records(followed)))["closures"]
 
 
 def test_the_numbers_that_decided_are_listed_with_the_truth() -> None:
