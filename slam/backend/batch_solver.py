@@ -118,7 +118,10 @@ class BatchSolver:
                 self._optimize(1)
 
     def restart(self, values: gtsam.Values, changed: Mapping[int, gtsam.NonlinearFactor]) -> None:
-        """Go on from other values, with other factors in the place of some."""
+        """Go on from other values, with factors added, or others in the place of some."""
+        for number, factor in changed.items():
+            self._uses.subtract(_keys(self._factors[number]) if number in self._factors else ())
+            self._uses.update(_keys(factor))
         self._factors |= changed
         self._values, self._is_changed = gtsam.Values(values), True
         self.update()

@@ -106,35 +106,33 @@ class FactorGraph:
 
     def add_edge(self, edge: Edge) -> int:
         """Tie two keyframes together; returns the factor's number."""
-        for keyframe in (edge.from_keyframe, edge.to_keyframe):
-            if not self._store.solver.holds_keyframe(keyframe):
-                raise FactorGraphError(
-                    f"edge {edge.from_keyframe} -> {edge.to_keyframe}: keyframe {keyframe} is not in the graph"
-                )
+        self._check_ends(edge)
         return self._store.add(edge)
 
     def add_joining_edge(self, edge: Edge, moved: IntArray) -> int:
         """Tie two stretches together that only a break of the odometry tied: the keyframes ``moved`` (K,), with one end
         of the edge, and the landmarks that only they saw are first moved as a whole to where the edge puts them.
 
-        No solver would find there: to its robust kernel the edge would be as wrong as any.
+        No solver would find there: to its robust kernel the edge would be as wrong as any, and an update with the edge
+        before the segment is moved would bend both stretches towards each other.
         """
-        number = self.add_edge(edge)
+        self._check_ends(edge)
         self.update()
-        keyframes = set(moved.tolist())
+        store, keyframes = self._store, set(moved.tolist())
         T_shift = shift_of_segment(edge, self.pose(edge.from_keyframe), self.pose(edge.to_keyframe), keyframes)
         with self._calls.doing("the joining of two segments"):
-            estimate = self._store.solver.estimate()
-            landmarks = [v for v in self._store.landmarks.variables if self._store.solver.holds_landmark(v)]
-            seen_by_others = self._store.seen_by_others(keyframes)
-            along = {v for v in landmarks if v not in seen_by_others and not self._store.known.holds(v)}
-            values = moved_estimate(estimate, self._keyframes, landmarks, keyframes, along, T_shift)
-            relaxed = relaxed_breaks(self.factors, keyframes, values)
-            self._store.factors |= relaxed
-            self._store.solver.restart(
-                values, {each: self._store.solver_factor(break_) for each, break_ in relaxed.items()}
-            )
-        return number
+            landmarks = [each for each in store.landmarks.variables if store.solver.holds_landmark(each)]
+            seen_by_others = store.seen_by_others(keyframes)
+            along = {each for each in landmarks if each not in seen_by_others and not store.known.holds(each)}
+            values = moved_estimate(store.solver.estimate(), self._keyframes, landmarks, keyframes, along, T_shift)
+            return store.restart(values, edge, relaxed_breaks(self.factors, keyframes, values))
+
+    def _check_ends(self, edge: Edge) -> None:
+        for keyframe in (edge.from_keyframe, edge.to_keyframe):
+            if not self._store.solver.holds_keyframe(keyframe):
+                raise FactorGraphError(
+                    f"edge {edge.from_keyframe} -> {edge.to_keyframe}: keyframe {keyframe} is not in the graph"
+                )
 
     def add_observations(self, observations: Sequence[Observation]) -> int:
         """Tie landmarks to the keyframes that saw them; returns how many were used.

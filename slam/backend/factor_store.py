@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import gtsam
@@ -139,6 +139,14 @@ class FactorStore:
             for factor in self.factors.values()
             if isinstance(factor, Observation) and factor.keyframe not in keyframes
         }
+
+    def restart(self, values: gtsam.Values, new: Edge, changed: Mapping[int, Edge]) -> int:
+        """Solve all afresh from ``values``, with a new edge, and others in the place of some; returns its number."""
+        self.factors |= changed
+        number = self._number(new)
+        replaced = {each: self.solver_factor(self.factors[each]) for each in (*changed, number)}
+        self.solver.restart(values, replaced)
+        return number
 
     def settle(self) -> BatchSolver:
         """End the incremental estimate: from now on all observations are used, and updates are steps in batch."""

@@ -122,7 +122,7 @@ class IncrementalSolver:
         self._took_in(numbers, result)
 
     def restart(self, values: gtsam.Values, changed: Mapping[int, gtsam.NonlinearFactor]) -> None:
-        """Solve all afresh from ``values``, with other factors in the place of some."""
+        """Solve all afresh from ``values``, with factors added, or others in the place of some."""
         self.update()
         factors = self._factors() | dict(changed)
         try:

@@ -34,19 +34,24 @@ def reject_outlier_closures(
     *,
     odometry_inflation: float,
 ) -> OutlierRejection:
-    """Optimise the pose graph of the keyframes robustly, from scratch, and reject the closures that disagree.
+    """Which closures agree with the odometry and with one another, by a robust optimisation of the pose graph.
 
-    Landmarks are left out: the problem is smaller, and merged landmarks would support the closures that merged them.
+    The tested closures are put to :func:`slam.backend.pose_graph.robust_optimization.optimize_robustly`, which begins
+    at the solution without them. No factor is removed here: that is left to the caller. Landmarks take no part: the
+    problem is smaller, and merged landmarks would support the closures that merged them.
 
     Args:
         factors: all factors of the graph by their numbers.
-        closures: numbers of those that are tested; other closures are left out.
+        closures: numbers of those that are tested; closures that are not among them take no part.
         keyframes: ids (K,).
-        T_map_body: (K, 4, 4), their estimates.
+        T_map_body: (K, 4, 4), their estimates, the initial values.
         odometry_inflation: factor on the sigmas of the odometry, the same as in the odometry penalty.
 
+    Returns:
+        For each tested closure its weight and whether it is kept, and a warning where they were hard to tell apart.
+
     Raises:
-        FactorGraphError: the keyframes are not connected without closures.
+        FactorGraphError: GTSAM cannot solve the graph, for example because only a closure holds a keyframe.
     """
     graph, at = gtsam.NonlinearFactorGraph(), dict[int, int]()
     tested = set(closures)

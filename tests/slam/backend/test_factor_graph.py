@@ -609,3 +609,20 @@ def test_what_only_a_break_tied_is_moved_as_a_whole_to_where_the_closure_puts_it
     expected = [[4.0, 3.0, 0.0], apply(T_far, np.array([[4.0, 3.0, 0.0]]))[0]]
     np.testing.assert_allclose(graph.landmark_positions(np.array([5, 6])), expected, atol=1e-3)
     np.testing.assert_allclose(graph.pose(3), T_far @ step, atol=1e-3)
+
+
+def test_an_edge_that_joins_segments_bends_neither():
+    """Both segments are as straight after the joining as before, though the edge was far from the first estimate."""
+    graph = FactorGraph(PLAIN)
+    soft, loose = np.diag(np.repeat([1e-2, 1.0], 3)), np.diag(np.repeat([1.0, 1e4], 3))
+    step = transform_from_xyz_yaw(np.array([2.0, 0.0, 0.0]), 0.0)
+    graph.add_first_keyframe(0, np.eye(4))
+    graph.add_next_keyframe(Edge(0, 1, step, soft, EdgeKind.ODOMETRY))
+    graph.add_next_keyframe(Edge(1, 2, np.eye(4), loose, EdgeKind.DISCONTINUITY))
+    graph.add_next_keyframe(Edge(2, 3, step, soft, EdgeKind.ODOMETRY))
+    T_far = transform_from_xyz_yaw(np.array([3.0, 2.5, 0.0]), 0.4)
+    number = graph.add_joining_edge(Edge(0, 3, T_far, soft, EdgeKind.LOOP_CLOSURE), np.array([2, 3]))
+    np.testing.assert_allclose(graph.poses(), [np.eye(4), step, T_far @ invert(step), T_far], atol=1e-9)
+    graph.remove_factor(number)
+    graph.update()
+    assert number not in graph.factors
