@@ -30,77 +30,92 @@ def _list_faults(wanted: bool) -> None:
         raise typer.Exit
 
 
+_FieldOfView = Annotated[
+    float | None,
+    typer.Option(metavar="DEG", help="Angle of view about straight ahead, up to 360.", rich_help_panel=_VIEW),
+]
+_MaxRange = Annotated[
+    float | None,
+    typer.Option(metavar="M", help="Horizontal distance beyond which nothing is seen.", rich_help_panel=_VIEW),
+]
+_KeepLabel = Annotated[
+    list[str] | None,
+    typer.Option(metavar="NAME", help="Keep only objects of that class. Repeatable.", rich_help_panel=_VIEW),
+]
+_DropLabel = Annotated[
+    list[str] | None,
+    typer.Option(metavar="NAME", help="Take out objects of that class. Repeatable.", rich_help_panel=_VIEW),
+]
+_Dropout = Annotated[
+    float | None,
+    typer.Option(metavar="P", help="Probability that a detection is lost.", rich_help_panel=_DETECTOR),
+]
+_LabelConfusion = Annotated[
+    float | None,
+    typer.Option(metavar="P", help="Probability that it gets another of the log's labels.", rich_help_panel=_DETECTOR),
+]
+_PositionNoise = Annotated[
+    float | None,
+    typer.Option(metavar="M", help="Noise of the position on each axis, 1 sigma.", rich_help_panel=_DETECTOR),
+]
+_FalsePositives = Annotated[
+    float | None,
+    typer.Option(metavar="N", help="Mean number of invented objects a scan.", rich_help_panel=_DETECTOR),
+]
+_OdometryTranslationNoise = Annotated[
+    float | None,
+    typer.Option(metavar="M/SQRT(M)", help="On each axis, after 1 m of travel.", rich_help_panel=_DRIVE),
+]
+_OdometryYawNoise = Annotated[
+    float | None,
+    typer.Option(metavar="RAD/SQRT(M)", help="Of the heading, after 1 m of travel.", rich_help_panel=_DRIVE),
+]
+_TimeOffset = Annotated[
+    float | None,
+    typer.Option(metavar="S", help="Added to the detections' stamps, may be negative.", rich_help_panel=_DRIVE),
+]
+_Reversed = Annotated[
+    bool, typer.Option("--reversed", help="Play the drive backwards, in reverse gear.", rich_help_panel=_DRIVE)
+]
+_FaultNames = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME[=VALUE]",
+        help="Put that fault into the log, several values joined by a colon. Repeatable.",
+        rich_help_panel=_FAULTS,
+    ),
+]
+_ListFaults = Annotated[
+    bool,
+    typer.Option(
+        "--list-faults",
+        help="List the faults with their values and their meaning.",
+        callback=_list_faults,
+        is_eager=True,
+        rich_help_panel=_FAULTS,
+    ),
+]
+_Seed = Annotated[int, typer.Option(help="Seed of all that is random.")]
+
+
 def degrade(
     source: InputLog,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.mcap", help="The log to write.")],
-    field_of_view: Annotated[
-        float | None,
-        typer.Option(metavar="DEG", help="Angle of view about straight ahead, up to 360.", rich_help_panel=_VIEW),
-    ] = None,
-    max_range: Annotated[
-        float | None,
-        typer.Option(metavar="M", help="Horizontal distance beyond which nothing is seen.", rich_help_panel=_VIEW),
-    ] = None,
-    keep_label: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="Keep only objects of that class. Repeatable.", rich_help_panel=_VIEW),
-    ] = None,
-    drop_label: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="Take out objects of that class. Repeatable.", rich_help_panel=_VIEW),
-    ] = None,
-    dropout: Annotated[
-        float | None,
-        typer.Option(metavar="P", help="Probability that a detection is lost.", rich_help_panel=_DETECTOR),
-    ] = None,
-    label_confusion: Annotated[
-        float | None,
-        typer.Option(
-            metavar="P", help="Probability that it gets another of the log's labels.", rich_help_panel=_DETECTOR
-        ),
-    ] = None,
-    position_noise: Annotated[
-        float | None,
-        typer.Option(metavar="M", help="Noise of the position on each axis, 1 sigma.", rich_help_panel=_DETECTOR),
-    ] = None,
-    false_positives: Annotated[
-        float | None,
-        typer.Option(metavar="N", help="Mean number of invented objects a scan.", rich_help_panel=_DETECTOR),
-    ] = None,
-    odometry_translation_noise: Annotated[
-        float | None,
-        typer.Option(metavar="M/SQRT(M)", help="On each axis, after 1 m of travel.", rich_help_panel=_DRIVE),
-    ] = None,
-    odometry_yaw_noise: Annotated[
-        float | None,
-        typer.Option(metavar="RAD/SQRT(M)", help="Of the heading, after 1 m of travel.", rich_help_panel=_DRIVE),
-    ] = None,
-    time_offset: Annotated[
-        float | None,
-        typer.Option(metavar="S", help="Added to the detections' stamps, may be negative.", rich_help_panel=_DRIVE),
-    ] = None,
-    is_reversed: Annotated[
-        bool, typer.Option("--reversed", help="Play the drive backwards, in reverse gear.", rich_help_panel=_DRIVE)
-    ] = False,
-    fault: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME[=VALUE]",
-            help="Put that fault into the log, several values joined by a colon. Repeatable.",
-            rich_help_panel=_FAULTS,
-        ),
-    ] = None,
-    _listed: Annotated[
-        bool,
-        typer.Option(
-            "--list-faults",
-            help="List the faults with their values and their meaning.",
-            callback=_list_faults,
-            is_eager=True,
-            rich_help_panel=_FAULTS,
-        ),
-    ] = False,
-    seed: Annotated[int, typer.Option(help="Seed of all that is random.")] = 0,
+    field_of_view: _FieldOfView = None,
+    max_range: _MaxRange = None,
+    keep_label: _KeepLabel = None,
+    drop_label: _DropLabel = None,
+    dropout: _Dropout = None,
+    label_confusion: _LabelConfusion = None,
+    position_noise: _PositionNoise = None,
+    false_positives: _FalsePositives = None,
+    odometry_translation_noise: _OdometryTranslationNoise = None,
+    odometry_yaw_noise: _OdometryYawNoise = None,
+    time_offset: _TimeOffset = None,
+    is_reversed: _Reversed = False,
+    fault: _FaultNames = None,
+    _listed: _ListFaults = False,
+    seed: _Seed = 0,
     topics: Topics = None,
     json: Json = False,
 ) -> None:

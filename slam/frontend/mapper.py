@@ -18,7 +18,7 @@ from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
-from slam.common.geometry import invert, relative, rotation_angle_rad
+from slam.common.geometry import invert, relative
 from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.continuity import scan_log_likelihood_ratio
 from slam.frontend.data_association import associate
@@ -26,13 +26,10 @@ from slam.frontend.input.scan import Scan
 from slam.frontend.keyframe_observations import KeyframeObservations
 from slam.frontend.scan_alignment import Alignment, align_scan
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
-from slam.odometry.keyframe import Keyframe
+from slam.odometry.keyframe import Keyframe, is_keyframe_due
 from slam.odometry.noise import BREAK_SIGMA_RAD, BREAK_SIGMA_RANGES, step_covariance
 from slam.odometry.pose import OdometryPose
 
-# The robot stands still below that motion.
-MOVED_RANGES = 0.1 / 30
-MOVED_RAD = 0.02
 # After that travel, in sensor ranges, covariances of the local map are made relative to the robot again: what is in
 # view is far nearer, and a small turn about a start far away is a large shift.
 ANCHOR_RANGES = 10.0
@@ -60,7 +57,12 @@ class Mapper:
 
     def add_odometry(self, pose: OdometryPose) -> Keyframe | None:
         """Follow the track to its newest pose; returns the keyframe if one was made there."""
-        if self.keyframes and not self._keyframe_due(pose):
+        if self.keyframes and not is_keyframe_due(
+            self.keyframes[-1].odometry,
+            pose,
+            self._config.keyframe,
+            sensor_range_m=self._config.detection.sensor_range_m,
+        ):
             return None
         if self.keyframes and pose.segment != self.keyframes[-1].odometry.segment:
             self._deactivate(np.ones(len(self._active.rows), dtype=np.bool_))
@@ -209,19 +211,6 @@ class Mapper:
         self._message_count += 1
         self._sensors.add(sensor)
         self._scan_count = self._message_count // len(self._sensors)
-
-    def _keyframe_due(self, pose: OdometryPose) -> bool:
-        last = self.keyframes[-1].odometry
-        limits = self._config.keyframe
-        turn_rad = float(rotation_angle_rad(relative(last.T_odom_body, pose.T_odom_body)))
-        moved_m = MOVED_RANGES * self._config.detection.sensor_range_m
-        has_moved = pose.travel_m - last.travel_m >= moved_m or turn_rad >= MOVED_RAD
-        return bool(
-            pose.segment != last.segment
-            or pose.travel_m - last.travel_m >= limits.distance_m
-            or turn_rad >= np.deg2rad(limits.angle_deg)
-            or (pose.stamp_ns - last.stamp_ns >= limits.interval_s * 1e9 and has_moved)
-        )
 
     def _odometry_edge(self, previous: Keyframe, keyframe: Keyframe) -> Edge:
         T_previous_keyframe = relative(previous.odometry.T_odom_body, keyframe.odometry.T_odom_body)

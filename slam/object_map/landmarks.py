@@ -16,6 +16,7 @@ from logs.messages import ObjectMapRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import AssociationConfig
 from slam.common.union_find import Merge, UnionFind
+from slam.object_map.class_beliefs import ClassBeliefs
 
 
 class LandmarkState(IntEnum):
@@ -64,10 +65,6 @@ LANDMARK = np.dtype(
 )
 
 
-OTHER_CLASS = "other"
-"""The class of objects whose own found no room in the vocabulary."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _ObservationSums:
     """Sums over the measurements of each landmark, one row a landmark."""
@@ -82,15 +79,11 @@ class ObjectMap:
     """Landmarks and the vocabulary of their classes."""
 
     def __init__(self, config: AssociationConfig) -> None:
-        self._config = config
         self._rows = np.zeros(64, dtype=LANDMARK)
-        self._label_counts = np.zeros((64, 8))
+        self._beliefs = ClassBeliefs(config)
         self._size = 0
         self._reasons: dict[int, str] = {}
         self._aliases = UnionFind()
-        self._label_index: dict[str, int] = {}
-        self.unlisted_labels = 0
-        """How many labels were of a class beyond the limit."""
 
     def __len__(self) -> int:
         return self._size
@@ -103,28 +96,16 @@ class ObjectMap:
     @property
     def vocabulary(self) -> tuple[str, ...]:
         """Class names in the order in which they were first seen; the index of a label is its place here."""
-        return tuple(self._label_index)
+        return self._beliefs.vocabulary
+
+    @property
+    def unlisted_labels(self) -> int:
+        """How many labels were of a class beyond the limit."""
+        return self._beliefs.unlisted_labels
 
     def label_indices(self, labels: tuple[str, ...]) -> IntArray:
         """Index (N,) of each label; a new one is added to the vocabulary, while it has room."""
-        for label in labels:
-            if label not in self._label_index:
-                self._add_class(label)
-        if len(self._label_index) > self._label_counts.shape[1]:
-            wider = np.zeros((len(self._label_counts), 2 * len(self._label_index)))
-            wider[:, : self._label_counts.shape[1]] = self._label_counts
-            self._label_counts = wider
-        other = self._label_index.get(OTHER_CLASS, 0)
-        indices = np.array([self._label_index.get(label, other) for label in labels], dtype=np.int64)
-        self.unlisted_labels += sum(label not in self._label_index for label in labels)
-        return indices
-
-    def _add_class(self, label: str) -> None:
-        """The last class that fits stands for all that come after it."""
-        if len(self._label_index) < self._config.max_classes - 1:
-            self._label_index[label] = len(self._label_index)
-        else:
-            self._label_index.setdefault(OTHER_CLASS, len(self._label_index))
+        return self._beliefs.label_indices(labels)
 
     def in_state(self, state: LandmarkState) -> IntArray:
         """Rows in that state, ascending; those that became another landmark are left out."""
@@ -134,26 +115,11 @@ class ObjectMap:
 
     def classes(self, rows: IntArray) -> IntArray:
         """The most probable class (N,) of each landmark."""
-        if not self._label_index:
-            return np.zeros(len(rows), dtype=np.int64)
-        return np.asarray(self._label_counts[rows, : len(self._label_index)].argmax(axis=1))
+        return self._beliefs.classes(rows)
 
     def beliefs(self, rows: IntArray) -> FloatArray:
-        """Class probabilities (N, C): the posterior of even priors and independent labels of the configured accuracy.
-
-        With accuracy p and C classes a label multiplies the odds of its class by p (C - 1) / (1 - p).
-        """
-        return self._beliefs(self._label_counts[rows])
-
-    def _beliefs(self, label_counts: FloatArray) -> FloatArray:
-        classes = len(self._label_index)
-        if classes < 2:
-            return np.ones((len(label_counts), classes))
-        accuracy = self._config.label_accuracy
-        odds = np.log(accuracy * (classes - 1) / (1.0 - accuracy))
-        logits = label_counts[:, :classes] * odds
-        weights = np.exp(logits - logits.max(axis=1, keepdims=True))
-        return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+        """Class probabilities (N, C) of each landmark."""
+        return self._beliefs.beliefs(self._beliefs.label_counts(rows))
 
     def add(
         self,
@@ -183,7 +149,7 @@ class ObjectMap:
         landmarks["position_local"][new] = positions_local
         landmarks["first_position_local"][new] = positions_local
         landmarks["covariance_local"][new] = covariances_local
-        self._label_counts[new, labels] = 1.0
+        self._beliefs.begin(new, labels)
         return new
 
     def restore(self, saved: ObjectMapRecord, *, travel_m: float, relative_sigma_m: float = 0.0) -> IntArray:
@@ -213,9 +179,7 @@ class ObjectMap:
         landmarks["last_seen_ns"][rows] = saved.last_seen_ns
         landmarks["position_map"][rows] = saved.positions
         landmarks["covariance_map"][rows] = saved.covariances
-        self._label_counts[rows] = 0.0
-        counts = saved.class_probabilities * saved.observation_counts[:, None]
-        np.add.at(self._label_counts, np.ix_(rows, labels), counts)
+        self._beliefs.restore(rows, labels, saved.class_probabilities * saved.observation_counts[:, None])
         return rows
 
     def record_observations(
@@ -233,7 +197,7 @@ class ObjectMap:
         landmarks["sum_tt"][rows] += seconds**2
         landmarks["sum_p"][rows] += offset
         landmarks["sum_tp"][rows] += seconds[:, None] * offset
-        self._label_counts[rows, labels] += 1.0
+        self._beliefs.count(rows, labels)
 
     def velocities(self, rows: IntArray) -> FloatArray:
         """Velocity (N, 3) m/s in the odometry frame: the least-squares line through all measurements."""
@@ -312,7 +276,7 @@ class ObjectMap:
             ids=tuple(str(row) for row in kept),
             positions=landmarks["position_map"].copy(),
             covariances=landmarks["covariance_map"].copy(),
-            class_probabilities=self._beliefs(merged_totals.label_counts[kept]),
+            class_probabilities=self._beliefs.beliefs(merged_totals.label_counts[kept]),
             states=tuple(self._state(int(row)).name.lower() for row in kept),
             reasons=tuple(self._reason(int(row)) for row in kept),
             merged_into=tuple(self._merged_into(int(row)) for row in kept) if self._aliases else (),
@@ -328,14 +292,14 @@ class ObjectMap:
             landmarks["observations"].copy(),
             landmarks["first_seen_ns"].copy(),
             landmarks["last_seen_ns"].copy(),
-            self._label_counts[: self._size].copy(),
+            self._beliefs.label_counts(slice(self._size)).copy(),
         )
         for row in self._aliases.dropped:
             kept = self.canonical_id(row)
             merged_totals.observations[kept] += landmarks["observations"][row]
             merged_totals.first_seen_ns[kept] = min(merged_totals.first_seen_ns[kept], landmarks["first_seen_ns"][row])
             merged_totals.last_seen_ns[kept] = max(merged_totals.last_seen_ns[kept], landmarks["last_seen_ns"][row])
-            merged_totals.label_counts[kept] += self._label_counts[row]
+            merged_totals.label_counts[kept] += self._beliefs.label_counts(row)
         return merged_totals
 
     def _state(self, row: int) -> LandmarkState:
@@ -355,6 +319,5 @@ class ObjectMap:
         capacity = max(size, 2 * len(self._rows))
         rows = np.zeros(capacity, dtype=LANDMARK)
         rows[: self._size] = self._rows[: self._size]
-        label_counts = np.zeros((capacity, self._label_counts.shape[1]))
-        label_counts[: self._size] = self._label_counts[: self._size]
-        self._rows, self._label_counts = rows, label_counts
+        self._rows = rows
+        self._beliefs.reserve(capacity)

@@ -4,8 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from slam.common.arrays import FloatArray
+from slam.common.config import KeyframeConfig
+from slam.common.geometry import relative, rotation_angle_rad
 from slam.odometry.pose import OdometryPose
+
+# The robot stands still below that motion.
+MOVED_RANGES = 0.1 / 30
+MOVED_RAD = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,3 +30,15 @@ class Keyframe:
     T_local_body: FloatArray
     is_prior: bool = False
     is_map_frame: bool = False
+
+
+def is_keyframe_due(last: OdometryPose, pose: OdometryPose, limits: KeyframeConfig, *, sensor_range_m: float) -> bool:
+    """Whether the body has come so far since the last keyframe, or moved so long ago, that a next one is due."""
+    turn_rad = float(rotation_angle_rad(relative(last.T_odom_body, pose.T_odom_body)))
+    has_moved = pose.travel_m - last.travel_m >= MOVED_RANGES * sensor_range_m or turn_rad >= MOVED_RAD
+    return bool(
+        pose.segment != last.segment
+        or pose.travel_m - last.travel_m >= limits.distance_m
+        or turn_rad >= np.deg2rad(limits.angle_deg)
+        or (pose.stamp_ns - last.stamp_ns >= limits.interval_s * 1e9 and has_moved)
+    )

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,20 +18,13 @@ from slam.common.config import DetectionConfig, OdometryConfig
 from slam.common.geometry import invert, make_transform
 from slam.odometry.expected_motion import ExpectedMotion
 from slam.odometry.pose import OdometryPose, between
+from slam.odometry.step_limits import StepLimits
 from slam.odometry.unexpected_step import Continuation, Correction, UnexpectedStep
 
 # Scans wait for the odometry message that follows them; older ones than this many messages have lost their pose.
 HISTORY = 6000
-# The speed before a step is the greatest of that many steps, because a single one is noisy.
-RECENT_STEPS = 10
-# Odometry may be that far off from one message to the next without being called broken, in sensor ranges.
-JUMP_SLACK_RANGES = 2.0 / 30.0
 # Travel is counted in steps of at least that length, in sensor ranges.
 JITTER_RANGES = 0.05 / 30.0
-# A pose that is the first one to so many metres (and about as many radians) is the first one again,
-RESTART_TOLERANCE = 1e-6
-# unless the body was on its way there: no farther off than that from going on as before, in sensor ranges.
-RESTART_SLACK_RANGES = 0.25 / 30.0
 
 
 class OdometryTrack:
@@ -51,8 +43,7 @@ class OdometryTrack:
     ) -> None:
         self._config = config
         self._jitter_m = JITTER_RANGES * sensor_range_m
-        self._jump_slack_m = JUMP_SLACK_RANGES * sensor_range_m
-        self._restart_slack_m = RESTART_SLACK_RANGES * sensor_range_m
+        self._limits = StepLimits(config, sensor_range_m)
         self._first_segment = first_segment
         self._breaks_next = False
         self._poses: deque[OdometryPose] = deque(maxlen=HISTORY)
@@ -213,19 +204,24 @@ class OdometryTrack:
     def _is_wild(self, odometry: Odometry, following: Odometry) -> bool:
         """Whether a message alone is off: the following one goes on from before it."""
         seconds = (odometry.stamp_ns - self._poses[-1].stamp_ns) * 1e-9
-        may_be = seconds <= self._config.max_gap_s and not self._starts_over(odometry, seconds)
+        T_odom_body = self._T_odom_reported @ odometry.T_odom_body
+        starts_over = self._limits.starts_over(
+            self._poses,
+            odometry.stamp_ns,
+            T_odom_body,
+            T_reported=odometry.T_odom_body,
+            T_first=self._T_odom_first,
+        )
+        may_be = seconds <= self._config.max_gap_s and not starts_over
         return may_be and self._is_usual(following) and not self._is_beyond_limits(following)
 
     def _is_beyond_limits(self, odometry: Odometry) -> bool:
-        """Whether a step is a discontinuity if nothing shows that it is not: by a silence, a jump or a restart."""
-        last = self._poses[-1]
-        seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9
-        T_odom_body = self._T_odom_reported @ odometry.T_odom_body
-        step_m = float(np.linalg.norm(T_odom_body[:3, 3] - last.T_odom_body[:3, 3]))
-        return (
-            seconds > self._config.max_gap_s
-            or step_m > self._farthest_step_m(seconds)
-            or self._starts_over(odometry, seconds)
+        return self._limits.is_beyond(
+            self._poses,
+            odometry.stamp_ns,
+            self._T_odom_reported @ odometry.T_odom_body,
+            T_reported=odometry.T_odom_body,
+            T_first=self._T_odom_first,
         )
 
     def _append(self, odometry: Odometry, *, is_usual: bool, correction: Correction | None = None) -> OdometryPose:
@@ -270,27 +266,6 @@ class OdometryTrack:
     def _repeats(self, odometry: Odometry) -> bool:
         """Whether a message has the pose of the one before it to the last digit."""
         return bool(np.array_equal(odometry.T_odom_body, self._T_reported))
-
-    def _starts_over(self, odometry: Odometry, seconds: float) -> bool:
-        """Whether the odometry was started again: it is where it began, to the last digit, or at the identity.
-
-        A kidnapped robot may continue near the pose of its odometry by chance; that shows no jump.
-        """
-        T = odometry.T_odom_body
-        if not any(np.abs(T - T_start).max() < RESTART_TOLERANCE for T_start in (self._T_odom_first, np.eye(4))):
-            return False
-        last = self._poses[-1]
-        before = self._poses[-2] if len(self._poses) > 1 else last
-        passed_s = (last.stamp_ns - before.stamp_ns) * 1e-9
-        velocity = (last.T_odom_body - before.T_odom_body)[:3, 3] / passed_s if passed_s > 0.0 else np.zeros(3)
-        goes_on = last.T_odom_body[:3, 3] + velocity * seconds
-        return float(np.linalg.norm((self._T_odom_reported @ T)[:3, 3] - goes_on)) > self._restart_slack_m
-
-    def _farthest_step_m(self, seconds: float) -> float:
-        """How far the body can have come since the last pose; farther is a jump of the odometry."""
-        speed_mps = max(pose.speed_mps for pose in islice(reversed(self._poses), RECENT_STEPS))
-        reachable_mps = speed_mps + self._config.max_acceleration_mps2 * seconds
-        return min(reachable_mps, self._config.max_speed_mps) * seconds + self._jump_slack_m
 
 
 def _rigid(T: FloatArray) -> FloatArray:

@@ -1,0 +1,94 @@
+"""The classes of landmarks, from the labels that were measured."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.config import AssociationConfig
+
+OTHER_CLASS = "other"
+"""The class of objects whose own found no room in the vocabulary."""
+
+
+class ClassBeliefs:
+    """How often each landmark was given each label, one row a landmark, and the vocabulary of the labels.
+
+    ``unlisted_labels``: how many labels were of a class beyond the limit.
+    """
+
+    def __init__(self, config: AssociationConfig) -> None:
+        self._config = config
+        self._label_counts = np.zeros((64, 8))
+        self._label_index: dict[str, int] = {}
+        self.unlisted_labels = 0
+
+    @property
+    def vocabulary(self) -> tuple[str, ...]:
+        """Class names in the order in which they were first seen; the index of a label is its place here."""
+        return tuple(self._label_index)
+
+    def label_indices(self, labels: tuple[str, ...]) -> IntArray:
+        """Index (N,) of each label; a new one is added to the vocabulary, while it has room."""
+        for label in labels:
+            if label not in self._label_index:
+                self._add_class(label)
+        if len(self._label_index) > self._label_counts.shape[1]:
+            wider = np.zeros((len(self._label_counts), 2 * len(self._label_index)))
+            wider[:, : self._label_counts.shape[1]] = self._label_counts
+            self._label_counts = wider
+        other = self._label_index.get(OTHER_CLASS, 0)
+        indices = np.array([self._label_index.get(label, other) for label in labels], dtype=np.int64)
+        self.unlisted_labels += sum(label not in self._label_index for label in labels)
+        return indices
+
+    def _add_class(self, label: str) -> None:
+        """The last class that fits stands for all that come after it."""
+        if len(self._label_index) < self._config.max_classes - 1:
+            self._label_index[label] = len(self._label_index)
+        else:
+            self._label_index.setdefault(OTHER_CLASS, len(self._label_index))
+
+    def reserve(self, rows: int) -> None:
+        """Make room for so many landmarks."""
+        if rows > len(self._label_counts):
+            counts = np.zeros((rows, self._label_counts.shape[1]))
+            counts[: len(self._label_counts)] = self._label_counts
+            self._label_counts = counts
+
+    def begin(self, rows: IntArray, labels: IntArray) -> None:
+        """Give new landmarks (N,) their first labels (N,)."""
+        self._label_counts[rows, labels] = 1.0
+
+    def count(self, rows: IntArray, labels: IntArray) -> None:
+        """Count one more label (N,) of each of different landmarks (N,)."""
+        self._label_counts[rows, labels] += 1.0
+
+    def restore(self, rows: IntArray, labels: IntArray, counts: FloatArray) -> None:
+        """Set how often landmarks (N,) were given labels (C,), (N, C)."""
+        self._label_counts[rows] = 0.0
+        np.add.at(self._label_counts, np.ix_(rows, labels), counts)
+
+    def label_counts(self, rows: IntArray | int | slice) -> FloatArray:
+        """How often landmarks were given each label; columns beyond the vocabulary are zero."""
+        return np.asarray(self._label_counts[rows])
+
+    def classes(self, rows: IntArray) -> IntArray:
+        """The most probable class (N,) of each landmark."""
+        if not self._label_index:
+            return np.zeros(len(rows), dtype=np.int64)
+        return np.asarray(self._label_counts[rows, : len(self._label_index)].argmax(axis=1))
+
+    def beliefs(self, label_counts: FloatArray) -> FloatArray:
+        """Class probabilities (N, C): the posterior of even priors and independent labels of the configured accuracy.
+
+        With accuracy p and C classes a label multiplies the odds of its class by p (C - 1) / (1 - p).
+        """
+        classes = len(self._label_index)
+        if classes < 2:
+            return np.ones((len(label_counts), classes))
+        accuracy = self._config.label_accuracy
+        odds = np.log(accuracy * (classes - 1) / (1.0 - accuracy))
+        logits = label_counts[:, :classes] * odds
+        weights = np.exp(logits - logits.max(axis=1, keepdims=True))
+        return np.asarray(weights / weights.sum(axis=1, keepdims=True))
