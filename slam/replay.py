@@ -15,17 +15,12 @@ from threadpoolctl import threadpool_limits
 
 from logs.errors import TopicSelectionError, UnwritableLogError
 from logs.messages import (
-    DetectionAssociations,
     GeodeticFix,
     GroundTruthPose,
-    LoopClosureRecord,
     Record,
-    RelocalizationRecord,
-    SlamPose,
-    StatusRecord,
     Transform,
 )
-from logs.reader import LogReader
+from logs.reader import LogItem, LogReader
 from logs.selection import OUTPUT_PREFIX, Selection, select_topics
 from logs.topics import RecordKind
 from logs.writer import LogWriter, partial_path
@@ -43,19 +38,13 @@ from slam.localization.gnss import find_georeference
 from slam.localization.prior_map import PriorMap
 from slam.localization.unrecognised_map import why_not_recognised
 from slam.object_map.map_io import METADATA, save_map
+from slam.output_log import OutputLog
 from slam.place_recognition.imported_map import ImportedMap
 from slam.place_recognition.place_prior import PlacePrior
 from slam.self_calibration.calibration import Calibration, calibrate
 from slam.self_calibration.survey import survey
 from slam.system import Slam
 
-_TOPICS: Mapping[type[Record], str] = {
-    SlamPose: "/slam/pose",
-    DetectionAssociations: "/slam/associations",
-    StatusRecord: "/slam/status",
-    LoopClosureRecord: "/slam/closures",
-    RelocalizationRecord: "/slam/relocalizations",
-}
 _MAPPED = (
     RecordKind.ODOMETRY,
     RecordKind.DETECTIONS,
@@ -67,7 +56,6 @@ _MAPPED = (
 # The estimator never sees these; they are copied as they are, so that the output can be evaluated on its own.
 _COPIED = (RecordKind.ODOMETRY, RecordKind.GROUND_TRUTH, RecordKind.DETECTION_TRUTH, RecordKind.OBJECT_TRUTH)
 
-LOCATION = "/slam/location"
 DEFAULTS = Config()
 
 
@@ -136,15 +124,9 @@ def replay(
     started = time.perf_counter()
     labels = LabelMap(config.labels)
     with LogReader(source, config.limits.reading) as reader:
-        for path in (output, partial_path(output)):
-            if path.exists() and any(path.samefile(file) for file in reader.files):
-                raise UnwritableLogError(f"writing {output} would overwrite the input {source}; give another output")
-        if METADATA in reader.metadata():
-            raise InputDataError(f"{source} is a saved map, not a drive; give it as --map, and the log of a drive here")
+        _check_drive(reader, source, output)
         selection = select_topics(reader.topics(), {**config.topics, **(topics or {})})
-        copied = {topic for kind in _COPIED for topic in selection.topics_of(kind)}
-        copied |= set(selection.topics_of(RecordKind.TRANSFORMS)) - {FRAMES}
-        copied |= _checked_copies(reader, copy)
+        copied = _copied_topics(reader, selection, copy)
         mapped = Selection({topic: kinds for topic, kinds in selection.kinds.items() if set(kinds) & set(_MAPPED)})
         first_ns, last_ns = _span(reader, mapped)
         # Where the sensors are is read beforehand: between two transforms only when the later one is known, too.
@@ -156,7 +138,6 @@ def replay(
         slam = Slam(calibration.config, prior_map, extend=extend, place_prior=place_prior, frames=frames)
         display = DriveDisplay(calibration.config.detection.sensor_range_m, _ground_truth(source, config, selection))
         inputs = InputRecords(calibration.config, labels, frames, scans)
-        max_message_latency_s, tracked, fixes = 0.0, 0, list[GeodeticFix]()
         georeference = _georeference_of(prior_map)
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output) as writer:
@@ -166,31 +147,12 @@ def replay(
                 | _about_map(prior_map, extend=extend)
             )
             writer.add_metadata("dslam", provenance)
-
-            def write(topic: str, record: Record, log_time_ns: int) -> None:
-                writer.write(topic, record, log_time_ns)
-                if view is not None:
-                    view(topic, record, log_time_ns)
-
+            log = OutputLog(writer, display, view, georeference)
+            drive = _Drive(slam, inputs, log, fixes=[])
             for item in reader.items(mapped, copy=copied):
                 if item.raw.topic in copied:
                     writer.write_raw(item.raw)
-                before = time.perf_counter()
-                fixes += [record for record in item.records if isinstance(record, GeodeticFix)]
-                for record in inputs.prepare(item.records):
-                    # Everything is logged on the clock of the input, whatever its stamps are.
-                    for update in slam.process(record):
-                        if type(update) in _TOPICS:
-                            write(_TOPICS[type(update)], update, item.raw.log_time_ns)
-                        for topic, message in display.show(update):
-                            write(topic, message, item.raw.log_time_ns)
-                        tracked += isinstance(update, SlamPose)
-                        if isinstance(update, SlamPose) and georeference is not None:
-                            write(LOCATION, _location(update, georeference), item.raw.log_time_ns)
-                    if (snapshot := slam.snapshot()) is not None:
-                        for topic, message in display.show_map(snapshot):
-                            write(topic, message, item.raw.log_time_ns)
-                max_message_latency_s = max(max_message_latency_s, time.perf_counter() - before)
+                drive.take(item)
                 if progress is not None:
                     done = (item.raw.log_time_ns - first_ns) / max(last_ns - first_ns, 1)
                     progress(min(max(done, 0.0), 1.0))
@@ -198,65 +160,88 @@ def replay(
             slam.counters.update(Counter(reader.counters) + lost_before + Counter(inputs.counters))
             final = slam.finish()
             if georeference is None and prior_map is None:
-                georeference = find_georeference(final.trajectory, fixes)
-            if georeference is not None:
-                writer.add_metadata("dslam_georeference", {"georeference": georeference.to_json()})
-            writer.write_path("/slam/trajectory", final.trajectory, last_ns)
-            for topic, final_record in _final_records(final):
-                write(topic, final_record, last_ns)
-            for topic, message in [*display.show(final.status), *display.show_map(final.snapshot, is_final=True)]:
-                write(topic, message, last_ns)
-        if map_path is not None and prior_map is not None and not slam.fixes:
-            raise SavedMapError(
-                f"the given map was never recognised, so {map_path} would hold two places laid over each other and was "
-                f"not written; {output} is complete"
-            )
-        unsaved = 0
-        if map_path is not None:
-            try:
-                unsaved = save_map(
-                    map_path,
-                    final.object_map,
-                    final.graph,
-                    final.markers,
-                    provenance,
-                    earlier_drives=None if prior_map is None else prior_map.drives,
-                )
-            except (SavedMapError, UnwritableLogError) as error:
-                error.add_note(f"{output} is complete")
-                raise
+                georeference = find_georeference(final.trajectory, drive.fixes)
+            log.write_final(final, georeference, last_ns)
+        unsaved = 0 if map_path is None else _save(map_path, output, slam, final, provenance, prior_map)
     return ReplaySummary(
         counters=dict(final.status.counters),
         log_s=(last_ns - first_ns) * 1e-9,
         wall_s=time.perf_counter() - started,
         solver_s=slam.solver_seconds,
-        max_message_latency_s=max_message_latency_s,
+        max_message_latency_s=drive.max_message_latency_s,
         loop_closure_median_s=float(np.median(slam.closing_seconds)) if slam.closing_seconds else 0.0,
         final_status=final.status.message,
         notes=(
             *calibration.notes,
-            *_about_the_map(slam, prior_map, final, fixes, config),
-            *(f"no detection has the class of {name}" for name in labels.unused()),
-            *(
-                f"the class {name} is taken for {to}: they differ in case only"
-                for name, to in labels.respelled().items()
-            ),
+            *_about_the_map(slam, prior_map, final, drive.fixes, config),
+            *_about_labels(labels),
         ),
         relocalization_times_s=tuple((fix.stamp_ns - slam.first_stamp_ns) * 1e-9 for fix in slam.fixes),
         relocalization_distances_m=tuple(fix.travel_m for fix in slam.fixes),
         keyframes_not_saved=unsaved,
-        tracked_ratio=tracked / max(final.status.counters.get("odometry_used", 0), 1),
+        tracked_ratio=log.tracked / max(final.status.counters.get("odometry_used", 0), 1),
     )
+
+
+@dataclass(slots=True)
+class _Drive:
+    """Takes a log in, message by message; ``fixes``: those of a satellite receiver."""
+
+    slam: Slam
+    inputs: InputRecords
+    log: OutputLog
+    fixes: list[GeodeticFix]
+    max_message_latency_s: float = 0.0
+
+    def take(self, item: LogItem) -> None:
+        """Map what a message holds, and write what that makes known."""
+        before, log_time_ns = time.perf_counter(), item.raw.log_time_ns
+        self.fixes += [record for record in item.records if isinstance(record, GeodeticFix)]
+        for record in self.inputs.prepare(item.records):
+            self.log.write_updates(self.slam.process(record), log_time_ns)
+            if (snapshot := self.slam.snapshot()) is not None:
+                self.log.write_snapshot(snapshot, log_time_ns)
+        self.max_message_latency_s = max(self.max_message_latency_s, time.perf_counter() - before)
+
+
+def _check_drive(reader: LogReader, source: Path, output: Path) -> None:
+    """Raises: UnwritableLogError: the output would replace the input; InputDataError: the input is a map."""
+    for path in (output, partial_path(output)):
+        if path.exists() and any(path.samefile(file) for file in reader.files):
+            raise UnwritableLogError(f"writing {output} would overwrite the input {source}; give another output")
+    if METADATA in reader.metadata():
+        raise InputDataError(f"{source} is a saved map, not a drive; give it as --map, and the log of a drive here")
+
+
+def _save(
+    map_path: Path, output: Path, slam: Slam, final: FinalMap, provenance: dict[str, str], prior_map: PriorMap | None
+) -> int:
+    """Save the map of a drive; returns how many keyframes only a discontinuity connects to it."""
+    if prior_map is not None and not slam.fixes:
+        raise SavedMapError(
+            f"the given map was never recognised, so {map_path} would hold two places laid over each other and was "
+            f"not written; {output} is complete"
+        )
+    earlier_drives = None if prior_map is None else prior_map.drives
+    try:
+        return save_map(
+            map_path, final.object_map, final.graph, final.markers, provenance, earlier_drives=earlier_drives
+        )
+    except (SavedMapError, UnwritableLogError) as error:
+        error.add_note(f"{output} is complete")
+        raise
+
+
+def _about_labels(labels: LabelMap) -> list[str]:
+    """What of the table of labels did not fit the log."""
+    return [
+        *(f"no detection has the class of {name}" for name in labels.unused()),
+        *(f"the class {name} is taken for {to}: they differ in case only" for name, to in labels.respelled().items()),
+    ]
 
 
 def _georeference_of(prior_map: PriorMap | None) -> Georeference | None:
     return prior_map.georeference if isinstance(prior_map, ImportedMap) else None
-
-
-def _location(pose: SlamPose, georeference: Georeference) -> GeodeticFix:
-    """Where on earth a pose in the map is."""
-    latitude, longitude, altitude_m = georeference.to_geodetic(pose.T_map_body[None, :3, 3])[0].tolist()
-    return GeodeticFix(pose.stamp_ns, "map", latitude, longitude, altitude_m)
 
 
 def _about_the_map(
@@ -270,13 +255,11 @@ def _about_the_map(
     return [f"not recognised, probably because: {reason}"]
 
 
-def _final_records(final: FinalMap) -> Iterator[tuple[str, Record]]:
-    yield "/slam/trajectory_stamped", final.trajectory
-    yield "/slam/map", final.object_map
-    yield "/slam/graph", final.graph
-    for closure in final.closures:
-        yield "/slam/closures", closure
-    yield "/slam/status", final.status
+def _copied_topics(reader: LogReader, selection: Selection, wanted: Collection[str]) -> set[str]:
+    """What goes into the output as it is: what an evaluation needs, and what is ``wanted``."""
+    copied = {topic for kind in _COPIED for topic in selection.topics_of(kind)}
+    copied |= set(selection.topics_of(RecordKind.TRANSFORMS)) - {FRAMES}
+    return copied | _checked_copies(reader, wanted)
 
 
 def _checked_copies(reader: LogReader, topics: Collection[str]) -> set[str]:

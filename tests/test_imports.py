@@ -75,7 +75,7 @@ LAYERS = (
     {"loop_closure"},
     {"display", "map_joining"},
     {"final_map"},
-    {"system"},
+    {"system", "output_log"},
     {"replay"},
     {"simulation", "evaluation"},
     {"sweeps", "library"},

@@ -21,7 +21,8 @@ from slam.common.georeference import Georeference
 from slam.evaluation.inputs.records import read_records
 from slam.formats.trajectory_and_graph import write_geodetic
 from slam.localization.gnss import GnssPrior, find_georeference
-from slam.replay import LOCATION, replay
+from slam.output_log import LOCATION
+from slam.replay import replay
 from tests.helpers.ros2_logs import encoded, header
 from tests.helpers.short_drives import Entry, drive, write_log
 

@@ -1,0 +1,99 @@
+"""The log that a drive is mapped into: estimates, and what viewers are shown of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+
+from logs.messages import (
+    DetectionAssociations,
+    GeodeticFix,
+    LoopClosureRecord,
+    Record,
+    RelocalizationRecord,
+    SlamPose,
+    StatusRecord,
+)
+from logs.writer import LogWriter
+from slam.common.georeference import Georeference
+from slam.display.drive_display import DriveDisplay
+from slam.display.snapshot import MapSnapshot
+from slam.final_map import FinalMap
+
+LOCATION = "/slam/location"
+
+_TOPICS: Mapping[type[Record], str] = {
+    SlamPose: "/slam/pose",
+    DetectionAssociations: "/slam/associations",
+    StatusRecord: "/slam/status",
+    LoopClosureRecord: "/slam/closures",
+    RelocalizationRecord: "/slam/relocalizations",
+}
+
+
+class OutputLog:
+    """Writes what the estimator makes known, on the clock of the input, whatever its stamps are.
+
+    ``view`` is called with topic, record and log time of all of it; ``georeference``: where on earth the map is, if
+    that is known; ``tracked`` counts the poses in the map.
+    """
+
+    def __init__(
+        self,
+        writer: LogWriter,
+        display: DriveDisplay,
+        view: Callable[[str, Record, int], None] | None,
+        georeference: Georeference | None,
+    ) -> None:
+        self._writer = writer
+        self._display = display
+        self._view = view
+        self._georeference = georeference
+        self.tracked = 0
+
+    def write_updates(self, updates: Iterable[Record], log_time_ns: int) -> None:
+        """Write what one record of the input made known."""
+        for update in updates:
+            if type(update) in _TOPICS:
+                self._write(_TOPICS[type(update)], update, log_time_ns)
+            for topic, message in self._display.show(update):
+                self._write(topic, message, log_time_ns)
+            if isinstance(update, SlamPose):
+                self.tracked += 1
+                if self._georeference is not None:
+                    self._write(LOCATION, _location(update, self._georeference), log_time_ns)
+
+    def write_snapshot(self, snapshot: MapSnapshot, log_time_ns: int) -> None:
+        """Write the map as it is known now, for viewers."""
+        for topic, message in self._display.show_map(snapshot):
+            self._write(topic, message, log_time_ns)
+
+    def write_final(self, final: FinalMap, georeference: Georeference | None, log_time_ns: int) -> None:
+        """Write the results of the drive; ``georeference``: as it is known now."""
+        if georeference is not None:
+            self._writer.add_metadata("dslam_georeference", {"georeference": georeference.to_json()})
+        self._writer.write_path("/slam/trajectory", final.trajectory, log_time_ns)
+        for topic, record in _final_records(final):
+            self._write(topic, record, log_time_ns)
+        shown = [*self._display.show(final.status), *self._display.show_map(final.snapshot, is_final=True)]
+        for topic, message in shown:
+            self._write(topic, message, log_time_ns)
+
+    def _write(self, topic: str, record: Record, log_time_ns: int) -> None:
+        self._writer.write(topic, record, log_time_ns)
+        if self._view is not None:
+            self._view(topic, record, log_time_ns)
+
+
+def _location(pose: SlamPose, georeference: Georeference) -> GeodeticFix:
+    """Where on earth a pose in the map is."""
+    latitude, longitude, altitude_m = georeference.to_geodetic(pose.T_map_body[None, :3, 3])[0].tolist()
+    return GeodeticFix(pose.stamp_ns, "map", latitude, longitude, altitude_m)
+
+
+def _final_records(final: FinalMap) -> Iterator[tuple[str, Record]]:
+    yield "/slam/trajectory_stamped", final.trajectory
+    yield "/slam/map", final.object_map
+    yield "/slam/graph", final.graph
+    for closure in final.closures:
+        yield "/slam/closures", closure
+    yield "/slam/status", final.status
