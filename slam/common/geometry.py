@@ -14,7 +14,8 @@ from slam.common.errors import GeometryError
 
 def make_transform(rotation: FloatArray, translation: FloatArray) -> FloatArray:
     """Stack ``rotation`` (..., 3, 3) and ``translation`` (..., 3) into transforms (..., 4, 4)."""
-    shape = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    is_single = rotation.ndim == 2 and translation.ndim == 1
+    shape = () if is_single else np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
     T = np.zeros((*shape, 4, 4))
     T[..., :3, :3] = rotation
     T[..., :3, 3] = translation
@@ -24,10 +25,15 @@ def make_transform(rotation: FloatArray, translation: FloatArray) -> FloatArray:
 
 def transform_from_xyz_yaw(xyz: FloatArray, yaw_rad: FloatArray | float) -> FloatArray:
     """Transforms (..., 4, 4) that turn about z by ``yaw_rad`` (...) and move by ``xyz`` (..., 3)."""
-    yaw = np.asarray(yaw_rad, dtype=np.float64)
-    c, s, zero, one = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw), np.ones_like(yaw)
-    rotation = np.stack([c, -s, zero, s, c, zero, zero, zero, one], axis=-1).reshape(*yaw.shape, 3, 3)
-    return make_transform(rotation, np.asarray(xyz, dtype=np.float64))
+    yaw, translation = np.asarray(yaw_rad, dtype=np.float64), np.asarray(xyz, dtype=np.float64)
+    c, s = np.cos(yaw), np.sin(yaw)
+    shape = translation.shape[:-1]
+    T = np.zeros((*(shape if yaw.shape == shape else np.broadcast_shapes(yaw.shape, shape)), 4, 4))
+    T[..., 0, 0] = T[..., 1, 1] = c
+    T[..., 0, 1], T[..., 1, 0] = -s, s
+    T[..., :3, 3] = translation
+    T[..., 2, 2] = T[..., 3, 3] = 1.0
+    return T
 
 
 def invert(T_a_b: FloatArray) -> FloatArray:
@@ -104,8 +110,9 @@ def interpolate(stamps_ns: IntArray, T_a_b: FloatArray, at_ns: IntArray) -> Floa
     lower = upper - 1
     fraction = ((at_ns - stamps_ns[lower]) / (stamps_ns[upper] - stamps_ns[lower]))[:, None]
     translation = (1.0 - fraction) * T_a_b[lower, :3, 3] + fraction * T_a_b[upper, :3, 3]
-    start = Rotation.from_matrix(T_a_b[lower, :3, :3])
-    turn = (start.inv() * Rotation.from_matrix(T_a_b[upper, :3, :3])).as_rotvec()
+    both = Rotation.from_matrix(T_a_b[np.concatenate([lower, upper]), :3, :3])
+    start = both[: len(at_ns)]
+    turn = (start.inv() * both[len(at_ns) :]).as_rotvec()
     return make_transform((start * Rotation.from_rotvec(fraction * turn)).as_matrix(), translation)
 
 

@@ -2,8 +2,9 @@
 
 Each pair is scored by the likelihood that the detection is that landmark (position and label together), and each
 detection also by the likelihood that it is none of them, a new object or a false positive. The assignment that
-maximises the product over the scan is found by shortest augmenting paths (Jonker and Volgenant 1987) on the sparse
-matrix of pairs that pass the gate, so a scan of thousands of detections costs no more than its neighbourhoods.
+maximises the product over the scan takes all pairs that nothing else competes for; the others are found by shortest
+augmenting paths (Jonker and Volgenant 1987) on their sparse matrix, so a scan of thousands of detections costs no more
+than its neighbourhoods.
 """
 
 from __future__ import annotations
@@ -85,20 +86,34 @@ def associate(
     inside = distance_squared <= gate
     likely = landmark_beliefs[landmark, labels[detection]] >= 0.5
     rows[detection[likely & (distance_squared <= outer_gate)]] = AMBIGUOUS
-    rows_used, column = np.unique(landmark[inside], return_inverse=True)
-    count = len(positions)
-    edges_row = np.concatenate([detection[inside], np.arange(count)])
-    edges_column = np.concatenate([column, len(rows_used) + np.arange(count)])
-    edges_cost = np.concatenate([pair_cost[inside], np.full(count, none_cost)])
+    taken = _cheapest(detection[inside], landmark[inside], pair_cost[inside], none_cost)
+    taken_rows, taken_costs = detection[inside][taken], pair_cost[inside][taken]
+    rows[taken_rows] = landmark[inside][taken]
+    return Assignment(rows, 0.5 * float(np.sum(none_cost - taken_costs)))
+
+
+def _cheapest(detection: IntArray, landmark: IntArray, pair_cost: FloatArray, none_cost: float) -> IntArray:
+    """Which pairs (P,), none of the same detection or landmark as another, cost least with ``none_cost`` for each
+    detection that is in none.
+    """
+    worth = np.flatnonzero(pair_cost < none_cost)  # a dearer pair is in no cheapest assignment
+    detection, landmark, pair_cost = detection[worth], landmark[worth], pair_cost[worth]
+    contested = (np.bincount(detection)[detection] > 1) | (np.bincount(landmark)[landmark] > 1)
+    if not contested.any():
+        return worth
+    rows, row = np.unique(detection[contested], return_inverse=True)
+    columns, column = np.unique(landmark[contested], return_inverse=True)
+    none = np.arange(len(rows))
+    cost = np.concatenate([pair_cost[contested] - none_cost, np.zeros(len(rows))])
     # One edge a row is taken, so a common shift changes nothing; a weight of exactly zero would mean "no edge".
-    edges_cost += 1.0 - edges_cost.min()
-    graph = coo_array((edges_cost, (edges_row, edges_column)), shape=(count, len(rows_used) + count)).tocsr()
+    cost += 1.0 - cost.min()
+    edges = np.concatenate([row, none]), np.concatenate([column, len(columns) + none])
+    graph = coo_array((cost, edges), shape=(len(rows), len(columns) + len(rows))).tocsr()
     chosen_row, chosen_column = min_weight_full_bipartite_matching(graph)
-    is_landmark = chosen_column < len(rows_used)
-    rows[chosen_row[is_landmark]] = rows_used[chosen_column[is_landmark]]
-    shifted_none_cost = edges_cost[-1]
-    chosen_cost = np.asarray(graph[chosen_row, chosen_column])
-    return Assignment(rows, 0.5 * float(np.sum(shifted_none_cost - chosen_cost)))
+    chosen = np.isin(
+        row * len(columns) + column, (chosen_row * len(columns) + chosen_column)[chosen_column < len(columns)]
+    )
+    return np.sort(np.concatenate([worth[~contested], worth[contested][chosen]]))
 
 
 def label_likelihood(belief_in_label: FloatArray, classes: int, config: AssociationConfig) -> FloatArray:

@@ -76,7 +76,7 @@ class Mapper:
         else:
             self.close_keyframe()
             self._graph.add_next_keyframe(
-                self._odometry_edge(self.keyframes[-1], keyframe), _local_step(self.keyframes[-1], keyframe)
+                _odometry_edge(self.keyframes[-1], keyframe, self._config), _local_step(self.keyframes[-1], keyframe)
             )
         self.keyframes.append(keyframe)
         if keyframe.id % self._config.factor_graph.update_keyframes == 0:
@@ -212,16 +212,6 @@ class Mapper:
         self._sensors.add(sensor)
         self._scan_count = self._message_count // len(self._sensors)
 
-    def _odometry_edge(self, previous: Keyframe, keyframe: Keyframe) -> Edge:
-        T_previous_keyframe = relative(previous.odometry.T_odom_body, keyframe.odometry.T_odom_body)
-        kind = EdgeKind.ODOMETRY
-        covariance = step_covariance(previous.odometry, keyframe.odometry, self._config.odometry)
-        if keyframe.odometry.segment != previous.odometry.segment:
-            kind = EdgeKind.DISCONTINUITY
-            sigma_m = BREAK_SIGMA_RANGES * self._config.detection.sensor_range_m
-            covariance = np.diag(np.repeat([BREAK_SIGMA_RAD**2, sigma_m**2], 3))
-        return Edge(previous.id, keyframe.id, T_previous_keyframe, covariance, kind)
-
     def _common_covariances(self, scan: Scan) -> FloatArray:
         """(N, 3, 3) m^2 of the errors that observations of an object share, where the message has no covariance."""
         variances = np.where(scan.has_own_covariance, 0.0, self._config.detection.common_sigma_m**2)
@@ -263,15 +253,17 @@ class Mapper:
     def _deactivate_stale(self, travel_m: float) -> None:
         """Deactivate landmarks that were not observed for long; tentative and moving ones sooner."""
         limits = self._config.landmark
-        landmarks = self._map.rows[self._active.rows]
-        unseen_m = travel_m - landmarks["last_seen_travel_m"]
-        unseen_scans = self._scan_count - landmarks["last_scan"]
+        landmarks, rows = self._map.rows, self._active.rows
+        unseen_m = travel_m - landmarks["last_seen_travel_m"][rows]
+        unseen_scans = self._scan_count - landmarks["last_scan"][rows]
         lost = (unseen_m > limits.max_missed_distance_m) | (unseen_scans > limits.max_missed_scans)
-        stale = lost & (landmarks["state"] != LandmarkState.CONFIRMED)
+        stale = lost & (landmarks["state"][rows] != LandmarkState.CONFIRMED)
         self._deactivate(stale | self._active.uncertain())
 
     def _deactivate(self, gone: NDArray[np.bool_]) -> None:
         """Deactivate the landmarks ``gone`` (A,); tentative ones are retired."""
+        if not gone.any():
+            return
         rows = self._active.rows[gone]
         tentative = self._map.rows["state"][rows] == LandmarkState.TENTATIVE
         self._retire(rows[tentative], RetirementReason.NOT_CONFIRMED)
@@ -287,6 +279,17 @@ class Mapper:
         for row in rows.tolist():
             self._held_back.pop(row, None)
             self._graph.remove_landmark(row)
+
+
+def _odometry_edge(previous: Keyframe, keyframe: Keyframe, config: Config) -> Edge:
+    T_previous_keyframe = relative(previous.odometry.T_odom_body, keyframe.odometry.T_odom_body)
+    kind = EdgeKind.ODOMETRY
+    covariance = step_covariance(previous.odometry, keyframe.odometry, config.odometry)
+    if keyframe.odometry.segment != previous.odometry.segment:
+        kind = EdgeKind.DISCONTINUITY
+        sigma_m = BREAK_SIGMA_RANGES * config.detection.sensor_range_m
+        covariance = np.diag(np.repeat([BREAK_SIGMA_RAD**2, sigma_m**2], 3))
+    return Edge(previous.id, keyframe.id, T_previous_keyframe, covariance, kind)
 
 
 def _local_step(previous: Keyframe, keyframe: Keyframe) -> FloatArray | None:

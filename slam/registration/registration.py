@@ -26,6 +26,8 @@ POLISHED = 8
 """Distinct poses that are refined for each one that is asked for."""
 REACH_RADII = 2.0
 """Objects that many search radii, or gates, from one another are no pair of a refinement."""
+FEW_DISTANCES = 2**15
+"""So many distances are computed sooner than a tree of the reference objects is built."""
 VOTED_RADIUS_SIGMAS = 2.0
 """How far a voted pose looks for partners at first, in gates."""
 
@@ -189,6 +191,10 @@ def _near_pairs(
     offsets = query_positions - centre
     moved = np.multiply.outer(_headings(T_initial), offsets[:, 0] + 1j * offsets[:, 1])
     moved += (middles[:, 0] + 1j * middles[:, 1])[:, None]
+    if moved.size * len(reference_positions) <= FEW_DISTANCES:
+        x = moved.real[..., None] - reference_positions[:, 0]
+        y = moved.imag[..., None] - reference_positions[:, 1]
+        return np.argwhere((x * x + y * y <= reach_m * reach_m).any(axis=0))
     points = np.column_stack([moved.real.ravel(), moved.imag.ravel()])
     near = cKDTree(reference_positions[:, :2]).query_ball_point(points, reach_m)
     query = np.repeat(np.tile(np.arange(len(offsets)), len(T_initial)), [len(objects) for objects in near])

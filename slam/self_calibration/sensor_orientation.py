@@ -40,9 +40,17 @@ def find_orientation(scans: Sequence[SurveyScan], headings_rad: FloatArray) -> F
     if min(len(group) for group in groups) < LEAST_PAIRS:
         return np.eye(3)
     rotations = _quarter_turns()
-    apart = [sum(_distance(scans, group, R, spacing_m) for group in groups) for R in rotations]
-    best = int(np.argmin(apart))
-    return rotations[best] if apart[best] < BETTER * apart[0] else np.eye(3)
+    T_odom_upright = [transform_from_xyz_yaw(scan.T_odom_body[:3, 3], yaw_rad(scan.T_odom_body)) for scan in scans]
+    as_it_is = sum(_distance(scans, T_odom_upright, group, rotations[0], spacing_m) for group in groups)
+    best, least = np.eye(3), BETTER * as_it_is
+    for R in rotations[1:]:
+        apart = 0.0
+        for group in groups:
+            if apart < least:  # else it is worse already
+                apart += _distance(scans, T_odom_upright, group, R, spacing_m)
+        if apart < least:
+            best, least = R, apart
+    return best
 
 
 def roll_pitch_yaw_deg(R: FloatArray) -> FloatArray:
@@ -98,20 +106,22 @@ def _evenly(pairs: list[tuple[int, int]]) -> list[tuple[int, int]]:
     return [pairs[index] for index in np.unique(chosen)]
 
 
-def _distance(scans: Sequence[SurveyScan], pairs: list[tuple[int, int]], R: FloatArray, limit_m: float) -> float:
+def _distance(
+    scans: Sequence[SurveyScan],
+    T_odom_upright: Sequence[FloatArray],
+    pairs: list[tuple[int, int]],
+    R: FloatArray,
+    limit_m: float,
+) -> float:
     """Median distance [m] of detections from the nearest of their class in the other scan, at most ``limit_m``."""
     found = []
     for first, second in pairs:
         one, other = scans[first], scans[second]
-        points, reference = _in_odometry(one, R), _in_odometry(other, R)
         # Classes lie on layers that are farther apart than the limit.
-        points[:, 3], reference[:, 3] = 10.0 * limit_m * one.labels, 10.0 * limit_m * other.labels
+        points, reference = (
+            np.column_stack([apply(T_odom_upright[each], scan.positions @ R.T), 10.0 * limit_m * scan.labels])
+            for each, scan in ((first, one), (second, other))
+        )
         distances, _ = cKDTree(reference).query(points, distance_upper_bound=limit_m)
         found.append(np.minimum(distances, limit_m))
     return float(np.median(np.concatenate(found)))
-
-
-def _in_odometry(scan: SurveyScan, R: FloatArray) -> FloatArray:
-    """Points (N, 4) m: x, y, z in the odometry frame of turned detections, and a zero."""
-    T_odom_upright = transform_from_xyz_yaw(scan.T_odom_body[:3, 3], yaw_rad(scan.T_odom_body))
-    return np.column_stack([apply(T_odom_upright, scan.positions @ R.T), np.zeros(len(scan.positions))])
