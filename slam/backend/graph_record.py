@@ -1,13 +1,13 @@
-"""The factor graph as it goes into a log."""
+"""The factor graph as it goes into a log, and as it comes out of one."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
 from logs.messages import FactorGraphRecord
-from slam.backend.factors import Edge, Factor, Observation
+from slam.backend.factors import Edge, EdgeKind, Factor, Observation
 from slam.common.arrays import FloatArray, IntArray
 
 
@@ -52,6 +52,38 @@ def make_graph_record(
         pose_covariances=pose_covariances,
         observation_redundancies=_covariance_inflations(observations),
     )
+
+
+def edges_of(record: FactorGraphRecord, keyframe_of: Mapping[int, int]) -> list[Edge]:
+    """The edges of a record; ``keyframe_of``: the numbers of its keyframes in the graph that they go into."""
+    return [
+        Edge(keyframe_of[first], keyframe_of[second], T_from_to, covariance, EdgeKind(kind))
+        for (first, second), T_from_to, covariance, kind in zip(
+            record.edge_keyframe_ids.tolist(),
+            record.edge_transforms,
+            record.edge_covariances,
+            record.edge_kinds,
+            strict=True,
+        )
+    ]
+
+
+def observations_of(
+    record: FactorGraphRecord, keyframe_of: Mapping[int, int], landmark_of: Mapping[str, int]
+) -> list[Observation]:
+    """The observations of a record, with the numbers of its keyframes and landmarks in the graph they go into."""
+    count = len(record.observation_landmark_ids)
+    return [
+        Observation(keyframe_of[keyframe], landmark_of[landmark], position, covariance / inflation, inflation)
+        for keyframe, landmark, position, covariance, inflation in zip(
+            record.observation_keyframe_ids.tolist(),
+            record.observation_landmark_ids,
+            record.observation_positions,
+            record.observation_covariances,
+            record.observation_redundancies.tolist() or [1.0] * count,
+            strict=True,
+        )
+    ]
 
 
 def _covariance_inflations(observations: Sequence[Observation]) -> FloatArray:

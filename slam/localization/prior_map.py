@@ -10,7 +10,8 @@ import numpy as np
 from logs.messages import LoopClosureRecord, RelocalizationRecord
 from logs.reader import LogReader
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import Edge, EdgeKind, Observation
+from slam.backend.factors import Edge
+from slam.backend.graph_record import edges_of, observations_of
 from slam.backend.map_restoration import add_fixed_map, add_map_frame, restore_factors
 from slam.common.config import Config
 from slam.object_map.landmarks import ObjectMap
@@ -109,29 +110,7 @@ def restore_graph(
     """
     record = saved.graph
     number_of = dict(zip(record.keyframe_ids.tolist(), numbers, strict=True))
-    edges = [
-        Edge(number_of[first], number_of[second], T_from_to, covariance, EdgeKind(kind))
-        for (first, second), T_from_to, covariance, kind in zip(
-            record.edge_keyframe_ids.tolist(),
-            record.edge_transforms,
-            record.edge_covariances,
-            record.edge_kinds,
-            strict=True,
-        )
-    ]
-    observations = [
-        Observation(
-            number_of[keyframe], landmarks[landmark], position, covariance / covariance_inflation, covariance_inflation
-        )
-        for keyframe, landmark, position, covariance, covariance_inflation in zip(
-            record.observation_keyframe_ids.tolist(),
-            record.observation_landmark_ids,
-            record.observation_positions,
-            record.observation_covariances,
-            record.observation_redundancies.tolist() or [1.0] * len(record.observation_landmark_ids),
-            strict=True,
-        )
-    ]
+    edges, observations = edges_of(record, number_of), observations_of(record, number_of, landmarks)
     observed = set(record.observation_landmark_ids)
     objects = saved.objects
     for name, position, covariance in zip(objects.ids, objects.positions, objects.covariances, strict=True):

@@ -11,6 +11,7 @@ import numpy as np
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
+from slam.backend.graph_record import edges_of, observations_of
 from slam.backend.map_restoration import restore_factors
 from slam.backend.pose_graph.pose_graph import PoseGraph
 from slam.backend.pose_graph.pose_graph_optimization import optimize_pose_graph
@@ -197,8 +198,9 @@ def _solved(
         saved = maps[number]
         rows = object_map.restore(saved.objects, travel_m=0.0)
         rows_of[number] = dict(zip(saved.objects.ids, rows.tolist(), strict=True))
-        edges += _edges_of(saved.graph, first[number])
-        observations += _observations_of(saved.graph, first[number], rows_of[number])
+        place_of = {place: place + first[number] for place in saved.graph.keyframe_ids.tolist()}
+        edges += edges_of(saved.graph, place_of)
+        observations += observations_of(saved.graph, place_of, rows_of[number])
     edges += [Edge(*_edge(join, maps, first), join.covariance, EdgeKind.LOOP_CLOSURE) for join in joins]
     restore_factors(graph, range(len(T_map_place)), T_map_place, edges, observations)
     for _ in range(FUSIONS):
@@ -230,29 +232,3 @@ def _solved(
         sightings=tuple(sightings),
         rejected=tuple(rejected),
     )
-
-
-def _edges_of(graph: FactorGraphRecord, first: int) -> list[Edge]:
-    return [
-        Edge(start + first, end + first, T, covariance, EdgeKind(kind))
-        for (start, end), T, covariance, kind in zip(
-            graph.edge_keyframe_ids.tolist(),
-            graph.edge_transforms,
-            graph.edge_covariances,
-            graph.edge_kinds,
-            strict=True,
-        )
-    ]
-
-
-def _observations_of(graph: FactorGraphRecord, first: int, row_of: Mapping[str, int]) -> list[Observation]:
-    return [
-        Observation(place + first, row_of[name], position, covariance)
-        for place, name, position, covariance in zip(
-            graph.observation_keyframe_ids.tolist(),
-            graph.observation_landmark_ids,
-            graph.observation_positions,
-            graph.observation_covariances,
-            strict=True,
-        )
-    ]
