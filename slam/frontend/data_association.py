@@ -22,6 +22,8 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import AssociationConfig
 
 NEW, AMBIGUOUS = -1, -2
+FEW_DISTANCES = 2**14
+"""So many distances are computed sooner than trees are built."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,8 +137,12 @@ def _near_pairs(
     gate: float,
 ) -> tuple[IntArray, IntArray]:
     """Pairs (detection, landmark) that can pass the gate by the largest variances: a superset of those that do."""
-    largest = np.trace(covariances, axis1=1, axis2=2).max() + np.trace(landmark_covariances, axis1=1, axis2=2).max()
-    radius = np.sqrt(gate * largest)
+    traces = (np.einsum("nii->n", each) for each in (covariances, landmark_covariances))
+    radius = np.sqrt(gate * sum(float(trace.max()) for trace in traces))
+    if len(positions) * len(landmark_positions) <= FEW_DISTANCES:
+        offsets = positions[:, None] - landmark_positions
+        detection, landmark = np.nonzero(np.einsum("dli,dli->dl", offsets, offsets) <= radius * radius)
+        return detection, landmark
     pairs = cKDTree(positions).sparse_distance_matrix(cKDTree(landmark_positions), radius, output_type="ndarray")
     order = np.lexsort((pairs["j"], pairs["i"]))
     return pairs["i"][order].astype(np.int64), pairs["j"][order].astype(np.int64)

@@ -216,6 +216,7 @@ class _Gathered:
         self._detections: list[ObjectDetections] = []
         self._frames = frames
         self._count = 0
+        self._latest: tuple[tuple[str, float, int], list[SurveyScan]] | None = None
 
     def add(self, record: Record) -> int:
         """Take in a record; returns the detections so far."""
@@ -238,6 +239,12 @@ class _Gathered:
 
     def scans(self, config: DetectionConfig, delay_s: float) -> list[SurveyScan]:
         """The scans that lie on the odometry, corrected, in the order of their stamps, without empty ones."""
+        corrections = config.model_dump_json(), delay_s, self._max_classes
+        if self._latest is None or self._latest[0] != corrections:
+            self._latest = corrections, self._corrected_scans(config, delay_s)
+        return self._latest[1]
+
+    def _corrected_scans(self, config: DetectionConfig, delay_s: float) -> list[SurveyScan]:
         stamps, poses = self._track()
         delay_ns = round(delay_s * 1e9)
         if len(stamps) < 2:
