@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import colorsys
 import zlib
+from functools import lru_cache
 
 import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
@@ -33,6 +34,7 @@ _POINT_FIELDS = (
 _POINT = np.dtype([(name, kind) for name, kind, _ in _POINT_FIELDS])
 
 
+@lru_cache(maxsize=4096)
 def class_color(label: str) -> tuple[float, float, float, float]:
     """Red, green, blue, alpha in [0, 1] of a class: the same label has the same colour in every run and picture."""
     digest = zlib.crc32(label.encode())

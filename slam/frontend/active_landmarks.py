@@ -46,6 +46,7 @@ class ActiveLandmarks:
         self._map = object_map
         self._local = LocalMap()
         self._pose: OdometryPose | None = None
+        self._known_slots: tuple[IntArray, IntArray, IntArray] | None = None
         self.rows = np.zeros(0, dtype=np.int64)
 
     @property
@@ -232,4 +233,7 @@ class ActiveLandmarks:
     @property
     def _slots(self) -> IntArray:
         """(A,) of the active landmarks in the EKF; -1 for those that it does not hold."""
-        return self._local.slots(self.rows)
+        known, ids = self._known_slots, self._local.ids
+        if known is None or known[0] is not self.rows or known[1] is not ids:
+            self._known_slots = known = self.rows, ids, self._local.slots(self.rows)
+        return known[2]

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
-from slam.common.geometry import make_transform, relative
+from slam.common.geometry import make_transform, relative, rotation_angle_rad
 
 UNEXPECTED_RATIO = 3.0
 """A change of velocity so many times as great as any before is unexpected."""
@@ -97,7 +97,8 @@ class ExpectedMotion:
             # To the last digit, as a live odometry is only once the body has stopped.
             speeds = np.linalg.norm(self._velocity.reshape(2, 3), axis=1)
             return self._steps < LEAST_STEPS or bool(np.all(speeds <= self._change))
-        deviation = np.linalg.norm(_twist(relative(T_predicted, T_odom_body)).reshape(2, 3), axis=1)
+        T_deviation = relative(T_predicted, T_odom_body)
+        deviation = np.array([np.linalg.norm(T_deviation[:3, 3]), rotation_angle_rad(T_deviation)])
         return bool(np.all(deviation <= self.tolerances(stamp_ns)))
 
 
