@@ -50,6 +50,19 @@ class TestLandmarks:
         north_m = np.sin(np.deg2rad(30)) * objects.positions[:, 0] + np.cos(np.deg2rad(30)) * objects.positions[:, 1]
         np.testing.assert_allclose(found[:, 1], 60.1699 + north_m / 111.415e3, rtol=0, atol=1e-6)
 
+    def test_a_geographic_information_system_reads_the_same_places(
+        self, dslam: Run, mapped: Path, records: EvaluationRecords, tmp_path: Path
+    ) -> None:
+        geopandas = pytest.importorskip("geopandas", reason="geopandas is not installed")
+        assert dslam("export", mapped, "--geojson", tmp_path / "l.geojson", "--origin", ORIGIN).code == 0
+        layer = geopandas.read_file(tmp_path / "l.geojson")
+        objects = confirmed(records.object_map)
+        assert layer.crs.to_epsg(min_confidence=20) in (4326, 4979)
+        assert layer["class"].tolist() == list(objects.labels)
+        expected = Georeference(60.1699, 24.9384, 12.5, np.deg2rad(30.0)).to_geodetic(objects.positions)
+        found = np.column_stack([layer.geometry.y, layer.geometry.x])
+        np.testing.assert_allclose(found, expected[:, :2], rtol=0, atol=1e-6)
+
     def test_places_on_earth_need_an_origin(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
         assert_refused(dslam("export", mapped, "--geojson", tmp_path / "l.json"), "--origin")
         assert_refused(dslam("export", mapped, "--geojson", tmp_path / "l.json", "--origin", "north"), "LAT,LON")

@@ -14,6 +14,7 @@ from tools.importers.maps import SURVEYED_SIGMA_M, NewMap, Origin, Sigma, make_m
 if TYPE_CHECKING:
     from logs.clouds.cloud_files import CloudFields
     from logs.clouds.map_of_cloud import CloudSummary
+    from logs.importers.maps.map_objects import MapObjects
 
 CloudFile = Annotated[Path, typer.Option(metavar="FILE", help="PLY with x, y, z, class and the number of the object.")]
 AnyCloud = Annotated[
@@ -140,9 +141,8 @@ def _make_urban(
     from logs.clouds.map_of_cloud import urban_objects
     from logs.digest import file_sha256
 
-    cloud = read_cloud(file, fields)
-    objects, summary = urban_objects(cloud, str(file), file_sha256(file))
-    make_map(output, objects, origin, None, sigma_m, json=json, more=_statistics(summary))
+    found = urban_objects(read_cloud(file, fields), str(file), file_sha256(file))
+    _make(output, found, origin, sigma_m, json=json)
 
 
 def _make_named(
@@ -153,8 +153,14 @@ def _make_named(
     from logs.clouds.map_of_cloud import named_objects
     from logs.digest import file_sha256
 
-    named = _parsed_names(names)
-    objects, summary = named_objects(read_cloud(file), str(file), file_sha256(file), named)
+    found = named_objects(read_cloud(file), str(file), file_sha256(file), _parsed_names(names))
+    _make(output, found, origin, sigma_m, json=json)
+
+
+def _make(
+    output: Path, found: tuple[MapObjects, CloudSummary], origin: str | None, sigma_m: float, *, json: bool
+) -> None:
+    objects, summary = found
     make_map(output, objects, origin, None, sigma_m, json=json, more=_statistics(summary))
 
 

@@ -70,44 +70,75 @@ def export(
         )
     check_outputs(outputs, [log])
     from slam.evaluation.inputs.records import read_records
-    from slam.formats import landmark_tables
-    from slam.formats import ros2_bag as bag
-    from slam.formats import trajectory_and_graph as text
     from tools import console
 
     records = read_records(log)
     written: list[str] = []
     if any(of_poses):
         track = _track(log, records, of)
-        for path, write in ((tum, text.write_tum), (kitti, text.write_kitti), (kitti_camera, text.write_kitti_camera)):
-            if path is not None:
-                write(path, track)
-                written.append(f"{path}: {len(track.stamps_ns)} poses")
-        if geodetic is not None:
-            text.write_geodetic(geodetic, track, _georeference(log, origin))
-            written.append(f"{geodetic}: {len(track.stamps_ns)} poses")
+        written += _write_track(log, track, tum, kitti, kitti_camera, geodetic, origin)
     if any(of_landmarks):
         objects = _landmarks(log, records)
-        if csv is not None:
-            landmark_tables.write_csv(csv, objects)
-        if geojson is not None:
-            landmark_tables.write_geojson(geojson, objects, _georeference(log, origin))
-        if ply is not None:
-            landmark_tables.write_ply(ply, objects)
-        if ros2_bag is not None:
-            body_frame = records.odometry[0].child_frame_id if records.odometry else "base_link"
-            bag.write_ros2_bag(ros2_bag, track, objects, body_frame=body_frame)
-            written.append(f"{ros2_bag}: {len(track.stamps_ns)} poses, {len(objects.ids)} landmarks")
-        written += [f"{path}: {len(objects.ids)} landmarks" for path in (csv, geojson, ply) if path is not None]
+        written += _write_landmarks(log, objects, csv, geojson, ply, origin)
+    if ros2_bag is not None:
+        written.append(_write_bag(ros2_bag, track, objects, records))
     if g2o is not None:
-        if records.graph is None:
-            raise _no_result(log)
-        text.write_g2o(g2o, records.graph, records.object_map)
-        written.append(
-            f"{g2o}: {len(records.graph.keyframe_ids)} keyframes, {len(records.graph.edge_kinds)} edges, without the "
-            "robust kernels of the configuration, which g2o files have no place for"
-        )
+        written.append(_write_graph(log, g2o, records))
     console.show(*written)
+
+
+def _write_track(
+    log: Path,
+    track: TrajectoryRecord,
+    tum: Path | None,
+    kitti: Path | None,
+    kitti_camera: Path | None,
+    geodetic: Path | None,
+    origin: str | None,
+) -> list[str]:
+    from slam.formats import trajectory_and_graph as text
+
+    for path, write in ((tum, text.write_tum), (kitti, text.write_kitti), (kitti_camera, text.write_kitti_camera)):
+        if path is not None:
+            write(path, track)
+    if geodetic is not None:
+        text.write_geodetic(geodetic, track, _georeference(log, origin))
+    paths = (tum, kitti, kitti_camera, geodetic)
+    return [f"{path}: {len(track.stamps_ns)} poses" for path in paths if path is not None]
+
+
+def _write_landmarks(
+    log: Path, objects: ObjectMapRecord, csv: Path | None, geojson: Path | None, ply: Path | None, origin: str | None
+) -> list[str]:
+    from slam.formats import landmark_tables
+
+    if csv is not None:
+        landmark_tables.write_csv(csv, objects)
+    if geojson is not None:
+        landmark_tables.write_geojson(geojson, objects, _georeference(log, origin))
+    if ply is not None:
+        landmark_tables.write_ply(ply, objects)
+    return [f"{path}: {len(objects.ids)} landmarks" for path in (csv, geojson, ply) if path is not None]
+
+
+def _write_bag(folder: Path, track: TrajectoryRecord, objects: ObjectMapRecord, records: EvaluationRecords) -> str:
+    from slam.formats import ros2_bag as bag
+
+    body_frame = records.odometry[0].child_frame_id if records.odometry else "base_link"
+    bag.write_ros2_bag(folder, track, objects, body_frame=body_frame)
+    return f"{folder}: {len(track.stamps_ns)} poses, {len(objects.ids)} landmarks"
+
+
+def _write_graph(log: Path, path: Path, records: EvaluationRecords) -> str:
+    from slam.formats import trajectory_and_graph as text
+
+    if records.graph is None:
+        raise _no_result(log)
+    text.write_g2o(path, records.graph, records.object_map)
+    return (
+        f"{path}: {len(records.graph.keyframe_ids)} keyframes, {len(records.graph.edge_kinds)} edges, without the "
+        "robust kernels of the configuration, which g2o files have no place for"
+    )
 
 
 def _track(log: Path, records: EvaluationRecords, of: Track) -> TrajectoryRecord:
