@@ -237,19 +237,19 @@ class LikelihoodRatioConfig(_Branch):
     """The likelihood ratio of same place against clutter; see slam/loop_closure/likelihood_ratio.py."""
 
     detection_probability: float = Field(
-        default=0.7,
+        default=0.85,
         gt=0,
         lt=1,
         description="P_D: probability that an object of one traversal is in the map of another",
     )
     coverage_radius_m: float = Field(
-        default=25.0, gt=0, description="a match is expected within that distance of any reference landmark [m]"
+        default=10.0, gt=0, description="a match is expected within that distance of any reference landmark [m]"
     )
     clutter_radius_m: float = Field(
         default=5.0, gt=0, description="radius within which landmarks of the same class count as clutter [m]"
     )
     clutter_along_track_m: float = Field(
-        default=12.0, gt=0, description="distance along the direction of travel within which they also count [m]"
+        default=45.0, gt=0, description="distance along the direction of travel within which they also count [m]"
     )
     clutter_cross_track_sigma_m: float = Field(
         default=0.7, gt=0, description="... and standard deviation of the Gaussian profile across it [m]"
@@ -259,19 +259,14 @@ class LikelihoodRatioConfig(_Branch):
 class LocalizationConfig(_Branch):
     """Where the robot is: the posterior over poses in earlier traversals and "somewhere new"."""
 
-    method: str = Field(
-        default="thresholds",
-        pattern="^(posterior|thresholds)$",
-        description="what decides on poses: posterior (slam/localization/localizer.py) or thresholds on scores",
-    )
     error_probability: float = Field(
         default=0.005,
         gt=0,
-        lt=0.5,
+        lt=1,
         description="a pose is accepted once the probability that it is wrong is below that",
     )
     failures_per_km: float = Field(
-        default=1e-5, gt=0, description="undetected failures of the odometry on a kilometre of travel [1/km]"
+        default=1e-3, gt=0, description="undetected failures of the odometry on a kilometre of travel [1/km]"
     )
     max_hypotheses: int = Field(
         default=5, ge=0, description="hypotheses that are carried from keyframe to keyframe, the likeliest ones"
@@ -307,30 +302,6 @@ class LoopClosureConfig(_Branch):
     )
     max_candidates_when_lost: int = Field(
         default=5, ge=0, description="... and those of the exhaustive search that are verified while the robot is lost"
-    )
-    min_inliers: int = Field(default=4, ge=2, description="least number of matched objects of a closure")
-    min_inliers_tracked: int = Field(
-        default=3, ge=2, description="... and of one that an accepted closure nearby predicts"
-    )
-    accept_llr: float = Field(
-        default=20.0, description="a closure is accepted if its LLR minus odometry penalty reaches that [nats]"
-    )
-    ambiguity_margin: float = Field(
-        default=5.0, ge=0, description="... and exceeds that of every other candidate pose by that much [nats]"
-    )
-    hypothesis_llr: float = Field(
-        default=10.0, description="LLR from which a candidate is kept as a hypothesis to accumulate others [nats]"
-    )
-    accept_llr_tracked: float = Field(
-        default=6.0, description="LLR that suffices for a closure that an accepted one nearby predicts [nats]"
-    )
-    max_odometry_penalty: float = Field(
-        default=15.0, ge=0, description="upper limit of the odometry penalty of a candidate [nats]"
-    )
-    discontinuity_prior: float = Field(
-        default=2.5,
-        ge=0,
-        description="odometry penalty of every candidate across a discontinuity of the odometry [nats]",
     )
     propagation_distance_m: float = Field(
         default=50.0, ge=0, description="travel over which an accepted closure predicts those before and after it [m]"

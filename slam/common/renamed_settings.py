@@ -21,14 +21,6 @@ RENAMED_SETTINGS: Mapping[str, str] = MappingProxyType(
         "loop_closure.neighbours": "loop_closure.top_k",
         "loop_closure.places": "loop_closure.max_candidates",
         "loop_closure.lost_places": "loop_closure.max_candidates_when_lost",
-        "loop_closure.min_objects": "loop_closure.min_inliers",
-        "loop_closure.supported_objects": "loop_closure.min_inliers_tracked",
-        "loop_closure.threshold_nats": "loop_closure.accept_llr",
-        "loop_closure.margin_nats": "loop_closure.ambiguity_margin",
-        "loop_closure.waiting_nats": "loop_closure.hypothesis_llr",
-        "loop_closure.supported_nats": "loop_closure.accept_llr_tracked",
-        "loop_closure.max_doubt_nats": "loop_closure.max_odometry_penalty",
-        "loop_closure.break_doubt_nats": "loop_closure.discontinuity_prior",
         "loop_closure.follow_travel_m": "loop_closure.propagation_distance_m",
     }
 )

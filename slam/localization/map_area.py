@@ -11,7 +11,7 @@ from slam.odometry.keyframe import Keyframe
 
 
 class MapArea:
-    """Area of the square cells, with edges of ``cell_m``, in which there is a keyframe, over all segments."""
+    """Area of the square cells, with edges of ``cell_m``, with a keyframe or an object of an imported map."""
 
     def __init__(self, *, cell_m: float) -> None:
         self._cell_m = cell_m
@@ -25,8 +25,8 @@ class MapArea:
         self._covered = len(keyframes)
 
     def cover_positions(self, positions: FloatArray, *, segment: int = 0) -> None:
-        """Add positions (K, 2) m of keyframes of a segment."""
-        cells = (positions // self._cell_m).astype(np.int64).tolist()
+        """Add positions (K, 2) m where the robot can be in a segment."""
+        cells = np.unique((positions // self._cell_m).astype(np.int64), axis=0).tolist()
         self._cells.update((segment, x, y) for x, y in cells)
 
     @property

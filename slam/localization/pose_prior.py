@@ -35,16 +35,24 @@ class PosePrior:
         the measured pose ``T_local_query`` (4, 4) with its ``covariance`` (6, 6), rotation first (Laplace's
         approximation of the evidence: MacKay, Information Theory, Inference, and Learning Algorithms, chapter 28).
         """
-        planar = covariance[np.ix_(_PLANAR, _PLANAR)]
-        log_volume = 0.5 * float(np.linalg.slogdet(2.0 * np.pi * planar)[1])
-        log_uniform = float(log_volume - np.log(2.0 * np.pi * self.area_m2))
+        log_uniform = self.log_uniform(covariance)
         if np.isinf(self.sigma_m):
             return min(log_uniform, 0.0)
+        planar = covariance[np.ix_(_PLANAR, _PLANAR)]
         T_residual = invert(self.T_local_query) @ T_local_query
         residual = np.array([T_residual[0, 3], T_residual[1, 3], float(yaw_rad(T_residual))])
         spread = planar + np.diag([self.sigma_m**2, self.sigma_m**2, self.sigma_rad**2])
         log_normal = -0.5 * float(
             residual @ np.linalg.solve(spread, residual) + np.linalg.slogdet(2.0 * np.pi * spread)[1]
         )
-        followed = np.log1p(-self.failure_probability) + log_normal + log_volume
+        followed = np.log1p(-self.failure_probability) + log_normal + _log_volume(covariance)
         return min(float(np.logaddexp(followed, np.log(self.failure_probability) + log_uniform)), 0.0)
+
+    def log_uniform(self, covariance: FloatArray) -> float:
+        """The same where the robot can be anywhere in the area."""
+        return float(_log_volume(covariance) - np.log(2.0 * np.pi * self.area_m2))
+
+
+def _log_volume(covariance: FloatArray) -> float:
+    """Logarithm of the integral of exp(-d^2 / 2) over x, y and heading [log m^2 rad]."""
+    return 0.5 * float(np.linalg.slogdet(2.0 * np.pi * covariance[np.ix_(_PLANAR, _PLANAR)])[1])

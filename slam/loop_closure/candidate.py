@@ -31,11 +31,11 @@ class Candidate:
     the query's gravity frame in the local frame of the reference's traversal.
 
     ``rows`` (N,): landmarks of the query; ``log_likelihood_ratios`` (N,): their LLR_i; ``pairs`` (K, 2): inliers, as
-    landmarks of the query and of the reference. ``log_likelihood_ratio`` is the sum of the LLR_i, ``odometry_penalty``
-    the negative log-likelihood of the odometry residual.
-    ``seed_closure``: the keyframe whose closure predicted this one, -1 if retrieval found it; ``rank``: as in
-    :class:`slam.place_recognition.place.Place`. ``accumulated_llr`` and ``best_rival_llr``: as in
-    :class:`logs.messages.LoopClosureRecord`, None until they are computed.
+    confirmed landmarks of the query and of the reference. ``log_likelihood_ratio`` is the sum of the LLR_i.
+    ``odometry_penalty`` is -log pi of the pose's prior, ``unpredicted_penalty`` the same if the odometry told nothing;
+    see :mod:`slam.localization.pose_prior`. ``seed_closure``: the keyframe whose closure predicted this one, -1 if
+    retrieval found it; ``rank``: as in :class:`slam.place_recognition.place.Place`. ``accumulated_llr`` and
+    ``best_rival_llr``: as in :class:`logs.messages.LoopClosureRecord`, None until they are computed.
     """
 
     query: int
@@ -51,6 +51,7 @@ class Candidate:
     pairs: IntArray
     matched_fraction: float
     odometry_penalty: float
+    unpredicted_penalty: float
     retrieval_distance: float
     seed_closure: int = -1
     rank: int = 0
@@ -64,7 +65,7 @@ class Candidate:
 
     @property
     def score(self) -> float:
-        """Log-likelihood ratio minus odometry penalty; compared with ``accept_llr``."""
+        """Log-likelihood ratio minus odometry penalty: the log posterior odds if there was no other candidate."""
         return self.log_likelihood_ratio - self.odometry_penalty
 
     def edge(self) -> Edge:

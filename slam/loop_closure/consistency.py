@@ -47,11 +47,10 @@ def suppress_non_maxima(candidates: Sequence[Candidate], *, sensor_range_m: floa
 def odometry_penalty(
     T_predicted: FloatArray, T_measured: FloatArray, drift_sigmas: tuple[float, float], config: Config
 ) -> float:
-    """Negative log-likelihood of the odometry residual of a closure, at most ``max_odometry_penalty`` [nats].
+    """Negative log-likelihood of the odometry residual between two poses [nats].
 
-    Half the squared Mahalanobis distance between prediction and measurement. It is bounded, because the odometry may
-    have failed without notice, and then the LLR must be able to outweigh it. Across a discontinuity the odometry gives
-    no prediction; the penalty is the constant ``discontinuity_prior`` there.
+    Half the squared Mahalanobis distance between prediction and measurement; zero across a discontinuity, where the
+    odometry predicts nothing.
 
     Args:
         T_predicted: ``T_reference_query`` (4, 4) from the current estimate of the trajectory.
@@ -61,22 +60,10 @@ def odometry_penalty(
         config: the limits.
     """
     if np.isinf(drift_sigmas[0]):
-        return config.loop_closure.discontinuity_prior
+        return 0.0
     limits, inflation = config.loop_closure, config.odometry.inflation
     sigma_m = inflation * np.hypot(drift_sigmas[0], limits.base_sigma_m)
     sigma_rad = inflation * np.hypot(drift_sigmas[1], np.deg2rad(limits.base_sigma_deg))
     off_m = float(np.hypot(*(T_measured[:2, 3] - T_predicted[:2, 3])))
     off_rad = abs(float(yaw_rad(invert(T_predicted) @ T_measured)))
-    return min(0.5 * float((off_m / sigma_m) ** 2 + (off_rad / sigma_rad) ** 2), limits.max_odometry_penalty)
-
-
-def accumulated_llr(candidates: Sequence[Candidate]) -> float:
-    """Joint score of candidates (one at least) of different queries that agree on the pose.
-
-    A landmark that several queries contain counts once, with the mean of its LLR_i; the largest odometry penalty is
-    subtracted.
-    """
-    _, indices = np.unique(np.concatenate([each.rows for each in candidates]), return_inverse=True)
-    sums = np.bincount(indices, weights=np.concatenate([each.log_likelihood_ratios for each in candidates]))
-    llr = float(np.sum(sums / np.maximum(np.bincount(indices), 1)))
-    return llr - max(each.odometry_penalty for each in candidates)
+    return 0.5 * float((off_m / sigma_m) ** 2 + (off_rad / sigma_rad) ** 2)

@@ -6,7 +6,8 @@ For object i of the query submap, placed at z_i by the pose of the candidate,
 
 * m_i is the reference landmark that object i is matched with; without a match N(...) = 0, so LLR_i = log(1 - P_D);
 * N is the density of the horizontal error [1/m^2], isotropic with S_i = (sigma_query^2 + sigma_reference^2) I;
-* P_D (``detection_probability``) is the probability that an object of one traversal is in the map of another;
+* P_D (``detection_probability``) is the probability that an object of one traversal is in the map of another; of a
+  landmark that is not confirmed it is multiplied by the probability that it exists;
 * lambda_i is the clutter density: landmarks of the same class per m^2 near z_i, the matched one not counted.
 
 The sum runs over the objects that should have a match: those with any reference landmark within ``coverage_radius_m``.
@@ -30,7 +31,7 @@ from slam.common.config import LikelihoodRatioConfig
 from slam.common.geometry import apply, yaw_rad
 from slam.object_map.submap import Submap
 
-LEAST_COUNT = 0.0625
+LEAST_COUNT = 0.01
 """Least density of a class: so many objects in a square with sides of ``coverage_radius_m``."""
 
 
@@ -80,7 +81,8 @@ def compute_log_likelihood_ratio(
     squares = distances[matched_reference, matched_query] ** 2
     likelihoods = np.zeros(len(query))
     likelihoods[matched_query] = np.exp(-0.5 * squares / variances) / (2.0 * np.pi * variances)
-    ratios = 1.0 - config.detection_probability + config.detection_probability * likelihoods / densities
+    in_map = config.detection_probability * query.existence
+    ratios = 1.0 - in_map + in_map * likelihoods / densities
     return LikelihoodRatio(np.where(expected, np.log(ratios), 0.0), expected, len(pairs))
 
 
@@ -138,7 +140,9 @@ def _clutter_densities(
     # Half an object as a pseudo-count: in the disc, or in as much of the map as holds half an object of the class.
     area = np.full(len(query), disc_area)
     if class_shares is not None:
-        density = np.sum(distances < config.coverage_radius_m, axis=0) / (np.pi * config.coverage_radius_m**2)
+        near = distances < config.coverage_radius_m
+        near[pairs[:, 1], pairs[:, 0]] = False
+        density = np.sum(near, axis=0) / (np.pi * config.coverage_radius_m**2)
         least_density = LEAST_COUNT / config.coverage_radius_m**2
         area += 0.5 / np.maximum(density * class_shares[query.labels], least_density)
     return np.asarray(np.maximum(np.maximum(in_disc, along_track), 0.5 / area))

@@ -18,16 +18,14 @@ from slam.common.arrays import IntArray
 from slam.common.config import Config
 from slam.common.geometry import invert
 from slam.localization.continuity_monitor import ContinuityMonitor, recent_landmarks
-from slam.loop_closure.acceptance.acceptance import Acceptance
-from slam.loop_closure.acceptance.posterior_acceptance import PosteriorAcceptance
-from slam.loop_closure.acceptance.threshold_acceptance import ThresholdAcceptance
+from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.accepted_closures import AcceptedClosures
 from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.consistency import suppress_non_maxima
 from slam.loop_closure.divergence_monitor import LocalizationMonitor
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
-from slam.object_map.submap import gravity_frame, recent_submap
+from slam.object_map.submap import gravity_frame, recent_submap, recent_submap_with_unconfirmed
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.imported_places import ImportedPlaces
@@ -80,11 +78,11 @@ class LoopCloser:
         self.lost_since_keyframe: int | None = None
         """The first keyframe that is inconsistent with the map, once the robot is lost; None while it is not."""
         self._rejected_by_odometry: set[int] = set()
-        self._acceptance = make_acceptance(config, self._verifier, keyframes)
+        self._acceptance = Acceptance(config, self._verifier, keyframes)
 
     @property
     def rejected_by_odometry_count(self) -> int:
-        """Keyframes with a candidate whose LLR reaches ``accept_llr``, but its odometry penalty is too large."""
+        """Keyframes with a candidate that would have been accepted if the odometry had predicted nothing."""
         return sum(not self.closures.is_closed(each) for each in self._rejected_by_odometry)
 
     def missing_landmarks(self) -> IntArray:
@@ -112,28 +110,45 @@ class LoopCloser:
             self._monitor.confirm()
             return [self._accept(propagated, f"propagated from the closure of keyframe {propagated.seed_closure}")]
         # 2. Elsewhere landmarks that are still followed, or retrieval by triangles and descriptors, propose candidates.
-        if len(query.submap) < self._acceptance.min_objects:
-            reason = f"{len(query.submap)} landmarks in the submap, min_inliers is {self._acceptance.min_objects}"
-            return [query.refusal(Stage.RETRIEVAL, reason)]
-        tracked = self._verifier.tracked_place(query) if self._limits.close_tracked else None
-        verified = [self._verifier.verify(query, tracked)] if tracked is not None else []
-        verified += [self._verifier.verify(query, place) for place in self._acceptance.expected_places(query)]
-        if not self._any_acceptable(verified):
-            places = self._retriever.retrieve(query.submap, before_m=self._verifier.latest_m(query), seed=keyframe.id)
-            places += self._retriever.search_imported_map(query.submap)
-            verified += self._verify_all(query, places)
-        # 3. If the robot is lost and none of them is acceptable, the whole map is searched.
+        verified = self._verify_proposed(query) if self._has_enough_objects(query) else []
+        # 3. If the robot is lost and none of them is acceptable, the whole map is searched, for unconfirmed ones, too.
         if not self.closures.is_localized(keyframe) and not self._any_acceptable(verified):
-            places = self._retriever.search_exhaustively(query.submap, segment=self._keyframes[0].odometry.segment)
-            verified += self._verify_all(query, places)
+            query = self._with_unconfirmed(query)
+            if self._has_enough_objects(query):
+                segment = self._keyframes[0].odometry.segment
+                verified += self._verify_all(query, self._retriever.search_exhaustively(query.submap, segment=segment))
         if not verified:
-            return [query.refusal(Stage.RETRIEVAL, "no matches that agree on a place")]
+            return [query.refusal(Stage.RETRIEVAL, self._why_nothing(query))]
         # 4. The candidate with the highest score is accepted, kept as a hypothesis or rejected.
         refused = [each for each in verified if isinstance(each, LoopClosureRecord)]
         candidates = suppress_non_maxima(
             [each for each in verified if isinstance(each, Candidate)], sensor_range_m=self._sensor_range_m
         )
         return refused + self._decide(query, candidates)
+
+    def _verify_proposed(self, query: Query) -> list[Candidate | LoopClosureRecord]:
+        """The candidates at the places that landmarks still followed, hypotheses and retrieval propose."""
+        tracked = self._verifier.tracked_place(query) if self._limits.close_tracked else None
+        verified = [self._verifier.verify(query, tracked)] if tracked is not None else []
+        verified += [self._verifier.verify(query, place) for place in self._acceptance.expected_places(query)]
+        if not self._any_acceptable(verified):
+            latest_m = self._verifier.latest_m(query)
+            places = self._retriever.retrieve(query.submap, before_m=latest_m, seed=query.keyframe.id)
+            places += self._retriever.search_imported_map(query.submap)
+            verified += self._verify_all(query, places)
+        return verified
+
+    def _with_unconfirmed(self, query: Query) -> Query:
+        submap = recent_submap_with_unconfirmed(self._map, query.keyframe, self._submap_config)
+        return replace(query, submap=submap)
+
+    def _has_enough_objects(self, query: Query) -> bool:
+        return len(query.submap) >= self._acceptance.min_objects
+
+    def _why_nothing(self, query: Query) -> str:
+        if self._has_enough_objects(query):
+            return "no matches that agree on a place"
+        return f"{len(query.submap)} landmarks in the submap, min_inliers is {self._acceptance.min_objects}"
 
     def _verify_all(self, query: Query, places: Sequence[Place]) -> list[Candidate | LoopClosureRecord]:
         """The candidates at places, or the reasons why there is none."""
@@ -259,10 +274,9 @@ class LoopCloser:
             since = self._monitor.inconsistent_since if self._monitor.is_inconsistent else None
             self.lost_since_keyframe = query.keyframe.id if since is None else since
             return [*records, best.record(Stage.CONSISTENCY, "contradicts the odometry: kidnapped")]
-        records += [self._accept(each, decision.reason) for each in decision.supporting]
-        return [*records, *self._accept_and_propagate(best, decision.reason)]
+        return [*records, *self._accept_and_propagate(best)]
 
-    def _accept_and_propagate(self, candidate: Candidate, reason: str) -> list[LoopClosureRecord]:
+    def _accept_and_propagate(self, candidate: Candidate) -> list[LoopClosureRecord]:
         """Accept a retrieved closure, and those that it predicts for the keyframes before it and that are verified."""
         logger.info(
             "closed a loop: keyframe %d is at keyframe %d (score %.1f)",
@@ -270,7 +284,7 @@ class LoopCloser:
             candidate.reference,
             candidate.score,
         )
-        records = [self._accept(candidate, reason)]
+        records = [self._accept(candidate, "")]
         seed_closure = candidate
         for query in reversed(self._recent):
             if query.keyframe.id >= candidate.query or self.closures.is_closed(query.keyframe.id):
@@ -288,10 +302,3 @@ class LoopCloser:
         """Accept a closure, which predicts the next ones."""
         self._seed_closure = candidate
         return self.closures.add(candidate, reason)
-
-
-def make_acceptance(config: Config, verifier: Verifier, keyframes: Sequence[Keyframe]) -> Acceptance:
-    """The rules that ``localization.method`` names."""
-    if config.localization.method == "posterior":
-        return PosteriorAcceptance(config, verifier, keyframes)
-    return ThresholdAcceptance(config.loop_closure, verifier, keyframes)

@@ -23,10 +23,21 @@ PASSED_RANGES = 0.5
 
 
 class QueryPriors:
-    """Paths and priors of the poses of queries; ``cell_m`` is the resolution of the area that is mapped."""
+    """Paths and priors of the poses of queries.
+
+    ``imported_positions`` (N, 2) m are those of the objects of an imported map, ``cell_m`` is the resolution of the
+    area that is mapped.
+    """
 
     def __init__(
-        self, config: Config, track: KeyframeTrack, graph: FactorGraph, keyframes: Sequence[Keyframe], *, cell_m: float
+        self,
+        config: Config,
+        track: KeyframeTrack,
+        graph: FactorGraph,
+        keyframes: Sequence[Keyframe],
+        imported_positions: FloatArray,
+        *,
+        cell_m: float,
     ) -> None:
         self._config = config
         self._sensor_range_m = config.detection.sensor_range_m
@@ -34,6 +45,7 @@ class QueryPriors:
         self._graph = graph
         self._keyframes = keyframes
         self._area = MapArea(cell_m=cell_m)
+        self._area.cover_positions(imported_positions)
 
     def path(self, query: Query) -> FloatArray:
         """Where the robot was (P, 3), in the frame of the query, so long ago that all around is mapped by now."""

@@ -53,9 +53,13 @@ class Verifier:
         self._track = track
         self._graph = graph
         self._keyframes = keyframes
-        self._by_posterior = config.localization.method == "posterior"
         self._priors = QueryPriors(
-            config, track, graph, keyframes, cell_m=MAX_REFERENCE_RANGES * config.detection.sensor_range_m
+            config,
+            track,
+            graph,
+            keyframes,
+            retriever.imported_positions(),
+            cell_m=MAX_REFERENCE_RANGES * config.detection.sensor_range_m,
         )
 
     def latest_m(self, query: Query) -> float:
@@ -87,7 +91,7 @@ class Verifier:
         They make one map with those of the query, in which the pose is known; None where there are too few of them.
         """
         first_seen_m = self._retriever.first_seen_travels_m(query.submap)
-        if np.count_nonzero(first_seen_m < self.latest_m(query)) < self._config.loop_closure.min_inliers:
+        if np.count_nonzero(first_seen_m < self.latest_m(query)) < self._config.registration.min_inliers:
             return None
         segment = query.keyframe.odometry.segment
         found = self._track.nearest(
@@ -108,14 +112,8 @@ class Verifier:
         if reference is None:
             reason = f"no earlier keyframe within {self._max_reference_m:g} m of the place"
             return query.refusal(Stage.REGISTRATION, reason, rank=place.rank)
-        limits = self._config.loop_closure
-        setting = "min_inliers" if seed_closure == NOWHERE else "min_inliers_tracked"
-        least = limits.min_inliers if seed_closure == NOWHERE else limits.min_inliers_tracked
-        if not self._by_posterior and len(registration.pairs) < least:
-            reason = f"{len(registration.pairs)} inliers, {setting} is {least}"
-            return query.refusal(Stage.REGISTRATION, reason, reference, rank=place.rank)
         seen, met = query.submap.rows[registration.pairs[:, 0]], reference_submap.rows[registration.pairs[:, 1]]
-        if not limits.close_tracked and 2 * int(np.sum(seen == met)) > len(seen):
+        if not self._config.loop_closure.close_tracked and 2 * int(np.sum(seen == met)) > len(seen):
             reason = "its landmarks are still associated: there is no loop to close"
             return query.refusal(Stage.CONSISTENCY, reason, reference, rank=place.rank)
         candidate = self._candidate(query, place, reference_submap, registration, reference, seed_closure)
@@ -127,11 +125,11 @@ class Verifier:
         Only a candidate that fits by itself is followed back, and as far as the stretches fit. A landmark of several
         stretches counts once, as it was seen from the nearest of their keyframes.
         """
-        if self._by_posterior or candidate.log_likelihood_ratio < self._config.loop_closure.hypothesis_llr:
+        if not query.before or candidate.log_likelihood_ratio <= 0.0:
             return candidate
-        chain, sigmas = [candidate], [query.submap.sigmas]
+        chain, sigmas = [candidate], [_sigmas_of_rows(query, candidate)]
         for stretch in query.before:
-            if len(stretch.submap) < self._config.loop_closure.min_inliers_tracked:
+            if len(stretch.submap) < self._config.registration.min_inliers:
                 continue
             place = self.predict(chain[-1], stretch)
             before = None if place is None else self.verify(stretch, place, seed_closure=query.keyframe.id)
@@ -140,7 +138,7 @@ class Verifier:
             if not self.agree(before.T_local_query, place.T_local_query):
                 break
             chain.append(before)
-            sigmas.append(stretch.submap.sigmas)
+            sigmas.append(_sigmas_of_rows(stretch, before))
         nearest = np.argsort(np.concatenate(sigmas), kind="stable")
         rows, first = np.unique(np.concatenate([each.rows for each in chain])[nearest], return_index=True)
         ratios = np.concatenate([each.log_likelihood_ratios for each in chain])[nearest]
@@ -223,38 +221,28 @@ class Verifier:
         T_local_gravity, covariance = registration.T_reference_query, registration.covariance
         assert T_local_gravity is not None
         assert covariance is not None
-        crosses_break = reference.odometry.segment != query.keyframe.odometry.segment
         ratio = compute_log_likelihood_ratio(
             query.submap,
             reference_submap,
             T_local_gravity,
             registration.pairs,
             self._config.likelihood_ratio,
-            self._retriever.class_shares() if crosses_break or self._by_posterior else None,
+            self._retriever.class_shares(),
         )
+        passed, of_passed = expected_log_likelihood_ratios(
+            reference_submap,
+            T_local_gravity,
+            registration.pairs,
+            self._priors.path(query),
+            radius_m=PASSED_RANGES * self._sensor_range_m,
+            seen=self._config.likelihood_ratio.detection_probability,
+        )
+        prior = self._priors.prior(query, place, reference, seed_closure)
+        exists = np.broadcast_to(query.submap.existence, len(query.submap)) == 1.0
+        confirmed = registration.pairs[exists[registration.pairs[:, 0]]]
         # The query's tilt is the odometry's; the registration is upright.
         T_gravity_body = invert(query.T_local_gravity) @ query.keyframe.T_local_body
         T_reference_query = invert(reference.T_local_body) @ T_local_gravity @ T_gravity_body
-        T_predicted = invert(self._graph.pose(reference.id)) @ self._graph.pose(query.keyframe.id)
-        sigmas = self._track.drift_sigmas(reference.id, query.keyframe.id)
-        penalty = odometry_penalty(T_predicted, T_reference_query, sigmas, self._config)
-        if reference.is_map_frame and seed_closure == NOWHERE:
-            penalty += self._retriever.search_penalty(query.submap)
-        rows, ratios = query.submap.rows, ratio.per_object
-        if self._by_posterior:
-            passed, of_passed = expected_log_likelihood_ratios(
-                reference_submap,
-                T_local_gravity,
-                registration.pairs,
-                self._priors.path(query),
-                radius_m=PASSED_RANGES * self._sensor_range_m,
-                seen=self._config.likelihood_ratio.detection_probability,
-            )
-            # Landmarks of the map are told from those of the query by their sign.
-            rows = np.concatenate([rows, -1 - reference_submap.rows[passed]])
-            ratios = np.concatenate([ratios, of_passed])
-            prior = self._priors.prior(query, place, reference, seed_closure)
-            penalty = -prior.log_mass(T_local_gravity, covariance)
         return Candidate(
             query=query.keyframe.id,
             reference=reference.id,
@@ -264,13 +252,13 @@ class Verifier:
             T_reference_query=T_reference_query,
             T_local_query=T_local_gravity,
             covariance=covariance_in_axes(self._covariance(covariance), T_gravity_body[:3, :3]),
-            rows=rows,
-            log_likelihood_ratios=ratios,
-            pairs=np.column_stack(
-                [query.submap.rows[registration.pairs[:, 0]], reference_submap.rows[registration.pairs[:, 1]]]
-            ),
+            # Landmarks of the map are told from those of the query by their sign.
+            rows=np.concatenate([query.submap.rows, -1 - reference_submap.rows[passed]]),
+            log_likelihood_ratios=np.concatenate([ratio.per_object, of_passed]),
+            pairs=np.column_stack([query.submap.rows[confirmed[:, 0]], reference_submap.rows[confirmed[:, 1]]]),
             matched_fraction=ratio.matched_fraction,
-            odometry_penalty=penalty,
+            odometry_penalty=-prior.log_mass(T_local_gravity, covariance),
+            unpredicted_penalty=-prior.log_uniform(covariance),
             retrieval_distance=place.retrieval_distance,
             seed_closure=seed_closure,
             rank=place.rank,
@@ -300,3 +288,9 @@ class Verifier:
             return None
         reference = self._keyframes[found[0]]
         return reference if reference.is_map_frame or found[1] <= self._max_reference_m else None
+
+
+def _sigmas_of_rows(query: Query, candidate: Candidate) -> FloatArray:
+    """Standard deviations (N,) m of the landmarks of a candidate; infinite for those of the map."""
+    of_map = np.full(len(candidate.rows) - len(query.submap), np.inf)
+    return np.concatenate([query.submap.sigmas, of_map])

@@ -21,6 +21,10 @@ from slam.object_map.map_io import SavedMap
 SHARING_PLACES = 3.0
 """A landmark is in the query of its place and of those beside it, so each log-likelihood ratio counts a third."""
 GATE_SIGMAS = 3.0
+ACCEPT_LLR = 20.0
+"""What two maps are joined from [nats]: a false one among a few million, as each joins everything on both sides."""
+AMBIGUITY_MARGIN = 5.0
+"""... and what it must exceed that of any other transform by: one in 150."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +57,7 @@ def judge_pairs(
     Args:
         maps: condensed, by the numbers that the joins name.
         joins: of all of them.
-        config: what a loop closure needs to be accepted, a join needs.
+        config: of the estimator.
         search_penalty: logarithm of how many places chance could choose from [nats].
     """
     of_pair: dict[tuple[int, int], list[Join]] = {}
@@ -76,15 +80,11 @@ def _judge(
     rivals = ~chosen & np.array([(join.query_map, join.place) in asked for join in joins])
     rival_llr = max((_evidence(joins[agree[row] & rivals]) for row in np.flatnonzero(rivals)), default=0.0)
     llr = evidence[best] - search_penalty
-    needed, margin = config.loop_closure.accept_llr, config.loop_closure.ambiguity_margin
     reason = ""
-    if llr < needed:
-        reason = f"log-likelihood ratio {llr:.1f}, loop_closure.accept_llr is {needed:g}"
-    elif evidence[best] - rival_llr < margin:
-        reason = (
-            f"log-likelihood ratio {evidence[best]:.1f} and {rival_llr:.1f} at another pose, "
-            f"loop_closure.ambiguity_margin is {margin:g}"
-        )
+    if llr < ACCEPT_LLR:
+        reason = f"log-likelihood ratio {llr:.1f}, less than {ACCEPT_LLR:g}"
+    elif evidence[best] - rival_llr < AMBIGUITY_MARGIN:
+        reason = f"ambiguous: log-likelihood ratio {evidence[best]:.1f}, and {rival_llr:.1f} at another pose"
     return MapPair(*pair, tuple(joins[chosen].tolist()), llr, rival_llr, not reason, reason)
 
 

@@ -17,6 +17,8 @@ from slam.object_map.map_io import SavedMap, are_of_kind
 from slam.object_map.submap import Submap
 from slam.registration.registration import refine
 
+LEAST_LLR = 10.0
+"""What chance rarely reaches at one place [nats]."""
 MAPS_PER_PLACE = 8
 """Poses of a place that are verified: where many maps overlap, a few of them suffice to join it to all."""
 
@@ -41,14 +43,14 @@ class Join:
 def find_joins(query: SavedMap, number: int, index: PlaceIndex, config: Config) -> list[Join]:
     """Where places of a condensed map, which has a ``number`` in the index, are in the other maps.
 
-    Only those with a log-likelihood ratio of ``loop_closure.hypothesis_llr`` are returned; whether they are right is
+    Only those with a log-likelihood ratio of ``LEAST_LLR`` are returned; whether they are right is
     decided by all of them together (:mod:`slam.map_joining.acceptance`).
     """
     joins = []
     shares = index.objects.class_shares()
     for place in range(len(query.graph.keyframe_ids)):
         submap = _query_submap(query, place, index, config)
-        if len(submap) < config.loop_closure.min_inliers:
+        if len(submap) < config.registration.min_inliers:
             continue
         known: list[Join] = []
         for found in index.find(submap, count=MAPS_PER_PLACE, besides=number):
@@ -65,7 +67,7 @@ def find_joins(query: SavedMap, number: int, index: PlaceIndex, config: Config) 
                 reference_sigmas=reference.sigmas,
             )
             T, covariance = registration.T_reference_query, registration.covariance
-            if T is None or covariance is None or len(registration.pairs) < config.loop_closure.min_inliers:
+            if T is None or covariance is None or len(registration.pairs) < config.registration.min_inliers:
                 continue
             ratio = compute_log_likelihood_ratio(
                 submap, reference, T, registration.pairs, config.likelihood_ratio, shares
@@ -79,7 +81,7 @@ def find_joins(query: SavedMap, number: int, index: PlaceIndex, config: Config) 
                 ratio.total,
                 ratio.matched_count,
             )
-            if ratio.total >= config.loop_closure.hypothesis_llr and not _is_known(join, known, config):
+            if ratio.total >= LEAST_LLR and not _is_known(join, known, config):
                 known.append(join)
         joins += known
     return joins

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.messages import ObjectMapRecord
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import AssociationConfig
 from slam.common.union_find import Merge, UnionFind
 from slam.object_map.class_beliefs import ClassBeliefs
@@ -219,6 +219,13 @@ class ObjectMap:
     def confirm(self, rows: IntArray) -> None:
         """Make tentative landmarks confirmed ones."""
         self.rows["state"][rows] = LandmarkState.CONFIRMED
+
+    def may_exist(self, rows: IntArray) -> BoolArray:
+        """Which of the landmarks (N,) may be static objects: all but those retired as something else."""
+        never_confirmed = [self._reasons.get(row) == RetirementReason.NOT_CONFIRMED for row in rows.tolist()]
+        return np.asarray(
+            (self.rows["state"][rows] != LandmarkState.RETIRED) | np.array(never_confirmed, dtype=np.bool_)
+        )
 
     def retire(self, rows: IntArray, reason: RetirementReason) -> None:
         """Retire landmarks and all that were merged into them."""

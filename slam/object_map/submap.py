@@ -6,7 +6,7 @@ tens of metres the odometry is smooth, and what closes loops must not depend on 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,25 +18,31 @@ from slam.odometry.keyframe import Keyframe
 
 # A traversal reaches that far before and after a place, in multiples of the least travel between two traversals.
 TRAVERSAL_EXTENT = 1.1
+# Seen once only, a landmark is rather a false detection.
+LEAST_OBSERVATIONS = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Submap:
     """N landmarks. ``positions`` (N, 3) m, ``sigmas`` (N,) m of each horizontal coordinate, ``labels`` (N,) classes,
-    ``rows`` (N,) of the object map.
+    ``rows`` (N,) of the object map; ``existence`` (N,) or one for all: probability that they are static objects.
     """
 
     positions: FloatArray
     sigmas: FloatArray
     labels: IntArray
     rows: IntArray
+    existence: FloatArray | float = 1.0
 
     def __len__(self) -> int:
         return len(self.rows)
 
     def of(self, indices: IntArray) -> Submap:
         """Some of the landmarks, by their indices (K,)."""
-        return Submap(self.positions[indices], self.sigmas[indices], self.labels[indices], self.rows[indices])
+        existence = np.broadcast_to(self.existence, len(self))[indices]
+        return Submap(
+            self.positions[indices], self.sigmas[indices], self.labels[indices], self.rows[indices], existence
+        )
 
 
 def gravity_frame(T_local_body: FloatArray) -> FloatArray:
@@ -46,18 +52,44 @@ def gravity_frame(T_local_body: FloatArray) -> FloatArray:
 
 def recent_submap(object_map: ObjectMap, keyframe: Keyframe, config: SubmapConfig) -> Submap:
     """The confirmed landmarks of the last stretch of travel, in the gravity frame of a keyframe (the paper's QLSM)."""
-    landmarks, pose = object_map.rows, keyframe.odometry
-    recent = (landmarks["last_seen_travel_m"] > pose.travel_m - config.travel_m) & (
-        landmarks["segment"] == pose.segment
+    rows = _recent_rows(object_map, keyframe, config)
+    return _in_gravity_frame(
+        object_map, rows[object_map.rows["state"][rows] == LandmarkState.CONFIRMED], keyframe, config
     )
-    rows = np.flatnonzero(recent & (landmarks["state"] == LandmarkState.CONFIRMED))
-    positions = apply(invert(gravity_frame(keyframe.T_local_body)), landmarks["position_local"][rows])
-    return _submap(object_map, rows, positions, np.zeros(3), config)
+
+
+def recent_submap_with_unconfirmed(object_map: ObjectMap, keyframe: Keyframe, config: SubmapConfig) -> Submap:
+    """The same with the landmarks that were seen twice at least, but are not confirmed.
+
+    Each exists with the share of the landmarks of its segment, seen as often, that were confirmed (the rule of
+    succession, with one of either kind seen before).
+    """
+    landmarks = object_map.rows
+    rows = _recent_rows(object_map, keyframe, config)
+    rows = rows[object_map.may_exist(rows) & (landmarks["observations"][rows] >= LEAST_OBSERVATIONS)]
+    decided = (landmarks["segment"] == keyframe.odometry.segment) & (landmarks["state"] != LandmarkState.TENTATIVE)
+    as_often = landmarks["observations"][decided] >= landmarks["observations"][rows][:, None]
+    is_confirmed = landmarks["state"][decided] == LandmarkState.CONFIRMED
+    shares = (1.0 + np.sum(as_often & is_confirmed, axis=1)) / (2.0 + np.sum(as_often, axis=1))
+    existence = np.where(landmarks["state"][rows] == LandmarkState.CONFIRMED, 1.0, shares)
+    return replace(_in_gravity_frame(object_map, rows, keyframe, config), existence=existence)
 
 
 def placed_submap(object_map: ObjectMap, rows: IntArray, centre_local: FloatArray, config: SubmapConfig) -> Submap:
     """The landmarks ``rows`` (N,) from a traversal near ``centre_local`` (3,), in the local frame."""
     return _submap(object_map, rows, object_map.rows["position_local"][rows], centre_local, config)
+
+
+def _recent_rows(object_map: ObjectMap, keyframe: Keyframe, config: SubmapConfig) -> IntArray:
+    landmarks, pose = object_map.rows, keyframe.odometry
+    recent = landmarks["last_seen_travel_m"] > pose.travel_m - config.travel_m
+    return np.flatnonzero(recent & (landmarks["segment"] == pose.segment))
+
+
+def _in_gravity_frame(object_map: ObjectMap, rows: IntArray, keyframe: Keyframe, config: SubmapConfig) -> Submap:
+    T_gravity_local = invert(gravity_frame(keyframe.T_local_body))
+    positions = apply(T_gravity_local, object_map.rows["position_local"][rows])
+    return _submap(object_map, rows, positions, np.zeros(3), config)
 
 
 def _submap(

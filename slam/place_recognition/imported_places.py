@@ -61,9 +61,10 @@ class ImportedPlaces:
         shares = self._imported.class_shares()
         return np.append(shares, np.full(len(self._map.vocabulary) - len(shares), 1.0 / (1.0 + len(self._imported))))
 
-    def search_penalty(self, query: Submap) -> float:
-        """Logarithm of how many places like the query the map has, among which chance may find one that fits [nats]."""
-        return float(np.log(max(len(self._imported) / max(len(query), 1), 1.0)))
+    @property
+    def positions(self) -> FloatArray:
+        """Positions (N, 2) m of all objects of the map."""
+        return np.asarray(self._imported.positions[:, :2])
 
     def retrieve(self, query: Submap, *, count: int) -> list[Place]:
         """The ``count`` places with most votes of the quads of a query, given in its gravity frame."""

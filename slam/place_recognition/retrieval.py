@@ -157,9 +157,9 @@ class PlaceRetriever:
         """Whether there is a map that nobody drove."""
         return self._imported is not None
 
-    def search_penalty(self, query: Submap) -> float:
-        """What a retrieved place must be likelier by than one in a small map [nats]; zero without an imported map."""
-        return 0.0 if self._imported is None else self._imported.search_penalty(query)
+    def imported_positions(self) -> FloatArray:
+        """Positions (N, 2) m of the objects of the imported map; none without one."""
+        return np.zeros((0, 2)) if self._imported is None else self._imported.positions
 
     def search_imported_map(self, query: Submap) -> list[Place]:
         """The best places of a query in the imported map; none without one."""

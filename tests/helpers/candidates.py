@@ -23,6 +23,7 @@ def make_candidate(
     llrs: dict[int, float] | None = None,
     pairs: Sequence[tuple[int, int]] = (),
     odometry_penalty: float = 0.0,
+    unpredicted_penalty: float = 0.0,
 ) -> Candidate:
     """``llrs``: LLR of each landmark of the query; ``sigma`` is that of angles [rad] and of positions [m]."""
     llr_of = llrs or {0: 25.0}
@@ -40,5 +41,6 @@ def make_candidate(
         pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
         matched_fraction=1.0,
         odometry_penalty=odometry_penalty,
+        unpredicted_penalty=unpredicted_penalty,
         retrieval_distance=0.5,
     )

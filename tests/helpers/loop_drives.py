@@ -24,12 +24,8 @@ TWO_BLOCKS_ROUND_M, ONE_BLOCK_ROUND_M = 440.0, 280.0
 """Lengths of the first round."""
 
 ACCEPT_EVERYTHING = {
-    "accept_llr": -1e9,
-    "hypothesis_llr": -1e9,
-    "accept_llr_tracked": -1e9,
-    "ambiguity_margin": 0.0,
-    "max_odometry_penalty": 0.0,
-    "min_inliers": 2,
+    "localization": {"error_probability": 1.0 - 1e-15},
+    "likelihood_ratio": {"detection_probability": 1e-6},
 }
 
 
@@ -78,12 +74,20 @@ class Outcome:
 
 
 def replay_drive(
-    folder: Path, world: World, *, kidnap: KidnapConfig | None = None, calibrated: bool = True, **loop_closure: Any
+    folder: Path,
+    world: World,
+    *,
+    kidnap: KidnapConfig | None = None,
+    calibrated: bool = True,
+    branches: dict[str, dict[str, float]] | None = None,
+    **loop_closure: Any,
 ) -> Outcome:
     """Drive through ``world`` with the default noise, at 5 scans a second, and replay it."""
     simulation = SimulationConfig(drive=DriveConfig(rate_hz=5.0), kidnap=kidnap)
     path = folder / "out.mcap"
-    config = Config.model_validate({"calibration": {"enabled": calibrated}, "loop_closure": loop_closure})
+    config = Config.model_validate(
+        {"calibration": {"enabled": calibrated}, "loop_closure": loop_closure, **(branches or {})}
+    )
     return Outcome(path, run(drive(simulation, world=world), path, config))
 
 

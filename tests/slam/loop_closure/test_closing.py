@@ -13,7 +13,7 @@ from logs.messages import LoopClosureRecord
 from slam.common.arrays import IntArray
 from slam.common.config import Config
 from slam.loop_closure import loop_closer as module
-from slam.loop_closure.acceptance.acceptance import Decision
+from slam.loop_closure.acceptance import Decision
 from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.loop_closer import LoopCloser
 from slam.object_map.landmarks import LANDMARK
@@ -41,7 +41,7 @@ class Parts(Patterns):
         """What a query finds where the odometry leads; none where nothing is said."""
         self.off_m = 0.0
         """How far from there."""
-        self.objects = 10
+        self.objects, self.unconfirmed = 10, 0
         self.places = [PLACE]
         self.keyframes: Sequence[Keyframe] = []
         self.is_connected = True
@@ -77,6 +77,8 @@ class Parts(Patterns):
         return replace(found, seed_closure=seed_closure)
 
     # Retriever.
+    has_imported_map = False
+
     def index_inactive_landmarks(self, travel_m: float) -> None:
         pass
 
@@ -154,10 +156,15 @@ class Map:
 def parts(monkeypatch: pytest.MonkeyPatch) -> Parts:
     parts = Parts()
     for name in ("Verifier", "PlaceRetriever", "AcceptedClosures", "LocalizationMonitor", "ContinuityMonitor",
-                 "make_acceptance"):  # fmt: skip
+                 "Acceptance"):  # fmt: skip
         monkeypatch.setattr(module, name, lambda *_, **__: parts)
     monkeypatch.setattr(module, "recent_landmarks", lambda *_: None)
     monkeypatch.setattr(module, "recent_submap", lambda *_: make_query(parts.keyframes[0], parts.objects).submap)
+    monkeypatch.setattr(
+        module,
+        "recent_submap_with_unconfirmed",
+        lambda *_: make_query(parts.keyframes[0], parts.objects + parts.unconfirmed).submap,
+    )
     return parts
 
 
@@ -236,6 +243,17 @@ def test_few_objects_close_no_loop(parts):
     parts.objects += 1
     parts.llrs[FIRST + 1] = SURE_LLR
     assert accepted(drive.close(FIRST + 1))
+
+
+def test_the_whole_map_is_searched_with_unconfirmed_landmarks_too(parts):
+    drive = Drive(parts)
+    parts.is_connected = False
+    parts.objects = parts.min_objects - 1
+    drive.close(FIRST, segment=3)
+    assert parts.searched == []
+    parts.unconfirmed = 1
+    drive.close(FIRST + 1, segment=3)
+    assert parts.searched == [0]
 
 
 def test_the_whole_map_is_searched_only_by_who_is_lost_and_not_his_own_segment(parts):

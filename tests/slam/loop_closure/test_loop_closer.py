@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from logs.closures import STAGES
-from slam.common.config import Config, LoopClosureConfig
+from slam.common.config import Config, LocalizationConfig
+from slam.localization.localizer import log_odds_of
 from slam.replay import replay
 from slam.simulation.config import KidnapConfig
 from tests.helpers.loop_drives import (
@@ -31,6 +32,8 @@ from tests.helpers.short_drives import final_status
 pytestmark = pytest.mark.slow
 
 # So that each keyframe depends on the descriptors alone, and no lucky find spreads to its neighbours.
+NO_MEMORY = {"localization": {"max_hypotheses": 0}}
+LEAST_LOG_ODDS = -log_odds_of(LocalizationConfig().error_probability)
 ONE_TRY = {"top_k": 1, "max_candidates": 2, "max_candidates_by_triangles": 0, "propagation_distance_m": 0.0}
 
 
@@ -79,7 +82,7 @@ def test_closures_are_exact(looped):
 
 
 def test_twin_a_descriptor_that_tells_nothing_recalls_little(tmp_path):
-    outcome = replay_drive(tmp_path, two_blocks(), descriptor="random", **ONE_TRY)
+    outcome = replay_drive(tmp_path, two_blocks(), descriptor="random", branches=NO_MEMORY, **ONE_TRY)
     accepted = [each for each in outcome.closures.judged.candidates if each.accepted]
     assert sum(each.rank > 0 for each in accepted) < 0.3 * sum(outcome.revisits.revisit_counts.values())
     # Where data association still follows the landmarks of the earlier traversal, there is no loop to close.
@@ -115,7 +118,8 @@ def test_the_log_says_what_each_candidate_was_decided_from(looped):
     alone = [each for each in accepted if not each.reason]
     assert alone
     for each in alone:
-        assert each.log_likelihood_ratio - each.best_rival_log_likelihood_ratio >= LoopClosureConfig().ambiguity_margin
+        assert each.score >= LEAST_LOG_ODDS
+        assert each.log_likelihood_ratio - each.best_rival_log_likelihood_ratio >= LEAST_LOG_ODDS
 
 
 # What it makes better
@@ -142,7 +146,7 @@ def test_a_drive_without_revisits_accepts_nothing(straying):
 
 
 def test_twin_without_a_verdict_a_drive_without_revisits_accepts_much_all_of_it_false(tmp_path):
-    outcome = replay_drive(tmp_path, winding_street(), calibrated=False, **ACCEPT_EVERYTHING)
+    outcome = replay_drive(tmp_path, winding_street(), calibrated=False, branches=ACCEPT_EVERYTHING)
     assert outcome.accepted_count > 20
     assert outcome.closures.true_count == 0
 
@@ -155,7 +159,7 @@ def test_two_streets_of_lamps_in_dense_rows_are_not_taken_for_one(tmp_path):
 
 
 def test_twin_without_a_verdict_two_streets_of_lamps_are_taken_for_one(tmp_path):
-    outcome = replay_drive(tmp_path, rows_of_lamps(8.0), **ACCEPT_EVERYTHING)
+    outcome = replay_drive(tmp_path, rows_of_lamps(8.0), branches=ACCEPT_EVERYTHING)
     assert outcome.accepted_count > 20
     assert outcome.closures.true_count == 0
 

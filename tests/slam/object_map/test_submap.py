@@ -8,8 +8,8 @@ import pytest
 from slam.common.arrays import FloatArray
 from slam.common.config import AssociationConfig, SubmapConfig
 from slam.common.geometry import make_transform, transform_from_xyz_yaw
-from slam.object_map.landmarks import ObjectMap
-from slam.object_map.submap import gravity_frame, placed_submap, recent_submap
+from slam.object_map.landmarks import ObjectMap, RetirementReason
+from slam.object_map.submap import gravity_frame, placed_submap, recent_submap, recent_submap_with_unconfirmed
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 
@@ -55,3 +55,23 @@ def test_a_landmark_is_the_less_exact_the_farther_away(x_m):
     near = recent_submap(objects((x_m, 99, 0, True)), keyframe(np.eye(4)), CONFIG)
     placed = placed_submap(objects((x_m + 5.0, 99, 0, True)), np.array([0]), np.array([5.0, 0.0, 0.0]), CONFIG)
     np.testing.assert_allclose([near.sigmas[0], placed.sigmas[0]], expected)
+
+
+def test_unconfirmed_landmarks_exist_with_the_share_of_those_seen_as_often_that_were_confirmed():
+    known = objects(*((x, 99, 0, x < 3) for x in range(8)))
+    known.rows["observations"] = [9, 4, 3, 3, 2, 1, 3, 2]
+    known.retire(np.array([4]), RetirementReason.NOT_CONFIRMED)
+    known.retire(np.array([6]), RetirementReason.MOVING)
+    found = recent_submap_with_unconfirmed(known, keyframe(np.eye(4)), CONFIG)
+    assert found.rows.tolist() == [0, 1, 2, 3, 4, 7]
+    seen_3, seen_2 = (1.0 + 3.0) / (2.0 + 4.0), (1.0 + 3.0) / (2.0 + 5.0)
+    np.testing.assert_allclose(found.existence, [1.0, 1.0, 1.0, seen_3, seen_2, seen_2])
+    np.testing.assert_allclose(found.of(np.array([3, 0])).existence, [seen_3, 1.0])
+
+
+def test_unconfirmed_landmarks_of_another_segment_say_nothing():
+    known = objects((1, 99, 0, False), (2, 99, 1, True), (3, 99, 1, True))
+    known.rows["observations"] = [2, 5, 5]
+    found = recent_submap_with_unconfirmed(known, keyframe(np.eye(4)), CONFIG)
+    assert found.rows.tolist() == [0]
+    np.testing.assert_allclose(found.existence, 0.5)

@@ -1,15 +1,15 @@
-"""Acceptance by the posterior probability of candidates."""
+"""Acceptance of loop closures by their posterior probability."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from logs.messages import LoopClosureRecord
 from slam.common.config import Config
 from slam.localization.localizer import Localizer, PoseEvidence, Posterior, log_odds_of
-from slam.loop_closure.acceptance.acceptance import Decision
 from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.consistency import suppress_non_maxima
 from slam.loop_closure.verification import Verifier
@@ -17,11 +17,26 @@ from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.place import Place
 
 
-class PosteriorAcceptance:
-    """Accepts the candidate that is wrong with a probability below ``error_probability``."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Decision:
+    """``accepted``: the closure of a query, None if there is none. ``rejected``: records of the other candidates.
+    ``contradicts_odometry``: whether a candidate would be accepted if the odometry predicted nothing.
+    """
+
+    rejected: tuple[LoopClosureRecord, ...]
+    accepted: Candidate | None = None
+    contradicts_odometry: bool = False
+
+
+class Acceptance:
+    """Accepts the candidate that is wrong with a probability below ``error_probability``.
+
+    What it remembers of earlier keyframes are the hypotheses of its :class:`slam.localization.localizer.Localizer`.
+    """
 
     def __init__(self, config: Config, verifier: Verifier, keyframes: Sequence[Keyframe]) -> None:
         self.min_objects = config.registration.min_inliers
+        """Objects without which there is no pose."""
         self._error_probability = config.localization.error_probability
         self._least_log_odds = -log_odds_of(config.localization.error_probability)
         self._sensor_range_m = config.detection.sensor_range_m
@@ -44,11 +59,11 @@ class PosteriorAcceptance:
         return [place for place in places if place is not None]
 
     def is_acceptable(self, candidate: Candidate) -> bool:
-        """Whether its own log odds suffice."""
+        """Whether a candidate would be accepted if there was no other."""
         return candidate.score >= self._least_log_odds
 
     def is_confirmed(self, propagated: Candidate) -> bool:
-        """Whether its own log odds suffice, where the prior is that of the pose predicted."""
+        """Whether a candidate at the pose that an accepted closure predicts is accepted."""
         return self.is_acceptable(propagated)
 
     def decide(self, query: Query, candidates: list[Candidate]) -> Decision:
@@ -78,7 +93,10 @@ class PosteriorAcceptance:
         if not is_best:
             reason = f"ambiguous: {reason} of another pose"
         record = best.record(Stage.CONSISTENCY if fits else Stage.ACCEPTANCE, reason)
-        return Decision((*rejected, record))
+        unpredicted = best.log_likelihood_ratio - best.unpredicted_penalty
+        return Decision(
+            (*rejected, record), contradicts_odometry=is_best and unpredicted >= self._least_log_odds > best.score
+        )
 
     def _posterior(self, query: Query, candidates: Sequence[Candidate]) -> Posterior:
         """The posterior of the candidates of one query."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slam.common.config import Config
-from slam.loop_closure.acceptance.posterior_acceptance import PosteriorAcceptance
+from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.candidate import Candidate, Query
 from tests.helpers.candidates import make_candidate
 from tests.slam.loop_closure.doubles import Patterns, at, make_keyframe, make_query
@@ -34,9 +34,9 @@ def patterns() -> Patterns:
 
 
 @pytest.fixture
-def acceptance(patterns: Patterns) -> PosteriorAcceptance:
+def acceptance(patterns: Patterns) -> Acceptance:
     keyframes = [make_keyframe(number, 2.0 * number) for number in range(60)]
-    return PosteriorAcceptance(Config(), patterns, keyframes)  # type: ignore[arg-type]
+    return Acceptance(Config(), patterns, keyframes)  # type: ignore[arg-type]
 
 
 def test_a_candidate_is_accepted_from_the_odds_on_that_are_wanted(acceptance):
@@ -108,3 +108,13 @@ def test_a_pose_that_is_no_candidate_is_not_accepted_however_likely(acceptance, 
     decision = acceptance.decide(query(), [candidate(0.0, SURE_LLR + 5.0)])
     assert decision.accepted is None
     assert "of another pose" in decision.rejected[0].reason
+
+
+def test_a_candidate_that_only_the_odometry_rules_out_contradicts_it(acceptance):
+    found = replace(candidate(0.0, 30.0), odometry_penalty=28.0)
+    for unpredicted, contradicts in ((20.0, True), (26.0, False)):
+        decision = acceptance.decide(query(), [replace(found, unpredicted_penalty=unpredicted)])
+        assert decision.accepted is None
+        assert decision.contradicts_odometry is contradicts
+        acceptance.reset()
+    assert not acceptance.decide(query(), [candidate(0.0, SURE_LLR)]).contradicts_odometry

@@ -1,0 +1,32 @@
+"""How many settings decide whether a loop closure is accepted."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import slam
+from slam.common.config import LikelihoodRatioConfig, LocalizationConfig, LoopClosureConfig, RegistrationConfig
+
+MODULES = (
+    "localization/localizer.py",
+    "localization/pose_prior.py",
+    "loop_closure/acceptance.py",
+    "loop_closure/consistency.py",
+    "loop_closure/likelihood_ratio.py",
+    "loop_closure/query_priors.py",
+)
+"""All that computes the posterior probability of a candidate."""
+BRANCHES = (LikelihoodRatioConfig, LocalizationConfig, LoopClosureConfig, RegistrationConfig)
+MOST = 12
+
+
+def test_few_settings_decide_whether_a_closure_is_accepted():
+    known = {name for branch in BRANCHES for name in branch.model_fields}
+    read = set[str]()
+    for module in MODULES:
+        tree = ast.parse((Path(slam.__file__).parent / module).read_text())
+        read |= {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)} & known
+    print(f"{len(read)} settings decide: {', '.join(sorted(read))}")  # noqa: T201
+    assert {"error_probability", "failures_per_km", "detection_probability"} <= read
+    assert len(read) <= MOST
