@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,13 @@ from scipy.special import erf, expit
 
 from descriptors.constellation import Constellations
 from descriptors.errors import WeightsError
-from descriptors.towers.rings import FINE, Background, Rings, horizontal_m, neighbour_features, ring_features
+from descriptors.towers.rings import FEATURES, FINE, Background, Rings, horizontal_m, neighbour_features, ring_features
 
 FORMAT = "descriptellation towers 1"
 MOST_NATS = 6.0
 """Most of one neighbour: what a byte of the index holds above ``least_nats``, 8 nats from -2 on."""
+MOST_RINGS = 10_000
+"""What a file of weights may ask for."""
 
 
 class LearnedLikelihood:
@@ -131,4 +134,31 @@ def read_towers(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, A
         raise WeightsError(f"{path}: truncated, or no safetensors file: {error}; get it again") from error
     if texts.get("format") != FORMAT:
         raise WeightsError(f"{path}: no weights of a learned likelihood; its format is {texts.get('format')!r}")
-    return tensors, {key: json.loads(value) for key, value in texts.items() if key != "format"}
+    try:
+        metadata = {key: json.loads(value) for key, value in texts.items() if key != "format"}
+        is_sound = _fit(tensors, metadata["architecture"])
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise WeightsError(
+            f"{path}: its metadata are damaged ({type(error).__name__}: {error}); get it again"
+        ) from error
+    if not is_sound:
+        raise WeightsError(f"{path}: its tensors or rings are not those of its architecture; get it again")
+    return tensors, metadata
+
+
+def _fit(tensors: Mapping[str, NDArray[np.float32]], architecture: Mapping[str, Any]) -> bool:
+    """Whether tensors are all there, of the right shapes, finite, and rings not without number."""
+    hidden, kernels = architecture["hidden"], len(architecture["widths_m"])
+    of_rings = len(tensors["ring.0.bias"])
+    shapes = {"gate.0.weight": (hidden, FEATURES), "gate.0.bias": (hidden,), "gate.2.weight": (kernels, hidden),
+              "gate.2.bias": (kernels,), "log_width": (kernels + 1,), "log_growth": (kernels + 1,),
+              "ring.0.weight": (of_rings, 2), "ring.0.bias": (of_rings,), "ring.2.weight": (2, of_rings),
+              "ring.2.bias": (2,)}  # fmt: skip
+    radius_m, least_m, growth = (float(architecture[key]) for key in ("radius_m", "least_ring_m", "ring_growth"))
+    return (
+        {name: tensor.shape for name, tensor in tensors.items()} == shapes
+        and all(np.isfinite(tensor).all() for tensor in tensors.values())
+        and 0.0 < radius_m < np.inf
+        and 0.0 <= growth < np.inf
+        and radius_m / MOST_RINGS <= least_m < np.inf
+    )

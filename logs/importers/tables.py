@@ -233,6 +233,10 @@ def _read_json_lines(source: SourceText) -> Table:
             raise DatasetError(
                 f"{source.name}, line {line}: not JSON ({error.msg}, character {error.colno}); write one object a line"
             ) from error
+        except RecursionError as error:
+            raise DatasetError(
+                f"{source.name}, line {line}: nested too deeply; write flat objects, one a line"
+            ) from error
         if not isinstance(value, dict):
             raise DatasetError(f'{source.name}, line {line}: not an object; write {{"stamp_s": 0.1, "x_m": 1.0, ...}}')
         objects.append((line, {key: _cell(source, line, key, cell) for key, cell in value.items()}))

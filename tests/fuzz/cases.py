@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,7 +14,7 @@ from slam.common.config_tree import settings_of
 from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_text
 from tests.fuzz.log_mutations import mutate_log
 from tests.fuzz.mcap_file import Layout, write_file
-from tests.fuzz.seeds import Seeds
+from tests.fuzz.seeds import WEIGHTS, Seeds
 
 _SETTINGS = [setting.key for setting in settings_of(Config())]
 
@@ -102,6 +103,26 @@ def _import(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
     )
 
 
+def _objects(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    """A map of the objects in a file of others."""
+    command, name = {0: ("csv-map", "objects.csv"), 1: ("geojson", "objects.geojson"), 2: ("osm", "objects.osm")}[
+        int(rng.integers(3))
+    ]
+    given = ["--file", _text(seeds, folder, rng, name)]
+    if rng.random() < 0.1:
+        packed = folder / f"{name}.gz"
+        packed.write_bytes(mutate_bytes(gzip.compress((folder / name).read_bytes()), rng))
+        given = ["--file", packed.name]
+    return Case(["import", command, "out.mcap", *given], [folder / "out.mcap"])
+
+
+def _weights(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    """A drive that is as it should be, and weights of a network that are not."""
+    (folder / WEIGHTS.name).write_bytes(mutate_bytes(seeds.files[WEIGHTS.name], rng))
+    given = ["--set", f"loop_closure.descriptor={WEIGHTS.name}"]
+    return Case(["replay", _intact(seeds, folder, "drive"), "-o", "out.mcap", *given], [folder / "out.mcap"])
+
+
 def _toml(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
     if rng.random() < 0.3:
         return Case(["config", "--simulation", "--config", _text(seeds, folder, rng, "simulation.toml"), "--json"])
@@ -125,6 +146,8 @@ _FAMILIES: dict[str, tuple[Callable[[Seeds, Path, np.random.Generator], Case], f
     "degrade": (_degrade, 1),
     "optimize": (_optimize, 1),
     "import": (_import, 1.5),
+    "objects": (_objects, 1),
+    "weights": (_weights, 0.5),
     "toml": (_toml, 0.5),
     "setting": (_setting, 1.5),
 }

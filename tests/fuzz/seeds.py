@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
+import shutil
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +24,7 @@ from tests.tools.runs import SAMPLE
 from tools import cli
 
 _SECONDS = 2.0
+WEIGHTS = Path(str(resources.files("descriptors"))) / "descriptellation" / "weights" / "descriptellation.safetensors"
 _ODOMETRY = definition(
     "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n"
     "geometry_msgs/PoseWithCovariance twist"
@@ -48,8 +52,12 @@ def make_seeds(folder: Path) -> Seeds:
     (folder / "settings.toml").write_text(_run("config"))
     (folder / "simulation.toml").write_text(_run("config", "--simulation"))
     (folder / "detections.csv").write_text(_detections_table(drive))
+    _run("export", mapped, "--csv", folder / "objects.csv")
+    _write_objects(folder)
     names = ("drive", "mapped", "map", "kinds", "ros")
-    texts = ("trajectory.tum", "trajectory.kitti", "graph.g2o", "settings.toml", "simulation.toml", "detections.csv")
+    texts = ("trajectory.tum", "trajectory.kitti", "graph.g2o", "settings.toml", "simulation.toml", "detections.csv",
+             "objects.csv", "objects.geojson", "objects.osm", WEIGHTS.name)  # fmt: skip
+    shutil.copy(WEIGHTS, folder)
     return Seeds(
         logs={name: read_file(str(folder / f"{name}.mcap")) for name in names},
         files={name: (folder / name).read_bytes() for name in texts},
@@ -73,6 +81,23 @@ def _write_drive(path: Path) -> None:
             first_ns = raw.log_time_ns if first_ns is None else first_ns
             if raw.log_time_ns - first_ns < _SECONDS * 1e9:
                 writer.write_raw(raw)
+
+
+def _write_objects(folder: Path) -> None:
+    """The same objects as GeoJSON and as an extract of OpenStreetMap."""
+    rng = np.random.default_rng(5)
+    places = rng.uniform([24.90, 60.10], [24.91, 60.11], size=(30, 2)).round(6).tolist()
+    features = [
+        {"type": "Feature", "properties": {"class": "tree", "id": number},
+         "geometry": {"type": "Point", "coordinates": place}}
+        for number, place in enumerate(places)
+    ]  # fmt: skip
+    (folder / "objects.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    nodes = [
+        f'<node id="{number}" lat="{latitude}" lon="{longitude}"><tag k="natural" v="tree"/></node>'
+        for number, (longitude, latitude) in enumerate(places, start=1)
+    ]
+    (folder / "objects.osm").write_text("\n".join(['<?xml version="1.0"?>', '<osm version="0.6">', *nodes, "</osm>"]))
 
 
 def _write_kinds(path: Path) -> None:

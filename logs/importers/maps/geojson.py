@@ -34,6 +34,10 @@ def read_geojson(path: Path, *, class_property: str | None = None) -> MapObjects
         raise DatasetError(
             f"{path}, line {error.lineno}: not JSON ({error.msg}, character {error.colno}); the file may be cut off"
         ) from error
+    except (RecursionError, ValueError) as error:
+        raise DatasetError(
+            f"{path}: nested too deeply, or numbers too long ({error}); export the layer again"
+        ) from error
     if not isinstance(content, dict) or content.get("type") != "FeatureCollection":
         raise DatasetError(f"{path}: no GeoJSON FeatureCollection; export the layer as GeoJSON")
     crs = str(content.get("crs", ""))

@@ -63,7 +63,7 @@ def read_osm(path: Path, *, tags: Sequence[str] = ()) -> MapObjects:
                 positions.append((node.location.lat, node.location.lon, 0.0))
                 labels.append(label)
                 ids.append(f"n{node.id}")
-    except (RuntimeError, OSError) as error:
+    except (RuntimeError, OSError, ValueError, osmium.InvalidLocationError) as error:
         reason = getattr(error, "strerror", None) or " ".join(str(error).split())
         raise DatasetError(f"{path}: no extract of OpenStreetMap, or cut off ({reason}); download it again") from error
     if not labels:

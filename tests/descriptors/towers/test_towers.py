@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
+from safetensors.numpy import save_file
 
 from descriptors.constellation import Constellations, gather_constellations
 from descriptors.errors import DescriptorError, WeightsError
@@ -187,3 +190,27 @@ def test_damaged_weights_are_refused(folder: Path, tmp_path: Path) -> None:
             LearnedLikelihood(tmp_path / f"{path}.safetensors")
     with pytest.raises(WeightsError, match="no such file"):
         LearnedLikelihood(tmp_path / "none.safetensors")
+
+
+@pytest.mark.parametrize(
+    ("metadata", "tensors", "told"),
+    [
+        ({"architecture": "{"}, {}, "metadata are damaged"),
+        ({"architecture": "[" * 100_000}, {}, "metadata are damaged"),
+        ({"architecture": "3"}, {}, "metadata are damaged"),
+        ({"architecture": '{"radius_m": 60.0}'}, {}, "metadata are damaged"),
+        ({}, {"log_width": np.zeros(2, np.float32)}, "not those of its architecture"),
+        ({}, {"ring.2.bias": np.full(2, np.nan, np.float32)}, "not those of its architecture"),
+        ({"radius_m": 1e300}, {}, "not those of its architecture"),
+        ({"least_ring_m": 0.0}, {}, "not those of its architecture"),
+    ],
+)
+def test_weights_that_do_not_fit_are_refused(folder, tmp_path, metadata, tensors, told):
+    with safe_open(folder / WEIGHTS, framework="np") as file:
+        right = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        texts = dict(file.metadata())
+    architecture = json.loads(texts["architecture"])
+    texts["architecture"] = metadata.get("architecture", json.dumps(architecture | metadata))
+    save_file(right | tensors, tmp_path / WEIGHTS, texts)
+    with pytest.raises(WeightsError, match=told):
+        LearnedLikelihood(tmp_path / WEIGHTS)

@@ -62,6 +62,7 @@ class TestTable:
             ("lat,lon\n24,160\n-30,170\n100,60\n", "no degrees"),
             ("lat,lon\n160.1,24.9\n", "the other way round: swap them"),
             ("x_m,y_m\n1,abc\n", "line 2, column y_m: 'abc'"),
+            ('{"x_m": ' + "[" * 100_000 + "\n", "line 1: nested too deeply"),
         ],
     )
     def test_faults(self, tmp_path: Path, text: str, fault: str) -> None:
@@ -99,6 +100,10 @@ class TestGeoJson:
         cut.write_text(cut.read_text()[:-10])
         with pytest.raises(DatasetError, match="may be cut off"):
             read_geojson(cut)
+        for text in ("[" * 100_000, "[" + "9" * 5_000 + "]"):
+            cut.write_text(text)
+            with pytest.raises(DatasetError, match="nested too deeply, or numbers too long"):
+                read_geojson(cut)
 
 
 class TestOsm:
@@ -135,6 +140,14 @@ class TestOsm:
         path.write_bytes(path.read_bytes()[:-300])
         with pytest.raises(DatasetError, match=r"town\.osm\.pbf: no extract of OpenStreetMap, or cut off"):
             read_osm(path)
+
+    @pytest.mark.parametrize(
+        ("right", "wrong"), [('lat="60.1"', 'lat="1e9000100"'), ('id="1"', 'id="99999999999999999999"')]
+    )
+    def test_numbers_that_are_none(self, extract: Path, right: str, wrong: str) -> None:
+        extract.write_text(OSM.replace(right, wrong))
+        with pytest.raises(DatasetError, match="no extract of OpenStreetMap"):
+            read_osm(extract)
 
     def test_no_such_file(self, extract: Path, tmp_path: Path) -> None:
         with pytest.raises(DatasetError, match="cut off"):
