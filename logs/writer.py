@@ -20,6 +20,7 @@ from logs.container.attachments import OVERHEAD
 from logs.encoders import encode, encode_path
 from logs.errors import InvalidRecordError, UnwritableLogError
 from logs.messages import Record, TrajectoryRecord
+from logs.storage.placement import SPECIAL, is_special, put_in_place
 from logs.topics import RawMessage
 
 PARTIAL_SUFFIX = ".part"
@@ -56,6 +57,8 @@ class LogWriter:
         self.partial_path = partial_path(self.path)
         if self.path.is_dir():
             raise UnwritableLogError(f"{self.path} is a folder; give the name of a file to write")
+        if is_special(self.path):
+            raise UnwritableLogError(f"cannot write {self.path}: {SPECIAL}")
         if not overwrite and self.path.exists():
             raise UnwritableLogError(f"{self.path} exists already; remove it or choose another name")
         self._stream = _OutputStream(self.partial_path)
@@ -138,7 +141,7 @@ class LogWriter:
         finally:
             self._stream.close()
         try:
-            os.replace(self.partial_path, self.path)
+            put_in_place(self.partial_path, self.path)
             _sync_folder(self.path.parent)
         except OSError as error:
             raise UnwritableLogError(

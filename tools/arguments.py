@@ -51,6 +51,7 @@ def check_outputs(outputs: Sequence[Path | None], inputs: Sequence[Path | None] 
     Outputs are written as NAME.part first, which is therefore taken too.
     """
     from logs.errors import UnwritableLogError
+    from logs.storage.placement import SPECIAL, is_special
     from logs.writer import partial_path
 
     named = [output for output in outputs if output is not None]
@@ -62,6 +63,8 @@ def check_outputs(outputs: Sequence[Path | None], inputs: Sequence[Path | None] 
         taken |= paths
         if output.is_dir():
             raise UnwritableLogError(f"{output} is a folder; give the name of a file to write")
+        if is_special(output):
+            raise UnwritableLogError(f"cannot write {output}: {SPECIAL}")
         if not output.parent.is_dir():
             raise UnwritableLogError(f"cannot write {output}: there is no folder {output.parent}; make it first")
         for written in (output, partial_path(output)):

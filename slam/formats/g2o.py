@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from logs.errors import UnwritableLogError
+from logs.storage.placement import put_in_place
 from slam.backend.pose_graph.pose_graph import PoseGraph, make_pose_graph
 from slam.common.arrays import FloatArray
 from slam.common.errors import InputDataError
@@ -74,7 +74,7 @@ def write_lines(path: str | Path, lines: Iterable[str]) -> None:
     part = target.with_name(target.name + ".part")
     try:
         part.write_text(text, encoding="ascii", newline="\n")
-        os.replace(part, target)
+        put_in_place(part, target)
     except OSError as error:
         raise UnwritableLogError(f"cannot write {target}: {error.strerror or error}") from error
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from logs.errors import LogError, UnwritableLogError
+from logs.storage.placement import put_in_place
 from slam.common.config import Config
 from slam.common.errors import EvaluationError, SlamError
 from slam.evaluation.evaluate import evaluate
@@ -212,6 +213,6 @@ def write_text(path: Path, text: str) -> None:
     part = path.with_name(f"{path.name}.part")
     try:
         part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
+        put_in_place(part, path)
     except OSError as error:
         raise UnwritableLogError(f"cannot write {path}: {error.strerror}") from error

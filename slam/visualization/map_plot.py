@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +16,7 @@ from matplotlib.lines import Line2D
 
 from logs.container.names import visible
 from logs.errors import UnwritableLogError
+from logs.storage.placement import put_in_place
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import EvaluationError
 from slam.visualization.palette import (
@@ -299,6 +299,6 @@ def save_figure(figure: Figure, target: Path) -> None:
             warnings.filterwarnings("ignore", "Glyph", UserWarning)  # of a name; a box stands for it
             # Without the library's version the same map gives the same bytes.
             figure.savefig(file, format="png", dpi=figure.dpi, metadata={"Software": None})
-        os.replace(part, target)
+        put_in_place(part, target)
     except OSError as error:
         raise UnwritableLogError(f"cannot write {target}: {error.strerror or error}") from error

@@ -11,6 +11,7 @@ from logs import messages as m
 from logs.errors import InvalidRecordError, UnwritableLogError
 from logs.reader import LogReader
 from logs.selection import Selection
+from logs.storage.placement import put_in_place
 from logs.writer import LogWriter
 from tests.logs.examples import every_kind
 
@@ -120,6 +121,17 @@ def test_a_full_disk_is_one_clear_error(tmp_path):
     with pytest.raises(UnwritableLogError, match=r"log\.mcap\.part.*No space left"), LogWriter(tmp_path / "log.mcap"):
         pass
     assert not (tmp_path / "log.mcap").exists()
+
+
+def test_a_pipe_or_a_device_is_not_replaced(tmp_path):
+    pipe, part = tmp_path / "log.mcap", tmp_path / "finished"
+    os.mkfifo(pipe)
+    with pytest.raises(UnwritableLogError, match="a pipe or a socket, which a file would replace"):
+        LogWriter(pipe)
+    part.touch()
+    with pytest.raises(OSError, match="which a file would replace"):
+        put_in_place(part, pipe)
+    assert pipe.is_fifo()
 
 
 def test_a_disk_that_fills_up_is_one_clear_error(tmp_path, monkeypatch):

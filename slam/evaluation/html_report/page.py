@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from logs.errors import UnwritableLogError
+from logs.storage.placement import put_in_place
 from slam.common.config import DetectionConfig
 from slam.evaluation.html_report.calibration_charts import draw_calibration
 from slam.evaluation.html_report.chart import Chart
@@ -56,7 +56,7 @@ def write_report(path: Path, records: EvaluationRecords, evaluation: Evaluation,
     part = path.with_name(path.name + ".part")
     try:
         part.write_text(compose_page(records, evaluation, title=title), encoding="utf-8", newline="\n")
-        os.replace(part, path)
+        put_in_place(part, path)
     except OSError as error:
         raise UnwritableLogError(f"cannot write {path}: {error.strerror or error}") from error
 

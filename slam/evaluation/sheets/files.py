@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from logs.errors import UnwritableLogError
+from logs.storage.placement import put_in_place
 from slam.common.errors import EvaluationError
 from slam.evaluation.sheets.page import compose_sheets_page
 from slam.evaluation.sheets.sheet import Sheet, to_csv, to_latex
@@ -44,6 +44,6 @@ def write_sheets(path: Path, title: str, sheets: Sequence[Sheet], runs: Mapping[
     part = path.with_name(path.name + ".part")
     try:
         part.write_text(text, encoding="utf-8", newline="\n")
-        os.replace(part, path)
+        put_in_place(part, path)
     except OSError as error:
         raise UnwritableLogError(f"cannot write {path}: {error.strerror or error}") from error
