@@ -62,8 +62,12 @@ class LogWriter:
         if not overwrite and self.path.exists():
             raise UnwritableLogError(f"{self.path} exists already; remove it or choose another name")
         self._stream = _OutputStream(self.partial_path)
-        self._writer = Writer(self._stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
-        self._writer.start(library=_LIBRARY)
+        try:
+            self._writer = Writer(self._stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
+            self._writer.start(library=_LIBRARY)
+        except BaseException as error:  # also a signal
+            error.add_note(f"an empty log is left in {self.partial_path}")
+            raise
         self._schema_ids: dict[tuple[str, str, bytes], int] = {}
         self._channel_ids: dict[tuple[object, ...], int] = {}
         self._closed = False

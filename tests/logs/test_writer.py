@@ -134,6 +134,16 @@ def test_a_pipe_or_a_device_is_not_replaced(tmp_path):
     assert pipe.is_fifo()
 
 
+def test_who_is_stopped_while_a_log_is_begun_is_told_what_is_left(tmp_path, monkeypatch):
+    def stopped(self, **_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("logs.writer.Writer.start", stopped)
+    with pytest.raises(KeyboardInterrupt) as caught:
+        LogWriter(tmp_path / "log.mcap")
+    assert str(tmp_path / "log.mcap.part") in caught.value.__notes__[0]
+
+
 def test_a_disk_that_fills_up_is_one_clear_error(tmp_path, monkeypatch):
     class Full:
         def __init__(self, file):
