@@ -105,7 +105,7 @@ class Verifier:
         """The candidate at a place, or the record with the reason for its rejection."""
         reference = self._nearest(place, query)
         reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
-        registration = self._register(query, reference_submap, place.T_local_query)
+        registration = _register(query.submap, reference_submap, place.T_local_query, self._config)
         if registration.T_reference_query is None:
             return query.refusal(Stage.REGISTRATION, registration.reason, reference, rank=place.rank)
         reference = self._nearest(replace(place, T_local_query=registration.T_reference_query), query)
@@ -144,19 +144,6 @@ class Verifier:
         ratios = np.concatenate([each.log_likelihood_ratios for each in chain])[nearest]
         return replace(candidate, rows=rows, log_likelihood_ratios=ratios[first])
 
-    def _register(self, query: Query, reference_submap: Submap, T_local_query: FloatArray) -> Registration:
-        """The query registered with a reference submap from an approximate pose (4, 4)."""
-        return refine(
-            query.submap.positions,
-            query.submap.labels,
-            reference_submap.positions,
-            reference_submap.labels,
-            T_local_query,
-            self._config.registration,
-            query_sigmas=query.submap.sigmas,
-            reference_sigmas=reference_submap.sigmas,
-        )
-
     def are_consistent(self, a: Candidate, b: Candidate) -> bool:
         """Whether two candidates of one query may both be true: two traversals of one place, apart by drift."""
         first, second = sorted((a, b), key=lambda candidate: candidate.reference)
@@ -177,7 +164,7 @@ class Verifier:
         found = list[Candidate]()
         for T_query_alias in self._retriever.aliases(query.submap, count=ALIASES_TRIED):
             T_local_alias = np.asarray(candidate.T_local_query @ T_query_alias)
-            registration = self._register(query, reference_submap, T_local_alias)
+            registration = _register(query.submap, reference_submap, T_local_alias, self._config)
             T_found = registration.T_reference_query
             if T_found is not None and not self.agree(T_found, candidate.T_local_query):
                 found.append(self._candidate(query, place, reference_submap, registration, reference, NOWHERE))
@@ -191,19 +178,11 @@ class Verifier:
         pose = self._keyframes[candidate.reference].odometry
         place = Place(candidate.T_local_query, pose.travel_m, pose.segment, 0.0)
         reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
-        placed = apply(place.T_local_query, query.submap.positions)
-        offsets = reference_submap.positions[:, None, :2] - placed[None, :, :2]  # (M, N, 2)
-        same = reference_submap.labels[:, None] == query.submap.labels
-        heading = place.T_local_query[:2, 0]
-        shifts_m = ALONG_TRACK_SHIFTS_RANGES * self._sensor_range_m
-        radius_m = ALONG_TRACK_MATCH_RANGES * self._sensor_range_m
-        shifted_offsets = offsets[None] - shifts_m[:, None, None, None] * heading  # (S, M, N, 2)
-        near = same & (np.einsum("smni,smni->smn", shifted_offsets, shifted_offsets) < radius_m**2)
-        match_counts = near.any(axis=1).sum(axis=1)
         found = list[Candidate]()
-        for shift in np.argsort(-match_counts, kind="stable")[:ALONG_TRACK_SHIFTS_TRIED]:
+        shifts_m = _likeliest_shifts_m(query.submap, reference_submap, place.T_local_query, self._sensor_range_m)
+        for shift_m in shifts_m[:ALONG_TRACK_SHIFTS_TRIED]:
             T_shifted = place.T_local_query.copy()
-            T_shifted[:2, 3] += shifts_m[shift] * heading
+            T_shifted[:2, 3] += shift_m * T_shifted[:2, 0]
             shifted = self.verify(query, replace(place, T_local_query=T_shifted))
             if isinstance(shifted, Candidate) and not self.agree(shifted.T_local_query, candidate.T_local_query):
                 found.append(shifted)
@@ -294,3 +273,32 @@ def _sigmas_of_rows(query: Query, candidate: Candidate) -> FloatArray:
     """Standard deviations (N,) m of the landmarks of a candidate; infinite for those of the map."""
     of_map = np.full(len(candidate.rows) - len(query.submap), np.inf)
     return np.concatenate([query.submap.sigmas, of_map])
+
+
+def _register(query: Submap, reference: Submap, T_reference_query: FloatArray, config: Config) -> Registration:
+    """The query registered with a reference submap from an approximate pose (4, 4)."""
+    return refine(
+        query.positions,
+        query.labels,
+        reference.positions,
+        reference.labels,
+        T_reference_query,
+        config.registration,
+        query_sigmas=query.sigmas,
+        reference_sigmas=reference.sigmas,
+    )
+
+
+def _likeliest_shifts_m(
+    query: Submap, reference: Submap, T_reference_query: FloatArray, sensor_range_m: float
+) -> FloatArray:
+    """Shifts (S,) m of a pose (4, 4) along its heading, those first after which most objects of the query match."""
+    placed = apply(T_reference_query, query.positions)
+    offsets = reference.positions[:, None, :2] - placed[None, :, :2]  # (M, N, 2)
+    same = reference.labels[:, None] == query.labels
+    shifts_m = ALONG_TRACK_SHIFTS_RANGES * sensor_range_m
+    radius_m = ALONG_TRACK_MATCH_RANGES * sensor_range_m
+    shifted_offsets = offsets[None] - shifts_m[:, None, None, None] * T_reference_query[:2, 0]  # (S, M, N, 2)
+    near = same & (np.einsum("smni,smni->smn", shifted_offsets, shifted_offsets) < radius_m**2)
+    match_counts = near.any(axis=1).sum(axis=1)
+    return np.asarray(shifts_m[np.argsort(-match_counts, kind="stable")])
