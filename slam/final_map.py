@@ -53,13 +53,16 @@ class Outcome:
     message: str
 
 
-def judge_outcome(optimization: Optimization, warning: str, counters: Counter[str]) -> Outcome:
+def judge_outcome(
+    optimization: Optimization, warning: str, counters: Counter[str], doubts: Sequence[str] = ()
+) -> Outcome:
     """Whether a result can be relied on.
 
     Args:
         optimization: the last one.
         warning: of the outlier rejection, or empty.
         counters: those of the drive.
+        doubts: why the map may be worse than it seems.
     """
     message = "optimised" if optimization.converged else (
         f"the final optimisation did not converge in {optimization.iterations} iterations"
@@ -70,7 +73,10 @@ def judge_outcome(optimization: Optimization, warning: str, counters: Counter[st
     is_ordered = unused <= counters["odometry_used"]
     if not is_ordered:
         message += "; most odometry messages were unusable: their stamps do not increase"
-    is_well = optimization.converged and not warning and is_ordered and not counters["covariances_missing"]
+    message = "; ".join([message, *doubts])
+    is_well = (
+        optimization.converged and not warning and is_ordered and not counters["covariances_missing"] and not doubts
+    )
     return Outcome("info" if is_well else "warning", message)
 
 

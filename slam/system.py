@@ -19,6 +19,7 @@ from logs.messages import (
     StatusRecord,
     Transform,
 )
+from slam.assessment import assess
 from slam.backend.batch_solver import Optimization
 from slam.backend.factor_graph import FactorGraph
 from slam.common.config import Config
@@ -201,14 +202,17 @@ class Slam:
         )
         if unknown := records.place_landmarks():
             self.counters["covariances_missing"] = unknown
-        self.counters["labels_beyond_max_classes"] += self._object_map.unlisted_labels
+        if self._config.association.max_classes > 1:  # else labels are ignored on purpose
+            self.counters["labels_beyond_max_classes"] += self._object_map.unlisted_labels
         self.counters["closures_removed"] = len(removed)
         self.counters["closures_rejected_by_odometry"] = self._closer.rejected_by_odometry_count
-        outcome = judge_outcome(optimization, warning, self.counters)
+        graph, object_map = records.graph(), records.object_map()
+        doubts = assess(graph, object_map, sensor_range_m=self._config.detection.sensor_range_m)
+        outcome = judge_outcome(optimization, warning, self.counters, doubts)
         return FinalMap(
             trajectory=records.trajectory(),
-            object_map=records.object_map(),
-            graph=records.graph(),
+            object_map=object_map,
+            graph=graph,
             closures=tuple(removed),
             markers=records.markers(),
             snapshot=self._snapshot(),

@@ -74,7 +74,7 @@ LAYERS = (
     {"localization"},
     {"loop_closure"},
     {"display", "map_joining"},
-    {"final_map"},
+    {"final_map", "assessment"},
     {"system", "output_log"},
     {"replay"},
     {"simulation", "evaluation"},

@@ -75,6 +75,8 @@ they were stamped.
 """
 NOTED_LENGTH_SHARE = 0.03
 NOTED_TURN_SHARE = 0.03
+NOTED_DETOUR = 1.5
+"""Poses of one source hardly ever go back with every other message."""
 TURNS = ("roll_deg", "pitch_deg", "yaw_deg")
 DEFAULT_RANGE_M = float(DetectionConfig.model_fields["sensor_range_m"].get_default())
 
@@ -150,6 +152,11 @@ def _notes(config: Config, survey: Survey, estimated: Mapping[str, float]) -> tu
         notes.append(
             f"the odometry's lengths seem {100 * abs(errors.length_share):.0f} % too "
             f"{'short' if errors.length_share > 0 else 'long'}: not corrected; check its calibration"
+        )
+    if survey.detour > NOTED_DETOUR:
+        notes.append(
+            f"the odometry steps back and forth: its path is {survey.detour:.1f} times as long as that of every second "
+            "message; do two sources publish on its topic?"
         )
     if np.isfinite(survey.claimed_ratio) and not 0.25 < survey.claimed_ratio < 4.0:
         notes.append(

@@ -49,7 +49,8 @@ class Survey:
     between scans; ``claimed_ratio``: the variance of detections by that which their messages claim, NaN where none
     does; ``shared_bias_m``: the rms bias that centroids of a class share; ``components`` is None where too few objects
     could be tracked; ``labels``: how far they can be trusted; ``heights``: how much the heights of detections vary;
-    ``turned_deg``: roll, pitch and yaw by which detections had to be turned beyond the transform of their sensor.
+    ``turned_deg``: roll, pitch and yaw by which detections had to be turned beyond the transform of their sensor;
+    ``detour``: the length of the odometry's path by that of its every second message.
     """
 
     scans: int
@@ -71,6 +72,7 @@ class Survey:
     labels: LabelNoise = field(default_factory=LabelNoise)
     heights: HeightNoise = field(default_factory=HeightNoise)
     turned_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    detour: float = 1.0
 
 
 def survey(
@@ -108,7 +110,7 @@ def survey(
     if not any(np.any(scan.positions) for scan in scans):
         return None
     turned_deg = (config.roll_deg, config.pitch_deg, (config.yaw_deg + 180.0) % 360.0 - 180.0)
-    return replace(summarize(scans, errors), turned_deg=turned_deg, labels=labels)
+    return replace(summarize(scans, errors), turned_deg=turned_deg, labels=labels, detour=gathered.detour())
 
 
 def _oriented(gathered: _Gathered, config: DetectionConfig) -> DetectionConfig:
@@ -264,6 +266,14 @@ class _Gathered:
             scans.append(_upright_scan(detections, T, corrected(T_body_sensor, config), vocabulary, config))
             np.minimum(scans[-1].labels, self._max_classes - 1, out=scans[-1].labels)
         return _without_far_off(scans)
+
+    def detour(self) -> float:
+        """The length of the odometry's path by that of its every second message; 1 where it stands still."""
+        _, poses = self._track()
+        full_m, half_m = (
+            float(np.linalg.norm(np.diff(each[:, :3, 3], axis=0), axis=1).sum()) for each in (poses, poses[::2])
+        )
+        return full_m / half_m if half_m > 0.0 else 1.0
 
     def motion(self, scans: list[SurveyScan], delay_s: float) -> BodyMotion:
         """How the body moves at the scans, by the odometry half an interval of the scans before and after each."""

@@ -30,3 +30,9 @@ def test_trouble_makes_it_a_warning(optimization, warning, counters, message):
     outcome = judge_outcome(optimization, warning, Counter(counters))
     assert outcome.level == "warning"
     assert message in outcome.message
+
+
+def test_doubts_about_the_map_are_told() -> None:
+    outcome = judge_outcome(CONVERGED, "", Counter(odometry_used=10), ["30 % of the objects seem to move"])
+    assert outcome.level == "warning"
+    assert "30 % of the objects seem to move" in outcome.message

@@ -251,3 +251,9 @@ def test_errors_that_scans_repeat_average_out_more_slowly(surveyed):
 def test_scans_that_are_rarer_than_keyframes_are_counted_by_themselves(surveyed):
     rare = replace(surveyed, scans=2, shared_bias_m=0.0, travel_m=surveyed.median_range_m)
     assert calibrate(Config(), rare).config.detection.covariance_inflation == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(("detour", "told"), [(1.4, False), (1.6, True)])
+def test_odometry_that_steps_back_and_forth_is_told(surveyed, detour, told):
+    notes = calibrate(Config(), replace(surveyed, detour=detour)).notes
+    assert any("do two sources publish" in note for note in notes) == told

@@ -183,3 +183,10 @@ def test_labels_beyond_the_most_classes_are_one_class():
     records = straight(labels=["tree", "lamp", "sign"])
     assert np.isnan(survey(records, CONFIG, max_classes=3).spacing_m)
     assert np.isfinite(survey(records, CONFIG, max_classes=2).spacing_m)
+
+
+def test_an_odometry_that_goes_back_and_forth_makes_a_detour():
+    assert survey(straight(), CONFIG).detour == pytest.approx(1.0, abs=0.1)
+    there_and_back = [odometry(0.1 * i, 0.1 * i + (i % 2)) for i in range(21)]
+    assert survey([*there_and_back, detections(1.0)], CONFIG).detour > 5.0
+    assert survey([odometry(0.0, 1.0), odometry(1.0, 1.0), detections(0.5)], CONFIG).detour == 1.0

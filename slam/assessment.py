@@ -1,0 +1,40 @@
+"""What a finished map cannot be trusted in, for people: how much of the drive the objects say nothing of."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from logs.messages import FactorGraphRecord, ObjectMapRecord
+
+LEAST_LANDMARKS = 2
+"""Landmarks that fix the position and the heading of a keyframe in the plane."""
+UNOBSERVED_SHARE = 0.1
+MOVING_SHARE = 0.25
+
+
+def assess(graph: FactorGraphRecord, object_map: ObjectMapRecord, *, sensor_range_m: float) -> tuple[str, ...]:
+    """Why the map may be worse than such maps are; nothing where it is as it should be.
+
+    ``sensor_range_m``: over a longer way without landmarks, none that was seen before it is still in view.
+    """
+    return (*_unobserved(graph, sensor_range_m), *_moving(object_map))
+
+
+def _unobserved(graph: FactorGraphRecord, sensor_range_m: float) -> list[str]:
+    steps_m = np.linalg.norm(np.diff(graph.T_map_body[:, :3, 3], axis=0), axis=1)
+    travel_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    keyframes = np.searchsorted(graph.keyframe_ids, graph.observation_keyframe_ids)
+    observed = np.bincount(keyframes, minlength=len(travel_m)) >= LEAST_LANDMARKS
+    ways_m = np.diff(np.concatenate([[0.0], travel_m[observed], travel_m[-1:]]))
+    share = float(ways_m[ways_m > sensor_range_m].sum() / max(travel_m[-1], 1e-9))
+    if share < UNOBSERVED_SHARE:
+        return []
+    return [f"over {100.0 * share:.0f} % of the way fewer than two landmarks were seen: the odometry alone tells it"]
+
+
+def _moving(object_map: ObjectMapRecord) -> list[str]:
+    moving = object_map.reasons.count("moving")
+    share = moving / max(moving + object_map.states.count("confirmed"), 1)
+    if share < MOVING_SHARE:
+        return []
+    return [f"{100.0 * share:.0f} % of the objects seem to move: landmarks may be wrong; check classes and stamps"]

@@ -1,0 +1,84 @@
+"""What a finished map cannot be trusted in."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from logs.messages import FactorGraphRecord, ObjectMapRecord
+from slam.assessment import assess
+
+KEYFRAMES = 101
+
+
+def drive(*, seen: range, landmarks: int = 2, step_m: float = 1.0) -> FactorGraphRecord:
+    """A straight drive, in which each keyframe of ``seen`` observes so many landmarks."""
+    ids = np.arange(10, 10 + KEYFRAMES)
+    T = np.tile(np.eye(4), (KEYFRAMES, 1, 1))
+    T[:, 0, 3] = step_m * np.arange(KEYFRAMES)
+    observers = np.repeat(ids[list(seen)], landmarks)
+    count = len(observers)
+    return FactorGraphRecord(
+        stamp_ns=0,
+        keyframe_ids=ids,
+        keyframe_stamps_ns=ids,
+        T_map_body=T,
+        edge_keyframe_ids=np.zeros((0, 2), dtype=np.int64),
+        edge_transforms=np.zeros((0, 4, 4)),
+        edge_covariances=np.zeros((0, 6, 6)),
+        edge_kinds=(),
+        observation_keyframe_ids=observers,
+        observation_landmark_ids=("0",) * count,
+        observation_positions=np.zeros((count, 3)),
+        observation_covariances=np.zeros((count, 3, 3)),
+    )
+
+
+def landmarks(*, confirmed: int = 10, moving: int = 0) -> ObjectMapRecord:
+    count = confirmed + moving
+    zeros = np.zeros(count, dtype=np.int64)
+    return ObjectMapRecord(
+        stamp_ns=0,
+        frame_id="map",
+        vocabulary=("car",),
+        ids=tuple(map(str, range(count))),
+        positions=np.zeros((count, 3)),
+        covariances=np.zeros((count, 3, 3)),
+        class_probabilities=np.ones((count, 1)),
+        states=("confirmed",) * confirmed + ("retired",) * moving,
+        reasons=("",) * confirmed + ("moving",) * moving,
+        observation_counts=zeros,
+        first_seen_ns=zeros,
+        last_seen_ns=zeros,
+    )
+
+
+def doubts(graph: FactorGraphRecord, object_map: ObjectMapRecord | None = None) -> str:
+    return "; ".join(assess(graph, object_map or landmarks(), sensor_range_m=20.0))
+
+
+def test_a_map_as_it_should_be_raises_no_doubt() -> None:
+    assert doubts(drive(seen=range(KEYFRAMES))) == ""
+
+
+def test_gaps_within_the_sensor_range_raise_no_doubt() -> None:
+    assert doubts(drive(seen=range(0, KEYFRAMES, 10))) == ""
+
+
+@pytest.mark.parametrize(("seen", "share"), [(range(50), 51), (range(30, KEYFRAMES), 30), (range(0), 100)])
+def test_a_long_way_without_landmarks_is_told(seen: range, share: int) -> None:
+    assert f"over {share} % of the way fewer than two" in doubts(drive(seen=seen))
+
+
+def test_one_landmark_is_not_enough() -> None:
+    assert "over 100 % of the way" in doubts(drive(seen=range(KEYFRAMES), landmarks=1))
+
+
+def test_a_robot_that_stood_still_needs_no_landmarks() -> None:
+    assert doubts(drive(seen=range(0), step_m=0.0)) == ""
+
+
+@pytest.mark.parametrize(("moving", "told"), [(3, False), (4, True)])
+def test_many_moving_objects_are_told(moving: int, told: bool) -> None:
+    said = doubts(drive(seen=range(KEYFRAMES)), landmarks(moving=moving))
+    assert ("seem to move" in said) == told
