@@ -23,6 +23,8 @@ from slam.odometry.unexpected_step import Continuation, Correction, UnexpectedSt
 
 # Scans wait for the odometry message that follows them; older ones than this many messages have lost their pose.
 HISTORY = 6000
+# A message that comes after a silence of more than so many intervals may have a wrong stamp.
+LATE = 5.0
 # Travel is counted in steps of at least that length, in sensor ranges.
 JITTER_RANGES = 0.05 / 30.0
 
@@ -54,6 +56,7 @@ class OdometryTrack:
         self._is_frozen = False
         self._T_reported = np.eye(4)
         self._doubtful: Odometry | None = None
+        self._arrived_ns = np.iinfo(np.int64).min
         self._counted_xyz_m = np.zeros(3)
         self._T_odom_first = np.eye(4)
         self._counters = counters if counters is not None else Counter[str]()
@@ -66,11 +69,13 @@ class OdometryTrack:
     def add(self, odometry: Odometry) -> list[OdometryPose]:
         """Take in a message; returns the poses that it adds to the track, mostly one.
 
-        A message whose stamp is not later than the last one's adds none. The first message, and one that comes after a
-        silence of more than ``max_gap_s``, may have a wrong stamp: it is put off until the next message, which confirms
-        or refutes it. From an unexpected step on, none adds any until ``resolve`` is called.
+        A message whose stamp is not later than that of the last pose, or earlier than that of the message before it,
+        adds none. The first message, and one that comes after a silence that is long beside the last interval, may
+        have a wrong stamp: it is put off until the next message, which confirms or refutes it. From an unexpected
+        step on, none adds any until ``resolve`` is called.
         """
         added = []
+        arrived_ns, self._arrived_ns = self._arrived_ns, odometry.stamp_ns
         doubtful, self._doubtful = self._doubtful, None
         if doubtful is not None:
             if odometry.stamp_ns > doubtful.stamp_ns:
@@ -80,9 +85,9 @@ class OdometryTrack:
         last_ns = self._last_ns
         if last_ns is None:
             self._doubtful = odometry
-        elif odometry.stamp_ns <= last_ns:
+        elif odometry.stamp_ns <= last_ns or odometry.stamp_ns < arrived_ns:
             self._reject(odometry.stamp_ns == last_ns)
-        elif odometry.stamp_ns - last_ns > self._config.max_gap_s * 1e9:
+        elif self._comes_late(odometry, last_ns):
             self._doubtful = odometry
         else:
             added += self._take(odometry)
@@ -170,6 +175,13 @@ class OdometryTrack:
                 return None if after is None or after.segment != pose.segment else between(pose, after, stamp_ns)
             after = pose
         return None
+
+    def _comes_late(self, odometry: Odometry, last_ns: int) -> bool:
+        """Whether a message comes after a silence that is long beside the last interval."""
+        silence_ns = odometry.stamp_ns - last_ns
+        if silence_ns > self._config.max_gap_s * 1e9:
+            return True
+        return len(self._poses) > 1 and silence_ns > LATE * (last_ns - self._poses[-2].stamp_ns) and not self._held
 
     def _reject(self, is_duplicate: bool) -> None:
         self._counters["odometry_duplicated" if is_duplicate else "odometry_out_of_order"] += 1

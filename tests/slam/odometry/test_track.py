@@ -153,3 +153,17 @@ def test_one_stamp_from_the_future_is_no_silence():
     assert made.latest is not None
     assert (made.latest.segment, made.latest.travel_m) == (0, pytest.approx(3.0))
     assert made.latest.stamp_ns == START_NS + 3_000_000_000
+
+
+@pytest.mark.parametrize("seconds", [1.0, 5.0, 20.0])
+def test_stamps_that_run_backwards_for_a_while_add_nothing(seconds):
+    """The first of them lies in the future, and the last just after the last good one."""
+    counters = Counter[str]()
+    made = OdometryTrack(CONFIG, counters)
+    late = [odometry(2.0 + seconds - 0.1 * i, 2.0 + 0.1 * i) for i in range(round(10 * seconds))]
+    after = [odometry(2.0 + seconds + 0.1 * i, 2.0 + seconds + 0.1 * i) for i in range(1, 5)]
+    good = [odometry(0.1 * i, 0.1 * i) for i in range(20)]
+    added = [pose for message in [*good, *late, *after] for pose in made.add(message)] + made.finish()
+    right = [(pose.stamp_ns - START_NS) * 1e-9 for pose in added]
+    assert right == pytest.approx([0.1 * i for i in range(20)] + [2.0 + seconds + 0.1 * i for i in range(1, 5)])
+    assert counters["odometry_out_of_order"] == len(late)
