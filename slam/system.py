@@ -179,16 +179,22 @@ class Slam:
         removed, warning = self._closer.closures.reject_outliers()
         if self._first_keyframe and self._extends:
             self._mapper.retire_gone(self._closer.missing_landmarks())
-        if self._extends:
-            self.counters["landmarks_fused"] = fuse_duplicate_landmarks(
-                self._object_map,
-                self._graph,
-                self._closer.closures.keyframes_nearby(),
-                radius_m=2.0 * self._config.submap.landmark_sigma_m,
-            )
         optimization = self._graph.optimize()
+        if self._extends and self._fuse_duplicate_landmarks():
+            optimization = self._graph.optimize()
         self.counters["batch_iterations"] = optimization.iterations
         return removed, warning, optimization
+
+    def _fuse_duplicate_landmarks(self) -> int:
+        """Merge landmarks that are duplicates at the optimised estimate; returns how many."""
+        fused = fuse_duplicate_landmarks(
+            self._object_map,
+            self._graph,
+            self._closer.closures.keyframes_nearby(),
+            radius_m=2.0 * self._config.submap.landmark_sigma_m,
+        )
+        self.counters["landmarks_fused"] = fused
+        return fused
 
     def _final_map(self, removed: list[LoopClosureRecord], warning: str, optimization: Optimization) -> FinalMap:
         records = FinalRecords(

@@ -89,9 +89,8 @@ class Acceptance:
         if is_best and self._is_sure(posterior):
             return Decision(rejected, best)
         fits = best.log_likelihood_ratio >= self._least_log_odds
-        reason = f"posterior probability {posterior.probabilities[posterior.best]:.3f}"
-        if not is_best:
-            reason = f"ambiguous: {reason} of another pose"
+        doubt = f"wrong with probability {1.0 - posterior.probabilities[posterior.best]:.2g}"
+        reason = doubt if is_best else f"ambiguous: another pose is likelier, {doubt}"
         record = best.record(Stage.CONSISTENCY if fits else Stage.ACCEPTANCE, reason)
         unpredicted = best.log_likelihood_ratio - best.unpredicted_penalty
         return Decision(

@@ -57,6 +57,7 @@ class OdometryTrack:
         self._T_reported = np.eye(4)
         self._doubtful: Odometry | None = None
         self._arrived_ns = np.iinfo(np.int64).min
+        self._falls = False
         self._counted_xyz_m = np.zeros(3)
         self._T_odom_first = np.eye(4)
         self._counters = counters if counters is not None else Counter[str]()
@@ -69,13 +70,14 @@ class OdometryTrack:
     def add(self, odometry: Odometry) -> list[OdometryPose]:
         """Take in a message; returns the poses that it adds to the track, mostly one.
 
-        A message whose stamp is not later than that of the last pose, or earlier than that of the message before it,
-        adds none. The first message, and one that comes after a silence that is long beside the last interval, may
+        A message whose stamp is not later than that of the last pose adds none, nor does one in a row of stamps that
+        fall. The first message, and one that comes after a silence that is long beside the last interval, may
         have a wrong stamp: it is put off until the next message, which confirms or refutes it. From an unexpected
         step on, none adds any until ``resolve`` is called.
         """
         added = []
-        arrived_ns, self._arrived_ns = self._arrived_ns, odometry.stamp_ns
+        fell, self._falls = self._falls, odometry.stamp_ns < self._arrived_ns
+        self._arrived_ns = odometry.stamp_ns
         doubtful, self._doubtful = self._doubtful, None
         if doubtful is not None:
             if odometry.stamp_ns > doubtful.stamp_ns:
@@ -85,7 +87,7 @@ class OdometryTrack:
         last_ns = self._last_ns
         if last_ns is None:
             self._doubtful = odometry
-        elif odometry.stamp_ns <= last_ns or odometry.stamp_ns < arrived_ns:
+        elif odometry.stamp_ns <= last_ns or (fell and self._falls):
             self._reject(odometry.stamp_ns == last_ns)
         elif self._comes_late(odometry, last_ns):
             self._doubtful = odometry

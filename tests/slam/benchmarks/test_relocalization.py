@@ -170,7 +170,7 @@ class Strays(GivesUp):
 
     @property
     def state(self) -> State:
-        return State.TRACKING
+        return State.TRACKING if self.known > 3 else Slam.state.fget(self)  # type: ignore[attr-defined]
 
     def process(self, record: Record) -> list[Record]:
         aside = transform_from_xyz_yaw(np.array([0.0, 3.0, 0.0]), 0.0)

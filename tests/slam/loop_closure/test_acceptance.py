@@ -7,15 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam.common.config import Config
+from slam.common.config import Config, LocalizationConfig
+from slam.localization.localizer import log_odds_of
 from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.candidate import Candidate, Query
 from tests.helpers.candidates import make_candidate
 from tests.slam.loop_closure.doubles import Patterns, at, make_keyframe, make_query
 
 PENALTY = 15.0
-SURE_LLR = PENALTY + 6.0
-"""More than log odds of 0.995, 5.3, above the penalty."""
+SURE_LLR = PENALTY - log_odds_of(LocalizationConfig().error_probability) + 0.5
+"""A little more than the log odds that are wanted, above the penalty."""
 
 
 def candidate(x_m: float, llr: float, *, row: int = 0, reference: int = 3) -> Candidate:
@@ -44,7 +45,8 @@ def test_a_candidate_is_accepted_from_the_odds_on_that_are_wanted(acceptance):
     acceptance.reset()
     refused = acceptance.decide(query(), [candidate(0.0, SURE_LLR - 1.0)])
     assert refused.accepted is None
-    assert "posterior probability 0.993" in refused.rejected[0].reason
+    wrong = 1.0 / (1.0 + np.exp(SURE_LLR - 1.0 - PENALTY))
+    assert refused.rejected[0].reason == f"wrong with probability {wrong:.2g}"
 
 
 def test_a_rival_that_fits_as_well_leaves_it_open(acceptance, patterns):
@@ -107,7 +109,7 @@ def test_a_pose_that_is_no_candidate_is_not_accepted_however_likely(acceptance, 
     setattr(patterns, where, [candidate(8.0, SURE_LLR + 30.0)])
     decision = acceptance.decide(query(), [candidate(0.0, SURE_LLR + 5.0)])
     assert decision.accepted is None
-    assert "of another pose" in decision.rejected[0].reason
+    assert "another pose is likelier" in decision.rejected[0].reason
 
 
 def test_a_candidate_that_only_the_odometry_rules_out_contradicts_it(acceptance):
