@@ -94,8 +94,7 @@ class Slam:
         )
         self._localization = LocalizationState(has_prior_map=prior_map is not None)
         self._odometry_offset_ns = round(config.odometry.time_offset_s * 1e9)
-        self._path = OdometryPath()
-        self._output = PoseOutput()
+        self._path, self._output = OdometryPath(), PoseOutput()
         self._keyframes_shown = self._first_keyframe
         self.closing_seconds: list[float] = []
         """Time that looking for loops took, keyframe by keyframe."""
@@ -180,21 +179,14 @@ class Slam:
         if self._first_keyframe and self._extends:
             self._mapper.retire_gone(self._closer.missing_landmarks())
         optimization = self._graph.optimize()
-        if self._extends and self._fuse_duplicate_landmarks():
-            optimization = self._graph.optimize()
+        if self._extends:
+            radius_m = 2.0 * self._config.submap.landmark_sigma_m
+            nearby = self._closer.closures.keyframes_nearby()
+            fused = fuse_duplicate_landmarks(self._object_map, self._graph, nearby, radius_m=radius_m)
+            self.counters["landmarks_fused"] = fused
+            optimization = self._graph.optimize() if fused else optimization
         self.counters["batch_iterations"] = optimization.iterations
         return removed, warning, optimization
-
-    def _fuse_duplicate_landmarks(self) -> int:
-        """Merge landmarks that are duplicates at the optimised estimate; returns how many."""
-        fused = fuse_duplicate_landmarks(
-            self._object_map,
-            self._graph,
-            self._closer.closures.keyframes_nearby(),
-            radius_m=2.0 * self._config.submap.landmark_sigma_m,
-        )
-        self.counters["landmarks_fused"] = fused
-        return fused
 
     def _final_map(self, removed: list[LoopClosureRecord], warning: str, optimization: Optimization) -> FinalMap:
         records = FinalRecords(
@@ -208,8 +200,7 @@ class Slam:
         )
         if unknown := records.place_landmarks():
             self.counters["covariances_missing"] = unknown
-        if self._config.association.max_classes > 1:  # else labels are ignored on purpose
-            self.counters["labels_beyond_max_classes"] += self._object_map.unlisted_labels
+        self.counters["labels_beyond_max_classes"] += self._object_map.unlisted_labels
         self.counters["closures_removed"] = len(removed)
         self.counters["closures_rejected_by_odometry"] = self._closer.rejected_by_odometry_count
         graph, object_map = records.graph(), records.object_map()

@@ -107,6 +107,14 @@ def test_no_folder_holds_more_files_than_a_reader_takes_in() -> None:
             assert len(list(folder.glob("*.py"))) <= 15, folder
 
 
+def test_no_class_is_longer_than_a_reader_takes_in() -> None:
+    for package in OURS:
+        for path in sources(package):
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.ClassDef) and node.end_lineno is not None:
+                    assert node.end_lineno - node.lineno < 250, f"{path}: {node.name}"
+
+
 def test_metrics_neither_read_files_nor_plot() -> None:
     assert importers_of("matplotlib", "slam/evaluation") == set()
     assert importers_of("logs.reader", "slam/evaluation") == {"slam/evaluation/inputs/records.py"}

@@ -23,6 +23,7 @@ from slam.loop_closure.accepted_closures import AcceptedClosures
 from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.consistency import suppress_non_maxima
 from slam.loop_closure.divergence_monitor import LocalizationMonitor
+from slam.loop_closure.stretches import Stretches
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.submap import gravity_frame, recent_submap, recent_submap_with_unconfirmed
@@ -39,9 +40,6 @@ IN_VIEW_RANGES = 4.0 / 30.0
 """Landmarks observed within that travel, in sensor ranges, are in view."""
 ELSEWHERE_RANGES = 15.0 / 30.0
 """Farther, in sensor ranges, than the odometry can drift between two propagated closures."""
-
-STRETCHES = 6
-"""How many stretches of half a submap's length are remembered while the robot is looked for in an imported map."""
 
 
 class LoopCloser:
@@ -67,7 +65,7 @@ class LoopCloser:
         self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes)
         self.closures = AcceptedClosures(config, object_map, graph, keyframes)
         self._recent: deque[Query] = deque()
-        self._stretches: deque[Query] = deque(maxlen=STRETCHES)
+        self._stretches = Stretches(0.5 * config.submap.travel_m)
         self._seed_closure: Candidate | None = None
         self._monitor = LocalizationMonitor(self._sensor_range_m)
         self._continuity = ContinuityMonitor(config.localization, self._sensor_range_m)
@@ -189,27 +187,15 @@ class LoopCloser:
 
     def _take_query(self, keyframe: Keyframe) -> Query:
         submap = recent_submap(self._map, keyframe, self._submap_config)
-        query = Query(keyframe, submap, gravity_frame(keyframe.T_local_body), self._stretches_before(keyframe))
+        before = () if self.closures.is_localized(keyframe) else self._stretches.before(keyframe)
+        query = Query(keyframe, submap, gravity_frame(keyframe.T_local_body), before)
         if self._retriever.has_imported_map:
-            self._remember_stretch(query)
+            self._stretches.remember(query)
         oldest_m = query.travel_m - self._limits.propagation_distance_m
         self._recent.append(query)
         while self._recent[0].travel_m < oldest_m:
             self._recent.popleft()
         return query
-
-    def _stretches_before(self, keyframe: Keyframe) -> tuple[Query, ...]:
-        """What was passed before by a robot that is looked for in an imported map, the latest first."""
-        if not self._stretches or self.closures.is_localized(keyframe):
-            return ()
-        segment = keyframe.odometry.segment
-        return tuple(each for each in reversed(self._stretches) if each.keyframe.odometry.segment == segment)
-
-    def _remember_stretch(self, query: Query) -> None:
-        """Keep a query of each half of a submap's length."""
-        step_m = 0.5 * self._submap_config.travel_m
-        if not self._stretches or query.travel_m - self._stretches[-1].travel_m >= step_m:
-            self._stretches.append(replace(query, before=()))
 
     def _propagate(self, query: Query) -> Candidate | None:
         """The closure that the last one predicts; None where it cannot be verified."""

@@ -14,7 +14,7 @@ OTHER_CLASS = "other"
 class ClassBeliefs:
     """How often each landmark was given each label, one row a landmark, and the vocabulary of the labels.
 
-    ``unlisted_labels``: how many labels were of a class beyond the limit.
+    ``unlisted_labels``: how many labels were of a class beyond the limit; of one class all labels are, on purpose.
     """
 
     def __init__(self, config: AssociationConfig) -> None:
@@ -39,7 +39,8 @@ class ClassBeliefs:
             self._label_counts = wider
         other = self._label_index.get(OTHER_CLASS, 0)
         indices = np.array([self._label_index.get(label, other) for label in labels], dtype=np.int64)
-        self.unlisted_labels += sum(label not in self._label_index for label in labels)
+        if self._config.max_classes > 1:
+            self.unlisted_labels += sum(label not in self._label_index for label in labels)
         return indices
 
     def _add_class(self, label: str) -> None:

@@ -139,12 +139,8 @@ class ObjectMap:
         landmarks = self.rows
         landmarks["state"][new] = LandmarkState.TENTATIVE
         landmarks["observations"][new] = 1
-        landmarks["first_scan"][new] = scan
-        landmarks["last_scan"][new] = scan
-        landmarks["first_seen_ns"][new] = stamp_ns
-        landmarks["last_seen_ns"][new] = stamp_ns
-        landmarks["first_seen_travel_m"][new] = travel_m
-        landmarks["last_seen_travel_m"][new] = travel_m
+        for when, value in (("scan", scan), ("seen_ns", stamp_ns), ("seen_travel_m", travel_m)):
+            landmarks[f"first_{when}"][new] = landmarks[f"last_{when}"][new] = value
         landmarks["segment"][new] = segment
         landmarks["position_local"][new] = positions_local
         landmarks["first_position_local"][new] = positions_local

@@ -56,8 +56,7 @@ class OdometryTrack:
         self._is_frozen = False
         self._T_reported = np.eye(4)
         self._doubtful: Odometry | None = None
-        self._arrived_ns = np.iinfo(np.int64).min
-        self._falls = False
+        self._arrived_ns, self._falls = np.iinfo(np.int64).min, False
         self._counted_xyz_m = np.zeros(3)
         self._T_odom_first = np.eye(4)
         self._counters = counters if counters is not None else Counter[str]()
@@ -180,10 +179,10 @@ class OdometryTrack:
 
     def _comes_late(self, odometry: Odometry, last_ns: int) -> bool:
         """Whether a message comes after a silence that is long beside the last interval."""
-        silence_ns = odometry.stamp_ns - last_ns
-        if silence_ns > self._config.max_gap_s * 1e9:
-            return True
-        return len(self._poses) > 1 and silence_ns > LATE * (last_ns - self._poses[-2].stamp_ns) and not self._held
+        long_ns = self._config.max_gap_s * 1e9
+        if len(self._poses) > 1 and not self._held:
+            long_ns = min(long_ns, LATE * (last_ns - self._poses[-2].stamp_ns))
+        return odometry.stamp_ns - last_ns > long_ns
 
     def _reject(self, is_duplicate: bool) -> None:
         self._counters["odometry_duplicated" if is_duplicate else "odometry_out_of_order"] += 1

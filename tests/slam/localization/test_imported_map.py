@@ -15,8 +15,7 @@ from slam.common.georeference import Georeference
 from slam.final_map import FinalMap
 from slam.localization.prior_map import PriorMap
 from slam.localization.unrecognised_map import why_not_recognised
-from slam.loop_closure import loop_closer
-from slam.loop_closure.loop_closer import STRETCHES
+from slam.loop_closure.stretches import STRETCHES
 from slam.place_recognition.imported_map import make_imported_map
 from slam.place_recognition.place_prior import PlacePrior
 from slam.simulation.config import SimulationConfig
@@ -114,7 +113,7 @@ def test_where_little_is_seen_at_once_all_that_was_passed_tells_the_place(monkey
     park = World("park", names, trees, ("tree",) * count, start + np.array([[0.0, 0.0], [85.0, 0.0]]))
     found_m = []
     for stretches in (STRETCHES, 0):
-        monkeypatch.setattr(loop_closer, "STRETCHES", stretches)
+        monkeypatch.setattr("slam.loop_closure.stretches.STRETCHES", stretches)
         slam = Slam(Config(), known, extend=False)
         for _, _, record in simulate(park, SimulationConfig(), seed=2):
             if isinstance(record, Odometry | ObjectDetections | Transform):

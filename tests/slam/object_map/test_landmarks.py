@@ -69,6 +69,12 @@ def test_one_class_is_certain_and_none_has_no_columns():
     assert ObjectMap(CONFIG).beliefs(np.zeros(0, dtype=np.int64)).shape == (0, 0)
 
 
+def test_of_one_class_no_label_lies_beyond_the_limit():
+    object_map = ObjectMap(AssociationConfig(max_classes=1))
+    assert object_map.label_indices(("a", "b")).tolist() == [0, 0]
+    assert object_map.unlisted_labels == 0
+
+
 def test_classes_beyond_the_limit_are_one_class():
     object_map = ObjectMap(AssociationConfig(max_classes=3))
     assert object_map.label_indices(("a", "b", "c", "d", "a")).tolist() == [0, 1, 2, 2, 0]
