@@ -20,7 +20,7 @@ from slam.self_calibration.input_errors import BodyMotion, InputErrors, estimate
 from slam.self_calibration.label_noise import LabelNoise, estimate_label_noise
 from slam.self_calibration.object_tracks import ObjectTracks, SurveyScan, follow_objects
 from slam.self_calibration.sensor_orientation import find_orientation, roll_pitch_yaw_deg
-from slam.self_calibration.variance_components import ComponentEstimate, Motion, estimate_components
+from slam.self_calibration.variance_components import CLIP, ComponentEstimate, Motion, estimate_components
 
 MAX_DETECTIONS = 150_000
 """The survey ends after that many detections; what it estimates has converged by then."""
@@ -161,6 +161,13 @@ def summarize(scans: list[SurveyScan], errors: InputErrors | None = None) -> Sur
     )
 
 
+def _path_length(poses: FloatArray) -> float:
+    """Length [m] of the path through poses (K, 4, 4); single messages that are far off add little."""
+    steps_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    moved = steps_m > 0.0
+    return float(np.minimum(steps_m, CLIP * np.median(steps_m[moved])).sum()) if moved.any() else 0.0
+
+
 def _headings(scans: list[SurveyScan]) -> FloatArray:
     """Headings (K,) rad of the body at scans, without jumps by whole turns."""
     return np.unwrap(yaw_rad(np.stack([scan.T_odom_body for scan in scans])))
@@ -270,9 +277,7 @@ class _Gathered:
     def detour(self) -> float:
         """The length of the odometry's path by that of its every second message; 1 where it stands still."""
         _, poses = self._track()
-        full_m, half_m = (
-            float(np.linalg.norm(np.diff(each[:, :3, 3], axis=0), axis=1).sum()) for each in (poses, poses[::2])
-        )
+        full_m, half_m = _path_length(poses), _path_length(poses[::2])
         return full_m / half_m if half_m > 0.0 else 1.0
 
     def motion(self, scans: list[SurveyScan], delay_s: float) -> BodyMotion:

@@ -190,3 +190,5 @@ def test_an_odometry_that_goes_back_and_forth_makes_a_detour():
     there_and_back = [odometry(0.1 * i, 0.1 * i + (i % 2)) for i in range(21)]
     assert survey([*there_and_back, detections(1.0)], CONFIG).detour > 5.0
     assert survey([odometry(0.0, 1.0), odometry(1.0, 1.0), detections(0.5)], CONFIG).detour == 1.0
+    wild = [odometry(0.1 * i, 0.1 * i + 1000.0 * (i == 51)) for i in range(101)]
+    assert survey([*wild, detections(1.0)], CONFIG).detour < 1.2
