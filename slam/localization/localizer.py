@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import LocalizationConfig
 from slam.common.geometry import invert
 
@@ -43,28 +43,23 @@ class PoseEvidence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
-    """A pose of the robot, ``T_local_query`` (4, 4), at the keyframe whose gravity frame is ``T_odom_query`` (4, 4).
+    """A pose of the robot in the frame of a segment, by ``T_local_odom`` (4, 4) from the frame of its odometry.
 
     ``evidence``: LLR of each landmark in the submap; ``left_behind``: of those that were in it before; ``measured_m``:
     travel at which it was last measured.
     """
 
-    T_local_query: FloatArray
+    T_local_odom: FloatArray
     segment: int
     log_prior: float
     evidence: Mapping[int, float]
     left_behind: Mapping[int, float]
-    T_odom_query: FloatArray
     measured_m: float
 
     @property
     def log_odds(self) -> float:
         """Log posterior odds against "somewhere new"."""
         return self.log_prior + sum(self.evidence.values()) + min(sum(self.left_behind.values()), 0.0)
-
-    def carried(self, T_odom_query: FloatArray) -> FloatArray:
-        """The pose (4, 4) at another keyframe, by the odometry."""
-        return np.asarray(self.T_local_query @ invert(self.T_odom_query) @ T_odom_query)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,13 +81,17 @@ class Localizer:
     """The hypotheses of one robot."""
 
     def __init__(
-        self, config: LocalizationConfig, poses_agree: Callable[[FloatArray, FloatArray], bool], *, memory_m: float
+        self,
+        config: LocalizationConfig,
+        which_agree: Callable[[FloatArray, FloatArray], BoolArray],
+        *,
+        memory_m: float,
     ) -> None:
-        """``poses_agree``: whether two estimates (4, 4) of one pose agree; ``memory_m``: travel after which a
+        """``which_agree``: which estimates (..., 4, 4) of poses agree, pair by pair; ``memory_m``: travel after which a
         hypothesis that is no longer measured is forgotten.
         """
         self._config = config
-        self._poses_agree = poses_agree
+        self._which_agree = which_agree
         self._memory_m = memory_m
         self._hypotheses: list[Hypothesis] = []
 
@@ -103,7 +102,7 @@ class Localizer:
     def predictions(self, T_odom_query: FloatArray) -> list[tuple[int, FloatArray]]:
         """Segment and pose (4, 4) at a keyframe of the likeliest hypotheses, for them to be measured there."""
         likely = sorted(self._hypotheses, key=lambda each: -each.log_odds)[: self._config.max_hypotheses]
-        return [(each.segment, each.carried(T_odom_query)) for each in likely]
+        return [(each.segment, each.T_local_odom @ T_odom_query) for each in likely]
 
     def update(
         self,
@@ -121,8 +120,12 @@ class Localizer:
             are_consistent: whether two of them, by their indices, can be true together: a place that was passed twice.
         """
         known = [each for each in self._hypotheses if travel_m - each.measured_m <= self._memory_m]
-        joined = [self._joined(each, known, T_odom_query, travel_m) for each in measured]
-        others = [each for each in known if not any(self._agrees(each, new, T_odom_query) for new in measured)]
+        agree = self._agreements(known, measured, T_odom_query)
+        joined = [
+            _joined(new, [known[k] for k in np.flatnonzero(same)], T_odom_query, travel_m)
+            for new, same in zip(measured, agree, strict=True)
+        ]
+        others = [known[k] for k in np.flatnonzero(~agree.any(axis=0))]
         self._hypotheses = joined + others
         log_odds = np.array([each.log_odds for each in joined])
         same = np.eye(len(joined), dtype=bool)
@@ -132,30 +135,35 @@ class Localizer:
         total = float(logsumexp(np.append(log_odds, 0.0)))
         return Posterior(log_odds, np.exp(np.array([logsumexp(log_odds[row]) for row in same]) - total))
 
-    def _joined(
-        self, measured: PoseEvidence, known: Sequence[Hypothesis], T_odom_query: FloatArray, travel_m: float
-    ) -> Hypothesis:
-        """The hypothesis at a measured pose, with what those from before that lead there have left behind."""
-        evidence = dict(zip(measured.rows.tolist(), measured.log_likelihood_ratios.tolist(), strict=True))
-        before: dict[int, float] = {}
-        for each in known:
-            if self._agrees(each, measured, T_odom_query):
-                before |= {**each.left_behind, **each.evidence}
-        left_behind = {row: llr for row, llr in before.items() if row not in evidence}
-        return Hypothesis(
-            measured.T_local_query,
-            measured.segment,
-            measured.log_prior,
-            evidence,
-            left_behind,
-            T_odom_query,
-            travel_m,
+    def _agreements(
+        self, known: Sequence[Hypothesis], measured: Sequence[PoseEvidence], T_odom_query: FloatArray
+    ) -> BoolArray:
+        """Which hypotheses lead, by the odometry, to which of the measured poses: (measured, known)."""
+        if not known:
+            return np.zeros((len(measured), 0), dtype=np.bool_)
+        T_carried = np.array([each.T_local_odom for each in known]) @ T_odom_query
+        segments = np.array([each.segment for each in known])
+        return np.array(
+            [(segments == new.segment) & self._which_agree(T_carried, new.T_local_query) for new in measured]
         )
 
-    def _agrees(self, known: Hypothesis, measured: PoseEvidence, T_odom_query: FloatArray) -> bool:
-        return known.segment == measured.segment and self._poses_agree(
-            known.carried(T_odom_query), measured.T_local_query
-        )
+
+def _joined(
+    measured: PoseEvidence, before: Sequence[Hypothesis], T_odom_query: FloatArray, travel_m: float
+) -> Hypothesis:
+    """The hypothesis at a measured pose, with what those from ``before`` that lead there have left behind."""
+    evidence = dict(zip(measured.rows.tolist(), measured.log_likelihood_ratios.tolist(), strict=True))
+    earlier: dict[int, float] = {}
+    for each in before:
+        earlier |= {**each.left_behind, **each.evidence}
+    return Hypothesis(
+        measured.T_local_query @ invert(T_odom_query),
+        measured.segment,
+        measured.log_prior,
+        evidence,
+        {row: llr for row, llr in earlier.items() if row not in evidence},
+        travel_m,
+    )
 
 
 def log_odds_of(probability: float) -> float:

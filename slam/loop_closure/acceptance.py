@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from logs.messages import LoopClosureRecord
 from slam.common.config import Config
 from slam.localization.localizer import Localizer, PoseEvidence, Posterior, log_odds_of
 from slam.loop_closure.candidate import Candidate, Query, Stage
-from slam.loop_closure.consistency import suppress_non_maxima
+from slam.loop_closure.consistency import suppress_non_maxima, which_agree
 from slam.loop_closure.verification import Verifier
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.place import Place
@@ -43,7 +44,9 @@ class Acceptance:
         self._verifier = verifier
         self._keyframes = keyframes
         self._localizer = Localizer(
-            config.localization, verifier.agree, memory_m=config.loop_closure.propagation_distance_m
+            config.localization,
+            partial(which_agree, sensor_range_m=self._sensor_range_m),
+            memory_m=config.loop_closure.propagation_distance_m,
         )
 
     def reset(self) -> None:

@@ -9,7 +9,7 @@ from slam.common.arrays import FloatArray
 from slam.common.config import LocalizationConfig
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.localization.localizer import Localizer, PoseEvidence, Posterior, log_odds_of
-from slam.loop_closure.consistency import poses_agree
+from slam.loop_closure.consistency import which_agree
 
 MEMORY_M = 50.0
 PRIOR = -15.0
@@ -28,7 +28,7 @@ class Robot:
 
     def __init__(self, *, max_hypotheses: int = 5) -> None:
         config = LocalizationConfig(max_hypotheses=max_hypotheses)
-        self.localizer = Localizer(config, lambda a, b: poses_agree(a, b, sensor_range_m=30.0), memory_m=MEMORY_M)
+        self.localizer = Localizer(config, lambda a, b: which_agree(a, b, sensor_range_m=30.0), memory_m=MEMORY_M)
         self.travel_m = 0.0
 
     @property
