@@ -175,6 +175,7 @@ class Slam:
         """Estimate all at once; returns the closures removed as outliers, a warning about them, and how it went."""
         self._mapper.close_keyframe()
         self._graph.settle()
+        self.counters["odometry_headings_doubted"] = self._mapper.loosen_failed_headings()
         removed, warning = self._closer.closures.reject_outliers()
         if self._first_keyframe and self._extends:
             self._mapper.retire_gone(self._closer.missing_landmarks())

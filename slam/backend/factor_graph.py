@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from gtsam.symbol_shorthand import L, X
@@ -141,6 +142,16 @@ class FactorGraph:
         under-constrained. Observations nearer than ``MIN_RANGE_RANGES``, whose bearing is undefined, are passed over.
         """
         return self._store.add_observations(observations)
+
+    def replace_covariances(self, covariances: Mapping[int, FloatArray]) -> None:
+        """Give the edges of these numbers other covariances (6, 6); all is solved in batch from then on."""
+        changed = {
+            number: replace(edge, covariance=covariances[number])
+            for number, edge in self.factors.items()
+            if number in covariances and isinstance(edge, Edge)
+        }
+        if changed:
+            self._store.change(changed)
 
     def observers(self) -> dict[int, set[int]]:
         """The keyframes that saw each landmark which has a variable of its own, those merged into it included."""

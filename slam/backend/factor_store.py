@@ -148,6 +148,13 @@ class FactorStore:
         self.solver.restart(values, replaced)
         return number
 
+    def change(self, changed: Mapping[int, Edge]) -> None:
+        """Put others in the place of some edges, once all is solved in batch."""
+        self.factors |= changed
+        factors = {number: self.solver_factor(edge) for number, edge in changed.items()}
+        solver = self.settle()
+        solver.restart(solver.estimate(), factors)
+
     def settle(self) -> BatchSolver:
         """End the incremental estimate: from now on all observations are used, and updates are steps in batch."""
         self.solver.update()

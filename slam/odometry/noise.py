@@ -40,13 +40,15 @@ def step_variances(before: OdometryPose, after: OdometryPose, config: OdometryCo
     return np.asarray(walk + np.array([mended_m2, mended_rad2, mended_rad2]))
 
 
-def step_covariance(before: OdometryPose, after: OdometryPose, config: OdometryConfig) -> FloatArray:
+def step_covariance(
+    before: OdometryPose, after: OdometryPose, config: OdometryConfig, *, heading_factor: float = 1.0
+) -> FloatArray:
     """Covariance (6, 6) of the step between two poses of one segment, rotation first, in the axes of the body after it.
 
     The heading errs about the vertical, which is not the z axis of a body that leans. Slips and wrong lengths are along
-    the ground: heights err by the tilt.
+    the ground: heights err by the tilt. ``heading_factor``: on the variance of the heading.
     """
     translation, tilt, yaw = step_variances(before, after, config)
     vertical = config.min_translation_sigma_m**2 + abs(after.mended_m2 - before.mended_m2)
-    upright = np.diag([tilt, tilt, yaw, translation, translation, vertical])
+    upright = np.diag([tilt, tilt, heading_factor * yaw, translation, translation, vertical])
     return covariance_in_axes(upright, after.T_odom_body[:3, :3])

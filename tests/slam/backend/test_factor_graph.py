@@ -626,3 +626,19 @@ def test_an_edge_that_joins_segments_bends_neither():
     graph.remove_factor(number)
     graph.update()
     assert number not in graph.factors
+
+
+def test_an_edge_whose_covariance_is_replaced_counts_by_the_new_one():
+    T_0_1 = transform_from_xyz_yaw(np.array([1.0, 0.0, 0.0]), 0.0)
+    graph = FactorGraph(PLAIN)
+    graph.add_first_keyframe(0, np.eye(4))
+    graph.add_next_keyframe(Edge(0, 1, T_0_1, 0.01 * np.eye(6), "odometry"))
+    other = transform_from_xyz_yaw(np.array([2.0, 0.0, 0.0]), 0.0)
+    graph.add_edge(Edge(0, 1, other, 0.01 * np.eye(6), "odometry"))
+    graph.optimize()
+    assert graph.pose(1)[0, 3] == pytest.approx(1.5, abs=1e-3)
+    first = min(number for number, each in graph.factors.items() if isinstance(each, Edge))
+    graph.replace_covariances({first: 0.03 * np.eye(6)})
+    graph.optimize()
+    assert graph.pose(1)[0, 3] == pytest.approx(1.75, abs=1e-3)
+    assert graph.factors[first].covariance[0, 0] == 0.03

@@ -110,3 +110,12 @@ def test_a_mended_step_is_less_certain_in_all_directions():
     mended = replace(after, mended_m2=0.5, mended_rad2=0.01)
     more = step_covariance(before, mended, ALL) - step_covariance(before, after, ALL)
     np.testing.assert_allclose(more, np.diag([0.01, 0.01, 0.01, 0.5, 0.5, 0.5]), atol=1e-12)
+
+
+def test_a_heading_that_fails_is_less_sure_and_nothing_else() -> None:
+    before, after = pose(), pose(2.0)
+    sure = step_covariance(before, after, ALL)
+    unsure = step_covariance(before, after, ALL, heading_factor=7.0)
+    np.testing.assert_allclose(unsure[2, 2], 7.0 * sure[2, 2])
+    unsure[2, 2] = sure[2, 2]
+    np.testing.assert_array_equal(unsure, sure)
