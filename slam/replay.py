@@ -20,7 +20,7 @@ from logs.messages import (
     Record,
     Transform,
 )
-from logs.reader import LogItem, LogReader
+from logs.reader import LogReader
 from logs.selection import OUTPUT_PREFIX, Selection, select_topics
 from logs.topics import RecordKind
 from logs.writer import LogWriter, partial_path
@@ -34,6 +34,7 @@ from slam.frontend.input.input_records import InputRecords
 from slam.frontend.input.label_map import LabelMap
 from slam.frontend.input.scan_objects import ScanObjects
 from slam.frontend.input.sensor_frames import SensorFrames
+from slam.frontend.input.stamp_clocks import StampClocks
 from slam.localization.gnss import find_georeference
 from slam.localization.prior_map import PriorMap
 from slam.localization.unrecognised_map import why_not_recognised
@@ -149,13 +150,15 @@ def replay(
             writer.add_metadata("dslam", provenance)
             log = OutputLog(writer, display, view, georeference)
             drive = _Drive(slam, inputs, log, fixes=[])
+            clocks = StampClocks()
             for item in reader.items(mapped, copy=copied):
                 if item.raw.topic in copied:
                     writer.write_raw(item.raw)
-                drive.take(item)
+                drive.take(list(clocks.follow(item)), item.raw.log_time_ns)
                 if progress is not None:
                     done = (item.raw.log_time_ns - first_ns) / max(last_ns - first_ns, 1)
                     progress(min(max(done, 0.0), 1.0))
+            drive.take(list(clocks.finish()), last_ns)
             inputs.check()
             slam.counters.update(Counter(reader.counters) + lost_before + Counter(inputs.counters))
             final = slam.finish()
@@ -173,6 +176,7 @@ def replay(
         final_status=final.status.message,
         notes=(
             *calibration.notes,
+            *map(str, clocks.steps),
             *_about_the_map(slam, prior_map, final, drive.fixes, config),
             *_about_labels(labels),
         ),
@@ -193,11 +197,11 @@ class _Drive:
     fixes: list[GeodeticFix]
     max_message_latency_s: float = 0.0
 
-    def take(self, item: LogItem) -> None:
-        """Map what a message holds, and write what that makes known."""
-        before, log_time_ns = time.perf_counter(), item.raw.log_time_ns
-        self.fixes += [record for record in item.records if isinstance(record, GeodeticFix)]
-        for record in self.inputs.prepare(item.records):
+    def take(self, records: Sequence[Record], log_time_ns: int) -> None:
+        """Map what was logged, and write what that makes known."""
+        before = time.perf_counter()
+        self.fixes += [record for record in records if isinstance(record, GeodeticFix)]
+        for record in self.inputs.prepare(records):
             self.log.write_updates(self.slam.process(record), log_time_ns)
             if (snapshot := self.slam.snapshot()) is not None:
                 self.log.write_snapshot(snapshot, log_time_ns)
@@ -313,10 +317,11 @@ def _calibrate(
     """The settings for a log: those that were not given by hand are estimated from it."""
     if not config.calibration.enabled:
         return Calibration(config)
-    records = inputs.prepare(entry.record for entry in reader.records(selection))
+    clocks = StampClocks()
+    records = inputs.prepare(record for item in reader.items(selection) for record in clocks.follow(item))
     with threadpool_limits(1, user_api="blas"):
         found = survey(records, config.detection, frames, max_classes=config.association.max_classes)
-        return calibrate(config, found)
+        return calibrate(config, found, clocks.delays())
 
 
 def _about_calibration(calibration: Calibration) -> dict[str, str]:

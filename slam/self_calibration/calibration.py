@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from slam.common.config import Config, DetectionConfig
+from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.self_calibration.label_noise import LabelNoise
 from slam.self_calibration.survey import Survey
 from slam.self_calibration.variance_components import NoiseComponents
@@ -69,14 +70,15 @@ and by so many radians. An estimate of zero only says that the noise is below wh
 UNIQUE_INFLATION = 5.0
 """Factor on the odometry's noise where no two objects of a class share a scan: a wide gate then confuses nothing."""
 STAMPING_SCANS = 2.0
-"""Up to so many intervals between scans, a difference in time between odometry and detections is a matter of how the
-odometry is stamped (of a step, its begin or its end), and the odometry is moved; beyond that, detections were old when
-they were stamped.
+"""Where log times do not tell whose stamps are wrong: up to so many intervals between scans, a difference in time
+between odometry and detections is a matter of how the odometry is stamped (of a step, its begin or its end), and the
+odometry is moved; beyond that, detections were old when they were stamped.
 """
 NOTED_LENGTH_SHARE = 0.03
 NOTED_TURN_SHARE = 0.03
 NOTED_DETOUR = 1.5
 """Poses of one source hardly ever go back with every other message."""
+NO_DELAYS = LoggingDelays()
 TURNS = ("roll_deg", "pitch_deg", "yaw_deg")
 DEFAULT_RANGE_M = float(DetectionConfig.model_fields["sensor_range_m"].get_default())
 
@@ -92,11 +94,14 @@ class Calibration:
     notes: tuple[str, ...] = ()
 
 
-def calibrate(config: Config, survey: Survey | None) -> Calibration:
-    """The configuration for a log: settings that were not given by hand are derived from its survey."""
+def calibrate(config: Config, survey: Survey | None, delays: LoggingDelays = NO_DELAYS) -> Calibration:
+    """The configuration for a log: settings that were not given by hand are derived from its survey.
+
+    ``delays``: how long after their stamps messages were logged, which tells whose stamps are wrong.
+    """
     if survey is None:
         return Calibration(config, notes=("no detection lies on the odometry: nothing was estimated from the log",))
-    values = _lengths(config, survey) | _noise(config, survey) | _corrections(survey)
+    values = _lengths(config, survey) | _noise(config, survey) | _corrections(survey, delays)
     estimated = {key: value for key, value in values.items() if not _is_given(config, key)}
     branches: dict[str, dict[str, float]] = {}
     for key, value in estimated.items():
@@ -180,9 +185,12 @@ def _notes(config: Config, survey: Survey, estimated: Mapping[str, float]) -> tu
     return tuple(notes)
 
 
-def _corrections(survey: Survey) -> dict[str, float]:
+def _corrections(survey: Survey, delays: LoggingDelays) -> dict[str, float]:
     errors = survey.errors
+    blames_detections = delays.blame_detections(errors.delay_s)
     of_odometry = abs(errors.delay_s) <= STAMPING_SCANS * survey.interval_s
+    if blames_detections is not None:
+        of_odometry = not blames_detections
     return {
         "odometry.time_offset_s": -errors.delay_s if of_odometry else 0.0,
         "detection.time_offset_s": 0.0 if of_odometry else errors.delay_s,

@@ -9,6 +9,7 @@ import pytest
 from pydantic import BaseModel
 
 from slam.common.config import Config
+from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.self_calibration.calibration import LEAST_DRIFT, LEAST_TURN_RAD, LENGTHS, calibrate
 from slam.self_calibration.height_noise import HeightNoise
 from slam.self_calibration.input_errors import InputErrors
@@ -202,6 +203,16 @@ def test_a_delay_of_up_to_two_scans_is_one_of_the_odometry(surveyed, delay_s, of
     assert calibration.config.detection.time_offset_s == of_detections
     (note,) = (note for note in calibration.notes if "messages seem" in note)
     assert ("older" in note) == ((of_odometry or of_detections) < 0.0)
+
+
+@pytest.mark.parametrize(("delays", "of_odometry", "of_detections"), [
+    (LoggingDelays(0.0, -0.1), 0.0, -0.1), (LoggingDelays(0.2, 0.1), 0.1, 0.0),
+])  # fmt: skip
+def test_log_times_tell_whose_stamps_are_wrong(surveyed, delays, of_odometry, of_detections):
+    late = replace(surveyed, errors=InputErrors(delay_s=-0.1), interval_s=0.1)
+    calibration = calibrate(Config(), late, delays)
+    assert calibration.config.odometry.time_offset_s == of_odometry
+    assert calibration.config.detection.time_offset_s == of_detections
 
 
 @pytest.mark.parametrize(("ratio", "factor"), [

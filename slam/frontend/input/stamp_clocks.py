@@ -1,0 +1,157 @@
+"""The clocks of a log's stamps against the clock of its logger.
+
+A message is made, stamped, and logged some time later. That time is much the same from message to message of a topic,
+whatever the two clocks show. Where it changes and stays changed, either messages take longer, or the clock of the
+stamps was set. Two things tell a clock that was set: stamps begin again before the last one, though messages are logged
+as before, or stamps are suddenly later than when they were logged.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict, deque
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from statistics import median_low
+
+from logs.messages import ImageDetections, LabelledScan, ObjectDetections, Odometry, Record
+from logs.reader import LogItem
+
+LEAST_MESSAGES = 16
+"""Messages of a topic before a step of its clock can be told from how unevenly they come."""
+CONFIRMING = 5
+"""Messages in a row that show the same step: single stamps are wrong for other reasons."""
+TOLERANCE = 2.0
+"""Intervals between messages and spreads of their delays; within so many of both together nothing is a step."""
+IMPOSSIBLE = 10.0
+"""How many times as much a message counts that was logged before it was made, as one that was logged late."""
+
+Stamped = Odometry | ObjectDetections | ImageDetections | LabelledScan
+
+
+@dataclass(frozen=True, slots=True)
+class LoggingDelays:
+    """Seconds from the stamps of the odometry and of the detections to when they were logged, medians."""
+
+    odometry_s: float = 0.0
+    detections_s: float = 0.0
+
+    def blame_detections(self, delay_s: float) -> bool | None:
+        """Whether detections that are of another time than the odometry, later by ``delay_s`` than their stamps say,
+        have the wrong stamps, rather than the odometry; None where log times are but copies of the stamps.
+
+        Nothing is logged before it was made, and little long after.
+        """
+        if self.odometry_s == 0.0 and self.detections_s == 0.0:
+            return None
+        if_detections = _badness(self.odometry_s) + _badness(self.detections_s - delay_s)
+        if_odometry = _badness(self.odometry_s + delay_s) + _badness(self.detections_s)
+        return if_detections < if_odometry
+
+
+def _badness(delay_s: float) -> float:
+    return delay_s if delay_s >= 0.0 else -IMPOSSIBLE * delay_s
+
+
+@dataclass(frozen=True, slots=True)
+class ClockStep:
+    """The clock of a topic was set forward by ``step_ns``, as was known by its stamp ``stamp_ns``."""
+
+    topic: str
+    stamp_ns: int
+    step_ns: int
+
+    def __str__(self) -> str:
+        direction = "forward" if self.step_ns > 0 else "back"
+        return (
+            f"the clock of {self.topic} was set {direction} by {abs(self.step_ns) * 1e-9:.3f} s before its stamp "
+            f"{self.stamp_ns * 1e-9:.3f} s: stamps since then are corrected by the times at which messages were logged"
+        )
+
+
+class StampClocks:
+    """Follows the messages of a log in its order, and takes steps of the clocks off their stamps."""
+
+    def __init__(self) -> None:
+        self._topics: defaultdict[str, _TopicClock] = defaultdict(_TopicClock)
+        self._delays: defaultdict[bool, list[int]] = defaultdict(list)
+        self.steps: list[ClockStep] = []
+
+    def follow(self, item: LogItem) -> Iterator[Record]:
+        """The records that are ready, those of ``item`` mostly; others wait for what follows them."""
+        if len(item.records) != 1 or not isinstance(record := item.records[0], Stamped):
+            yield from item.records
+            return
+        logged_ns, topic = item.raw.log_time_ns, item.raw.topic
+        self._delays[isinstance(record, Odometry)].append(logged_ns - record.stamp_ns)
+        ready, step_ns = self._topics[topic].follow(record, logged_ns)
+        if step_ns:
+            self.steps.append(ClockStep(topic, record.stamp_ns, step_ns))
+        yield from ready
+
+    def finish(self) -> Iterator[Record]:
+        """What still waits, as it is."""
+        for clock in self._topics.values():
+            yield from clock.release()
+
+    def delays(self) -> LoggingDelays:
+        """Those of all messages so far."""
+        odometry, detections = (self._delays[of_odometry] for of_odometry in (True, False))
+        if not odometry or not detections:
+            return LoggingDelays()
+        return LoggingDelays(median_low(odometry) * 1e-9, median_low(detections) * 1e-9)
+
+
+class _TopicClock:
+    """The clock of one topic: what it was set by so far is added to its stamps."""
+
+    def __init__(self) -> None:
+        self._shift_ns = 0
+        self._delays: deque[int] = deque(maxlen=2 * LEAST_MESSAGES)  # by the corrected stamps
+        self._intervals: deque[int] = deque(maxlen=2 * LEAST_MESSAGES)
+        self._logged_ns = self._latest_ns = 0
+        self._waiting: list[Stamped] = []
+        self._waiting_delays: list[int] = []
+
+    def follow(self, record: Stamped, logged_ns: int) -> tuple[list[Stamped], int]:
+        """The messages that are ready, and by how much [ns] they show that the clock was set forward, mostly 0."""
+        delay_ns = logged_ns - record.stamp_ns - self._shift_ns
+        if self._logged_ns:
+            self._intervals.append(logged_ns - self._logged_ns)
+        self._logged_ns = logged_ns
+        if len(self._delays) < LEAST_MESSAGES:
+            self._delays.append(delay_ns)
+            return [self._corrected(record)], 0
+        usual_ns = median_low(self._delays)
+        tolerance_ns = TOLERANCE * (median_low(self._intervals) + max(self._delays) - min(self._delays))
+        if abs(delay_ns - usual_ns) <= tolerance_ns:
+            self._delays.append(delay_ns)
+            return [*self.release(), self._corrected(record)], 0
+        is_steady = all(abs(delay_ns - each) <= tolerance_ns / TOLERANCE for each in self._waiting_delays)
+        ready = [] if is_steady else self.release()
+        self._waiting.append(record)
+        self._waiting_delays.append(delay_ns)
+        if len(self._waiting) < CONFIRMING:
+            return ready, 0
+        later_ns = median_low(self._waiting_delays) - usual_ns
+        step_ns = -later_ns if self._was_set(later_ns, usual_ns) else 0
+        self._shift_ns -= step_ns
+        self._delays.clear()
+        self._delays.extend(each + step_ns for each in self._waiting_delays)
+        return ready + self.release(), step_ns
+
+    def _was_set(self, later_ns: int, usual_ns: int) -> bool:
+        """Whether the clock was set, and messages do not just take longer, or less long, than before."""
+        if later_ns < 0:
+            return usual_ns + later_ns < 0
+        return self._waiting[0].stamp_ns + self._shift_ns <= self._latest_ns
+
+    def release(self) -> list[Stamped]:
+        """What waits, by the clock as it is known by now."""
+        ready = [self._corrected(record) for record in self._waiting]
+        self._waiting, self._waiting_delays = [], []
+        return ready
+
+    def _corrected(self, record: Stamped) -> Stamped:
+        corrected = replace(record, stamp_ns=record.stamp_ns + self._shift_ns) if self._shift_ns else record
+        self._latest_ns = corrected.stamp_ns
+        return corrected

@@ -1,0 +1,140 @@
+"""Clocks of stamps that are set while the logger's clock goes on, and whose stamps are wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from logs.messages import ObjectDetections, Odometry, Record
+from logs.reader import LogItem
+from logs.topics import Channel, RawMessage
+from slam.frontend.input.stamp_clocks import CONFIRMING, LoggingDelays, StampClocks
+
+TENTH_NS = 100_000_000
+S_NS = 10**9
+START_NS = 1000 * S_NS
+MESSAGES, SET_AT = 60, 30
+
+
+def item(record: Record, logged_ns: int, topic: str = "/detections") -> LogItem:
+    return LogItem(RawMessage(Channel(1, topic, "protobuf", None), logged_ns, logged_ns, 0, b""), (record,))
+
+
+def scan(stamp_ns: int) -> ObjectDetections:
+    return ObjectDetections(stamp_ns, "lidar", np.zeros((0, 3)), (), np.zeros(0))
+
+
+def followed(
+    stamp_error_ns: Callable[[int], int], late_ns: Callable[[int], int] = lambda row: 0
+) -> tuple[list[float], StampClocks]:
+    """By how many seconds stamps that err, of scans that are logged late, are wrong once they are followed."""
+    clocks, found = StampClocks(), []
+    for row in range(MESSAGES):
+        made_ns = START_NS + row * TENTH_NS
+        found += clocks.follow(item(scan(made_ns + stamp_error_ns(row)), made_ns + late_ns(row)))
+    found += clocks.finish()
+    assert len(found) == MESSAGES
+    return [(each.stamp_ns - START_NS - row * TENTH_NS) / S_NS for row, each in enumerate(found)], clocks
+
+
+def jitter_ns(row: int) -> int:
+    return 30_000_000 + 2_000_000 * (row * 7 % 5)
+
+
+@pytest.mark.parametrize("step_s", [-30, -3, 30, 1_000_000])
+def test_a_clock_that_is_set_is_put_right_from_the_first_message_on(step_s: int) -> None:
+    errors, clocks = followed(lambda row: step_s * S_NS * (row >= SET_AT), jitter_ns)
+    assert max(np.abs(errors)) < 0.01
+    (step,) = clocks.steps
+    assert step.step_ns == pytest.approx(step_s * S_NS, abs=10_000_000)
+    assert f"/detections was set {'forward' if step_s > 0 else 'back'} by {abs(step_s)}." in str(step)
+
+
+def test_a_clock_that_is_set_twice() -> None:
+    errors, clocks = followed(lambda row: -20 * S_NS * (20 <= row < 40))
+    assert max(np.abs(errors)) < 0.01
+    assert [step.step_ns for step in clocks.steps] == [-20 * S_NS, 20 * S_NS]
+
+
+@pytest.mark.parametrize("length", [1, CONFIRMING - 1])
+def test_single_wrong_stamps_are_left_as_they_are(length: int) -> None:
+    errors, clocks = followed(lambda row: -30 * S_NS * (SET_AT <= row < SET_AT + length))
+    assert errors == [-30.0 * (SET_AT <= row < SET_AT + length) for row in range(MESSAGES)]
+    assert clocks.steps == []
+
+
+def test_stamps_that_run_backwards_are_no_clock_that_was_set() -> None:
+    errors, clocks = followed(lambda row: (20 - 2 * (row - SET_AT)) * TENTH_NS * (row >= SET_AT))
+    assert clocks.steps == []
+    assert errors[-1] == pytest.approx(2.0 - 0.2 * (MESSAGES - 1 - SET_AT))
+
+
+def test_messages_that_take_longer_to_be_logged_have_the_right_stamps() -> None:
+    errors, clocks = followed(lambda row: 0, lambda row: 5 * S_NS * (row >= SET_AT))
+    assert clocks.steps == []
+    assert max(np.abs(errors)) == 0.0
+
+
+def test_messages_that_are_logged_sooner_have_the_right_stamps() -> None:
+    errors, clocks = followed(lambda row: 0, lambda row: 5 * S_NS * (row < SET_AT))
+    assert clocks.steps == []
+    assert max(np.abs(errors)) == 0.0
+
+
+def test_unevenly_logged_messages_show_no_step() -> None:
+    """Written once a second: the stamps are right."""
+    errors, clocks = followed(lambda row: 0, lambda row: (9 - row % 10) * TENTH_NS)
+    assert clocks.steps == []
+    assert max(np.abs(errors)) == 0.0
+
+
+def test_a_clock_that_was_never_set_holds_nothing_back() -> None:
+    clocks = StampClocks()
+    for row in range(MESSAGES):
+        stamp_ns = START_NS + row * TENTH_NS
+        record = scan(stamp_ns)
+        assert list(clocks.follow(item(record, stamp_ns))) == [record]
+
+
+def test_stamps_that_always_jump_to_and_fro_show_no_step() -> None:
+    errors, clocks = followed(lambda row: -5 * TENTH_NS * (row // 6 % 2))
+    assert clocks.steps == []
+    assert errors == [-0.5 * (row // 6 % 2) for row in range(MESSAGES)]
+
+
+def test_each_topic_has_a_clock_of_its_own() -> None:
+    clocks = StampClocks()
+    found = []
+    for row in range(MESSAGES):
+        made_ns = START_NS + row * TENTH_NS
+        found += clocks.follow(item(scan(made_ns), made_ns, "/front"))
+        found += clocks.follow(item(scan(made_ns - 30 * S_NS * (row >= SET_AT)), made_ns, "/rear"))
+    assert [step.topic for step in clocks.steps] == ["/rear"]
+    assert sorted(each.stamp_ns for each in found) == [START_NS + row // 2 * TENTH_NS for row in range(2 * MESSAGES)]
+
+
+def test_median_delays_of_odometry_and_detections() -> None:
+    clocks = StampClocks()
+    assert clocks.delays() == LoggingDelays()
+    for row in range(9):
+        made_ns = START_NS + row * TENTH_NS
+        list(clocks.follow(item(scan(made_ns), made_ns + 80_000_000 + row, "/detections")))
+        list(clocks.follow(item(Odometry(made_ns, np.eye(4)), made_ns + 5_000_000, "/odom")))
+    assert clocks.delays() == LoggingDelays(pytest.approx(0.005), pytest.approx(0.08))
+
+
+@pytest.mark.parametrize(
+    ("odometry_s", "detections_s", "delay_s", "blamed"),
+    [
+        (0.0, 0.0, -0.1, None),  # log times are copies of the stamps
+        (0.0, -0.1, -0.1, True),  # stamped 0.1 s later than they were logged
+        (0.0, 0.1, 0.1, True),  # log times differ by as much as the stamps are wrong
+        (0.002, 0.001, -0.1, True),  # stamped when they were sent: the odometry cannot have been logged before
+        (0.001, 0.06, 0.1, False),  # the detections cannot be of after they were logged
+        (-0.1, 0.0, 0.1, False),  # odometry stamped later than it was logged
+    ],
+)
+def test_whose_stamps_are_wrong(odometry_s: float, detections_s: float, delay_s: float, blamed: bool | None) -> None:
+    assert LoggingDelays(odometry_s, detections_s).blame_detections(delay_s) is blamed
