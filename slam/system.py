@@ -26,6 +26,7 @@ from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.display.snapshot import MapSnapshot, take_snapshot
 from slam.final_map import FinalMap, FinalRecords, judge_outcome
+from slam.frontend.failed_headings import loosen_failed_headings
 from slam.frontend.input.scan_placer import ScanPlacer
 from slam.frontend.input.scan_queue import ScanQueue
 from slam.frontend.input.sensor_frames import SensorFrames
@@ -175,7 +176,7 @@ class Slam:
         """Estimate all at once; returns the closures removed as outliers, a warning about them, and how it went."""
         self._mapper.close_keyframe()
         self._graph.settle()
-        self.counters["odometry_headings_doubted"] = self._mapper.loosen_failed_headings()
+        loosen_failed_headings(self._graph, self._mapper.keyframes, self._config, self.counters)
         removed, warning = self._closer.closures.reject_outliers()
         if self._first_keyframe and self._extends:
             self._mapper.retire_gone(self._closer.missing_landmarks())
@@ -297,5 +298,4 @@ class Slam:
 
     @property
     def _now_ns(self) -> int:
-        latest = self._track.latest
-        return latest.stamp_ns if latest is not None else 0
+        return 0 if (latest := self._track.latest) is None else latest.stamp_ns

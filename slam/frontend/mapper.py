@@ -26,7 +26,6 @@ from slam.frontend.input.scan import Scan
 from slam.frontend.keyframe_observations import KeyframeObservations
 from slam.frontend.scan_alignment import Alignment, align_scan
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
-from slam.odometry.failures import find_heading_failures
 from slam.odometry.keyframe import Keyframe, is_keyframe_due
 from slam.odometry.noise import BREAK_SIGMA_RAD, BREAK_SIGMA_RANGES, step_covariance
 from slam.odometry.pose import OdometryPose
@@ -184,24 +183,6 @@ class Mapper:
             & (landmarks["state"] != LandmarkState.RETIRED)
         )
         self._retire(rows, RetirementReason.CONTRADICTED)
-
-    def loosen_failed_headings(self) -> int:
-        """Give the odometry less weight in the graph where its heading fails; returns at how many keyframes."""
-        limits = self._config.localization
-        factors = find_heading_failures(self.keyframes, self._config.odometry, failures_per_km=limits.failures_per_km)
-        self._graph.replace_covariances(
-            {
-                number: step_covariance(
-                    self.keyframes[edge.from_keyframe].odometry,
-                    self.keyframes[edge.to_keyframe].odometry,
-                    self._config.odometry,
-                    heading_factor=factors[edge.to_keyframe],
-                )
-                for number, edge in self._graph.factors.items()
-                if isinstance(edge, Edge) and edge.kind == EdgeKind.ODOMETRY and edge.to_keyframe in factors
-            }
-        )
-        return len(factors)
 
     def close_keyframe(self) -> None:
         """Add the observations since the last keyframe to the graph; those of tentative landmarks are held back."""
