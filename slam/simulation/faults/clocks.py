@@ -45,6 +45,18 @@ def set_clock_back(stream: Stream, rng: np.random.Generator, seconds: float) -> 
     return restamp_scans(stream, lambda stamp_ns: stamp_ns - seconds_ns(seconds) * (stamp_ns >= begin_ns))
 
 
+def run_slow(stream: Stream, rng: np.random.Generator, parts_per_million: float) -> list[Entry]:
+    """The clock of the detections runs too slowly from the beginning on."""
+    first_ns = stamp_at(stream, 0.0)
+    return restamp_scans(stream, lambda stamp_ns: stamp_ns - round((stamp_ns - first_ns) * parts_per_million * 1e-6))
+
+
+def stamp_coarsely(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:
+    """The stamps of detections are cut to whole multiples of an interval."""
+    unit_ns = max(seconds_ns(seconds), 1)
+    return restamp_scans(stream, lambda stamp_ns: stamp_ns // unit_ns * unit_ns)
+
+
 def stamp_in_microseconds(stream: Stream, rng: np.random.Generator) -> list[Entry]:
     """The stamps of detections count microseconds where nanoseconds are meant."""
     return restamp_scans(stream, lambda stamp_ns: stamp_ns // _NS_PER_US)
@@ -76,6 +88,19 @@ def pause_odometry(stream: Stream, rng: np.random.Generator, seconds: float) -> 
     begin_ns = stamp_at(stream, HALF)
     end_ns = begin_ns + seconds_ns(seconds)
     return [e for e in stream if not (isinstance(e.content, Odometry) and begin_ns <= e.content.stamp_ns < end_ns)]
+
+
+def pause_all(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:
+    """From the half on, neither odometry nor detections come for a while."""
+    begin_ns = stamp_at(stream, HALF)
+    end_ns = begin_ns + seconds_ns(seconds)
+    return keep_scans(pause_odometry(stream, rng, seconds), lambda stamp_ns: not begin_ns <= stamp_ns < end_ns)
+
+
+def send_twice(stream: Stream, rng: np.random.Generator) -> list[Entry]:
+    """Each message of odometry and of detections comes twice."""
+    twice = (Odometry, ObjectDetections)
+    return [each for entry in stream for each in ([entry, entry] if isinstance(entry.content, twice) else [entry])]
 
 
 def run_backwards(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:

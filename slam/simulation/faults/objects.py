@@ -38,6 +38,23 @@ def stop_detecting(stream: Stream, rng: np.random.Generator, fraction: float) ->
     return keep_scans(stream, lambda stamp_ns: stamp_ns < begin_ns)
 
 
+def repeat_scan(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:
+    """From the half on, each scan repeats the objects of the last one before, for a while."""
+    begin_ns = stamp_at(stream, HALF)
+    end_ns = begin_ns + seconds_ns(seconds)
+    changed: list[Scan] = []
+    last: Scan | None = None
+    for scan in scans_of(stream):
+        stamp_ns = scan.detections.stamp_ns
+        if last is not None and begin_ns <= stamp_ns < end_ns:
+            changed.append(
+                scan._replace(detections=replace(last.detections, stamp_ns=stamp_ns), object_ids=last.object_ids)
+            )
+        else:
+            last = scan
+    return replace_scans(stream, changed)
+
+
 def burst(stream: Stream, rng: np.random.Generator, count: float, seconds: float) -> list[Entry]:
     """For a while from the half on, so many more objects stand around, of the log's classes, each in every scan."""
     begin_ns = stamp_at(stream, HALF)

@@ -105,6 +105,25 @@ def bias_gyroscope(stream: Stream, rng: np.random.Generator, rate_deg_s: float, 
     return _with_poses(stream, _chain(T_odom_body[0], steps))
 
 
+def slip(stream: Stream, rng: np.random.Generator, factor: float, seconds: float) -> list[Entry]:
+    """From the half on, wheels slip for a while: the travel of each step is multiplied by a factor."""
+    stamps_ns, T_odom_body = odometry_of(stream)
+    begin_ns = stamp_at(stream, HALF)
+    slips = (stamps_ns[:-1] >= begin_ns) & (stamps_ns[:-1] < begin_ns + seconds_ns(seconds))
+    steps = _steps(T_odom_body)
+    steps[slips, :3, 3] *= factor
+    return _with_poses(stream, _chain(T_odom_body[0], steps))
+
+
+def start_over(stream: Stream, rng: np.random.Generator) -> list[Entry]:
+    """From the half on, poses begin again at the origin, as after a restart of the node."""
+    stamps_ns, T_odom_body = odometry_of(stream)
+    row = min(int(np.searchsorted(stamps_ns, stamp_at(stream, HALF))), len(T_odom_body) - 1)
+    changed = T_odom_body.copy()
+    changed[row:] = invert(changed[row]) @ changed[row:]
+    return _with_poses(stream, changed)
+
+
 def drift_heading(stream: Stream, rng: np.random.Generator, sigma_deg: float) -> list[Entry]:
     """The heading walks at random with the path, by ``sigma_deg`` rms after 100 m."""
     sigma = float(np.deg2rad(sigma_deg) / np.sqrt(DRIFT_REFERENCE_M))

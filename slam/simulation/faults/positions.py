@@ -12,12 +12,15 @@ from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert
 from slam.simulation.faults.stream import (
+    HALF,
     Entry,
     Stream,
     alter_detections,
     body_frames_of,
     replace_scans,
     scans_of,
+    seconds_ns,
+    stamp_at,
     true_poses_at,
 )
 
@@ -72,6 +75,24 @@ def turn_upside_down(stream: Stream, rng: np.random.Generator) -> list[Entry]:
 def turn_sensor(stream: Stream, rng: np.random.Generator, angle_deg: float) -> list[Entry]:
     """The sensor is turned about its z axis, and no transform tells."""
     return _turned(stream, Rotation.from_euler("z", -angle_deg, degrees=True).as_matrix())
+
+
+def scale_ranges(stream: Stream, rng: np.random.Generator, factor: float) -> list[Entry]:
+    """All objects are seen too far off, or too near, by a factor."""
+    return alter_detections(stream, lambda detections: replace(detections, positions=factor * detections.positions))
+
+
+def mirror(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:
+    """From the half on, left and right of the sensor are exchanged for a while."""
+    begin_ns = stamp_at(stream, HALF)
+    end_ns = begin_ns + seconds_ns(seconds)
+
+    def alter(detections: ObjectDetections) -> ObjectDetections:
+        if not begin_ns <= detections.stamp_ns < end_ns:
+            return detections
+        return replace(detections, positions=detections.positions * [1.0, -1.0, 1.0])
+
+    return alter_detections(stream, alter)
 
 
 def see_in_optical_axes(stream: Stream, rng: np.random.Generator) -> list[Entry]:

@@ -77,3 +77,26 @@ def test_a_higher_frame_rate_fills_in() -> None:
 def test_the_rate_as_it_is_changes_nothing() -> None:
     changed = apply_faults(drive(), parse_faults(["frame_rate=10"]), seed=0)
     assert len(changed) == len(drive())
+
+
+def test_a_slow_clock_falls_behind_more_and_more() -> None:
+    behind = STAMPS_NS - stamps(faulty("detections_clock_slow=1000"), ObjectDetections)
+    assert np.array_equal(behind, (STAMPS_NS - STAMPS_NS[0]) // 1000)
+
+
+def test_coarse_stamps_are_multiples() -> None:
+    found = stamps(faulty("stamps_coarse=0.5"), ObjectDetections)
+    assert np.array_equal(found, STAMPS_NS // 500_000_000 * 500_000_000)
+    assert np.array_equal(stamps(faulty("stamps_coarse=0.5"), Odometry), STAMPS_NS)
+
+
+def test_a_gap_in_all() -> None:
+    kept = (STAMPS_NS < HALF_NS) | (STAMPS_NS >= HALF_NS + 2 * 10**9)
+    for kind in (Odometry, ObjectDetections, DetectionTruth):
+        assert np.array_equal(stamps(faulty("log_gap=2"), kind), STAMPS_NS[kept])
+
+
+def test_each_message_comes_twice() -> None:
+    for kind in (Odometry, ObjectDetections):
+        assert np.array_equal(stamps(faulty("messages_twice"), kind), np.repeat(STAMPS_NS, 2))
+    assert len(records(faulty("messages_twice"), DetectionTruth)) == COUNT

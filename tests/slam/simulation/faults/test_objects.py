@@ -71,3 +71,11 @@ def test_objects_are_told_by_their_true_ids(name: str) -> None:
     without = [entry for entry in drive() if entry.topic != "/ground_truth/detections"]
     with pytest.raises(SimulationError, match="/ground_truth/detections"):
         apply_faults(without, parse_faults([name]), seed=0)
+
+
+def test_the_last_scan_is_repeated_for_a_while() -> None:
+    before, after = positions(drive()), positions(faulty("scan_repeated=2"))
+    assert np.array_equal(after[50:70], np.tile(before[49], (20, 1, 1)))
+    assert np.array_equal(after[:50], before[:50])
+    assert np.array_equal(after[70:], before[70:])
+    assert np.array_equal(stamps(faulty("scan_repeated=2"), ObjectDetections), STAMPS_NS)

@@ -141,3 +141,17 @@ def test_errors_cannot_be_multiplied_without_the_truth() -> None:
     without = [entry for entry in drive() if entry.topic != "/ground_truth"]
     with pytest.raises(SimulationError, match="odometry_noise=3: the log holds no true poses"):
         apply_faults(without, parse_faults(["odometry_noise"]), seed=0)
+
+
+def test_wheels_slip_for_a_while() -> None:
+    assert changed_steps("wheel_slip=1.5:2") == list(range(HALF, HALF + 20))
+    before, after = steps(drive()), steps(faulty("wheel_slip=1.5:2"))
+    assert after[HALF, :3, 3] == pytest.approx(1.5 * before[HALF, :3, 3])
+    assert after[:, :3, :3] == pytest.approx(before[:, :3, :3])
+
+
+def test_the_odometry_begins_again_at_the_origin() -> None:
+    changed = poses(faulty("odometry_restart"))
+    assert changed[HALF] == pytest.approx(np.eye(4))
+    assert changed_steps("odometry_restart") == [HALF - 1]
+    assert np.array_equal(changed[:HALF], poses(drive())[:HALF])

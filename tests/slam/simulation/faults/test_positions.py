@@ -74,3 +74,14 @@ def test_errors_cannot_be_multiplied_without_the_truth(missing: str) -> None:
     without = [entry for entry in drive() if entry.topic != missing]
     with pytest.raises(SimulationError, match=missing):
         apply_faults(without, parse_faults(["detection_noise"]), seed=0)
+
+
+def test_ranges_are_longer_by_a_factor() -> None:
+    assert positions(faulty("ranges_scaled=1.1")) == pytest.approx(1.1 * positions(drive()))
+
+
+def test_left_and_right_are_exchanged_for_a_while() -> None:
+    before, after = positions(drive()), positions(faulty("sensor_mirrored=2"))
+    assert after[50:70] == pytest.approx(before[50:70] * [1.0, -1.0, 1.0])
+    assert np.array_equal(after[:50], before[:50])
+    assert np.array_equal(after[70:], before[70:])
