@@ -26,6 +26,11 @@ class NeighbourLikelihood(Protocol):
         ...
 
     @property
+    def near_m(self) -> float:
+        """How far an object's neighbours are near; ``radius_m`` where they are not asked apart from all others."""
+        ...
+
+    @property
     def least_nats(self) -> float:
         """What is below that is kept as that; 0 where an object of the map never speaks against itself."""
         ...
@@ -51,7 +56,7 @@ class LikelihoodIndex:
 
     def __init__(self, descriptor: NeighbourLikelihood, window_nats: float = 12.0) -> None:
         self._descriptor = descriptor
-        self._window_nats = window_nats
+        self._window_steps = round(window_nats / STEP_NATS)
         self._shelves: dict[int, _Shelf] = {}  # by the class of the entries
         self._size = 0
 
@@ -81,8 +86,9 @@ class LikelihoodIndex:
     def search(self, constellations: Constellations, k: int, allowed: NDArray[np.bool_]) -> Matches:
         """Up to ``k`` likeliest entries of its own class for each query among the ``allowed`` (size,) ones.
 
-        A match's distance is what it lacks to the most that the query could score, in nats.
-        Ties go to the lower number.
+        Where that many are within the window, half of them (rounded down) are the likeliest others by the neighbours
+        up to ``near_m`` of the descriptor instead. A match's distance is what it lacks to the most that the query could
+        score, in nats. Ties go to the lower number.
         """
         queries, entries = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
         lacking = [np.zeros(0, np.float32)]
@@ -92,9 +98,10 @@ class LikelihoodIndex:
             if len(rows) == 0 or len(columns) == 0:
                 continue
             asking = constellations[rows]
-            steps = shelf.steps(self._descriptor.cells(asking), asking.offsets)
-            steps = steps if len(columns) == len(shelf.numbers) else steps[:, columns]
-            places, likely = _likeliest(steps, k, round(self._window_nats / STEP_NATS))
+            steps = shelf.steps(self._descriptor.cells(asking), asking.offsets, columns)
+            places, likely = _likeliest(steps, k, self._window_steps)
+            if self._descriptor.near_m < self._descriptor.radius_m:
+                places, likely = self._half_by_near(shelf, asking, columns, steps, (places, likely), k)
             queries.append(rows[places])
             entries.append(shelf.numbers[columns[likely]])
             nats = (steps[places, likely] - shelf.zero * np.diff(asking.offsets)[places]) * STEP_NATS
@@ -103,6 +110,35 @@ class LikelihoodIndex:
         order = np.argsort(found, kind="stable")
         distances = np.maximum(np.concatenate(lacking), 0.0).astype(np.float32)
         return Matches(found[order], np.concatenate(entries)[order], distances[order])
+
+    def _half_by_near(
+        self,
+        shelf: _Shelf,
+        asking: Constellations,
+        columns: NDArray[np.int64],
+        steps: NDArray[np.int32],
+        matches: tuple[NDArray[np.int64], NDArray[np.int64]],
+        k: int,
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Matches, row and column (C,) each, of which half are replaced where a query has ``k``: there all neighbours
+        together do not decide, and those near by may, if the map ends among the others.
+        """
+        rows, likely = matches
+        undecided = np.flatnonzero(np.bincount(rows, minlength=len(asking)) == k)
+        near = asking[undecided].within(self._descriptor.near_m)
+        has_near = np.flatnonzero(np.diff(near.offsets))
+        undecided, near = undecided[has_near], near[has_near]
+        if k < 2 or not len(undecided):
+            return matches
+        is_open = np.isin(rows, undecided)
+        stays = ~is_open | (np.arange(len(rows)) - np.searchsorted(rows, rows) < k - k // 2)
+        rows, likely, is_open = rows[stays], likely[stays], is_open[stays]
+        by_near = shelf.steps(self._descriptor.cells(near), near.offsets, columns)
+        by_near[np.searchsorted(undecided, rows[is_open]), likely[is_open]] = -1
+        more, more_likely = _likeliest(by_near, k // 2, self._window_steps)
+        rows, likely = np.concatenate([rows, undecided[more]]), np.concatenate([likely, more_likely])
+        order = np.lexsort((likely, -steps[rows, likely], rows))
+        return rows[order], likely[order]
 
 
 class _Shelf:
@@ -125,10 +161,12 @@ class _Shelf:
         self._table[:, start:end] = np.clip(np.rint(nats / STEP_NATS) + self.zero, 0.0, 255.0).T
         self.numbers = np.concatenate([self.numbers, numbers])
 
-    def steps(self, cells: NDArray[np.int64], offsets: NDArray[np.int64]) -> NDArray[np.int32]:
+    def steps(
+        self, cells: NDArray[np.int64], offsets: NDArray[np.int64], columns: NDArray[np.int64]
+    ) -> NDArray[np.int32]:
         """What the neighbours in ``cells``, those of a query between two ``offsets`` (Q + 1,), say for each entry.
 
-        (Q, M), in :data:`STEP_NATS`.
+        (Q, M) for the entries in ``columns`` (M,), in :data:`STEP_NATS`, 0 or more.
         """
         known = cells < len(self._table)  # a class that came later is nowhere near the older entries
         rows = self._table[cells[known], : len(self.numbers)]
@@ -138,12 +176,15 @@ class _Shelf:
             kind = np.uint16 if end - start <= 257 else np.uint32  # 257 bytes add up to less than 2^16
             total[query] = rows[start:end].sum(axis=0, dtype=kind)
         total += (self.zero * (np.diff(offsets) - np.diff(starts)))[:, None].astype(np.int32)
-        return total
+        return total if len(columns) == len(self.numbers) else total[:, columns]
 
 
 def _likeliest(steps: NDArray[np.int32], k: int, window: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Row and column, each (C,), of up to ``k`` largest values of each row within ``window`` of the largest one."""
-    rows, columns = np.nonzero(steps >= steps.max(axis=1, keepdims=True) - window)
+    least = steps.max(axis=1) - window
+    if k < steps.shape[1]:
+        least = np.maximum(least, np.partition(steps, -k, axis=1)[:, -k])
+    rows, columns = np.nonzero(steps >= least[:, None])
     order = np.lexsort((columns, -steps[rows, columns], rows))
     rows, columns = rows[order], columns[order]
     ranks = np.arange(len(rows)) - np.searchsorted(rows, rows)

@@ -46,7 +46,7 @@ class RingLikelihood:
         miss_probability: float = 0.1,
         objects_per_km2: float = 500.0,
     ) -> None:
-        self.radius_m = radius_m
+        self.radius_m = self.near_m = radius_m
         self.rings = round(radius_m / ring_m)
         self._ring_m = ring_m
         self._sigmas_m = sigmas_m

@@ -19,6 +19,9 @@ from descriptors.towers.rings import FEATURES, FINE, Background, Rings, horizont
 FORMAT = "descriptellation towers 1"
 MOST_NATS = 6.0
 """Most of one neighbour: what a byte of the index holds above ``least_nats``, 8 nats from -2 on."""
+NEAR = 0.25
+"""Near neighbours are those within that share of the radius, which is half of the sensor's range: what is seen from one
+place."""
 MOST_RINGS = 10_000
 """What a file of weights may ask for."""
 
@@ -42,6 +45,7 @@ class LearnedLikelihood:
         architecture = self.metadata["architecture"]
         self._rings = Rings(architecture["radius_m"], architecture["least_ring_m"], architecture["ring_growth"])
         self.radius_m = self._rings.radius_m
+        self.near_m = NEAR * self.radius_m
         self.rings = len(self._rings)
         self._background = Background(self._rings)
         self._kernels = self._make_kernels()

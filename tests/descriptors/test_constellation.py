@@ -120,3 +120,12 @@ def test_those_of_given_numbers_share_no_memory_with_the_others():
     chosen = everything[np.arange(20)]
     chosen.positions[:] = 0.0
     np.testing.assert_array_equal(everything.positions, before)
+
+
+@pytest.mark.parametrize("radius_m", [0.0, 7.0, RADIUS_M])
+def test_neighbours_within_less_are_those_of_a_smaller_radius(radius_m):
+    positions, labels = scattered(60, seed=9)
+    cut = gather_constellations(positions, labels, VOCABULARY, radius_m=RADIUS_M).within(radius_m)
+    expected = gather_constellations(positions, labels, VOCABULARY, radius_m=radius_m)
+    for name in ("positions", "labels", "centre_labels", "offsets", "centres"):
+        np.testing.assert_array_equal(getattr(cut, name), getattr(expected, name))

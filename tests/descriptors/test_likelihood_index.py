@@ -288,3 +288,57 @@ def test_hundreds_of_neighbours_add_up_without_overflow(count):
 
 def test_the_radius_is_that_of_the_descriptor():
     assert LikelihoodIndex(RingLikelihood(radius_m=42.0)).radius_m == 42.0
+
+
+class NearLikelihood(RingLikelihood):
+    """Asks the neighbours up to 15 m apart."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.near_m = 15.0
+
+
+def test_what_is_beyond_the_end_of_the_map_does_not_hide_what_is_near():
+    """Many neighbours that the map lacks stand like those of other objects; few near ones are as the map has them."""
+    here = [(1, 4.25, 0.0), (2, 7.25, 1.0), (3, 11.25, 2.0)]
+    beyond = [(1, 20.25 + 2.5 * step, 0.3 * step) for step in range(12)]
+    entries = [constellation(here), *[constellation([*beyond[: 6 + rank], (2, 9.75, 0.0)]) for rank in range(6)]]
+    query = constellation([*here, *beyond])
+    found = {}
+    for descriptor in (RingLikelihood(), NearLikelihood()):
+        index = LikelihoodIndex(descriptor, window_nats=EVERYTHING)
+        for entry in entries:
+            index.add(entry)
+        found[type(descriptor)] = index.search(query, 4, everyone(index)).entries.tolist()
+    assert 0 not in found[RingLikelihood]
+    assert 0 in found[NearLikelihood]
+    assert found[NearLikelihood][:2] == found[RingLikelihood][:2]
+    assert len(set(found[NearLikelihood])) == 4
+
+
+def test_near_neighbours_are_not_asked_apart_where_all_decide_or_none_is_near():
+    index, plain = LikelihoodIndex(NearLikelihood()), LikelihoodIndex(RingLikelihood())
+    entries = gathered(150, seed=26, side_m=150.0)
+    index.add(entries)
+    plain.add(entries)
+    again = gathered(150, seed=26, side_m=150.0, noise_m=0.1)
+    decided = plain.search(again, 6, everyone(plain))
+    clear = np.flatnonzero(np.bincount(decided.queries, minlength=150) < 6)
+    assert len(clear) > 50
+    far = thinned(again, np.hypot(again.positions[:, 0], again.positions[:, 1]) > 15.0)
+    for queries in (again[clear], far):
+        assert_same(index.search(queries, 6, everyone(index)), plain.search(queries, 6, everyone(plain)))
+
+
+@pytest.mark.parametrize("k", [1, 2, 5, 6, 200])
+def test_near_neighbours_give_no_match_twice_and_leave_the_likeliest_first(k):
+    entries, queries = gathered(60, seed=27), gathered(30, seed=28)
+    index, plain = LikelihoodIndex(NearLikelihood(), EVERYTHING), LikelihoodIndex(RingLikelihood(), EVERYTHING)
+    index.add(entries)
+    plain.add(entries)
+    matches, likeliest = (each.search(queries, k, everyone(each)) for each in (index, plain))
+    assert len(set(pairs(matches))) == len(pairs(matches)) == len(pairs(likeliest))
+    for query in range(30):
+        own, theirs = (each.entries[each.queries == query] for each in (matches, likeliest))
+        assert own[: k - k // 2].tolist() == theirs[: k - k // 2].tolist()
+        assert (np.diff(matches.distances[matches.queries == query]) >= 0.0).all()
