@@ -105,3 +105,19 @@ def test_what_cannot_be_is_refused(dslam: Run, tmp_path: Path) -> None:
     (tmp_path / "trajectory.csv").write_text("x_m,y_m\n9000,0\n9100,0\n")
     assert_refused(benchmark(dslam, *files, "--descriptor", "onion"), "no object", "30 m")
     assert_refused(benchmark(dslam, "--objects", tmp_path / "none.csv", *files[2:]), "none.csv")
+
+
+def test_recall_in_maps_of_objects(dslam: Run, tmp_path: Path) -> None:
+    _, objects, *_ = write_world(tmp_path)
+    asked = ("benchmark", "recall", "--objects", objects, "--size", 50, "--classes", 1, "--classes", 3, "--queries", 2)
+    result = dslam(*asked, "--descriptor", "random", "--json")
+    assert (result.code, result.err) == (0, "")
+    figures = json.loads(result.out)["figures"]
+    assert [(each["descriptor"], each["objects"], each["classes"]) for each in figures] == [
+        ("random", 50, 1),
+        ("random", 50, 3),
+    ]
+    table = dslam(*asked, "--descriptor", "random", "--markdown").out.splitlines()
+    assert [len(line.split("|")) for line in table if line.startswith("|")] == [13] * 4
+    assert "places @1 %" in dslam(*asked, "--descriptor", "random").out
+    assert_refused(dslam(*asked, "--descriptor", "rings"), "rings")

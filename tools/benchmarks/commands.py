@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings
-from tools.benchmarks import closures, descriptors, faults, fleet, kidnapping, relocalization, retrieval, robots
+from tools.benchmarks import closures, descriptors, faults, fleet, kidnapping, recall, relocalization, retrieval, robots
 
 if TYPE_CHECKING:
     from slam.benchmarks.registration import RegistrationBenchmark
@@ -23,6 +23,7 @@ app.command()(faults.faults)
 app.command()(fleet.fleet)
 app.command()(kidnapping.kidnapping)
 app.command("map-size")(descriptors.map_size)
+app.command()(recall.recall)
 app.command()(relocalization.relocalization)
 app.command()(retrieval.retrieval)
 app.command()(robots.robots)
