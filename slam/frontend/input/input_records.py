@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
+import numpy as np
+
 from logs.messages import CameraModel, DepthImage, ImageDetections, LabelledScan, ObjectDetections, Odometry, Record
 from slam.common.config import Config
 from slam.common.errors import InputDataError
@@ -33,11 +35,13 @@ class InputRecords:
         self._lifter = ImageLifter(config.detection, frames)
         self._frame = ""
         self._placed = 0
+        self._repeated = 0
+        self._latest: dict[str, ObjectDetections] = {}
 
     @property
     def counters(self) -> dict[str, int]:
-        """Objects in images that could not be placed, by the reason."""
-        return dict(self._lifter.counters)
+        """Objects in images that could not be placed, by the reason, and ``detections_repeated``: scans left out."""
+        return {**self._lifter.counters, **({"detections_repeated": self._repeated} if self._repeated else {})}
 
     def prepare(self, records: Iterable[Record]) -> Iterator[Record]:
         """The records to map, without those that only help to place others."""
@@ -58,7 +62,22 @@ class InputRecords:
             record = self._scans.find(record, self._lifter.body_frame)
         elif isinstance(record, Odometry):
             self._lifter.body_frame = record.child_frame_id
-        return self._labels.apply(record) if isinstance(record, ObjectDetections) else record
+        if not isinstance(record, ObjectDetections):
+            return record
+        if self._repeats(record):
+            self._repeated += 1
+            return None
+        return self._labels.apply(record)
+
+    def _repeats(self, scan: ObjectDetections) -> bool:
+        """Whether a scan has the objects of the one before from its sensor to the last digit: nobody looked again."""
+        before, self._latest[scan.frame_id] = self._latest.get(scan.frame_id), scan
+        return (
+            before is not None
+            and before.stamp_ns != scan.stamp_ns
+            and len(scan.positions) > 0
+            and np.array_equal(before.positions, scan.positions)
+        )
 
     def check(self) -> None:
         """Refuse a log whose objects are all in images and could not be placed.

@@ -1,0 +1,37 @@
+"""Which scans of a log are mapped."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from logs.messages import ObjectDetections
+from slam.common.config import Config
+from slam.frontend.input.input_records import InputRecords
+from slam.frontend.input.label_map import LabelMap
+from slam.frontend.input.sensor_frames import SensorFrames
+
+ROW = [[5.0, 1.0, 0.0], [9.0, -2.0, 0.0]]
+
+
+def scan(stamp_ns: int, positions: list[list[float]], frame: str = "lidar") -> ObjectDetections:
+    found = np.array(positions, dtype=np.float64).reshape(-1, 3)
+    return ObjectDetections(stamp_ns, frame, found, ("tree",) * len(found), np.ones(len(found)))
+
+
+def prepared(*scans: ObjectDetections) -> tuple[list[int], dict[str, int]]:
+    """Stamps of the scans to map, and what was counted."""
+    config = Config()
+    inputs = InputRecords(config, LabelMap(config.labels), SensorFrames())
+    stamps = [each.stamp_ns for each in inputs.prepare(scans) if isinstance(each, ObjectDetections)]
+    return stamps, inputs.counters
+
+
+def test_a_scan_that_is_repeated_to_the_last_digit_is_left_out_and_counted() -> None:
+    other = [[5.0, 1.0, 0.0], [9.0, -2.0, 1e-12]]
+    assert prepared(scan(1, ROW), scan(2, ROW), scan(3, ROW), scan(4, other)) == ([1, 4], {"detections_repeated": 2})
+
+
+def test_scans_of_other_sensors_empty_scans_and_copies_of_messages_are_no_repetitions() -> None:
+    assert prepared(scan(1, ROW), scan(2, ROW, "rear"), scan(3, [])) == ([1, 2, 3], {})
+    assert prepared(scan(1, []), scan(2, [])) == ([1, 2], {})
+    assert prepared(scan(1, ROW), scan(1, ROW)) == ([1, 1], {})
