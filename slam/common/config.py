@@ -67,6 +67,12 @@ class OdometryConfig(_Branch):
         default=5.0, gt=0, description="a step that would need more than that is one, too [m/s^2]"
     )
     time_offset_s: float = Field(default=0.0, description="added to the stamps of the odometry [s]")
+    sources: int = Field(
+        default=1,
+        ge=1,
+        le=2,
+        description="sources that publish on the topic; of two, that of the first message is used",
+    )
     max_gap_s: float = Field(
         default=20.0, gt=0, description="a longer gap is a discontinuity: active landmarks are dropped [s]"
     )

@@ -15,7 +15,7 @@ from pydantic import BaseModel
 from slam.common.config import Config, DetectionConfig
 from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.self_calibration.label_noise import LabelNoise
-from slam.self_calibration.survey import Survey
+from slam.self_calibration.survey import NOTED_DETOUR, Survey
 from slam.self_calibration.variance_components import NoiseComponents
 
 LENGTHS: Mapping[str, int] = {
@@ -76,8 +76,6 @@ odometry is moved; beyond that, detections were old when they were stamped.
 """
 NOTED_LENGTH_SHARE = 0.03
 NOTED_TURN_SHARE = 0.03
-NOTED_DETOUR = 1.5
-"""Poses of one source hardly ever go back with every other message."""
 NO_DELAYS = LoggingDelays()
 TURNS = ("roll_deg", "pitch_deg", "yaw_deg")
 DEFAULT_RANGE_M = float(DetectionConfig.model_fields["sensor_range_m"].get_default())
@@ -161,7 +159,7 @@ def _notes(config: Config, survey: Survey, estimated: Mapping[str, float]) -> tu
     if survey.detour > NOTED_DETOUR:
         notes.append(
             f"the odometry steps back and forth: its path is {survey.detour:.1f} times as long as that of every second "
-            "message; do two sources publish on its topic?"
+            f"message; {_about_sources(survey.sources)}"
         )
     if np.isfinite(survey.claimed_ratio) and not 0.25 < survey.claimed_ratio < 4.0:
         notes.append(
@@ -185,6 +183,12 @@ def _notes(config: Config, survey: Survey, estimated: Mapping[str, float]) -> tu
     return tuple(notes)
 
 
+def _about_sources(sources: int) -> str:
+    if sources == 1:
+        return "do two sources publish on its topic?"
+    return "two sources publish on its topic, and that of the first message is used (odometry.sources)"
+
+
 def _corrections(survey: Survey, delays: LoggingDelays) -> dict[str, float]:
     errors = survey.errors
     blames_detections = delays.blame_detections(errors.delay_s)
@@ -195,6 +199,7 @@ def _corrections(survey: Survey, delays: LoggingDelays) -> dict[str, float]:
         "odometry.time_offset_s": -errors.delay_s if of_odometry else 0.0,
         "detection.time_offset_s": 0.0 if of_odometry else errors.delay_s,
         "detection.claimed_sigma_factor": _claimed_factor(survey),
+        **({"odometry.sources": survey.sources} if survey.sources > 1 else {}),
         **_label_settings(survey.labels),
         **{f"detection.{name}": angle for name, angle in zip(TURNS, survey.turned_deg, strict=True) if angle},
     }

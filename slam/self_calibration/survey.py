@@ -14,6 +14,7 @@ from slam.common.config import AssociationConfig, DetectionConfig
 from slam.common.geometry import apply, interpolate, invert, transform_from_xyz_yaw, yaw_rad
 from slam.frontend.input.scan import is_wanted
 from slam.frontend.input.sensor_frames import SensorFrames, corrected
+from slam.odometry.sources import FollowedSource
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
 from slam.self_calibration.height_noise import HeightNoise, estimate_height_noise
 from slam.self_calibration.input_errors import BodyMotion, InputErrors, estimate_input_errors
@@ -35,6 +36,8 @@ SAME_VIEW_RAD = 0.05
 variance component of its own.
 """
 MOST_REPEATED = 16
+NOTED_DETOUR = 1.5
+"""Poses of one source hardly ever go back with every other message."""
 ROUNDS = 8
 """Corrections of the input are found one after another: a large one is only seen in part at first."""
 
@@ -50,7 +53,8 @@ class Survey:
     does; ``shared_bias_m``: the rms bias that centroids of a class share; ``components`` is None where too few objects
     could be tracked; ``labels``: how far they can be trusted; ``heights``: how much the heights of detections vary;
     ``turned_deg``: roll, pitch and yaw by which detections had to be turned beyond the transform of their sensor;
-    ``detour``: the length of the odometry's path by that of its every second message.
+    ``detour``: the length of the odometry's path by that of its every second message; ``sources``: how many of them
+    there are, two where one that is told apart from the other makes no detour.
     """
 
     scans: int
@@ -73,6 +77,7 @@ class Survey:
     heights: HeightNoise = field(default_factory=HeightNoise)
     turned_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     detour: float = 1.0
+    sources: int = 1
 
 
 def survey(
@@ -91,6 +96,8 @@ def survey(
     for record in records:
         if gathered.add(record) >= MAX_DETECTIONS:
             break
+    detour = gathered.detour()
+    sources = 2 if detour > NOTED_DETOUR and gathered.follow_one_source() else 1
     is_yaw_given = "yaw_deg" in config.model_fields_set
     labels = gathered.judge_labels(config)
     config = _oriented(gathered, config)
@@ -110,7 +117,7 @@ def survey(
     if not any(np.any(scan.positions) for scan in scans):
         return None
     turned_deg = (config.roll_deg, config.pitch_deg, (config.yaw_deg + 180.0) % 360.0 - 180.0)
-    return replace(summarize(scans, errors), turned_deg=turned_deg, labels=labels, detour=gathered.detour())
+    return replace(summarize(scans, errors), turned_deg=turned_deg, labels=labels, detour=detour, sources=sources)
 
 
 def _oriented(gathered: _Gathered, config: DetectionConfig) -> DetectionConfig:
@@ -279,6 +286,14 @@ class _Gathered:
         _, poses = self._track()
         full_m, half_m = _path_length(poses), _path_length(poses[::2])
         return full_m / half_m if half_m > 0.0 else 1.0
+
+    def follow_one_source(self) -> bool:
+        """Keep the odometry of one of two sources, if that alone makes no detour."""
+        both, source = self._odometry, FollowedSource()
+        self._odometry = [odometry for odometry in both if source.follows(odometry)]
+        if self.detour() > NOTED_DETOUR:
+            self._odometry = both
+        return len(self._odometry) < len(both)
 
     def motion(self, scans: list[SurveyScan], delay_s: float) -> BodyMotion:
         """How the body moves at the scans, by the odometry half an interval of the scans before and after each."""

@@ -13,6 +13,7 @@ from slam.frontend.input.image_detections import ImageLifter
 from slam.frontend.input.label_map import LabelMap
 from slam.frontend.input.scan_objects import ScanObjects
 from slam.frontend.input.sensor_frames import SensorFrames
+from slam.odometry.sources import FollowedSource
 
 _REMEDIES = {
     "objects_without_camera_info": "no CameraInfo has their frame: record it, or choose it with "
@@ -33,6 +34,7 @@ class InputRecords:
         self._labels = labels
         self._scans = scans or ScanObjects(labels, frames)
         self._lifter = ImageLifter(config.detection, frames)
+        self._source = FollowedSource() if config.odometry.sources > 1 else None
         self._frame = ""
         self._placed = 0
         self._repeated = 0
@@ -62,6 +64,7 @@ class InputRecords:
             record = self._scans.find(record, self._lifter.body_frame)
         elif isinstance(record, Odometry):
             self._lifter.body_frame = record.child_frame_id
+            return record if self._source is None or self._source.follows(record) else None
         if not isinstance(record, ObjectDetections):
             return record
         if self._repeats(record):

@@ -188,7 +188,13 @@ def test_labels_beyond_the_most_classes_are_one_class():
 def test_an_odometry_that_goes_back_and_forth_makes_a_detour():
     assert survey(straight(), CONFIG).detour == pytest.approx(1.0, abs=0.1)
     there_and_back = [odometry(0.1 * i, 0.1 * i + (i % 2)) for i in range(21)]
-    assert survey([*there_and_back, detections(1.0)], CONFIG).detour > 5.0
+    found = survey([*there_and_back, detections(1.0)], CONFIG)
+    assert found.detour > 5.0
+    assert found.sources == 2
+    assert found.travel_m == survey([*there_and_back[::2], detections(1.0)], CONFIG).travel_m
     assert survey([odometry(0.0, 1.0), odometry(1.0, 1.0), detections(0.5)], CONFIG).detour == 1.0
+    jitter = np.random.default_rng(0).normal(size=101)
+    shaken = survey([odometry(0.1 * i, 0.1 * i + jitter[i]) for i in range(101)] + [detections(1.0)], CONFIG)
+    assert shaken.sources == 1
     wild = [odometry(0.1 * i, 0.1 * i + 1000.0 * (i == 51)) for i in range(101)]
     assert survey([*wild, detections(1.0)], CONFIG).detour < 1.2

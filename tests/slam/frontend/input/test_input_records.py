@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.messages import ObjectDetections
-from slam.common.config import Config
+from logs.messages import ObjectDetections, Odometry
+from slam.common.config import Config, OdometryConfig
+from slam.common.geometry import transform_from_xyz_yaw
 from slam.frontend.input.input_records import InputRecords
 from slam.frontend.input.label_map import LabelMap
 from slam.frontend.input.sensor_frames import SensorFrames
@@ -35,3 +36,12 @@ def test_scans_of_other_sensors_empty_scans_and_copies_of_messages_are_no_repeti
     assert prepared(scan(1, ROW), scan(2, ROW, "rear"), scan(3, [])) == ([1, 2, 3], {})
     assert prepared(scan(1, []), scan(2, [])) == ([1, 2], {})
     assert prepared(scan(1, ROW), scan(1, ROW)) == ([1, 1], {})
+
+
+def test_of_two_sources_of_odometry_that_of_the_first_message_is_used() -> None:
+    poses = [transform_from_xyz_yaw(np.array([0.1 * row, 5.0 * (row % 2), 0.0]), 0.0) for row in range(20)]
+    messages = [Odometry(row, T) for row, T in enumerate(poses)]
+    for sources, step in ((1, 1), (2, 2)):
+        config = Config(odometry=OdometryConfig(sources=sources))
+        inputs = InputRecords(config, LabelMap(config.labels), SensorFrames())
+        assert list(inputs.prepare(messages)) == messages[::step]
