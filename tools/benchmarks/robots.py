@@ -23,6 +23,7 @@ HEADINGS = {
     "right %": "associations right %",
     "closures": "closures",
     "precise %": "precision %",
+    "indep.": "independent discoveries: false at most %",
     "recall %": "revisit recall %",
     "x real": "x real time",
     "GB": "peak GB",
@@ -32,8 +33,10 @@ HEADINGS = {
 EXPLANATION = """\
 ATE: root mean square error of the positions, aligned by SE(3), of the odometry and of the final trajectory.
 Landmarks: those confirmed in the final map, beside the true objects that were detected. Associations: assignments of
-detections to the landmark that shows their object. Closures: those accepted, how many of them are right, and at how
-many revisits there is a right one (a revisit comes after at least 100 m of travel). Memory is the peak of the replay.
+detections to the landmark that shows their object. Closures: those accepted, how many of them are right, how many
+found places have no object in common, the share of these that may be false with 95 % confidence (the rule of three),
+and at how many revisits there is a right one (a revisit comes after at least 100 m of travel). Memory is the peak of
+the replay.
 A dash is a figure that the drive or its truth does not tell. A replay draws its random numbers from what is in the
 log and has no seed: the same log and settings give the same map.
 """
@@ -112,11 +115,18 @@ def _cells(run: RobotRun) -> list[str]:
         _percent(f.associations_precision),
         None if f.closures_accepted is None else str(f.closures_accepted),
         _percent(f.closures_precision),
+        _discoveries(f.discoveries_independent, f.discoveries_false_share),
         _percent(f.revisit_recall),
         f"{f.real_time_factor:.1f}",
         f"{f.peak_memory_bytes / 1e9:.2f}",
     )
     return [UNDEFINED if cell is None else cell for cell in cells]
+
+
+def _discoveries(independent: int | None, false_share: float | None) -> str | None:
+    if independent is None or false_share is None:
+        return None if independent is None else str(independent)
+    return f"{independent}: {100.0 * false_share:.0f}"
 
 
 def _percent(share: float | None) -> str | None:

@@ -24,7 +24,9 @@ class RobotFigures:
     ``odometry_ate_m``, ``ate_m``: RMSE of the positions, aligned by SE(3), of the odometry and of the final trajectory.
     ``object_count``: true objects that were detected; ``associations_precision``: share of the assignments to a
     landmark that show its object; closures as :class:`slam.evaluation.place_recognition.closures.ClosureQuality` has
-    them. ``final_status``: what the replay said last. Times and memory are those of the replay alone.
+    them; ``discoveries_independent`` of them have no object in common, and no more than ``discoveries_false_share`` are
+    false, with 95 % confidence. ``final_status``: what the replay said last. Times and memory are those of the replay
+    alone.
     """
 
     odometry_ate_m: float | None
@@ -34,6 +36,8 @@ class RobotFigures:
     associations_precision: float | None
     closures_accepted: int | None
     closures_precision: float | None
+    discoveries_independent: int | None
+    discoveries_false_share: float | None
     revisit_recall: float | None
     log_s: float
     wall_s: float
@@ -76,6 +80,7 @@ def _run(drive: RobotDrive, folder: Path, config: Config) -> RobotFigures:
     evaluation = evaluate(records)
     associations, closures = evaluation.associations, evaluation.closures
     revisits = closures.revisits if closures else None
+    discoveries = closures.discoveries if closures else None
     return RobotFigures(
         odometry_ate_m=evaluation.odometry.absolute.rmse_m if evaluation.odometry else None,
         ate_m=evaluation.estimate.absolute.rmse_m if evaluation.estimate else None,
@@ -84,6 +89,8 @@ def _run(drive: RobotDrive, folder: Path, config: Config) -> RobotFigures:
         associations_precision=associations.precision if associations else None,
         closures_accepted=closures.accepted_count if closures else None,
         closures_precision=closures.precision if closures else None,
+        discoveries_independent=discoveries.independent if discoveries else None,
+        discoveries_false_share=discoveries.largest_false_share if discoveries else None,
         revisit_recall=revisits.recall if revisits else None,
         log_s=replayed.log_s,
         wall_s=replayed.wall_s,

@@ -25,6 +25,7 @@ def test_figures_are_those_of_the_replay_and_its_evaluation(tmp_path: Path) -> N
     # One object and a false positive; nothing is ever met again.
     assert (figures.object_count, figures.associations_precision) == (1, 1.0)
     assert (figures.closures_accepted, figures.closures_precision, figures.revisit_recall) == (0, None, None)
+    assert (figures.discoveries_independent, figures.discoveries_false_share) == (0, None)
     assert figures.log_s == pytest.approx(0.4)
     assert figures.real_time_factor == pytest.approx(figures.log_s / figures.wall_s)
     assert figures.peak_memory_bytes > 1e7
