@@ -74,6 +74,8 @@ STAMPING_SCANS = 2.0
 between odometry and detections is a matter of how the odometry is stamped (of a step, its begin or its end), and the
 odometry is moved; beyond that, detections were old when they were stamped.
 """
+FEW_SCANS = 5.0
+"""While an object comes from the median range to the body it should be seen so often."""
 NOTED_LENGTH_SHARE = 0.03
 NOTED_TURN_SHARE = 0.03
 NO_DELAYS = LoggingDelays()
@@ -154,12 +156,19 @@ def _notes(config: Config, survey: Survey, estimated: Mapping[str, float]) -> tu
     if abs(errors.length_share) > NOTED_LENGTH_SHARE:
         notes.append(
             f"the odometry's lengths seem {100 * abs(errors.length_share):.0f} % too "
-            f"{'short' if errors.length_share > 0 else 'long'}: not corrected; check its calibration"
+            f"{'short' if errors.length_share > 0 else 'long'}, or the ranges of detections too "
+            f"{'long' if errors.length_share > 0 else 'short'}: not corrected; check the calibration of both"
         )
     if survey.detour > NOTED_DETOUR:
         notes.append(
             f"the odometry steps back and forth: its path is {survey.detour:.1f} times as long as that of every second "
             f"message; {_about_sources(survey.sources)}"
+        )
+    scan_m = survey.travel_m / survey.scans
+    if scan_m * FEW_SCANS > survey.median_range_m:
+        notes.append(
+            f"only one scan in {scan_m:.1f} m of travel, where objects are {survey.median_range_m:.0f} m away: few "
+            "errors average out; record more scans a second"
         )
     if np.isfinite(survey.claimed_ratio) and not 0.25 < survey.claimed_ratio < 4.0:
         notes.append(

@@ -254,7 +254,10 @@ class _Gathered:
         return labels
 
     def scans(self, config: DetectionConfig, delay_s: float) -> list[SurveyScan]:
-        """The scans that lie on the odometry, corrected, in the order of their stamps, without empty ones."""
+        """The scans that lie on the odometry, corrected, in the order of their stamps, without empty ones.
+
+        Of messages of one sensor with one stamp the first is used, as in the map.
+        """
         corrections = config.model_dump_json(), delay_s, self._max_classes
         if self._latest is None or self._latest[0] != corrections:
             self._latest = corrections, self._corrected_scans(config, delay_s)
@@ -268,7 +271,10 @@ class _Gathered:
         body_frame = self._odometry[0].child_frame_id
         vocabulary: defaultdict[str, int] = defaultdict()
         vocabulary.default_factory = vocabulary.__len__
-        usable = [d for d in self._detections if stamps[0] <= d.stamp_ns + delay_ns <= stamps[-1] and len(d.positions)]
+        first = dict[tuple[int, str], ObjectDetections]()
+        for detections in self._detections:
+            first.setdefault((detections.stamp_ns, detections.frame_id), detections)
+        usable = [d for d in first.values() if stamps[0] <= d.stamp_ns + delay_ns <= stamps[-1] and len(d.positions)]
         usable.sort(key=lambda detections: detections.stamp_ns)
         T_odom_body = interpolate(stamps, poses, np.array([d.stamp_ns + delay_ns for d in usable], dtype=np.int64))
         scans = []

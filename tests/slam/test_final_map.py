@@ -36,3 +36,9 @@ def test_doubts_about_the_map_are_told() -> None:
     outcome = judge_outcome(CONVERGED, "", Counter(odometry_used=10), ["30 % of the objects seem to move"])
     assert outcome.level == "warning"
     assert "30 % of the objects seem to move" in outcome.message
+
+
+@pytest.mark.parametrize(("doubted", "told"), [(9, False), (10, True)])
+def test_an_odometry_that_is_contradicted_on_much_of_the_way_is_told(doubted: int, told: bool) -> None:
+    outcome = judge_outcome(CONVERGED, "", Counter(keyframes=100, odometry_headings_doubted=doubted))
+    assert ("contradict the heading of the odometry over 10 % of the way" in outcome.message) is told

@@ -227,7 +227,11 @@ def test_covariances_that_are_far_off_are_scaled(surveyed, ratio, factor):
 def test_wrong_turns_lengths_and_sensors_are_told(surveyed):
     wrong = replace(surveyed, errors=InputErrors(turn_share=0.05, length_share=-0.04), turned_deg=(180.0, 0.0, 0.0))
     notes = " ".join(calibrate(Config(), wrong).notes)
-    for told in ("turns seem 5 % too small", "lengths seem 4 % too long", "turned by roll 180, pitch 0, yaw 0 deg"):
+    for told in (
+        "turns seem 5 % too small",
+        "lengths seem 4 % too long, or the ranges of detections too short",
+        "turned by roll 180, pitch 0, yaw 0 deg",
+    ):
         assert told in notes
     right = replace(surveyed, errors=InputErrors(turn_share=0.02, length_share=0.02))
     notes = " ".join(calibrate(Config(), right).notes)
@@ -275,3 +279,10 @@ def test_of_two_sources_of_odometry_one_is_used(surveyed):
 def test_odometry_that_steps_back_and_forth_is_told(surveyed, detour, told):
     notes = calibrate(Config(), replace(surveyed, detour=detour)).notes
     assert any("do two sources publish" in note for note in notes) == told
+
+
+@pytest.mark.parametrize(("scans_in_range", "told"), [(4.9, True), (5.1, False)])
+def test_scans_so_rare_that_few_errors_average_out_are_told(surveyed, scans_in_range, told):
+    travel_m = surveyed.scans * surveyed.median_range_m / scans_in_range
+    notes = calibrate(Config(), replace(surveyed, travel_m=travel_m)).notes
+    assert any("record more scans a second" in note for note in notes) == told

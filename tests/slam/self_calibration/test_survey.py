@@ -198,3 +198,10 @@ def test_an_odometry_that_goes_back_and_forth_makes_a_detour():
     assert shaken.sources == 1
     wild = [odometry(0.1 * i, 0.1 * i + 1000.0 * (i == 51)) for i in range(101)]
     assert survey([*wild, detections(1.0)], CONFIG).detour < 1.2
+
+
+def test_of_messages_with_one_stamp_the_first_is_surveyed():
+    later = [each for each in straight() if isinstance(each, ObjectDetections)]
+    twice = [replace(each, positions=each.positions + 1.0) for each in later]
+    assert survey([*straight(), *twice], CONFIG).scans == survey(straight(), CONFIG).scans
+    assert survey([*straight(), *twice], CONFIG).range_m == survey(straight(), CONFIG).range_m
