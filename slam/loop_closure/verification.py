@@ -75,7 +75,7 @@ class Verifier:
         T_local_query = np.asarray(seed_closure.T_local_query @ T_seed_query)
         reference_pose = self._keyframes[seed_closure.reference].odometry
         place = Place(T_local_query, reference_pose.travel_m, reference_pose.segment, 0.0)
-        reference = self._nearest(place, query)
+        reference = self._nearest(place, query, within_m=self._max_reference_m)
         return replace(place, travel_m=reference.odometry.travel_m) if reference else None
 
     def place_at(self, query: Query, T_local_query: FloatArray, segment: int) -> Place | None:
@@ -103,15 +103,17 @@ class Verifier:
 
     def verify(self, query: Query, place: Place, *, seed_closure: int = NOWHERE) -> Candidate | LoopClosureRecord:
         """The candidate at a place, or the record with the reason for its rejection."""
-        reference = self._nearest(place, query)
+        if self._nearest(place, query, within_m=self._max_reference_m + self._reach_m) is None:
+            return self._out_of_reach(query, place)
         reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
         registration = _register(query.submap, reference_submap, place.T_local_query, self._config)
         if registration.T_reference_query is None:
+            reference = self._nearest(place, query, within_m=self._max_reference_m)
             return query.refusal(Stage.REGISTRATION, registration.reason, reference, rank=place.rank)
-        reference = self._nearest(replace(place, T_local_query=registration.T_reference_query), query)
+        registered = replace(place, T_local_query=registration.T_reference_query)
+        reference = self._nearest(registered, query, within_m=self._max_reference_m)
         if reference is None:
-            reason = f"no earlier keyframe within {self._max_reference_m:g} m of the place"
-            return query.refusal(Stage.REGISTRATION, reason, rank=place.rank)
+            return self._out_of_reach(query, place)
         seen, met = query.submap.rows[registration.pairs[:, 0]], reference_submap.rows[registration.pairs[:, 1]]
         if not self._config.loop_closure.close_tracked and 2 * int(np.sum(seen == met)) > len(seen):
             reason = "its landmarks are still associated: there is no loop to close"
@@ -254,8 +256,17 @@ class Verifier:
     def _max_reference_m(self) -> float:
         return MAX_REFERENCE_RANGES * self._sensor_range_m
 
-    def _nearest(self, place: Place, query: Query) -> Keyframe | None:
-        """The nearest keyframe of the reference traversal, if it is within ``MAX_REFERENCE_RANGES``."""
+    @property
+    def _reach_m(self) -> float:
+        """How far registration can move a pose: its search radius, which halves from step to step."""
+        return 2.0 * self._config.registration.search_radius_m
+
+    def _out_of_reach(self, query: Query, place: Place) -> LoopClosureRecord:
+        reason = f"no earlier keyframe within {self._max_reference_m:g} m of the place"
+        return query.refusal(Stage.REGISTRATION, reason, rank=place.rank)
+
+    def _nearest(self, place: Place, query: Query, *, within_m: float) -> Keyframe | None:
+        """The nearest keyframe of the reference traversal, if it is so near."""
         extent_m = TRAVERSAL_EXTENT * self._config.loop_closure.min_travel_m
         found = self._track.nearest(
             place.T_local_query[:3, 3],
@@ -266,7 +277,7 @@ class Verifier:
         if found is None:
             return None
         reference = self._keyframes[found[0]]
-        return reference if reference.is_map_frame or found[1] <= self._max_reference_m else None
+        return reference if reference.is_map_frame or found[1] <= within_m else None
 
 
 def _sigmas_of_rows(query: Query, candidate: Candidate) -> FloatArray:
