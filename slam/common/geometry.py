@@ -68,12 +68,31 @@ def rotation_angle_rad(T: FloatArray) -> FloatArray:
 
     From the sine and the cosine together, so that it is exact near 0 and near pi, where arccos alone is not.
     """
-    R = T[..., :3, :3]
+    axis_sine, cosine = _axis_sine_and_cosine(T[..., :3, :3])
+    return np.asarray(np.arctan2(np.linalg.norm(axis_sine, axis=-1), cosine))
+
+
+def rotation_vector(R: FloatArray) -> FloatArray:
+    """Rotation vectors (..., 3) rad of rotations (..., 3, 3), the shortest ones.
+
+    Up to a quarter turn directly, which is an order of magnitude sooner for one rotation than SciPy, which is asked for
+    larger ones: near half a turn the sine does not tell the axis.
+    """
+    axis_sine, cosine = _axis_sine_and_cosine(R)
+    if np.any(cosine < 0.0):
+        return np.asarray(Rotation.from_matrix(R).as_rotvec())
+    sine = np.sqrt(np.einsum("...i,...i->...", axis_sine, axis_sine))
+    is_tiny = sine < 1e-12
+    factor = np.where(is_tiny, 1.0, np.arctan2(sine, cosine) / np.where(is_tiny, 1.0, sine))
+    return np.asarray(factor[..., None] * axis_sine)
+
+
+def _axis_sine_and_cosine(R: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Axis times sine of the angle (..., 3), and its cosine (...), of rotations (..., 3, 3)."""
     axis_sine = 0.5 * np.stack(
         [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1
     )
-    cosine = 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0)
-    return np.asarray(np.arctan2(np.linalg.norm(axis_sine, axis=-1), cosine))
+    return axis_sine, 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0)
 
 
 def yaw_rad(T: FloatArray) -> FloatArray:
@@ -110,10 +129,9 @@ def interpolate(stamps_ns: IntArray, T_a_b: FloatArray, at_ns: IntArray) -> Floa
     lower = upper - 1
     fraction = ((at_ns - stamps_ns[lower]) / (stamps_ns[upper] - stamps_ns[lower]))[:, None]
     translation = (1.0 - fraction) * T_a_b[lower, :3, 3] + fraction * T_a_b[upper, :3, 3]
-    both = Rotation.from_matrix(T_a_b[np.concatenate([lower, upper]), :3, :3])
-    start = both[: len(at_ns)]
-    turn = (start.inv() * both[len(at_ns) :]).as_rotvec()
-    return make_transform((start * Rotation.from_rotvec(fraction * turn)).as_matrix(), translation)
+    start, end = T_a_b[lower, :3, :3], T_a_b[upper, :3, :3]
+    turn = rotation_vector(np.swapaxes(start, -1, -2) @ end)
+    return make_transform(start @ Rotation.from_rotvec(fraction * turn).as_matrix(), translation)
 
 
 def relative(T_odom_from: FloatArray, T_odom_to: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
-from slam.common.geometry import make_transform, relative, rotation_angle_rad
+from slam.common.geometry import make_transform, relative, rotation_angle_rad, rotation_vector
 
 UNEXPECTED_RATIO = 3.0
 """A change of velocity so many times as great as any before is unexpected."""
@@ -104,7 +104,7 @@ class ExpectedMotion:
 
 def _twist(T_before_after: FloatArray) -> FloatArray:
     """Translation and rotation vector (6,) of a step."""
-    return np.concatenate([T_before_after[:3, 3], Rotation.from_matrix(T_before_after[:3, :3]).as_rotvec()])
+    return np.concatenate([T_before_after[:3, 3], rotation_vector(T_before_after[:3, :3])])
 
 
 def motion(twist: FloatArray) -> FloatArray:

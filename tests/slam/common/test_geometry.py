@@ -16,6 +16,7 @@ from slam.common.geometry import (
     invert,
     make_transform,
     rotation_angle_rad,
+    rotation_vector,
     transform_from_xyz_yaw,
     travelled_m,
     yaw_rad,
@@ -92,6 +93,20 @@ def test_nothing_in_gives_nothing_out():
 def test_travel_is_the_length_of_the_path_and_not_of_the_chord():
     T = transform_from_xyz_yaw(np.array([[0.0, 0, 0], [3, 4, 0], [3, 4, 2], [0, 0, 2]]), np.zeros(4))
     np.testing.assert_allclose(travelled_m(T), [0.0, 5.0, 7.0, 12.0])
+
+
+@given(rotations)
+def test_the_rotation_vector_is_scipys(R):
+    vector = rotation_vector(R)
+    np.testing.assert_allclose(Rotation.from_rotvec(vector).as_matrix(), R, atol=1e-12)
+    assert np.linalg.norm(vector) <= np.pi + 1e-12
+    np.testing.assert_allclose(rotation_vector(np.stack([R, np.eye(3)])), [vector, np.zeros(3)], atol=1e-12)
+
+
+@given(axes, st.floats(-12.0, 0.0).map(lambda exponent: 10.0**exponent))
+def test_the_rotation_vector_of_a_small_turn_is_exact(axis, angle_rad):
+    vector = axis / np.linalg.norm(axis) * angle_rad
+    np.testing.assert_allclose(rotation_vector(rotation(axis, angle_rad)), vector, rtol=1e-9, atol=3e-16)
 
 
 @given(transforms, transforms, st.floats(0.0, 1.0))
