@@ -121,12 +121,13 @@ class _OpenTracks:
         self, scan: int, points: FloatArray, ranges: FloatArray, labels: IntArray
     ) -> tuple[IntArray, FloatArray]:
         """Tracks (N,) of the detections of a scan, those that continue none begin one; and the room (N,) of each."""
-        apart = np.linalg.norm(points[:, None] - self._points[None], axis=2)
+        apart = _distances(points, self._points)
         apart[labels[:, None] != self._labels[None]] = np.inf
-        others = np.linalg.norm(points[:, None] - points[None], axis=2)
+        others = _distances(points, points)
         others[(labels[:, None] != labels[None]) | np.eye(len(points), dtype=np.bool_)] = np.inf
         rooms = np.minimum(AMBIGUITY * others.min(axis=1, initial=np.inf), RANGE_SHARE * ranges)
         tracks = np.full(len(points), -1, dtype=np.int64)
+        goes_on = np.zeros(len(self._tracks), dtype=np.bool_)
         if apart.size:
             rows = np.arange(len(points))
             nearest = np.argmin(apart, axis=1)
@@ -134,13 +135,21 @@ class _OpenTracks:
             mutual = np.argmin(apart, axis=0)[nearest] == rows
             apart[rows, nearest] = np.inf
             rooms = np.minimum(rooms, AMBIGUITY * apart.min(axis=1))
-            tracks = np.where(mutual & (distances < rooms), self._tracks[nearest], -1)
+            found = mutual & (distances < rooms)
+            tracks[found] = self._tracks[nearest[found]]
+            goes_on[nearest[found]] = True
         fresh = tracks < 0
         tracks[fresh] = self._count + np.arange(int(fresh.sum()))
         self._count += int(fresh.sum())
-        kept = (scan - self._scans <= MISSED_SCANS) & ~np.isin(self._tracks, tracks)
+        kept = (scan - self._scans <= MISSED_SCANS) & ~goes_on
         self._points = np.concatenate([self._points[kept], points])
         self._labels = np.concatenate([self._labels[kept], labels])
         self._tracks = np.concatenate([self._tracks[kept], tracks])
         self._scans = np.concatenate([self._scans[kept], np.full(len(points), scan)])
         return tracks, rooms
+
+
+def _distances(a: FloatArray, b: FloatArray) -> FloatArray:
+    """(N, M) m between points (N, 2) and (M, 2)."""
+    x, y = a[:, None, 0] - b[:, 0], a[:, None, 1] - b[:, 1]
+    return np.asarray(np.sqrt(x * x + y * y))

@@ -106,7 +106,7 @@ def survey(
         scans = gathered.scans(config, errors.delay_s)
         if len(scans) < 2:
             break
-        found = estimate_input_errors(follow_objects(scans, _headings(scans)), gathered.motion(scans, errors.delay_s))
+        found = estimate_input_errors(gathered.tracks(scans), gathered.motion(scans, errors.delay_s))
         errors = replace(found, delay_s=errors.delay_s + found.delay_s)
         is_turned = abs(found.yaw_rad) > NOTED_YAW_RAD and not is_yaw_given
         if is_turned:
@@ -117,7 +117,8 @@ def survey(
     if not any(np.any(scan.positions) for scan in scans):
         return None
     turned_deg = (config.roll_deg, config.pitch_deg, (config.yaw_deg + 180.0) % 360.0 - 180.0)
-    return replace(summarize(scans, errors), turned_deg=turned_deg, labels=labels, detour=detour, sources=sources)
+    found = summarize(scans, errors, gathered.tracks(scans))
+    return replace(found, turned_deg=turned_deg, labels=labels, detour=detour, sources=sources)
 
 
 def _oriented(gathered: _Gathered, config: DetectionConfig) -> DetectionConfig:
@@ -131,8 +132,10 @@ def _oriented(gathered: _Gathered, config: DetectionConfig) -> DetectionConfig:
     return config.model_copy(update={"roll_deg": roll, "pitch_deg": pitch, "yaw_deg": yaw})
 
 
-def summarize(scans: list[SurveyScan], errors: InputErrors | None = None) -> Survey:
-    """What scans (one at least), in the order of their stamps and corrected by ``errors``, tell."""
+def summarize(scans: list[SurveyScan], errors: InputErrors | None = None, tracks: ObjectTracks | None = None) -> Survey:
+    """What scans (one at least), in the order of their stamps and corrected by ``errors``, tell; ``tracks``: those of
+    their objects, where they are known already.
+    """
     poses = np.stack([scan.T_odom_body for scan in scans])
     headings = _headings(scans)
     stamps_s = np.array([(scan.stamp_ns - scans[0].stamp_ns) * 1e-9 for scan in scans])
@@ -142,7 +145,7 @@ def summarize(scans: list[SurveyScan], errors: InputErrors | None = None) -> Sur
         stamps_s,
     )
     ranges = np.concatenate([np.hypot(scan.positions[:, 0], scan.positions[:, 1]) for scan in scans])
-    tracks = follow_objects(scans, headings)
+    tracks = tracks or follow_objects(scans, headings)
     biases = centroid_biases(tracks)
     components = estimate_components(
         without_bias(tracks, biases), motion, most_repeated=_scans_of_a_view(float(np.median(ranges)), motion)
@@ -233,6 +236,7 @@ class _Gathered:
         self._frames = frames
         self._count = 0
         self._latest: tuple[tuple[str, float, int], list[SurveyScan]] | None = None
+        self._followed: tuple[list[SurveyScan], ObjectTracks] | None = None
 
     def add(self, record: Record) -> int:
         """Take in a record; returns the detections so far."""
@@ -262,6 +266,12 @@ class _Gathered:
         if self._latest is None or self._latest[0] != corrections:
             self._latest = corrections, self._corrected_scans(config, delay_s)
         return self._latest[1]
+
+    def tracks(self, scans: list[SurveyScan]) -> ObjectTracks:
+        """The tracks of the objects in scans; those of the last scans are kept."""
+        if self._followed is None or self._followed[0] is not scans:
+            self._followed = scans, follow_objects(scans, _headings(scans))
+        return self._followed[1]
 
     def _corrected_scans(self, config: DetectionConfig, delay_s: float) -> list[SurveyScan]:
         stamps, poses = self._track()
