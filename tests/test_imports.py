@@ -120,6 +120,11 @@ def test_metrics_neither_read_files_nor_plot() -> None:
     assert importers_of("logs.reader", "slam/evaluation") == {"slam/evaluation/inputs/records.py"}
 
 
+def test_distributions_come_from_special_functions() -> None:
+    """Loading scipy.stats takes a third of a second at each start."""
+    assert importers_of("scipy.stats", *OURS) == set()
+
+
 def test_libraries_print_nothing_and_do_not_exit() -> None:
     for path in sources("descriptors", "logs", "slam"):
         tree = ast.parse(path.read_text(encoding="utf-8"))

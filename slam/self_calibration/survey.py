@@ -117,8 +117,8 @@ def survey(
     if not any(np.any(scan.positions) for scan in scans):
         return None
     turned_deg = (config.roll_deg, config.pitch_deg, (config.yaw_deg + 180.0) % 360.0 - 180.0)
-    found = summarize(scans, errors, gathered.tracks(scans))
-    return replace(found, turned_deg=turned_deg, labels=labels, detour=detour, sources=sources)
+    told = summarize(scans, errors, gathered.tracks(scans))
+    return replace(told, turned_deg=turned_deg, labels=labels, detour=detour, sources=sources)
 
 
 def _oriented(gathered: _Gathered, config: DetectionConfig) -> DetectionConfig:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
-from scipy.stats import chi2
+from scipy.special import chdtr, gammaincinv
 
 from slam.backend.covariance.selected_inverse import diagonal_blocks_of_inverse
 from slam.common.arrays import BoolArray, FloatArray, IntArray
@@ -61,7 +61,7 @@ class LinearSystem:
 
 def outlier_limit(dimension: int) -> float:
     """The squared residual, in standard deviations, beyond which it is an outlier's."""
-    return float(chi2.ppf(1.0 - OUTLIER_PROBABILITY, dimension))
+    return float(2.0 * gammaincinv(0.5 * dimension, 1.0 - OUTLIER_PROBABILITY))
 
 
 def variance_factors(system: LinearSystem) -> FloatArray:
@@ -149,7 +149,7 @@ def _differs(residuals: FloatArray, posterior: FloatArray, measured: FloatArray)
     """Whether (6,) the residuals reject a variance of 1, by their sum and the redundancy."""
     redundancy = measured / (1.0 + measured)
     squares = np.where(measured > 0.0, (residuals / posterior) ** 2 / (1.0 + measured) ** 2, 0.0)
-    chance = chi2.cdf(squares.sum(axis=0), np.maximum(redundancy.sum(axis=0), 1e-9))
+    chance = chdtr(np.maximum(redundancy.sum(axis=0), 1e-9), squares.sum(axis=0))
     return np.asarray(np.minimum(chance, 1.0 - chance) < 0.5 * TEST_PROBABILITY)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtr
 
 from slam.evaluation.html_report.chart import Chart, Trace, axis, plain_numbers
 from slam.evaluation.html_report.markup import format_number
@@ -48,7 +48,7 @@ def _draw_ideal() -> Trace:
 
 
 def _draw_part(part: Consistency, name: str, color: str, dash: str) -> Trace:
-    within = chi2.cdf(part.squares, part.dimension)
+    within = chdtr(part.dimension, part.squares)
     shares = np.searchsorted(np.sort(within), PROBABILITIES, side="right") / part.count
     return {
         "type": "scatter",

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from slam.common.arrays import FloatArray
 from slam.common.geometry import invert
@@ -43,7 +43,7 @@ class Consistency:
 
     def coverage(self, probability: float) -> float:
         """Share of the errors in the region that holds them with ``probability`` if the covariances are right."""
-        return float(np.mean(self.squares <= chi2.ppf(probability, self.dimension)))
+        return float(np.mean(self.squares <= 2.0 * gammaincinv(0.5 * self.dimension, probability)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

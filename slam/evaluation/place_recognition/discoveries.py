@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import beta
+from scipy.special import betaincinv
 
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.place_recognition.closure_labels import JudgedClosures
@@ -43,7 +43,7 @@ class Discoveries:
         if self.independent_false == self.independent:
             return 1.0
         right = self.independent - self.independent_false
-        return float(beta.ppf(CONFIDENCE, self.independent_false + 1, right))
+        return float(betaincinv(self.independent_false + 1, right, CONFIDENCE))
 
 
 def count_discoveries(judged: JudgedClosures, protocol: Protocol, *, has_truth: bool) -> Discoveries:
