@@ -3,8 +3,8 @@
 Each pair is scored by the likelihood that the detection is that landmark (position and label together), and each
 detection also by the likelihood that it is none of them, a new object or a false positive. The assignment that
 maximises the product over the scan takes all pairs that nothing else competes for; the others are found by shortest
-augmenting paths (Jonker and Volgenant 1987) on their sparse matrix, so a scan of thousands of detections costs no more
-than its neighbourhoods.
+augmenting paths (Jonker and Volgenant 1987), where they are many on their sparse matrix, so that a scan of thousands of
+detections costs no more than its neighbourhoods.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.spatial import cKDTree
@@ -105,17 +106,34 @@ def _cheapest(detection: IntArray, landmark: IntArray, pair_cost: FloatArray, no
         return worth
     rows, row = np.unique(detection[contested], return_inverse=True)
     columns, column = np.unique(landmark[contested], return_inverse=True)
-    none = np.arange(len(rows))
-    cost = np.concatenate([pair_cost[contested] - none_cost, np.zeros(len(rows))])
+    shape = len(rows), len(columns)
+    solve = _partners if len(rows) * len(columns) <= FEW_DISTANCES else _partners_of_many
+    partner = solve(row, column, none_cost - pair_cost[contested], shape)
+    return np.sort(np.concatenate([worth[~contested], worth[contested][partner[row] == column]]))
+
+
+def _partners(row: IntArray, column: IntArray, gain: FloatArray, shape: tuple[int, int]) -> IntArray:
+    """The column of each row, -1 for none, that make most of the gains > 0 of the edges (E,)."""
+    gains = np.zeros(shape)
+    gains[row, column] = gain
+    partner = np.full(shape[0], -1, dtype=np.int64)
+    chosen_row, chosen_column = linear_sum_assignment(gains, maximize=True)
+    partner[chosen_row] = chosen_column
+    return partner
+
+
+def _partners_of_many(row: IntArray, column: IntArray, gain: FloatArray, shape: tuple[int, int]) -> IntArray:
+    """The same; the matrix is sparse, and an edge to a column of its own stands for none."""
+    none = np.arange(shape[0])
+    cost = np.concatenate([-gain, np.zeros(shape[0])])
     # One edge a row is taken, so a common shift changes nothing; a weight of exactly zero would mean "no edge".
     cost += 1.0 - cost.min()
-    edges = np.concatenate([row, none]), np.concatenate([column, len(columns) + none])
-    graph = coo_array((cost, edges), shape=(len(rows), len(columns) + len(rows))).tocsr()
+    edges = np.concatenate([row, none]), np.concatenate([column, shape[1] + none])
+    graph = coo_array((cost, edges), shape=(shape[0], sum(shape))).tocsr()
     chosen_row, chosen_column = min_weight_full_bipartite_matching(graph)
-    chosen = np.isin(
-        row * len(columns) + column, (chosen_row * len(columns) + chosen_column)[chosen_column < len(columns)]
-    )
-    return np.sort(np.concatenate([worth[~contested], worth[contested][chosen]]))
+    partner = np.empty(shape[0], dtype=np.int64)
+    partner[chosen_row] = chosen_column
+    return partner
 
 
 def label_likelihood(belief_in_label: FloatArray, classes: int, config: AssociationConfig) -> FloatArray:

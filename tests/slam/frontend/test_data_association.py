@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import AssociationConfig
+from slam.frontend import data_association
 from slam.frontend.data_association import AMBIGUOUS, NEW, associate, label_likelihood
 
 CONFIG = AssociationConfig()
@@ -189,6 +190,16 @@ def test_the_order_of_detections_and_landmarks_does_not_matter(seed):
         positions[d], P[d], labels[d], landmark_positions[m], P_landmark[m], beliefs[m], CONFIG
     ).landmark_rows
     np.testing.assert_array_equal(np.where(shuffled >= 0, m[shuffled], shuffled), found[d])
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_many_contested_pairs_are_assigned_as_few_are(seed, monkeypatch):
+    scene = random_scene(np.random.default_rng(seed), 40, 30)
+    few = associate(*scene, CONFIG)
+    monkeypatch.setattr(data_association, "_partners", data_association._partners_of_many)
+    many = associate(*scene, CONFIG)
+    np.testing.assert_array_equal(many.landmark_rows, few.landmark_rows)
+    assert few.matched.any()
 
 
 def test_five_thousand_detections_find_their_landmarks_and_none_is_taken_twice():
