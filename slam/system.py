@@ -180,13 +180,13 @@ class Slam:
         removed, warning = self._closer.closures.reject_outliers()
         if self._first_keyframe and self._extends:
             self._mapper.retire_gone(self._closer.missing_landmarks())
-        optimization = self._graph.optimize()
         if self._extends:
+            self._graph.optimize(roughly=True)
             radius_m = 2.0 * self._config.submap.landmark_sigma_m
             nearby = self._closer.closures.keyframes_nearby()
             fused = fuse_duplicate_landmarks(self._object_map, self._graph, nearby, radius_m=radius_m)
             self.counters["landmarks_fused"] = fused
-            optimization = self._graph.optimize() if fused else optimization
+        optimization = self._graph.optimize()
         self.counters["batch_iterations"] = optimization.iterations
         return removed, warning, optimization
 

@@ -20,6 +20,8 @@ from slam.common.errors import FactorGraphError
 MAX_ITERATIONS = 50
 LEAST_DECREASE = 0.005
 """Of the cost, in nats: the next step would move all variables together by a tenth of a standard deviation."""
+ROUGH_DECREASE = 0.5
+"""The same by one standard deviation: the steps that follow are short ones, on which no fusion of landmarks depends."""
 
 
 class GtsamCalls:
@@ -115,7 +117,7 @@ class BatchSolver:
         """Improve the values by one step, if anything changed."""
         if self._is_changed:
             with self._calls.doing("a step of the batch optimisation"):
-                self._optimize(1)
+                self._optimize(1, LEAST_DECREASE)
 
     def restart(self, values: gtsam.Values, changed: Mapping[int, gtsam.NonlinearFactor]) -> None:
         """Go on from other values, with factors added, or others in the place of some."""
@@ -126,15 +128,15 @@ class BatchSolver:
         self._values, self._is_changed = gtsam.Values(values), True
         self.update()
 
-    def optimize(self) -> Optimization:
-        """Solve to the end."""
+    def optimize(self, *, roughly: bool = False) -> Optimization:
+        """Solve to the end, or ``roughly``, to a standard deviation."""
         with self._calls.doing("the batch optimisation"):
-            return self._optimize(MAX_ITERATIONS)
+            return self._optimize(MAX_ITERATIONS, ROUGH_DECREASE if roughly else LEAST_DECREASE)
 
-    def _optimize(self, max_iterations: int) -> Optimization:
+    def _optimize(self, max_iterations: int, least_decrease: float) -> Optimization:
         parameters = gtsam.LevenbergMarquardtParams()
         parameters.setMaxIterations(max_iterations)
-        parameters.setAbsoluteErrorTol(LEAST_DECREASE)
+        parameters.setAbsoluteErrorTol(least_decrease)
         optimizer = gtsam.LevenbergMarquardtOptimizer(self.graph, self._values, parameters)
         error_before = optimizer.error()
         self._values = optimizer.optimize()

@@ -191,9 +191,9 @@ class FactorGraph:
         """End the incremental estimate: from now on all observations are used, and updates are steps in batch."""
         return self._store.settle()
 
-    def optimize(self) -> Optimization:
-        """Solve the whole graph at once, from the incremental estimate."""
-        return self.settle().optimize()
+    def optimize(self, *, roughly: bool = False) -> Optimization:
+        """Solve the whole graph at once, from the incremental estimate; ``roughly``: to a standard deviation."""
+        return self.settle().optimize(roughly=roughly)
 
     def pose(self, keyframe: int) -> FloatArray:
         """``T_map_body`` (4, 4) of a keyframe."""

@@ -115,6 +115,15 @@ def test_the_truth_is_recovered_from_initial_values_that_are_metres_off(kernel):
     assert_is_true(graph)
 
 
+def test_a_rough_solution_takes_fewer_steps_and_leads_to_the_same_one():
+    config = FactorGraphConfig(observed_keyframes=1, observation_kernel="cauchy")
+    graph, rough = (build(noisy_edges(), sightings(), config) for _ in range(2))
+    steps = graph.optimize().iterations
+    assert rough.optimize(roughly=True).iterations < steps
+    rough.optimize()
+    assert_same_estimate(rough, graph, atol=0.01)
+
+
 def wrong_edge(edges: list[Edge]) -> list[Edge]:
     T = edges[5].T_from_to.copy()
     T[0, 3] += 7.0
