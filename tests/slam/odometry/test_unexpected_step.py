@@ -213,3 +213,23 @@ def test_a_body_that_has_stopped_at_once_may_do_so_again():
     for step in range(102, 110):
         track.add(Odometry(message(step).stamp_ns, message(99).T_odom_body))
         assert track.unexpected is None
+
+
+def test_a_body_that_has_stopped_at_once_may_start_at_once():
+    track, _ = frozen(steps=2)
+    while track.unexpected is not None:
+        track.resolve(Continuation.REPORTED)
+    for step in range(102, 104):
+        track.add(Odometry(message(step).stamp_ns, message(99).T_odom_body))
+    ahead = transform_from_xyz_yaw(np.array([0.4, 0.0, 0.0]), 0.0)
+    assert len(track.add(Odometry(message(104).stamp_ns, message(99).T_odom_body @ ahead))) == 1
+
+
+def test_a_body_that_stands_under_a_frozen_odometry_does_not_make_stops_usual():
+    track, _ = frozen()
+    track.resolve(Continuation.EXPECTED)
+    while track.unexpected is not None:
+        track.resolve(Continuation.REPORTED)
+    ahead = transform_from_xyz_yaw(np.array([0.0, 0.4, 0.0]), 0.0)
+    assert track.add(Odometry(message(103).stamp_ns, message(99).T_odom_body @ ahead)) == []
+    assert track.unexpected is not None
