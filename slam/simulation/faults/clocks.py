@@ -45,6 +45,17 @@ def set_clock_back(stream: Stream, rng: np.random.Generator, seconds: float) -> 
     return restamp_scans(stream, lambda stamp_ns: stamp_ns - seconds_ns(seconds) * (stamp_ns >= begin_ns))
 
 
+def set_odometry_clock_back(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:
+    """From the half on, the clock of the odometry is behind."""
+    begin_ns = stamp_at(stream, HALF)
+    return [
+        e.having(replace(e.content, stamp_ns=e.content.stamp_ns - seconds_ns(seconds)))
+        if isinstance(e.content, Odometry) and e.content.stamp_ns >= begin_ns
+        else e
+        for e in stream
+    ]
+
+
 def run_slow(stream: Stream, rng: np.random.Generator, parts_per_million: float) -> list[Entry]:
     """The clock of the detections runs too slowly from the beginning on."""
     first_ns = stamp_at(stream, 0.0)

@@ -199,12 +199,20 @@ _OF_CLOCKS = (
         clocks.stamp_early,
         _SCANS,
         (_seconds(0.5),),
+        cases=("0.1", "0.5"),
     ),
     Fault(
         "detections_clock_back",
         "the clock of the detections is S behind from half time on",
         clocks.set_clock_back,
         _SCANS,
+        (_seconds(30.0),),
+    ),
+    Fault(
+        "odometry_clock_back",
+        "the clock of the odometry is S behind from half time on",
+        clocks.set_odometry_clock_back,
+        _ODOMETRY,
         (_seconds(30.0),),
     ),
     Fault(

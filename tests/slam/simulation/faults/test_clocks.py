@@ -79,6 +79,13 @@ def test_the_rate_as_it_is_changes_nothing() -> None:
     assert len(changed) == len(drive())
 
 
+def test_the_clock_of_the_odometry_goes_back_at_half_time() -> None:
+    changed = faulty("odometry_clock_back=3")
+    assert np.array_equal(stamps(changed, Odometry), STAMPS_NS - 3 * 10**9 * (STAMPS_NS >= HALF_NS))
+    assert np.array_equal(stamps(changed, ObjectDetections), STAMPS_NS)
+    assert [e.log_time_ns for e in changed] == [e.log_time_ns for e in drive()]
+
+
 def test_a_slow_clock_falls_behind_more_and_more() -> None:
     behind = STAMPS_NS - stamps(faulty("detections_clock_slow=1000"), ObjectDetections)
     assert np.array_equal(behind, (STAMPS_NS - STAMPS_NS[0]) // 1000)
