@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from logs.messages import LoopClosureRecord
 
-STAGES = ("retrieval", "registration", "acceptance", "consistency", "back_end", "accepted")
+STAGES = ("retrieval", "registration", "acceptance", "consistency", "association", "back_end", "accepted")
 """Where a candidate is decided, in the order in which it comes there."""
 
 

@@ -235,11 +235,11 @@ class FactorGraphRecord:
 class LoopClosureRecord:
     """One loop-closure candidate and its decision, accepted or not. ``T_reference_query`` is None before registration.
 
-    ``stage``: where it was decided ("retrieval", "registration", "acceptance", "consistency", "back_end",
-    "accepted"); ``reason``: why. ``stamp_ns`` is that of the query keyframe. A later record about the same two
-    keyframes replaces an earlier one. ``inserted``: the closure is a factor of the graph; an accepted one that repeats
-    what another says already is none. ``rank``: place of the proposal, from 1, among those that descriptors made for
-    this query; 0 where another closure predicted the place or nothing was proposed.
+    ``stage``: where it was decided, one of :data:`logs.closures.STAGES`; ``reason``: why. ``stamp_ns`` is that of the
+    query keyframe. A later record about the same two keyframes replaces an earlier one. ``inserted``: the closure is
+    a factor of the graph; an accepted one that repeats what another says already is none. ``rank``: place of the
+    proposal, from 1, among those that descriptors made for this query; 0 where another closure predicted the place or
+    nothing was proposed.
 
     What the decision is made from, None where it was not computed; log-likelihood ratios in nats:
     ``log_likelihood_ratio`` of the place against chance; ``odometry_penalty``: the negative log-likelihood of the

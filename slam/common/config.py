@@ -299,9 +299,6 @@ class LoopClosureConfig(_Branch):
     max_candidates: int = Field(
         default=3, ge=1, description="candidates by descriptors that are verified for each keyframe"
     )
-    close_tracked: bool = Field(
-        default=False, description="close loops also where landmarks of an earlier traversal are still associated"
-    )
     max_candidates_by_triangles: int = Field(
         default=3,
         ge=0,

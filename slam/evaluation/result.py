@@ -143,6 +143,7 @@ def _closure_dict(quality: ClosureQuality | None) -> dict[str, Any]:
         **_discovery_dict(quality.discoveries if quality else None),
         "precision": quality.precision if quality else None,
         "recall": revisits.recall if revisits else None,
+        "recognised": revisits.recognised if revisits else None,
         **{f"recall_{name}": revisits.recall_of(name) if revisits else None for name in DIRECTIONS},
         "revisit_count": revisits.revisit_count if revisits else None,
         **{f"revisit_count_{name}": revisits.revisit_counts[name] if revisits else None for name in DIRECTIONS},

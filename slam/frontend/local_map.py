@@ -7,7 +7,10 @@ correlations (Smith, Self and Cheeseman, 1990; Dissanayake et al., IEEE T-RA 200
 the odometry, which gravity holds.
 
 A measurement of landmark m from the pose (t, heading) is h = R^T (m - t), with R the rotation by the heading. Its
-Jacobians are -R^T and the rotation of h by -90 deg in the pose, R^T in the landmark.
+Jacobians are -R^T and the rotation of h by -90 deg in the pose, R^T in the landmark. They are taken at first estimates:
+of a landmark where it was inserted, of the pose as it was predicted. Where the frame itself lies cannot be measured;
+with Jacobians at the latest estimates the filter seems to learn it from each measurement and moves the whole map
+(first-estimates Jacobian EKF: Huang, Mourikis and Roumeliotis, IJRR 2010).
 """
 
 from __future__ import annotations
@@ -32,10 +35,12 @@ class LocalMap:
     def start(self, T_odom_body: FloatArray) -> None:
         """Begin anew at a pose, without landmarks, as after a discontinuity of the odometry."""
         self._pose = np.array([*T_odom_body[:2, 3], float(yaw_rad(T_odom_body))])
+        self._predicted = self._pose[:2].copy()
         self._P = np.zeros((POSE, POSE))
         self._ids = np.zeros(0, dtype=np.int64)
         self._slots: dict[int, int] = {}
         self._positions = np.zeros((0, 2))
+        self._first = np.zeros((0, 2))
 
     @property
     def ids(self) -> IntArray:
@@ -69,9 +74,11 @@ class LocalMap:
         c, s = np.cos(heading), np.sin(heading)
         x, y = T_before_after[:2, 3]
         moved = np.array([c * x - s * y, s * x + c * y])
-        F = np.eye(POSE)
-        F[:2, 2] = -moved[1], moved[0]
         self._pose[:2] += moved
+        x, y = self._pose[:2] - self._predicted
+        F = np.eye(POSE)
+        F[:2, 2] = -y, x
+        self._predicted = self._pose[:2].copy()
         self._pose[2] = _wrapped(heading + float(yaw_rad(T_before_after)))
         self._P[:POSE] = F @ self._P[:POSE]
         self._P[:, :POSE] = self._P[:, :POSE] @ F.T
@@ -84,19 +91,19 @@ class LocalMap:
         linearization: the filter gains information about the frame that no measurement holds, and pulls the whole map
         along (Julier and Uhlmann, ICRA 2001; robocentric: Castellanos et al., Robotics and Autonomous Systems 2007).
         """
-        G = _pose_jacobians(self._positions - self._pose[:2]).reshape(-1, POSE)
+        G = _pose_jacobians(self._first - self._predicted).reshape(-1, POSE)
         mixed = G @ self._P[:POSE, POSE:]
         P = self._P[POSE:, POSE:] + mixed + mixed.T + G @ self._P[:POSE, :POSE] @ G.T
         self._P = np.zeros_like(self._P)
         self._P[POSE:, POSE:] = 0.5 * (P + P.T)
+        self._first, self._predicted = self._positions.copy(), self._pose[:2].copy()
 
     def predict(self, slots: IntArray) -> tuple[FloatArray, FloatArray]:
         """Positions (K, 2) m and covariances (K, 2, 2) m^2 of landmarks relative to the robot, both in local axes.
 
         The covariance is that of R h, the offset from the robot: what a measurement of it adds its own noise to.
         """
-        offsets = self._positions[slots] - self._pose[:2]
-        G = _pose_jacobians(offsets)
+        G = self._jacobians(slots)
         columns = POSE + 2 * slots[:, None] + np.arange(2)
         P_pose = self._P[:POSE, :POSE]
         P_cross = self._P[:POSE][:, columns].transpose(1, 0, 2)  # (K, 3, 2)
@@ -117,7 +124,7 @@ class LocalMap:
         if count == 0:
             return
         offsets = self._positions[slots] - self._pose[:2]
-        G = _pose_jacobians(offsets)
+        G = self._jacobians(slots)
         columns = POSE + 2 * slots[:, None] + np.arange(2)
         PH = np.einsum("dr,kir->dki", self._P[:, :POSE], G) + self._P[:, columns]
         PH = PH.reshape(len(self._P), 2 * count)
@@ -140,7 +147,8 @@ class LocalMap:
         if len(ids) == 0:
             return
         size, count = len(self._P), len(ids)
-        G = _pose_jacobians(offsets).copy()
+        positions = self._pose[:2] + offsets
+        G = _pose_jacobians(positions - self._predicted)
         G[:, :, :2] *= -1.0  # a landmark moves with the robot that sees it, and turns with it
         G[:, :, 2] *= -1.0
         G = G.reshape(2 * count, POSE)
@@ -152,7 +160,8 @@ class LocalMap:
         block = size + np.arange(2 * count).reshape(count, 2)
         P[block[:, :, None], block[:, None, :]] += covariances
         self._P = P
-        self._positions = np.concatenate([self._positions, self._pose[:2] + offsets])
+        self._positions = np.concatenate([self._positions, positions])
+        self._first = np.concatenate([self._first, positions])
         self._set_ids(np.concatenate([self._ids, ids]))
 
     def remove(self, ids: IntArray) -> None:
@@ -162,7 +171,7 @@ class LocalMap:
             return
         columns = np.concatenate([np.arange(POSE), (POSE + 2 * np.flatnonzero(kept)[:, None] + np.arange(2)).ravel()])
         self._P = self._P[np.ix_(columns, columns)]
-        self._positions = self._positions[kept]
+        self._positions, self._first = self._positions[kept], self._first[kept]
         self._set_ids(self._ids[kept])
 
     def difference(self, first: IntArray, second: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -187,6 +196,10 @@ class LocalMap:
     def positions(self) -> FloatArray:
         """Positions (L, 2) m of all landmarks held, local frame."""
         return self._positions.copy()
+
+    def _jacobians(self, slots: IntArray) -> FloatArray:
+        """(K, 2, 3) of the offsets of landmarks by the robot's pose, at first estimates."""
+        return _pose_jacobians(self._first[slots] - self._predicted)
 
     def _apply(self, change: FloatArray) -> None:
         self._P = 0.5 * (self._P + self._P.T)

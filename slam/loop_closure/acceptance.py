@@ -17,6 +17,8 @@ from slam.loop_closure.verification import Verifier
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.place import Place
 
+TRACKED = "its landmarks are still associated: there is no loop to close"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decision:
@@ -72,12 +74,17 @@ class Acceptance:
     def decide(self, query: Query, candidates: list[Candidate]) -> Decision:
         """The likeliest candidate is accepted if its posterior probability is high enough, rivals included.
 
+        If it is the pose by landmarks that were never let go, the place is recognised and there is nothing to accept.
+
         Rivals are the other candidates and, of a candidate that would be accepted, the poses at which a regular pattern
         of objects fits as well.
         """
         posterior = self._posterior(query, candidates)
         best = candidates[posterior.best]
         others = [each for each in candidates if each is not best]
+        rejected = tuple(each.record(Stage.ACCEPTANCE, "another candidate is likelier") for each in others)
+        if best.is_tracked and self._is_sure(posterior):
+            return Decision((*rejected, best.record(Stage.ASSOCIATION, TRACKED)))
         if self._is_sure(posterior):
             rivals = self._verifier.shifted(query, best) + self._verifier.aliases(query, best)
             compared = suppress_non_maxima([best, *others, *rivals], sensor_range_m=self._sensor_range_m)
@@ -88,7 +95,6 @@ class Acceptance:
         else:
             is_best = True
         best = replace(best, accumulated_llr=float(posterior.log_odds[posterior.best]))
-        rejected = tuple(each.record(Stage.ACCEPTANCE, "another candidate is likelier") for each in others)
         if is_best and self._is_sure(posterior):
             return Decision(rejected, best)
         fits = best.log_likelihood_ratio >= self._least_log_odds

@@ -21,6 +21,7 @@ class Stage(StrEnum):
     REGISTRATION = "registration"
     ACCEPTANCE = "acceptance"
     CONSISTENCY = "consistency"
+    ASSOCIATION = "association"
     BACK_END = "back_end"
     ACCEPTED = "accepted"
 
@@ -35,7 +36,8 @@ class Candidate:
     ``odometry_penalty`` is -log pi of the pose's prior, ``unpredicted_penalty`` the same if the odometry told nothing;
     see :mod:`slam.localization.pose_prior`. ``seed_closure``: the keyframe whose closure predicted this one, -1 if
     retrieval found it; ``rank``: as in :class:`slam.place_recognition.place.Place`. ``accumulated_llr`` and
-    ``best_rival_llr``: as in :class:`logs.messages.LoopClosureRecord`, None until they are computed.
+    ``best_rival_llr``: as in :class:`logs.messages.LoopClosureRecord`, None until they are computed. ``is_tracked``:
+    most inliers are one landmark on both sides, which data association never let go.
     """
 
     query: int
@@ -57,6 +59,7 @@ class Candidate:
     rank: int = 0
     accumulated_llr: float | None = None
     best_rival_llr: float | None = None
+    is_tracked: bool = False
 
     @property
     def log_likelihood_ratio(self) -> float:

@@ -126,10 +126,12 @@ class LoopCloser:
 
     def _verify_proposed(self, query: Query) -> list[Candidate | LoopClosureRecord]:
         """The candidates at the places that landmarks still followed, hypotheses and retrieval propose."""
-        tracked = self._verifier.tracked_place(query) if self._limits.close_tracked else None
-        verified = [self._verifier.verify(query, tracked)] if tracked is not None else []
-        verified += [self._verifier.verify(query, place) for place in self._acceptance.expected_places(query)]
-        if not self._any_acceptable(verified):
+        verified = [self._verifier.verify(query, place) for place in self._acceptance.expected_places(query)]
+        is_found = self._any_acceptable(verified)
+        tracked = self._verifier.tracked_place(query)
+        if tracked is not None:
+            verified.append(self._verifier.verify(query, tracked))
+        if not is_found:
             latest_m = self._verifier.latest_m(query)
             places = self._retriever.retrieve(query.submap, before_m=latest_m, seed=query.keyframe.id)
             places += self._retriever.search_imported_map(query.submap)
@@ -240,11 +242,10 @@ class LoopCloser:
         if place is None:
             return None
         candidate = self._verifier.verify(query, place, seed_closure=seed_closure.query)
-        if not isinstance(candidate, Candidate) or not self._verifier.agree(
-            candidate.T_local_query, place.T_local_query
-        ):
+        if not isinstance(candidate, Candidate) or candidate.is_tracked:
             return None
-        return candidate if self._acceptance.is_confirmed(candidate) else None
+        agrees = self._verifier.agree(candidate.T_local_query, place.T_local_query)
+        return candidate if agrees and self._acceptance.is_confirmed(candidate) else None
 
     def _decide(self, query: Query, candidates: list[Candidate]) -> list[LoopClosureRecord]:
         """Records of the candidates of one query, given by falling score."""

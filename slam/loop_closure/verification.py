@@ -114,10 +114,6 @@ class Verifier:
         reference = self._nearest(registered, query, within_m=self._max_reference_m)
         if reference is None:
             return self._out_of_reach(query, place)
-        seen, met = query.submap.rows[registration.pairs[:, 0]], reference_submap.rows[registration.pairs[:, 1]]
-        if not self._config.loop_closure.close_tracked and 2 * int(np.sum(seen == met)) > len(seen):
-            reason = "its landmarks are still associated: there is no loop to close"
-            return query.refusal(Stage.CONSISTENCY, reason, reference, rank=place.rank)
         candidate = self._candidate(query, place, reference_submap, registration, reference, seed_closure)
         return self._with_stretches_before(query, candidate) if seed_closure == NOWHERE else candidate
 
@@ -221,6 +217,7 @@ class Verifier:
         prior = self._priors.prior(query, place, reference, seed_closure)
         exists = np.broadcast_to(query.submap.existence, len(query.submap)) == 1.0
         confirmed = registration.pairs[exists[registration.pairs[:, 0]]]
+        seen, met = query.submap.rows[registration.pairs[:, 0]], reference_submap.rows[registration.pairs[:, 1]]
         # The query's tilt is the odometry's; the registration is upright.
         T_gravity_body = invert(query.T_local_gravity) @ query.keyframe.T_local_body
         T_reference_query = invert(reference.T_local_body) @ T_local_gravity @ T_gravity_body
@@ -243,6 +240,7 @@ class Verifier:
             retrieval_distance=place.retrieval_distance,
             seed_closure=seed_closure,
             rank=place.rank,
+            is_tracked=2 * int(np.sum(seen == met)) > len(seen),
         )
 
     def _covariance(self, registered: FloatArray) -> FloatArray:

@@ -21,6 +21,7 @@ def figures(**changed: object) -> RobotFigures:
         "odometry_ate_m": 1.3371, "ate_m": 0.0312, "landmarks_confirmed": 37, "object_count": 17,
         "associations_precision": 0.6175, "closures_accepted": 3, "closures_precision": 1.0,
         "discoveries_independent": 3, "discoveries_false_share": 0.632, "revisit_recall": None,
+        "revisits_recognised": None,
         "log_s": 100.0, "wall_s": 4.0, "peak_memory_bytes": 250_000_000, "counters": COUNTERS,
         "final_status": "optimised", **changed,
     }  # fmt: skip
@@ -49,7 +50,7 @@ def test_the_table_tells_figures_warnings_and_failures(dslam: Run, data: Path) -
     assert rows["bad/one"] == ["bad/one", "failed"]
     assert rows["good"] == [
         "good",
-        *["1.337", "0.031", "37", "17", "61.8", "3", "100.0", "3:", "63", "–", "25.0", "0.25"],
+        *["1.337", "0.031", "37", "17", "61.8", "3", "100.0", "3:", "63", "–", "–", "25.0", "0.25"],
     ]
     assert "good: odometry breaks 2" in result.out
     assert "bad/one: line 1 | broken" in result.out
@@ -63,7 +64,10 @@ def test_markdown_tells_how_it_was_made(dslam: Run, data: Path, tmp_path: Path) 
     text = path.read_text(encoding="utf-8")
     assert "dslam benchmark robots data --drive good --set keyframe.distance_m=1.5" in text
     assert "`keyframe.distance_m=1.5`" in text
-    assert "| good | 1.337 | 0.031 | 37 | 17 | 61.8 | 3 | 100.0 | 3: 63 | – | 25.0 | 0.25 | odometry breaks 2 |" in text
+    assert (
+        "| good | 1.337 | 0.031 | 37 | 17 | 61.8 | 3 | 100.0 | 3: 63 | – | – | 25.0 | 0.25 | odometry breaks 2 |"
+        in text
+    )
     assert "has no seed" in text
     assert str(tmp_path) not in text
     assert dslam("benchmark", "robots", data, "-o", path).code == 0

@@ -25,6 +25,7 @@ HEADINGS = {
     "precise %": "precision %",
     "indep.": "independent discoveries: false at most %",
     "recall %": "revisit recall %",
+    "known %": "recognised %",
     "x real": "x real time",
     "GB": "peak GB",
 }
@@ -35,8 +36,9 @@ ATE: root mean square error of the positions, aligned by SE(3), of the odometry 
 Landmarks: those confirmed in the final map, beside the true objects that were detected. Associations: assignments of
 detections to the landmark that shows their object. Closures: those accepted, how many of them are right, how many
 found places have no object in common, the share of these that may be false with 95 % confidence (the rule of three),
-and at how many revisits there is a right one (a revisit comes after at least 100 m of travel). Memory is the peak of
-the replay.
+and at how many revisits there is a right one (a revisit comes after at least 100 m of travel). Recognised: those, and
+revisits at which landmarks of the earlier traversal are still associated, at the right pose. Memory is the peak of the
+replay.
 A dash is a figure that the drive or its truth does not tell. A replay draws its random numbers from what is in the
 log and has no seed: the same log and settings give the same map.
 """
@@ -117,6 +119,7 @@ def _cells(run: RobotRun) -> list[str]:
         _percent(f.closures_precision),
         _discoveries(f.discoveries_independent, f.discoveries_false_share),
         _percent(f.revisit_recall),
+        _percent(f.revisits_recognised),
         f"{f.real_time_factor:.1f}",
         f"{f.peak_memory_bytes / 1e9:.2f}",
     )

@@ -39,6 +39,7 @@ class RobotFigures:
     discoveries_independent: int | None
     discoveries_false_share: float | None
     revisit_recall: float | None
+    revisits_recognised: float | None
     log_s: float
     wall_s: float
     peak_memory_bytes: int
@@ -92,6 +93,7 @@ def _run(drive: RobotDrive, folder: Path, config: Config) -> RobotFigures:
         discoveries_independent=discoveries.independent if discoveries else None,
         discoveries_false_share=discoveries.largest_false_share if discoveries else None,
         revisit_recall=revisits.recall if revisits else None,
+        revisits_recognised=revisits.recognised if revisits else None,
         log_s=replayed.log_s,
         wall_s=replayed.wall_s,
         peak_memory_bytes=replayed.peak_memory_bytes,

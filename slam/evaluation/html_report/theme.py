@@ -9,6 +9,7 @@ STAGES = {
     "registration": "--stage-registration",
     "acceptance": "--stage-acceptance",
     "consistency": "--stage-consistency",
+    "association": "--stage-association",
     "back_end": "--stage-back-end",
     "accepted": "--closure-true",
 }
@@ -36,6 +37,7 @@ LIGHT = {
     "--stage-registration": "#7d9cc0",
     "--stage-acceptance": "#c9a50a",
     "--stage-consistency": "#e377c2",
+    "--stage-association": "#8c6bb1",
     "--stage-back-end": "#d64545",
     "--other": palette.OTHER_COLOR,
     "--landmarks": "#8456c4",
@@ -64,6 +66,7 @@ DARK = LIGHT | {
     "--missed": "#b794ff",
     "--stage-retrieval": "#5b6675",
     "--stage-registration": "#7d9cc0",
+    "--stage-association": "#b794ff",
     "--landmarks": "#ab82e6",
     "--lost": "#f87171",
     "--found": "#4ade80",

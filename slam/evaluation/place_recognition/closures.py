@@ -19,6 +19,7 @@ from slam.evaluation.place_recognition.precision_recall import ScoreSweep, sweep
 from slam.evaluation.place_recognition.revisits import DIRECTIONS, Revisits, find_revisits
 
 NO_TRUE_CANDIDATE = "no true candidate"
+ASSOCIATION = "association"
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +73,16 @@ class RevisitQuality:
     def recall(self) -> float | None:
         """Recalled among all revisits; None where there is none."""
         return self.recalled_count / self.revisit_count if self.revisit_count else None
+
+    @property
+    def associated_count(self) -> int:
+        """Revisits without a closure whose landmarks were never let go, at the right pose: they need none."""
+        return self.missed_by_stage.get(ASSOCIATION, 0)
+
+    @property
+    def recognised(self) -> float | None:
+        """Revisits that are recalled or associated among all; None where there is none."""
+        return (self.recalled_count + self.associated_count) / self.revisit_count if self.revisit_count else None
 
     def recall_of(self, direction: str) -> float | None:
         """Recalled among the revisits of one direction; None where there is none.

@@ -72,6 +72,8 @@ def _closures(quality: ClosureQuality | None, reason: str | None) -> str:
     if revisits is None or not revisits.revisit_count:
         return f"{counted}, precision {precision}; {origin}; no revisit"
     recall = fraction(revisits.recalled_count / revisits.revisit_count, revisits.recalled_count, revisits.revisit_count)
+    if revisits.associated_count and revisits.recognised is not None:
+        recall += f" ({100.0 * revisits.recognised:.2f} % with data association)"
     return f"precision {precision}, recall {recall}; {origin}"
 
 

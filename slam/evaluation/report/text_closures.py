@@ -120,7 +120,10 @@ def _recall(revisits: RevisitQuality) -> str:
         for name, count in revisits.revisit_counts.items()
     )
     share = f"{100.0 * revisits.recalled_count / revisits.revisit_count:.2f} %"
-    return f"{share} ({revisits.recalled_count} of {revisits.revisit_count} revisits; {directions})"
+    associated = ""
+    if revisits.associated_count and revisits.recognised is not None:
+        associated = f"; with the {revisits.associated_count} by data association {100.0 * revisits.recognised:.2f} %"
+    return f"{share} ({revisits.recalled_count} of {revisits.revisit_count} revisits; {directions}){associated}"
 
 
 def _missed(revisits: RevisitQuality) -> str:

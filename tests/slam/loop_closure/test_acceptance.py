@@ -69,6 +69,26 @@ def test_a_pattern_that_repeats_itself_leaves_it_open(acceptance, patterns, wher
     assert acceptance.decide(query(), [candidate(0.0, SURE_LLR + 5.0)]).accepted is not None
 
 
+def test_a_pose_by_landmarks_never_let_go_is_recognised_and_not_closed(acceptance, patterns):
+    patterns.along_track = [candidate(8.0, SURE_LLR + 20.0)]  # not asked for: nothing is accepted
+    tracked = replace(candidate(0.0, SURE_LLR + 10.0), is_tracked=True)
+    found = acceptance.decide(query(), [tracked, candidate(2.0, SURE_LLR - 5.0)])
+    assert found.accepted is None
+    assert [each.stage for each in found.rejected] == ["acceptance", "association"]
+    acceptance.reset()
+    patterns.along_track = []
+    elsewhere = acceptance.decide(query(), [candidate(90.0, SURE_LLR + 40.0), tracked])
+    assert elsewhere.accepted is not None
+    assert not elsewhere.accepted.is_tracked
+
+
+def test_a_pose_by_landmarks_never_let_go_is_a_rival(acceptance):
+    tracked = replace(candidate(0.0, SURE_LLR), is_tracked=True)
+    shifted = candidate(2.5, SURE_LLR + 3.0)
+    found = acceptance.decide(query(), [shifted, tracked])
+    assert found.accepted is None
+
+
 def test_what_spoke_for_a_pose_at_other_keyframes_does_not_add_up(acceptance):
     for row in range(3):
         found = acceptance.decide(query(300.0 + 10.0 * row), [candidate(10.0 * row, SURE_LLR - 1.0, row=row)])

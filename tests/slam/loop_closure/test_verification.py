@@ -164,14 +164,11 @@ def test_the_errors_that_inliers_share_are_in_the_covariance_in_the_axes_of_the_
     np.testing.assert_allclose(with_shared.covariance - without.covariance, expected, atol=1e-6)
 
 
-def test_landmarks_that_are_still_followed_close_no_loop_unless_that_is_wanted():
-    for close_tracked in (False, True):
-        scene = Scene(scattered(), loop_closure={"close_tracked": close_tracked})
-        scene.query = replace(scene.query, submap=replace(scene.query.submap, rows=scene.landmarks.reference.rows))
-        if close_tracked:
-            scene.verified()
-        else:
-            assert "still associated" in scene.refusal()
+def test_a_candidate_knows_that_its_landmarks_were_never_let_go():
+    scene = Scene(scattered())
+    assert not scene.verified().is_tracked
+    scene.query = replace(scene.query, submap=replace(scene.query.submap, rows=scene.landmarks.reference.rows))
+    assert scene.verified().is_tracked
 
 
 def test_a_query_is_where_enough_landmarks_of_an_earlier_traversal_are_followed():

@@ -115,6 +115,15 @@ def test_the_last_verdict_replaces_the_others() -> None:
     assert found.revisits.missed_by_stage == {NO_TRUE_CANDIDATE: REVISIT_COUNT - 3, "consistency": 1, "back_end": 1}
 
 
+def test_a_revisit_that_data_association_recognises_needs_no_closure() -> None:
+    right = closure(200, 40, truth=TRUTH, stage="association")
+    wrong = closure(210, 30, truth=TRUTH, stage="association", shift_m=9.0)
+    revisits = judge([closure(190, 50, truth=TRUTH), right, wrong], TRUTH).revisits
+    assert revisits is not None
+    assert (revisits.recalled_count, revisits.associated_count) == (1, 1)
+    assert revisits.recognised == 2 / REVISIT_COUNT
+
+
 def test_final_verdicts_are_in_the_order_of_time() -> None:
     records = [closure(9, 3), closure(5, 2), closure(9, 1), closure(5, 2, stage="retrieval")]
     found = find_final_decisions(records)
