@@ -89,9 +89,12 @@ class QuadIndex:
         sets = np.unique(neighbour_sets(positions[:, :2], np.arange(len(positions)), cKDTree(positions[:, :2])), axis=0)
         quads = possible_quads(plane, sets, tolerance_m)
         quad, entry = self._candidates(quads.lengths, labels[quads.vertices], tolerance_m)
-        reference = np.minimum(self.vertices[entry], len(map_positions) - 1).astype(np.int64)
-        corners = map_positions[reference, :2].astype(np.float64)
-        fits = _differences(corners[..., 0] + 1j * corners[..., 1], quads.lengths[quad]) <= tolerance_m
+        reference = np.minimum(np.take(self.vertices, entry, axis=0), len(map_positions) - 1)
+        # Most differ in their base already: the other corners, all over the map, are not looked up.
+        bases = np.abs(_corners(map_positions, reference[:, 1]) - _corners(map_positions, reference[:, 0]))
+        alike = np.flatnonzero(np.abs(bases - quads.lengths[quad, 0]) <= tolerance_m)
+        quad, reference = quad[alike], reference[alike].astype(np.int64)
+        fits = _differences(_corners(map_positions, reference), quads.lengths[quad]) <= tolerance_m
         return QuadMatches(quads.vertices[quad[fits]], reference[fits])
 
     def _candidates(self, lengths: FloatArray, labels: IntArray, tolerance_m: float) -> tuple[IntArray, IntArray]:
@@ -99,10 +102,12 @@ class QuadIndex:
         lowest = np.floor((lengths - tolerance_m) / self.cell_m).astype(np.int64)
         highest = np.floor((lengths + tolerance_m) / self.cell_m).astype(np.int64)
         side = int((highest - lowest).max(initial=0)) + 1
-        steps = np.stack(np.meshgrid(*[np.arange(side)] * 5, indexing="ij"), axis=-1).reshape(-1, 5)
-        probes = lowest[:, None] + steps  # (Q, S, 5)
-        row, step = np.nonzero((probes <= highest[:, None]).all(axis=2))
-        bucket = _buckets(probes[row, step], labels[row], len(self.starts) - 1)
+        steps = np.indices((side,) * 5).reshape(5, -1)
+        is_probed = np.ones((len(lengths), steps.shape[1]), dtype=bool)
+        for length, step_counts in enumerate((highest - lowest).T):
+            is_probed &= steps[length] <= step_counts[:, None]
+        row, step = np.nonzero(is_probed)
+        bucket = _buckets(lowest[row] + steps.T[step], labels[row], len(self.starts) - 1)
         first = self.starts[bucket].astype(np.int64)
         counts = np.maximum(np.minimum(self.starts[bucket + 1], len(self)).astype(np.int64) - first, 0)
         totals = np.bincount(row, weights=counts, minlength=len(lengths))
@@ -149,11 +154,17 @@ def build_quad_index(positions: FloatArray, labels: IntArray, *, sigma_m: float)
 
 def _buckets(cells: IntArray, labels: IntArray, count: int) -> IntArray:
     """Bucket (Q,), of ``count``, of quads with the lengths' ``cells`` (Q, 5) and the corners' ``labels`` (Q, 4)."""
-    mixed = (cells.astype(np.uint64) * _PRIMES[:5]).sum(axis=1, dtype=np.uint64)
-    mixed ^= (labels.astype(np.uint64) * _PRIMES[5:]).sum(axis=1, dtype=np.uint64)
+    mixed = cells.astype(np.uint64) @ _PRIMES[:5]
+    mixed ^= labels.astype(np.uint64) @ _PRIMES[5:]
     mixed ^= mixed >> np.uint64(29)
     mixed *= np.uint64(0xBF58476D1CE4E5B9)
     return np.asarray((mixed >> np.uint64(20)) & np.uint64(count - 1), dtype=np.int64)
+
+
+def _corners(map_positions: FloatArray, rows: NDArray[np.integer]) -> NDArray[np.complex128]:
+    """Positions (...) m, in the plane, of objects (...) of a map."""
+    found = np.take(map_positions, rows, axis=0)
+    return np.asarray(found[..., 0] + 1j * found[..., 1].astype(np.float64))
 
 
 def _differences(corners: NDArray[np.complex128], lengths: FloatArray) -> FloatArray:
