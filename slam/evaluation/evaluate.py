@@ -51,7 +51,7 @@ def evaluate(
 
     Args:
         records: of the log.
-        protocol: the thresholds.
+        protocol: the thresholds; those of papers if None, with lengths in proportion to the sensor range of the run.
         map_alignment: ``T_world_map`` (4, 4) of the map that the robot was to find itself in, as
             :func:`slam.evaluation.metrics.relocalization.locate_map` finds it. It is used for the errors of
             relocalizations alone.
@@ -59,7 +59,13 @@ def evaluate(
     Raises:
         EvaluationError: a pose is not finite.
     """
-    return _Evaluator(records, protocol or Protocol(), map_alignment).run()
+    return _Evaluator(records, protocol or protocol_of(records), map_alignment).run()
+
+
+def protocol_of(records: EvaluationRecords) -> Protocol:
+    """The protocol with lengths in proportion to the sensor range that the run went by."""
+    range_m = records.sensor_range_m
+    return Protocol() if range_m is None else Protocol().for_range(range_m)
 
 
 class _Evaluator:

@@ -52,6 +52,12 @@ class TestOneLog:
         assert_refused(dslam("evaluate", mapped, "--html", page, "--picture", page), "two outputs")
         assert_refused(dslam("evaluate", mapped, "--html", mapped), "is the input")
 
+    def test_thresholds_can_be_given(self, dslam: Run, mapped: Path) -> None:
+        told = dslam("evaluate", mapped, "--rules", "--protocol", "closure_translation_m=1.25")
+        assert "within 1.25 m and" in told.out
+        assert_refused(dslam("evaluate", mapped, "--protocol", "closure_m=1"), "no threshold closure_m")
+        assert_refused(dslam("evaluate", mapped, "--protocol", "closure_m"), "NAME=NUMBER")
+
     def test_a_fix_is_measured_in_the_map_that_was_given(self, dslam: Run, short_log: Path, tmp_path: Path) -> None:
         saved, later = tmp_path / "saved.mcap", tmp_path / "later.mcap"
         assert dslam("replay", short_log, "-o", tmp_path / "first.mcap", "--save-map", saved).code == 0

@@ -16,10 +16,12 @@ from tools.evaluation.output import (
     Findings,
     JsonFile,
     MapRun,
+    Protocols,
     Reference,
     Require,
     Rules,
     Times,
+    parse_thresholds,
     report,
 )
 
@@ -45,6 +47,7 @@ def compare(
     as_json: Json = False,
     json_file: JsonFile = None,
     map_run: MapRun = None,
+    protocol: Protocols = None,
     require: Require = None,
     rules: Rules = False,
     table: Annotated[
@@ -70,7 +73,7 @@ def compare(
 
     requirements = [parse_requirement(text) for text in require or ()]
     alignment = None if map_run is None else locate_map_of(map_run)
-    truth = Truth(reference, closure_reference, times, calib, chosen, alignment)
+    truth = Truth(reference, closure_reference, times, calib, chosen, alignment, parse_thresholds(protocol))
     findings = compare_logs(logs, truth, table or ())
     report(findings, requirements, as_json=as_json, with_rules=rules, json_file=json_file)
 
@@ -99,6 +102,7 @@ def compare_logs(logs: Sequence[Path], truth: Truth, tables: Sequence[Path] = ()
         results=comparison.to_json_dict(),
         parts=[compare_table(comparison), "", *_members(comparison), *notes],
         runs=evaluations,
+        rules=runs[0].results["protocol"]["rules"],
     )
 
 

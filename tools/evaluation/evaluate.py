@@ -15,10 +15,12 @@ from tools.evaluation.output import (
     Findings,
     JsonFile,
     MapRun,
+    Protocols,
     Reference,
     Require,
     Rules,
     Times,
+    parse_thresholds,
     report,
 )
 
@@ -38,6 +40,7 @@ def evaluate(
         typer.Option("--html", metavar="FILE.html", help="Write a page to look at, which needs nothing beside it."),
     ] = None,
     map_run: MapRun = None,
+    protocol: Protocols = None,
     require: Require = None,
     every: Annotated[bool, typer.Option("--all", help="Print every figure, not only the six lines.")] = False,
     rules: Rules = False,
@@ -52,7 +55,7 @@ def evaluate(
 
     requirements = [parse_requirement(text) for text in require or ()]
     alignment = None if map_run is None else locate_map_of(map_run)
-    truth = Truth(reference, closure_reference, times, calib, chosen, alignment)
+    truth = Truth(reference, closure_reference, times, calib, chosen, alignment, parse_thresholds(protocol))
     findings = _evaluate_log(log, truth, picture, page, every=every)
     report(findings, requirements, as_json=as_json, with_rules=rules, json_file=json_file)
 
@@ -74,4 +77,4 @@ def _evaluate_log(log: Path, truth: Truth, picture: Path | None, page: Path | No
         write_report(page, records, evaluation, title=log.stem)
     results = evaluation.to_json_dict()
     parts = render(evaluation, with_rules=False) if every else [console.pairs(summarize(evaluation))]
-    return Findings(results, parts, {"": results})
+    return Findings(results, parts, {"": results}, rules=evaluation.protocol.describe())

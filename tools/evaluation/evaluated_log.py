@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +20,7 @@ class Truth:
 
     ``reference``: the log, or the file of poses, that holds the truth; ``closure_reference``: another one for closures;
     ``times`` and ``calib``: of poses in KITTI's format; ``topics``: by kind; ``map_alignment``: ``T_world_map`` (4, 4)
-    of the map in which the robot found itself.
+    of the map in which the robot found itself; ``thresholds``: of the protocol, by name, that are not its own.
     """
 
     reference: Path | None = None
@@ -29,6 +29,7 @@ class Truth:
     calib: Path | None = None
     topics: Mapping[str, str] | None = None
     map_alignment: FloatArray | None = None
+    thresholds: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, path: Path | None) -> Path | TextReference | None:
         """The reference at ``path``: a log as it stands, a file of poses with what belongs to it."""
@@ -48,7 +49,7 @@ def evaluate_log(log: Path, truth: Truth) -> tuple[EvaluationRecords, Evaluation
         EvaluationError: it holds no estimate.
     """
     from slam.common.errors import EvaluationError
-    from slam.evaluation.evaluate import evaluate
+    from slam.evaluation.evaluate import evaluate, protocol_of
     from slam.evaluation.inputs.records import read_records
 
     records = read_records(
@@ -59,7 +60,9 @@ def evaluate_log(log: Path, truth: Truth) -> tuple[EvaluationRecords, Evaluation
     )
     if records.trajectory is None and not records.online_poses:
         raise EvaluationError(f"{log} holds no estimate (no topics under /slam); give a log that 'dslam replay' wrote")
-    return records, evaluate(records, map_alignment=truth.map_alignment)
+    return records, evaluate(
+        records, protocol_of(records).with_thresholds(truth.thresholds), map_alignment=truth.map_alignment
+    )
 
 
 def locate_map_of(log: Path) -> FloatArray:

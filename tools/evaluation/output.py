@@ -55,6 +55,15 @@ Require = Annotated[
     list[str] | None,
     typer.Option(metavar="KEY<=NUMBER", help="Exit with 1 unless it holds (<= >= == < >), of every run. Repeatable."),
 ]
+Protocols = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--protocol",
+        metavar="NAME=NUMBER",
+        help="A threshold of the evaluation (--rules tells all), e.g. closure_translation_m=4. Repeatable.",
+        show_default=False,
+    ),
+]
 Rules = Annotated[bool, typer.Option("--rules", help="Also print by which rules everything is measured.")]
 
 
@@ -62,13 +71,14 @@ Rules = Annotated[bool, typer.Option("--rules", help="Also print by which rules 
 class Findings:
     """``results`` as one JSON object, ``parts`` for people; requirements hold of each of ``runs``, by name.
 
-    ``failures``: what could not be evaluated at all.
+    ``failures``: what could not be evaluated at all. ``rules``: by which everything was measured.
     """
 
     results: Mapping[str, Any]
     parts: Sequence[RenderableType]
     runs: Mapping[str, Mapping[str, Any]]
     failures: Sequence[str] = field(default_factory=tuple)
+    rules: Mapping[str, str] = field(default_factory=dict)
 
 
 def report(
@@ -80,7 +90,6 @@ def report(
         Exit: with code 1, a requirement is not met or a run failed.
         UnwritableLogError: the file cannot be written.
     """
-    from slam.evaluation.inputs.protocol import Protocol
     from slam.evaluation.report.text_tables import pairs_table
     from tools import console
 
@@ -90,7 +99,7 @@ def report(
     if as_json:
         console.show_json(findings.results)
     else:
-        rules = [pairs_table("Rules", Protocol().describe())] if with_rules else []
+        rules = [pairs_table("Rules", dict(findings.rules))] if with_rules else []
         console.show(*findings.parts, *rules, *(f"met: {text}" for text in met))
     lines = [f"{what}: {'; '.join(texts)}" for what, texts in
              (("failed", findings.failures), ("not met", unmet)) if texts]  # fmt: skip
@@ -98,6 +107,24 @@ def report(
         sys.stdout.flush()
         print(f"dslam: {' '.join('; '.join(lines).split())}", file=sys.stderr)
         raise typer.Exit(FELL_SHORT)
+
+
+def parse_thresholds(texts: Sequence[str] | None) -> dict[str, float]:
+    """Thresholds by name, of texts like "closure_translation_m=4".
+
+    Raises:
+        EvaluationError: one of another form.
+    """
+    from slam.common.errors import EvaluationError
+
+    thresholds: dict[str, float] = {}
+    for text in texts or ():
+        name, _, number = text.partition("=")
+        try:
+            thresholds[name.strip()] = float(number)
+        except ValueError:
+            raise EvaluationError(f"--protocol {text}: give NAME=NUMBER, e.g. closure_translation_m=4") from None
+    return thresholds
 
 
 def _check(runs: Mapping[str, Mapping[str, Any]], requirements: Sequence[Requirement]) -> tuple[list[str], list[str]]:

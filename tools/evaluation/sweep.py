@@ -55,6 +55,7 @@ def sweep(
     """
     chosen = parse_topics(topics)
     check_outputs([json_file], [log])
+
     from slam.evaluation.requirements import parse_requirement
 
     requirements = [parse_requirement(text) for text in require or ()]
@@ -90,6 +91,7 @@ def sweep_drive(
         LogError, SlamError: the input, a degradation, a setting or the folder cannot be used.
     """
     from slam.common.config import load_config
+    from slam.evaluation.inputs.protocol import Protocol
     from slam.sweeps.degradations import parse_degradations
     from slam.sweeps.outputs import JSON_NAME, PICTURE_NAME, SHEET_NAMES, TABLE_NAME, write_outputs
     from slam.sweeps.sweep import run_sweep
@@ -131,4 +133,5 @@ def sweep_drive(
         ],
         runs={cell.name: result.evaluation for cell, result in sweep.results if result.evaluation is not None},
         failures=sweep.failures,
+        rules=Protocol().describe(),
     )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Self
 
 from slam.common.errors import EvaluationError
 from slam.evaluation.metrics.alignment import STRAIGHT_LINE_RATIO
@@ -10,6 +12,23 @@ from slam.evaluation.metrics.trajectory import KITTI_LENGTHS_M, KITTI_START_STEP
 
 SPACING_TOLERANCE = 0.05
 """Part of the query spacing by which keyframes may be closer: those placed every 2 m must not be thinned by half."""
+
+RANGE_M = 30.0
+"""Sensor range for which the lengths of the protocol are given: those of papers, about cars in streets."""
+LENGTHS = (
+    "revisit_m",
+    "window_m",
+    "window_stride_m",
+    "match_distance_m",
+    "closure_translation_m",
+    "query_spacing_m",
+    "revisit_distance_m",
+    "closure_run_gap_m",
+    "pair_positive_m",
+    "pair_negative_m",
+    "relocalization_translation_m",
+)
+"""Those of them that mean nothing in a hall of ten metres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +88,25 @@ class Protocol:
                 f"window_least_landmarks = {self.window_least_landmarks}: fewer than 3 landmarks leave no residual"
             )
 
+    def for_range(self, sensor_range_m: float) -> Self:
+        """The same with all ``LENGTHS`` in proportion to a sensor range [m]."""
+        scale = sensor_range_m / RANGE_M
+        return replace(self, **{name: scale * getattr(self, name) for name in LENGTHS})
+
+    def with_thresholds(self, thresholds: Mapping[str, float]) -> Self:
+        """The same with other thresholds, by name.
+
+        Raises:
+            EvaluationError: there is no such threshold, or one value.
+        """
+        numbers = {name: type(value) for name, value in asdict(self).items() if not isinstance(value, tuple)}
+        for name, value in thresholds.items():
+            if name not in numbers:
+                raise EvaluationError(f"the protocol has no threshold {name}; it has {', '.join(numbers)}")
+            if not numbers[name](value) == value:
+                raise EvaluationError(f"{name} = {value} of the evaluation protocol must be a whole number")
+        return replace(self, **{name: numbers[name](value) for name, value in thresholds.items()})
+
     def describe(self) -> dict[str, str]:
         """Each rule in one sentence, with the thresholds in it."""
         lengths = ", ".join(f"{length:g}" for length in self.relative_lengths_m)
@@ -86,6 +124,9 @@ class Protocol:
             "landmark_identity": "A landmark shows the object that most of its detections show, false positives "
             "counted as one candidate; a tie goes to the first. Detections of a merged landmark count for the one that "
             "it became.",
+            "lengths": f"Lengths of places, closures, revisits and windows are those of papers for a sensor that sees "
+            f"{RANGE_M:g} m, in proportion to the range that the run went by: here a revisit comes after "
+            f"{self.revisit_m:g} m.",
             "association_precision": "Assignments to an existing landmark whose detection shows that landmark's "
             "object; a false positive is wrong.",
             "association_recall": f"Detections of an object that an earlier frame showed within the last "

@@ -79,6 +79,18 @@ class EvaluationRecords:
     has_prior_map: bool = False
 
     @property
+    def sensor_range_m(self) -> float | None:
+        """The sensor range that the run went by, estimated or given; None where the log does not tell."""
+        estimated = _read_tree(self.provenance.get("estimated", ""))
+        given = self.configuration.get("detection")
+        range_m = estimated.get("detection.sensor_range_m")
+        if range_m is None and isinstance(given, Mapping):
+            range_m = given.get("sensor_range_m")
+        if not isinstance(range_m, int | float):
+            return None
+        return float(range_m) if 0.0 < range_m < np.inf else None
+
+    @property
     def verified_places(self) -> int | None:
         """Proposals of descriptors that the run verified for each keyframe; None where the log does not tell."""
         loop_closure = self.configuration.get("loop_closure")

@@ -1,0 +1,56 @@
+"""The protocol: its lengths go with the sensor range of a run, and thresholds can be given."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+
+import pytest
+
+from slam.common.errors import EvaluationError
+from slam.evaluation.evaluate import protocol_of
+from slam.evaluation.inputs.protocol import LENGTHS, RANGE_M, Protocol
+from slam.evaluation.inputs.records import EvaluationRecords
+
+
+def test_lengths_go_with_the_sensor_range_and_nothing_else_does():
+    assert Protocol().for_range(RANGE_M) == Protocol()
+    small = asdict(Protocol().for_range(0.25 * RANGE_M))
+    for name, value in asdict(Protocol()).items():
+        assert small[name] == (0.25 * value if name in LENGTHS else value)
+
+
+@pytest.mark.parametrize(
+    ("estimated", "given", "expected"),
+    [
+        ('{"detection.sensor_range_m": 7.5}', 30.0, 7.5),
+        ("{}", 60.0, 60.0),
+        ("", None, None),
+        ('{"detection.sensor_range_m": "far"}', 30.0, None),
+        ('{"detection.sensor_range_m": -1.0}', 30.0, None),
+    ],
+)
+def test_the_range_of_a_run_is_what_it_estimated_or_was_given(estimated, given, expected):
+    configuration = {} if given is None else {"detection": {"sensor_range_m": given}}
+    records = EvaluationRecords(configuration=configuration, provenance={"estimated": estimated})
+    assert records.sensor_range_m == expected
+    assert protocol_of(records).revisit_m == pytest.approx(100.0 if expected is None else expected / RANGE_M * 100.0)
+
+
+def test_a_threshold_that_is_given_replaces_that_of_the_protocol():
+    changed = Protocol().with_thresholds({"closure_translation_m": 1.0, "pair_frames": 10.0})
+    assert changed == replace(Protocol(), closure_translation_m=1.0, pair_frames=10)
+    assert isinstance(changed.pair_frames, int)
+
+
+@pytest.mark.parametrize(
+    ("thresholds", "told"),
+    [
+        ({"closure_m": 1.0}, "no threshold closure_m"),
+        ({"relative_lengths_m": 1.0}, "no threshold relative_lengths_m"),
+        ({"pair_frames": 1.5}, "whole number"),
+        ({"closure_translation_m": -1.0}, "must be positive"),
+    ],
+)
+def test_a_threshold_that_makes_no_sense_is_refused(thresholds, told):
+    with pytest.raises(EvaluationError, match=told):
+        Protocol().with_thresholds(thresholds)
