@@ -74,6 +74,7 @@ class StampClocks:
     def __init__(self) -> None:
         self._topics: defaultdict[str, _TopicClock] = defaultdict(_TopicClock)
         self._delays: defaultdict[bool, list[int]] = defaultdict(list)
+        self._first_ns, self._last_ns = 2**63, 0
         self.steps: list[ClockStep] = []
 
     def follow(self, item: LogItem) -> Iterator[Record]:
@@ -82,6 +83,7 @@ class StampClocks:
             yield from item.records
             return
         logged_ns, topic = item.raw.log_time_ns, item.raw.topic
+        self._first_ns, self._last_ns = min(self._first_ns, logged_ns), max(self._last_ns, logged_ns)
         self._delays[isinstance(record, Odometry)].append(logged_ns - record.stamp_ns)
         ready, step_ns = self._topics[topic].follow(record, logged_ns)
         if step_ns:
@@ -94,11 +96,14 @@ class StampClocks:
             yield from clock.release()
 
     def delays(self) -> LoggingDelays:
-        """Those of all messages so far."""
+        """Those of all messages so far; none where they are longer than the log: its clock counts from elsewhere."""
         odometry, detections = (self._delays[of_odometry] for of_odometry in (True, False))
         if not odometry or not detections:
             return LoggingDelays()
-        return LoggingDelays(median_low(odometry) * 1e-9, median_low(detections) * 1e-9)
+        of_odometry_ns, of_detections_ns = median_low(odometry), median_low(detections)
+        if max(abs(of_odometry_ns), abs(of_detections_ns)) > self._last_ns - self._first_ns:
+            return LoggingDelays()
+        return LoggingDelays(of_odometry_ns * 1e-9, of_detections_ns * 1e-9)
 
 
 class _TopicClock:

@@ -125,6 +125,15 @@ def test_median_delays_of_odometry_and_detections() -> None:
     assert clocks.delays() == LoggingDelays(pytest.approx(0.005), pytest.approx(0.08))
 
 
+@pytest.mark.parametrize("interval_ns", [0, TENTH_NS])
+def test_log_times_that_count_from_elsewhere_tell_nothing(interval_ns: int) -> None:
+    clocks = StampClocks()
+    for row in range(9):
+        list(clocks.follow(item(scan(START_NS + row * TENTH_NS), row * interval_ns, "/detections")))
+        list(clocks.follow(item(Odometry(START_NS + row * TENTH_NS, np.eye(4)), row * interval_ns, "/odom")))
+    assert clocks.delays() == LoggingDelays()
+
+
 @pytest.mark.parametrize(
     ("odometry_s", "detections_s", "delay_s", "blamed"),
     [
