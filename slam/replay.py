@@ -34,7 +34,7 @@ from slam.frontend.input.input_records import InputRecords
 from slam.frontend.input.label_map import LabelMap
 from slam.frontend.input.scan_objects import ScanObjects
 from slam.frontend.input.sensor_frames import SensorFrames
-from slam.frontend.input.stamp_clocks import StampClocks
+from slam.frontend.input.stamp_clocks import NO_DRIFT, ClockDrift, StampClocks
 from slam.localization.gnss import find_georeference
 from slam.localization.prior_map import PriorMap
 from slam.localization.unrecognised_map import why_not_recognised
@@ -43,7 +43,7 @@ from slam.output_log import OutputLog
 from slam.place_recognition.imported_map import ImportedMap
 from slam.place_recognition.place_prior import PlacePrior
 from slam.self_calibration.calibration import Calibration, calibrate
-from slam.self_calibration.survey import survey
+from slam.self_calibration.survey import Survey, survey
 from slam.system import Slam
 
 _MAPPED = (
@@ -135,7 +135,7 @@ def replay(
         lost_before = reader.decoding_counters
         mapped = mapped.without(RecordKind.TRANSFORMS)
         scans = ScanObjects(labels, frames)
-        calibration = _calibrate(reader, mapped, config, InputRecords(config, labels, frames, scans), frames)
+        calibration, drift = _calibrate(reader, mapped, config, InputRecords(config, labels, frames, scans), frames)
         slam = Slam(calibration.config, prior_map, extend=extend, place_prior=place_prior, frames=frames)
         display = DriveDisplay(calibration.config.detection.sensor_range_m, _ground_truth(source, config, selection))
         inputs = InputRecords(calibration.config, labels, frames, scans)
@@ -150,7 +150,7 @@ def replay(
             writer.add_metadata("dslam", provenance)
             log = OutputLog(writer, display, view, georeference)
             drive = _Drive(slam, inputs, log, fixes=[])
-            clocks = StampClocks()
+            clocks = StampClocks(drift)
             for item in reader.items(mapped, copy=copied):
                 if item.raw.topic in copied:
                     writer.write_raw(item.raw)
@@ -176,6 +176,7 @@ def replay(
         final_status=final.status.message,
         notes=(
             *calibration.notes,
+            *([str(drift)] if drift.rate else []),
             *map(str, clocks.steps),
             *_about_the_map(slam, prior_map, final, drive.fixes, config),
             *_about_labels(labels),
@@ -313,15 +314,31 @@ def _read_frames(reader: LogReader, selection: Selection) -> SensorFrames:
 
 def _calibrate(
     reader: LogReader, selection: Selection, config: Config, inputs: InputRecords, frames: SensorFrames
-) -> Calibration:
-    """The settings for a log: those that were not given by hand are estimated from it."""
+) -> tuple[Calibration, ClockDrift]:
+    """The settings for a log, of which those that were not given by hand are estimated from it, and how the clock of
+    its detections drifts.
+    """
     if not config.calibration.enabled:
-        return Calibration(config)
-    clocks = StampClocks()
+        return Calibration(config), NO_DRIFT
+    found, clocks = _survey(reader, selection, config, inputs, frames, NO_DRIFT)
+    drift = clocks.drift()
+    if drift.rate:
+        found, clocks = _survey(reader, selection, config, inputs, frames, drift)
+    return calibrate(config, found, clocks.delays()), drift
+
+
+def _survey(
+    reader: LogReader,
+    selection: Selection,
+    config: Config,
+    inputs: InputRecords,
+    frames: SensorFrames,
+    drift: ClockDrift,
+) -> tuple[Survey | None, StampClocks]:
+    clocks = StampClocks(drift)
     records = inputs.prepare(record for item in reader.items(selection) for record in clocks.follow(item))
     with threadpool_limits(1, user_api="blas"):
-        found = survey(records, config.detection, frames, max_classes=config.association.max_classes)
-        return calibrate(config, found, clocks.delays())
+        return survey(records, config.detection, frames, max_classes=config.association.max_classes), clocks
 
 
 def _about_calibration(calibration: Calibration) -> dict[str, str]:

@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from statistics import median_low
 
+import numpy as np
+
 from logs.messages import ImageDetections, LabelledScan, ObjectDetections, Odometry, Record
 from logs.reader import LogItem
 
@@ -24,6 +26,14 @@ TOLERANCE = 2.0
 """Intervals between messages and spreads of their delays; within so many of both together nothing is a step."""
 IMPOSSIBLE = 10.0
 """How many times as much a message counts that was logged before it was made, as one that was logged late."""
+
+BLOCKS = 16
+SIGNIFICANT = 6.0
+"""By how many times the scatter of its delays a clock must have drifted in the end."""
+LEAST_DRIFT = 0.1
+"""Of the interval between scans: less drift in the whole log does no harm."""
+MOST_RATE = 1e-3
+"""Oscillators are better than that; where delays grow faster, messages queue."""
 
 Stamped = Odometry | ObjectDetections | ImageDetections | LabelledScan
 
@@ -68,10 +78,37 @@ class ClockStep:
         )
 
 
-class StampClocks:
-    """Follows the messages of a log in its order, and takes steps of the clocks off their stamps."""
+@dataclass(frozen=True, slots=True)
+class ClockDrift:
+    """The clock of detections loses ``rate`` seconds in a second of the odometry's, from the stamp ``since_ns`` on."""
 
-    def __init__(self) -> None:
+    rate: float = 0.0
+    since_ns: int = 0
+
+    def correct(self, record: Stamped) -> Stamped:
+        """The record by a clock that keeps time."""
+        if self.rate == 0.0 or isinstance(record, Odometry):
+            return record
+        return replace(record, stamp_ns=record.stamp_ns + round(self.rate * (record.stamp_ns - self.since_ns)))
+
+    def __str__(self) -> str:
+        return (
+            f"the clock of detections is {'slow' if self.rate > 0 else 'fast'} by {1e6 * abs(self.rate):.0f} parts in "
+            "a million against that of the odometry, by the times at which messages were logged: corrected"
+        )
+
+
+NO_DRIFT = ClockDrift()
+
+
+class StampClocks:
+    """Follows the messages of a log in its order, and takes steps of the clocks, and a known ``drift``, off their
+    stamps.
+    """
+
+    def __init__(self, drift: ClockDrift = NO_DRIFT) -> None:
+        self._drift = drift
+        self._logged: defaultdict[bool, list[int]] = defaultdict(list)
         self._topics: defaultdict[str, _TopicClock] = defaultdict(_TopicClock)
         self._delays: defaultdict[bool, list[int]] = defaultdict(list)
         self._first_ns, self._last_ns = 2**63, 0
@@ -83,8 +120,10 @@ class StampClocks:
             yield from item.records
             return
         logged_ns, topic = item.raw.log_time_ns, item.raw.topic
+        record = self._drift.correct(record)
         self._first_ns, self._last_ns = min(self._first_ns, logged_ns), max(self._last_ns, logged_ns)
         self._delays[isinstance(record, Odometry)].append(logged_ns - record.stamp_ns)
+        self._logged[isinstance(record, Odometry)].append(logged_ns)
         ready, step_ns = self._topics[topic].follow(record, logged_ns)
         if step_ns:
             self.steps.append(ClockStep(topic, record.stamp_ns, step_ns))
@@ -95,6 +134,17 @@ class StampClocks:
         for clock in self._topics.values():
             yield from clock.release()
 
+    def drift(self) -> ClockDrift:
+        """How the clock of the detections drifts beside that of the odometry; none where a clock was set."""
+        if self.steps or len(self._delays[False]) < BLOCKS:
+            return NO_DRIFT
+        rates = [_rate(self._logged[of_odometry], self._delays[of_odometry]) for of_odometry in (False, True)]
+        rate, seconds = rates[0] - rates[1], (self._last_ns - self._first_ns) * 1e-9
+        interval_s = seconds / len(self._delays[False])
+        if not LEAST_DRIFT * interval_s < abs(rate) * seconds < MOST_RATE * seconds:
+            return NO_DRIFT
+        return ClockDrift(rate, self._logged[False][0] - self._delays[False][0])
+
     def delays(self) -> LoggingDelays:
         """Those of all messages so far; none where they are longer than the log: its clock counts from elsewhere."""
         odometry, detections = (self._delays[of_odometry] for of_odometry in (True, False))
@@ -104,6 +154,22 @@ class StampClocks:
         if max(abs(of_odometry_ns), abs(of_detections_ns)) > self._last_ns - self._first_ns:
             return LoggingDelays()
         return LoggingDelays(of_odometry_ns * 1e-9, of_detections_ns * 1e-9)
+
+
+def _rate(logged_ns: list[int], delays_ns: list[int]) -> float:
+    """Growth of the least delays in a unit of time, where it is significant: nothing is logged sooner than it can be.
+
+    The least delays of blocks lie on the line of the clocks (Moon, Skelly and Towsley, INFOCOM 1999).
+    """
+    if len(logged_ns) < BLOCKS:
+        return 0.0
+    rows = [block[np.argmin(np.array(delays_ns)[block])] for block in np.array_split(np.arange(len(logged_ns)), BLOCKS)]
+    times, least = ((np.array(values)[rows] - values[0]) * 1e-9 for values in (logged_ns, delays_ns))
+    A = np.column_stack([times, np.ones(BLOCKS)])
+    line, *_ = np.linalg.lstsq(A, least)
+    scatter = float(np.sqrt(np.sum((least - A @ line) ** 2) / (BLOCKS - 2)))
+    is_significant = abs(line[0]) * float(np.ptp(times)) > SIGNIFICANT * scatter
+    return float(line[0]) if is_significant else 0.0
 
 
 class _TopicClock:

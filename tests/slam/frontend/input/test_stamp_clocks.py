@@ -10,7 +10,7 @@ import pytest
 from logs.messages import ObjectDetections, Odometry, Record
 from logs.reader import LogItem
 from logs.topics import Channel, RawMessage
-from slam.frontend.input.stamp_clocks import CONFIRMING, LoggingDelays, StampClocks
+from slam.frontend.input.stamp_clocks import CONFIRMING, ClockDrift, LoggingDelays, StampClocks
 
 TENTH_NS = 100_000_000
 S_NS = 10**9
@@ -147,3 +147,48 @@ def test_log_times_that_count_from_elsewhere_tell_nothing(interval_ns: int) -> N
 )
 def test_whose_stamps_are_wrong(odometry_s: float, detections_s: float, delay_s: float, blamed: bool | None) -> None:
     assert LoggingDelays(odometry_s, detections_s).blame_detections(delay_s) is blamed
+
+
+def drifting(
+    rate: float, *, late_ns: Callable[[int], int] = jitter_ns, clocks: StampClocks | None = None
+) -> StampClocks:
+    """Scans of a clock that loses ``rate``, and odometry of one that does not, for 100 s."""
+    clocks = clocks or StampClocks()
+    for row in range(1000):
+        made_ns = row * TENTH_NS
+        list(clocks.follow(item(scan(START_NS + made_ns - round(rate * made_ns)), START_NS + made_ns + late_ns(row))))
+        list(clocks.follow(item(Odometry(START_NS + made_ns, np.eye(4)), START_NS + made_ns, "/odom")))
+    return clocks
+
+
+@pytest.mark.parametrize("rate", [2e-4, -2e-4, 9e-4])
+def test_a_clock_that_drifts_is_found_and_put_right(rate: float) -> None:
+    drift = drifting(rate).drift()
+    assert drift.rate == pytest.approx(rate, rel=0.01)
+    assert f"is {'slow' if rate > 0 else 'fast'} by {1e6 * abs(rate):.0f} parts" in str(drift)
+    last_ns = START_NS + 999 * TENTH_NS
+    corrected = drift.correct(scan(last_ns - round(rate * 999 * TENTH_NS)))
+    assert corrected.stamp_ns == pytest.approx(last_ns, abs=2_000_000)
+    assert drifting(rate, clocks=StampClocks(drift)).drift().rate == 0.0
+
+
+def test_the_stamps_of_the_odometry_are_the_measure() -> None:
+    message = Odometry(START_NS, np.eye(4))
+    assert ClockDrift(1e-4, 0).correct(message) is message
+
+
+@pytest.mark.parametrize("rate", [0.0, 5e-5, 2e-3])
+def test_drifts_that_do_no_harm_and_queues_are_left(rate: float) -> None:
+    assert drifting(rate).drift().rate == 0.0
+
+
+def test_delays_that_vary_show_no_drift() -> None:
+    rng = np.random.default_rng(0)
+    late_ns = (1e8 * rng.random(1000) + 5e7 * np.sin(np.arange(1000) / 200.0)).astype(int).tolist()
+    assert drifting(2e-4, late_ns=late_ns.__getitem__).drift().rate == 0.0
+
+
+def test_a_clock_that_was_set_tells_of_no_drift() -> None:
+    assert drifting(0.0, late_ns=lambda row: 0).drift().rate == 0.0
+    _, clocks = followed(lambda row: -30 * S_NS * (row >= SET_AT))
+    assert clocks.drift().rate == 0.0
