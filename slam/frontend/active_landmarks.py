@@ -209,6 +209,11 @@ class ActiveLandmarks:
         scans = self._map.rows["last_scan"][ids]
         near = (classes[first] == classes[second]) & (scans[first] != scans[second])
         first, second = first[near], second[near]
+        # Whatever their correlation is, the variance of a difference is at most twice the sum of both.
+        offsets, variances = positions[first] - positions[second], self._local.variances()
+        largest = 2.0 * (variances[first] + variances[second] + self._view_variance)
+        near = np.einsum("ki,ki->k", offsets, offsets) < 14.0 * largest
+        first, second = first[near], second[near]
         difference, covariances = self._local.difference(first, second)
         covariances = covariances + self._view_variance * np.eye(2)
         near = np.einsum("ki,ki->k", difference, difference) < 14.0 * np.trace(covariances, axis1=1, axis2=2)

@@ -181,6 +181,10 @@ class LocalMap:
         P = self._P[a[:, :, None], a[:, None, :]] + self._P[b[:, :, None], b[:, None, :]]
         return self._positions[first] - self._positions[second], P - P_ab - P_ab.transpose(0, 2, 1)
 
+    def variances(self) -> FloatArray:
+        """Traces (L,) m^2 of the covariances of all landmarks' positions."""
+        return np.asarray(np.diagonal(self._P)[POSE:].reshape(-1, 2).sum(axis=1))
+
     def merge(self, kept: int, dropped: int, variance: float) -> None:
         """Make one of two landmarks (ids): they are in one place, up to ``variance`` [m^2], and one is let go."""
         first, second = self.slots(np.array([kept])), self.slots(np.array([dropped]))

@@ -79,10 +79,11 @@ class TriangleIndex:
         """
         triangles = neighbour_triangles(positions)
         query, entries = self._candidates(triangles, labels)
-        differs = np.abs(triangles.sides[query] - self._sides[entries]).max(axis=1, initial=0.0) > self.tolerance_m
-        query, entries = query[~differs], entries[~differs]
-        reference = self._vertices[entries]
-        is_usable = usable[reference].all(axis=1)
+        differences = np.take(triangles.sides, query, axis=0)
+        differences -= np.take(self._sides, entries, axis=0)
+        alike = np.flatnonzero(_all_of_three(np.abs(differences) <= self.tolerance_m))
+        query, reference = query[alike], np.take(self._vertices, entries[alike], axis=0)
+        is_usable = _all_of_three(np.take(usable, reference))
         return TriangleMatches(triangles.vertices[query[is_usable]], reference[is_usable].astype(np.int64))
 
     def _candidates(self, triangles: Triangles, labels: IntArray) -> tuple[IntArray, IntArray]:
@@ -113,3 +114,8 @@ class TriangleIndex:
         steps = np.floor(np.maximum(sides[..., 2], 0.0) * (STEPS / self.tolerance_m))
         c = np.minimum(steps, STEPS * CELLS - 1).astype(np.int64)
         return np.asarray(((kind * CELLS + a) * CELLS + b) * (STEPS * CELLS) + c)
+
+
+def _all_of_three(holds: BoolArray) -> BoolArray:
+    """Whether all of (C, 3) hold, sooner than a reduction over so short an axis."""
+    return np.asarray(holds[:, 0] & holds[:, 1] & holds[:, 2])

@@ -74,19 +74,19 @@ def vote_for_poses(
     reference = (reference_positions[:, 0] + 1j * reference_positions[:, 1])[matches.reference]
     turns, places, longest_m = _poses(query, reference)
     votes = _Votes.of(turns, places, longest_m, tolerance_m, float(np.sqrt(np.mean(centred[:, :2] ** 2) * 2.0)))
-    rises = reference_positions[matches.reference, 2] - query_positions[matches.query, 2]
     found = []
     for members in votes.peaks(count):
         turn, place = _mean_pose(query[members], reference[members])
         shift = place - turn * complex(middle[0], middle[1])
-        xyz = np.array([shift.real, shift.imag, np.median(rises[members])])
+        rises = reference_positions[matches.reference[members], 2] - query_positions[matches.query[members], 2]
+        xyz = np.array([shift.real, shift.imag, np.median(rises)])
         found.append(VotedPose(transform_from_xyz_yaw(xyz, float(np.angle(turn))), members))
     return found
 
 
 def _poses(query: ComplexArray, reference: ComplexArray) -> tuple[ComplexArray, ComplexArray, FloatArray]:
     """Rotation (C,) and place (C,) m of the query's origin at which triangles (C, 3) meet, and their sizes (C,) m."""
-    mean_query, mean_reference = query.mean(axis=1), reference.mean(axis=1)
+    mean_query, mean_reference = (np.asarray(sum(each.T)) / each.shape[1] for each in (query, reference))
     about_query, about_reference = query - mean_query[:, None], reference - mean_reference[:, None]
     turns = np.einsum("ci,ci->c", about_reference, about_query.conj())
     turns /= np.maximum(np.abs(turns), np.finfo(np.float64).tiny)
@@ -124,10 +124,8 @@ class _Votes:
         x = np.floor((places.real - places.real.min()) / edge_m).astype(np.int64)
         y = np.floor((places.imag - places.imag.min()) / edge_m).astype(np.int64)
         heading = np.floor((np.angle(turns) + np.pi) * (headings / (2.0 * np.pi))).astype(np.int64) % headings
-        keys, first, voted, counts = np.unique(
-            _key(x, y, heading), return_index=True, return_inverse=True, return_counts=True
-        )
-        return cls(np.stack([x, y, heading], axis=1)[first], keys, counts, voted, headings)
+        keys, voted, counts = np.unique(_key(x, y, heading), return_inverse=True, return_counts=True)
+        return cls(_cells(keys), keys, counts, voted, headings)
 
     def peaks(self, count: int) -> list[IntArray]:
         """The votes in and around the ``count`` cells with most of them there."""
@@ -158,3 +156,9 @@ class _Votes:
 
 def _key(x: IntArray, y: IntArray, heading: IntArray) -> IntArray:
     return np.asarray(((x + 1 << _BITS) + y + 1 << _BITS) + heading)
+
+
+def _cells(keys: IntArray) -> IntArray:
+    """x, y and heading (V, 3) of keys (V,)."""
+    mask = (1 << _BITS) - 1
+    return np.stack([(keys >> 2 * _BITS) - 1, (keys >> _BITS & mask) - 1, keys & mask], axis=1)

@@ -376,6 +376,16 @@ def test_the_difference_of_two_landmarks_has_the_covariance_of_both_and_their_co
 # The frame
 
 
+def test_a_difference_varies_at_most_twice_as_much_as_both_landmarks_together():
+    _, local = driven(3)
+    variances = local.variances()
+    blocks = [local._P[row : row + 2, row : row + 2] for row in range(POSE, len(local._P), 2)]
+    np.testing.assert_allclose(variances, [np.trace(block) for block in blocks])
+    first, second = np.triu_indices(len(local.ids), 1)
+    of_differences = np.trace(local.difference(first, second)[1], axis1=1, axis2=2)
+    assert (of_differences <= 2.0 * (variances[first] + variances[second])).all()
+
+
 def test_the_local_frame_puts_the_body_where_the_filter_has_it():
     _, local = driven(4)
     T_odom_body = transform_from_xyz_yaw(np.array([5.0, -3.0, 1.2]), 2.0)
