@@ -124,19 +124,22 @@ class LikelihoodIndex:
         together do not decide, and those near by may, if the map ends among the others.
         """
         rows, likely = matches
-        undecided = np.flatnonzero(np.bincount(rows, minlength=len(asking)) == k)
-        near = asking[undecided].within(self._descriptor.near_m)
-        has_near = np.flatnonzero(np.diff(near.offsets))
-        undecided, near = undecided[has_near], near[has_near]
-        if k < 2 or not len(undecided):
+        is_open = np.bincount(rows, minlength=len(asking)) == k
+        if k < 2 or not is_open.any():
             return matches
-        is_open = np.isin(rows, undecided)
-        stays = ~is_open | (np.arange(len(rows)) - np.searchsorted(rows, rows) < k - k // 2)
-        rows, likely, is_open = rows[stays], likely[stays], is_open[stays]
+        near = asking[np.flatnonzero(is_open)].within(self._descriptor.near_m)
         by_near = shelf.steps(self._descriptor.cells(near), near.offsets, columns)
-        by_near[np.searchsorted(undecided, rows[is_open]), likely[is_open]] = -1
+        has_near = np.diff(near.offsets) > 0
+        is_open[is_open] = has_near
+        by_near = by_near[has_near]
+        ranks = np.arange(len(rows)) - rows.searchsorted(rows)
+        stays = (ranks < k - k // 2) | ~is_open[rows]
+        rows, likely = rows[stays], likely[stays]
+        taken = is_open[rows]
+        by_near[(np.cumsum(is_open) - 1)[rows[taken]], likely[taken]] = -1
         more, more_likely = _likeliest(by_near, k // 2, self._window_steps)
-        rows, likely = np.concatenate([rows, undecided[more]]), np.concatenate([likely, more_likely])
+        rows = np.concatenate([rows, np.flatnonzero(is_open)[more]])
+        likely = np.concatenate([likely, more_likely])
         order = np.lexsort((likely, -steps[rows, likely], rows))
         return rows[order], likely[order]
 
@@ -174,7 +177,7 @@ class _Shelf:
         total = np.zeros((len(offsets) - 1, len(self.numbers)), dtype=np.int32)
         for query, (start, end) in enumerate(pairwise(starts)):  # thirty times as fast as one reduceat
             kind = np.uint16 if end - start <= 257 else np.uint32  # 257 bytes add up to less than 2^16
-            total[query] = rows[start:end].sum(axis=0, dtype=kind)
+            total[query] = np.add.reduce(rows[start:end], axis=0, dtype=kind)
         total += (self.zero * (np.diff(offsets) - np.diff(starts)))[:, None].astype(np.int32)
         return total if len(columns) == len(self.numbers) else total[:, columns]
 
@@ -187,5 +190,5 @@ def _likeliest(steps: NDArray[np.int32], k: int, window: int) -> tuple[NDArray[n
     rows, columns = np.nonzero(steps >= least[:, None])
     order = np.lexsort((columns, -steps[rows, columns], rows))
     rows, columns = rows[order], columns[order]
-    ranks = np.arange(len(rows)) - np.searchsorted(rows, rows)
+    ranks = np.arange(len(rows)) - rows.searchsorted(rows)
     return rows[ranks < k], columns[ranks < k]
