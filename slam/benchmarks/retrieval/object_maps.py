@@ -108,7 +108,8 @@ def measure_recall(
                 chosen = everything.first(round(share * size))
                 if not drawn:
                     names = [chosen.vocabulary[label] for label in chosen.labels.tolist()]
-                    drawn = draw_path_queries(chosen.positions, names, queries, rng=rng)
+                    paths = np.random.default_rng((seed, 1))  # the same paths, whatever the classes
+                    drawn = draw_path_queries(chosen.positions, names, queries, rng=paths)
                 for name in descriptors:
                     figures.append(_measure(name, chosen, drawn))
                     on_progress(len(figures))

@@ -47,6 +47,15 @@ def test_rare_classes_become_one() -> None:
     assert (figures.objects, figures.classes) == (600, 1)
 
 
+def test_the_same_paths_are_asked_whatever_the_classes() -> None:
+    one = town(600, 400.0)
+    asked = [
+        measure_recall(one, ["descriptellation"], sizes=[600], classes=count, queries=3) for count in ([6], [1, 6])
+    ]
+    alone, after_another = asked[0][0], asked[1][1]
+    assert (alone.classes, alone.places, alone.neighbours) == (6, after_another.places, after_another.neighbours)
+
+
 def test_degrees_and_unknown_descriptors_are_refused() -> None:
     with pytest.raises(SimulationError, match="metres"):
         measure_recall(objects(forest(50, 1.0), is_geodetic=True), ["random"], sizes=[10], queries=1)
