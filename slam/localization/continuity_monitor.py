@@ -30,7 +30,7 @@ from slam.odometry.pose import OdometryPose
 
 FALSE_MATCH_PROBABILITY = 0.1
 """P_F."""
-LEAST_LANDMARKS = 2.0
+LEAST_LANDMARKS = 2
 """Landmarks that must be missed, and new ones that must be seen: a sensor that goes blind sees nothing new."""
 PRIOR_SEEN, PRIOR_MISSED = 8.0, 2.0
 """Beta prior of P_D."""
@@ -126,13 +126,14 @@ class ContinuityMonitor:
             return None
         sides = self._sides(landmarks, times_m)
         llrs = self._log_likelihood_ratios(sides)
-        missed = (sides.in_view[0] * (1.0 - sides.seen[0])).sum(axis=1)
+        missed = ((sides.in_view[0] > 0.5) & (sides.seen[0] == 0.0)).sum(axis=1)
         new = (landmarks.first_seen_m > times_m[:, None]).sum(axis=1)
         noticed = np.flatnonzero((llrs >= self._least_llr) & (np.minimum(missed, new) >= LEAST_LANDMARKS))
         if len(noticed):
             time_m = times_m[noticed[np.argmax(llrs[noticed])]]
             return next(step.keyframe for step in self._steps if step.travel_m > time_m)
-        self._learn(landmarks, sides)
+        if llrs.max() <= 0.0:  # else it might learn from the kidnapping that landmarks are missed
+            self._learn(landmarks, sides)
         return None
 
     def _sides(self, landmarks: RecentLandmarks, times_m: FloatArray) -> _Sides:

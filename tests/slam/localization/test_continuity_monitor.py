@@ -129,3 +129,27 @@ def test_where_a_sensor_sees_is_learned_by_range_and_bearing():
     assert visibility.probability(ahead)[0] > 0.9
     assert visibility.probability(behind)[0] < 0.1
     assert visibility.probability(far)[0] == 0.0
+
+
+def test_two_landmarks_that_are_missed_are_enough():
+    street = Street()
+    kept_m = 2.0 * LEARNING * STEP_M - 4.0
+    others = np.ones(len(street.positions), dtype=bool)
+    others[np.flatnonzero(street.x_m >= kept_m)[0]] = False
+    others[len(street.x_m) + np.flatnonzero(street.x_m >= kept_m)[0]] = False
+    assert street.drive(LEARNING) is None
+    assert street.drive(LEARNING, hidden=others) is None
+    street.carry_off()
+    assert street.drive(5, hidden=street.hide_known()) is not None
+
+
+def test_what_looks_like_a_kidnapping_is_not_learned_from():
+    street = Street(LocalizationConfig(failures_per_km=1e-300))
+    assert street.drive(LEARNING) is None
+    before = street.monitor._counts.copy()
+    street.carry_off()
+    street.drive(3, hidden=street.hide_known())
+    during = street.monitor._counts.copy()
+    assert street.drive(5, hidden=street.hide_known()) is None
+    assert (street.monitor._counts == during).all()
+    assert (before[:, 0] / before.sum(axis=1) > 0.9).all()
