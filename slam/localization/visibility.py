@@ -7,8 +7,10 @@ import numpy as np
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 
 RANGE_CELLS, BEARING_CELLS = 6, 8
-PRIOR_EXPECTED, PRIOR_SEEN = 2.0, 0.0
-"""What is assumed of a cell: it may be hidden from the sensor as long as nothing was seen there."""
+PRIOR_EXPECTED = 2.0
+"""Landmarks that are assumed not to have been seen in a cell: it may be hidden from the sensor as long as nothing was
+seen there.
+"""
 
 
 class Visibility:
@@ -16,10 +18,9 @@ class Visibility:
 
     def __init__(self, range_m: float) -> None:
         self._range_m = range_m
-        # The last cell is all that is out of range: nothing is expected there.
+        # The last cell is all that is out of range: nothing is learned there.
         self._expected = np.full(RANGE_CELLS * BEARING_CELLS + 1, PRIOR_EXPECTED)
-        self._seen = np.full(RANGE_CELLS * BEARING_CELLS + 1, PRIOR_SEEN)
-        self._seen[-1] = 0.0
+        self._seen = np.zeros(RANGE_CELLS * BEARING_CELLS + 1)
 
     def learn(self, positions: FloatArray, seen: BoolArray) -> None:
         """Add landmarks at ``positions`` (N, 2) m in the frame of the body: which of them were seen (N,)."""
