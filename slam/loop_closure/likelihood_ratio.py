@@ -14,10 +14,10 @@ The sum runs over the objects that should have a match: those with any reference
 All others contribute 0. This is the likelihood ratio of target and clutter in multi-target tracking (Bar-Shalom and Li,
 Multitarget-Multisensor Tracking, 1995).
 
-lambda_i is the largest of three densities: that within ``clutter_radius_m``; that along the direction of travel, with a
-Gaussian profile across it; and the prior of half an object in the area that was searched. Parked cars and trees stand
-in rows, so a wrong pose on a parallel street matches most of a row; the density along the track is high there and
-the match is worth little.
+lambda_i is the largest of four densities: that within ``clutter_radius_m``; that along the direction of travel, with a
+Gaussian profile across it; that along the line to each of the two nearest landmarks of the class, which do not count
+there themselves; and the prior of half an object in the area that was searched. Parked cars and trees stand in rows, so
+a wrong pose on a parallel street matches most of a row; the density along it is high and the match is worth little.
 """
 
 from __future__ import annotations
@@ -26,11 +26,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import LikelihoodRatioConfig
 from slam.common.geometry import apply, yaw_rad
 from slam.object_map.submap import Submap
 
+NEAREST = 2
+"""Nearest landmarks of the class that may show the direction of a row."""
 LEAST_COUNT = 0.01
 """Least density of a class: so many objects in a square with sides of ``coverage_radius_m``."""
 
@@ -130,13 +132,8 @@ def _clutter_densities(
     disc_area = np.pi * config.clutter_radius_m**2
     in_disc = np.sum(others & (distances < config.clutter_radius_m), axis=0) / disc_area
     c, s = np.cos(heading_rad), np.sin(heading_rad)
-    along = c * offsets[..., 0] + s * offsets[..., 1]
-    across = c * offsets[..., 1] - s * offsets[..., 0]
-    strip_area = 2.0 * config.clutter_along_track_m * config.clutter_cross_track_sigma_m * np.sqrt(2.0 * np.pi)
-    in_strip = others & (np.abs(along) < config.clutter_along_track_m)
-    along_track = (
-        np.sum(in_strip * np.exp(-0.5 * (across / config.clutter_cross_track_sigma_m) ** 2), axis=0) / strip_area
-    )
+    along_track = _strip_densities(offsets, others, np.array([c, s]), config)
+    row = _row_densities(offsets, distances, others, config)
     # Half an object as a pseudo-count: in the disc, or in as much of the map as holds half an object of the class.
     area = np.full(len(query), disc_area)
     if class_shares is not None:
@@ -145,4 +142,36 @@ def _clutter_densities(
         density = np.sum(near, axis=0) / (np.pi * config.coverage_radius_m**2)
         least_density = LEAST_COUNT / config.coverage_radius_m**2
         area += 0.5 / np.maximum(density * class_shares[query.labels], least_density)
-    return np.asarray(np.maximum(np.maximum(in_disc, along_track), 0.5 / area))
+    return np.asarray(np.maximum.reduce([in_disc, along_track, row, 0.5 / area]))
+
+
+def _row_densities(
+    offsets: FloatArray, distances: FloatArray, others: BoolArray, config: LikelihoodRatioConfig
+) -> FloatArray:
+    """Densities (N,) along the line through each object and its nearest other landmark of the class, that one left out.
+
+    A row that does not run along the heading, as that of the street before a corner, is a row all the same.
+    """
+    rows = np.full(distances.shape[1], 0.0)
+    apart = np.where(others, distances, np.inf)
+    columns = np.arange(distances.shape[1])
+    for _ in range(min(NEAREST, len(apart))):
+        nearest = np.argmin(apart, axis=0)
+        found = np.isfinite(apart[nearest, columns])
+        direction = offsets[nearest, columns] / np.maximum(distances[nearest, columns], 1e-9)[:, None]
+        left = others.copy()
+        left[nearest, columns] = False
+        rows = np.maximum(rows, np.where(found, _strip_densities(offsets, left, direction, config), 0.0))
+        apart[nearest, columns] = np.inf
+    return rows
+
+
+def _strip_densities(
+    offsets: FloatArray, counted: BoolArray, direction: FloatArray, config: LikelihoodRatioConfig
+) -> FloatArray:
+    """Densities (N,) of the landmarks ``counted`` (M, N) along a ``direction`` (2,) or (N, 2), Gaussian across it."""
+    along = np.sum(offsets * direction, axis=-1)
+    across = offsets[..., 1] * direction[..., 0] - offsets[..., 0] * direction[..., 1]
+    area = 2.0 * config.clutter_along_track_m * config.clutter_cross_track_sigma_m * np.sqrt(2.0 * np.pi)
+    profile = np.exp(-0.5 * (across / config.clutter_cross_track_sigma_m) ** 2)
+    return np.asarray(np.sum((counted & (np.abs(along) < config.clutter_along_track_m)) * profile, axis=0) / area)

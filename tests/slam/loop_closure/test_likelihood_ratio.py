@@ -104,10 +104,22 @@ def test_a_row_of_parked_cars_shifted_by_one_car_says_far_less_than_scattered_ob
     assert row < 0.6 * apart
 
 
-def test_objects_in_a_row_across_the_direction_of_travel_say_more_than_those_along_it():
-    along = row_llr(10, 6.0, row_heading_rad=0.4, heading_rad=0.4)
-    across = row_llr(10, 6.0, row_heading_rad=0.4, heading_rad=0.4 + np.pi / 2)
-    assert along < 0.7 * across
+@pytest.mark.parametrize("turn_rad", [0.3, 0.9, np.pi / 2.0, -2.0])
+def test_a_row_says_as_little_if_it_does_not_run_along_the_heading(turn_rad):
+    along = row_llr(10, 11.0, row_heading_rad=0.4, heading_rad=0.4)
+    turned = row_llr(10, 11.0, row_heading_rad=0.4, heading_rad=0.4 + turn_rad)
+    assert turned == pytest.approx(along, rel=0.1)
+
+
+def test_two_objects_that_are_near_are_no_row():
+    """The nearest other one only shows a direction: along it the object is alone."""
+    pair = submap(np.array([[0.0, 0.0, 0.0], [6.0, 6.0, 0.0]]))
+    alone = submap(np.zeros((1, 3)))
+    ratios = [
+        compute_log_likelihood_ratio(query, query, np.eye(4), each_with_its_own(len(query)), CONFIG).per_object[0]
+        for query in (pair, alone)
+    ]
+    assert ratios[0] == pytest.approx(ratios[1])
 
 
 def test_the_denser_a_row_the_less_each_of_its_objects_says():
@@ -266,8 +278,13 @@ def test_a_landmark_that_may_not_exist_says_less_either_way():
 
 def test_a_row_counts_as_clutter_beyond_what_is_near():
     """Lamps every 20 m: from each of them the next one is out of the disc, and they still stand in a row."""
-    apart, row = (row_llr(9, 20.0, row_heading_rad=heading, heading_rad=0.0) for heading in (np.pi / 2.0, 0.0))
-    assert row < 0.8 * apart
+    row = np.zeros((9, 3))
+    row[:, 0] = 20.0 * np.arange(9)
+    equal, distinct = (
+        compute_log_likelihood_ratio(query, query, np.eye(4), each_with_its_own(9), CONFIG).total
+        for query in (submap(row), submap(row, np.arange(9)))
+    )
+    assert equal < 0.8 * distinct
 
 
 def test_the_matched_object_is_no_clutter_of_its_own():
