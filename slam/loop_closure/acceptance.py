@@ -80,8 +80,9 @@ class Acceptance:
         of objects fits as well.
         """
         posterior = self._posterior(query, candidates)
-        best = candidates[posterior.best]
-        others = [each for each in candidates if each is not best]
+        likeliest = candidates[posterior.best]
+        others = [each for each in candidates if each is not likeliest]
+        best = replace(likeliest, accumulated_llr=float(posterior.log_odds[posterior.best]))
         rejected = tuple(each.record(Stage.ACCEPTANCE, "another candidate is likelier") for each in others)
         if best.is_tracked and self._is_sure(posterior):
             return Decision((*rejected, best.record(Stage.ASSOCIATION, TRACKED)))
@@ -94,7 +95,6 @@ class Acceptance:
             best = replace(best, best_rival_llr=best_rival)
         else:
             is_best = True
-        best = replace(best, accumulated_llr=float(posterior.log_odds[posterior.best]))
         if is_best and self._is_sure(posterior):
             return Decision(rejected, best)
         fits = best.log_likelihood_ratio >= self._least_log_odds

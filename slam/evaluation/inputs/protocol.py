@@ -165,6 +165,8 @@ class Protocol:
             "neighbour that was thinned out does not count for it.",
             "closure_recognised": "Revisits that are recalled, or at which the landmarks of the earlier traversal are "
             "still associated and the pose by them is true: there a closure would add nothing.",
+            "reliability": "The likeliest candidate of each query that no other closure predicted, by its posterior "
+            "probability against being somewhere new, rivals apart: how many of them are right.",
             "closure_missed": "Where a revisit was missed: the farthest stage that a true candidate of it reached.",
             "closure_error": "Accepted true closures, in the place and in the whole angle of the query keyframe.",
             "within_revisit_spread": f"Accepted true closures less than {self.closure_run_gap_m:g} m of true travel "

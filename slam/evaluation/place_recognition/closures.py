@@ -16,6 +16,7 @@ from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.place_recognition.closure_labels import JudgedClosures, label_closures
 from slam.evaluation.place_recognition.discoveries import Discoveries, count_discoveries
 from slam.evaluation.place_recognition.precision_recall import ScoreSweep, sweep_scores
+from slam.evaluation.place_recognition.reliability import Reliability, measure_reliability
 from slam.evaluation.place_recognition.revisits import DIRECTIONS, Revisits, find_revisits
 
 NO_TRUE_CANDIDATE = "no true candidate"
@@ -100,6 +101,7 @@ class ClosureQuality:
 
     ``judged`` is there without a truth too, all undecided; ``has_truth`` says so. ``revisits`` is None without truth or
     keyframes, ``errors`` without an accepted true closure. ``discoveries``: where the accepted ones come from.
+    ``reliability``: of the posterior probabilities, None without truth.
     """
 
     judged: JudgedClosures
@@ -107,6 +109,7 @@ class ClosureQuality:
     errors: ClosureErrors | None
     revisits: RevisitQuality | None
     discoveries: Discoveries
+    reliability: Reliability | None = None
 
     @property
     def candidate_count(self) -> int:
@@ -176,7 +179,8 @@ def evaluate_closures(
     if has_truth and len(keyframe_ids):
         revisits = _assess_revisits(find_revisits(keyframe_ids, keyframe_stamps_ns, truth, protocol), judged)
     discoveries = count_discoveries(judged, protocol, has_truth=has_truth)
-    return ClosureQuality(judged, has_truth, _summarize_errors(judged, protocol), revisits, discoveries)
+    reliability = measure_reliability(judged) if has_truth else None
+    return ClosureQuality(judged, has_truth, _summarize_errors(judged, protocol), revisits, discoveries, reliability)
 
 
 def _assess_revisits(revisits: Revisits, judged: JudgedClosures) -> RevisitQuality:

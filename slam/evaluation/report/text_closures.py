@@ -9,6 +9,7 @@ from slam.evaluation.place_recognition.closures import NO_TRUE_CANDIDATE, Closur
 from slam.evaluation.place_recognition.discoveries import Discoveries
 from slam.evaluation.place_recognition.place_pairs import OnlineQuality, PairQuality
 from slam.evaluation.place_recognition.precision_recall import ScoreSweep
+from slam.evaluation.place_recognition.reliability import SURE
 from slam.evaluation.place_recognition.retrieval import RECALL_AT, RetrievalQuality
 from slam.evaluation.report.text_tables import UNDEFINED, counts, fraction, number, pairs_table
 
@@ -24,6 +25,10 @@ def closure_table(quality: ClosureQuality, retrieval: RetrievalQuality | None = 
         precision = fraction(quality.precision, quality.true_count, quality.true_count + quality.false_count)
         rows["precision"] = precision + (f", {quality.undecided_count} undecided" if quality.undecided_count else "")
     rows["found, followed, led back"] = _discoveries(quality.discoveries)
+    if quality.reliability is not None and quality.reliability.sure_count:
+        sure = quality.reliability
+        share = fraction(sure.sure_right / sure.sure_count, sure.sure_right, sure.sure_count)
+        rows[f"right with a probability of {SURE:g}"] = share
     if quality.revisits is not None:
         rows["recall"] = _recall(quality.revisits)
         rows["missed revisits by stage"] = _missed(quality.revisits)
