@@ -53,8 +53,15 @@ def test_nothing_is_corrected_where_nothing_is_wrong():
 
 def test_a_correction_that_explains_almost_nothing_is_not_made():
     motion = weaving()
-    found = estimate_input_errors(tracks(motion, delay_s=0.004, noise_m=0.2), motion)
-    assert found == InputErrors()
+    # Significant, 7 standard errors and more, but of a displacement that is noise in the main.
+    for delay_s, noise_m in ((0.004, 0.2), (0.01, 0.1), (0.02, 0.2)):
+        assert estimate_input_errors(tracks(motion, delay_s=delay_s, noise_m=noise_m), motion) == InputErrors()
+
+
+def test_only_what_is_significant_is_corrected():
+    motion = weaving()
+    found = estimate_input_errors(tracks(motion, delay_s=0.3), motion)
+    assert found == InputErrors(delay_s=found.delay_s)
 
 
 def test_few_tracks_tell_nothing():
