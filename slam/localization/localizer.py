@@ -59,7 +59,12 @@ class Hypothesis:
     @property
     def log_odds(self) -> float:
         """Log posterior odds against "somewhere new"."""
-        return self.log_prior + sum(self.evidence.values()) + min(sum(self.left_behind.values()), 0.0)
+        return self.log_prior + self.log_likelihood_ratio
+
+    @property
+    def log_likelihood_ratio(self) -> float:
+        """What the landmarks say of it, in nats."""
+        return sum(self.evidence.values()) + min(sum(self.left_behind.values()), 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,8 +105,12 @@ class Localizer:
         self._hypotheses = []
 
     def predictions(self, T_odom_query: FloatArray) -> list[tuple[int, FloatArray]]:
-        """Segment and pose (4, 4) at a keyframe of the likeliest hypotheses, for them to be measured there."""
-        likely = sorted(self._hypotheses, key=lambda each: -each.log_odds)[: self._config.max_hypotheses]
+        """Segment and pose (4, 4) at a keyframe of the likeliest hypotheses, for them to be measured there.
+
+        Those with landmarks against them are left out: retrieval proposes them again if that changes.
+        """
+        supported = [each for each in self._hypotheses if each.log_likelihood_ratio > 0.0]
+        likely = sorted(supported, key=lambda each: -each.log_odds)[: self._config.max_hypotheses]
         return [(each.segment, each.T_local_odom @ T_odom_query) for each in likely]
 
     def update(

@@ -133,6 +133,13 @@ def test_the_likeliest_hypotheses_are_predicted_by_the_odometry():
     np.testing.assert_allclose(predicted[0][1], there(10.0), atol=1e-9)
 
 
+def test_a_hypothesis_with_landmarks_against_it_is_not_measured_again(robot):
+    robot.measure(evidence(there(0.0), {1: 3.0, 2: -2.0}), evidence(pose(900.0), {3: 3.0, 4: -4.0}))
+    robot.drive(2.0)
+    (predicted,) = robot.localizer.predictions(robot.T_odom)
+    np.testing.assert_allclose(predicted[1], there(2.0), atol=1e-9)
+
+
 def test_a_hypothesis_that_is_measured_again_is_not_kept_twice(robot):
     for _ in range(3):
         robot.measure(evidence(there(robot.travel_m), {1: 9.0}))
