@@ -150,7 +150,7 @@ def replay(
             writer.add_metadata("dslam", provenance)
             log = OutputLog(writer, display, view, georeference)
             drive = _Drive(slam, inputs, log, fixes=[])
-            clocks = StampClocks(drift)
+            clocks = StampClocks(drift, keeps_delays=False)
             for item in reader.items(mapped, copy=copied):
                 if item.raw.topic in copied:
                     writer.write_raw(item.raw)

@@ -104,10 +104,13 @@ NO_DRIFT = ClockDrift()
 class StampClocks:
     """Follows the messages of a log in its order, and takes steps of the clocks, and a known ``drift``, off their
     stamps.
+
+    ``keeps_delays``: for :meth:`drift` and :meth:`delays`, which need those of all messages.
     """
 
-    def __init__(self, drift: ClockDrift = NO_DRIFT) -> None:
+    def __init__(self, drift: ClockDrift = NO_DRIFT, *, keeps_delays: bool = True) -> None:
         self._drift = drift
+        self._keeps_delays = keeps_delays
         self._logged: defaultdict[bool, list[int]] = defaultdict(list)
         self._topics: defaultdict[str, _TopicClock] = defaultdict(_TopicClock)
         self._delays: defaultdict[bool, list[int]] = defaultdict(list)
@@ -121,13 +124,17 @@ class StampClocks:
             return
         logged_ns, topic = item.raw.log_time_ns, item.raw.topic
         record = self._drift.correct(record)
-        self._first_ns, self._last_ns = min(self._first_ns, logged_ns), max(self._last_ns, logged_ns)
-        self._delays[isinstance(record, Odometry)].append(logged_ns - record.stamp_ns)
-        self._logged[isinstance(record, Odometry)].append(logged_ns)
+        if self._keeps_delays:
+            self._keep(record, logged_ns)
         ready, step_ns = self._topics[topic].follow(record, logged_ns)
         if step_ns:
             self.steps.append(ClockStep(topic, record.stamp_ns, step_ns))
         yield from ready
+
+    def _keep(self, record: Stamped, logged_ns: int) -> None:
+        self._first_ns, self._last_ns = min(self._first_ns, logged_ns), max(self._last_ns, logged_ns)
+        self._delays[isinstance(record, Odometry)].append(logged_ns - record.stamp_ns)
+        self._logged[isinstance(record, Odometry)].append(logged_ns)
 
     def finish(self) -> Iterator[Record]:
         """What still waits, as it is."""
