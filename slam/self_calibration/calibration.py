@@ -172,7 +172,7 @@ def _notes(config: Config, survey: Survey, estimated: Mapping[str, float]) -> tu
         )
     if np.isfinite(survey.claimed_ratio) and not 0.25 < survey.claimed_ratio < 4.0:
         notes.append(
-            f"detections scatter {np.sqrt(survey.claimed_ratio):.1f} times as much as their covariances say: scaled "
+            f"detections scatter {np.sqrt(survey.claimed_ratio):.2g} times as much as their covariances say: scaled "
             "(detection.claimed_sigma_factor)"
         )
     if survey.labels.renamed_ns is not None:

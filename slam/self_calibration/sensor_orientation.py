@@ -96,9 +96,9 @@ def _pairs_by_turn(headings_rad: FloatArray, least_rad: float) -> list[tuple[int
 
 
 def _reached(way: FloatArray, least: float) -> list[tuple[int, int]]:
-    """Pairs (i, j) with j the first scan to which the way from i is ``least``."""
+    """Pairs (i, j) with j the first scan after i to which the way from i is ``least``."""
     second = np.searchsorted(way, way + least)
-    return [(first, int(after)) for first, after in enumerate(second) if after < len(way)]
+    return [(first, int(after)) for first, after in enumerate(second) if first < after < len(way)]
 
 
 def _evenly(pairs: list[tuple[int, int]]) -> list[tuple[int, int]]:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from logs.messages import CameraModel, DepthImage, ImageDetections, LabelledScan, ObjectDetections, Odometry, Record
+from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.frontend.input.image_detections import ImageLifter
@@ -38,7 +39,8 @@ class InputRecords:
         self._frame = ""
         self._placed = 0
         self._repeated = 0
-        self._latest: dict[str, ObjectDetections] = {}
+        self._latest: dict[str, tuple[ObjectDetections, FloatArray | None]] = {}
+        self._T_odom_body: FloatArray | None = None
 
     @property
     def counters(self) -> dict[str, int]:
@@ -64,6 +66,7 @@ class InputRecords:
             record = self._scans.find(record, self._lifter.body_frame)
         elif isinstance(record, Odometry):
             self._lifter.body_frame = record.child_frame_id
+            self._T_odom_body = record.T_odom_body
             return record if self._source is None or self._source.follows(record) else None
         if not isinstance(record, ObjectDetections):
             return record
@@ -73,13 +76,19 @@ class InputRecords:
         return self._labels.apply(record)
 
     def _repeats(self, scan: ObjectDetections) -> bool:
-        """Whether a scan has the objects of the one before from its sensor to the last digit: nobody looked again."""
-        before, self._latest[scan.frame_id] = self._latest.get(scan.frame_id), scan
+        """Whether a scan has the objects of the one before from its sensor to the last digit, though the body moved:
+        nobody looked again.
+        """
+        before, T_before = self._latest.get(scan.frame_id, (None, None))
+        self._latest[scan.frame_id] = scan, self._T_odom_body
         return (
             before is not None
             and before.stamp_ns != scan.stamp_ns
             and len(scan.positions) > 0
             and np.array_equal(before.positions, scan.positions)
+            and T_before is not None
+            and self._T_odom_body is not None
+            and not np.array_equal(T_before, self._T_odom_body)
         )
 
     def check(self) -> None:

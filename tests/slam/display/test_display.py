@@ -94,7 +94,9 @@ def test_after_a_seek_the_map_path_closures_and_frames_are_there(logs, fraction)
 
 @pytest.mark.slow
 def test_the_status_is_told_as_text(logs):
-    assert Player.played(logs[1], 2**62).texts == ["mapping: first odometry", "mapping: optimised"]
+    first, last = Player.played(logs[1], 2**62).texts
+    assert first == "mapping: first odometry"
+    assert last.startswith("mapping: optimised; landmarks contradict the heading of the odometry")  # which drifts
 
 
 def test_closures_are_lines_and_dots_between_their_keyframes():

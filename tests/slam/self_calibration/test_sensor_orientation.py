@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slam.self_calibration.object_tracks import SurveyScan
-from slam.self_calibration.sensor_orientation import find_orientation, roll_pitch_yaw_deg
+from slam.self_calibration.sensor_orientation import _reached, find_orientation, roll_pitch_yaw_deg
 from tests.helpers.surveyed_drives import SurveyedDrive
 
 NOISE = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}
@@ -57,3 +57,10 @@ def test_scans_that_never_agree_tell_nothing():
     drive = SurveyedDrive(0, NOISE, scans=120, objects=40)
     scans = [replace(scan, positions=rng.uniform(-20.0, 20.0, scan.positions.shape)) for scan in drive.scans]
     np.testing.assert_array_equal(find_orientation(scans, drive.headings), np.eye(3))
+
+
+def test_no_scan_is_paired_with_itself():
+    """All objects in one place ask for no way at all between two scans."""
+    assert _reached(np.zeros(5), 0.0) == []
+    assert _reached(np.arange(4.0), 0.0) == []
+    assert _reached(np.arange(4.0), 2.0) == [(0, 2), (1, 3)]

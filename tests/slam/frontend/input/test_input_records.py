@@ -19,17 +19,25 @@ def scan(stamp_ns: int, positions: list[list[float]], frame: str = "lidar") -> O
     return ObjectDetections(stamp_ns, frame, found, ("tree",) * len(found), np.ones(len(found)))
 
 
-def prepared(*scans: ObjectDetections) -> tuple[list[int], dict[str, int]]:
-    """Stamps of the scans to map, and what was counted."""
+def prepared(*scans: ObjectDetections, speed_m: float = 0.1) -> tuple[list[int], dict[str, int]]:
+    """Stamps of the scans to map, and what was counted; the body moves by ``speed_m`` from one to the next."""
     config = Config()
     inputs = InputRecords(config, LabelMap(config.labels), SensorFrames())
-    stamps = [each.stamp_ns for each in inputs.prepare(scans) if isinstance(each, ObjectDetections)]
+    records: list[Odometry | ObjectDetections] = []
+    for row, each in enumerate(scans):
+        T_odom_body = transform_from_xyz_yaw(np.array([speed_m * row, 0.0, 0.0]), 0.0)
+        records += [Odometry(each.stamp_ns, T_odom_body), each]
+    stamps = [each.stamp_ns for each in inputs.prepare(records) if isinstance(each, ObjectDetections)]
     return stamps, inputs.counters
 
 
 def test_a_scan_that_is_repeated_to_the_last_digit_is_left_out_and_counted() -> None:
     other = [[5.0, 1.0, 0.0], [9.0, -2.0, 1e-12]]
     assert prepared(scan(1, ROW), scan(2, ROW), scan(3, ROW), scan(4, other)) == ([1, 4], {"detections_repeated": 2})
+
+
+def test_a_body_that_stands_still_may_see_the_same() -> None:
+    assert prepared(scan(1, ROW), scan(2, ROW), scan(3, ROW), speed_m=0.0) == ([1, 2, 3], {})
 
 
 def test_scans_of_other_sensors_empty_scans_and_copies_of_messages_are_no_repetitions() -> None:
