@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from slam.common.arrays import IntArray
@@ -29,7 +30,8 @@ def diagonal_blocks_of_inverse(matrix: sparse.csc_array, owners: IntArray) -> tu
         owners: (n,) the variable that each row belongs to.
 
     Returns:
-        Rows, columns and values (E,) of the entries, for column <= row in the order of elimination.
+        Rows, columns and values (E,) of the entries, for column <= row in the order of elimination. Those between parts
+        that nothing couples are zero and left out: heights and tilts of a drive over flat ground are such a part.
 
     Raises:
         np.linalg.LinAlgError: the matrix is not positive definite.
@@ -45,6 +47,7 @@ def diagonal_blocks_of_inverse(matrix: sparse.csc_array, owners: IntArray) -> tu
         raise np.linalg.LinAlgError("the matrix is not positive definite")
     lower = sparse.csc_array(factors.L)
     lower.sort_indices()
+    owners = owners * len(owners) + connected_components(abs(matrix) > 0.0, directed=False)[1]
     original = np.argsort(factors.perm_c)  # row of the matrix that each step of the elimination took
     owners = owners[original]
     rows, columns, values = list[IntArray](), list[IntArray](), list[Matrix]()
