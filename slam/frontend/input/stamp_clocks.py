@@ -186,14 +186,15 @@ class _TopicClock:
         self._shift_ns = 0
         self._delays: deque[int] = deque(maxlen=2 * LEAST_MESSAGES)  # by the corrected stamps
         self._intervals: deque[int] = deque(maxlen=2 * LEAST_MESSAGES)
-        self._logged_ns = self._latest_ns = 0
+        self._logged_ns: int | None = None
+        self._latest_ns = 0
         self._waiting: list[Stamped] = []
         self._waiting_delays: list[int] = []
 
     def follow(self, record: Stamped, logged_ns: int) -> tuple[list[Stamped], int]:
         """The messages that are ready, and by how much [ns] they show that the clock was set forward, mostly 0."""
         delay_ns = logged_ns - record.stamp_ns - self._shift_ns
-        if self._logged_ns:
+        if self._logged_ns is not None:
             self._intervals.append(logged_ns - self._logged_ns)
         self._logged_ns = logged_ns
         if len(self._delays) < LEAST_MESSAGES:

@@ -206,3 +206,9 @@ def test_a_whole_drive_is_followed_in_little_memory() -> None:
     assert len(clocks.steps) == 1
     assert not clocks._delays
     assert not clocks._logged
+
+
+def test_log_times_may_all_be_zero() -> None:
+    clocks = StampClocks()
+    found = [each for row in range(MESSAGES) for each in clocks.follow(item(scan(START_NS + row * TENTH_NS), 0))]
+    assert len([*found, *clocks.finish()]) == MESSAGES
