@@ -207,7 +207,7 @@ def _loop_closure(r: m.LoopClosureRecord) -> Message:
         rank=int(r.rank),
         log_likelihood_ratio=r.log_likelihood_ratio,
         odometry_penalty=r.odometry_penalty,
-        accumulated_log_likelihood_ratio=r.accumulated_log_likelihood_ratio,
+        posterior_log_odds=r.posterior_log_odds,
         best_rival_log_likelihood_ratio=r.best_rival_log_likelihood_ratio,
         seed_query_keyframe_id=r.seed_query_keyframe_id,
         represented_by_keyframe_id=r.represented_by_keyframe_id,

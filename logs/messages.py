@@ -243,8 +243,8 @@ class LoopClosureRecord:
 
     What the decision is made from, None where it was not computed; log-likelihood ratios in nats:
     ``log_likelihood_ratio`` of the place against chance; ``odometry_penalty``: the negative log-likelihood of the
-    odometry residual, ``score`` is the difference of the two; ``accumulated_log_likelihood_ratio`` of this and earlier
-    candidates that agree with it, less the largest of their penalties; ``best_rival_log_likelihood_ratio`` of another
+    odometry residual, ``score`` is the difference of the two; ``posterior_log_odds`` of this place against
+    all others and somewhere new; ``best_rival_log_likelihood_ratio`` of another
     candidate that contradicts it, or of itself shifted along the track, whichever is larger;
     ``seed_query_keyframe_id``: query of the closure that predicted this one; ``represented_by_keyframe_id``: query of
     the closure that is the factor for an accepted one, its own where it was inserted.
@@ -267,7 +267,7 @@ class LoopClosureRecord:
     rank: int = 0
     log_likelihood_ratio: float | None = None
     odometry_penalty: float | None = None
-    accumulated_log_likelihood_ratio: float | None = None
+    posterior_log_odds: float | None = None
     best_rival_log_likelihood_ratio: float | None = None
     seed_query_keyframe_id: int | None = None
     represented_by_keyframe_id: int | None = None

@@ -24,7 +24,7 @@ _MOST_CLASSES = 12
 _DECIDED_FROM = (
     "log_likelihood_ratio",
     "odometry_penalty",
-    "accumulated_log_likelihood_ratio",
+    "posterior_log_odds",
     "best_rival_log_likelihood_ratio",
 )
 _LONGEST_VALUE = 300

@@ -180,7 +180,7 @@ def _loop_closure(r: Any, kind: RecordKind, log_time_ns: int, counters: Counter[
             rank=r.rank,
             log_likelihood_ratio=_optional(r, "log_likelihood_ratio"),
             odometry_penalty=_optional(r, "odometry_penalty"),
-            accumulated_log_likelihood_ratio=_optional(r, "accumulated_log_likelihood_ratio"),
+            posterior_log_odds=_optional(r, "posterior_log_odds"),
             best_rival_log_likelihood_ratio=_optional(r, "best_rival_log_likelihood_ratio"),
             seed_query_keyframe_id=_optional(r, "seed_query_keyframe_id"),
             represented_by_keyframe_id=_optional(r, "represented_by_keyframe_id"),

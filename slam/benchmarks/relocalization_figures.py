@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
 from slam.common.arrays import FloatArray
 from slam.common.geometry import invert, yaw_rad
+from slam.evaluation.place_recognition.reliability import Reliability, bin_by_probability, reliability_dict
 
 RECOVERED_WITHIN_M = 40.0
 """Travel within which a right fix is a success."""
@@ -50,7 +52,8 @@ class Outcome:
     whether the estimate is right 10 m after the fix, or at the end of the drive; None if the robot then knows that it
     is lost. ``refusals``: candidates refused before the fix, by stage; ``best_refusal``: that with the highest
     score, and why. ``load_s``: from the saved map to the end of the first search; ``query_ms``: each search after that
-    until the fix.
+    until the fix. ``places``: of the likeliest place of each search, in a map with keyframes, its posterior log odds
+    and whether it is right in the map.
     """
 
     number: int
@@ -70,6 +73,7 @@ class Outcome:
     best_refusal: str
     load_s: float
     query_ms: tuple[float, ...]
+    places: tuple[tuple[float, bool], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +112,7 @@ class RelocalizationBenchmark:
 
     ``map_ate_m``: error (rmse) of the drive that made the map; ``load_s``: median time to take the map in;
     ``query_ms``: median time of looking for the robot's place at a keyframe; ``oracle_rate``: share of the places that
-    could have been found, None if that was not asked.
+    could have been found, None if that was not asked; ``reliability``: of the posterior probabilities of all places.
     """
 
     world: str
@@ -120,7 +124,12 @@ class RelocalizationBenchmark:
     total: Figures
     groups: dict[str, Figures]
     outcomes: tuple[Outcome, ...]
+    reliability: Reliability
     oracle_rate: float | None = None
+
+    def to_json_dict(self) -> dict[str, Any]:
+        """All figures, in types of JSON."""
+        return {**asdict(self), "reliability": reliability_dict(self.reliability)}
 
 
 def deviation(T_world_body_est: FloatArray, T_world_body_gt: FloatArray) -> tuple[float, float]:
@@ -164,6 +173,10 @@ def sum_up(
         total=figures(outcomes),
         groups={name: figures(members) for name, members in groups.items()},
         outcomes=tuple(outcomes),
+        reliability=bin_by_probability(
+            np.array([odds for each in outcomes for odds, _ in each.places], dtype=np.float64),
+            np.array([right for each in outcomes for _, right in each.places], dtype=np.bool_),
+        ),
         oracle_rate=oracle_rate,
     )
 

@@ -24,6 +24,7 @@ from slam.common.config import Config
 from slam.common.geometry import interpolate
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.localization.state import State
+from slam.object_map.map_io import SavedMap
 from slam.system import Slam
 
 
@@ -60,6 +61,13 @@ def put_down(known: KnownMap, drive: Drive, config: Config, tolerance: Tolerance
     def local_errors(pose: SlamPose) -> tuple[float, float]:
         return deviation(known.to_world_nearby(pose.T_map_body, true_pose(pose)), true_pose(pose))
 
+    def place(record: LoopClosureRecord) -> tuple[float, bool]:
+        assert record.posterior_log_odds is not None
+        assert record.T_reference_query is not None
+        T_map_body = known.driven.graph.T_map_body[record.reference_keyframe_id] @ record.T_reference_query
+        true = np.asarray(interpolate(truth.stamps_ns, truth.T_world_body, _within(truth, record.stamp_ns))[0])
+        return record.posterior_log_odds, tolerance.allows(*deviation(known.to_world_nearby(T_map_body, true), true))
+
     best = max(tried.refusals, key=lambda each: each.score, default=None)
     error_m, error_deg = errors(fix) if fix else (None, None)
     local_error_m, local_error_deg = local_errors(fix) if fix else (None, None)
@@ -81,17 +89,21 @@ def put_down(known: KnownMap, drive: Drive, config: Config, tolerance: Tolerance
         best_refusal=f"{best.stage}: {best.reason}" if best else "",
         load_s=tried.load_s,
         query_ms=tried.query_ms,
+        places=tuple(place(each) for each in tried.places) if isinstance(known.saved, SavedMap) else (),
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Trial:
-    """``fix``: the first pose in the map; ``last``: the one at the end; None if the robot is lost."""
+    """``fix``: the first pose in the map; ``last``: the one at the end; None if the robot is lost. ``places``: the
+    likeliest of each search until the fix.
+    """
 
     fix: SlamPose | None
     last: SlamPose | None
     first_ns: int
     refusals: list[LoopClosureRecord]
+    places: list[LoopClosureRecord]
     load_s: float
     query_ms: tuple[float, ...]
 
@@ -104,7 +116,7 @@ def _drive(known: KnownMap, records: Iterable[Record], truth: PoseSeries, config
     fix: SlamPose | None = None
     last: SlamPose | None = None
     end_m = np.inf
-    refusals: list[LoopClosureRecord] = []
+    refusals, places = list[LoopClosureRecord](), list[LoopClosureRecord]()
     query_s: list[float] = []
     for record in records:
         if isinstance(record, GroundTruthPose):
@@ -117,7 +129,9 @@ def _drive(known: KnownMap, records: Iterable[Record], truth: PoseSeries, config
         if fix is None:
             fix = last
             query_s = list(slam.closing_seconds)
-            refusals += [each for each in updates if isinstance(each, LoopClosureRecord) and not each.accepted]
+            candidates = [each for each in updates if isinstance(each, LoopClosureRecord)]
+            refusals += [each for each in candidates if not each.accepted]
+            places += [each for each in candidates if each.posterior_log_odds is not None]
             if fix is not None:
                 end_m = float(truth.travelled_at_m(np.array([fix.stamp_ns]))[0]) + HOLDS_FOR_M
     # The first search enters the whole map into the index of places before it begins.
@@ -126,6 +140,7 @@ def _drive(known: KnownMap, records: Iterable[Record], truth: PoseSeries, config
         last if slam.state != State.LOST else None,
         slam.first_stamp_ns,
         refusals,
+        places,
         load_s + sum(query_s[:1]),
         tuple(1e3 * seconds for seconds in query_s[1:]),
     )

@@ -18,7 +18,7 @@ from slam.evaluation.place_recognition.closures import ClosureQuality
 from slam.evaluation.place_recognition.discoveries import Discoveries
 from slam.evaluation.place_recognition.place_pairs import OnlineQuality, PairQuality
 from slam.evaluation.place_recognition.precision_recall import ScoreSweep
-from slam.evaluation.place_recognition.reliability import EDGES, Reliability
+from slam.evaluation.place_recognition.reliability import reliability_dict
 from slam.evaluation.place_recognition.retrieval import RECALL_AT, RetrievalQuality
 from slam.evaluation.place_recognition.revisits import DIRECTIONS
 
@@ -142,7 +142,7 @@ def _closure_dict(quality: ClosureQuality | None) -> dict[str, Any]:
     return {
         **{f"{name}_count": getattr(quality, f"{name}_count") if quality else None for name in names},
         **_discovery_dict(quality.discoveries if quality else None),
-        "reliability": _reliability_dict(quality.reliability if quality else None),
+        "reliability": reliability_dict(quality.reliability if quality else None),
         "precision": quality.precision if quality else None,
         "recall": revisits.recall if revisits else None,
         "recognised": revisits.recognised if revisits else None,
@@ -165,24 +165,6 @@ def _closure_dict(quality: ClosureQuality | None) -> dict[str, Any]:
     }
 
 
-def _reliability_dict(reliability: Reliability | None) -> dict[str, Any]:
-    if reliability is None:
-        return {"bins": [], "sure_count": None, "sure_right": None}
-    edges = [0.0, *EDGES.tolist(), 1.0]
-    bins = [
-        {"from": low, "to": high, "count": count, "expected": expected if count else None, "right": right}
-        for low, high, count, expected, right in zip(
-            edges[:-1],
-            edges[1:],
-            reliability.counts.tolist(),
-            reliability.expected.tolist(),
-            reliability.right.tolist(),
-            strict=True,
-        )
-    ]
-    return {"bins": bins, "sure_count": reliability.sure_count, "sure_right": reliability.sure_right}
-
-
 def _discovery_dict(discoveries: Discoveries | None) -> dict[str, Any]:
     names = {
         "found_count": "found",
@@ -200,7 +182,7 @@ def _verified_candidates(judged: JudgedClosures) -> list[dict[str, Any]]:
     ids = ("query_keyframe_id", "reference_keyframe_id", "seed_query_keyframe_id", "represented_by_keyframe_id")
     numbers = (
         *("score", "log_likelihood_ratio", "odometry_penalty"),
-        *("accumulated_log_likelihood_ratio", "best_rival_log_likelihood_ratio"),
+        *("posterior_log_odds", "best_rival_log_likelihood_ratio"),
     )
     return [
         {

@@ -20,7 +20,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import expit, logsumexp
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import LocalizationConfig
@@ -69,12 +69,17 @@ class Hypothesis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
-    """``log_odds`` (K,) of the poses given against "somewhere new"; ``probabilities`` (K,), where poses that can be
-    true together share theirs.
+    """``log_odds`` (K,) of the poses given against "somewhere new"; ``posterior_log_odds`` (K,) against that and all
+    poses that cannot be true together with them.
     """
 
     log_odds: FloatArray
-    probabilities: FloatArray
+    posterior_log_odds: FloatArray
+
+    @property
+    def probabilities(self) -> FloatArray:
+        """Posterior probabilities (K,); poses that can be true together share theirs."""
+        return np.asarray(expit(self.posterior_log_odds))
 
     @property
     def best(self) -> int:
@@ -141,8 +146,8 @@ class Localizer:
         for i in range(len(joined)):
             for j in range(i):
                 same[i, j] = same[j, i] = are_consistent(i, j)
-        total = float(logsumexp(np.append(log_odds, 0.0)))
-        return Posterior(log_odds, np.exp(np.array([logsumexp(log_odds[row]) for row in same]) - total))
+        against = np.array([logsumexp(log_odds[row]) - logsumexp(np.append(log_odds[~row], 0.0)) for row in same])
+        return Posterior(log_odds, against)
 
     def _agreements(
         self, known: Sequence[Hypothesis], measured: Sequence[PoseEvidence], T_odom_query: FloatArray

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy.special import expit
 
 from logs.messages import LoopClosureRecord
 from slam.common.config import Config
@@ -40,7 +41,6 @@ class Acceptance:
     def __init__(self, config: Config, verifier: Verifier, keyframes: Sequence[Keyframe]) -> None:
         self.min_objects = config.registration.min_inliers
         """Objects without which there is no pose."""
-        self._error_probability = config.localization.error_probability
         self._least_log_odds = -log_odds_of(config.localization.error_probability)
         self._sensor_range_m = config.detection.sensor_range_m
         self._verifier = verifier
@@ -82,7 +82,7 @@ class Acceptance:
         posterior = self._posterior(query, candidates)
         likeliest = candidates[posterior.best]
         others = [each for each in candidates if each is not likeliest]
-        best = replace(likeliest, accumulated_llr=float(posterior.log_odds[posterior.best]))
+        best = replace(likeliest, posterior_log_odds=float(posterior.posterior_log_odds[posterior.best]))
         rejected = tuple(each.record(Stage.ACCEPTANCE, "another candidate is likelier") for each in others)
         if best.is_tracked and self._is_sure(posterior):
             return Decision((*rejected, best.record(Stage.ASSOCIATION, TRACKED)))
@@ -90,15 +90,17 @@ class Acceptance:
             rivals = self._verifier.shifted(query, best) + self._verifier.aliases(query, best)
             compared = suppress_non_maxima([best, *others, *rivals], sensor_range_m=self._sensor_range_m)
             posterior = self._posterior(query, compared)
-            is_best = self._verifier.agree(compared[posterior.best].T_local_query, best.T_local_query)
+            is_best = self._agree(compared[posterior.best], best)
             best_rival = max((each.log_likelihood_ratio for each in compared if each is not best), default=None)
-            best = replace(best, best_rival_llr=best_rival)
+            itself = next(i for i, each in enumerate(compared) if self._agree(each, best))
+            odds = float(posterior.posterior_log_odds[itself])
+            best = replace(best, posterior_log_odds=odds, best_rival_llr=best_rival)
         else:
             is_best = True
         if is_best and self._is_sure(posterior):
             return Decision(rejected, best)
         fits = best.log_likelihood_ratio >= self._least_log_odds
-        doubt = f"wrong with probability {1.0 - posterior.probabilities[posterior.best]:.2g}"
+        doubt = f"wrong with probability {expit(-posterior.posterior_log_odds[posterior.best]):.2g}"
         reason = doubt if is_best else f"ambiguous: another pose is likelier, {doubt}"
         record = best.record(Stage.CONSISTENCY if fits else Stage.ACCEPTANCE, reason)
         unpredicted = best.log_likelihood_ratio - best.unpredicted_penalty
@@ -125,4 +127,7 @@ class Acceptance:
         )
 
     def _is_sure(self, posterior: Posterior) -> bool:
-        return bool(np.max(posterior.probabilities) >= 1.0 - self._error_probability)
+        return bool(np.max(posterior.posterior_log_odds) >= self._least_log_odds)
+
+    def _agree(self, a: Candidate, b: Candidate) -> bool:
+        return self._verifier.agree(a.T_local_query, b.T_local_query)

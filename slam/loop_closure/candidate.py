@@ -35,7 +35,7 @@ class Candidate:
     confirmed landmarks of the query and of the reference. ``log_likelihood_ratio`` is the sum of the LLR_i.
     ``odometry_penalty`` is -log pi of the pose's prior, ``unpredicted_penalty`` the same if the odometry told nothing;
     see :mod:`slam.localization.pose_prior`. ``seed_closure``: the keyframe whose closure predicted this one, -1 if
-    retrieval found it; ``rank``: as in :class:`slam.place_recognition.place.Place`. ``accumulated_llr`` and
+    retrieval found it; ``rank``: as in :class:`slam.place_recognition.place.Place`. ``posterior_log_odds`` and
     ``best_rival_llr``: as in :class:`logs.messages.LoopClosureRecord`, None until they are computed. ``is_tracked``:
     most inliers are one landmark on both sides, which data association never let go.
     """
@@ -57,7 +57,7 @@ class Candidate:
     retrieval_distance: float
     seed_closure: int = -1
     rank: int = 0
-    accumulated_llr: float | None = None
+    posterior_log_odds: float | None = None
     best_rival_llr: float | None = None
     is_tracked: bool = False
 
@@ -97,7 +97,7 @@ class Candidate:
             rank=self.rank,
             log_likelihood_ratio=self.log_likelihood_ratio,
             odometry_penalty=self.odometry_penalty,
-            accumulated_log_likelihood_ratio=self.accumulated_llr,
+            posterior_log_odds=self.posterior_log_odds,
             best_rival_log_likelihood_ratio=self.best_rival_llr,
             seed_query_keyframe_id=self.seed_closure if self.seed_closure >= 0 else None,
             represented_by_keyframe_id=represented_by,

@@ -112,7 +112,7 @@ def every_kind(rng):
                 rank=2,
                 log_likelihood_ratio=21.5,
                 odometry_penalty=0.0,
-                accumulated_log_likelihood_ratio=24.25,
+                posterior_log_odds=24.25,
                 best_rival_log_likelihood_ratio=-3.5,
                 seed_query_keyframe_id=0,
                 represented_by_keyframe_id=7,

@@ -25,6 +25,7 @@ FIGURES = {
 }
 CONDITIONS = {"seed", "noise", "changed", "thin", "max_travel_m"}
 RESULT = {
+    "reliability",
     "world",
     "tour_m",
     "landmarks",

@@ -235,11 +235,9 @@ def _run_log(
 
 
 def _show_json(result: RelocalizationBenchmark, conditions: dict[str, Any]) -> None:
-    from dataclasses import asdict
-
     from tools import console
 
-    figures = asdict(result)
+    figures = result.to_json_dict()
     console.show_json({**figures.pop("total"), **conditions, **figures})
 
 
@@ -253,6 +251,7 @@ def _show_elsewhere(result: LoggedRelocalization) -> None:
 
 
 def _show(result: RelocalizationBenchmark, conditions: str) -> None:
+    from slam.evaluation.place_recognition.reliability import SURE
     from tools import console
 
     title = (
@@ -268,6 +267,8 @@ def _show(result: RelocalizationBenchmark, conditions: str) -> None:
         f"fixes at another place than in the map: {_number(result.total.misplaced_rate, 1, 100.0)} %; the others that "
         "are wrong are so because the map is",
         f"wrong fixes put right within 10 m, in per cent: {_number(result.total.revoked_rate, 0, 100.0)}",
+        f"places with a posterior probability of {SURE:g} or more: {result.reliability.sure_count}, of which right in "
+        f"the map: {result.reliability.sure_right}",
         *([] if result.oracle_rate is None else [f"could be found: {100 * result.oracle_rate:.1f} %"]),
         f"taking in the map: {1e3 * result.load_s:.0f} ms; a search: {_number(result.query_ms, 1)} ms",
     )

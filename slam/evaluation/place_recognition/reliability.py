@@ -7,11 +7,12 @@ have the probability p a share p is right (DeGroot and Fienberg, The Statisticia
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.special import expit
 
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.evaluation.place_recognition.closure_labels import JudgedClosures
 
 EDGES = np.array([0.01, 0.1, 0.5, 0.9, 0.99, 0.999, 0.9999])
@@ -33,20 +34,35 @@ class Reliability:
 
 
 def measure_reliability(judged: JudgedClosures) -> Reliability:
-    """Bin the candidates that have posterior odds of their own, those that the truth decides alone."""
+    """That of the candidates with posterior odds which no other closure predicted and which the truth decides."""
     rows = [
         row
         for row, candidate in enumerate(judged.candidates)
-        if candidate.accumulated_log_likelihood_ratio is not None
-        and candidate.seed_query_keyframe_id is None
-        and judged.decided[row]
+        if candidate.posterior_log_odds is not None and candidate.seed_query_keyframe_id is None and judged.decided[row]
     ]
-    odds = [judged.candidates[row].accumulated_log_likelihood_ratio for row in rows]
-    probabilities = expit(np.array(odds, dtype=np.float64))
-    right = judged.true[rows].astype(np.float64)
+    odds = np.array([judged.candidates[row].posterior_log_odds for row in rows], dtype=np.float64)
+    return bin_by_probability(odds, judged.true[rows])
+
+
+def bin_by_probability(log_odds: FloatArray, is_right: BoolArray) -> Reliability:
+    """The reliability of N places with posterior ``log_odds`` (N,), of which ``is_right`` (N,)."""
+    probabilities, right = expit(log_odds), is_right.astype(np.float64)
     bins = np.searchsorted(EDGES, probabilities, side="right")
     counts, sums, rights = (np.bincount(bins, each, len(EDGES) + 1) for each in (None, probabilities, right))
     with np.errstate(invalid="ignore"):
         expected = sums / counts
     sure = probabilities >= SURE
     return Reliability(counts, expected, rights.astype(np.int64), int(sure.sum()), int(right[sure].sum()))
+
+
+def reliability_dict(reliability: Reliability | None) -> dict[str, Any]:
+    """The reliability as JSON: bins with their edges, empty without any."""
+    if reliability is None:
+        return {"bins": [], "sure_count": None, "sure_right": None}
+    edges = [0.0, *EDGES.tolist(), 1.0]
+    columns = (each.tolist() for each in (reliability.counts, reliability.expected, reliability.right))
+    bins = [
+        {"from": low, "to": high, "count": count, "expected": expected if count else None, "right": right}
+        for low, high, count, expected, right in zip(edges[:-1], edges[1:], *columns, strict=True)
+    ]
+    return {"bins": bins, "sure_count": reliability.sure_count, "sure_right": reliability.sure_right}

@@ -98,6 +98,9 @@ def test_on_a_furnished_block_everybody_is_found(outcomes: list[Outcome], kidnap
         assert outcome.seconds is not None
         assert outcome.seconds >= outcome.distance_m / 8.0 - 0.2
         assert outcome.load_s > 0.0
+        *_, (log_odds, is_right) = outcome.places
+        assert log_odds > 9.0
+        assert is_right
 
 
 @pytest.mark.parametrize("descriptor", ["descriptellation", "ring_likelihood"])
@@ -138,7 +141,23 @@ def test_a_fix_away_from_the_truth_is_wrong_and_was_not_taken_back(
     assert (outcome.verdict, outcome.later_right) == (Verdict.WRONG, False)
     # Next to where the map's own drive was, it is what it was.
     assert (outcome.local_error_m, outcome.local_error_deg) == (plain.local_error_m, plain.local_error_deg)
+    assert outcome.places == plain.places
     assert figures([outcome]).misplaced_rate == 0.0
+
+
+def test_places_are_judged_where_the_map_is(search: Search, kidnaps: list[Kidnap]):
+    turned = transform_from_xyz_yaw(np.array([0.0, 2.5, 0.0]), 0.0)
+    shifted = replace(search.known, T_world_body_gt=turned @ search.known.T_world_body_gt)
+    right, wrong = relocalize(search, kidnaps[0]).places, relocalize(replace(search, known=shifted), kidnaps[0]).places
+    assert [odds for odds, _ in right] == [odds for odds, _ in wrong]
+    assert any(is_right for _, is_right in right)
+    assert not any(is_right for _, is_right in wrong)
+
+
+def test_reliability_is_that_of_all_places():
+    outcomes = [made_up(Verdict.NOT_FOUND, None, None, places=((5.0, True), (9.0, False))), *MADE_UP]
+    found = sum_up(outcomes, world="made up", tour_m=1.0, landmarks=1, map_ate_m=0.0).reliability
+    assert (found.sure_count, found.sure_right) == (2, 1)
 
 
 def test_a_fix_in_a_bent_map_is_at_its_place_and_one_elsewhere_is_not(search: Search, kidnaps: list[Kidnap]):
@@ -242,7 +261,8 @@ def run(world: World, **arguments: object) -> RelocalizationBenchmark:
 def test_the_result_has_everything_and_goes_into_json(measured: tuple[RelocalizationBenchmark, list[float]]):
     result, told = measured
     assert told == [0.5, 1.0]
-    json.dumps(asdict(result), allow_nan=False)
+    assert sum(each["count"] for each in result.to_json_dict()["reliability"]["bins"]) > 0
+    json.dumps(result.to_json_dict(), allow_nan=False)
     assert (result.world, result.tour_m) == ("town", pytest.approx(100.0))
     assert result.landmarks > 10
     assert 0.0 < result.map_ate_m < 2.0

@@ -65,6 +65,13 @@ def test_two_poses_that_fit_alike_are_ambiguous_unless_both_can_be_true(robot):
     assert Robot().measure(*alike, together=True).probabilities == pytest.approx([1.0, 1.0])
 
 
+def test_posterior_odds_are_against_the_rivals_and_somewhere_new():
+    posterior = Robot().measure(evidence(pose(0.0), {1: 40.0}), evidence(pose(50.0), {1: 38.0}))
+    against_first = np.logaddexp(38.0 + PRIOR, 0.0)
+    assert posterior.posterior_log_odds[0] == pytest.approx(40.0 + PRIOR - against_first)
+    assert posterior.log_odds == pytest.approx([40.0 + PRIOR, 38.0 + PRIOR])
+
+
 def test_the_likeliest_is_the_best(robot):
     assert robot.measure(evidence(pose(), {1: 20.0}), evidence(pose(80.0), {1: 22.0})).best == 1
 

@@ -113,10 +113,11 @@ def test_the_log_says_what_each_candidate_was_decided_from(looped):
         told = "" if each.seed_query_keyframe_id is None else f"of keyframe {each.seed_query_keyframe_id}"
         assert told in each.reason
         assert ("propagated" in each.reason) == (told != "")
-        assert ("accumulated" in each.reason) <= (each.accumulated_log_likelihood_ratio is not None)
+        assert each.seed_query_keyframe_id is None or each.posterior_log_odds is None
     alone = [each for each in accepted if not each.reason]
     assert alone
     for each in alone:
+        assert each.posterior_log_odds >= LEAST_LOG_ODDS
         assert each.score >= LEAST_LOG_ODDS
         assert each.log_likelihood_ratio - each.best_rival_log_likelihood_ratio >= LEAST_LOG_ODDS
 

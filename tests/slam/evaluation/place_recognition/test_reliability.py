@@ -22,7 +22,7 @@ def candidate(
 ) -> LoopClosureRecord:
     found = closure(query, 240 - query, truth=TRUTH, shift_m=0.0 if is_right else 9.0, stage="acceptance", seed=seed)
     odds = None if probability is None else float(logit(probability))
-    return replace(found, accumulated_log_likelihood_ratio=odds)
+    return replace(found, posterior_log_odds=odds)
 
 
 def reliability(*records: LoopClosureRecord) -> Reliability:
