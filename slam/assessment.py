@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
+from slam.backend.edge_kind import EdgeKind
+from slam.common.arrays import FloatArray
 
 LEAST_LANDMARKS = 2
 """Landmarks that fix the position and the heading of a keyframe in the plane."""
@@ -21,8 +23,7 @@ def assess(graph: FactorGraphRecord, object_map: ObjectMapRecord, *, sensor_rang
 
 
 def _unobserved(graph: FactorGraphRecord, sensor_range_m: float) -> list[str]:
-    steps_m = np.linalg.norm(np.diff(graph.T_map_body[:, :3, 3], axis=0), axis=1)
-    travel_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    travel_m = _travel_m(graph)
     keyframes = np.searchsorted(graph.keyframe_ids, graph.observation_keyframe_ids)
     observed = np.bincount(keyframes, minlength=len(travel_m)) >= LEAST_LANDMARKS
     ways_m = np.diff(np.concatenate([[0.0], travel_m[observed], travel_m[-1:]]))
@@ -30,6 +31,16 @@ def _unobserved(graph: FactorGraphRecord, sensor_range_m: float) -> list[str]:
     if share < UNOBSERVED_SHARE:
         return []
     return [f"over {100.0 * share:.0f} % of the way fewer than two landmarks were seen: the odometry alone tells it"]
+
+
+def _travel_m(graph: FactorGraphRecord) -> FloatArray:
+    """Driven distance (K,) at each keyframe. Discontinuities and the keyframes of a fixed prior map add nothing."""
+    is_driven = np.array([kind == EdgeKind.ODOMETRY for kind in graph.edge_kinds], dtype=np.bool_)
+    ends = np.searchsorted(graph.keyframe_ids, graph.edge_keyframe_ids[is_driven])
+    positions = graph.T_map_body[:, :3, 3]
+    steps_m = np.zeros(len(positions))
+    steps_m[ends.max(axis=1)] = np.linalg.norm(positions[ends[:, 1]] - positions[ends[:, 0]], axis=1)
+    return np.cumsum(steps_m)
 
 
 def _moving(object_map: ObjectMapRecord) -> list[str]:

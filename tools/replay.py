@@ -138,9 +138,9 @@ def noted_counters(counters: Mapping[str, int]) -> list[str]:
 
 
 def _fixes(summary: ReplaySummary) -> str:
-    """Time and travel of each relocalization."""
+    """Time and travel of each relocalization, since the start of the drive."""
     fixes = zip(summary.relocalization_times_s, summary.relocalization_distances_m, strict=True)
-    return ", ".join(f"after {seconds:.1f} s and {travel_m:.0f} m" for seconds, travel_m in fixes)
+    return ", ".join(f"at {seconds:.1f} s, {travel_m:.0f} m from the start" for seconds, travel_m in fixes)
 
 
 def rejected_by_odometry_note(count: int) -> str:

@@ -191,7 +191,9 @@ class _Evaluator:
             return None
         protocol = self._protocol
         if associations is not None:
-            matches = match_by_detections(map_est, map_gt, associations.landmark_object_ids)
+            matches = match_by_detections(
+                map_est, map_gt, associations.landmark_object_ids, has_prior_map=self._records.has_prior_map
+            )
         elif T_world_map is not None:
             matches = match_by_position(map_est, map_gt, T_world_map, max_distance_m=protocol.match_distance_m)
         else:
@@ -290,7 +292,12 @@ class _Evaluator:
         records = self._records
         matches = None
         if associations is not None and records.object_map is not None and records.true_objects is not None:
-            matches = match_by_detections(records.object_map, records.true_objects, associations.landmark_object_ids)
+            matches = match_by_detections(
+                records.object_map,
+                records.true_objects,
+                associations.landmark_object_ids,
+                has_prior_map=records.has_prior_map,
+            )
         quality, missing = evaluate_calibration(
             records.graph,
             records.object_map,

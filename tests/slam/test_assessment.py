@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.assessment import assess
+from slam.backend.edge_kind import EdgeKind
 
 KEYFRAMES = 101
 
@@ -23,10 +26,10 @@ def drive(*, seen: range, landmarks: int = 2, step_m: float = 1.0) -> FactorGrap
         keyframe_ids=ids,
         keyframe_stamps_ns=ids,
         T_map_body=T,
-        edge_keyframe_ids=np.zeros((0, 2), dtype=np.int64),
-        edge_transforms=np.zeros((0, 4, 4)),
-        edge_covariances=np.zeros((0, 6, 6)),
-        edge_kinds=(),
+        edge_keyframe_ids=np.column_stack([ids[:-1], ids[1:]]),
+        edge_transforms=np.tile(np.eye(4), (KEYFRAMES - 1, 1, 1)),
+        edge_covariances=np.tile(np.eye(6), (KEYFRAMES - 1, 1, 1)),
+        edge_kinds=(EdgeKind.ODOMETRY,) * (KEYFRAMES - 1),
         observation_keyframe_ids=observers,
         observation_landmark_ids=("0",) * count,
         observation_positions=np.zeros((count, 3)),
@@ -68,6 +71,28 @@ def test_gaps_within_the_sensor_range_raise_no_doubt() -> None:
 @pytest.mark.parametrize(("seen", "share"), [(range(50), 51), (range(30, KEYFRAMES), 30), (range(0), 100)])
 def test_a_long_way_without_landmarks_is_told(seen: range, share: int) -> None:
     assert f"over {share} % of the way fewer than two" in doubts(drive(seen=seen))
+
+
+def test_a_kidnapping_is_no_way_without_landmarks() -> None:
+    graph = drive(seen=range(KEYFRAMES))
+    graph.T_map_body[50:, 1, 3] = 1000.0
+    assert "of the way" in doubts(graph)
+    kinds = (*graph.edge_kinds[:49], EdgeKind.DISCONTINUITY, *graph.edge_kinds[50:])
+    assert doubts(replace(graph, edge_kinds=kinds)) == ""
+
+
+def test_keyframes_of_a_fixed_prior_map_are_no_way_without_landmarks() -> None:
+    graph = drive(seen=range(60, KEYFRAMES))
+    assert "of the way" in doubts(graph)
+    of_drive = slice(60, None)
+    localized = replace(
+        graph,
+        edge_keyframe_ids=graph.edge_keyframe_ids[of_drive],
+        edge_transforms=graph.edge_transforms[of_drive],
+        edge_covariances=graph.edge_covariances[of_drive],
+        edge_kinds=graph.edge_kinds[of_drive],
+    )
+    assert doubts(localized) == ""
 
 
 def test_one_landmark_is_not_enough() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from logs.errors import UnwritableLogError
@@ -63,7 +63,7 @@ def write_report(path: Path, records: EvaluationRecords, evaluation: Evaluation,
 
 def compose_page(records: EvaluationRecords, evaluation: Evaluation, *, title: str) -> str:
     """The whole page as text; as :func:`write_report`."""
-    panels = _compose_panels(records, evaluation)
+    panels = _lay_out(_compose_panels(records, evaluation))
     main = f"""{render_tiles(compose_tiles(records, evaluation))}
 {_NO_SCRIPT}
 <div class="panels">
@@ -120,6 +120,12 @@ def _compose(title: str, head: str, main: str, panels: Sequence[Panel]) -> str:
 </body>
 </html>
 """
+
+
+def _lay_out(panels: list[Panel]) -> list[Panel]:
+    """Without a chart in one of the two halves of a row, both are wide: a short line leaves no hole beside a chart."""
+    is_hole = any(panel.chart is None for panel in panels if not panel.is_wide)
+    return [replace(panel, is_wide=True) for panel in panels] if is_hole else panels
 
 
 def _compose_panels(records: EvaluationRecords, evaluation: Evaluation) -> list[Panel]:

@@ -174,7 +174,8 @@ def _landmarks(records: EvaluationRecords, evaluation: Evaluation) -> Tile:
         off = f"off by {format_metres(error.median_m, 2)} in the median; " if error else ""
         found = "" if quality.recall is None else f"; {format_percent(quality.recall)} of the objects found"
         right = format_percent(quality.precision)
-        return Tile(label, str(quality.confirmed_count), f"{off}{right} show an object{found}")
+        seen = "seen on this drive; " if records.has_prior_map else ""
+        return Tile(label, str(quality.confirmed_count), f"{seen}{off}{right} show an object{found}")
     if records.object_map is None:
         return Tile(label, UNDEFINED, evaluation.unavailable.get("landmarks", ""))
     confirmed = sum(state == CONFIRMED for state in records.object_map.states)
@@ -196,7 +197,8 @@ def _relocalization(evaluation: Evaluation) -> Tile:
         return Tile(label, UNDEFINED, evaluation.unavailable.get("relocalization", ""))
     if not quality.loss_count:
         return Tile(label, UNDEFINED, "the robot was never lost")
-    note = f"{quality.right_count} right and {quality.wrong_count} wrong fixes of {quality.loss_count} losses"
+    times = "once" if quality.loss_count == 1 else f"{quality.loss_count} times"
+    note = f"lost {times}, {quality.right_count} right fixes, {quality.wrong_count} wrong"
     if quality.median_distance_m is not None:
-        note += f"; after {format_metres(quality.median_distance_m, 2)} in the median"
+        note += f"; median travel to a fix {format_metres(quality.median_distance_m, 2)}"
     return Tile(label, format_percent(quality.success_rate), note)

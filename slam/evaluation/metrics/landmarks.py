@@ -90,11 +90,20 @@ class LandmarkQuality:
 
 
 def match_by_detections(
-    map_est: ObjectMapRecord, map_gt: ObjectMapRecord, landmark_object_ids: Mapping[str, str]
+    map_est: ObjectMapRecord,
+    map_gt: ObjectMapRecord,
+    landmark_object_ids: Mapping[str, str],
+    *,
+    has_prior_map: bool = False,
 ) -> LandmarkMatches:
-    """Match confirmed landmarks by the true object of their detections; one that got none with truth is no object."""
+    """Match confirmed landmarks by the true object of their detections; one that got none with truth is no object.
+
+    With ``has_prior_map`` landmarks without detections are left out: they are of earlier drives.
+    """
     row_of_object = {name: row for row, name in enumerate(map_gt.ids)}
     rows = _confirmed_rows(map_est)
+    if has_prior_map:
+        rows = np.array([row for row in rows.tolist() if map_est.ids[row] in landmark_object_ids], dtype=np.int64)
     objects = [landmark_object_ids.get(map_est.ids[row], FALSE_POSITIVE) for row in rows]
     return LandmarkMatches(
         method="detections",

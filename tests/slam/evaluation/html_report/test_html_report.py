@@ -229,6 +229,12 @@ def test_what_is_not_there_is_told_in_its_place(
     assert told in parsed.text
 
 
+@pytest.mark.parametrize(("left_out", "halves"), [((), 2), (FactorGraphRecord, 0), (GroundTruthPose, 0)])
+def test_no_hole_is_left_beside_a_chart(left_out: type | tuple[type, ...], halves: int) -> None:
+    page = page_of(collect_records((t, r) for t, r in drive() if not isinstance(r, left_out)))
+    assert page.count('<section class="panel"') == halves
+
+
 def test_nothing_at_all_is_a_page() -> None:
     parsed = Page(page_of(EvaluationRecords()))
     assert parsed.headings == list(PANELS)

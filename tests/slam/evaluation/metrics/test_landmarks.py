@@ -106,6 +106,17 @@ def test_quality_by_hand() -> None:
     assert result.global_frame.max_m < 1e-9
 
 
+def test_landmarks_of_a_prior_map_that_were_not_seen_are_left_out() -> None:
+    names = ("a", "b", "c")
+    map_gt = object_map(names, np.eye(3), ("tree",) * 3)
+    shows = {"a": "a", "b": ""}
+    own = match_by_detections(map_gt, map_gt, shows)
+    assert own.is_object.tolist() == [True, False, False]
+    localized = match_by_detections(map_gt, map_gt, shows, has_prior_map=True)
+    assert localized.landmark_rows.tolist() == [0, 1]
+    assert localized.is_object.tolist() == [True, False]
+
+
 def test_matching_by_position_keeps_to_the_class_and_the_limit() -> None:
     map_gt = object_map(("a", "b", "c"), np.array([[0.0, 0, 0], [1.0, 0, 0], [9.0, 0, 0]]), ("tree", "pole", "tree"))
     map_est = object_map(
