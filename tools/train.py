@@ -88,7 +88,7 @@ def _train_towers(
 
     from descriptors.learned.training_folder import WEIGHTS
     from descriptors.registry import SHIPPED, WEIGHTS_SUFFIX
-    from descriptors.towers.training import Step, TowersTraining, further_training, train_towers
+    from descriptors.towers.training import Step, TowersTraining, best_epoch, further_training, train_towers
     from tools import console
 
     start = SHIPPED / f"{TOWERS}{WEIGHTS_SUFFIX}" if maps and not anew else None
@@ -103,14 +103,14 @@ def _train_towers(
                 tell(step.done, _progress(step.loss, step.remaining_s))
 
         history = train_towers(config, folder, given, start=start, threads=threads, on_step=report)
-    best = max(history, key=lambda epoch: epoch.validation_top_5)
+    best = best_epoch(history)
     if json:
         console.show_json({"weights": str(folder / WEIGHTS), "best": asdict(best), "epochs": history[-1].epoch})
         return
-    headings = ("epoch", "train loss", "validation loss", "top 1", "top 5", "top 25", "s")
+    headings = ("epoch", "train loss", "validation loss", "top 1", "top 5", "top 25", "top 5, exact views", "s")
     table = console.grid(dict.fromkeys(headings, True))
     for epoch in history:
-        shares = (epoch.validation_top_1, epoch.validation_top_5, epoch.validation_top_25)
+        shares = (epoch.validation_top_1, epoch.validation_top_5, epoch.validation_top_25, epoch.exact_top_5)
         table.add_row(
             str(epoch.epoch),
             "-" if epoch.train_loss is None else f"{epoch.train_loss:.3f}",

@@ -22,8 +22,8 @@ class View:
     objects: NDArray[np.int64]
 
 
-def draw_view(seen_map: TrainingMap, *, rng: np.random.Generator) -> View:
-    """A view from a stretch of 0 to 40 m beside an object that is drawn.
+def draw_view(seen_map: TrainingMap, *, rng: np.random.Generator, is_exact: bool = False) -> View:
+    """A view from a stretch of 0 to 40 m beside an object that is drawn; ``is_exact``: without noise and confusion.
 
     What is drawn: range and field of view; how likely an object is seen, which falls with its range; the noise of the
     positions, the same everywhere or growing with the range, to one side, or a scale; confused classes; clutter.
@@ -40,11 +40,12 @@ def draw_view(seen_map: TrainingMap, *, rng: np.random.Generator) -> View:
     seen = np.flatnonzero(in_view.any(axis=1) & (rng.random(len(seen_map)) >= missed))
     eye = path[nearest[seen]]
     positions = seen_map.positions[seen].copy()
-    positions[:, :2] = eye + _measured(positions[:, :2] - eye, rng=rng)
-    positions[:, 2] += rng.normal(0.0, 0.2, len(seen))
     labels = seen_map.labels[seen]
-    wrong = rng.random(len(seen)) < rng.uniform(0.0, 0.2)
-    labels = np.where(wrong, rng.integers(seen_map.classes, size=len(seen)), labels)
+    if not is_exact:
+        positions[:, :2] = eye + _measured(positions[:, :2] - eye, rng=rng)
+        positions[:, 2] += rng.normal(0.0, 0.2, len(seen))
+        wrong = rng.random(len(seen)) < rng.uniform(0.0, 0.2)
+        labels = np.where(wrong, rng.integers(seen_map.classes, size=len(seen)), labels)
     clutter = rng.poisson(rng.uniform(0.0, 0.3) * len(seen))
     middle = path[rng.integers(len(path), size=clutter)]
     at = middle + range_m * np.sqrt(rng.random(clutter))[:, None] * _directions(clutter, rng=rng)

@@ -21,7 +21,7 @@ from descriptors.towers import training
 from descriptors.towers.learned_likelihood import LearnedLikelihood
 from descriptors.towers.network import Towers, background_of
 from descriptors.towers.rings import Background, Rings, horizontal_m
-from descriptors.towers.training import TowersTraining, train_towers
+from descriptors.towers.training import TowersEpoch, TowersTraining, best_epoch, train_towers
 from descriptors.towers.training_maps import TrainingMap, draw_forest, draw_map, draw_street, piece_of
 from descriptors.towers.views import CLUTTER, draw_view
 
@@ -175,11 +175,31 @@ def test_weights_that_are_trained_further_compete_with_what_they_came_from(
     assert train_towers(small_steps, tmp_path / "further", given, start=start) == epochs  # complete: nothing is done
     # Steps that destroy what was learned: the weights are kept as they were.
     ruined = train_towers(replace(TINY, learning_rate=50.0, last_rate=50.0), tmp_path / "ruined", given, start=start)
-    assert max(ruined, key=lambda each: each.validation_top_5).epoch == 0
+    assert best_epoch(ruined).epoch == 0
     kept, before = (LearnedLikelihood(path)._weights for path in (tmp_path / "ruined" / WEIGHTS, start))
     assert all(np.array_equal(kept[name], before[name]) for name in before)
     with pytest.raises(DescriptorError, match=r"another configuration \(start\)"):
         train_towers(small_steps, tmp_path / "further", given, start=tmp_path / "ruined" / WEIGHTS)
+
+
+def epoch(number: int, top_5: float, exact_top_5: float) -> TowersEpoch:
+    return TowersEpoch(number, 1.0, 1.0, 0.5, top_5, 0.9, exact_top_5, 1.0)
+
+
+def test_what_costs_objects_in_exact_views_is_not_taken() -> None:
+    further = [epoch(0, 0.6, 0.90), epoch(1, 0.8, 0.89), epoch(2, 0.7, 0.90), epoch(3, 0.7, 0.95)]
+    assert best_epoch(further).epoch == 2
+    anew = [epoch(1, 0.6, 0.9), epoch(2, 0.8, 0.8)]
+    assert best_epoch(anew).epoch == 2
+
+
+def test_an_exact_view_shows_objects_where_they_are() -> None:
+    drawn = draw_street(rng=np.random.default_rng(3))
+    for seed in range(5):
+        view = draw_view(drawn, rng=np.random.default_rng(seed), is_exact=True)
+        real = view.objects != CLUTTER
+        np.testing.assert_array_equal(view.positions[real], drawn.positions[view.objects[real]])
+        np.testing.assert_array_equal(view.labels[real], drawn.labels[view.objects[real]])
 
 
 def test_damaged_weights_are_refused(folder: Path, tmp_path: Path) -> None:
