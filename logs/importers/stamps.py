@@ -9,7 +9,7 @@ from decimal import Decimal, InvalidOperation
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.importers.tables import Column, Table
+from logs.importers.tables import Column, Table, decimal_remedy
 from logs.messages import FloatArray, IntArray
 
 STAMP_NAMES = ("stamp", "timestamp", "time", "t")
@@ -19,6 +19,8 @@ TIME_UNITS: Mapping[str, int] = {"": 9, "s": 9, "ms": 6, "us": 3, "ns": 0}
 _UNIT_NAMES = {9: "seconds", 6: "milliseconds", 3: "microseconds", 0: "nanoseconds"}
 _SUFFIXES = {9: "s", 6: "ms", 3: "us", 0: "ns"}
 _LAST_NS = 2**63 - 1
+_LEAST_SHARE_OF_TIME = 0.01
+"""Of the odometry's time that detections last. In a unit that is a thousand times too small they last less."""
 _FIRST_EPOCH_S, _LAST_EPOCH_S = 10**9, 4 * 10**9  # 2001 to 2096: what clocks of robots tell, counted from 1970
 
 
@@ -121,11 +123,16 @@ def _within(stamps_ns: IntArray | FloatArray, first_ns: int, last_ns: int) -> ND
 
 
 def _clock_remedy(stamps: Stamps, first_ns: int, last_ns: int) -> str:
+    """A unit in which most stamps are in the odometry's time and, if they differ at all, fill a good part of it."""
+    duration_ns = float(np.ptp(stamps.stamps_ns))
     for unit, name in _UNIT_NAMES.items():
-        scaled = stamps.stamps_ns.astype(np.float64) * 10.0 ** (unit - stamps.unit)
+        scale = 10.0 ** (unit - stamps.unit)
+        scaled = stamps.stamps_ns.astype(np.float64) * scale
+        if 0.0 < duration_ns * scale < _LEAST_SHARE_OF_TIME * (last_ns - first_ns):
+            continue
         if unit != stamps.unit and 2 * np.count_nonzero(_within(scaled, first_ns, last_ns)) >= len(scaled):
             return f"the column seems to hold {name}: call it stamp_{_SUFFIXES[unit]}"
-    return "give both by one clock"
+    return "give both by one clock; if one of them counts from the start of the drive, add that time to its stamps"
 
 
 def _decimal(table: Table, row: int, column: Column, cell: str) -> Decimal:
@@ -134,7 +141,8 @@ def _decimal(table: Table, row: int, column: Column, cell: str) -> Decimal:
     except InvalidOperation:
         exact = Decimal("nan")
     if not exact.is_finite():
-        raise table.error(row, column, f"{cell!r} is not a time; correct or remove the line")
+        remedy = decimal_remedy(cell, "correct or remove the line")
+        raise table.error(row, column, f"{cell!r} is not a time; {remedy}")
     unit = TIME_UNITS[column.unit]
     if exact < 0:
         raise table.error(row, column, f"{cell} is before 0, which no log can hold; add a constant to all stamps")

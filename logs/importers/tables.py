@@ -29,6 +29,7 @@ _GZIP = b"\x1f\x8b"
 _UNPACKED_TIMES, _UNPACKED_BYTES = 100, 64_000_000
 """Tables and paths pack to a tenth or so; what unpacks to far more, and to much, would only fill the memory."""
 _DELIMITERS = (",", ";", "\t")
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +64,9 @@ def read_source_text(path: Path) -> SourceText:
     try:
         return SourceText(str(path), content.decode("utf-8-sig"), digest)
     except UnicodeDecodeError as error:
-        raise DatasetError(f"{path}: not a text file (byte {error.start}); give CSV, JSON lines or poses") from error
+        raise DatasetError(
+            f"{path}: not a text file in UTF-8 (byte {error.start}); save it as UTF-8, or give CSV, JSON lines or poses"
+        ) from error
 
 
 def _unpacked(path: Path, packed: bytes) -> bytes:
@@ -154,7 +157,7 @@ class Table:
         values = np.full(len(self.lines), np.nan)
         for row, cell in enumerate(self.columns[column.name]):
             if cell and not _is_number(cell):
-                raise self.error(row, column, f"{cell!r} is not a finite number; {remedy}")
+                raise self.error(row, column, f"{cell!r} is not a finite number; {decimal_remedy(cell, remedy)}")
             if cell:
                 values[row] = float(cell)
         return values * units[column.unit]
@@ -204,9 +207,11 @@ def _read_csv(source: SourceText) -> Table:
         raise DatasetError(f"{source.name}: no line in it; expected a header and at least one line")
     above = source.header_above(line) if _is_number(re.split(r"[,;\t]", first)[0].strip()) else None
     header = first if above is None else above.strip().lstrip("#")
-    delimiter = max(_DELIMITERS, key=header.count)
+    lines, delimiter = source.text.splitlines(), max(_DELIMITERS, key=header.count)
+    if delimiter not in header:
+        header, lines, delimiter = ",".join(header.split()), [",".join(each.split()) for each in lines], ","
     names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
-    if all(_is_number(name) for name in names):
+    if _is_number(names[0]):
         raise DatasetError(
             f"{source.name}, line {line}: numbers where the names of the columns are expected; "
             "begin the file with a header such as stamp_s,label,x_m,y_m,z_m"
@@ -215,7 +220,7 @@ def _read_csv(source: SourceText) -> Table:
     if twice is not None:
         raise DatasetError(f"{source.name}, line {line}: column {twice} stands there twice; rename or remove one")
     passed = line - 1 if above is not None else line
-    reader = csv.reader(source.text.splitlines()[passed:], delimiter=delimiter)
+    reader = csv.reader(lines[passed:], delimiter=delimiter)
     rows = ((passed + reader.line_num, row) for row in reader if row and not row[0].lstrip().startswith("#"))
     try:
         return table_of_rows(source, names, rows)
@@ -253,6 +258,11 @@ def _cell(source: SourceText, line: int, key: str, value: object) -> str:
         f"{source.name}, line {line}, column {key}: {json.dumps(value)[:40]} is neither a number nor a text; "
         "write each number under a name of its own, such as x_m, y_m and z_m"
     )
+
+
+def decimal_remedy(cell: str, otherwise: str) -> str:
+    """What to do about a cell that is no number: a decimal comma is one for a point."""
+    return "write numbers with a decimal point" if _DECIMAL_COMMA.fullmatch(cell) else otherwise
 
 
 def _plain(name: str) -> str:

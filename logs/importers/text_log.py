@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from logs.errors import DatasetError
 from logs.importers.detection_tables import BODY_FRAME, ONLY_LABEL, DetectionTable, read_detections
@@ -17,6 +18,9 @@ from logs.importers.stamps import match_clock, snap_to_span
 from logs.importers.tables import SourceText, read_source_text, read_table
 from logs.importers.trajectory_files import Trajectory, TrajectoryFormat, read_trajectory
 from logs.messages import GroundTruthPose, IntArray, Odometry
+
+_LEANING, _UPRIGHT = 0.3, 0.03
+"""1 - cos of the angle between the body's z axis and the vertical: 45 deg and 14 deg."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +112,13 @@ def read_text_log(
     for role, text in sources.items():
         source |= {role: Path(text.name).name, f"{role}_sha256": text.sha256}
     stamps_ns = snap_to_span(table.stamps.stamps_ns, inside, path.stamps)
-    notes = (*_outside_note(table, inside), *_label_note(table), *_frame_note(table), *_camera_note(sources, path))
+    notes = (
+        *_outside_note(table, inside),
+        *_label_note(table),
+        *_frame_note(table),
+        *_camera_note(sources, path),
+        *_order_note(path),
+    )
     return TextLog(path, table, stamps_ns, truth, source, notes)
 
 
@@ -187,3 +197,17 @@ def _camera_note(sources: dict[str, SourceText], path: Trajectory) -> list[str]:
     if path.format != TrajectoryFormat.KITTI or "calib" in sources:
         return []
     return ["poses are taken for those of the body (x forward, z up); give --calib if they are of KITTI's left camera"]
+
+
+def _order_note(path: Trajectory) -> list[str]:
+    """Quaternions of TUM's format that keep the body upright only if they are read as w, x, y, z."""
+    if path.format != TrajectoryFormat.TUM:
+        return []
+    q = np.asarray(Rotation.from_matrix(path.T_world_body[:, :3, :3]).as_quat())
+    tilts = [np.median(1.0 - Rotation.from_quat(each).as_matrix()[:, 2, 2]) for each in (q, q[:, [1, 2, 3, 0]])]
+    if tilts[0] < _LEANING or tilts[1] > _UPRIGHT:
+        return []
+    return [
+        f"{path.name}: by these quaternions the body does not stand upright, but it would if they were in the order "
+        "qw qx qy qz; TUM's order is qx qy qz qw"
+    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -12,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from logs.errors import DatasetError
 from logs.importers.kitti_poses import body_poses, parse_calibration, parse_poses
 from logs.importers.stamps import Stamps, read_stamps
-from logs.importers.tables import LENGTH_UNITS, SourceText, Table, read_table, table_of_rows
+from logs.importers.tables import LENGTH_UNITS, Column, SourceText, Table, read_table, table_of_rows
 from logs.importers.text_files import TextFile
 from logs.messages import FloatArray
 from logs.validation import QUATERNION_NORM_TOLERANCE
@@ -30,6 +31,8 @@ _TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
 _EUROC = ("stamp_ns", "x", "y", "z", "qw", "qx", "qy", "qz")
 _EUROC_NAME = "p_rs_r_x"
 _QUATERNION = ("qx", "qy", "qz", "qw")
+_SEPARATORS = re.compile(r"\s*[,;]\s*|\s+")
+_ANGLE_UNITS = {"": 1.0, "rad": 1.0, "deg": np.pi / 180.0}
 
 
 class TrajectoryFormat(StrEnum):
@@ -37,7 +40,7 @@ class TrajectoryFormat(StrEnum):
 
     TUM: ``stamp_s x y z qx qy qz qw``. KITTI: 12 numbers, the rows of a 3x4 pose, times apart. EuRoC: CSV of
     ``stamp_ns, x, y, z, qw, qx, qy, qz``, more columns being passed over. CSV: a header names stamp, x, y, z and
-    qx, qy, qz, qw or yaw (radians).
+    qx, qy, qz, qw or yaw (radians; yaw_deg: degrees).
     """
 
     TUM = "tum"
@@ -101,21 +104,28 @@ def find_format(source: SourceText) -> TrajectoryFormat:
         DatasetError: it fits none.
     """
     line, first = next(iter(source.lines()), (0, ""))
-    if first.startswith("{"):
-        return TrajectoryFormat.CSV
-    if "," in first:
-        header = source.header_above(line) if _are_numbers(first.split(",")[:1]) else first
-        is_euroc = header is None or _EUROC_NAME in header.lower()
-        return TrajectoryFormat.EUROC if is_euroc else TrajectoryFormat.CSV
-    fields = first.split()
-    if len(fields) == len(_TUM) and _are_numbers(fields[:1]):
+    fields = _SEPARATORS.split(first)
+    if first.startswith("{") or (len(fields) >= len("txy") and not _are_numbers(fields[:1])):
+        return TrajectoryFormat.EUROC if _EUROC_NAME in first.lower() else TrajectoryFormat.CSV
+    header = source.header_above(line) if "," in first or ";" in first else None
+    if header is not None:
+        return TrajectoryFormat.EUROC if _EUROC_NAME in header.lower() else TrajectoryFormat.CSV
+    if len(fields) == len(_TUM) and ("," not in first or _has_fractions(source)):
         return TrajectoryFormat.TUM
-    if len(fields) == 12 and _are_numbers(fields[:1]):
+    if "," in first and len(fields) >= len(_EUROC):
+        return TrajectoryFormat.EUROC
+    if len(fields) == 12 and "," not in first:
         return TrajectoryFormat.KITTI
     raise DatasetError(
-        f"{source.name}, line {line}: {len(fields)} values ({first[:40]!r}) are no pose; expected 8 (TUM: stamp x y z "
-        "qx qy qz qw), 12 (KITTI: 3x4), CSV of EuRoC, or CSV with a header; say --format if it is one of them"
+        f"{source.name}, line {line}: {len(fields) if first else 0} values ({first[:40]!r}) are no pose; expected 8 "
+        "(TUM: stamp x y z qx qy qz qw), 12 (KITTI: 3x4), CSV of EuRoC, or a first line that names the columns "
+        "(stamp_s,x_m,y_m,z_m,qx,qy,qz,qw)"
     )
+
+
+def _has_fractions(source: SourceText) -> bool:
+    """Whether the stamps, which come first, are seconds with digits behind the point and not EuRoC's nanoseconds."""
+    return any("." in _SEPARATORS.split(line)[0] for _, line in source.lines())
 
 
 def _are_numbers(fields: list[str]) -> bool:
@@ -127,10 +137,11 @@ def _are_numbers(fields: list[str]) -> bool:
 
 def _pose_table(source: SourceText, format: TrajectoryFormat) -> Table:
     if format == TrajectoryFormat.TUM:
-        return _some_rows(source, table_of_rows(source, _TUM, ((i, line.split()) for i, line in source.lines())))
+        rows = ((i, _SEPARATORS.split(line)) for i, line in source.lines())
+        return _some_rows(source, table_of_rows(source, _TUM, rows))
     if format == TrajectoryFormat.EUROC:
-        rows = ((i, line.split(",")) for i, line in source.lines() if _EUROC_NAME not in line.lower())
-        return _some_rows(source, table_of_rows(source, _EUROC, ((i, row[: len(_EUROC)]) for i, row in rows)))
+        cells = ((i, line.split(",")) for i, line in source.lines() if _EUROC_NAME not in line.lower())
+        return _some_rows(source, table_of_rows(source, _EUROC, ((i, row[: len(_EUROC)]) for i, row in cells)))
     return read_table(source)
 
 
@@ -141,6 +152,12 @@ def _some_rows(source: SourceText, table: Table) -> Table:
 
 
 def _poses(table: Table) -> FloatArray:
+    latitude = table.find(("latitude", "lat"), ("", "deg"))
+    if latitude is not None:
+        raise DatasetError(
+            f"{table.name}: column {latitude.name}: poses are read in metres; project them to a plane (for example "
+            "UTM), and call the columns x_m, y_m and z_m"
+        )
     T = np.tile(np.eye(4), (len(table.lines), 1, 1))
     for i, name in enumerate("xyz"):
         column = table.find((name, f"position_{name}", f"p{name}", f"t{name}"), LENGTH_UNITS)
@@ -153,9 +170,10 @@ def _poses(table: Table) -> FloatArray:
 
 
 def _rotations(table: Table) -> FloatArray:
-    yaw = table.find(("yaw", "heading", "theta"), ("", "rad"))
+    yaw = table.find(("yaw", "heading", "theta"), _ANGLE_UNITS)
     if yaw is not None and table.find(("qw",)) is None:
-        yaw_rad = table.numbers(yaw, {"": 1.0, "rad": 1.0})
+        yaw_rad = table.numbers(yaw, _ANGLE_UNITS)
+        _check_radians(table, yaw, yaw_rad)
         return np.asarray(Rotation.from_euler("z", yaw_rad[:, None]).as_matrix())
     columns = [table.need(f"the quaternion's {name}", name, (name, f"orientation_{name[1]}")) for name in _QUATERNION]
     q_xyzw = np.stack([table.numbers(column) for column in columns], axis=1)
@@ -169,6 +187,20 @@ def _rotations(table: Table) -> FloatArray:
             f"a quaternion of norm {norms[row]:.4g} is no rotation; its norm must be 1",
         )
     return np.asarray(Rotation.from_quat(q_xyzw).as_matrix())
+
+
+def _check_radians(table: Table, yaw: Column, yaw_rad: FloatArray) -> None:
+    """Headings that are wrapped lie within one turn, and others change by less from pose to pose."""
+    steps = np.abs(np.diff(yaw_rad))
+    if yaw.unit == "deg" or steps.max(initial=0.0) <= 2.0 * np.pi:
+        return
+    row = int(np.argmax(steps > 2.0 * np.pi)) + 1
+    raise table.error(
+        row,
+        yaw,
+        f"the heading changes by {steps[row - 1]:.4g} rad from the pose before, more than a whole turn; if these are "
+        "degrees, call the column yaw_deg",
+    )
 
 
 def _read_kitti(source: SourceText, times: SourceText | None, calib: SourceText | None) -> Trajectory:

@@ -141,6 +141,20 @@ def test_another_clock_is_named_with_both_spans(drive: TextDrive) -> None:
         read_text_log(**drive.files())
 
 
+def test_a_unit_is_not_blamed_for_a_clock_that_began_elsewhere(drive: TextDrive) -> None:
+    # As nanoseconds 1.7e9 are 1.7 s, which is in the odometry's time; but then the scans would last 0.4 ns.
+    drive.write("odometry.tum", TUM.replace("\n100.", "\n1."))
+    drive.write("detections.csv", DETECTIONS.replace("100.", "1700000001."))
+    with pytest.raises(DatasetError, match="give both by one clock; if one of them counts from the start"):
+        read_text_log(**drive.files(ground_truth=None))
+
+
+@pytest.mark.parametrize(("quaternion", "is_told"), [("0 0 0 1", False), ("1 0 0 0", True), ("0.8 0 0 0.6", True)])
+def test_quaternions_in_another_order_are_told(drive: TextDrive, quaternion: str, is_told: bool) -> None:
+    drive.write("odometry.tum", TUM.replace("0 0 0 1", quaternion))
+    assert any("qw qx qy qz" in note for note in read_text_log(**drive.files()).notes) == is_told
+
+
 def test_a_truth_of_another_time_is_refused(drive: TextDrive) -> None:
     drive.write("truth.tum", TUM.replace("\n100.", "\n900."))
     with pytest.raises(DatasetError, match=r"truth\.tum, line 2, column stamp: .*one clock"):

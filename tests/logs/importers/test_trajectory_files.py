@@ -23,6 +23,10 @@ def source(text: str, name: str = "poses.txt") -> SourceText:
     [
         (TUM, "tum"),
         (f"# a comment, with a comma\n\n{TUM}", "tum"),
+        (TUM.replace(" ", ","), "tum"),
+        (TUM.replace(" ", ", "), "tum"),
+        (f"timestamp tx ty tz qx qy qz qw\n{TUM}", "csv"),
+        (f"stamp_s;x_m;y_m;z_m;qx;qy;qz;qw\n{TUM.replace(' ', ';')}", "csv"),
         (EUROC, "euroc"),
         (f"{EUROC_HEADER}\n{EUROC}", "euroc"),
         (f"{EUROC_HEADER[1:]}\n{EUROC}", "euroc"),
@@ -50,6 +54,15 @@ def test_a_planar_table_needs_neither_z_nor_a_quaternion() -> None:
     np.testing.assert_allclose(trajectory.T_world_body[1, :3, :3] @ [1, 0, 0], [0, 1, 0], atol=1e-12)
 
 
+@pytest.mark.parametrize(("name", "scale"), [("yaw", 1.0), ("yaw_rad", 1.0), ("yaw_deg", 180.0 / np.pi)])
+def test_a_heading_is_in_the_unit_of_its_column(name: str, scale: float) -> None:
+    angles = np.array([3.1, -3.1, 0.2])
+    rows = "".join(f"{i},{i},0,{angle * scale!r}\n" for i, angle in enumerate(angles.tolist()))
+    trajectory = read_trajectory(source(f"t,x,y,{name}\n{rows}"))
+    R = trajectory.T_world_body[:, :3, :3]
+    np.testing.assert_allclose(np.arctan2(R[:, 1, 0], R[:, 0, 0]), angles, atol=1e-12)
+
+
 def test_kitti_takes_its_stamps_from_the_times_and_the_body_from_the_calibration() -> None:
     # The camera moves along its z, which is forward: x of the body.
     poses = source("".join(f"1 0 0 0 0 1 0 0 0 0 1 {z}\n" for z in range(3)))
@@ -70,7 +83,7 @@ def test_stamps_keep_every_digit() -> None:
     ("text", "message"),
     [
         ("", r"poses\.txt, line 0: 0 values"),
-        ("1 2 3\n", r"poses\.txt, line 1: 3 values .*expected 8 .TUM.*--format"),
+        ("1 2 3\n", r"poses\.txt, line 1: 3 values .*expected 8 .TUM.*names the columns"),
         (TUM + "0.3 1 2 3 0 0 1\n", r"poses\.txt, line 3: 7 values where 8 are expected .stamp, x"),
         (TUM + "0.3 1 2 three 0 0 0 1\n", r"poses\.txt, line 3, column z: 'three' is not a finite number; correct"),
         (TUM + "0.3 1 nan 3 0 0 0 1\n", r"poses\.txt, line 3, column y: 'nan' is not a finite number"),
@@ -84,7 +97,11 @@ def test_stamps_keep_every_digit() -> None:
         ("stamp_s,x_m,y_m\n0,1,2\n", r"poses\.txt: no column for the quaternion's qx"),
         ("when,x_m,y_m,yaw\n0,1,2,3\n", r"poses\.txt: no column for the stamp among when, .*call .*stamp_s"),
         ("stamp_s,x,x_m,y,yaw\n0,1,1,2,3\n", r"poses\.txt: columns x and x_m say the same"),
-        ("0.1,1,2,3,0,0,0,1\n0.2,1,2,3,0,0,0,1\n", r"line 1, column stamp_ns: 0\.1 are no whole nanoseconds"),
+        ("0.1,1,2,3,1,0,0,0,9\n0.2,1,2,3,1,0,0,0,9\n", r"line 1, column stamp_ns: 0\.1 are no whole nanoseconds"),
+        ("t;x;y;yaw\n0,1;1;2;3\n", r"line 2, column t: '0,1' is not a time; write numbers with a decimal point"),
+        ("t;x;y;yaw\n0;1,5;2;3\n", r"line 2, column x: '1,5' is not a finite number; write .* decimal point"),
+        ("t,latitude,lon,yaw\n0,60,24,3\n", r"column latitude: poses are read in metres; project them"),
+        ("t,x,y,yaw\n0,1,2,359\n1,1,2,1\n", r"line 3, column yaw: the heading changes by 358 rad .*yaw_deg"),
         ("0,1,2,3,1,0,0,0\n1,1,2,3,1,0,0,0\n", r"line 2, column stamp_ns: poses are 1e-09 s apart"),
         ("1 0 0 0 0 1 0 0 0 0 1 0\n", r"poses\.txt: poses in KITTI's format have no stamps; .*--times"),
     ],
