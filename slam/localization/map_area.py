@@ -9,13 +9,16 @@ import numpy as np
 from slam.common.arrays import FloatArray
 from slam.odometry.keyframe import Keyframe
 
+_COLUMN = 2**32
+"""Rows of cells in a column: more than any map has."""
+
 
 class MapArea:
     """Area of the square cells, with edges of ``cell_m``, with a keyframe or an object of an imported map."""
 
     def __init__(self, *, cell_m: float) -> None:
         self._cell_m = cell_m
-        self._cells: set[tuple[int, int, int]] = set()
+        self._cells: dict[int, set[int]] = {}
         self._covered = 0
 
     def cover(self, keyframes: Sequence[Keyframe]) -> None:
@@ -26,10 +29,10 @@ class MapArea:
 
     def cover_positions(self, positions: FloatArray, *, segment: int = 0) -> None:
         """Add positions (K, 2) m where the robot can be in a segment."""
-        cells = np.unique((positions // self._cell_m).astype(np.int64), axis=0).tolist()
-        self._cells.update((segment, x, y) for x, y in cells)
+        columns, rows = (positions // self._cell_m).astype(np.int64).T
+        self._cells.setdefault(segment, set()).update(np.unique(columns * _COLUMN + rows).tolist())
 
     @property
     def area_m2(self) -> float:
         """The area in square metres, at least that of one cell."""
-        return max(len(self._cells), 1) * self._cell_m**2
+        return max(sum(map(len, self._cells.values())), 1) * self._cell_m**2

@@ -28,6 +28,7 @@ CHUNK = 50_000
 """Objects whose quads are made at a time."""
 MOST_CELLS = 3
 """Cells along each length that are looked into."""
+_PAGE_BYTES = 4096
 _PRIMES = np.array(
     [
         0x9E3779B97F4A7C15,
@@ -68,6 +69,11 @@ class QuadIndex:
     def __len__(self) -> int:
         return len(self.vertices)
 
+    def read_ahead(self) -> None:
+        """Read each page of an index that lies in a file once, so that no query waits for them."""
+        for array in (self.vertices, self.starts):
+            array.ravel()[:: _PAGE_BYTES // array.itemsize].sum()
+
     def match(
         self,
         positions: FloatArray,
@@ -100,14 +106,12 @@ class QuadIndex:
     def _candidates(self, lengths: FloatArray, labels: IntArray, tolerance_m: float) -> tuple[IntArray, IntArray]:
         """Pairs (C,) of a quad of the query and one of the map in its cells, at most ``BUDGET`` of them."""
         lowest = np.floor((lengths - tolerance_m) / self.cell_m).astype(np.int64)
-        highest = np.floor((lengths + tolerance_m) / self.cell_m).astype(np.int64)
-        side = int((highest - lowest).max(initial=0)) + 1
-        steps = np.indices((side,) * 5).reshape(5, -1)
-        is_probed = np.ones((len(lengths), steps.shape[1]), dtype=bool)
-        for length, step_counts in enumerate((highest - lowest).T):
-            is_probed &= steps[length] <= step_counts[:, None]
-        row, step = np.nonzero(is_probed)
-        bucket = _buckets(lowest[row] + steps.T[step], labels[row], len(self.starts) - 1)
+        extents = np.floor((lengths + tolerance_m) / self.cell_m).astype(np.int64) - lowest
+        steps = np.indices((int(extents.max(initial=0)) + 1,) * 5).reshape(5, -1).T
+        row, step = np.nonzero(_are_within(steps, extents))
+        # Keys add up along the lengths: of a quad's lowest cell, and of the step from there.
+        keys = (lowest.astype(np.uint64) @ _PRIMES[:5])[row] + (steps.astype(np.uint64) @ _PRIMES[:5])[step]
+        bucket = _hashed(keys ^ (labels.astype(np.uint64) @ _PRIMES[5:])[row], len(self.starts) - 1)
         first = self.starts[bucket].astype(np.int64)
         counts = np.maximum(np.minimum(self.starts[bucket + 1], len(self)).astype(np.int64) - first, 0)
         totals = np.bincount(row, weights=counts, minlength=len(lengths))
@@ -152,11 +156,22 @@ def build_quad_index(positions: FloatArray, labels: IntArray, *, sigma_m: float)
     return QuadIndex(corners[order[is_new]], starts, cell_m)
 
 
+def _are_within(steps: IntArray, extents: IntArray) -> NDArray[np.bool_]:
+    """Which of ``steps`` (S, 5) are within the ``extents`` (Q, 5) along each length: (Q, S)."""
+    within = np.ones((len(extents), len(steps)), dtype=np.bool_)
+    for along, most in zip(steps.T, extents.T, strict=True):
+        within &= along <= most[:, None]
+    return within
+
+
 def _buckets(cells: IntArray, labels: IntArray, count: int) -> IntArray:
     """Bucket (Q,), of ``count``, of quads with the lengths' ``cells`` (Q, 5) and the corners' ``labels`` (Q, 4)."""
-    mixed = cells.astype(np.uint64) @ _PRIMES[:5]
-    mixed ^= labels.astype(np.uint64) @ _PRIMES[5:]
-    mixed ^= mixed >> np.uint64(29)
+    return _hashed((cells.astype(np.uint64) @ _PRIMES[:5]) ^ (labels.astype(np.uint64) @ _PRIMES[5:]), count)
+
+
+def _hashed(keys: NDArray[np.uint64], count: int) -> IntArray:
+    """Bucket (Q,), of ``count``, of keys (Q,)."""
+    mixed = keys ^ (keys >> np.uint64(29))
     mixed *= np.uint64(0xBF58476D1CE4E5B9)
     return np.asarray((mixed >> np.uint64(20)) & np.uint64(count - 1), dtype=np.int64)
 
