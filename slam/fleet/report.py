@@ -57,7 +57,7 @@ def _of_session(fleet: Fleet, number: int, part_of: dict[int, int], names: list[
         {
             "log": names[pair.second if pair.first == number else pair.first],
             "places": len(pair.joins),
-            "llr": round(pair.llr, 1),
+            "log_odds": round(pair.log_odds, 1),
         }
         for pair in fleet.pairs
         if pair.accepted and number in (pair.first, pair.second) and part_of[pair.first] == part_of[pair.second]
@@ -79,7 +79,7 @@ def _why_alone(fleet: Fleet, number: int, names: list[str]) -> str:
     pairs = [pair for pair in fleet.pairs if number in (pair.first, pair.second)]
     if not pairs:
         return "no place of it was recognised in another log"
-    best = max(pairs, key=lambda pair: pair.llr)
+    best = max(pairs, key=lambda pair: pair.log_odds)
     other = names[best.second if best.first == number else best.first]
     if best.accepted:
         return f"its joins contradict those of other logs; the best was with {other}"

@@ -22,6 +22,7 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import LocalizationConfig
 from slam.common.geometry import invert
 from slam.localization.localizer import log_odds_of
+from slam.localization.pose_prior import failure_probability
 from slam.localization.visibility import Visibility
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.object_map.submap import gravity_frame
@@ -93,7 +94,7 @@ class ContinuityMonitor:
     def __init__(self, config: LocalizationConfig, sensor_range_m: float) -> None:
         self.memory_m = 2.0 * sensor_range_m
         self._least_llr = -log_odds_of(config.error_probability) - float(
-            np.log(config.failures_per_km * 1e-3 * self.memory_m)
+            np.log(failure_probability(config.failures_per_km, self.memory_m))
         )
         self._visibility = Visibility(sensor_range_m)
         self._counts = np.array([[PRIOR_SEEN, PRIOR_MISSED], [PRIOR_SEEN, PRIOR_MISSED]])

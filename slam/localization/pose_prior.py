@@ -13,6 +13,11 @@ _PLANAR = (3, 4, 2)
 """x, y and yaw in a covariance (6, 6), rotation first."""
 
 
+def failure_probability(failures_per_km: float, travel_m: float) -> float:
+    """Probability that the odometry failed unnoticed on some travel, a metre at least."""
+    return float(-np.expm1(-failures_per_km * max(travel_m, 1.0) / 1000.0))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PosePrior:
     """p(T) = (1 - f) N(T; T_predicted, S) + f / (2 pi A), over x, y and heading.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,6 +13,7 @@ from scipy.special import expit
 from logs.messages import LoopClosureRecord
 from slam.common.config import Config
 from slam.localization.localizer import Localizer, PoseEvidence, Posterior, log_odds_of
+from slam.localization.pose_prior import failure_probability
 from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.consistency import suppress_non_maxima, which_agree
 from slam.loop_closure.verification import Verifier
@@ -41,6 +43,7 @@ class Acceptance:
     def __init__(self, config: Config, verifier: Verifier, keyframes: Sequence[Keyframe]) -> None:
         self.min_objects = config.registration.min_inliers
         """Objects without which there is no pose."""
+        self._failures_per_km = config.localization.failures_per_km
         self._least_log_odds = -log_odds_of(config.localization.error_probability)
         self._sensor_range_m = config.detection.sensor_range_m
         self._verifier = verifier
@@ -71,6 +74,12 @@ class Acceptance:
         """Whether a candidate at the pose that an accepted closure predicts is accepted."""
         return self.is_acceptable(propagated)
 
+    def is_contradicted(self, log_likelihood_ratio: float, travel_m: float) -> bool:
+        """Whether landmarks, seen on some travel first, make a predicted pose less likely than a failure of the
+        odometry there.
+        """
+        return log_likelihood_ratio < math.log(failure_probability(self._failures_per_km, travel_m))
+
     def decide(self, query: Query, candidates: list[Candidate]) -> Decision:
         """The likeliest candidate is accepted if its posterior probability is high enough, rivals included.
 
@@ -87,7 +96,7 @@ class Acceptance:
         if best.is_tracked and self._is_sure(posterior):
             return Decision((*rejected, best.record(Stage.ASSOCIATION, TRACKED)))
         if self._is_sure(posterior):
-            rivals = self._verifier.shifted(query, best) + self._verifier.aliases(query, best)
+            rivals = self._verifier.rivals(query, best)
             compared = suppress_non_maxima([best, *others, *rivals], sensor_range_m=self._sensor_range_m)
             posterior = self._posterior(query, compared)
             is_best = self._agree(compared[posterior.best], best)

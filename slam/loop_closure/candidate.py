@@ -31,8 +31,9 @@ class Candidate:
     """``T_reference_query`` (4, 4) between the bodies, covariance (6, 6) rotation first; ``T_local_query`` (4, 4) of
     the query's gravity frame in the local frame of the reference's traversal.
 
-    ``rows`` (N,): landmarks of the query; ``log_likelihood_ratios`` (N,): their LLR_i; ``pairs`` (K, 2): inliers, as
-    confirmed landmarks of the query and of the reference. ``log_likelihood_ratio`` is the sum of the LLR_i.
+    ``rows`` (N,): landmarks of the query, and -1 - row of those of the reference that the robot passed;
+    ``log_likelihood_ratios`` (N,): their LLR_i, of which ``log_likelihood_ratio`` is the sum; ``pairs`` (K, 2):
+    inliers, as confirmed landmarks of the query and of the reference.
     ``odometry_penalty`` is -log pi of the pose's prior, ``unpredicted_penalty`` the same if the odometry told nothing;
     see :mod:`slam.localization.pose_prior`. ``seed_closure``: the keyframe whose closure predicted this one, -1 if
     retrieval found it; ``rank``: as in :class:`slam.place_recognition.place.Place`. ``posterior_log_odds`` and
@@ -70,6 +71,11 @@ class Candidate:
     def score(self) -> float:
         """Log-likelihood ratio minus odometry penalty: the log posterior odds if there was no other candidate."""
         return self.log_likelihood_ratio - self.odometry_penalty
+
+    @property
+    def passed_rows(self) -> IntArray:
+        """Rows of the reference landmarks that the robot passed (P,), matched or not."""
+        return -1 - self.rows[self.rows < 0]
 
     def edge(self) -> Edge:
         """The between-factor of this closure."""

@@ -25,6 +25,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import logsumexp
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import LikelihoodRatioConfig
@@ -33,6 +34,8 @@ from slam.object_map.submap import Submap
 
 NEAREST = 2
 """Nearest landmarks of the class that may show the direction of a row."""
+PRIOR_OBJECTS, GRID = 10.0, 200
+"""Weight, in objects, of the prior of P_D of a single place, and steps of the integral over it."""
 LEAST_COUNT = 0.01
 """Least density of a class: so many objects in a square with sides of ``coverage_radius_m``."""
 
@@ -86,6 +89,21 @@ def compute_log_likelihood_ratio(
     in_map = config.detection_probability * query.existence
     ratios = 1.0 - in_map + in_map * likelihoods / densities
     return LikelihoodRatio(np.where(expected, np.log(ratios), 0.0), expected, len(pairs))
+
+
+def changed_log_likelihood_ratio(per_object: FloatArray, detection_probability: float) -> float:
+    """The LLR of objects (N,) in a place that may have changed since it was mapped [nats].
+
+    It is the logarithm of the product of their likelihood ratios, integrated over the P_D that all of them share, with
+    a beta prior of mean ``detection_probability`` and the weight of ``PRIOR_OBJECTS`` objects (beta-binomial).
+    ``per_object`` are the LLR_i with P_D = ``detection_probability``; those that expect no match are zero.
+    """
+    ratios = np.maximum(np.expm1(per_object) / detection_probability, -1.0)  # N(...) / lambda_i - 1
+    shares = (np.arange(GRID) + 0.5) / GRID
+    a, b = PRIOR_OBJECTS * detection_probability, PRIOR_OBJECTS * (1.0 - detection_probability)
+    log_prior = (a - 1.0) * np.log(shares) + (b - 1.0) * np.log1p(-shares)
+    log_likelihoods = np.log1p(shares[:, None] * ratios).sum(axis=1)
+    return float(logsumexp(log_prior + log_likelihoods) - logsumexp(log_prior))
 
 
 def expected_log_likelihood_ratios(

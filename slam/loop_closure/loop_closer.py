@@ -6,11 +6,8 @@
 from __future__ import annotations
 
 import logging
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
-
-import numpy as np
 
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
@@ -22,10 +19,11 @@ from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.accepted_closures import AcceptedClosures
 from slam.loop_closure.candidate import Candidate, Query, Stage
 from slam.loop_closure.consistency import suppress_non_maxima
-from slam.loop_closure.divergence_monitor import LocalizationMonitor
+from slam.loop_closure.propagation import Propagation
 from slam.loop_closure.stretches import Stretches
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
+from slam.object_map.missing_landmarks import MissingLandmarks
 from slam.object_map.submap import gravity_frame, recent_submap, recent_submap_with_unconfirmed
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
@@ -35,11 +33,6 @@ from slam.place_recognition.place_prior import PlacePrior
 from slam.place_recognition.retrieval import PlaceRetriever
 
 logger = logging.getLogger(__name__)
-
-IN_VIEW_RANGES = 4.0 / 30.0
-"""Landmarks observed within that travel, in sensor ranges, are in view."""
-ELSEWHERE_RANGES = 15.0 / 30.0
-"""Farther, in sensor ranges, than the odometry can drift between two propagated closures."""
 
 
 class LoopCloser:
@@ -54,7 +47,6 @@ class LoopCloser:
         imported: ImportedPlaces | None = None,
     ) -> None:
         self._submap_config = config.submap
-        self._limits = config.loop_closure
         self._sensor_range_m = config.detection.sensor_range_m
         self._map = object_map
         self._keyframes = keyframes
@@ -64,19 +56,18 @@ class LoopCloser:
         self._retriever = PlaceRetriever(config, object_map, imported)
         self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes)
         self.closures = AcceptedClosures(config, object_map, graph, keyframes)
-        self._recent: deque[Query] = deque()
         self._stretches = Stretches(0.5 * config.submap.travel_m)
-        self._seed_closure: Candidate | None = None
-        self._monitor = LocalizationMonitor(self._sensor_range_m)
+        self._missing = MissingLandmarks()
         self._continuity = ContinuityMonitor(config.localization, self._sensor_range_m)
         # Only a prior map is trusted more than the robot's pose; a map in the making may itself be wrong.
-        self._monitors_localization = any(keyframe.is_prior for keyframe in keyframes)
+        self._has_prior_map = any(keyframe.is_prior for keyframe in keyframes)
         self.place_prior: PlacePrior | None = None
         """Where in the prior map the robot is said to be; places elsewhere in it are left out."""
         self.lost_since_keyframe: int | None = None
         """The first keyframe that is inconsistent with the map, once the robot is lost; None while it is not."""
         self._rejected_by_odometry: set[int] = set()
         self._acceptance = Acceptance(config, self._verifier, keyframes)
+        self._propagation = Propagation(config, self._verifier, self._acceptance, object_map, keyframes)
 
     @property
     def rejected_by_odometry_count(self) -> int:
@@ -84,8 +75,8 @@ class LoopCloser:
         return sum(not self.closures.is_closed(each) for each in self._rejected_by_odometry)
 
     def missing_landmarks(self) -> IntArray:
-        """Rows (K,) of landmarks that were often expected in view and never observed."""
-        return self._monitor.missing()
+        """Rows (K,) of landmarks that the robot passed and never saw."""
+        return self._missing.rows()
 
     def close(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
         """Look for loops at the newest keyframe; returns a record of every candidate, revised ones included."""
@@ -99,13 +90,13 @@ class LoopCloser:
             return [query.refusal(Stage.CONSISTENCY, "kidnapped: other landmarks are in view than a moment ago")]
         if self._verifier.latest_m(query) <= self._keyframes[0].odometry.travel_m:
             return []
-        if self._is_inconsistent(query):
-            self.lost_since_keyframe = self._monitor.inconsistent_since
-            return [query.refusal(Stage.CONSISTENCY, "expected landmarks not observed")]
         # 1. Near an accepted closure the pose is predicted, and only verified.
-        propagated = self._propagate(query)
+        predicted = self._propagation.predict(query)
+        if self._has_prior_map and self._propagation.is_contradicted(query, predicted):
+            self.lost_since_keyframe = self._propagation.contradicted_since(query).id
+            return [query.refusal(Stage.CONSISTENCY, "expected landmarks not observed")]
+        propagated = self._propagation.confirmed(predicted)
         if propagated is not None:
-            self._monitor.confirm()
             return [self._accept(propagated, f"propagated from the closure of keyframe {propagated.seed_closure}")]
         # 2. Elsewhere landmarks that are still followed, or retrieval by triangles and descriptors, propose candidates.
         verified = self._verify_proposed(query) if self._has_enough_objects(query) else []
@@ -162,7 +153,7 @@ class LoopCloser:
     def _is_plausible(self, query: Query, place: Place) -> bool:
         """Whether a place is where the robot may be by what was said before."""
         prior = self.place_prior
-        if prior is None or place.segment != self._keyframes[0].odometry.segment or not self._monitors_localization:
+        if prior is None or place.segment != self._keyframes[0].odometry.segment or not self._has_prior_map:
             return True
         first = next(each for each in self._keyframes if not each.is_prior)
         T_first_query = invert(first.odometry.T_odom_body) @ query.keyframe.odometry.T_odom_body
@@ -180,11 +171,9 @@ class LoopCloser:
         """
         revoked = self.closures.revoke_since(keyframe, since)
         self.lost_since_keyframe = None
-        self._monitor.restart()
         self._continuity.restart()
-        self._seed_closure = None
+        self._propagation.reset()
         self._acceptance.reset()
-        self._recent.clear()
         return revoked
 
     def _take_query(self, keyframe: Keyframe) -> Query:
@@ -193,59 +182,8 @@ class LoopCloser:
         query = Query(keyframe, submap, gravity_frame(keyframe.T_local_body), before)
         if self._retriever.has_imported_map:
             self._stretches.remember(query)
-        oldest_m = query.travel_m - self._limits.propagation_distance_m
-        self._recent.append(query)
-        while self._recent[0].travel_m < oldest_m:
-            self._recent.popleft()
+        self._propagation.remember(query)
         return query
-
-    def _propagate(self, query: Query) -> Candidate | None:
-        """The closure that the last one predicts; None where it cannot be verified."""
-        seed_closure = self._recent_seed(query)
-        return None if seed_closure is None else self._verify_propagated(seed_closure, query)
-
-    def _recent_seed(self, query: Query) -> Candidate | None:
-        """The last closure, if it is near enough to predict the pose of the query."""
-        seed_closure = self._seed_closure
-        if seed_closure is None or query.travel_m - seed_closure.travel_m > self._limits.propagation_distance_m:
-            return None
-        return seed_closure
-
-    def _is_inconsistent(self, query: Query) -> bool:
-        """Whether the observations contradict the map at the pose that the last closure predicts."""
-        seed_closure = self._recent_seed(query)
-        if not self._monitors_localization or seed_closure is None:
-            self._monitor.restart()
-            return False
-        place = self._verifier.predict(seed_closure, query)
-        if place is None:
-            return False
-        reference = self._retriever.reference_submap(place, before_m=self._verifier.latest_m(query))
-        seen_m = self._map.rows["last_seen_travel_m"][query.submap.rows]
-        observed = query.submap.of(np.flatnonzero(seen_m > query.travel_m - IN_VIEW_RANGES * self._sensor_range_m))
-        return self._monitor.update(query.keyframe.id, observed, reference, place.T_local_query)
-
-    def _is_elsewhere(self, query: Query, candidate: Candidate) -> bool:
-        """Whether a candidate is far from the pose that the last closure, if it is recent, predicts."""
-        seed_closure = self._recent_seed(query)
-        if not self._monitors_localization or seed_closure is None:
-            return False
-        place = self._verifier.predict(seed_closure, query)
-        if place is None or place.segment != self._keyframes[candidate.reference].odometry.segment:
-            return False
-        apart_m = float(np.linalg.norm((place.T_local_query - candidate.T_local_query)[:2, 3]))
-        return apart_m > ELSEWHERE_RANGES * self._sensor_range_m
-
-    def _verify_propagated(self, seed_closure: Candidate, query: Query) -> Candidate | None:
-        """The closure that ``seed_closure`` predicts for a query, if it is confirmed there."""
-        place = self._verifier.predict(seed_closure, query)
-        if place is None:
-            return None
-        candidate = self._verifier.verify(query, place, seed_closure=seed_closure.query)
-        if not isinstance(candidate, Candidate) or candidate.is_tracked:
-            return None
-        agrees = self._verifier.agree(candidate.T_local_query, place.T_local_query)
-        return candidate if agrees and self._acceptance.is_confirmed(candidate) else None
 
     def _decide(self, query: Query, candidates: list[Candidate]) -> list[LoopClosureRecord]:
         """Records of the candidates of one query, given by falling score."""
@@ -257,9 +195,8 @@ class LoopCloser:
         best, records = decision.accepted, list(decision.rejected)
         if best is None:
             return records
-        if self._is_elsewhere(query, best):
-            since = self._monitor.inconsistent_since if self._monitor.is_inconsistent else None
-            self.lost_since_keyframe = query.keyframe.id if since is None else since
+        if self._has_prior_map and self._propagation.is_elsewhere(query, best):
+            self.lost_since_keyframe = query.keyframe.id
             return [*records, best.record(Stage.CONSISTENCY, "contradicts the odometry: kidnapped")]
         return [*records, *self._accept_and_propagate(best)]
 
@@ -272,20 +209,19 @@ class LoopCloser:
             candidate.score,
         )
         records = [self._accept(candidate, "")]
-        seed_closure = candidate
-        for query in reversed(self._recent):
-            if query.keyframe.id >= candidate.query or self.closures.is_closed(query.keyframe.id):
+        seed = candidate
+        for query in self._propagation.queries_before(candidate.query):
+            if self.closures.is_closed(query.keyframe.id):
                 continue
-            propagated = self._verify_propagated(seed_closure, query)
+            propagated = self._propagation.confirmed(self._propagation.predict_from(seed, query))
             if propagated is not None:
-                records.append(
-                    self._accept(propagated, f"propagated from the closure of keyframe {seed_closure.query}")
-                )
-                seed_closure = propagated
-        self._seed_closure = candidate
+                records.append(self._accept(propagated, f"propagated from the closure of keyframe {seed.query}"))
+                seed = propagated
+        self._propagation.seed = candidate
         return records
 
     def _accept(self, candidate: Candidate, reason: str) -> LoopClosureRecord:
         """Accept a closure, which predicts the next ones."""
-        self._seed_closure = candidate
+        self._propagation.seed = candidate
+        self._missing.add(candidate.passed_rows, candidate.pairs[:, 1])
         return self.closures.add(candidate, reason)

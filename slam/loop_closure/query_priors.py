@@ -11,7 +11,7 @@ from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.geometry import apply, invert
 from slam.localization.map_area import MapArea
-from slam.localization.pose_prior import PosePrior
+from slam.localization.pose_prior import PosePrior, failure_probability
 from slam.loop_closure.candidate import NOWHERE, Query
 from slam.object_map.submap import gravity_frame
 from slam.odometry.drift import KeyframeTrack
@@ -77,6 +77,6 @@ class QueryPriors:
             T_local_query,
             float(np.hypot(inflation * sigma_m, limits.base_sigma_m)),
             float(np.hypot(inflation * sigma_rad, np.deg2rad(limits.base_sigma_deg))),
-            float(-np.expm1(-self._config.localization.failures_per_km * max(travel_m, 1.0) / 1000.0)),
+            failure_probability(self._config.localization.failures_per_km, travel_m),
             self._area.area_m2,
         )

@@ -9,13 +9,18 @@ import numpy as np
 
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
-from slam.common.arrays import FloatArray
+from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import apply, covariance_in_axes, invert
 from slam.loop_closure.candidate import NOWHERE, Candidate, Query, Stage
 from slam.loop_closure.consistency import odometry_penalty, poses_agree
-from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratio, expected_log_likelihood_ratios
+from slam.loop_closure.likelihood_ratio import (
+    LikelihoodRatio,
+    compute_log_likelihood_ratio,
+    expected_log_likelihood_ratios,
+)
 from slam.loop_closure.query_priors import PASSED_RANGES, QueryPriors
+from slam.loop_closure.shifted_poses import shifted_along_track
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, gravity_frame
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
@@ -27,11 +32,6 @@ from slam.registration.registration import Registration, refine
 MAX_REFERENCE_RANGES = 20.0 / 30.0
 # Two candidates are consistent up to three standard deviations of the odometry between their references.
 MAX_CONSISTENT_PENALTY = 4.5
-# Along-track aliasing test: shifts of the query along its heading and the radius within which objects match after a
-# shift, in sensor ranges; and how many shifts with most matches are registered.
-ALONG_TRACK_SHIFTS_RANGES = np.concatenate([np.arange(-40.0, -3.0), np.arange(4.0, 41.0)]) / 30.0
-ALONG_TRACK_MATCH_RANGES = 1.5 / 30.0
-ALONG_TRACK_SHIFTS_TRIED = 4
 # Poses of a query in itself that are tried in the aliasing test, the identity among them.
 ALIASES_TRIED = 5
 
@@ -103,7 +103,7 @@ class Verifier:
 
     def verify(self, query: Query, place: Place, *, seed_closure: int = NOWHERE) -> Candidate | LoopClosureRecord:
         """The candidate at a place, or the record with the reason for its rejection."""
-        if self._nearest(place, query, within_m=self._max_reference_m + self._reach_m) is None:
+        if self._nearest(place, query, within_m=self._max_reference_m + self.reach_m) is None:
             return self._out_of_reach(query, place)
         reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
         registration = _register(query.submap, reference_submap, place.T_local_query, self._config)
@@ -116,6 +116,15 @@ class Verifier:
             return self._out_of_reach(query, place)
         candidate = self._candidate(query, place, reference_submap, registration, reference, seed_closure)
         return self._with_stretches_before(query, candidate) if seed_closure == NOWHERE else candidate
+
+    def unregistered(self, query: Query, place: Place) -> FloatArray:
+        """LLR (N,) of each object of the query at a place as it is, where the two cannot be registered.
+
+        Matches are mutually nearest objects of one class.
+        """
+        reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
+        pairs = _mutually_nearest(query.submap, reference_submap, place.T_local_query)
+        return self._ratio(query, reference_submap, place.T_local_query, pairs).per_object
 
     def _with_stretches_before(self, query: Query, candidate: Candidate) -> Candidate:
         """The candidate with the LLR of what the robot passed before, each stretch registered where the next one leads.
@@ -154,37 +163,19 @@ class Verifier:
         """Whether two estimates (4, 4) of one pose agree; see :func:`poses_agree`."""
         return poses_agree(T_a, T_b, sensor_range_m=self._sensor_range_m)
 
-    def aliases(self, query: Query, candidate: Candidate) -> list[Candidate]:
-        """Other poses that fit as well if the query's objects stand in a regular pattern."""
-        reference = self._keyframes[candidate.reference]
-        place = Place(candidate.T_local_query, reference.odometry.travel_m, reference.odometry.segment, 0.0)
+    def rivals(self, query: Query, candidate: Candidate) -> list[Candidate]:
+        """Candidates at other poses where objects that stand in rows, or in a repeated pattern, would fit as well."""
+        reference = self._keyframes[candidate.reference].odometry
+        place = Place(candidate.T_local_query, reference.travel_m, reference.segment, 0.0)
         reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
-        found = list[Candidate]()
-        for T_query_alias in self._retriever.aliases(query.submap, count=ALIASES_TRIED):
-            T_local_alias = np.asarray(candidate.T_local_query @ T_query_alias)
-            registration = _register(query.submap, reference_submap, T_local_alias, self._config)
-            T_found = registration.T_reference_query
-            if T_found is not None and not self.agree(T_found, candidate.T_local_query):
-                found.append(self._candidate(query, place, reference_submap, registration, reference, NOWHERE))
-        return found
-
-    def shifted(self, query: Query, candidate: Candidate) -> list[Candidate]:
-        """Poses shifted along the heading of the query: rows of objects repeat themselves.
-
-        The shifts after which most objects match are verified like any other pose.
-        """
-        pose = self._keyframes[candidate.reference].odometry
-        place = Place(candidate.T_local_query, pose.travel_m, pose.segment, 0.0)
-        reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
-        found = list[Candidate]()
-        shifts_m = _likeliest_shifts_m(query.submap, reference_submap, place.T_local_query, self._sensor_range_m)
-        for shift_m in shifts_m[:ALONG_TRACK_SHIFTS_TRIED]:
-            T_shifted = place.T_local_query.copy()
-            T_shifted[:2, 3] += shift_m * T_shifted[:2, 0]
-            shifted = self.verify(query, replace(place, T_local_query=T_shifted))
-            if isinstance(shifted, Candidate) and not self.agree(shifted.T_local_query, candidate.T_local_query):
-                found.append(shifted)
-        return found
+        shifted = shifted_along_track(query.submap, reference_submap, place.T_local_query, self._sensor_range_m)
+        repeated = place.T_local_query @ self._retriever.aliases(query.submap, count=ALIASES_TRIED)
+        found = [self.verify(query, replace(place, T_local_query=T)) for T in [*shifted, *repeated]]
+        return [
+            each
+            for each in found
+            if isinstance(each, Candidate) and not self.agree(each.T_local_query, candidate.T_local_query)
+        ]
 
     def _candidate(
         self,
@@ -198,14 +189,7 @@ class Verifier:
         T_local_gravity, covariance = registration.T_reference_query, registration.covariance
         assert T_local_gravity is not None
         assert covariance is not None
-        ratio = compute_log_likelihood_ratio(
-            query.submap,
-            reference_submap,
-            T_local_gravity,
-            registration.pairs,
-            self._config.likelihood_ratio,
-            self._retriever.class_shares(),
-        )
+        ratio = self._ratio(query, reference_submap, T_local_gravity, registration.pairs)
         passed, of_passed = expected_log_likelihood_ratios(
             reference_submap,
             T_local_gravity,
@@ -243,6 +227,18 @@ class Verifier:
             is_tracked=2 * int(np.sum(seen == met)) > len(seen),
         )
 
+    def _ratio(
+        self, query: Query, reference_submap: Submap, T_local_query: FloatArray, pairs: IntArray
+    ) -> LikelihoodRatio:
+        return compute_log_likelihood_ratio(
+            query.submap,
+            reference_submap,
+            T_local_query,
+            pairs,
+            self._config.likelihood_ratio,
+            self._retriever.class_shares(),
+        )
+
     def _covariance(self, registered: FloatArray) -> FloatArray:
         """Covariance (6, 6) of the registration plus that of the errors which all its inliers share."""
         limits = self._config.loop_closure
@@ -255,7 +251,7 @@ class Verifier:
         return MAX_REFERENCE_RANGES * self._sensor_range_m
 
     @property
-    def _reach_m(self) -> float:
+    def reach_m(self) -> float:
         """How far registration can move a pose: its search radius, which halves from step to step."""
         return 2.0 * self._config.registration.search_radius_m
 
@@ -298,16 +294,14 @@ def _register(query: Submap, reference: Submap, T_reference_query: FloatArray, c
     )
 
 
-def _likeliest_shifts_m(
-    query: Submap, reference: Submap, T_reference_query: FloatArray, sensor_range_m: float
-) -> FloatArray:
-    """Shifts (S,) m of a pose (4, 4) along its heading, those first after which most objects of the query match."""
+def _mutually_nearest(query: Submap, reference: Submap, T_reference_query: FloatArray) -> IntArray:
+    """Pairs (K, 2), as rows of query and reference, of objects of one class that are nearest to each other."""
+    if not len(query) or not len(reference):
+        return np.zeros((0, 2), dtype=np.int64)
     placed = apply(T_reference_query, query.positions)
-    offsets = reference.positions[:, None, :2] - placed[None, :, :2]  # (M, N, 2)
-    same = reference.labels[:, None] == query.labels
-    shifts_m = ALONG_TRACK_SHIFTS_RANGES * sensor_range_m
-    radius_m = ALONG_TRACK_MATCH_RANGES * sensor_range_m
-    shifted_offsets = offsets[None] - shifts_m[:, None, None, None] * T_reference_query[:2, 0]  # (S, M, N, 2)
-    near = same & (np.einsum("smni,smni->smn", shifted_offsets, shifted_offsets) < radius_m**2)
-    match_counts = near.any(axis=1).sum(axis=1)
-    return np.asarray(shifts_m[np.argsort(-match_counts, kind="stable")])
+    distances = np.linalg.norm(placed[:, None, :2] - reference.positions[None, :, :2], axis=2)
+    distances[query.labels[:, None] != reference.labels] = np.inf
+    nearest = np.argmin(distances, axis=1)
+    rows = np.arange(len(query))
+    is_mutual = (np.argmin(distances, axis=0)[nearest] == rows) & np.isfinite(distances[rows, nearest])
+    return np.asarray(np.column_stack([rows, nearest])[is_mutual])

@@ -1,7 +1,13 @@
 """Which maps are joined: all recognised places of two maps have to tell one transform between them.
 
 A single place can be like another one by chance, and a row of trees like its neighbour. Places along a drive that are
-recognised at one transform can hardly be: their log-likelihood ratios add up.
+recognised at one transform can hardly be: their log-likelihood ratios add up to that of the transform, L. Its posterior
+odds, against the best other transform for the same places, L', and "the maps have no place in common", are
+
+    log o = (L - log n) - log(1 + exp(L' - log n)),
+
+where n is the number of places that chance could choose from. Two maps are joined if they are wrong with a probability
+below ``localization.error_probability``, shared among all pairs of maps: a false join bends everything on both sides.
 """
 
 from __future__ import annotations
@@ -14,6 +20,7 @@ import numpy as np
 from slam.common.arrays import BoolArray, FloatArray
 from slam.common.config import Config
 from slam.common.geometry import invert, yaw_rad
+from slam.localization.localizer import log_odds_of
 from slam.loop_closure.consistency import AGREE_RAD, AGREE_RANGES
 from slam.map_joining.joins import Join, mean_drift
 from slam.object_map.map_io import SavedMap
@@ -21,25 +28,20 @@ from slam.object_map.map_io import SavedMap
 SHARING_PLACES = 3.0
 """A landmark is in the query of its place and of those beside it, so each log-likelihood ratio counts a third."""
 GATE_SIGMAS = 3.0
-ACCEPT_LLR = 20.0
-"""What two maps are joined from [nats]: a false one among a few million, as each joins everything on both sides."""
-AMBIGUITY_MARGIN = 5.0
-"""... and what it must exceed that of any other transform by: one in 150."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapPair:
     """Two maps, ``first`` < ``second``, and what says where one is in the other.
 
-    ``joins``: those that agree on one transform; ``llr``: their joint log-likelihood ratio, ``rival_llr``: that of the
-    best other transform for the same places; ``accepted`` and, if not, the ``reason``.
+    ``joins``: those that agree on one transform; ``log_odds``: its posterior log odds [nats]; ``accepted`` and, if not,
+    the ``reason``.
     """
 
     first: int
     second: int
     joins: tuple[Join, ...]
-    llr: float
-    rival_llr: float
+    log_odds: float
     accepted: bool
     reason: str
 
@@ -63,14 +65,21 @@ def judge_pairs(
     of_pair: dict[tuple[int, int], list[Join]] = {}
     for join in sorted(joins, key=lambda join: (join.query_map, join.place, join.reference_map, -join.llr)):
         of_pair.setdefault(_pair(join), []).append(join)
+    pairs = len(maps) * (len(maps) - 1) // 2
+    least_log_odds = float(np.log(max(pairs, 1))) - log_odds_of(config.localization.error_probability)
     return [
-        _judge(pair, np.array(each, dtype=object), maps, config, search_penalty)
+        _judge(pair, np.array(each, dtype=object), maps, config, search_penalty, least_log_odds)
         for pair, each in sorted(of_pair.items())
     ]
 
 
 def _judge(
-    pair: tuple[int, int], joins: np.ndarray, maps: Sequence[SavedMap], config: Config, search_penalty: float
+    pair: tuple[int, int],
+    joins: np.ndarray,
+    maps: Sequence[SavedMap],
+    config: Config,
+    search_penalty: float,
+    least_log_odds: float,
 ) -> MapPair:
     agree = _agreement(joins, maps, config)
     evidence = [_evidence(joins[row]) for row in agree]
@@ -79,13 +88,12 @@ def _judge(
     asked = {(join.query_map, join.place) for join in joins[chosen]}
     rivals = ~chosen & np.array([(join.query_map, join.place) in asked for join in joins])
     rival_llr = max((_evidence(joins[agree[row] & rivals]) for row in np.flatnonzero(rivals)), default=0.0)
-    llr = evidence[best] - search_penalty
-    reason = ""
-    if llr < ACCEPT_LLR:
-        reason = f"log-likelihood ratio {llr:.1f}, less than {ACCEPT_LLR:g}"
-    elif evidence[best] - rival_llr < AMBIGUITY_MARGIN:
-        reason = f"ambiguous: log-likelihood ratio {evidence[best]:.1f}, and {rival_llr:.1f} at another pose"
-    return MapPair(*pair, tuple(joins[chosen].tolist()), llr, rival_llr, not reason, reason)
+    log_odds = float(evidence[best] - search_penalty - np.logaddexp(0.0, rival_llr - search_penalty))
+    accepted = bool(log_odds >= least_log_odds)
+    doubt = f"posterior log odds {log_odds:.1f}, less than {least_log_odds:.1f}"
+    against = f"; another transform has a log-likelihood ratio of {rival_llr:.1f} against {evidence[best]:.1f}"
+    reason = "" if accepted else doubt + (against if rival_llr > search_penalty else "")
+    return MapPair(*pair, tuple(joins[chosen].tolist()), log_odds, accepted, reason)
 
 
 def _evidence(joins: np.ndarray) -> float:

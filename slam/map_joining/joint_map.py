@@ -130,7 +130,7 @@ def _placed(
     """
     T_joint_map, ties = {group[0]: np.eye(4)}, list[tuple[int, int]]()
     sets = UnionFind()
-    tree = [pair for pair in sorted(pairs, key=lambda pair: -pair.llr) if sets.merge(pair.first, pair.second)]
+    tree = [pair for pair in sorted(pairs, key=lambda pair: -pair.log_odds) if sets.merge(pair.first, pair.second)]
     while len(T_joint_map) < len(group):
         pair = next(p for p in tree if (p.first in T_joint_map) != (p.second in T_joint_map))
         join = pair.best

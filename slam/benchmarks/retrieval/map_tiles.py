@@ -24,8 +24,8 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.localization.localizer import log_odds_of
 from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratio
-from slam.map_joining.acceptance import ACCEPT_LLR
 from slam.object_map.submap import Submap
 from slam.place_recognition.imported_map import ImportedMap, load_imported_map, make_imported_map, save_imported_map
 from slam.place_recognition.imported_places import HEIGHT_SIGMA_M
@@ -262,8 +262,8 @@ def locate(imported: ImportedMap, query: Submap, config: Config) -> tuple[FloatA
         )
         if ratio.total > best_llr:
             best, best_llr = found.T_reference_query, ratio.total
-    penalty = np.log(len(imported) / len(query)) if len(imported) > len(query) else 0.0
-    return best, bool(best_llr - penalty >= ACCEPT_LLR)
+    log_odds = best_llr - np.log(len(imported))
+    return best, bool(log_odds >= -log_odds_of(config.localization.error_probability))
 
 
 def _exhaustive(imported: ImportedMap) -> Callable[[Submap], tuple[FloatArray | None, bool]]:

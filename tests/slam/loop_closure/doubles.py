@@ -44,8 +44,7 @@ class Patterns:
     """A verifier that knows of other poses at which the same objects fit."""
 
     def __init__(self) -> None:
-        self.along_track: list[Candidate] = []
-        self.repeated: list[Candidate] = []
+        self.alike: list[Candidate] = []
         self.passed_twice = False
 
     def agree(self, T_a: FloatArray, T_b: FloatArray) -> bool:
@@ -54,11 +53,8 @@ class Patterns:
     def are_consistent(self, a: Candidate, b: Candidate) -> bool:
         return self.passed_twice
 
-    def shifted(self, query: Query, candidate: Candidate) -> list[Candidate]:
-        return self.along_track
-
-    def aliases(self, query: Query, candidate: Candidate) -> list[Candidate]:
-        return self.repeated
+    def rivals(self, query: Query, candidate: Candidate) -> list[Candidate]:
+        return self.alike
 
     def place_at(self, query: Query, T_local_query: FloatArray, segment: int) -> Place | None:
         return Place(T_local_query, 0.0, segment, np.inf)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from logs.messages import LoopClosureRecord
-from slam.common.arrays import IntArray
+from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.loop_closure import loop_closer as module
 from slam.loop_closure.acceptance import Decision
@@ -46,7 +46,7 @@ class Parts(Patterns):
         self.keyframes: Sequence[Keyframe] = []
         self.is_connected = True
         self.searched: list[int] = []
-        self.is_lost = False
+        self.is_tracked = False
         self.kidnapped_at: Keyframe | None = None
         self.resets = 0
         self.closed: dict[int, int] = {}
@@ -72,9 +72,14 @@ class Parts(Patterns):
             reference=max(query.keyframe.id - FIRST, 0) if not self.keyframes[0].is_prior else 0,
             travel_m=query.travel_m,
             T_local_query=at(query.travel_m - LOOP_M + self.off_m),
-            llrs={0: llr},
+            llrs=dict.fromkeys(range(self.objects), llr / self.objects),
         )
-        return replace(found, seed_closure=seed_closure)
+        return replace(found, seed_closure=seed_closure, is_tracked=self.is_tracked)
+
+    def unregistered(self, query: Query, place: Place) -> FloatArray:
+        return np.full(len(query.submap), -2.0)
+
+    reach_m = 6.0
 
     # Retriever.
     has_imported_map = False
@@ -128,35 +133,31 @@ class Parts(Patterns):
     def revoke_since(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
         return [], True
 
-    # Monitors.
-    memory_m = 60.0
-    is_inconsistent = False
-    inconsistent_since = 7
+    def is_contradicted(self, log_likelihood_ratio: float, travel_m: float) -> bool:
+        return log_likelihood_ratio < -10.0
 
-    def update(self, *arguments: Any) -> Any:
-        return self.kidnapped_at if isinstance(arguments[0], Keyframe) else self.is_lost
+    # Continuity monitor.
+    memory_m = 60.0
+
+    def update(self, *arguments: Any) -> Keyframe | None:
+        return self.kidnapped_at
 
     def restart(self) -> None:
         pass
 
-    def confirm(self) -> None:
-        pass
-
-    def missing(self) -> IntArray:
-        return np.zeros(0, dtype=np.int64)
-
 
 class Map:
-    """An object map of landmarks in view."""
+    """An object map of landmarks of the segment 1, seen from the beginning."""
 
-    rows = np.zeros(20, dtype=LANDMARK)
+    def __init__(self) -> None:
+        self.rows = np.zeros(20, dtype=LANDMARK)
+        self.rows["segment"] = 1
 
 
 @pytest.fixture
 def parts(monkeypatch: pytest.MonkeyPatch) -> Parts:
     parts = Parts()
-    for name in ("Verifier", "PlaceRetriever", "AcceptedClosures", "LocalizationMonitor", "ContinuityMonitor",
-                 "Acceptance"):  # fmt: skip
+    for name in ("Verifier", "PlaceRetriever", "AcceptedClosures", "ContinuityMonitor", "Acceptance"):
         monkeypatch.setattr(module, name, lambda *_, **__: parts)
     monkeypatch.setattr(module, "recent_landmarks", lambda *_: None)
     monkeypatch.setattr(module, "recent_submap", lambda *_: make_query(parts.keyframes[0], parts.objects).submap)
@@ -178,7 +179,8 @@ class Drive:
             self.keyframes += [make_keyframe(number, STEP_M * number) for number in range(1, FIRST)]
         parts.keyframes = self.keyframes
         config = Config.model_validate({"loop_closure": settings})
-        self.closer = LoopCloser(config, Map(), None, self.keyframes)  # type: ignore[arg-type]
+        self.map = Map()
+        self.closer = LoopCloser(config, self.map, None, self.keyframes)  # type: ignore[arg-type]
         self.prior = prior
 
     def close(self, number: int, *, segment: int | None = None) -> list[LoopClosureRecord]:
@@ -202,6 +204,24 @@ def test_a_retrieved_closure_predicts_those_after_it(parts):
     parts.places = []
     assert accepted(drive.close(FIRST + 1)) == {FIRST + 1: f"propagated from the closure of keyframe {FIRST}"}
     assert accepted(drive.close(FIRST + 2)) == {}
+
+
+def test_a_closure_by_landmarks_that_are_still_associated_is_not_propagated(parts):
+    drive = Drive(parts)
+    parts.llrs = {FIRST: SURE_LLR, FIRST + 1: TRACKED_LLR}
+    drive.close(FIRST)
+    parts.is_tracked = True
+    assert accepted(drive.close(FIRST + 1)) == {}
+
+
+def test_a_closure_predicts_no_keyframe_far_before_it(parts):
+    drive = Drive(parts)
+    numbers = FIRST, FIRST + 1, FIRST + 26
+    parts.llrs = dict.fromkeys(numbers, TRACKED_LLR)
+    drive.close(numbers[0])
+    drive.close(numbers[1])
+    parts.llrs[numbers[2]] = SURE_LLR
+    assert accepted(drive.close(numbers[2])).keys() == {numbers[1], numbers[2]}
 
 
 @pytest.mark.parametrize(("llr", "off_m"), [(WEAK_LLR, 0.0), (TRACKED_LLR, 5.0)])
@@ -286,23 +306,62 @@ def start_in_map(parts: Parts) -> Drive:
     return drive
 
 
-def test_who_misses_the_landmarks_of_the_map_is_lost(parts):
+RECENT_M = 30.0
+"""Travel on which landmarks must have come into view to speak against a place."""
+
+
+def see(drive: Drive, count: int, first_seen_m: float, *, segment: int = 1) -> None:
+    drive.map.rows["first_seen_travel_m"][:count] = first_seen_m
+    drive.map.rows["segment"][:count] = segment
+
+
+@pytest.mark.parametrize(("count", "is_lost"), [(9, False), (10, True)])
+def test_who_sees_other_landmarks_than_the_map_has_is_lost(parts, count, is_lost):
+    """Ten objects without a match have -10.1 nats where the place may have changed, and the limit is -10."""
     drive = start_in_map(parts)
-    parts.is_lost = True
-    (record,) = drive.close(FIRST + 1)
-    assert record.reason == "expected landmarks not observed"
-    assert drive.closer.lost_since_keyframe == parts.inconsistent_since
+    see(drive, count, STEP_M * FIRST)
+    found = drive.close(FIRST + 1)
+    assert ("expected landmarks not observed" in [record.reason for record in found]) is is_lost
+    # The keyframes on the last sensor range of travel are in doubt.
+    assert drive.closer.lost_since_keyframe == (FIRST + 1 - int(RECENT_M / STEP_M) + 1 if is_lost else None)
+
+
+@pytest.mark.parametrize(("ago_m", "is_lost"), [(RECENT_M - 0.1, True), (RECENT_M, False)])
+def test_landmarks_seen_for_long_do_not_speak_against_a_place(parts, ago_m, is_lost):
+    drive = start_in_map(parts)
+    see(drive, 10, STEP_M * (FIRST + 1) - ago_m)
+    drive.close(FIRST + 1)
+    assert (drive.closer.lost_since_keyframe is not None) is is_lost
+
+
+def test_landmarks_that_were_merged_into_the_map_count_whenever_they_were_seen(parts):
+    drive = start_in_map(parts)
+    see(drive, 10, 0.0, segment=0)
+    drive.close(FIRST + 1)
+    assert drive.closer.lost_since_keyframe is not None
+
+
+def test_what_fits_at_the_predicted_place_does_not_lose_the_robot(parts):
+    drive = start_in_map(parts)
+    see(drive, 10, STEP_M * FIRST)
+    parts.llrs[FIRST + 1] = WEAK_LLR
+    drive.close(FIRST + 1)
+    assert drive.closer.lost_since_keyframe is None
+    parts.llrs[FIRST + 2] = -20.0
+    drive.close(FIRST + 2)
+    assert drive.closer.lost_since_keyframe is not None
 
 
 def test_in_a_map_that_is_being_made_landmarks_may_be_missed(parts):
     drive = Drive(parts)
-    parts.llrs = {FIRST: SURE_LLR, FIRST + 1: TRACKED_LLR}
+    parts.llrs = {FIRST: SURE_LLR}
     drive.close(FIRST)
-    parts.is_lost = True
-    assert accepted(drive.close(FIRST + 1)).keys() == {FIRST + 1}
+    see(drive, 10, STEP_M * FIRST, segment=0)
+    drive.close(FIRST + 1)
+    assert drive.closer.lost_since_keyframe is None
 
 
-@pytest.mark.parametrize(("off_m", "is_lost"), [(14.0, False), (16.0, True)])
+@pytest.mark.parametrize(("off_m", "is_lost"), [(5.9, False), (6.1, True)])
 def test_a_closure_far_from_where_the_last_one_leads_is_a_kidnapping(parts, off_m, is_lost):
     drive = start_in_map(parts)
     parts.llrs[FIRST + 1], parts.off_m = SURE_LLR, off_m

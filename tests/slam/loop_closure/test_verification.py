@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.common.geometry import apply, covariance_in_axes, invert, make_transform, transform_from_xyz_yaw
+from slam.common.geometry import apply, covariance_in_axes, invert, make_transform, transform_from_xyz_yaw, yaw_rad
 from slam.loop_closure.candidate import Candidate, Query
 from slam.loop_closure.verification import Verifier
 from slam.object_map.submap import Submap, gravity_frame
@@ -121,6 +121,20 @@ def test_the_relative_pose_is_that_of_the_bodies_tilt_included():
     assert len(found.pairs) == 12
 
 
+def test_objects_that_cannot_be_registered_are_weighed_where_they_are():
+    """Two match; a third stands where the map has one of another class, a fourth beside the first."""
+    scene = Scene(np.array([[5.0, 4.0, 0.0], [9.0, -4.0, 0.0], [14.0, 3.0, 0.0]]), [0, 1, 2])
+    missed = np.log1p(-scene.config.likelihood_ratio.detection_probability)
+    seen = scene.query.submap
+    more = np.concatenate([seen.positions, seen.positions[:1] + np.array([0.5, 0.0, 0.0])])
+    query = replace(scene.query, submap=make_submap(more, [0, 1, 3, 0], first_row=500))
+    ratios = scene.verifier.unregistered(query, scene.place)
+    assert (ratios[:2] > 1.0).all()
+    np.testing.assert_allclose(ratios[2:], missed)
+    far = replace(scene.place, T_local_query=transform_from_xyz_yaw(np.array([900.0, 0.0, 0.0]), 0.0))
+    np.testing.assert_array_equal(scene.verifier.unregistered(query, far), 0.0)
+
+
 def test_fewer_pairs_than_make_a_pose_are_refused():
     assert "2 pairs" in Scene(scattered(2)).refusal() or "fewer" in Scene(scattered(2)).refusal()
     assert len(Scene(scattered(3)).verified().pairs) == 3
@@ -206,7 +220,7 @@ def test_poses_shifted_along_a_row_are_compared_by_objects_of_one_class():
     best = scene.verified()
     along_m = sorted(
         round(float(np.linalg.norm((each.T_local_query - best.T_local_query)[:2, 3])), 3)
-        for each in scene.verifier.shifted(scene.query, best)
+        for each in scene.verifier.rivals(scene.query, best)
     )
     assert along_m
     assert set(along_m) == {10.0}
@@ -221,16 +235,18 @@ def test_a_shift_that_leads_back_is_no_other_pose():
     shifted = replace(scene.place, T_local_query=scene.place.T_local_query.copy())
     shifted.T_local_query[:2, 3] += 4.0 * shifted.T_local_query[:2, 0]
     np.testing.assert_allclose(scene.verified(shifted).T_local_query, best.T_local_query, atol=1e-3)
-    assert scene.verifier.shifted(scene.query, best) == []
+    assert scene.verifier.rivals(scene.query, best) == []
 
 
 def test_a_pattern_that_repeats_itself_is_another_pose():
-    scene = Scene(row(10.0))
+    """A square: the same again after a quarter turn, which no shift along the track shows."""
+    scene = Scene(np.array([[6.0, 6.0, 0.0], [-6.0, 6.0, 0.0], [-6.0, -6.0, 0.0], [6.0, -6.0, 0.0]]))
     best = scene.verified()
-    assert scene.verifier.aliases(scene.query, best) == []
-    scene.landmarks.repeated.append(transform_from_xyz_yaw(np.array([10.0, 0.0, 0.0]), 0.0))
-    (other,) = scene.verifier.aliases(scene.query, best)
-    assert np.linalg.norm((other.T_local_query - best.T_local_query)[:2, 3]) == pytest.approx(10.0, abs=1e-3)
+    assert scene.verifier.rivals(scene.query, best) == []
+    scene.landmarks.repeated.append(transform_from_xyz_yaw(np.zeros(3), np.pi / 2.0))
+    (other,) = scene.verifier.rivals(scene.query, best)
+    turn_rad = float(yaw_rad(invert(best.T_local_query) @ other.T_local_query))
+    assert abs(turn_rad) == pytest.approx(np.pi / 2.0, abs=1e-3)
 
 
 def test_landmarks_that_are_not_confirmed_speak_for_a_pose_and_are_not_merged():

@@ -1,0 +1,126 @@
+"""Propagation of an accepted closure: the pose that it predicts, by the odometry, for the keyframes around it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.messages import LoopClosureRecord
+from slam.common.config import Config
+from slam.loop_closure.acceptance import Acceptance
+from slam.loop_closure.candidate import Candidate, Query
+from slam.loop_closure.likelihood_ratio import changed_log_likelihood_ratio
+from slam.loop_closure.verification import Verifier
+from slam.object_map.landmarks import ObjectMap
+from slam.odometry.keyframe import Keyframe
+from slam.place_recognition.place import Place
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Predicted:
+    """The place of a query that the closure of keyframe ``seed_closure`` predicts, and the candidate there, or why
+    there is none.
+    """
+
+    seed_closure: int
+    place: Place
+    verified: Candidate | LoopClosureRecord
+
+
+class Propagation:
+    """The last accepted closure, ``seed``, and the latest queries that one may predict."""
+
+    def __init__(
+        self,
+        config: Config,
+        verifier: Verifier,
+        acceptance: Acceptance,
+        object_map: ObjectMap,
+        keyframes: Sequence[Keyframe],
+    ) -> None:
+        self._distance_m = config.loop_closure.propagation_distance_m
+        self._detection_probability = config.likelihood_ratio.detection_probability
+        self._sensor_range_m = config.detection.sensor_range_m
+        self._verifier = verifier
+        self._acceptance = acceptance
+        self._map = object_map
+        self._keyframes = keyframes
+        self._recent: deque[Query] = deque()
+        self.seed: Candidate | None = None
+
+    def reset(self) -> None:
+        """Forget the seed and all queries."""
+        self.seed = None
+        self._recent.clear()
+
+    def remember(self, query: Query) -> None:
+        """Add the newest query."""
+        self._recent.append(query)
+        while self._recent[0].travel_m < query.travel_m - self._distance_m:
+            self._recent.popleft()
+
+    def queries_before(self, keyframe: int) -> Iterator[Query]:
+        """The remembered queries of earlier keyframes, the latest first."""
+        return (query for query in reversed(self._recent) if query.keyframe.id < keyframe)
+
+    def predict(self, query: Query) -> Predicted | None:
+        """What is at the place that the seed predicts; None without a seed near enough to predict any."""
+        seed = self._seed_for(query)
+        return None if seed is None else self.predict_from(seed, query)
+
+    def predict_from(self, seed: Candidate, query: Query) -> Predicted | None:
+        """The same by another closure."""
+        place = self._verifier.predict(seed, query)
+        if place is None:
+            return None
+        return Predicted(seed.query, place, self._verifier.verify(query, place, seed_closure=seed.query))
+
+    def confirmed(self, predicted: Predicted | None) -> Candidate | None:
+        """The closure at a predicted place, if it is accepted there."""
+        if predicted is None or not isinstance(predicted.verified, Candidate) or predicted.verified.is_tracked:
+            return None
+        candidate = predicted.verified
+        agrees = self._verifier.agree(candidate.T_local_query, predicted.place.T_local_query)
+        return candidate if agrees and self._acceptance.is_confirmed(candidate) else None
+
+    def is_contradicted(self, query: Query, predicted: Predicted | None) -> bool:
+        """Whether the landmarks that came into view on the last sensor range of travel contradict a predicted place."""
+        if predicted is None:
+            return False
+        if isinstance(predicted.verified, Candidate):
+            ratios = predicted.verified.log_likelihood_ratios[: len(query.submap)]
+        else:
+            ratios = self._verifier.unregistered(query, predicted.place)
+        landmarks = self._map.rows[query.submap.rows]
+        is_old = (landmarks["segment"] == query.keyframe.odometry.segment) & (
+            landmarks["first_seen_travel_m"] <= query.travel_m - self._sensor_range_m
+        )
+        ratio = changed_log_likelihood_ratio(ratios[~is_old], self._detection_probability)
+        return self._acceptance.is_contradicted(ratio, self._sensor_range_m)
+
+    def contradicted_since(self, query: Query) -> Keyframe:
+        """The first keyframe of the query's segment on the last sensor range of travel."""
+        first, since_m = query.keyframe, query.travel_m - self._sensor_range_m
+        for each in reversed(self._keyframes[: first.id]):
+            if each.odometry.segment != first.odometry.segment or each.odometry.travel_m <= since_m:
+                break
+            first = each
+        return first
+
+    def is_elsewhere(self, query: Query, candidate: Candidate) -> bool:
+        """Whether a candidate is farther than registration reaches from the place that the seed predicts."""
+        seed = self._seed_for(query)
+        place = None if seed is None else self._verifier.predict(seed, query)
+        if place is None or place.segment != self._keyframes[candidate.reference].odometry.segment:
+            return False
+        apart_m = float(np.linalg.norm((place.T_local_query - candidate.T_local_query)[:2, 3]))
+        return apart_m > self._verifier.reach_m
+
+    def _seed_for(self, query: Query) -> Candidate | None:
+        """The seed, if it is near enough to predict the pose of a query."""
+        if self.seed is None or query.travel_m - self.seed.travel_m > self._distance_m:
+            return None
+        return self.seed
