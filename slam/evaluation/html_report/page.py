@@ -235,7 +235,7 @@ def _describe_missed(quality: ClosureQuality | None) -> str:
     if revisits is None or not revisits.missed_by_stage:
         return ""
     stages = ", ".join(f"{stage.replace('_', ' ')} {count}" for stage, count in revisits.missed_by_stage.items())
-    return f" Where the missed revisits were lost: {stages}."
+    return f" Missed revisits by stage: {stages}."
 
 
 def _describe_sweep(quality: ClosureQuality | None) -> str:

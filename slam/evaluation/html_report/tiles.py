@@ -78,6 +78,8 @@ def _result(records: EvaluationRecords, evaluation: Evaluation) -> str:
     quality = evaluation.closures
     if quality is not None and quality.false_count is not None:
         wrong = "none false" if quality.false_count == 0 else f"{quality.false_count} FALSE"
+        if quality.accepted_count == quality.undecided_count > 0:
+            wrong = "not compared with the truth"
         parts.append(f"{quality.accepted_count} closures, {wrong}")
         if quality.revisits is not None and quality.revisits.revisit_count:
             parts.append(f"{quality.revisits.recalled_count} of {quality.revisits.revisit_count} revisits closed")
@@ -198,7 +200,7 @@ def _relocalization(evaluation: Evaluation) -> Tile:
     if not quality.loss_count:
         return Tile(label, UNDEFINED, "the robot was never lost")
     times = "once" if quality.loss_count == 1 else f"{quality.loss_count} times"
-    note = f"lost {times}, {quality.right_count} right fixes, {quality.wrong_count} wrong"
+    note = f"lost {times}; fixes: {quality.right_count} right, {quality.wrong_count} wrong"
     if quality.median_distance_m is not None:
         note += f"; median travel to a fix {format_metres(quality.median_distance_m, 2)}"
     return Tile(label, format_percent(quality.success_rate), note)

@@ -150,7 +150,7 @@ def test_a_page_holds_every_part_in_its_order(page: str) -> None:
     assert {a["aria-labelledby"] for a in parsed.named("section")} <= set(identifiers)
     for text in (
         "66.7\N{NO-BREAK SPACE}%",
-        "were lost: no true candidate 34, consistency 1",
+        "by stage: no true candidate 34, consistency 1",
         "2 true, 1 false, 1 undecided, of 6 candidates",
         "2 of 37",
         "closures.intra_revisit_std_m",
@@ -487,6 +487,12 @@ def test_a_kidnapping_is_marked_and_is_no_line_across_the_map(has_graph: bool) -
     at = records.trajectory.T_map_body[:, 0, 3]
     assert traces["lost (1)"]["x"] == [at[120]]
     assert traces["found (1)"]["x"] == [at[150]]
+
+
+def test_closures_to_a_given_map_are_not_said_to_be_right() -> None:
+    text = page_of(replace(collect_records(drive()), has_prior_map=True))
+    head = text[text.index('<dl class="run">') : text.index("</header>")]
+    assert "closures, not compared with the truth" in head
 
 
 def test_without_truth_the_page_tells_the_length_and_speaks_of_no_error() -> None:
