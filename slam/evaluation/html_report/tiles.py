@@ -78,7 +78,7 @@ def _result(records: EvaluationRecords, evaluation: Evaluation) -> str:
     quality = evaluation.closures
     if quality is not None and quality.false_count is not None:
         wrong = "none false" if quality.false_count == 0 else f"{quality.false_count} FALSE"
-        if quality.accepted_count == quality.undecided_count > 0:
+        if quality.accepted_count and quality.accepted_count == quality.undecided_count:
             wrong = "not compared with the truth"
         parts.append(f"{quality.accepted_count} closures, {wrong}")
         if quality.revisits is not None and quality.revisits.revisit_count:
