@@ -20,7 +20,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import expit, logsumexp
+from scipy.special import expit
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import LocalizationConfig
@@ -146,8 +146,9 @@ class Localizer:
         for i in range(len(joined)):
             for j in range(i):
                 same[i, j] = same[j, i] = are_consistent(i, j)
-        against = np.array([logsumexp(log_odds[row]) - logsumexp(np.append(log_odds[~row], 0.0)) for row in same])
-        return Posterior(log_odds, against)
+        together = np.logaddexp.reduce(np.where(same, log_odds, -np.inf), axis=1)
+        others = np.logaddexp.reduce(np.where(same, -np.inf, log_odds), axis=1)
+        return Posterior(log_odds, together - np.logaddexp(others, 0.0))
 
     def _agreements(
         self, known: Sequence[Hypothesis], measured: Sequence[PoseEvidence], T_odom_query: FloatArray
