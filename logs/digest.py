@@ -6,6 +6,7 @@ import hashlib
 import os
 
 from logs.errors import UnreadableLogError
+from logs.storage.regular_file import open_regular
 
 
 def file_sha256(path: str | os.PathLike[str]) -> str:
@@ -15,7 +16,7 @@ def file_sha256(path: str | os.PathLike[str]) -> str:
         UnreadableLogError: the file cannot be read.
     """
     try:
-        with open(path, "rb") as stream:
+        with open_regular(path) as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise UnreadableLogError(f"cannot read {os.fspath(path)}: {error.strerror}; check the path") from error

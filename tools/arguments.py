@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -55,14 +56,14 @@ def check_outputs(outputs: Sequence[Path | None], inputs: Sequence[Path | None] 
     from logs.writer import partial_path
 
     named = [output for output in outputs if output is not None]
-    taken: set[Path] = set()
+    taken: set[str] = set()
     for output in named:
-        paths = {output.resolve(), partial_path(output).resolve()}
+        if output.is_dir():
+            raise UnwritableLogError(f"{output} is a folder; give the name of a file to write")
+        paths = {os.path.realpath(output), os.path.realpath(partial_path(output))}
         if paths & taken:
             raise UnwritableLogError(f"{output} is given for two outputs (or NAME and NAME.part); give other paths")
         taken |= paths
-        if output.is_dir():
-            raise UnwritableLogError(f"{output} is a folder; give the name of a file to write")
         if is_special(output):
             raise UnwritableLogError(f"cannot write {output}: {SPECIAL}")
         if not output.parent.is_dir():

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.errors import DatasetError
+from logs.storage.regular_file import open_regular
 
 _TYPES = {
     "char": "i1",
@@ -43,7 +44,7 @@ def read_ply(path: Path) -> Mapping[str, NDArray[Any]]:
         DatasetError: the file cannot be read, is no PLY file, is cut off, or its first element is not "vertex".
     """
     try:
-        with open(path, "rb") as stream:
+        with open_regular(path) as stream:
             order, count, properties = _header(path, stream)
             names = list(properties)
             if order:

@@ -17,6 +17,7 @@ from logs.importers.imported_log import ImportedRecord, ImportSummary, write_imp
 from logs.importers.kitti_poses import body_poses, parse_calibration, parse_poses, parse_times
 from logs.importers.text_files import read_text_file, sha256_of
 from logs.messages import FloatArray, GroundTruthPose, ObjectDetections, Odometry
+from logs.storage.regular_file import read_regular
 
 _SENSOR = np.zeros(3)
 
@@ -135,7 +136,7 @@ def import_semantic_kitti(
 
 def _read(path: Path, dtype: str, width: int) -> np.ndarray:
     try:
-        data = path.read_bytes()
+        data = read_regular(path)
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror}); every scan needs its file") from error
     size = np.dtype(dtype).itemsize * width

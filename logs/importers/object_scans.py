@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import tarfile
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ import numpy as np
 from logs.errors import DatasetError
 from logs.importers.text_files import TextFile, parse_numbers, sha256_of
 from logs.messages import FloatArray
+from logs.storage.regular_file import most_unpacked, open_regular, read_regular
 
 LABELS = ("vehicle", "trunk", "pole")
 """The classes in the order in which ``bow.txt`` counts them."""
@@ -70,7 +72,7 @@ def _read_folder(path: Path) -> dict[str, TextFile]:
         relative = file.relative_to(path).as_posix()
         if _WANTED.search(relative) and file.is_file():
             try:
-                files[relative] = TextFile(f"{path.name}/{relative}", file.read_bytes())
+                files[relative] = TextFile(f"{path.name}/{relative}", read_regular(file))
             except OSError as error:
                 raise DatasetError(f"{file}: cannot be read ({error.strerror})") from error
     return files
@@ -78,15 +80,22 @@ def _read_folder(path: Path) -> dict[str, TextFile]:
 
 def _read_archive(path: Path) -> dict[str, TextFile]:
     files = {}
+    unpacked = 0
     try:
-        with tarfile.open(path) as archive:
+        with open_regular(path) as stream, tarfile.open(fileobj=stream) as archive:
+            limit = most_unpacked(os.fstat(stream.fileno()).st_size)
             for member in archive:
                 relative = PurePosixPath(member.name).as_posix()
                 if not member.isfile() or not _WANTED.search(relative):
                     continue
-                stream = archive.extractfile(member)
-                if stream is not None:
-                    files[relative] = TextFile(f"{path.name}:{relative}", stream.read())
+                unpacked += member.size
+                if unpacked > limit:
+                    raise DatasetError(
+                        f"{path}: unpacks to more than {limit / 1e6:.0f} MB; unpack it and give the folder"
+                    )
+                content = archive.extractfile(member)
+                if content is not None:
+                    files[relative] = TextFile(f"{path.name}:{relative}", content.read())
     except (OSError, EOFError, tarfile.TarError, LZMAError, ZlibError) as error:
         raise DatasetError(
             f"{path}: cannot be read as an archive ({error}); expected a .tar.xz or .tar.gz, or a folder"

@@ -19,6 +19,7 @@ import numpy as np
 from logs.errors import DatasetError
 from logs.importers.text_files import read_text_file
 from logs.messages import FloatArray
+from logs.storage.regular_file import most_unpacked
 
 LENGTH_UNITS: Mapping[str, float] = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3}
 """Suffix of a column -> metres."""
@@ -26,8 +27,6 @@ LENGTH_UNITS: Mapping[str, float] = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3}
 NO_UNITS: Mapping[str, float] = {"": 1.0}
 
 _GZIP = b"\x1f\x8b"
-_UNPACKED_TIMES, _UNPACKED_BYTES = 100, 64_000_000
-"""Tables and paths pack to a tenth or so; what unpacks to far more, and to much, would only fill the memory."""
 _DELIMITERS = (",", ";", "\t")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 
@@ -70,7 +69,7 @@ def read_source_text(path: Path) -> SourceText:
 
 
 def _unpacked(path: Path, packed: bytes) -> bytes:
-    limit = max(_UNPACKED_TIMES * len(packed), _UNPACKED_BYTES)
+    limit = most_unpacked(len(packed))
     try:
         with gzip.open(BytesIO(packed)) as stream:
             content = stream.read(limit + 1)

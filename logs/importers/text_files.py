@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from logs.errors import DatasetError
+from logs.storage.regular_file import read_regular
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +43,7 @@ def read_text_file(path: Path) -> TextFile:
         DatasetError: it is missing or cannot be read.
     """
     try:
-        return TextFile(str(path), path.read_bytes())
+        return TextFile(str(path), read_regular(path))
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror}); give the path of the dataset's file") from error
 

@@ -16,6 +16,7 @@ from logs.container.file_index import DAMAGE, IndexedFile
 from logs.container.limits import MEGABYTE, ReadingLimits
 from logs.container.pending import PendingMessages
 from logs.errors import UnreadableLogError
+from logs.storage.regular_file import open_regular
 from logs.storage.storage import ChannelInfo
 from logs.topics import Channel, RawMessage
 
@@ -40,7 +41,7 @@ class McapFile:
         self._name = name
         self._limits = limits
         try:
-            self._stream = open(path, "rb")  # noqa: SIM115  closed by close()
+            self._stream = open_regular(path)
             size = os.fstat(self._stream.fileno()).st_size
         except OSError as error:
             raise UnreadableLogError(f"cannot read {name}: {error.strerror}; check the path") from error

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
-import shutil
+import os
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -15,11 +16,13 @@ from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
 from logs.storage.bag_folder import find_bag_files
 from logs.storage.mcap_file import McapFile
+from logs.storage.regular_file import most_unpacked, open_regular
 from logs.storage.storage import Storage
 
 SQLITE_MAGIC = b"SQLite format 3\x00"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _SUFFIXES = (".mcap", ".db3", ".zstd")
+_PIECE_BYTES = 2**20
 
 _log = logging.getLogger(__name__)
 
@@ -42,7 +45,7 @@ def is_log(path: Path) -> bool:
     if path.is_dir() or path.suffix in _SUFFIXES:
         return True
     try:
-        with open(path, "rb") as stream:
+        with open_regular(path) as stream:
             magic = stream.read(len(SQLITE_MAGIC))
     except OSError:
         return True
@@ -62,7 +65,7 @@ def open_storage(path: Path, limits: ReadingLimits, until_closed: ExitStack) -> 
 
 def _open(path: Path, name: str, limits: ReadingLimits, until_closed: ExitStack) -> Storage:
     try:
-        with open(path, "rb") as stream:
+        with open_regular(path) as stream:
             magic = stream.read(len(SQLITE_MAGIC))
     except OSError as error:
         raise UnreadableLogError(f"cannot read {name}: {error.strerror}; check the path") from error
@@ -90,8 +93,16 @@ def _unpack(path: Path, folder: Path) -> Path:
     unpacked = folder / path.stem
     _log.info("unpacking %s", path)
     try:
-        with open(path, "rb") as packed, open(unpacked, "wb") as stream:
-            shutil.copyfileobj(zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True), stream)
+        with open_regular(path) as packed, open(unpacked, "wb") as stream:
+            limit = most_unpacked(os.fstat(packed.fileno()).st_size)
+            reader = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
+            for piece in iter(partial(reader.read, _PIECE_BYTES), b""):
+                stream.write(piece)
+                if stream.tell() > limit:
+                    raise UnreadableLogError(
+                        f"{path} unpacks to more than {limit / 1e6:.0f} MB, which no log does; "
+                        "unpack it and give the log itself if it is one"
+                    )
     except zstandard.ZstdError as error:
         if not unpacked.stat().st_size:
             raise UnreadableLogError(f"{path} cannot be decompressed: {error}; copy it again") from error

@@ -9,6 +9,7 @@ import tomllib
 import types
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin
 
@@ -16,6 +17,7 @@ import annotated_types
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+from logs.storage.regular_file import open_regular
 from slam.common.errors import ConfigurationError
 from slam.common.renamed_settings import RENAMED_SETTINGS
 
@@ -154,7 +156,7 @@ def _toml_value(value: object) -> str:
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        with path.open(encoding="utf-8-sig") as stream:
+        with TextIOWrapper(open_regular(path), encoding="utf-8-sig") as stream:
             text = stream.read(_MOST_CHARACTERS + 1)
         if len(text) > _MOST_CHARACTERS:
             raise ConfigurationError(f"{path} has more than {_MOST_CHARACTERS} characters; it is no file of settings")

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from logs.storage.regular_file import read_regular
 from logs.writer import partial_path
 from slam.common.errors import FleetError
 
@@ -41,7 +42,7 @@ def find_logs(sources: Sequence[str], manifest: Path | None, cache: Path) -> lis
 
 def _listed(manifest: Path) -> list[str]:
     try:
-        lines = [line.strip() for line in manifest.read_text(encoding="utf-8").splitlines()]
+        lines = [line.strip() for line in read_regular(manifest).decode().splitlines()]
     except (OSError, UnicodeDecodeError) as error:
         raise FleetError(
             f"the manifest {manifest} cannot be read ({error}); give a text file, one log a line"

@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from io import TextIOWrapper
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from logs.errors import UnwritableLogError
 from logs.storage.placement import put_in_place
+from logs.storage.regular_file import open_regular
 from slam.backend.pose_graph.pose_graph import PoseGraph, make_pose_graph
 from slam.common.arrays import FloatArray
 from slam.common.errors import InputDataError
@@ -21,6 +25,7 @@ TRANSLATION_FIRST = np.array([3, 4, 5, 0, 1, 2])
 """Rows of a pose covariance (rotation first) in g2o's order (translation first), and the other way round."""
 UNIT_TOLERANCE = 1e-3
 """A quaternion that differs from unit length by less was rounded, and is made so; another is a mistake."""
+_LONGEST_LINE = 100_000
 _PLANAR, _SPATIAL = ("VERTEX_SE2", "EDGE_SE2"), ("VERTEX_SE3:QUAT", "EDGE_SE3:QUAT")
 
 
@@ -43,15 +48,22 @@ def read_pose_graph(path: str | Path) -> G2oFile:
     """
     source = Path(path)
     parser = _Parser(str(source))
+    with TextIOWrapper(open_regular(source), encoding="utf-8") as stream:
+        for number, line in enumerate(_lines(source, stream), start=1):
+            words = line.split()
+            if words and not words[0].startswith("#"):
+                parser.take(number, words)
+    return parser.finish()
+
+
+def _lines(source: Path, stream: TextIO) -> Iterator[str]:
     try:
-        text = source.read_text(encoding="utf-8")
+        for line in iter(partial(stream.readline, _LONGEST_LINE), ""):
+            if len(line) == _LONGEST_LINE:
+                raise InputDataError(f"{source} has a line of {_LONGEST_LINE} characters or more; give a g2o file")
+            yield line
     except UnicodeDecodeError as error:
         raise InputDataError(f"{source} is no text; give a g2o file") from error
-    for number, line in enumerate(text.splitlines(), start=1):
-        words = line.split()
-        if words and not words[0].startswith("#"):
-            parser.take(number, words)
-    return parser.finish()
 
 
 def write_pose_graph(path: str | Path, graph: PoseGraph) -> None:

@@ -7,10 +7,12 @@ import hashlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from io import BytesIO, TextIOWrapper
 from pathlib import Path
 
 import numpy as np
 
+from logs.storage.regular_file import read_regular
 from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
 
@@ -140,7 +142,7 @@ def _read_objects(objects: Path) -> tuple[tuple[str, ...], FloatArray, tuple[str
 
 def _rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[int, dict[str, str]]]:
     try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
+        with TextIOWrapper(BytesIO(read_regular(path)), encoding="utf-8-sig", newline="") as stream:
             reader = csv.DictReader(stream)
             missing = [column for column in columns if column not in (reader.fieldnames or ())]
             if missing:

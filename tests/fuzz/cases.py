@@ -14,6 +14,7 @@ from slam.common.config_tree import settings_of
 from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_text
 from tests.fuzz.log_mutations import mutate_log
 from tests.fuzz.mcap_file import Layout, write_file
+from tests.fuzz.odd_paths import make_odd_paths, odd_arguments
 from tests.fuzz.seeds import WEIGHTS, Seeds
 
 _SETTINGS = [setting.key for setting in settings_of(Config())]
@@ -34,7 +35,7 @@ def make_case(seeds: Seeds, folder: Path, rng: np.random.Generator, family: str 
 
 
 def _log(seeds: Seeds, folder: Path, rng: np.random.Generator, name: str = "") -> str:
-    name = name or str(rng.choice(["drive", "drive", "ros", "mapped", "map", "kinds"]))
+    name = name or str(rng.choice(["drive", "drive", "ros", "json", "mapped", "map", "kinds"]))
     path = folder / f"{name}.mcap"
     if rng.random() < 0.15:
         path.write_bytes(mutate_bytes(write_file(seeds.logs[name], Layout()), rng))
@@ -61,7 +62,7 @@ def _info(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
 
 def _replay(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
     more = [[], ["--json"], ["--save-map", "saved.mcap"]][int(rng.integers(3))]
-    name = str(rng.choice(["drive", "ros"]))
+    name = str(rng.choice(["drive", "ros", "json"]))
     outputs = [folder / "out.mcap", *([folder / "saved.mcap"] if "--save-map" in more else [])]
     return Case(["replay", _log(seeds, folder, rng, name), "-o", "out.mcap", *more], outputs)
 
@@ -123,6 +124,50 @@ def _weights(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
     return Case(["replay", _intact(seeds, folder, "drive"), "-o", "out.mcap", *given], [folder / "out.mcap"])
 
 
+def _maps(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    """A saved map that is looked into, cut, or joined to one that is as it should be."""
+    given = _log(seeds, folder, rng, "map")
+    match int(rng.integers(4)):
+        case 0:
+            return Case(["map", "info", given, "--json"])
+        case 1:
+            area = [["--circle", "0,0,20"], ["--box", "-9,-9,9,9"], ["--polygon", "0,0 9,0 9,9"]][int(rng.integers(3))]
+            return Case(["map", "crop", given, "-o", "out.mcap", *area], [folder / "out.mcap"])
+        case 2:
+            return Case(["view", given, "--save", "out.rrd"])
+        case _:
+            (folder / "other.mcap").write_bytes(write_file(seeds.logs["map"], Layout()))
+            names = ["other.mcap", given][:: int(rng.choice([1, -1]))]
+            return Case(["map", "merge", *names, "-o", "out.mcap"], [folder / "out.mcap"])
+
+
+def _several(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    """Commands that take several logs, or map one several times."""
+    match int(rng.integers(3)):
+        case 0:
+            (folder / "other.mcap").write_bytes(write_file(seeds.logs["mapped"], Layout()))
+            names = ["other.mcap", _log(seeds, folder, rng, "mapped")]
+            more = [["--json"], ["--table", "out.html"], ["--table", "out.tex"]][int(rng.integers(3))]
+            return Case(["compare", *names, *more])
+        case 1:
+            degrade = ["--degrade", "dropout=0.3", "--seeds", "1", "--jobs", "1"]
+            return Case(["sweep", _log(seeds, folder, rng, "drive"), "-o", "sweep", *degrade])
+        case _:
+            reference = _text(seeds, folder, rng, str(rng.choice(["trajectory.tum", "trajectory.kitti"])))
+            return Case(["evaluate", _intact(seeds, folder, "mapped"), "--reference", reference, "--json"])
+
+
+def _training(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    """A map of one's own to train on; a training itself would take too long."""
+    given = _text(seeds, folder, rng, "objects.csv") if rng.random() < 0.5 else _log(seeds, folder, rng, "map")
+    (folder / "none.csv").write_bytes(b"x_m,y_m,z_m,class\n")
+    return Case(["train", "network", "--maps", given, "--maps", "none.csv", "--epochs", "1"])
+
+
+def _paths(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    return Case(odd_arguments(make_odd_paths(seeds, folder), rng))
+
+
 def _toml(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
     if rng.random() < 0.3:
         return Case(["config", "--simulation", "--config", _text(seeds, folder, rng, "simulation.toml"), "--json"])
@@ -150,6 +195,10 @@ _FAMILIES: dict[str, tuple[Callable[[Seeds, Path, np.random.Generator], Case], f
     "weights": (_weights, 0.5),
     "toml": (_toml, 0.5),
     "setting": (_setting, 1.5),
+    "maps": (_maps, 1),
+    "several": (_several, 0.7),
+    "training": (_training, 0.1),
+    "paths": (_paths, 1.5),
 }
 FAMILIES = tuple(_FAMILIES)
 _WEIGHTS = np.array([weight for _, weight in _FAMILIES.values()]) / sum(w for _, w in _FAMILIES.values())

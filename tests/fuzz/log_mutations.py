@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from typing import Any
 
@@ -58,6 +59,8 @@ def _payloads(file: McapFile, rng: np.random.Generator) -> None:
             data = _mutate_protobuf(name, message.data, one)
         elif encoding == "cdr":
             data = _mutate_cdr(message.data, one)
+        elif encoding == "json":
+            data = _mutate_json(message.data, one)
         else:
             data = mutate_bytes(message.data, one)
         file.messages[i] = replace(message, data=data)
@@ -134,6 +137,25 @@ def _mutate_cdr(data: bytes, rng: np.random.Generator) -> bytes:
         value = int(rng.choice(np.array(INTEGERS, dtype=object)))
         altered[place : place + 4] = (value % 2**32).to_bytes(4, "little")
     return bytes(altered)
+
+
+def _mutate_json(data: bytes, rng: np.random.Generator) -> bytes:
+    """Another value, of another kind perhaps, at one place of the tree."""
+    if rng.random() < 0.2:
+        return mutate_bytes(data, rng)
+    try:
+        tree = node = json.loads(data)
+    except ValueError:
+        return mutate_bytes(data, rng)
+    while isinstance(node, (dict, list)) and node:
+        keys = list(node) if isinstance(node, dict) else range(len(node))
+        key: Any = keys[int(rng.integers(len(keys)))]
+        if isinstance(node[key], (dict, list)) and node[key] and rng.random() < 0.9:
+            node = node[key]
+            continue
+        node[key] = rng.choice(np.array([*FLOATS, *INTEGERS, *TEXTS, None, True, [], {}], dtype=object))
+        break
+    return json.dumps(tree).encode()
 
 
 def _times(file: McapFile, rng: np.random.Generator) -> None:

@@ -6,17 +6,19 @@ import contextlib
 import io
 import json
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
+from google.protobuf.json_format import MessageToDict
 from mcap_ros2.writer import Writer
 
+from logs.decoders.protobuf import DECODERS
 from logs.reader import LogReader
 from logs.writer import LogWriter
 from slam.formats.g2o import write_pose_graph
-from tests.fuzz.mcap_file import McapFile, read_file
+from tests.fuzz.mcap_file import McapFile, Message, read_file
 from tests.helpers.pose_graphs import with_false
 from tests.logs.examples import every_kind
 from tests.logs.test_ros2 import DETECTIONS, TF, definition, detection, header, pose, result
@@ -58,8 +60,9 @@ def make_seeds(folder: Path) -> Seeds:
     texts = ("trajectory.tum", "trajectory.kitti", "graph.g2o", "settings.toml", "simulation.toml", "detections.csv",
              "objects.csv", "objects.geojson", "objects.osm", WEIGHTS.name)  # fmt: skip
     shutil.copy(WEIGHTS, folder)
+    logs = {name: read_file(str(folder / f"{name}.mcap")) for name in names}
     return Seeds(
-        logs={name: read_file(str(folder / f"{name}.mcap")) for name in names},
+        logs={**logs, "json": _as_json(logs["drive"])},
         files={name: (folder / name).read_bytes() for name in texts},
     )
 
@@ -81,6 +84,21 @@ def _write_drive(path: Path) -> None:
             first_ns = raw.log_time_ns if first_ns is None else first_ns
             if raw.log_time_ns - first_ns < _SECONDS * 1e9:
                 writer.write_raw(raw)
+
+
+def _as_json(file: McapFile) -> McapFile:
+    """The same log with messages and schemas of JSON."""
+    altered = file.copy()
+    altered.schemas = {id: (name, "jsonschema", b"{}") for id, (name, _, _) in file.schemas.items()}
+    altered.channels = {id: (schema, topic, "json") for id, (schema, topic, _) in file.channels.items()}
+    altered.messages = [replace(each, data=_json(file, each)) for each in file.messages]
+    return altered
+
+
+def _json(file: McapFile, message: Message) -> bytes:
+    name = file.schemas[file.channels[message.channel][0]][0]
+    content = DECODERS[name][0].FromString(message.data)
+    return json.dumps(MessageToDict(content, preserving_proto_field_name=True)).encode()
 
 
 def _write_objects(folder: Path) -> None:

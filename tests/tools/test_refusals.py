@@ -62,9 +62,17 @@ class TestRefusals:
         assert_refused(dslam("replay", SAMPLE, "-o", nowhere), "no folder")
         assert_refused(dslam("replay", SAMPLE, "-o", tmp_path), "is a folder")
         assert_refused(dslam("replay", SAMPLE, "-o", tmp_path / "a.mcap", "--picture", nowhere), "no folder")
+        for folder in ("", ".", "..", "/"):
+            assert_refused(dslam("replay", SAMPLE, "-o", folder), "is a folder")
         assert_refused(dslam("simulate", nowhere), "no folder")
         assert_refused(dslam("import", "victoria-park", nowhere), "no folder")
         assert not list(tmp_path.iterdir())
+
+    def test_output_that_is_a_link_to_itself(self, dslam: Run, tmp_path: Path) -> None:
+        loop = tmp_path / "loop.mcap"
+        loop.symlink_to(loop)
+        assert dslam("replay", SAMPLE, "-o", loop).code == 0
+        assert not loop.is_symlink()
 
     def test_output_that_is_the_input(self, dslam: Run, tmp_path: Path) -> None:
         log = write_log(tmp_path / "log.mcap")

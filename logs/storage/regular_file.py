@@ -1,0 +1,60 @@
+"""Opening files of a disk, and nothing else: a pipe may wait for ever, and a device never end."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from io import BufferedReader
+
+MOST_BYTES = 1_000_000_000
+"""Of a file that is read as a whole: a day of detections as a table."""
+_UNPACKED_TIMES, _UNPACKED_BYTES = 100, 64_000_000
+"""Logs, tables and paths pack to a tenth or so; what unpacks to far more only fills memory or disk."""
+
+
+def most_unpacked(packed_bytes: int) -> int:
+    """Bytes that a file of ``packed_bytes`` may unpack to."""
+    return max(_UNPACKED_TIMES * packed_bytes, _UNPACKED_BYTES)
+
+
+def open_regular(path: str | os.PathLike[str]) -> BufferedReader:
+    """Open a file to read its bytes.
+
+    Raises:
+        OSError: it cannot be opened, or is a pipe, a device or a socket.
+    """
+    try:
+        stream = open(path, "rb", opener=_without_waiting)  # noqa: SIM115  closed by the caller
+    except ValueError as error:  # a zero byte in the name
+        raise OSError(errno.EINVAL, str(error), os.fspath(path)) from error
+    if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+        stream.close()
+        raise OSError(errno.EINVAL, "a pipe, a device or a socket; copy what it tells to a file", os.fspath(path))
+    return stream
+
+
+def read_regular(path: str | os.PathLike[str]) -> bytes:
+    """The bytes of a file of at most ``MOST_BYTES``.
+
+    Raises:
+        OSError: it cannot be read, is larger, or is a pipe, a device or a socket.
+    """
+    with open_regular(path) as stream:
+        if os.fstat(stream.fileno()).st_size > MOST_BYTES:
+            raise OSError(errno.EFBIG, f"larger than {MOST_BYTES / 1e6:.0f} MB", os.fspath(path))
+        return stream.read()
+
+
+def check_regular(path: str | os.PathLike[str]) -> None:
+    """Open and close a file that another library is to read.
+
+    Raises:
+        OSError: as of ``open_regular``.
+    """
+    open_regular(path).close()
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    """A pipe to which nobody writes would wait here."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))

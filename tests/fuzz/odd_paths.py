@@ -1,0 +1,81 @@
+"""Command lines in which one name is none of a file, or of a file of another kind."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from tests.fuzz.mcap_file import Layout, write_file
+from tests.fuzz.seeds import Seeds
+
+_NAMES = ("", ".", "..", "no/such", "drive.mcap/x", "x" * 300, "a\0b", "/dev/null", "/dev/zero", "http://localhost:1/x",
+          "-", "a\nb", "\x1b[2J", "[red]", "\udcff")  # fmt: skip
+_ODD = "ODD"
+_READING = """
+info ODD
+replay ODD -o out.mcap
+replay drive.mcap -o out.mcap --map ODD
+replay drive.mcap -o out.mcap --config ODD
+replay drive.mcap -o out.mcap --set loop_closure.descriptor=ODD
+relocalize drive.mcap -o out.mcap --map ODD
+evaluate ODD
+evaluate mapped.mcap --reference ODD
+evaluate mapped.mcap --reference trajectory.kitti --times ODD
+compare mapped.mcap ODD
+export ODD --tum out.txt
+degrade ODD -o out.mcap --dropout 0.1
+optimize ODD -o out.g2o
+map info ODD
+map merge map.mcap ODD -o out.mcap
+import csv out.mcap --odometry ODD --detections detections.csv
+import csv out.mcap --odometry trajectory.tum --detections ODD
+import csv-map out.mcap --file ODD
+import geojson out.mcap --file ODD
+import osm out.mcap --file ODD
+import ply out.mcap --file ODD
+import victoria-park out.mcap --file ODD
+import kitti-objects out.mcap --detections ODD --odometry trajectory.kitti --calib ODD --times ODD
+simulate out.mcap --config ODD
+simulate out.mcap --objects ODD --trajectory ODD
+config --config ODD
+fleet --manifest ODD -o fleet
+sweep ODD -o sweep
+""".strip().splitlines()
+_WRITING = """
+replay drive.mcap -o ODD
+replay drive.mcap -o out.mcap --save-map ODD
+replay drive.mcap -o out.mcap --picture ODD
+evaluate mapped.mcap --json-file ODD
+evaluate mapped.mcap --html ODD
+export mapped.mcap --tum ODD
+export mapped.mcap --csv ODD
+export mapped.mcap --ros2-bag ODD
+degrade drive.mcap --dropout 0.1 -o ODD
+optimize graph.g2o -o ODD
+map crop map.mcap --circle 0,0,9 -o ODD
+import csv ODD --odometry trajectory.tum --detections detections.csv
+""".strip().splitlines()
+
+
+def make_odd_paths(seeds: Seeds, folder: Path) -> list[str]:
+    """Put all seeds, and what is no file, into ``folder``; returns their names and those of nothing."""
+    for name, log in seeds.logs.items():
+        (folder / f"{name}.mcap").write_bytes(write_file(log, Layout()))
+    for name, content in seeds.files.items():
+        (folder / name).write_bytes(content)
+    (folder / "folder").mkdir()
+    (folder / "loop").symlink_to("loop")
+    (folder / "dangling").symlink_to("nowhere")
+    (folder / "empty").touch()
+    os.mkfifo(folder / "pipe")
+    return [*(path.name for path in sorted(folder.iterdir())), *_NAMES]
+
+
+def odd_arguments(names: list[str], rng: np.random.Generator) -> list[str]:
+    """A command line that reads or writes one of ``names``; devices are not written to."""
+    odd = str(rng.choice(np.array(names, dtype=object)))
+    commands = _READING if odd.startswith("/") or rng.random() < 0.7 else _WRITING
+    words = commands[int(rng.integers(len(commands)))].split()
+    return [word.replace(_ODD, odd) for word in words]

@@ -1,0 +1,108 @@
+"""Pipes, devices, sockets and files that unpack to anything: no reader waits for them or fills memory or disk."""
+
+from __future__ import annotations
+
+import os
+import socket
+import tarfile
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+
+import pytest
+import zstandard
+
+from logs.clouds.ply import read_ply
+from logs.digest import file_sha256
+from logs.errors import DatasetError, LogError, UnreadableLogError
+from logs.importers.object_scans import read_object_scans
+from logs.importers.tables import read_source_text
+from logs.reader import LogReader
+from logs.storage import regular_file
+from logs.storage.regular_file import most_unpacked, open_regular, read_regular
+from slam.common.config import load_config
+from slam.common.errors import InputDataError, SlamError
+from slam.fleet.logs import find_logs
+from slam.formats.g2o import read_pose_graph
+from slam.simulation.world import load_objects
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "log": LogReader,
+    "digest": file_sha256,
+    "table": read_source_text,
+    "archive": read_object_scans,
+    "cloud": read_ply,
+    "settings": load_config,
+    "objects": load_objects,
+    "pose graph": read_pose_graph,
+    "manifest": lambda path: find_logs([], path, path.parent),
+}
+
+
+@pytest.fixture(params=["pipe", "socket", "zeros"])
+def endless(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    path = tmp_path / "endless"
+    if request.param == "pipe":
+        os.mkfifo(path)
+    elif request.param == "socket":
+        with socket.socket(socket.AF_UNIX) as server:
+            server.bind(str(path))
+    else:
+        path.symlink_to("/dev/zero")
+    return path
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_what_is_no_file_of_a_disk_is_refused_by_every_reader(reader: str, endless: Path) -> None:
+    with pytest.raises((LogError, SlamError, OSError), match=r"a pipe, a device or a socket|No such device"):
+        READERS[reader](endless)
+
+
+def test_a_name_with_a_zero_byte_is_no_file() -> None:
+    with pytest.raises(OSError, match="null byte"):
+        open_regular("a\0b")
+
+
+def test_a_file_that_is_read_as_a_whole_may_not_be_larger_than_the_limit(tmp_path: Path) -> None:
+    path = tmp_path / "large.csv"
+    with path.open("wb") as stream:
+        stream.truncate(regular_file.MOST_BYTES + 1)  # of no blocks
+    with pytest.raises(OSError, match="larger than 1000 MB"):
+        read_regular(path)
+    with pytest.raises(DatasetError, match=r"large\.csv: cannot be read \(larger than 1000 MB\)"):
+        read_source_text(path)
+    path.write_bytes(b"1,2\n")
+    assert read_regular(path) == b"1,2\n"
+
+
+def test_a_pose_graph_has_no_endless_line(tmp_path: Path) -> None:
+    path = tmp_path / "graph.g2o"
+    with path.open("wb") as stream:
+        stream.truncate(10 * regular_file.MOST_BYTES)
+    with pytest.raises(InputDataError, match="a line of 100000 characters or more"):
+        read_pose_graph(path)
+
+
+@pytest.fixture
+def small_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(regular_file, "_UNPACKED_BYTES", 10_000)
+
+
+@pytest.mark.usefixtures("small_limits")
+def test_a_log_that_unpacks_to_far_more_than_any_is_not_unpacked(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap.zstd"
+    path.write_bytes(zstandard.compress(b"\0" * 10_000_000))
+    assert most_unpacked(path.stat().st_size) < 1_000_000
+    with pytest.raises(UnreadableLogError, match=r"unpacks to more than 0 MB, which no log does; unpack it"):
+        LogReader(path)
+
+
+@pytest.mark.usefixtures("small_limits")
+def test_nor_is_an_archive(tmp_path: Path) -> None:
+    path = tmp_path / "00.tar.xz"
+    member = tarfile.TarInfo("00/bow.txt")
+    member.size = 10_000_000
+    with tarfile.open(path, "w:xz") as archive:
+        archive.addfile(member, BytesIO(b"\n" * member.size))
+    with pytest.raises(DatasetError, match="unpacks to more than 0 MB; unpack it and give the folder"):
+        read_object_scans(path)
