@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.clouds.geometry import open3d
 from logs.clouds.labelled_cloud import LabelledCloud
+from logs.clouds.pcd import read_pcd
 from logs.clouds.ply import read_ply
 from logs.errors import DatasetError
 
@@ -44,7 +44,7 @@ def read_cloud(path: Path, fields: CloudFields = ANY) -> LabelledCloud:
     Raises:
         DatasetError: the file cannot be read, or has no positions, or no classes; names the fields that it has.
     """
-    columns = _read_pcd(path) if path.suffix.lower() == ".pcd" else read_ply(path)
+    columns = read_pcd(path) if path.suffix.lower() == ".pcd" else read_ply(path)
     return labelled_cloud(columns, fields, str(path))
 
 
@@ -84,16 +84,3 @@ def _whole(values: NDArray[Any], what: str) -> NDArray[np.int64]:
     if values.dtype.kind == "f" and not (np.isfinite(values) & (values == np.round(values))).all():
         raise DatasetError(f"{what} holds numbers that are not whole, so they are no labels; rename the field")
     return values.astype(np.int64)
-
-
-def _read_pcd(path: Path) -> Mapping[str, NDArray[Any]]:
-    if not path.is_file():
-        raise DatasetError(f"{path}: cannot be read (No such file or directory); check the path")
-    o3d = open3d()
-    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-        cloud = o3d.t.io.read_point_cloud(str(path)).point
-    columns = {name: values.numpy() for name, values in cloud.items()}
-    positions = columns.pop("positions", None)
-    if positions is None or not len(positions):
-        raise DatasetError(f"{path}: no PCD file with points that Open3D can read; write it again")
-    return {**dict(zip("xyz", positions.T, strict=True)), **{key: values[:, 0] for key, values in columns.items()}}

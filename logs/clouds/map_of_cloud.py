@@ -14,6 +14,9 @@ from logs.clouds.objects import CloudSettings, find_objects
 from logs.errors import DatasetError
 from logs.importers.maps.map_objects import MapObjects
 
+_NAMED = 10
+"""Classes that a message lists."""
+
 
 @dataclass(frozen=True, slots=True)
 class CloudSummary:
@@ -56,15 +59,19 @@ def _objects(
     numbers = np.unique(cloud.classes).tolist()
     kept = {number: name(number) for number in numbers if not reason(number)}
     found = find_objects(cloud, kept, CloudSettings())
-    if len(found.labels) < 4:
-        raise DatasetError(f"{source}: {len(found.labels)} objects; a map needs at least four")
-    instances = found.instances.tolist()
-    ids = tuple(f"{i}" if instance == 0 else f"{instance}:{i}" for i, instance in enumerate(instances))
     parts = Counter(_instances(cloud))
     left_out = Counter({why: 0 for number in numbers if (why := reason(number))})
     for number, count in parts.items():
         left_out[reason(number)] += count
     del left_out[""]
+    if len(found.labels) < 4:
+        without = ", ".join(f"{count} {why}" for why, count in sorted(left_out.items())) or "nothing"
+        raise DatasetError(
+            f"{source}: {len(found.labels)} objects; a map needs at least four. Left out: {without}; the classes of "
+            f"its points: {', '.join(map(str, numbers[:_NAMED])) or 'none'}{', ...' if len(numbers) > _NAMED else ''}"
+        )
+    instances = found.instances.tolist()
+    ids = tuple(f"{i}" if instance == 0 else f"{instance}:{i}" for i, instance in enumerate(instances))
     summary = CloudSummary(
         (sum(parts.values()), len(parts)), (len(found.labels), len(set(found.labels))), dict(left_out)
     )

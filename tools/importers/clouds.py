@@ -14,7 +14,6 @@ from tools.importers.maps import SURVEYED_SIGMA_M, NewMap, Origin, Sigma, make_m
 if TYPE_CHECKING:
     from logs.clouds.cloud_files import CloudFields
     from logs.clouds.map_of_cloud import CloudSummary
-    from logs.importers.maps.map_objects import MapObjects
 
 CloudFile = Annotated[Path, typer.Option(metavar="FILE", help="PLY with x, y, z, class and the number of the object.")]
 AnyCloud = Annotated[
@@ -141,8 +140,8 @@ def _make_urban(
     from logs.clouds.map_of_cloud import urban_objects
     from logs.digest import file_sha256
 
-    found = urban_objects(read_cloud(file, fields), str(file), file_sha256(file))
-    _make(output, found, origin, sigma_m, json=json)
+    objects, summary = urban_objects(read_cloud(file, fields), str(file), file_sha256(file))
+    make_map(output, objects, origin, None, sigma_m, json=json, more={**_statistics(summary), **_left_out(summary)})
 
 
 def _make_named(
@@ -153,15 +152,8 @@ def _make_named(
     from logs.clouds.map_of_cloud import named_objects
     from logs.digest import file_sha256
 
-    found = named_objects(read_cloud(file), str(file), file_sha256(file), _parsed_names(names))
-    _make(output, found, origin, sigma_m, json=json)
-
-
-def _make(
-    output: Path, found: tuple[MapObjects, CloudSummary], origin: str | None, sigma_m: float, *, json: bool
-) -> None:
-    objects, summary = found
-    make_map(output, objects, origin, None, sigma_m, json=json, more=_statistics(summary))
+    objects, summary = named_objects(read_cloud(file), str(file), file_sha256(file), _parsed_names(names))
+    make_map(output, objects, origin, None, sigma_m, json=json, more=_left_out(summary))
 
 
 def _parsed_names(names: list[str] | None) -> Mapping[int, str] | None:
@@ -180,5 +172,8 @@ def _statistics(summary: CloudSummary) -> dict[str, object]:
     return {
         "original": f"{objects} objects, {classes} classes",
         "preprocessed": f"{objects_left} objects, {classes_left} classes",
-        "left out": ", ".join(f"{count} {why}" for why, count in sorted(summary.left_out.items())) or "none",
     }
+
+
+def _left_out(summary: CloudSummary) -> dict[str, object]:
+    return {"left out": ", ".join(f"{count} {why}" for why, count in sorted(summary.left_out.items())) or "none"}

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
+import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -102,7 +105,7 @@ def test_classes_can_be_named_and_others_are_left_out(tmp_path: Path) -> None:
     assert summary.left_out["unnamed"] == 4
     everything, _ = named_objects(found, "cloud.ply", "")
     assert str(LAMP) in everything.labels
-    with pytest.raises(DatasetError, match=r"cloud.ply: 0 objects; a map needs at least four"):
+    with pytest.raises(DatasetError, match=r"cloud.ply: 0 objects; .* 9 unnamed; the classes of its points: 0, "):
         named_objects(found, "cloud.ply", "", {5: "lamp"})
 
 
@@ -119,18 +122,97 @@ DATA ascii
 1 2 3 80 5
 6 7 8 71 0
 """
+FILLED = """# .PCD v0.7
+VERSION 0.7
+FIELDS x y z _ label _
+SIZE 4 4 4 1 2 1
+TYPE F F F U U U
+COUNT 1 1 1 4 1 10
+WIDTH 3
+HEIGHT 2
+VIEWPOINT 0 0 0 1 0 0 0
+POINTS 6
+DATA {}
+"""
+"""As PCL writes a cloud with gaps between its fields."""
 
 
-@needs_open3d
-def test_pcd(tmp_path: Path) -> None:
+def test_pcd_in_text(tmp_path: Path) -> None:
     path = tmp_path / "cloud.pcd"
     path.write_text(PCD)
     found = read_cloud(path)
     np.testing.assert_array_equal(found.positions, [[1, 2, 3], [6, 7, 8]])
+    assert found.instances is not None
     assert (found.classes.tolist(), found.instances.tolist()) == ([80, 71], [5, 0])
-    path.write_text("no cloud\n")
-    with pytest.raises(DatasetError, match="no PCD file"):
+
+
+def packed(content: bytes) -> bytes:
+    """LZF: the first byte as it is, then as often as it repeats; others as they are."""
+    found, at = b"", 0
+    while at < len(content):
+        run = len(content[at : at + 256]) - len(content[at : at + 256].lstrip(content[at : at + 1]))
+        found += b"\x00" + content[at : at + 1]
+        at += 1
+        if run >= 10:
+            found += bytes([7 << 5, run - 10, 0])
+            at += run - 1
+    return found
+
+
+@pytest.mark.parametrize("storage", ["binary", "binary_compressed"])
+def test_pcd_with_gaps_between_its_fields(tmp_path: Path, storage: str) -> None:
+    kinds = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("gap", "u1", (4,)), ("label", "<u2"), ("end", "u1", (10,))]
+    points = np.zeros(6, kinds)
+    points["x"], points["y"], points["label"] = np.arange(6) / 3.0, 7.0, [80, 71, 80, 81, 300, 65535]
+    content = points.tobytes()
+    if storage == "binary_compressed":
+        whole = b"".join(points[name].tobytes() for name in points.dtype.names or ())
+        content = struct.pack("<II", len(packed(whole)), len(whole)) + packed(whole)
+    path = tmp_path / "cloud.pcd"
+    path.write_bytes(FILLED.format(storage).encode() + content)
+    found = read_cloud(path)
+    np.testing.assert_array_equal(found.positions[:, 0], points["x"])
+    np.testing.assert_array_equal(found.classes, points["label"])
+    assert found.instances is None
+    path.write_bytes(path.read_bytes()[:-20])
+    with pytest.raises(DatasetError, match=r"cloud\.pcd: .*cut off"):
         read_cloud(path)
+
+
+@needs_open3d
+def test_pcd_that_open3d_packed(tmp_path: Path) -> None:
+    open3d: Any = importlib.import_module("open3d")
+    rng = np.random.default_rng(3)
+    positions = np.repeat(rng.normal(size=(200, 3)), 10, axis=0).astype(np.float32)
+    cloud = open3d.t.geometry.PointCloud(open3d.core.Tensor(positions))
+    cloud.point["label"] = open3d.core.Tensor(rng.integers(0, 5, (2000, 1)).astype(np.int32))
+    path = tmp_path / "cloud.pcd"
+    open3d.t.io.write_point_cloud(str(path), cloud, compressed=True)
+    assert b"binary_compressed" in path.read_bytes()[:500]
+    np.testing.assert_array_equal(read_cloud(path).positions, positions)
+    np.testing.assert_array_equal(read_cloud(path).classes, cloud.point["label"].numpy()[:, 0])
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "fault"),
+    [
+        (PCD, "no cloud", "its header lacks FIELDS"),
+        ("FIELDS x y z label instance", "FIELDS x y z", "differ in length"),
+        ("TYPE F F F U U", "TYPE F F F U X", "a field of type X and size 2"),
+        ("DATA ascii", "DATA zip", "DATA zip"),
+        ("1 2 3 80 5", "1 2 3 80", "no PCD file that can be read"),
+        ("6 7 8 71 0\n", "", "1 of 2 points are there; it is cut off"),
+        ("WIDTH 2", "WIDTH -2", "-2 points"),
+        ("label instance", "a b", "no field tells the class"),
+    ],
+)
+def test_faults_of_pcd_are_one_line_with_the_file(tmp_path: Path, right: str, wrong: str, fault: str) -> None:
+    path = tmp_path / "cloud.pcd"
+    path.write_text(PCD.replace(right, wrong))
+    with pytest.raises(DatasetError, match=fault) as refused:
+        read_cloud(path)
+    assert "cloud.pcd" in str(refused.value)
+    assert "\n" not in str(refused.value)
 
 
 def damaged(path: Path, kind: str) -> Path:
