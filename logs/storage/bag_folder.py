@@ -33,8 +33,10 @@ def _read_file_names(folder: Path) -> list[str]:
 
     path = folder / METADATA_FILE
     if not path.is_file():
-        files = sorted(p.name for p in folder.iterdir() if p.name.endswith((".mcap", ".db3", ".zstd")))
-        remedy = f"give one of its files ({', '.join(files[:3])}{', ...' if len(files) > 3 else ''})" if files else ""
+        bags = sorted(p.parent.name for p in folder.glob(f"*/{METADATA_FILE}"))
+        files = bags or sorted(p.name for p in folder.iterdir() if p.name.endswith((".mcap", ".db3", ".zstd")))
+        which = "recordings" if bags else "files"
+        remedy = f"give one of its {which} ({', '.join(files[:3])}{', ...' if len(files) > 3 else ''})" if files else ""
         remedy = remedy or "give a log, or the directory of a rosbag2 recording"
         raise UnreadableLogError(f"cannot read {folder}: it is a directory without {METADATA_FILE}; {remedy}")
     try:

@@ -14,7 +14,7 @@ import zstandard
 from logs import blocks
 from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
-from logs.storage.bag_folder import find_bag_files
+from logs.storage.bag_folder import METADATA_FILE, find_bag_files
 from logs.storage.mcap_file import McapFile
 from logs.storage.regular_file import most_unpacked, open_regular
 from logs.storage.storage import Storage
@@ -82,9 +82,12 @@ def _open(path: Path, name: str, limits: ReadingLimits, until_closed: ExitStack)
     if storage is not None:
         until_closed.callback(storage.close)
         return storage
+    if path.name == METADATA_FILE:
+        raise UnreadableLogError(f"{name} describes a rosbag2 recording; give the folder that it is in")
     what = "is no MCAP file (it does not begin with the MCAP signature)" if magic else "is empty"
     raise UnreadableLogError(
-        f"{name} {what}; give a log that was recorded as MCAP, or a rosbag2 folder or file (.mcap, .db3, .zstd)"
+        f"{name} {what}; give a log that was recorded as MCAP, or a rosbag2 folder or file (.mcap, .db3, .zstd). "
+        "Text files and point clouds become a log by 'dslam import'"
     )
 
 

@@ -7,9 +7,13 @@ from importlib.metadata import version
 import numpy as np
 
 from logs.importers.maps.map_objects import MapObjects
+from slam.common.arrays import FloatArray
 from slam.common.errors import SavedMapError
 from slam.common.georeference import Georeference
 from slam.place_recognition.imported_map import ImportedMap, make_imported_map
+
+FARTHEST_M = 200_000.0
+"""Of the nearest object from the origin: farther ones count from elsewhere, as those of national grids do."""
 
 
 def import_map(objects: MapObjects, *, sigma_m: float, origin: Georeference | None = None) -> ImportedMap:
@@ -21,7 +25,8 @@ def import_map(objects: MapObjects, *, sigma_m: float, origin: Georeference | No
         origin: where the map has its origin; by default the median of objects in degrees, and unknown for metres.
 
     Raises:
-        SavedMapError: positions that cannot be metres in the plane of one map; names the source.
+        SavedMapError: positions that cannot be metres in the plane of one map, or are far from the origin; names the
+            source.
         GeometryError: an origin that is no place.
     """
     positions = objects.positions
@@ -30,6 +35,8 @@ def import_map(objects: MapObjects, *, sigma_m: float, origin: Georeference | No
             latitude, longitude = np.round(np.median(positions[:, :2], axis=0), 6).tolist()
             origin = Georeference(latitude, longitude)
         positions = origin.to_map(positions)
+    if origin is not None:
+        _check_origin(objects.source, positions, origin)
     provenance = {
         "source": objects.source,
         "input_sha256": objects.sha256,
@@ -41,3 +48,13 @@ def import_map(objects: MapObjects, *, sigma_m: float, origin: Georeference | No
         )
     except SavedMapError as error:
         raise SavedMapError(f"{objects.source}: {error}") from error
+
+
+def _check_origin(source: str, positions: FloatArray, origin: Georeference) -> None:
+    nearest_m = float(np.linalg.norm(positions[:, :2], axis=1).min(initial=np.inf))
+    if FARTHEST_M < nearest_m < np.inf:
+        raise SavedMapError(
+            f"{source}: the nearest object is {nearest_m / 1000.0:.0f} km from the origin at latitude "
+            f"{origin.latitude_deg:g}, longitude {origin.longitude_deg:g}; give the place from which the coordinates "
+            "count, or convert those of a national grid (such as UTM) to latitude and longitude"
+        )

@@ -134,6 +134,15 @@ def test_a_folder_without_metadata_names_its_files(bags: dict[str, Path], tmp_pa
         LogReader(bag)
 
 
+def test_a_folder_of_recordings_names_them(bags: dict[str, Path], tmp_path: Path) -> None:
+    for name in ("monday", "tuesday"):
+        shutil.copytree(bags["mcap"], tmp_path / name)
+    with pytest.raises(UnreadableLogError, match=r"give one of its recordings \(monday, tuesday\)"):
+        LogReader(tmp_path)
+    with pytest.raises(UnreadableLogError, match=r"metadata\.yaml describes a rosbag2 recording; give the folder"):
+        LogReader(tmp_path / "monday" / "metadata.yaml")
+
+
 @pytest.mark.parametrize("text", ["", "a: [1", "rosbag2_bagfile_information: 3", "rosbag2_bagfile_information: {}"])
 def test_metadata_that_is_none(bags: dict[str, Path], tmp_path: Path, text: str) -> None:
     bag = break_bag(bags["mcap"], tmp_path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,15 +11,16 @@ from typing import Any
 import numpy as np
 
 from logs.errors import DatasetError
-from logs.importers.maps.map_objects import MapObjects, check_degrees
+from logs.importers.maps.map_objects import MapObjects, check_degrees, distinct
 from logs.importers.maps.object_table import CLASS_NAMES, ID_NAMES, UNKNOWN
 from logs.importers.tables import read_source_text
 
+_LONGEST_KIND = 30
 _GLOBAL_CRS = ("CRS84", "4326", "WGS84", "4979")
 
 
 def read_geojson(path: Path, *, class_property: str | None = None) -> MapObjects:
-    """Read the points of a FeatureCollection.
+    """Read the points of a FeatureCollection, or of features of which each has a line.
 
     Args:
         path: the file, packed by gzip or not.
@@ -28,27 +30,12 @@ def read_geojson(path: Path, *, class_property: str | None = None) -> MapObjects
         DatasetError: no GeoJSON, no point in it, coordinates that are no degrees, or no such property.
     """
     source = read_source_text(path)
-    try:
-        content = json.loads(source.text)
-    except json.JSONDecodeError as error:
-        raise DatasetError(
-            f"{path}, line {error.lineno}: not JSON ({error.msg}, character {error.colno}); the file may be cut off"
-        ) from error
-    except (RecursionError, ValueError) as error:
-        raise DatasetError(
-            f"{path}: nested too deeply, or numbers too long ({error}); export the layer again"
-        ) from error
-    if not isinstance(content, dict) or content.get("type") != "FeatureCollection":
-        raise DatasetError(f"{path}: no GeoJSON FeatureCollection; export the layer as GeoJSON")
-    crs = str(content.get("crs", ""))
-    if crs and not any(name in crs.replace("::", ":").replace(" ", "").upper() for name in _GLOBAL_CRS):
-        raise DatasetError(f"{path}: coordinates of {crs[:80]}; export the layer in WGS 84 (EPSG:4326)")
-    positions, labels, ids, others = list[list[float]](), list[str](), list[str](), 0
-    features = content.get("features")
-    for number, feature in enumerate(features if isinstance(features, list) else [], start=1):
+    features = _features(path, source.text)
+    positions, labels, ids, others = list[list[float]](), list[str](), list[str](), Counter[str]()
+    for number, feature in enumerate(features, start=1):
         points = list(_points(path, number, feature))
-        others += not points
         if not points:
+            others[_geometry_of(feature)] += 1
             continue
         properties = feature.get("properties") or {}
         label = _first(properties, (class_property,) if class_property else CLASS_NAMES)
@@ -57,12 +44,58 @@ def read_geojson(path: Path, *, class_property: str | None = None) -> MapObjects
             labels.append(label or UNKNOWN)
             name = str(feature.get("id") or _first(properties, ID_NAMES) or number)
             ids.append(name if part == 0 else f"{name}/{part}")
+    kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(others.items()))
+    if features and not positions:
+        raise DatasetError(f"{path}: none of its features is a point ({kinds}); export points, for example centroids")
     geodetic = np.array(positions).reshape(-1, 3)
     check_degrees(str(path), geodetic)
     if class_property and all(label == UNKNOWN for label in labels):
         raise DatasetError(f"{path}: no feature has a property {class_property!r}; see the properties of the layer")
-    notes = (f"{others} features that are no points were left out",) if others else ()
-    return MapObjects(str(path), geodetic, tuple(labels), _distinct(ids), True, source.sha256, notes)
+    notes = (f"{others.total()} features that are no points were left out ({kinds})",) if others else ()
+    return MapObjects(str(path), geodetic, tuple(labels), distinct(ids), True, source.sha256, notes)
+
+
+def _features(path: Path, text: str) -> list[Any]:
+    """The features of a FeatureCollection, or of a file that has one in each line (RFC 8142)."""
+    lines = [(i, line) for i, line in enumerate(text.replace("\x1e", "").splitlines(), start=1) if line.strip()]
+    if len(lines) > 1 and _is_feature(lines[0][1]):
+        return [_parsed(path, line, first_line=i) for i, line in lines]
+    content = _parsed(path, text)
+    if not isinstance(content, dict) or content.get("type") != "FeatureCollection":
+        raise DatasetError(f"{path}: no GeoJSON FeatureCollection; export the layer as GeoJSON")
+    crs = str(content.get("crs") or "")
+    if crs and not any(name in crs.replace("::", ":").replace(" ", "").upper() for name in _GLOBAL_CRS):
+        raise DatasetError(f"{path}: coordinates of {crs[:80]}; export the layer in WGS 84 (EPSG:4326)")
+    features = content.get("features")
+    return features if isinstance(features, list) else []
+
+
+def _is_feature(line: str) -> bool:
+    try:
+        content = json.loads(line)
+    except (ValueError, RecursionError):
+        return False
+    return isinstance(content, dict) and content.get("type") == "Feature"
+
+
+def _parsed(path: Path, text: str, *, first_line: int = 1) -> Any:
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        line = first_line + error.lineno - 1
+        raise DatasetError(
+            f"{path}, line {line}: not JSON ({error.msg}, character {error.colno}); the file may be cut off"
+        ) from error
+    except (RecursionError, ValueError) as error:
+        raise DatasetError(
+            f"{path}: nested too deeply, or numbers too long ({error}); export the layer again"
+        ) from error
+
+
+def _geometry_of(feature: Any) -> str:
+    geometry = feature.get("geometry") if isinstance(feature, dict) else None
+    kind = geometry.get("type") if isinstance(geometry, dict) else None
+    return kind[:_LONGEST_KIND] if isinstance(kind, str) else "without geometry"
 
 
 def _points(path: Path, number: int, feature: Any) -> Iterator[list[float]]:
@@ -81,13 +114,3 @@ def _points(path: Path, number: int, feature: Any) -> Iterator[list[float]]:
 def _first(properties: Mapping[str, Any], names: tuple[str, ...]) -> str:
     lower = {key.lower(): value for key, value in properties.items()}
     return next((str(lower[name.lower()]) for name in names if lower.get(name.lower()) not in (None, "")), "")
-
-
-def _distinct(ids: list[str]) -> tuple[str, ...]:
-    """The ids, those that occur before with their place behind."""
-    seen: set[str] = set()
-    distinct = []
-    for place, name in enumerate(ids):
-        distinct.append(f"{name}#{place}" if name in seen else name)
-        seen.add(distinct[-1])
-    return tuple(distinct)

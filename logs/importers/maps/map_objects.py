@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,6 +36,16 @@ class MapObjects:
     def relabelled(self, label: str) -> MapObjects:
         """The same objects, all of one class."""
         return replace(self, labels=(label,) * len(self))
+
+
+def distinct(names: Iterable[str]) -> tuple[str, ...]:
+    """The names, those that occur before with their place behind."""
+    seen: set[str] = set()
+    found = []
+    for place, name in enumerate(names):
+        found.append(f"{name}#{place}" if name in seen else name)
+        seen.add(found[-1])
+    return tuple(found)
 
 
 def check_degrees(source: str, geodetic: FloatArray) -> None:

@@ -7,17 +7,20 @@ from pathlib import Path
 import numpy as np
 
 from logs.errors import DatasetError
-from logs.importers.maps.map_objects import MapObjects, check_degrees
+from logs.importers.maps.map_objects import MapObjects, check_degrees, distinct
 from logs.importers.tables import LENGTH_UNITS, Table, read_source_text, read_table
 
 CLASS_NAMES = ("class", "label", "category", "type", "kind", "species")
 ID_NAMES = ("id", "object_id", "uid", "name")
+_MAY_REPEAT = "name"
+_AXES = {"x": ("x", "easting", "east"), "y": ("y", "northing", "north")}
 DEGREES = {"": 1.0, "deg": 1.0}
 UNKNOWN = "object"
 
 
 def read_object_table(path: Path) -> MapObjects:
-    """Read columns ``x_m, y_m`` (``z_m``), or ``lat, lon`` (``altitude_m``), and where known ``class`` and ``id``.
+    """Read columns ``x_m, y_m`` (``z_m``), also called easting and northing, or ``lat, lon`` (``altitude_m``), and
+    where known ``class`` and ``id``.
 
     Raises:
         DatasetError: a column that is missing, a cell that is no number, or an id that occurs twice.
@@ -32,8 +35,8 @@ def read_object_table(path: Path) -> MapObjects:
         height = table.find(("alt", "altitude", "height", "elevation"), LENGTH_UNITS)
     else:
         plane = [
-            table.numbers(table.need(f"{axis} or lat and lon", f"{axis}_m", (axis,), LENGTH_UNITS), LENGTH_UNITS)
-            for axis in ("x", "y")
+            table.numbers(table.need(f"{axis} or lat and lon", f"{axis}_m", names, LENGTH_UNITS), LENGTH_UNITS)
+            for axis, names in _AXES.items()
         ]
         height = table.find(("z",), LENGTH_UNITS)
     rows = len(table.lines)
@@ -53,11 +56,15 @@ def _ids(table: Table, rows: int) -> tuple[str, ...]:
     name = _first_column(table, ID_NAMES)
     if name is None:
         return tuple(str(row) for row in range(rows))
+    ids = [cell or f"line {line}" for line, cell in zip(table.lines, table.columns[name], strict=True)]
+    if name.lower() == _MAY_REPEAT:
+        return distinct(ids)
     first_line: dict[str, int] = {}
-    for line, each in zip(table.lines, table.columns[name], strict=True):
+    for line, each in zip(table.lines, ids, strict=True):
         if first_line.setdefault(each, line) != line:
             raise DatasetError(
-                f"{table.name}, line {line}: id {each!r} is taken by line {first_line[each]}; ids are unique"
+                f"{table.name}, line {line}: {name} {each!r} is taken by line {first_line[each]}; give each object "
+                "one of its own, or rename the column"
             )
     return tuple(first_line)
 

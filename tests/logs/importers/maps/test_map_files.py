@@ -46,6 +46,15 @@ class TestTable:
         np.testing.assert_array_equal(objects.positions, [[1.5, -2.0, 0.5], [3.0, 4.0, 0.0]])
         assert (objects.labels, objects.ids, objects.is_geodetic) == (("pole", "object"), ("a", "b"), False)
 
+    def test_names_may_repeat_and_ids_be_unknown(self, tmp_path: Path) -> None:
+        path = tmp_path / "objects.csv"
+        path.write_text("easting,northing,name\n1,2,bench\n3,4,bench\n5,6,\n")
+        objects = read_object_table(path)
+        np.testing.assert_array_equal(objects.positions[:, :2], [[1, 2], [3, 4], [5, 6]])
+        assert objects.ids == ("bench", "bench#1", "line 4")
+        path.write_text("x,y,id\n1,2,\n3,4,\n")
+        assert read_object_table(path).ids == ("line 2", "line 3")
+
     def test_degrees_by_the_names_of_the_columns(self, tmp_path: Path) -> None:
         path = tmp_path / "trees.csv"
         path.write_text("Longitude;Latitude;Species\n24.9;60.1;oak\n")
@@ -57,7 +66,9 @@ class TestTable:
         ("text", "fault"),
         [
             ("x_m,class\n1,pole\n", "no column for y"),
-            ("x_m,y_m,id\n1,2,a\n3,4,a\n", "line 3: id 'a' is taken by line 2"),
+            ("x_m,y_m,id\n1,2,a\n3,4,a\n", "line 3: id 'a' is taken by line 2; give each .* or rename the column"),
+            ("1.5,2,tree\n3,4,tree\n", "line 1: numbers where the names of the columns are expected"),
+            ("x;y\n1,5;2\n", "line 2, column x: '1,5' is not a finite number; write numbers with a decimal point"),
             ("lat,lon\n400,24\n", "these are metres"),
             ("lat,lon\n24,160\n-30,170\n100,60\n", "no degrees"),
             ("lat,lon\n160.1,24.9\n", "the other way round: swap them"),
@@ -79,7 +90,22 @@ class TestGeoJson:
         objects = read_geojson(path)
         np.testing.assert_array_equal(objects.positions, [[60.1, 24.9, 0.0], [60.2, 24.8, 0.0]])
         assert objects.labels == ("tree", "object")
-        assert objects.notes == ("1 features that are no points were left out",)
+        assert objects.notes == ("1 features that are no points were left out (1 LineString)",)
+
+    @pytest.mark.parametrize("separator", ["\n", "\n\x1e", "\r\n\n"])
+    def test_features_of_which_each_has_a_line(self, tmp_path: Path, separator: str) -> None:
+        path = tmp_path / "a.geojsonl"
+        features = [json.dumps(feature(24.9, 60.1, kind="tree")), json.dumps(feature(24.8, 60.2))]
+        path.write_text(separator.join(features))
+        assert read_geojson(path).labels == ("tree", "object")
+        path.write_text(separator.join(features)[:-5])
+        with pytest.raises(DatasetError, match=r"line [23]: not JSON .*cut off"):
+            read_geojson(path)
+
+    def test_areas_alone_are_no_objects(self, tmp_path: Path) -> None:
+        area = {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": []}, "properties": {}}
+        with pytest.raises(DatasetError, match=r"none of its features is a point \(2 Polygon, 1 without geometry\)"):
+            read_geojson(geojson(tmp_path / "a.geojson", area, area, {"type": "Feature", "geometry": None}))
 
     def test_any_property_can_be_the_class(self, tmp_path: Path) -> None:
         path = geojson(tmp_path / "a.geojson", feature(24.9, 60.1, art="Eiche", type="x"))
