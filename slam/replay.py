@@ -2,39 +2,31 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from logs.errors import TopicSelectionError, UnwritableLogError
+from logs.errors import UnwritableLogError
 from logs.messages import (
     GeodeticFix,
     GroundTruthPose,
     Record,
-    Transform,
 )
 from logs.reader import LogReader
-from logs.selection import OUTPUT_PREFIX, Selection, select_topics
+from logs.selection import Selection
 from logs.topics import RecordKind
 from logs.writer import LogWriter, partial_path
 from slam.common.config import Config
-from slam.common.config_tree import CHANGED_SETTINGS, changed_settings
 from slam.common.errors import InputDataError, SavedMapError
-from slam.common.georeference import Georeference
-from slam.display.drive_display import FRAMES, DriveDisplay
+from slam.display.drive_display import DriveDisplay
 from slam.final_map import FinalMap
-from slam.frontend.input.input_records import InputRecords
 from slam.frontend.input.label_map import LabelMap
-from slam.frontend.input.scan_objects import ScanObjects
-from slam.frontend.input.sensor_frames import SensorFrames
-from slam.frontend.input.stamp_clocks import NO_DRIFT, ClockDrift, StampClocks
+from slam.frontend.input.stamp_clocks import StampClocks
 from slam.localization.gnss import find_georeference
 from slam.localization.prior_map import PriorMap
 from slam.localization.unrecognised_map import why_not_recognised
@@ -42,20 +34,9 @@ from slam.object_map.map_io import METADATA, save_map
 from slam.output_log import OutputLog
 from slam.place_recognition.imported_map import ImportedMap
 from slam.place_recognition.place_prior import PlacePrior
-from slam.self_calibration.calibration import Calibration, calibrate
-from slam.self_calibration.survey import Survey, survey
+from slam.prepared_log import PreparedLog, prepare_log
+from slam.provenance import provenance_of
 from slam.system import Slam
-
-_MAPPED = (
-    RecordKind.ODOMETRY,
-    RecordKind.DETECTIONS,
-    RecordKind.TRANSFORMS,
-    RecordKind.CAMERA_INFO,
-    RecordKind.DEPTH,
-    RecordKind.GNSS,
-)
-# The estimator never sees these; they are copied as they are, so that the output can be evaluated on its own.
-_COPIED = (RecordKind.ODOMETRY, RecordKind.GROUND_TRUTH, RecordKind.DETECTION_TRUTH, RecordKind.OBJECT_TRUTH)
 
 DEFAULTS = Config()
 
@@ -123,90 +104,90 @@ def replay(
             f"the given map stays as it is, so {map_path} would be a copy of it; extend it, or save none"
         )
     started = time.perf_counter()
-    labels = LabelMap(config.labels)
     with LogReader(source, config.limits.reading) as reader:
         _check_drive(reader, source, output)
-        selection = select_topics(reader.topics(), {**config.topics, **(topics or {})})
-        copied = _copied_topics(reader, selection, copy)
-        mapped = Selection({topic: kinds for topic, kinds in selection.kinds.items() if set(kinds) & set(_MAPPED)})
-        first_ns, last_ns = _span(reader, mapped)
-        # Where the sensors are is read beforehand: between two transforms only when the later one is known, too.
-        frames = _read_frames(reader, mapped)
-        lost_before = reader.decoding_counters
-        mapped = mapped.without(RecordKind.TRANSFORMS)
-        scans = ScanObjects(labels, frames)
-        calibration, drift = _calibrate(reader, mapped, config, InputRecords(config, labels, frames, scans), frames)
-        slam = Slam(calibration.config, prior_map, extend=extend, place_prior=place_prior, frames=frames)
-        display = DriveDisplay(calibration.config.detection.sensor_range_m, _ground_truth(source, config, selection))
-        inputs = InputRecords(calibration.config, labels, frames, scans)
-        georeference = _georeference_of(prior_map)
+        prepared = prepare_log(reader, config, topics=topics, copy=copy)
+        estimated = prepared.calibration.config
+        slam = Slam(estimated, prior_map, extend=extend, place_prior=place_prior, frames=prepared.frames)
+        provenance = provenance_of(reader, config, prepared, prior_map, extend=extend)
+        display = DriveDisplay(estimated.detection.sensor_range_m, _ground_truth(source, config, prepared.selection))
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output) as writer:
-            provenance = (
-                _provenance(reader, config, selection)
-                | _about_calibration(calibration)
-                | _about_map(prior_map, extend=extend)
-            )
             writer.add_metadata("dslam", provenance)
-            log = OutputLog(writer, display, view, georeference)
-            drive = _Drive(slam, inputs, log, fixes=[])
-            clocks = StampClocks(drift, keeps_delays=False)
-            for item in reader.items(mapped, copy=copied):
-                if item.raw.topic in copied:
-                    writer.write_raw(item.raw)
-                drive.take(list(clocks.follow(item)), item.raw.log_time_ns)
-                if progress is not None:
-                    done = (item.raw.log_time_ns - first_ns) / max(last_ns - first_ns, 1)
-                    progress(min(max(done, 0.0), 1.0))
-            drive.take(list(clocks.finish()), last_ns)
-            inputs.check()
-            slam.counters.update(Counter(reader.counters) + lost_before + Counter(inputs.counters))
-            final = slam.finish()
-            if georeference is None and prior_map is None:
+            georeference = prior_map.georeference if isinstance(prior_map, ImportedMap) else None
+            drive = _Drive(slam, prepared, OutputLog(writer, display, view, georeference))
+            final = drive.map(reader, writer, progress)
+            if prior_map is None:
                 georeference = find_georeference(final.trajectory, drive.fixes)
-            log.write_final(final, georeference, last_ns)
+            drive.log.write_final(final, georeference, prepared.last_ns)
         unsaved = 0 if map_path is None else _save(map_path, output, slam, final, provenance, prior_map)
+    return _summarize(drive, final, _about_the_map(drive, prior_map, final, config), unsaved, started)
+
+
+class _Drive:
+    """A log that is mapped, message by message.
+
+    ``fixes``: those of a satellite receiver; ``max_message_latency_s``: longest processing time of a message.
+    """
+
+    def __init__(self, slam: Slam, prepared: PreparedLog, log: OutputLog) -> None:
+        self.slam = slam
+        self.prepared = prepared
+        self.log = log
+        self.clocks = StampClocks(prepared.drift, keeps_delays=False)
+        self.fixes: list[GeodeticFix] = []
+        self.max_message_latency_s = 0.0
+        self._inputs = prepared.inputs()
+
+    def map(self, reader: LogReader, writer: LogWriter, progress: Callable[[float], None] | None) -> FinalMap:
+        """Map the whole log, and write what each message makes known, and the topics that are copied."""
+        prepared = self.prepared
+        for item in reader.items(prepared.mapped, copy=prepared.copied):
+            if item.raw.topic in prepared.copied:
+                writer.write_raw(item.raw)
+            self._take(list(self.clocks.follow(item)), item.raw.log_time_ns)
+            if progress is not None:
+                done = (item.raw.log_time_ns - prepared.first_ns) / max(prepared.last_ns - prepared.first_ns, 1)
+                progress(min(max(done, 0.0), 1.0))
+        self._take(list(self.clocks.finish()), prepared.last_ns)
+        self._inputs.check()
+        self.slam.counters.update(Counter(reader.counters) + Counter(prepared.lost) + Counter(self._inputs.counters))
+        return self.slam.finish()
+
+    def _take(self, records: Sequence[Record], log_time_ns: int) -> None:
+        before = time.perf_counter()
+        self.fixes += [record for record in records if isinstance(record, GeodeticFix)]
+        for record in self._inputs.prepare(records):
+            self.log.write_updates(self.slam.process(record), log_time_ns)
+            if (snapshot := self.slam.snapshot()) is not None:
+                self.log.write_snapshot(snapshot, log_time_ns)
+        self.max_message_latency_s = max(self.max_message_latency_s, time.perf_counter() - before)
+
+
+def _summarize(
+    drive: _Drive, final: FinalMap, about_the_map: Sequence[str], keyframes_not_saved: int, started: float
+) -> ReplaySummary:
+    slam, prepared = drive.slam, drive.prepared
     return ReplaySummary(
         counters=dict(final.status.counters),
-        log_s=(last_ns - first_ns) * 1e-9,
+        log_s=(prepared.last_ns - prepared.first_ns) * 1e-9,
         wall_s=time.perf_counter() - started,
         solver_s=slam.solver_seconds,
         max_message_latency_s=drive.max_message_latency_s,
         loop_closure_median_s=float(np.median(slam.closing_seconds)) if slam.closing_seconds else 0.0,
         final_status=final.status.message,
         notes=(
-            *calibration.notes,
-            *([str(drift)] if drift.rate else []),
-            *map(str, clocks.steps),
-            *_about_the_map(slam, prior_map, final, drive.fixes, config),
-            *_about_labels(labels),
+            *prepared.calibration.notes,
+            *([str(prepared.drift)] if prepared.drift.rate else []),
+            *map(str, drive.clocks.steps),
+            *about_the_map,
+            *_about_labels(prepared.labels),
         ),
         relocalization_times_s=tuple((fix.stamp_ns - slam.first_stamp_ns) * 1e-9 for fix in slam.fixes),
         relocalization_distances_m=tuple(fix.travel_m for fix in slam.fixes),
-        keyframes_not_saved=unsaved,
-        tracked_ratio=log.tracked / max(final.status.counters.get("odometry_used", 0), 1),
+        keyframes_not_saved=keyframes_not_saved,
+        tracked_ratio=drive.log.tracked / max(final.status.counters.get("odometry_used", 0), 1),
     )
-
-
-@dataclass(slots=True)
-class _Drive:
-    """Takes a log in, message by message; ``fixes``: those of a satellite receiver."""
-
-    slam: Slam
-    inputs: InputRecords
-    log: OutputLog
-    fixes: list[GeodeticFix]
-    max_message_latency_s: float = 0.0
-
-    def take(self, records: Sequence[Record], log_time_ns: int) -> None:
-        """Map what was logged, and write what that makes known."""
-        before = time.perf_counter()
-        self.fixes += [record for record in records if isinstance(record, GeodeticFix)]
-        for record in self.inputs.prepare(records):
-            self.log.write_updates(self.slam.process(record), log_time_ns)
-            if (snapshot := self.slam.snapshot()) is not None:
-                self.log.write_snapshot(snapshot, log_time_ns)
-        self.max_message_latency_s = max(self.max_message_latency_s, time.perf_counter() - before)
 
 
 def _check_drive(reader: LogReader, source: Path, output: Path) -> None:
@@ -245,41 +226,13 @@ def _about_labels(labels: LabelMap) -> list[str]:
     ]
 
 
-def _georeference_of(prior_map: PriorMap | None) -> Georeference | None:
-    return prior_map.georeference if isinstance(prior_map, ImportedMap) else None
-
-
-def _about_the_map(
-    slam: Slam, prior_map: PriorMap | None, final: FinalMap, fixes: Sequence[GeodeticFix], config: Config
-) -> list[str]:
+def _about_the_map(drive: _Drive, prior_map: PriorMap | None, final: FinalMap, config: Config) -> list[str]:
     """What explains that the robot was not found in its map."""
-    if prior_map is None or slam.fixes:
+    if prior_map is None or drive.slam.fixes:
         return []
     sigma_m = config.submap.landmark_sigma_m
-    reason = why_not_recognised(prior_map, final.object_map, final.trajectory, sigma_m, fixes)
+    reason = why_not_recognised(prior_map, final.object_map, final.trajectory, sigma_m, drive.fixes)
     return [f"not recognised, probably because: {reason}"]
-
-
-def _copied_topics(reader: LogReader, selection: Selection, wanted: Collection[str]) -> set[str]:
-    """What goes into the output as it is: what an evaluation needs, and what is ``wanted``."""
-    copied = {topic for kind in _COPIED for topic in selection.topics_of(kind)}
-    copied |= set(selection.topics_of(RecordKind.TRANSFORMS)) - {FRAMES}
-    return copied | _checked_copies(reader, wanted)
-
-
-def _checked_copies(reader: LogReader, topics: Collection[str]) -> set[str]:
-    """``topics``, if the log has all of them.
-
-    Raises:
-        TopicSelectionError: it lacks one, or the output has a topic of that name.
-    """
-    there = {info.topic for info in reader.topics()}
-    for topic in topics:
-        if topic == FRAMES or topic.startswith(OUTPUT_PREFIX):
-            raise TopicSelectionError(f"{topic} cannot be copied: the output has a topic of that name of its own")
-        if topic not in there:
-            raise TopicSelectionError(f"the log has no topic {topic} to copy; it has {', '.join(sorted(there))}")
-    return set(topics)
 
 
 def _ground_truth(source: Path, config: Config, selection: Selection) -> Iterator[GroundTruthPose]:
@@ -291,74 +244,3 @@ def _ground_truth(source: Path, config: Config, selection: Selection) -> Iterato
             for entry in reader.records(wanted):
                 if isinstance(entry.record, GroundTruthPose):
                     yield entry.record
-
-
-def _provenance(reader: LogReader, config: Config, selection: Selection) -> dict[str, str]:
-    """What made this log: enough to make it again."""
-    return {
-        "version": version("descriptellation-slam"),
-        "configuration": config.model_dump_json(),
-        CHANGED_SETTINGS: changed_settings(config),
-        "input_sha256": reader.sha256(),
-        "topics": json.dumps({topic: list(kinds) for topic, kinds in sorted(selection.kinds.items())}),
-    }
-
-
-def _read_frames(reader: LogReader, selection: Selection) -> SensorFrames:
-    frames = SensorFrames()
-    for entry in reader.records(selection.only(RecordKind.TRANSFORMS)):
-        if isinstance(entry.record, Transform):
-            frames.add(entry.record)
-    return frames
-
-
-def _calibrate(
-    reader: LogReader, selection: Selection, config: Config, inputs: InputRecords, frames: SensorFrames
-) -> tuple[Calibration, ClockDrift]:
-    """The settings for a log, of which those that were not given by hand are estimated from it, and how the clock of
-    its detections drifts.
-    """
-    if not config.calibration.enabled:
-        return Calibration(config), NO_DRIFT
-    found, clocks = _survey(reader, selection, config, inputs, frames, NO_DRIFT)
-    drift = clocks.drift()
-    if drift.rate:
-        found, clocks = _survey(reader, selection, config, inputs, frames, drift)
-    return calibrate(config, found, clocks.delays()), drift
-
-
-def _survey(
-    reader: LogReader,
-    selection: Selection,
-    config: Config,
-    inputs: InputRecords,
-    frames: SensorFrames,
-    drift: ClockDrift,
-) -> tuple[Survey | None, StampClocks]:
-    clocks = StampClocks(drift)
-    records = inputs.prepare(record for item in reader.items(selection) for record in clocks.follow(item))
-    with threadpool_limits(1, user_api="blas"):
-        return survey(records, config.detection, frames, max_classes=config.association.max_classes), clocks
-
-
-def _about_calibration(calibration: Calibration) -> dict[str, str]:
-    """The settings that were estimated from the log, and what that says of the log."""
-    return {"estimated": json.dumps(dict(calibration.estimated)), "notes": json.dumps(list(calibration.notes))}
-
-
-def _about_map(prior_map: PriorMap | None, *, extend: bool) -> dict[str, str]:
-    """Which map the drive was given, by the drives that made it."""
-    if prior_map is None:
-        return {}
-    about = {"map_drives": json.dumps([dict(drive) for drive in prior_map.drives]), "map_extended": json.dumps(extend)}
-    if prior_map.georeference is not None:  # the output is in the frame of that map
-        about["georeference"] = prior_map.georeference.to_json()
-    return about
-
-
-def _span(reader: LogReader, selection: Selection) -> tuple[int, int]:
-    """First and last log time [ns] of the selected topics."""
-    infos = [info for info in reader.topics() if info.topic in selection.topics]
-    first = [info.first_log_time_ns for info in infos if info.first_log_time_ns is not None]
-    last = [info.last_log_time_ns for info in infos if info.last_log_time_ns is not None]
-    return min(first, default=0), max(last, default=0)

@@ -1,0 +1,34 @@
+"""What made an output, as its metadata: enough to make it again."""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import version
+
+from logs.reader import LogReader
+from slam.common.config import Config
+from slam.common.config_tree import CHANGED_SETTINGS, changed_settings
+from slam.localization.prior_map import PriorMap
+from slam.prepared_log import PreparedLog
+
+
+def provenance_of(
+    reader: LogReader, config: Config, prepared: PreparedLog, prior_map: PriorMap | None, *, extend: bool
+) -> dict[str, str]:
+    """The version, the settings as given and as estimated, the input and the map, as text and JSON."""
+    calibration = prepared.calibration
+    about = {
+        "version": version("descriptellation-slam"),
+        "configuration": config.model_dump_json(),
+        CHANGED_SETTINGS: changed_settings(config),
+        "input_sha256": reader.sha256(),
+        "topics": json.dumps({topic: list(kinds) for topic, kinds in sorted(prepared.selection.kinds.items())}),
+        "estimated": json.dumps(dict(calibration.estimated)),
+        "notes": json.dumps(list(calibration.notes)),
+    }
+    if prior_map is not None:
+        about["map_drives"] = json.dumps([dict(drive) for drive in prior_map.drives])
+        about["map_extended"] = json.dumps(extend)
+        if prior_map.georeference is not None:  # the output is in the frame of that map
+            about["georeference"] = prior_map.georeference.to_json()
+    return about
