@@ -1,4 +1,4 @@
-"""What a finished map cannot be trusted in, for people: how much of the drive the objects say nothing of."""
+"""Reasons to doubt a finished map, for people: the share of the way without landmarks, and moving objects."""
 
 from __future__ import annotations
 
@@ -30,7 +30,9 @@ def _unobserved(graph: FactorGraphRecord, sensor_range_m: float) -> list[str]:
     share = float(ways_m[ways_m > sensor_range_m].sum() / max(travel_m[-1], 1e-9))
     if share < UNOBSERVED_SHARE:
         return []
-    return [f"over {100.0 * share:.0f} % of the way fewer than two landmarks were seen: the odometry alone tells it"]
+    return [
+        f"fewer than two landmarks in view over {100.0 * share:.0f} % of the way: only the odometry constrains it there"
+    ]
 
 
 def _travel_m(graph: FactorGraphRecord) -> FloatArray:

@@ -70,7 +70,7 @@ def test_gaps_within_the_sensor_range_raise_no_doubt() -> None:
 
 @pytest.mark.parametrize(("seen", "share"), [(range(50), 51), (range(30, KEYFRAMES), 30), (range(0), 100)])
 def test_a_long_way_without_landmarks_is_told(seen: range, share: int) -> None:
-    assert f"over {share} % of the way fewer than two" in doubts(drive(seen=seen))
+    assert f"fewer than two landmarks in view over {share} % of the way" in doubts(drive(seen=seen))
 
 
 def test_a_kidnapping_is_no_way_without_landmarks() -> None:
