@@ -24,7 +24,7 @@ class FollowedSource:
     def follows(self, odometry: Odometry) -> bool:
         """Whether the next message of the topic is of the source that is followed."""
         stamp_ns, xyz_m = odometry.stamp_ns, odometry.T_odom_body[:3, 3]
-        if self._count < ALTERNATING:
+        if self._count < ALTERNATING or min(map(len, self._paths)) < 2:
             source = self._count % 2
         else:
             misses_m = [float(np.linalg.norm(_predicted(path, stamp_ns) - xyz_m)) for path in self._paths]

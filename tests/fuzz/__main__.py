@@ -18,11 +18,17 @@ from tests.fuzz.cases import FAMILIES, make_case
 from tests.fuzz.judgement import judge
 from tests.fuzz.sandbox import Limits, run
 from tests.fuzz.seeds import make_seeds
+from tools.cli import make_app
 
 _IMPORTED = ("slam.replay", "slam.evaluation.evaluate", "slam.evaluation.html_report.page", "logs.summary",
              "slam.visualization.map_plot", "slam.backend.pose_graph.robust_optimization", "rich.table",
-             "matplotlib.pyplot", "slam.object_map.map_io", "slam.formats.g2o", "tools.console")  # fmt: skip
-
+             "matplotlib.pyplot", "slam.object_map.map_io", "slam.formats.g2o", "tools.console", "plotly.graph_objects",
+             "descriptors.learned.network_descriptor", "descriptors.towers.training", "slam.simulation.faults.registry",
+             "slam.simulation.degraded_log", "logs.importers.text_log", "logs.importers.detection_tables", "osmium",
+             "logs.importers.maps.osm", "slam.map_joining.joint_map", "slam.evaluation.comparison", "slam.sweeps.sweep",
+             "slam.localization.imported_map_editing", "slam.evaluation.report.text", "tools.evaluation.evaluate",
+             "tools.evaluation.compare", "multiprocessing.pool", "encodings.idna", "_strptime")  # fmt: skip
+"""What children would import again and again."""
 _SCRATCH = "/dev/shm" if Path("/dev/shm").is_dir() else None
 """Outputs are flushed to the disk before they get their names, which takes longer than the rest of most cases."""
 
@@ -40,6 +46,7 @@ def main() -> int:
     for module in _IMPORTED:
         with contextlib.suppress(ModuleNotFoundError):
             __import__(module)
+    make_app()
     with tempfile.TemporaryDirectory(prefix="fuzz-", dir=_SCRATCH) as folder:
         return fuzz(Path(folder), options)
 
@@ -63,6 +70,8 @@ def fuzz(folder: Path, options: argparse.Namespace) -> int:
         outcome = run(case.arguments, case_folder, limits)
         codes[outcome.code] += 1
         done += 1
+        if done % 1000 == 0:
+            print(f"{number + 1}: {done} cases in {time.monotonic() - started:.0f} s", flush=True)
         slowest, largest = max(slowest, outcome.seconds), max(largest, outcome.peak_bytes)
         found = judge(case.arguments, case.outputs, outcome, limits)
         for complaint in found:

@@ -171,7 +171,10 @@ def compute_windowed_errors(
     residuals: list[FloatArray] = []
     skipped = 0
     used = np.zeros(len(positions_est), dtype=np.bool_)
-    for start in np.arange(0.0, max(path_length_m - stride_m, 0.0) + 1e-9, stride_m):
+    count = float(np.ceil((max(path_length_m - stride_m, 0.0) + 1e-9) / stride_m))
+    numbers = _windows_of(seen_at_m, window_m, stride_m)
+    numbers = numbers[numbers < count]
+    for start in (stride_m * numbers).tolist():
         inside = (seen_at_m >= start) & (seen_at_m < start + window_m)
         if np.count_nonzero(inside) < least_landmarks or any(
             principal_spreads(points[inside, :2])[0] < STANDSTILL_M for points in (positions_est, positions_gt)
@@ -186,9 +189,17 @@ def compute_windowed_errors(
         residuals_m=np.linalg.norm(vectors, axis=1),
         horizontal_residuals_m=np.linalg.norm(vectors[:, :2], axis=1),
         window_count=len(residuals),
-        skipped_window_count=skipped,
+        skipped_window_count=int(min(count, 2.0**62)) - len(numbers) + skipped,
         landmark_count=int(np.count_nonzero(used)),
     )
+
+
+def _windows_of(seen_at_m: FloatArray, window_m: float, stride_m: float) -> FloatArray:
+    """Whole numbers (W,) of the windows in which anything was seen: a path that jumps may have 10^15 others."""
+    latest = np.floor(seen_at_m[np.isfinite(seen_at_m)] / stride_m)
+    earlier = np.arange(int(np.ceil(window_m / stride_m)) + 1)
+    numbers = np.unique(latest[:, None] - earlier)
+    return np.asarray(numbers[numbers >= 0.0])
 
 
 def evaluate_landmarks(

@@ -70,10 +70,18 @@ class TestGeoreference:
     def test_fixes_weigh_by_their_covariances(self) -> None:
         positions = path().T_map_body[:, :3, 3]
         good, bad = fixes_of(positions, 0.1), fixes_of(positions, 20.0, seed=3)
-        mixed = [good[i] if i % 2 else bad[i] for i in range(len(good))]
+        mixed = [bad[i] if i % 4 else good[i] for i in range(len(good))]
         found = find_georeference(path(), mixed)
         assert found is not None
         assert np.abs(TRUE.to_map(found.to_geodetic(positions)) - positions)[:, :2].max() < 0.15
+
+    def test_fixes_before_the_drive_say_nothing(self) -> None:
+        positions = path().T_map_body[:, :3, 3]
+        elsewhere = fixes_of(np.tile(positions[0] + np.array([500.0, 0.0, 0.0]), (300, 1)))
+        early = [replace(fix, stamp_ns=fix.stamp_ns - 10**12) for fix in elsewhere]
+        found = find_georeference(path(), early + fixes_of(positions))
+        assert found is not None
+        assert np.abs(TRUE.to_map(found.to_geodetic(positions)) - positions).max() < 1.0
 
     def test_a_path_too_short_or_few_fixes_tell_nothing(self) -> None:
         short = path(step_m=0.01)

@@ -38,3 +38,10 @@ def test_stamps_that_do_not_rise_change_no_velocity() -> None:
     source = FollowedSource()
     rows = [*range(20), 18, 19, *range(20, COUNT)]
     assert [source.follows(message(row, 1.0 * (row % 2))) for row in rows] == [row % 2 == 0 for row in rows]
+
+
+def test_stamps_that_never_rise_tell_no_source() -> None:
+    source = FollowedSource()
+    assert [source.follows(message(5, 1.0 * (row % 2))) for row in range(COUNT)] == [
+        row % 2 == 0 for row in range(COUNT)
+    ]

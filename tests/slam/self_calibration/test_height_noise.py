@@ -42,3 +42,20 @@ def test_too_few_objects_tell_nothing():
     none = np.zeros(20)
     alone = ObjectTracks(few, np.arange(20), np.ones((20, 2)), np.ones((20, 2)), few, none, none, none)
     assert estimate_height_noise(alone) == HeightNoise()
+
+
+def test_noise_that_changes_slowly_is_found_over_longer_times():
+    drive = tracks(0.02, 0.0, 0)
+    slow = 0.4 * np.sin(2.0 * np.pi * drive.scan / 60.0)
+    found = estimate_height_noise(replace(drive, heights=drive.heights + slow))
+    assert 0.25 < np.sqrt(found.common) < 0.5
+
+
+def test_objects_have_nothing_in_common_with_themselves():
+    scans = np.tile(np.arange(2000), 2)
+    track = np.repeat([0, 1], 2000)
+    heights = np.random.default_rng(3).normal(0.0, 0.5, 4000)
+    places, none = np.ones((4000, 2)), np.zeros(4000)
+    found = estimate_height_noise(ObjectTracks(track, scans, places, places, track, none, heights, none))
+    assert np.sqrt(found.own) == pytest.approx(0.5, rel=0.1)
+    assert np.sqrt(found.common) < 0.2

@@ -44,6 +44,14 @@ def test_drift_between_windows_does_not_count_but_noise_within_does() -> None:
     assert np.sqrt(np.mean(residuals**2)) == pytest.approx(0.3 * np.sqrt(3.0), rel=0.1)
 
 
+def test_a_path_with_a_jump_takes_no_longer() -> None:
+    positions, along = street(400, np.random.default_rng(0))
+    usual = compute_windowed_errors(positions, positions, along, 200.0)
+    jumped = compute_windowed_errors(positions, positions, np.where(along > 100.0, along + 1e15, along), 1e15 + 200.0)
+    assert jumped.landmark_count == usual.landmark_count == 400
+    assert jumped.window_count + jumped.skipped_window_count == 4e13 + 7
+
+
 def test_a_single_window_by_hand() -> None:
     # Four corners of a square, pushed out from their centre by 0.5 m.
     square = np.array([[1.0, 0, 0], [0, 1.0, 0], [-1.0, 0, 0], [0, -1.0, 0]])

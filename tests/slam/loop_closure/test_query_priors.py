@@ -1,0 +1,91 @@
+"""What is known of a query before it is registered: the way that the robot came, and how far the odometry may err."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from slam.backend.factor_graph import FactorGraph
+from slam.common.config import Config
+from slam.localization.pose_prior import failure_probability
+from slam.loop_closure.candidate import NOWHERE, Query
+from slam.loop_closure.query_priors import PASSED_RANGES, QueryPriors
+from slam.odometry.drift import KeyframeTrack
+from slam.odometry.keyframe import Keyframe
+from slam.place_recognition.place import Place
+from tests.slam.loop_closure.doubles import at, make_keyframe, make_query
+
+CONFIG = Config()
+STEP_M = 2.0
+COUNT = 100
+LATEST_M = STEP_M * (COUNT - 1)
+PLACE = Place(at(7.0), 0.0, 0, np.inf)
+
+
+def make_priors(keyframes: list[Keyframe], config: Config = CONFIG, *, bent_m: float = 0.0) -> QueryPriors:
+    """In whose graph the poses from the middle of the drive on are ``bent_m`` farther on."""
+    track = KeyframeTrack(config.odometry)
+    for keyframe in keyframes:
+        track.add(keyframe)
+
+    def pose(id: int) -> Any:
+        return at(keyframes[id].odometry.travel_m + (bent_m if 2 * id > COUNT else 0.0))
+
+    graph = cast(FactorGraph, SimpleNamespace(pose=pose))
+    return QueryPriors(config, track, graph, keyframes, np.zeros((0, 2)), cell_m=3.0)
+
+
+@pytest.fixture
+def keyframes() -> list[Keyframe]:
+    return [make_keyframe(number, STEP_M * number) for number in range(COUNT)]
+
+
+@pytest.fixture
+def query(keyframes: list[Keyframe]) -> Query:
+    return make_query(keyframes[-1])
+
+
+def test_the_path_is_where_the_robot_was_when_all_around_is_mapped(keyframes: list[Keyframe], query: Query) -> None:
+    path = make_priors(keyframes).path(query)
+    behind_m = -path[:, 0]
+    assert behind_m.min() >= PASSED_RANGES * CONFIG.detection.sensor_range_m
+    assert behind_m.min() < PASSED_RANGES * CONFIG.detection.sensor_range_m + STEP_M
+    assert CONFIG.submap.travel_m - STEP_M < behind_m.max() <= CONFIG.submap.travel_m
+
+
+def test_nothing_is_known_of_the_way_across_a_break(query: Query) -> None:
+    broken = [make_keyframe(number, STEP_M * number, segment=int(number >= COUNT - 15)) for number in range(COUNT)]
+    path = make_priors(broken).path(make_query(broken[-1]))
+    assert 0 < -path[:, 0].max() < -path[:, 0].min() <= STEP_M * 14
+
+
+def test_a_prior_follows_the_graph_from_the_reference_or_else_the_closure(
+    keyframes: list[Keyframe], query: Query
+) -> None:
+    priors = make_priors(keyframes, bent_m=5.0)
+    followed = priors.prior(query, PLACE, keyframes[3], NOWHERE)
+    np.testing.assert_allclose(followed.T_local_query, at(LATEST_M + 5.0), atol=1e-12)
+    np.testing.assert_array_equal(priors.prior(query, PLACE, keyframes[3], 20).T_local_query, PLACE.T_local_query)
+
+
+@pytest.mark.parametrize("since", [3, 60])
+def test_a_prior_is_as_wide_as_the_odometry_may_have_drifted_since(
+    keyframes: list[Keyframe], query: Query, since: int
+) -> None:
+    priors = make_priors(keyframes)
+    track = KeyframeTrack(CONFIG.odometry)
+    for keyframe in keyframes:
+        track.add(keyframe)
+    sigma_m, sigma_rad = track.drift_sigmas(since, COUNT - 1)
+    limits, inflation = CONFIG.loop_closure, CONFIG.odometry.inflation
+    for prior in (
+        priors.prior(query, PLACE, keyframes[since], NOWHERE),
+        priors.prior(query, PLACE, keyframes[0], since),
+    ):
+        assert prior.sigma_m == pytest.approx(np.hypot(inflation * sigma_m, limits.base_sigma_m))
+        assert prior.sigma_rad == pytest.approx(np.hypot(inflation * sigma_rad, np.deg2rad(limits.base_sigma_deg)))
+        travel_m = LATEST_M - STEP_M * since
+        assert prior.failure_probability == failure_probability(CONFIG.localization.failures_per_km, travel_m)
