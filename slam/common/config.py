@@ -67,6 +67,8 @@ class OdometryConfig(_Branch):
         default=5.0, gt=0, description="a step that would need more than that is one, too [m/s^2]"
     )
     time_offset_s: float = Field(default=0.0, description="added to the stamps of the odometry [s]")
+    length_scale: float = Field(default=1.0, gt=0, description="factor on the lengths of the odometry's steps")
+    turn_scale: float = Field(default=1.0, gt=0, description="factor on its turns about the vertical")
     sources: int = Field(
         default=1,
         ge=1,
@@ -111,6 +113,7 @@ class DetectionConfig(_Branch):
         description="range that 95 % of the detections keep; lengths that are no settings are fractions of it [m]",
     )
 
+    range_scale: float = Field(default=1.0, gt=0, description="factor on the positions of detections in their sensor")
     claimed_sigma_factor: float = Field(
         default=1.0, gt=0, description="factor on the standard deviations that messages claim"
     )

@@ -15,7 +15,7 @@ from pydantic import BaseModel
 from slam.common.config import Config, DetectionConfig
 from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.self_calibration.label_noise import LabelNoise
-from slam.self_calibration.survey import NOTED_DETOUR, Survey
+from slam.self_calibration.survey import NOTED_DETOUR, NOTED_SHARE, Survey
 from slam.self_calibration.variance_components import NoiseComponents
 
 LENGTHS: Mapping[str, int] = {
@@ -76,8 +76,6 @@ odometry is moved; beyond that, detections were old when they were stamped.
 """
 FEW_SCANS = 5.0
 """While an object comes from the median range to the body it should be seen so often."""
-NOTED_LENGTH_SHARE = 0.03
-NOTED_TURN_SHARE = 0.03
 NO_DELAYS = LoggingDelays()
 TURNS = ("roll_deg", "pitch_deg", "yaw_deg")
 DEFAULT_RANGE_M = float(DetectionConfig.model_fields["sensor_range_m"].get_default())
@@ -148,12 +146,19 @@ def _notes(config: Config, survey: Survey, estimated: Mapping[str, float]) -> tu
             "or the odometry is mirrored: detections are turned (detection.roll_deg, pitch_deg, yaw_deg); check the "
             "frames"
         )
-    if abs(errors.turn_share) > NOTED_TURN_SHARE:
+    if (scale := estimated.get("odometry.turn_scale", 1.0)) != 1.0:
         notes.append(
-            f"the odometry's turns seem {100 * abs(errors.turn_share):.0f} % too "
-            f"{'small' if errors.turn_share > 0 else 'large'}: not corrected; check its calibration"
+            f"the odometry's turns seem {100 * abs(1.0 - 1.0 / scale):.0f} % too "
+            f"{'small' if scale > 1.0 else 'large'}: corrected (odometry.turn_scale); check its calibration"
         )
-    if abs(errors.length_share) > NOTED_LENGTH_SHARE:
+    if (scale := estimated.get("odometry.length_scale", 1.0)) != 1.0:
+        short, long = ("short", "long") if scale > 1.0 else ("long", "short")
+        notes.append(
+            f"the odometry's lengths seem {100 * abs(1.0 - 1.0 / scale):.0f} % too {short}: corrected "
+            f"(odometry.length_scale); or the ranges of detections are too {long}: then say --set "
+            f"odometry.length_scale=1 --set detection.range_scale={1.0 / scale:.3g}"
+        )
+    elif abs(errors.length_share) > NOTED_SHARE:
         notes.append(
             f"the odometry's lengths seem {100 * abs(errors.length_share):.0f} % too "
             f"{'short' if errors.length_share > 0 else 'long'}, or the ranges of detections too "
@@ -208,6 +213,8 @@ def _corrections(survey: Survey, delays: LoggingDelays) -> dict[str, float]:
         "odometry.time_offset_s": -errors.delay_s if of_odometry else 0.0,
         "detection.time_offset_s": 0.0 if of_odometry else errors.delay_s,
         "detection.claimed_sigma_factor": _claimed_factor(survey),
+        **({"odometry.length_scale": survey.length_scale} if survey.length_scale != 1.0 else {}),
+        **({"odometry.turn_scale": survey.turn_scale} if survey.turn_scale != 1.0 else {}),
         **({"odometry.sources": survey.sources} if survey.sources > 1 else {}),
         **_label_settings(survey.labels),
         **{f"detection.{name}": angle for name, angle in zip(TURNS, survey.turned_deg, strict=True) if angle},

@@ -14,6 +14,7 @@ from slam.common.config import AssociationConfig, DetectionConfig
 from slam.common.geometry import apply, interpolate, invert, transform_from_xyz_yaw, yaw_rad
 from slam.frontend.input.scan import is_wanted
 from slam.frontend.input.sensor_frames import SensorFrames, corrected
+from slam.odometry.scaled_odometry import ScaledOdometry
 from slam.odometry.sources import FollowedSource
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
 from slam.self_calibration.height_noise import HeightNoise, estimate_height_noise
@@ -35,6 +36,10 @@ SAME_VIEW_RAD = 0.05
 """Change of the viewing direction within which scans may repeat the errors of one another: what errs by the view is a
 variance component of its own.
 """
+NOTED_SHARE, MOST_SHARE = 0.03, 0.5
+"""Lengths and turns of the odometry that are wrong by such a share are corrected; more is no matter of calibration."""
+LEAST_SHARE = 0.005
+"""... and what is then left of them, as long as it is more than that."""
 MOST_REPEATED = 16
 NOTED_DETOUR = 1.5
 """Poses of one source hardly ever go back with every other message."""
@@ -53,6 +58,7 @@ class Survey:
     does; ``shared_bias_m``: the rms bias that centroids of a class share; ``components`` is None where too few objects
     could be tracked; ``labels``: how far they can be trusted; ``heights``: how much the heights of detections vary;
     ``turned_deg``: roll, pitch and yaw by which detections had to be turned beyond the transform of their sensor;
+    ``length_scale``, ``turn_scale``: factors by which the odometry's lengths and turns had to be corrected;
     ``detour``: the length of the odometry's path by that of its every second message; ``sources``: how many of them
     there are, two where one that is told apart from the other makes no detour.
     """
@@ -78,6 +84,8 @@ class Survey:
     turned_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     detour: float = 1.0
     sources: int = 1
+    length_scale: float = 1.0
+    turn_scale: float = 1.0
 
 
 def survey(
@@ -111,14 +119,24 @@ def survey(
         is_turned = abs(found.yaw_rad) > NOTED_YAW_RAD and not is_yaw_given
         if is_turned:
             config = config.model_copy(update={"yaw_deg": config.yaw_deg + float(np.rad2deg(found.yaw_rad))})
-        if found.delay_s == 0.0 and not is_turned:
+        is_scaled = gathered.scale_odometry(found)
+        if found.delay_s == 0.0 and not is_turned and not is_scaled:
             break
     scans = gathered.scans(config, errors.delay_s)
     if not any(np.any(scan.positions) for scan in scans):
         return None
     turned_deg = (config.roll_deg, config.pitch_deg, (config.yaw_deg + 180.0) % 360.0 - 180.0)
     told = summarize(scans, errors, gathered.tracks(scans))
-    return replace(told, turned_deg=turned_deg, labels=labels, detour=detour, sources=sources)
+    length_scale, turn_scale = gathered.scales
+    return replace(
+        told,
+        turned_deg=turned_deg,
+        labels=labels,
+        detour=detour,
+        sources=sources,
+        length_scale=length_scale,
+        turn_scale=turn_scale,
+    )
 
 
 def _oriented(gathered: _Gathered, config: DetectionConfig) -> DetectionConfig:
@@ -237,6 +255,8 @@ class _Gathered:
         self._count = 0
         self._latest: tuple[tuple[str, float, int], list[SurveyScan]] | None = None
         self._followed: tuple[list[SurveyScan], ObjectTracks] | None = None
+        self.scales = 1.0, 1.0
+        """Factors by which lengths and turns of the odometry were corrected."""
 
     def add(self, record: Record) -> int:
         """Take in a record; returns the detections so far."""
@@ -310,6 +330,20 @@ class _Gathered:
         if self.detour() > NOTED_DETOUR:
             self._odometry = both
         return len(self._odometry) < len(both)
+
+    def scale_odometry(self, errors: InputErrors) -> bool:
+        """Correct the lengths and turns of the odometry; returns whether there was anything to correct."""
+        length, turn = (
+            1.0 + share if (NOTED_SHARE if scale == 1.0 else LEAST_SHARE) < abs(share) < MOST_SHARE else 1.0
+            for scale, share in zip(self.scales, (errors.length_share, errors.turn_share), strict=True)
+        )
+        if (length, turn) == (1.0, 1.0):
+            return False
+        self.scales = self.scales[0] * length, self.scales[1] * turn
+        scaled = ScaledOdometry(length_scale=length, turn_scale=turn)
+        self._odometry = [scaled.correct(odometry) for odometry in self._odometry]
+        self._latest = None
+        return True
 
     def motion(self, scans: list[SurveyScan], delay_s: float) -> BodyMotion:
         """How the body moves at the scans, by the odometry half an interval of the scans before and after each."""

@@ -88,9 +88,14 @@ def scale_travel(stream: Stream, rng: np.random.Generator, factor: float) -> lis
 
 def invert_yaw(stream: Stream, rng: np.random.Generator) -> list[Entry]:
     """The heading turns the other way: the sign of the gyroscope is wrong."""
+    return scale_turns(stream, rng, -1.0)
+
+
+def scale_turns(stream: Stream, rng: np.random.Generator, factor: float) -> list[Entry]:
+    """The heading turns more or less by a factor: the track of the wheels, or the gyroscope, is not calibrated."""
     _, T_odom_body = odometry_of(stream)
     steps = _steps(T_odom_body)
-    back = transform_from_xyz_yaw(np.zeros((len(steps), 3)), -2.0 * yaw_rad(steps))
+    back = transform_from_xyz_yaw(np.zeros((len(steps), 3)), (factor - 1.0) * yaw_rad(steps))
     steps[:, :3, :3] = back[:, :3, :3] @ steps[:, :3, :3]
     return _with_poses(stream, _chain(T_odom_body[0], steps))
 

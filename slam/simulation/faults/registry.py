@@ -140,6 +140,7 @@ _OF_ODOMETRY = (
         (_seconds(10.0),),
     ),
     Fault("odometry_scale", "its travel is multiplied", odometry.scale_travel, _ODOMETRY, (_factor(1.2),)),
+    Fault("odometry_turns", "its turns are multiplied", odometry.scale_turns, _ODOMETRY, (_factor(1.1),)),
     Fault("odometry_yaw_inverted", "its heading turns the other way", odometry.invert_yaw, _ODOMETRY),
     Fault(
         "gyro_bias",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from slam.common.config import Config
+from slam.common.config import Config, OdometryConfig
 from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.self_calibration.calibration import LEAST_DRIFT, LEAST_TURN_RAD, LENGTHS, calibrate
 from slam.self_calibration.height_noise import HeightNoise
@@ -224,19 +224,33 @@ def test_covariances_that_are_far_off_are_scaled(surveyed, ratio, factor):
     assert any("scaled" in note for note in calibration.notes) == (factor != 1.0)
 
 
-def test_wrong_turns_lengths_and_sensors_are_told(surveyed):
-    wrong = replace(surveyed, errors=InputErrors(turn_share=0.05, length_share=-0.04), turned_deg=(180.0, 0.0, 0.0))
-    notes = " ".join(calibrate(Config(), wrong).notes)
+def test_wrong_turns_lengths_and_sensors_are_corrected_and_told(surveyed):
+    wrong = replace(surveyed, turn_scale=1.25, length_scale=0.8, turned_deg=(180.0, 0.0, 0.0))
+    calibration = calibrate(Config(), wrong)
+    notes = " ".join(calibration.notes)
     for told in (
-        "turns seem 5 % too small",
-        "lengths seem 4 % too long, or the ranges of detections too short",
+        "turns seem 20 % too small: corrected",
+        "lengths seem 25 % too long: corrected (odometry.length_scale); or the ranges of detections are too short: "
+        "then say --set odometry.length_scale=1 --set detection.range_scale=1.25",
         "turned by roll 180, pitch 0, yaw 0 deg",
     ):
         assert told in notes
+    assert (calibration.config.odometry.turn_scale, calibration.config.odometry.length_scale) == (1.25, 0.8)
+    by_hand = calibrate(Config(odometry=OdometryConfig(turn_scale=1.0, length_scale=1.0)), wrong)
+    assert (by_hand.config.odometry.turn_scale, by_hand.config.odometry.length_scale) == (1.0, 1.0)
+    assert "turns" not in " ".join(by_hand.notes)
     right = replace(surveyed, errors=InputErrors(turn_share=0.02, length_share=0.02))
     notes = " ".join(calibrate(Config(), right).notes)
     assert "turn" not in notes
     assert "lengths" not in notes
+
+
+def test_lengths_that_no_calibration_explains_are_told_and_not_corrected(surveyed):
+    calibration = calibrate(Config(), replace(surveyed, errors=InputErrors(length_share=-0.9)))
+    assert "lengths seem 90 % too long, or the ranges of detections too short: not corrected" in " ".join(
+        calibration.notes
+    )
+    assert calibration.config.odometry.length_scale == 1.0
 
 
 def test_the_accuracy_of_labels_is_that_of_the_log(surveyed):

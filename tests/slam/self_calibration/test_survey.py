@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from logs.messages import ObjectDetections, Odometry, Record, Transform
 from slam.common.config import DetectionConfig
-from slam.common.geometry import transform_from_xyz_yaw
+from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.odometry.scaled_odometry import ScaledOdometry
 from slam.self_calibration import survey as module
 from slam.self_calibration.survey import summarize, survey
 from tests.helpers.surveyed_drives import SurveyedDrive
@@ -172,6 +173,49 @@ def test_a_sensor_that_is_turned_is_turned_back(yaw_deg):
     found = survey(turned_records(yaw_deg), DetectionConfig(assume_body_frame=True))
     assert found.turned_deg == pytest.approx((0.0, 0.0, yaw_deg), abs=2.0)
     assert found.errors.yaw_rad == 0.0 or abs(found.errors.yaw_rad) < np.deg2rad(2.0)
+
+
+def scaled_records(length: float, turn: float) -> list[Record]:
+    """A drive whose odometry has its lengths and turns multiplied by factors."""
+    wrong = ScaledOdometry(length_scale=length, turn_scale=turn)
+    return [wrong.correct(each) if isinstance(each, Odometry) else each for each in turned_records(0.0)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("length", [1.0, 1.2, 0.8])
+def test_lengths_of_the_odometry_are_corrected(length):
+    found = survey(scaled_records(length, 1.0), DetectionConfig(assume_body_frame=True))
+    assert found.length_scale == pytest.approx(1.0 / length, abs=0.02)
+    assert found.turn_scale == 1.0
+
+
+def winding_records(turn: float) -> list[Record]:
+    """A drive along the arcs of an eight, among stems, whose odometry has its turns multiplied by a factor."""
+    rng = np.random.default_rng(0)
+    stems = np.column_stack([rng.uniform(-25.0, 25.0, (60, 2)), np.zeros(60)])
+    rates = np.where(np.arange(600) % 200 < 100, 0.06, -0.06)
+    T, wrong, records = np.eye(4), ScaledOdometry(length_scale=1.0, turn_scale=turn), list[Record]()
+    for row, rate in enumerate(rates):
+        T = T @ transform_from_xyz_yaw(0.4 * np.array([np.cos(rate / 2), np.sin(rate / 2), 0.0]), rate)
+        seen = apply(invert(T), stems)
+        seen = seen[np.hypot(seen[:, 0], seen[:, 1]) < 20.0] + rng.normal(0.0, 0.02, 3)
+        stamp_ns = 10**8 * row
+        records.append(wrong.correct(Odometry(stamp_ns, T)))
+        records.append(ObjectDetections(stamp_ns, "base_link", seen, tuple("stem" for _ in seen), np.ones(len(seen))))
+    return records
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("turn", [1.0, 1.1, 0.85])
+def test_turns_of_the_odometry_are_corrected(turn):
+    found = survey(winding_records(turn), DetectionConfig(assume_body_frame=True))
+    assert found.turn_scale == pytest.approx(1.0 / turn, abs=0.01)
+    assert found.length_scale == 1.0
+
+
+def test_lengths_that_are_off_beyond_all_calibration_are_left():
+    found = survey(scaled_records(4.0, 1.0), DetectionConfig(assume_body_frame=True))
+    assert found.length_scale == 1.0
 
 
 def test_an_angle_that_was_set_by_hand_is_kept():

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from logs.messages import ObjectDetections, Odometry
-from slam.common.config import Config, OdometryConfig
+from slam.common.config import Config, DetectionConfig, OdometryConfig
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.frontend.input.input_records import InputRecords
 from slam.frontend.input.label_map import LabelMap
@@ -53,3 +55,16 @@ def test_of_two_sources_of_odometry_that_of_the_first_message_is_used() -> None:
         config = Config(odometry=OdometryConfig(sources=sources))
         inputs = InputRecords(config, LabelMap(config.labels), SensorFrames())
         assert list(inputs.prepare(messages)) == messages[::step]
+
+
+def test_lengths_are_scaled_as_the_settings_say() -> None:
+    poses = [transform_from_xyz_yaw(np.array([float(row), 0.0, 0.0]), 0.0) for row in range(3)]
+    seen = replace(scan(5, ROW), covariances=np.tile(np.eye(3), (2, 1, 1)))
+    config = Config(odometry=OdometryConfig(length_scale=1.5), detection=DetectionConfig(range_scale=0.5))
+    inputs = InputRecords(config, LabelMap(config.labels), SensorFrames())
+    *moved, found = inputs.prepare([*(Odometry(row, T) for row, T in enumerate(poses)), seen])
+    assert [each.T_odom_body[0, 3] for each in moved if isinstance(each, Odometry)] == [0.0, 1.5, 3.0]
+    assert isinstance(found, ObjectDetections)
+    np.testing.assert_allclose(found.positions, 0.5 * np.array(ROW))
+    assert found.covariances is not None
+    np.testing.assert_allclose(found.covariances[0], 0.25 * np.eye(3))

@@ -97,6 +97,11 @@ def test_the_heading_turns_the_other_way() -> None:
     assert steps(faulty("odometry_yaw_inverted"))[:, :3, 3] == pytest.approx(steps(drive())[:, :3, 3])
 
 
+def test_turns_are_multiplied() -> None:
+    assert yaw_rad(steps(faulty("odometry_turns=1.1"))) == pytest.approx(1.1 * yaw_rad(steps(drive())))
+    assert steps(faulty("odometry_turns=1.1"))[:, :3, 3] == pytest.approx(steps(drive())[:, :3, 3])
+
+
 def test_the_gyroscope_is_biased_for_a_while() -> None:
     errors = yaw_rad(step_errors("gyro_bias=3:2"))
     assert changed_steps("gyro_bias=3:2") == list(range(HALF, HALF + 20))

@@ -1,0 +1,65 @@
+"""Odometry with lengths and turns that are wrong by a factor, against the path that it should have told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from logs.messages import Odometry
+from slam.common.arrays import FloatArray
+from slam.common.geometry import invert, transform_from_xyz_yaw, yaw_rad
+from slam.odometry.scaled_odometry import ScaledOdometry
+
+COUNT = 400
+
+
+def chained(step_m: float, turns_rad: FloatArray) -> FloatArray:
+    """Poses (K, 4, 4) after steps that go along the chord of their turns, from a pose of its own."""
+    poses = [transform_from_xyz_yaw(np.array([3.0, -2.0, 0.5]), 0.7)]
+    for turn_rad in turns_rad:
+        chord = transform_from_xyz_yaw(step_m * np.array([np.cos(turn_rad / 2), np.sin(turn_rad / 2), 0.0]), turn_rad)
+        poses.append(poses[-1] @ chord)
+    return np.array(poses)
+
+
+def corrected(poses: FloatArray, *, length_scale: float = 1.0, turn_scale: float = 1.0) -> FloatArray:
+    scaled = ScaledOdometry(length_scale=length_scale, turn_scale=turn_scale)
+    return np.array([scaled.correct(Odometry(k, T, "o", "b")).T_odom_body for k, T in enumerate(poses)])
+
+
+def turns(seed: int = 0) -> FloatArray:
+    return np.random.default_rng(seed).uniform(-0.2, 0.25, COUNT)
+
+
+@pytest.mark.parametrize(("length", "turn"), [(1.25, 1.0), (0.8, 0.9), (1.0, 1.2)])
+def test_the_path_is_that_of_the_right_lengths_and_turns(length: float, turn: float):
+    true = chained(0.5, turns())
+    wrong = chained(0.5 / length, turns() / turn)
+    np.testing.assert_allclose(corrected(wrong, length_scale=length, turn_scale=turn), true, atol=1e-6)
+
+
+def test_roll_and_pitch_stay():
+    tilt = np.eye(4)
+    tilt[:3, :3] = Rotation.from_euler("xy", [0.2, -0.1]).as_matrix()
+    poses = chained(0.5, turns()) @ tilt
+    found = corrected(poses, turn_scale=1.3)
+    np.testing.assert_allclose(found[:, 2, :3], poses[:, 2, :3], atol=1e-12)
+    assert abs(float(yaw_rad(invert(poses[-1]) @ found[-1]))) > 0.1
+
+
+def test_a_message_that_is_far_off_moves_the_path_little():
+    poses = chained(0.5, turns())
+    wild = poses.copy()
+    wild[200] = wild[200] @ transform_from_xyz_yaw(np.array([900.0, 40.0, 0.0]), 1.0)
+    before, after = (corrected(each, length_scale=1.1, turn_scale=1.1) for each in (poses, wild))
+    np.testing.assert_allclose(after[201:, :2, 3], before[201:, :2, 3], atol=0.5)
+
+
+def test_a_repeated_pose_is_repeated_to_the_last_digit():
+    poses = np.repeat(chained(0.5, turns()[:20]), 2, axis=0)
+    found = corrected(poses, length_scale=1.1, turn_scale=0.9)
+    assert found[::2].tobytes() == found[1::2].tobytes()
+    scaled = ScaledOdometry(length_scale=1.1, turn_scale=0.9)
+    first, again = (scaled.correct(Odometry(k, poses[4], "o", "b")) for k in range(2))
+    assert again.T_odom_body is first.T_odom_body
