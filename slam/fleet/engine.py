@@ -102,9 +102,10 @@ def open_engine(workers: int, *, address: str | None = None) -> Iterator[Engine]
 
     try:
         ray.init(**_ray_options(workers, address))
-    except (ConnectionError, RuntimeError, ValueError) as error:
+    except Exception as error:  # Ray raises that itself where its processes do not come up
         where = f"at {address}" if address else "on this machine"
-        raise FleetError(f"Ray cannot be started {where}: {str(error).splitlines()[0]}") from error
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise FleetError(f"Ray cannot be started {where}: {reason}") from error
     try:
         yield RayEngine(ray)
     finally:

@@ -91,11 +91,9 @@ def map_fleet(
         progress: called with the fraction done and what is being done.
 
     Raises:
-        FleetError: no log, or none that could be mapped.
+        FleetError: no log could be mapped.
         LogError: a log that cannot be read, or a file that cannot be written.
     """
-    if not logs:
-        raise FleetError("no log was given; name one at least")
     digests = {log.name: file_sha256(log.path) for log in logs}
     sessions, folders = _map_sessions(logs, digests, folder, config, engine, progress)
     order = _ordered(sessions)

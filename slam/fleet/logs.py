@@ -34,9 +34,11 @@ def find_logs(sources: Sequence[str], manifest: Path | None, cache: Path) -> lis
         cache: folder for what is fetched.
 
     Raises:
-        FleetError: a manifest that cannot be read, a log that is not there, or a URL without fsspec.
+        FleetError: no log at all, a manifest that cannot be read, a log that is not there, or a URL without fsspec.
     """
     named = dict.fromkeys([*sources, *(_listed(manifest) if manifest is not None else ())])
+    if not named:
+        raise FleetError("no log was given; name one at least")
     return [FleetLog(name, _fetched(name, cache) if _REMOTE in name else _checked(Path(name))) for name in named]
 
 

@@ -90,8 +90,12 @@ def fuzz(folder: Path, options: argparse.Namespace) -> int:
 
 def _keep(case_folder: Path, target: Path, arguments: list[str]) -> None:
     shutil.rmtree(target, ignore_errors=True)
-    shutil.copytree(case_folder, target)
+    shutil.copytree(case_folder, target, symlinks=True, ignore=_pipes)
     (target / "arguments.json").write_text(json.dumps(arguments))
+
+
+def _pipes(folder: str, names: list[str]) -> list[str]:
+    return [name for name in names if (Path(folder) / name).is_fifo()]
 
 
 if __name__ == "__main__":

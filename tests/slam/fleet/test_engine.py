@@ -61,3 +61,14 @@ def test_a_cluster_needs_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(FleetError, match="pip install"), open_engine(2, address="10.0.0.1:6379"):
         pass
+
+
+def test_a_cluster_that_does_not_come_up_is_told_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    ray = pytest.importorskip("ray", reason="Ray is not installed")
+
+    def init(**_: object) -> None:
+        raise Exception("the node timed out\nand much more")
+
+    monkeypatch.setattr(ray, "init", init)
+    with pytest.raises(FleetError, match=r"Ray cannot be started on this machine: the node timed out$"), open_engine(1):
+        pass

@@ -35,3 +35,9 @@ def test_a_manifest_that_is_no_text_is_told(tmp_path: Path) -> None:
     (tmp_path / "list.txt").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(FleetError, match="manifest"):
         find_logs([], tmp_path / "list.txt", tmp_path / "cache")
+
+
+def test_an_empty_manifest_names_no_log(tmp_path: Path) -> None:
+    (tmp_path / "list.txt").write_text("# none\n")
+    with pytest.raises(FleetError, match="no log was given"):
+        find_logs([], tmp_path / "list.txt", tmp_path / "cache")
