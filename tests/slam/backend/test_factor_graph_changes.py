@@ -1,0 +1,198 @@
+"""The factor graph: landmarks that are merged and removed, edges that go, segments that a closure joins."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import MIN_RANGE_RANGES, Edge, EdgeKind, Observation
+from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from tests.slam.backend.graphs import (
+    KEYFRAMES,
+    OFTEN_SEEN,
+    PLAIN,
+    SEEN_COVARIANCE,
+    assert_is_true,
+    assert_same_estimate,
+    build,
+    edge,
+    noisy_edges,
+    sightings,
+)
+
+
+@pytest.mark.parametrize("sensor_range_m", [1.5, 30.0, 600.0])
+def test_an_object_on_top_of_the_sensor_is_passed_over(sensor_range_m):
+    graph = FactorGraph(PLAIN, sensor_range_m=sensor_range_m)
+    graph.add_first_keyframe(0, np.eye(4))
+    least_m = MIN_RANGE_RANGES * sensor_range_m
+    near, far = np.array([0.99 * least_m, 0, 0]), np.array([0, 1.01 * least_m, 0])
+    assert graph.add_observations([Observation(0, 50, near, SEEN_COVARIANCE)]) == 0
+    assert graph.add_observations([Observation(0, 51, np.zeros(3), SEEN_COVARIANCE)]) == 0
+    assert graph.add_observations([Observation(0, 52, far, SEEN_COVARIANCE)]) == 1
+    graph.update()
+    assert graph.landmarks.tolist() == [52]
+
+
+@pytest.mark.parametrize(
+    "covariance_inflation",
+    [1.0, 50.0],
+)
+def test_merged_landmarks_are_as_if_all_had_seen_one(covariance_inflation):
+    observations = [replace(o, covariance_inflation=covariance_inflation) for o in sightings()]
+    split = [replace(o, landmark=99) if o.landmark == OFTEN_SEEN and o.keyframe % 2 else o for o in observations]
+    assert sum(o.landmark == 99 for o in split) > 1
+    merged, whole = build(noisy_edges(), split), build(noisy_edges(), observations)
+    merged.merge_landmarks(OFTEN_SEEN, 99)
+    merged.optimize()
+    whole.optimize()
+    assert_same_estimate(merged, whole, atol=1e-4)
+
+
+def test_a_removed_landmark_is_as_if_it_had_never_been_seen():
+    without = [o for o in sightings() if o.landmark not in (2, 4)]
+    graph, reference = build(noisy_edges(), sightings()), build(noisy_edges(), without)
+    graph.remove_landmark(2)
+    graph.remove_landmark(4)
+    graph.remove_landmark(77)
+    graph.optimize()
+    reference.optimize()
+    assert_same_estimate(graph, reference, atol=1e-4)
+    assert all(not isinstance(f, Observation) or f.landmark not in (2, 4) for f in graph.factors.values())
+
+
+def test_a_landmark_removed_before_any_update_leaves_nothing_behind():
+    graph = build(noisy_edges(), [])
+    graph.add_observations([Observation(3, 1, np.array([5.0, 0, 0]), SEEN_COVARIANCE)])
+    graph.remove_landmark(1)
+    graph.update()
+    assert graph.landmarks.tolist() == []
+    assert graph.optimize().converged
+
+
+@pytest.mark.parametrize(
+    "update_between",
+    [True, False],
+)
+def test_a_removed_landmark_may_be_seen_again(update_between):
+    graph = build(noisy_edges(), sightings())
+    graph.remove_landmark(4)
+    if update_between:
+        graph.update()
+    graph.add_observations([o for o in sightings() if o.landmark == 4])
+    graph.optimize()
+    assert_is_true(graph)
+
+
+def test_a_removed_edge_is_in_force_no_longer():
+    graph = build(noisy_edges(), sightings())
+    tight = Edge(0, 6, np.eye(4), 1e-6 * np.eye(6), "odometry")
+    number = graph.add_edge(tight)
+    graph.optimize()
+    with pytest.raises(AssertionError):
+        assert_is_true(graph)
+    graph.remove_factor(number)
+    graph.optimize()
+    assert_is_true(graph)
+    assert number not in graph.factors
+
+
+def test_an_update_with_nothing_new_changes_nothing():
+    graph = build(noisy_edges(), sightings())
+    before = graph.poses()
+    graph.update()
+    graph.update()
+    np.testing.assert_array_equal(graph.poses(), before)
+    FactorGraph(PLAIN).update()
+
+
+def test_the_record_holds_the_graph():
+    observations = [replace(o, covariance_inflation=3.0) for o in sightings()]
+    graph = build(noisy_edges(), observations)
+    graph.optimize()
+    record = graph.to_record(9, np.arange(KEYFRAMES))
+    assert record.keyframe_ids.tolist() == list(range(KEYFRAMES))
+    np.testing.assert_array_equal(record.T_map_body, graph.poses())
+    assert record.edge_keyframe_ids.tolist() == [[i, i + 1] for i in range(KEYFRAMES - 1)]
+    assert record.edge_kinds == ("odometry",) * (KEYFRAMES - 1)
+    assert list(zip(record.observation_keyframe_ids.tolist(), record.observation_landmark_ids, strict=True)) == [
+        (o.keyframe, str(o.landmark)) for o in observations
+    ]
+    np.testing.assert_allclose(record.observation_covariances[0], 3.0 * SEEN_COVARIANCE)
+
+
+def test_an_edge_is_of_a_kind_that_logs_know():
+    assert edge(0, 1, np.eye(4), "closure").kind is EdgeKind.LOOP_CLOSURE
+    with pytest.raises(ValueError, match="guess"):
+        edge(0, 1, np.eye(4), "guess")
+
+
+def test_the_record_of_a_graph_without_edges_and_observations():
+    graph = FactorGraph(PLAIN)
+    graph.add_first_keyframe(0, np.eye(4))
+    graph.optimize()
+    record = graph.to_record(0, np.array([1]))
+    assert record.edge_transforms.shape == (0, 4, 4)
+    assert record.edge_keyframe_ids.shape == (0, 2)
+    assert record.observation_positions.shape == (0, 3)
+    assert graph.landmark_positions(graph.landmarks).shape == (0, 3)
+    assert graph.landmark_covariances(graph.landmarks).shape == (0, 3, 3)
+
+
+def test_what_only_a_break_tied_is_moved_as_a_whole_to_where_the_closure_puts_it():
+    graph = FactorGraph(PLAIN)
+    tight, loose = np.diag(np.repeat([1e-6, 1e-4], 3)), np.diag(np.repeat([1.0, 1e4], 3))
+    step = transform_from_xyz_yaw(np.array([2.0, 0.0, 0.0]), 0.0)
+    graph.add_first_keyframe(0, np.eye(4))
+    graph.add_next_keyframe(Edge(0, 1, step, tight, EdgeKind.ODOMETRY))
+    graph.add_next_keyframe(Edge(1, 2, np.eye(4), loose, EdgeKind.DISCONTINUITY))
+    graph.add_next_keyframe(Edge(2, 3, step, tight, EdgeKind.ODOMETRY))
+    seen = [(0, 5, [4.0, 3.0, 0.0]), (1, 5, [2.0, 3.0, 0.0]), (2, 6, [4.0, 3.0, 0.0]), (3, 6, [2.0, 3.0, 0.0])]
+    graph.add_observations([Observation(k, row, np.array(at), SEEN_COVARIANCE) for k, row, at in seen])
+    graph.update()
+    T_far = transform_from_xyz_yaw(np.array([-60.0, 45.0, 0.0]), 2.5)
+    graph.add_joining_edge(Edge(0, 2, T_far, tight, EdgeKind.LOOP_CLOSURE), np.array([2, 3]))
+    (break_now,) = (f for f in graph.factors.values() if isinstance(f, Edge) and f.kind == EdgeKind.DISCONTINUITY)
+    np.testing.assert_allclose(break_now.T_from_to, invert(step) @ T_far, atol=0.01)
+    np.testing.assert_allclose(graph.pose(3), T_far @ step, atol=0.1)
+    np.testing.assert_allclose(graph.landmark_positions(np.array([5])), [[4.0, 3.0, 0.0]], atol=1e-6)
+    graph.optimize()
+    expected = [[4.0, 3.0, 0.0], apply(T_far, np.array([[4.0, 3.0, 0.0]]))[0]]
+    np.testing.assert_allclose(graph.landmark_positions(np.array([5, 6])), expected, atol=1e-3)
+    np.testing.assert_allclose(graph.pose(3), T_far @ step, atol=1e-3)
+
+
+def test_an_edge_that_joins_segments_bends_neither():
+    """Both segments are as straight after the joining as before, though the edge was far from the first estimate."""
+    graph = FactorGraph(PLAIN)
+    soft, loose = np.diag(np.repeat([1e-2, 1.0], 3)), np.diag(np.repeat([1.0, 1e4], 3))
+    step = transform_from_xyz_yaw(np.array([2.0, 0.0, 0.0]), 0.0)
+    graph.add_first_keyframe(0, np.eye(4))
+    graph.add_next_keyframe(Edge(0, 1, step, soft, EdgeKind.ODOMETRY))
+    graph.add_next_keyframe(Edge(1, 2, np.eye(4), loose, EdgeKind.DISCONTINUITY))
+    graph.add_next_keyframe(Edge(2, 3, step, soft, EdgeKind.ODOMETRY))
+    T_far = transform_from_xyz_yaw(np.array([3.0, 2.5, 0.0]), 0.4)
+    number = graph.add_joining_edge(Edge(0, 3, T_far, soft, EdgeKind.LOOP_CLOSURE), np.array([2, 3]))
+    np.testing.assert_allclose(graph.poses(), [np.eye(4), step, T_far @ invert(step), T_far], atol=1e-9)
+    graph.remove_factor(number)
+    graph.update()
+    assert number not in graph.factors
+
+
+def test_an_edge_whose_covariance_is_replaced_counts_by_the_new_one():
+    T_0_1 = transform_from_xyz_yaw(np.array([1.0, 0.0, 0.0]), 0.0)
+    graph = FactorGraph(PLAIN)
+    graph.add_first_keyframe(0, np.eye(4))
+    graph.add_next_keyframe(Edge(0, 1, T_0_1, 0.01 * np.eye(6), "odometry"))
+    other = transform_from_xyz_yaw(np.array([2.0, 0.0, 0.0]), 0.0)
+    graph.add_edge(Edge(0, 1, other, 0.01 * np.eye(6), "odometry"))
+    graph.optimize()
+    assert graph.pose(1)[0, 3] == pytest.approx(1.5, abs=1e-3)
+    first = min(number for number, each in graph.factors.items() if isinstance(each, Edge))
+    graph.replace_covariances({first: 0.03 * np.eye(6)})
+    graph.optimize()
+    assert graph.pose(1)[0, 3] == pytest.approx(1.75, abs=1e-3)
+    assert graph.factors[first].covariance[0, 0] == 0.03
