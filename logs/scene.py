@@ -34,10 +34,14 @@ _POINT_FIELDS = (
 _POINT = np.dtype([(name, kind) for name, kind, _ in _POINT_FIELDS])
 
 
+_COLOR_SEED = 492453
+"""Of the colours of classes, chosen so that frequent classes differ from each other, and from path and closures."""
+
+
 @lru_cache(maxsize=4096)
 def class_color(label: str) -> tuple[float, float, float, float]:
     """Red, green, blue, alpha in [0, 1] of a class: the same label has the same colour in every run and picture."""
-    digest = zlib.crc32(label.encode())
+    digest = zlib.crc32(label.encode(), _COLOR_SEED)
     red, green, blue = colorsys.hsv_to_rgb((digest % 360) / 360.0, 0.55 + 0.4 * ((digest >> 9) % 8) / 7.0, 0.95)
     return red, green, blue, 1.0
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import colorsys
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 from matplotlib.image import imread
 
 from logs.errors import UnwritableLogError
+from logs.scene import class_color
 from slam.common.errors import EvaluationError
 from slam.visualization.map_plot import MapPicture, draw_map
 from slam.visualization.palette import LEGEND_CLASSES, group_classes
@@ -107,3 +109,11 @@ def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
 def test_pictures_need_no_global_plotting_state() -> None:
     code = "import sys, slam.visualization.map_plot; sys.exit('matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize(
+    "classes", [("vehicle", "trunk", "pole"), ("tree", "traffic_sign", "bollard", "street_lamp", "bench")]
+)
+def test_frequent_classes_differ_in_hue(classes: tuple[str, ...]) -> None:
+    hues = np.sort([colorsys.rgb_to_hsv(*class_color(label)[:3])[0] for label in classes])
+    assert np.diff(hues, append=hues[0] + 1.0).min() > 0.4 / len(classes)
