@@ -29,7 +29,7 @@ from slam.frontend.input.label_map import LabelMap
 from slam.frontend.input.stamp_clocks import StampClocks
 from slam.localization.gnss import find_georeference
 from slam.localization.prior_map import PriorMap
-from slam.localization.unrecognised_map import why_not_recognised
+from slam.localization.unrecognised_map import why_doubtful, why_not_recognised
 from slam.object_map.map_io import METADATA, save_map
 from slam.output_log import OutputLog
 from slam.place_recognition.imported_map import ImportedMap
@@ -227,10 +227,13 @@ def _about_labels(labels: LabelMap) -> list[str]:
 
 
 def _about_the_map(drive: _Drive, prior_map: PriorMap | None, final: FinalMap, config: Config) -> list[str]:
-    """What explains that the robot was not found in its map."""
-    if prior_map is None or drive.slam.fixes:
+    """What explains that the robot was not found in its map, or says that it was found at a wrong place."""
+    if prior_map is None:
         return []
     sigma_m = config.submap.landmark_sigma_m
+    if drive.slam.fixes:
+        doubt = why_doubtful(prior_map, final.object_map, final.trajectory, sigma_m)
+        return [f"probably recognised at a wrong place: {doubt}"] if doubt else []
     reason = why_not_recognised(prior_map, final.object_map, final.trajectory, sigma_m, drive.fixes)
     return [f"not recognised, probably because: {reason}"]
 

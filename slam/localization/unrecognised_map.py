@@ -29,6 +29,8 @@ FAR_M = 1000.0
 NAMED = 5
 """Classes that are listed."""
 
+MIRRORED = "the map is mirrored: what was seen fits it once x and y change places; import it with them swapped"
+
 
 def why_not_recognised(
     known: PriorMap,
@@ -65,14 +67,44 @@ def why_not_recognised(
     return _why_not_in_imported(known, seen[shared][nearest], np.array(labels)[shared][nearest], sigma_m)
 
 
+def why_doubtful(known: PriorMap, objects: ObjectMapRecord, trajectory: TrajectoryRecord, sigma_m: float) -> str:
+    """Why a drive that was found in a map is probably found at a wrong place; "" if nothing says so.
+
+    Crossings that look alike are found in a mirrored map, too. What matched nothing there then fits the mirror image.
+    """
+    if not isinstance(known, ImportedMap):
+        return ""
+    seen, labels = _landmarks_of_drive(objects, trajectory)
+    shared = np.isin(labels, known.vocabulary)
+    nearest = np.argsort(np.linalg.norm(seen[shared][:, :2], axis=1), kind="stable")[:MOST_LANDMARKS]
+    if len(nearest) < FEWEST_MET:
+        return ""
+    positions, classes, spread_m = _in_map(known, seen[shared][nearest], np.array(labels)[shared][nearest], sigma_m)
+    met = _met(known, positions, classes, spread_m)
+    return MIRRORED if _is_mirrored(known, positions, classes, spread_m, met) else ""
+
+
+def _in_map(
+    known: ImportedMap, positions: FloatArray, names: np.ndarray, sigma_m: float
+) -> tuple[FloatArray, IntArray, float]:
+    """Landmarks (N, 3) m with their classes (N,) as the map counts them, and the deviation of both together."""
+    number_of = {name: number for number, name in enumerate(known.vocabulary)}
+    classes = np.array([number_of[name] for name in names.tolist()], dtype=np.int64)
+    return positions, classes, float(np.hypot(sigma_m, known.sigma_m))
+
+
+def _is_mirrored(known: ImportedMap, positions: FloatArray, labels: IntArray, spread_m: float, met: int) -> bool:
+    """Whether landmarks, of which ``met`` meet an object as they are, meet most once x and y change places."""
+    swapped = _met(known, positions[:, [1, 0, 2]], labels, spread_m)
+    return swapped >= max(FEWEST_MET, len(labels) // 2, 2 * met)
+
+
 def _why_not_in_imported(known: ImportedMap, positions: FloatArray, names: np.ndarray, sigma_m: float) -> str:
     """The reason by where landmarks (N, 3) m of the drive, whose classes are ``names`` (N,), fit best."""
-    number_of = {name: number for number, name in enumerate(known.vocabulary)}
-    labels = np.array([number_of[name] for name in names.tolist()], dtype=np.int64)
-    spread_m = float(np.hypot(sigma_m, known.sigma_m))
+    positions, labels, spread_m = _in_map(known, positions, names, sigma_m)
     met = _met(known, positions, labels, spread_m)
-    if _met(known, positions[:, [1, 0, 2]], labels, spread_m) >= max(FEWEST_MET, len(labels) // 2, 2 * met):
-        return "the map is mirrored: what was seen fits it once x and y change places; import it with them swapped"
+    if _is_mirrored(known, positions, labels, spread_m, met):
+        return MIRRORED
     where = f"at the best place {met} of {len(labels)} landmarks meet an object of their class"
     if 2 * met > len(labels):
         return f"{where}, which chance finds among {len(known)} objects, too; drive on, or tell the place by --near"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,12 +15,13 @@ from slam.common.config import Config
 from slam.common.georeference import Georeference
 from slam.final_map import FinalMap
 from slam.localization.prior_map import PriorMap
-from slam.localization.unrecognised_map import why_not_recognised
+from slam.localization.unrecognised_map import MIRRORED, why_doubtful, why_not_recognised
 from slam.loop_closure.stretches import STRETCHES
 from slam.place_recognition.imported_map import make_imported_map
 from slam.place_recognition.place_prior import PlacePrior
+from slam.replay import replay as replay_log
 from slam.simulation.config import SimulationConfig
-from slam.simulation.simulation import simulate
+from slam.simulation.simulation import simulate, write_simulation
 from slam.simulation.street_grid import generate_street_grid
 from slam.simulation.world import World
 from slam.system import Slam
@@ -134,13 +136,30 @@ def test_why_a_map_is_not_recognised_is_told(town: World) -> None:
         known = replace(city_map(world), georeference=Georeference(60.0, 25.0, 0.0, 0.0))
         return why_not_recognised(known, final.object_map, final.trajectory, 0.35, fixes)
 
+    def doubt(world: World) -> str:
+        return why_doubtful(city_map(world), final.object_map, final.trajectory, 0.35)
+
     assert "x and y change places" in reason(swapped)
+    assert doubt(swapped) == MIRRORED
+    assert doubt(town) == doubt(other) == doubt(foreign) == ""
     assert "another place" in reason(other)
     assert "drive on" in reason(town)  # where it would be recognised
     assert "no class in common: the map has Objekt" in reason(foreign)
     assert "km from the nearest object" in reason(town, [GeodeticFix(0, "gps", 10.0, 25.0, 0.0)])
     short = replace(final.trajectory, stamps_ns=final.trajectory.stamps_ns + 10**12)  # nothing was seen since it began
     assert "0 landmarks" in why_not_recognised(city_map(town), final.object_map, short, 0.35)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_mirrored", [False, True])
+def test_a_mirrored_map_is_told_wherever_the_robot_was_found_in_it(tmp_path: Path, is_mirrored: bool) -> None:
+    world = generate_street_grid(rng=np.random.default_rng(3)).shortened(250.0)
+    write_simulation(tmp_path / "drive.mcap", world, SimulationConfig(), seed=3)
+    positions = world.positions[:, [1, 0, 2]] if is_mirrored else world.positions
+    known = make_imported_map(positions, world.labels, world.object_ids, sigma_m=0.3)
+    summary = replay_log(tmp_path / "drive.mcap", tmp_path / "out.mcap", prior_map=known, extend=False)
+    assert any(MIRRORED in note for note in summary.notes) == is_mirrored
+    assert summary.counters["keyframes_recognised"] > 0 or is_mirrored
 
 
 @pytest.mark.slow
