@@ -16,6 +16,8 @@ from slam.common.config_tree import load_tree
 
 _LIMITS = ReadingLimits()
 _Name = Annotated[str, StringConstraints(min_length=1)]
+MOST_TURN = 1000.0
+"""Radians of noise after which nothing is known of a heading; covariances with more cannot be inverted."""
 
 
 class _Branch(BaseModel):
@@ -42,12 +44,16 @@ class OdometryConfig(_Branch):
     translation_sigma: float = Field(
         default=0.05, gt=0, description="translation noise after 1 m of travel [m / sqrt(m)]"
     )
-    yaw_sigma: float = Field(default=0.001, gt=0, description="heading noise after 1 m of travel [rad / sqrt(m)]")
+    yaw_sigma: float = Field(
+        default=0.001, gt=0, le=MOST_TURN, description="heading noise after 1 m of travel [rad / sqrt(m)]"
+    )
     yaw_sigma_by_turn: float = Field(
-        default=0.00316, ge=0, description="heading noise after turning by 1 rad [rad / sqrt(rad)]"
+        default=0.00316, ge=0, le=MOST_TURN, description="heading noise after turning by 1 rad [rad / sqrt(rad)]"
     )
     translation_sigma_by_time: float = Field(default=0.0, ge=0, description="translation noise after 1 s [m / sqrt(s)]")
-    yaw_sigma_by_time: float = Field(default=0.0, ge=0, description="heading noise after 1 s [rad / sqrt(s)]")
+    yaw_sigma_by_time: float = Field(
+        default=0.0, ge=0, le=MOST_TURN, description="heading noise after 1 s [rad / sqrt(s)]"
+    )
     inflation: float = Field(
         default=3.0,
         ge=1,
@@ -56,10 +62,13 @@ class OdometryConfig(_Branch):
     tilt_sigma: float = Field(
         default=0.0003,
         gt=0,
+        le=MOST_TURN,
         description="roll and pitch noise after 1 m of travel, which gravity holds [rad / sqrt(m)]",
     )
     min_translation_sigma_m: float = Field(default=0.002, gt=0, description="least translation noise of a step [m]")
-    min_rotation_sigma_rad: float = Field(default=0.0001, gt=0, description="least rotation noise of a step [rad]")
+    min_rotation_sigma_rad: float = Field(
+        default=0.0001, gt=0, le=MOST_TURN, description="least rotation noise of a step [rad]"
+    )
     max_speed_mps: float = Field(
         default=60.0, gt=0, description="a faster step is a discontinuity of the odometry [m/s]"
     )

@@ -85,7 +85,7 @@ def write_lines(path: str | Path, lines: Iterable[str]) -> None:
     text = "".join(f"{line}\n" for line in lines)  # Before the file is opened: a graph that is refused leaves no file.
     part = target.with_name(target.name + ".part")
     try:
-        part.write_text(text, encoding="ascii", newline="\n")
+        part.write_text(text, encoding="utf-8", newline="\n")
         put_in_place(part, target)
     except OSError as error:
         raise UnwritableLogError(f"cannot write {target}: {error.strerror or error}") from error

@@ -33,7 +33,7 @@ def write_csv(path: Path, objects: ObjectMapRecord) -> None:
         position, sigma = objects.positions[row].tolist(), sigmas[row].tolist()
         probability = float(objects.class_probabilities[row].max())
         table.writerow([objects.ids[row], label, probability, *position, *sigma, int(objects.observation_counts[row])])
-    write_lines(path, text.getvalue().splitlines())
+    write_lines(path, text.getvalue().removesuffix("\n").split("\n"))
 
 
 def write_geojson(path: Path, objects: ObjectMapRecord, georeference: Georeference) -> None:

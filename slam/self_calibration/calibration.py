@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from slam.common.config import Config, DetectionConfig
+from slam.common.errors import InputDataError
 from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.self_calibration.label_noise import LabelNoise
 from slam.self_calibration.survey import NOTED_DETOUR, NOTED_SHARE, Survey
@@ -79,6 +80,8 @@ FEW_SCANS = 5.0
 NO_DELAYS = LoggingDelays()
 TURNS = ("roll_deg", "pitch_deg", "yaw_deg")
 DEFAULT_RANGE_M = float(DetectionConfig.model_fields["sensor_range_m"].get_default())
+MOST_SCALE = 1e30
+"""Lengths so many times the usual ones, or a part of them as small, are beyond float64 in their powers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +124,8 @@ def _lengths(config: Config, survey: Survey) -> dict[str, float]:
         # The range is a coarse yardstick: what is of one size, like all cars, is to be treated alike.
         range_m = float(DEFAULT_RANGE_M * 2.0 ** np.round(np.log2(survey.range_m / DEFAULT_RANGE_M)))
     scale = range_m / DEFAULT_RANGE_M
+    if not 1.0 / MOST_SCALE < scale < MOST_SCALE:
+        raise InputDataError(f"objects are seen at {survey.range_m:.3g} m; give their positions in metres")
     values = {}
     for key, power in LENGTHS.items():
         branch, name = key.split(".")

@@ -174,6 +174,14 @@ def test_a_renamed_setting_is_not_hinted_at_in_a_tree_without_it() -> None:
     assert "renamed" not in str(caught.value)
 
 
-def test_a_file_without_end_is_no_file_of_settings():
-    with pytest.raises(ConfigurationError, match="/dev/zero has more than 10000000 characters"):
-        load_config(Path("/dev/zero"))
+def test_a_file_without_end_is_no_file_of_settings(tmp_path: Path) -> None:
+    path = tmp_path / "endless.toml"
+    with path.open("wb") as stream:
+        stream.truncate(10**12)  # of no blocks
+    with pytest.raises(ConfigurationError, match=r"endless\.toml has more than 10000000 characters"):
+        load_config(path)
+
+
+def test_noise_of_a_heading_has_an_end() -> None:
+    with pytest.raises(ConfigurationError, match="tilt_sigma"):
+        load_config(overrides=["odometry.tilt_sigma=1e9"])

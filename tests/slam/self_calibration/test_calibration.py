@@ -9,6 +9,7 @@ import pytest
 from pydantic import BaseModel
 
 from slam.common.config import Config, OdometryConfig
+from slam.common.errors import InputDataError
 from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.self_calibration.calibration import LEAST_DRIFT, LEAST_TURN_RAD, LENGTHS, calibrate
 from slam.self_calibration.height_noise import HeightNoise
@@ -91,6 +92,12 @@ def test_what_was_set_by_hand_stays(surveyed, key):
 def test_a_setting_by_hand_counts_even_if_it_is_the_default(surveyed):
     found = calibrate(Config.model_validate({"submap": {"travel_m": 50.0}}), scaled(surveyed, 100.0))
     assert found.config.submap.travel_m == 50.0
+
+
+@pytest.mark.parametrize("factor", [1e-320, 1e-100, 1e100])
+def test_lengths_beyond_all_numbers_are_refused(surveyed, factor):
+    with pytest.raises(InputDataError, match=r"objects are seen at .* m; give their positions in metres"):
+        calibrate(Config(), scaled(surveyed, factor))
 
 
 def test_a_range_that_was_set_by_hand_decides_the_lengths(surveyed):
