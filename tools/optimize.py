@@ -36,6 +36,7 @@ def optimize(
 
     Example: dslam optimize graph.g2o -o optimized.g2o
     """
+    check_outputs([output], [source])
     weights = weights or output.with_suffix(".json")
     check_outputs([output, weights], [source])
     import numpy as np

@@ -55,9 +55,9 @@ def write_ros2_bag(
     Raises:
         UnwritableLogError: the folder is there, or cannot be written.
     """
-    part = folder.with_name(folder.name + ".part")
     if folder.exists():
         raise UnwritableLogError(f"{folder} exists already; remove it or choose another name")
+    part = folder.with_name(folder.name + ".part")
     shutil.rmtree(part, ignore_errors=True)
     try:
         part.mkdir(parents=True)

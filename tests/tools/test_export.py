@@ -107,6 +107,7 @@ class TestBag:
     def test_a_bag_that_is_there_is_kept(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
         (tmp_path / "bag").mkdir()
         assert_refused(dslam("export", mapped, "--ros2-bag", tmp_path / "bag"), "exists already")
+        assert_refused(dslam("export", mapped, "--ros2-bag", "."), "exists already")
 
 
 class TestTracks:

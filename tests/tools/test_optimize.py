@@ -34,6 +34,10 @@ def test_the_help_has_an_example(dslam: Run, command: str) -> None:
 
 
 class TestOptimize:
+    @pytest.mark.parametrize("folder", ["", ".", ".."])
+    def test_a_folder_is_no_output(self, dslam: Run, source: Path, folder: str) -> None:
+        assert_refused(dslam("optimize", source, "-o", folder), "is a folder")
+
     def test_false_closures_are_rejected(self, dslam: Run, source: Path, tmp_path: Path) -> None:
         output = tmp_path / "out.g2o"
         result = dslam("optimize", source, "-o", output)
