@@ -67,7 +67,7 @@ def _closures(quality: ClosureQuality | None, reason: str | None) -> str:
         return f"{counted}; precision {_missing(reason)}"
     precision = fraction(quality.precision, quality.true_count, quality.true_count + quality.false_count)
     origins = quality.discoveries
-    origin = f"{origins.found} found, {origins.followed} followed, {origins.led_back} led back"
+    origin = f"{origins.found} retrieved, {origins.followed} propagated, {origins.led_back} back"
     revisits = quality.revisits
     if revisits is None or not revisits.revisit_count:
         return f"{counted}, precision {precision}; {origin}; no revisit"

@@ -24,7 +24,7 @@ def closure_table(quality: ClosureQuality, retrieval: RetrievalQuality | None = 
     if quality.true_count is not None and quality.false_count is not None:
         precision = fraction(quality.precision, quality.true_count, quality.true_count + quality.false_count)
         rows["precision"] = precision + (f", {quality.undecided_count} undecided" if quality.undecided_count else "")
-    rows["found, followed, led back"] = _discoveries(quality.discoveries)
+    rows["retrieved, propagated, propagated back"] = _discoveries(quality.discoveries)
     if quality.reliability is not None and quality.reliability.sure_count:
         sure = quality.reliability
         share = fraction(sure.sure_right / sure.sure_count, sure.sure_right, sure.sure_count)

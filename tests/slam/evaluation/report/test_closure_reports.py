@@ -66,8 +66,8 @@ def test_the_summary_tells_what_was_found_from_what_was_followed() -> None:
         (topic, replace(record, seed_query_keyframe_id=90) if isinstance(record, LoopClosureRecord) else record)
         for topic, record in log
     ]
-    assert summarize(evaluate(collect_records(log)))["closures"].endswith("; 2 found, 0 followed, 0 led back")
-    assert "; 0 found, " in summarize(evaluate(collect_records(followed)))["closures"]
+    assert summarize(evaluate(collect_records(log)))["closures"].endswith("; 2 retrieved, 0 propagated, 0 back")
+    assert "; 0 retrieved, " in summarize(evaluate(collect_records(followed)))["closures"]
 
 
 def test_the_numbers_that_decided_are_listed_with_the_truth() -> None:
