@@ -63,6 +63,16 @@ class TestLandmarks:
         found = np.column_stack([layer.geometry.y, layer.geometry.x])
         np.testing.assert_allclose(found, expected[:, :2], rtol=0, atol=1e-6)
 
+    def test_poses_on_earth(self, dslam: Run, mapped: Path, records: EvaluationRecords, tmp_path: Path) -> None:
+        assert dslam("export", mapped, "--geodetic", tmp_path / "p.csv", "--origin", ORIGIN).code == 0
+        rows = list(csv.DictReader((tmp_path / "p.csv").read_text().splitlines()))
+        found = [[float(row[name]) for name in ("latitude_deg", "longitude_deg", "altitude_m")] for row in rows]
+        assert records.trajectory is not None
+        positions = records.trajectory.T_map_body[:, :3, 3]
+        there = Georeference(60.1699, 24.9384, 12.5, np.deg2rad(30.0)).to_map(np.array(found))
+        np.testing.assert_allclose(there, positions, atol=2e-3)
+        assert_refused(dslam("export", mapped, "--geodetic", tmp_path / "q.csv"), "--origin")
+
     def test_places_on_earth_need_an_origin(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
         assert_refused(dslam("export", mapped, "--geojson", tmp_path / "l.json"), "--origin")
         assert_refused(dslam("export", mapped, "--geojson", tmp_path / "l.json", "--origin", "north"), "LAT,LON")

@@ -50,6 +50,15 @@ def found(folder: Path) -> Path:
 
 
 class TestRelocalize:
+    @pytest.mark.parametrize("near", ["1,2", "1;2;3", "1,2,0", "1,2,-3", "1,2,nan", "a,b,c", "1,2,3,4,5"])
+    def test_where_it_starts_is_told_in_numbers(
+        self, dslam: Run, folder: Path, town: Path, tmp_path: Path, near: str
+    ) -> None:
+        output = tmp_path / "out.mcap"
+        result = dslam("relocalize", folder / "second.mcap", "--map", town, "-o", output, f"--near={near}")
+        assert_refused(result, repr(near), "X,Y,SIGMA or X,Y,YAW,SIGMA")
+        assert not output.exists()
+
     def test_tells_when_the_robot_was_found_and_how_well_it_was_followed(
         self, dslam: Run, folder: Path, town: Path, tmp_path: Path
     ) -> None:
