@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from pydantic import BaseModel
 
-from slam.common.config import Config, DetectionConfig
+from slam.common.config import Config, DetectionConfig, LandmarkConfig
 from slam.common.errors import InputDataError
 from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.self_calibration.label_noise import LabelNoise
@@ -75,6 +75,8 @@ STAMPING_SCANS = 2.0
 between odometry and detections is a matter of how the odometry is stamped (of a step, its begin or its end), and the
 odometry is moved; beyond that, detections were old when they were stamped.
 """
+DETECTED_SHARE = 0.5
+"""Share of the scans in which the detector finds an object that a landmark must be observed in to be confirmed."""
 FEW_SCANS = 5.0
 """While an object comes from the median range to the body it should be seen so often."""
 NO_DELAYS = LoggingDelays()
@@ -218,12 +220,20 @@ def _corrections(survey: Survey, delays: LoggingDelays) -> dict[str, float]:
         "odometry.time_offset_s": -errors.delay_s if of_odometry else 0.0,
         "detection.time_offset_s": 0.0 if of_odometry else errors.delay_s,
         "detection.claimed_sigma_factor": _claimed_factor(survey),
+        **_confirmation(survey),
         **({"odometry.length_scale": survey.length_scale} if survey.length_scale != 1.0 else {}),
         **({"odometry.turn_scale": survey.turn_scale} if survey.turn_scale != 1.0 else {}),
         **({"odometry.sources": survey.sources} if survey.sources > 1 else {}),
         **_label_settings(survey.labels),
         **{f"detection.{name}": angle for name, angle in zip(TURNS, survey.turned_deg, strict=True) if angle},
     }
+
+
+def _confirmation(survey: Survey) -> dict[str, float]:
+    """A landmark is observed at least half as often as the detector finds an object."""
+    usual = float(LandmarkConfig.model_fields["confirm_fraction"].get_default())
+    share = DETECTED_SHARE * survey.detected
+    return {"landmark.confirm_fraction": share} if share < usual else {}
 
 
 def _label_settings(labels: LabelNoise) -> dict[str, float]:

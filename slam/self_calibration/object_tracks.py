@@ -22,7 +22,11 @@ RANGE_SHARE = 0.25
 SMOOTHED = 4
 """Detections of a track before and after one that, together with it, say where its object is."""
 MISSED_SCANS = 2
-"""Scans in a row in which an object may be missed before its track ends."""
+"""Scans in a row in which an object may be missed before its track ends, ..."""
+LOST_PROBABILITY, MOST_MISSED, SAMPLED_SCANS = 0.1, 20, 600
+"""... more, where the detector misses so many that a track would end too soon with that probability; at most so many.
+Then a neighbour would be taken for the object. The first scans tell how many.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,9 +74,33 @@ def follow_objects(scans: Sequence[SurveyScan], headings_rad: FloatArray, *, by_
     if not scans:
         none, nowhere = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
         return ObjectTracks(none, none, nowhere, nowhere, none, np.zeros(0), np.zeros(0), np.zeros(0))
+    missed = _missed_scans(scans[:SAMPLED_SCANS], headings_rad, by_class=by_class)
+    return _follow(scans, headings_rad, missed, by_class=by_class)
+
+
+def detected_share(tracks: ObjectTracks) -> float:
+    """Probability that an object is detected in a scan: the share of sightings that one in the very next scan follows,
+    of those that any follows. NaN without tracks.
+    """
+    gaps = np.diff(tracks.scan)[np.diff(tracks.track) == 0]
+    return float(np.mean(gaps == 1)) if len(gaps) else float("nan")
+
+
+def _missed_scans(scans: Sequence[SurveyScan], headings_rad: FloatArray, *, by_class: bool) -> int:
+    """In how many scans in a row an object may be missed."""
+    share = detected_share(_follow(scans, headings_rad, MOST_MISSED, by_class=by_class))
+    if not np.isfinite(share):
+        return MISSED_SCANS
+    detected = np.clip(share, 1e-3, 1.0 - 1e-3)
+    return int(np.clip(np.log(LOST_PROBABILITY) / np.log1p(-detected), MISSED_SCANS, MOST_MISSED))
+
+
+def _follow(
+    scans: Sequence[SurveyScan], headings_rad: FloatArray, missed_scans: int, *, by_class: bool
+) -> ObjectTracks:
     tracks, numbers, points, rooms = [], [], [], []
-    ends = _OpenTracks()
-    for number, (scan, heading) in enumerate(zip(scans, headings_rad, strict=True)):
+    ends = _OpenTracks(missed_scans)
+    for number, (scan, heading) in enumerate(zip(scans, headings_rad, strict=False)):
         c, s = np.cos(heading), np.sin(heading)
         offsets = scan.positions[:, :2] @ np.array([[c, s], [-s, c]])
         points.append(offsets + scan.T_odom_body[:2, 3])
@@ -110,7 +138,8 @@ def _smoothed(points: FloatArray, track: IntArray) -> FloatArray:
 class _OpenTracks:
     """The last detection of each track that may go on."""
 
-    def __init__(self) -> None:
+    def __init__(self, missed_scans: int) -> None:
+        self._missed_scans = missed_scans
         self._count = 0
         self._points = np.zeros((0, 2))
         self._labels = np.zeros(0, dtype=np.int64)
@@ -141,7 +170,7 @@ class _OpenTracks:
         fresh = tracks < 0
         tracks[fresh] = self._count + np.arange(int(fresh.sum()))
         self._count += int(fresh.sum())
-        kept = (scan - self._scans <= MISSED_SCANS) & ~goes_on
+        kept = (scan - self._scans <= self._missed_scans) & ~goes_on
         self._points = np.concatenate([self._points[kept], points])
         self._labels = np.concatenate([self._labels[kept], labels])
         self._tracks = np.concatenate([self._tracks[kept], tracks])

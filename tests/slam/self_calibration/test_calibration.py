@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from slam.common.config import Config, OdometryConfig
+from slam.common.config import Config, LandmarkConfig, OdometryConfig
 from slam.common.errors import InputDataError
 from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.self_calibration.calibration import LEAST_DRIFT, LEAST_TURN_RAD, LENGTHS, calibrate
@@ -307,3 +307,11 @@ def test_scans_so_rare_that_few_errors_average_out_are_told(surveyed, scans_in_r
     travel_m = surveyed.scans * surveyed.median_range_m / scans_in_range
     notes = calibrate(Config(), replace(surveyed, travel_m=travel_m)).notes
     assert any("record more scans a second" in note for note in notes) == told
+
+
+@pytest.mark.parametrize(("detected", "fraction"), [(0.95, 0.4), (0.2, 0.1), (float("nan"), 0.4)])
+def test_a_detector_that_misses_much_confirms_landmarks_that_are_seen_more_rarely(surveyed, detected, fraction):
+    told = replace(surveyed, detected=detected)
+    assert calibrate(Config(), told).config.landmark.confirm_fraction == pytest.approx(fraction)
+    by_hand = Config(landmark=LandmarkConfig(confirm_fraction=0.4))
+    assert calibrate(by_hand, told).config.landmark.confirm_fraction == 0.4

@@ -7,7 +7,13 @@ import pytest
 
 from slam.common.arrays import FloatArray
 from slam.common.geometry import transform_from_xyz_yaw
-from slam.self_calibration.object_tracks import MISSED_SCANS, ObjectTracks, SurveyScan, follow_objects
+from slam.self_calibration.object_tracks import (
+    MISSED_SCANS,
+    ObjectTracks,
+    SurveyScan,
+    detected_share,
+    follow_objects,
+)
 from tests.helpers.surveyed_drives import SurveyedDrive
 
 OBJECTS = np.array([[10.0, 5.0, 0.0], [15.0, -5.0, 0.5], [25.0, 6.0, 0.0]])
@@ -116,3 +122,26 @@ def _points(drive: SurveyedDrive) -> FloatArray:
 def test_without_scans_or_detections_there_are_no_tracks():
     assert len(follow([]).track) == 0
     assert len(follow([scan_of(OBJECTS[:0]), scan_of(OBJECTS[:0], number=1)]).track) == 0
+
+
+def rarely_seen(share: float) -> list[SurveyScan]:
+    """Objects of one class, 4 m apart, beside a robot that drives 0.2 m a scan; each is detected that often."""
+    rng = np.random.default_rng(0)
+    row = np.column_stack([np.arange(0.0, 120.0, 4.0), np.full(30, 8.0), np.zeros(30)])
+    scans = []
+    for number in range(400):
+        near = row[np.abs(row[:, 0] - 0.2 * number) < 15.0]
+        scans.append(scan_of(near[rng.random(len(near)) < share], number=number, x=0.2 * number))
+    return scans
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
+def test_neighbours_are_not_taken_for_objects_that_are_often_missed(share):
+    tracks = follow(rarely_seen(share))
+    steps_m = np.linalg.norm(np.diff(tracks.points, axis=0), axis=1)[np.diff(tracks.track) == 0]
+    assert np.mean(steps_m > 1.0) < 0.01
+    assert detected_share(tracks) == pytest.approx(share, abs=0.1)
+
+
+def test_without_tracks_no_share_is_known():
+    assert np.isnan(detected_share(follow([scan_of(OBJECTS)])))
