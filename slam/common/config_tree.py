@@ -25,6 +25,7 @@ _Tree = TypeVar("_Tree", bound=BaseModel)
 
 _FLAG = "--set"
 _SMALLEST, _LARGEST = 1e-9, 1e9
+_LARGEST_INTEGER = 2**31 - 1
 _MOST_CHARACTERS = 10_000_000
 _BOUNDS = ((annotated_types.Gt, "gt", ">"), (annotated_types.Ge, "ge", ">="), (annotated_types.Lt, "lt", "<"),
            (annotated_types.Le, "le", "<="))  # fmt: skip
@@ -79,6 +80,12 @@ def _refuse_absurd(tree: BaseModel, flagged: set[str], path: Path | None) -> Non
     """Numbers whose squares and quotients would not be numbers any more."""
     for setting in settings_of(tree):
         value = setting.value
+        if isinstance(value, int) and abs(value) > _LARGEST_INTEGER:
+            where = _FLAG if setting.key in flagged or path is None else str(path)
+            raise ConfigurationError(
+                f"{where}: {setting.key}={value} is absurd; whole numbers are at most {_LARGEST_INTEGER}: "
+                f"{setting.meaning}"
+            )
         if isinstance(value, float) and value != 0.0 and not _SMALLEST <= abs(value) <= _LARGEST:
             where = _FLAG if setting.key in flagged or path is None else str(path)
             raise ConfigurationError(

@@ -34,6 +34,10 @@ def test_the_help_has_an_example(dslam: Run, command: str) -> None:
 
 
 class TestOptimize:
+    def test_iterations_are_a_number_that_the_solver_can_hold(self, dslam: Run, source: Path, tmp_path: Path) -> None:
+        result = dslam("optimize", source, "-o", tmp_path / "out.g2o", "--max-iterations", 10**12)
+        assert_refused(result, "--max-iterations")
+
     @pytest.mark.parametrize("folder", ["", ".", ".."])
     def test_a_folder_is_no_output(self, dslam: Run, source: Path, folder: str) -> None:
         assert_refused(dslam("optimize", source, "-o", folder), "is a folder")

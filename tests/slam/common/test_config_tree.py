@@ -182,6 +182,12 @@ def test_a_file_without_end_is_no_file_of_settings(tmp_path: Path) -> None:
         load_config(path)
 
 
+def test_whole_numbers_have_an_end() -> None:
+    with pytest.raises(ConfigurationError, match=r"relinearize_skip=4294967296 is absurd; .* at most 2147483647"):
+        load_config(overrides=["factor_graph.relinearize_skip=4294967296"])
+    load_config(overrides=["factor_graph.relinearize_skip=2147483647"])
+
+
 def test_noise_of_a_heading_has_an_end() -> None:
     with pytest.raises(ConfigurationError, match="tilt_sigma"):
         load_config(overrides=["odometry.tilt_sigma=1e9"])
