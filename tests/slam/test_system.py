@@ -19,7 +19,7 @@ from logs.messages import (
     Transform,
 )
 from slam.common.arrays import FloatArray
-from slam.common.config import Config
+from slam.common.config import Config, OdometryConfig
 from slam.common.errors import InputDataError
 from slam.common.geometry import invert, transform_from_xyz_yaw
 from slam.evaluation.evaluate import find_aliases
@@ -90,9 +90,12 @@ def test_twin_odometry_that_is_a_fifth_too_long_gives_a_bad_trajectory(exact_dri
         T[:3, 3] *= 1.2
         return replace(odometry, T_odom_body=T)
 
-    found = run(change(exact_drive, Odometry, stretch), tmp_path / "out.mcap")
+    stretched, believed = change(exact_drive, Odometry, stretch), Config(odometry=OdometryConfig(length_scale=1.0))
+    found = run(stretched, tmp_path / "out.mcap", believed)
     assert found.estimate.absolute.rmse_m > 2.0
     assert found.landmarks.global_frame.max_m > 1.0
+    corrected = run(stretched, tmp_path / "corrected.mcap")
+    assert corrected.estimate.absolute.rmse_m < 0.1
 
 
 def test_twin_detections_mirrored_left_to_right_give_a_bad_map(exact_drive, tmp_path):

@@ -140,5 +140,3 @@ def test_a_killed_driver_goes_on_where_it_was(logs: list[FleetLog], mapped: tupl
 def test_a_fleet_in_which_nothing_can_be_mapped_is_refused(logs: list[FleetLog], tmp_path: Path) -> None:
     with pytest.raises(FleetError, match="none of 1 logs"):
         map_fleet([log for log in logs if log.name == "broken"], tmp_path, Config(), InlineEngine())
-    with pytest.raises(FleetError, match="no log"):
-        map_fleet([], tmp_path, Config(), InlineEngine())
