@@ -78,21 +78,39 @@ def follow_objects(scans: Sequence[SurveyScan], headings_rad: FloatArray, *, by_
     return _follow(scans, headings_rad, missed, by_class=by_class)
 
 
-def detected_share(tracks: ObjectTracks) -> float:
-    """Probability that an object is detected in a scan: the share of sightings that one in the very next scan follows,
-    of those that any follows. NaN without tracks.
+@dataclass(frozen=True, slots=True)
+class Detectability:
+    """How often an object in view is detected: in every ``period``-th scan, as several sensors take turns, with a
+    ``probability``; NaN where none was tracked.
     """
+
+    period: int
+    probability: float
+
+    @property
+    def share(self) -> float:
+        """Probability that an object is detected in a scan."""
+        return self.probability / self.period
+
+
+def detectability_of(tracks: ObjectTracks) -> Detectability:
+    """The most frequent gap between sightings of an object is the period; the share of these gaps, the probability."""
     gaps = np.diff(tracks.scan)[np.diff(tracks.track) == 0]
-    return float(np.mean(gaps == 1)) if len(gaps) else float("nan")
+    if not len(gaps):
+        return Detectability(1, float("nan"))
+    counts = np.bincount(gaps)
+    period = int(np.argmax(counts))
+    return Detectability(period, float(counts[period] / len(gaps)))
 
 
 def _missed_scans(scans: Sequence[SurveyScan], headings_rad: FloatArray, *, by_class: bool) -> int:
     """In how many scans in a row an object may be missed."""
-    share = detected_share(_follow(scans, headings_rad, MOST_MISSED, by_class=by_class))
-    if not np.isfinite(share):
+    found = detectability_of(_follow(scans, headings_rad, MOST_MISSED, by_class=by_class))
+    if not np.isfinite(found.probability):
         return MISSED_SCANS
-    detected = np.clip(share, 1e-3, 1.0 - 1e-3)
-    return int(np.clip(np.log(LOST_PROBABILITY) / np.log1p(-detected), MISSED_SCANS, MOST_MISSED))
+    detected = np.clip(found.probability, 1e-3, 1.0 - 1e-3)
+    periods = np.log(LOST_PROBABILITY) / np.log1p(-detected)
+    return int(np.clip(found.period * periods, MISSED_SCANS, MOST_MISSED))
 
 
 def _follow(

@@ -20,7 +20,7 @@ from slam.self_calibration.centroid_bias import centroid_biases, without_bias
 from slam.self_calibration.height_noise import HeightNoise, estimate_height_noise
 from slam.self_calibration.input_errors import BodyMotion, InputErrors, estimate_input_errors
 from slam.self_calibration.label_noise import LabelNoise, estimate_label_noise
-from slam.self_calibration.object_tracks import ObjectTracks, SurveyScan, detected_share, follow_objects
+from slam.self_calibration.object_tracks import ObjectTracks, SurveyScan, detectability_of, follow_objects
 from slam.self_calibration.sensor_orientation import find_orientation, roll_pitch_yaw_deg
 from slam.self_calibration.variance_components import CLIP, ComponentEstimate, Motion, estimate_components
 
@@ -188,7 +188,7 @@ def summarize(scans: list[SurveyScan], errors: InputErrors | None = None, tracks
         components=components,
         errors=errors or InputErrors(),
         heights=estimate_height_noise(tracks),
-        detected=detected_share(tracks),
+        detected=detectability_of(tracks).share,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -38,6 +39,7 @@ from tests.helpers.short_drives import (
     keep_until,
     map_in_memory,
     odometry_of,
+    records_of,
     run,
 )
 
@@ -82,6 +84,37 @@ def test_without_noise_everything_is_where_and_what_it_is(exact_drive, tmp_path)
     assert found.associations.mean_confirmed_landmarks_per_object == 1.0
     assert found.landmarks.global_frame.max_m < 1e-6
     assert found.landmarks.class_right_count == len(block_world().object_ids)
+
+
+def by_sector(entries: Iterable[Entry], sensors: int) -> list[Entry]:
+    """Each scan as messages of several sensors, of which each sees one sector around the body."""
+    found = list[Entry]()
+    for topic, log_time_ns, record in entries:
+        if not isinstance(record, ObjectDetections):
+            found.append((topic, log_time_ns, record))
+            continue
+        bearings = np.arctan2(record.positions[:, 1], record.positions[:, 0])
+        sector = np.floor((bearings + np.pi) / (2.0 * np.pi) * sensors).astype(np.int64) % sensors
+        for number in range(sensors):
+            rows = np.flatnonzero(sector == number)
+            part = replace(
+                record,
+                stamp_ns=record.stamp_ns + number,
+                positions=record.positions[rows],
+                labels=tuple(record.labels[row] for row in rows),
+                scores=record.scores[rows],
+            )
+            found.append((topic, log_time_ns, part))
+    return found
+
+
+def test_several_sensors_that_each_see_a_sector_map_all_objects(exact_drive, tmp_path):
+    """Each object is in one of three messages only, and is no less certain for that."""
+    entries = [entry for entry in by_sector(exact_drive, 3) if not isinstance(entry[2], DetectionTruth)]
+    run(entries, tmp_path / "out.mcap")
+    (found,) = records_of(tmp_path / "out.mcap", "/slam/map")
+    assert isinstance(found, ObjectMapRecord)
+    assert sum(state == "confirmed" for state in found.states) >= 0.95 * len(block_world().object_ids)
 
 
 def test_twin_odometry_that_is_a_fifth_too_long_gives_a_bad_trajectory(exact_drive, tmp_path):

@@ -11,7 +11,7 @@ from slam.self_calibration.object_tracks import (
     MISSED_SCANS,
     ObjectTracks,
     SurveyScan,
-    detected_share,
+    detectability_of,
     follow_objects,
 )
 from tests.helpers.surveyed_drives import SurveyedDrive
@@ -140,8 +140,15 @@ def test_neighbours_are_not_taken_for_objects_that_are_often_missed(share):
     tracks = follow(rarely_seen(share))
     steps_m = np.linalg.norm(np.diff(tracks.points, axis=0), axis=1)[np.diff(tracks.track) == 0]
     assert np.mean(steps_m > 1.0) < 0.01
-    assert detected_share(tracks) == pytest.approx(share, abs=0.1)
+    assert detectability_of(tracks).share == pytest.approx(share, abs=0.1)
 
 
 def test_without_tracks_no_share_is_known():
-    assert np.isnan(detected_share(follow([scan_of(OBJECTS)])))
+    assert np.isnan(detectability_of(follow([scan_of(OBJECTS)])).share)
+
+
+def test_sensors_that_take_turns_detect_what_each_of_them_sees():
+    """One looks ahead and one back; each object is in every second scan, and never missed."""
+    seen = [OBJECTS[:2] if number % 2 else OBJECTS[2:] for number in range(40)]
+    found = detectability_of(follow([scan_of(each, number=number) for number, each in enumerate(seen)]))
+    assert (found.period, found.probability, found.share) == (2, 1.0, 0.5)
