@@ -230,10 +230,11 @@ def _corrections(survey: Survey, delays: LoggingDelays) -> dict[str, float]:
 
 
 def _confirmation(survey: Survey) -> dict[str, float]:
-    """A landmark is observed at least half as often as the detector finds an object."""
-    usual = float(LandmarkConfig.model_fields["confirm_fraction"].get_default())
-    share = DETECTED_SHARE * survey.detected
-    return {"landmark.confirm_fraction": share} if share < usual else {}
+    """A landmark is observed at least half as often as an object is detected; each of several sensors may miss it."""
+    usual, found = LandmarkConfig(), survey.detectability
+    share = DETECTED_SHARE * found.share
+    values: dict[str, float] = {"landmark.confirm_fraction": share} if share < usual.confirm_fraction else {}
+    return values | ({"landmark.max_missed_scans": found.period * usual.max_missed_scans} if found.period > 1 else {})
 
 
 def _label_settings(labels: LabelNoise) -> dict[str, float]:

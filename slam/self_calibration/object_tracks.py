@@ -84,8 +84,8 @@ class Detectability:
     ``probability``; NaN where none was tracked.
     """
 
-    period: int
-    probability: float
+    period: int = 1
+    probability: float = float("nan")
 
     @property
     def share(self) -> float:
@@ -97,7 +97,7 @@ def detectability_of(tracks: ObjectTracks) -> Detectability:
     """The most frequent gap between sightings of an object is the period; the share of these gaps, the probability."""
     gaps = np.diff(tracks.scan)[np.diff(tracks.track) == 0]
     if not len(gaps):
-        return Detectability(1, float("nan"))
+        return Detectability()
     counts = np.bincount(gaps)
     period = int(np.argmax(counts))
     return Detectability(period, float(counts[period] / len(gaps)))

@@ -20,7 +20,13 @@ from slam.self_calibration.centroid_bias import centroid_biases, without_bias
 from slam.self_calibration.height_noise import HeightNoise, estimate_height_noise
 from slam.self_calibration.input_errors import BodyMotion, InputErrors, estimate_input_errors
 from slam.self_calibration.label_noise import LabelNoise, estimate_label_noise
-from slam.self_calibration.object_tracks import ObjectTracks, SurveyScan, detectability_of, follow_objects
+from slam.self_calibration.object_tracks import (
+    Detectability,
+    ObjectTracks,
+    SurveyScan,
+    detectability_of,
+    follow_objects,
+)
 from slam.self_calibration.sensor_orientation import find_orientation, roll_pitch_yaw_deg
 from slam.self_calibration.variance_components import CLIP, ComponentEstimate, Motion, estimate_components
 
@@ -59,7 +65,7 @@ class Survey:
     could be tracked; ``labels``: how far they can be trusted; ``heights``: how much the heights of detections vary;
     ``turned_deg``: roll, pitch and yaw by which detections had to be turned beyond the transform of their sensor;
     ``length_scale``, ``turn_scale``: factors by which the odometry's lengths and turns had to be corrected;
-    ``detected``: the probability that an object in view is detected in a scan, NaN where none was tracked;
+    ``detectability``: how often an object in view is detected;
     ``detour``: the length of the odometry's path by that of its every second message; ``sources``: how many of them
     there are, two where one that is told apart from the other makes no detour.
     """
@@ -85,7 +91,7 @@ class Survey:
     turned_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     detour: float = 1.0
     sources: int = 1
-    detected: float = float("nan")
+    detectability: Detectability = field(default_factory=Detectability)
     length_scale: float = 1.0
     turn_scale: float = 1.0
 
@@ -188,7 +194,7 @@ def summarize(scans: list[SurveyScan], errors: InputErrors | None = None, tracks
         components=components,
         errors=errors or InputErrors(),
         heights=estimate_height_noise(tracks),
-        detected=detectability_of(tracks).share,
+        detectability=detectability_of(tracks),
     )
 
 

@@ -15,6 +15,7 @@ from slam.self_calibration.calibration import LEAST_DRIFT, LEAST_TURN_RAD, LENGT
 from slam.self_calibration.height_noise import HeightNoise
 from slam.self_calibration.input_errors import InputErrors
 from slam.self_calibration.label_noise import LabelNoise
+from slam.self_calibration.object_tracks import Detectability
 from slam.self_calibration.survey import Survey, summarize
 from slam.self_calibration.variance_components import ComponentEstimate, NoiseComponents
 from tests.helpers.surveyed_drives import SurveyedDrive
@@ -311,7 +312,15 @@ def test_scans_so_rare_that_few_errors_average_out_are_told(surveyed, scans_in_r
 
 @pytest.mark.parametrize(("detected", "fraction"), [(0.95, 0.4), (0.2, 0.1), (float("nan"), 0.4)])
 def test_a_detector_that_misses_much_confirms_landmarks_that_are_seen_more_rarely(surveyed, detected, fraction):
-    told = replace(surveyed, detected=detected)
+    told = replace(surveyed, detectability=Detectability(1, detected))
     assert calibrate(Config(), told).config.landmark.confirm_fraction == pytest.approx(fraction)
     by_hand = Config(landmark=LandmarkConfig(confirm_fraction=0.4))
     assert calibrate(by_hand, told).config.landmark.confirm_fraction == 0.4
+
+
+def test_of_sensors_that_take_turns_each_may_miss_a_landmark_as_often(surveyed):
+    alone, in_turn = (
+        calibrate(Config(), replace(surveyed, detectability=Detectability(n, 1.0))).config for n in (1, 3)
+    )
+    assert in_turn.landmark.max_missed_scans == 3 * alone.landmark.max_missed_scans
+    assert in_turn.landmark.confirm_fraction == pytest.approx(1.0 / 6.0)
