@@ -154,4 +154,11 @@ def _survey(
     clocks = StampClocks(drift)
     records = inputs.prepare(record for item in reader.items(selection) for record in clocks.follow(item))
     with threadpool_limits(1, user_api="blas"):
-        return survey(records, config.detection, frames, max_classes=config.association.max_classes), clocks
+        found = survey(
+            records,
+            config.detection,
+            frames,
+            max_classes=config.association.max_classes,
+            given=config.odometry.model_fields_set,
+        )
+    return found, clocks

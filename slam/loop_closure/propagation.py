@@ -21,11 +21,8 @@ from slam.place_recognition.place import Place
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Predicted:
-    """The place of a query that the closure of keyframe ``seed_closure`` predicts, and the candidate there, or why
-    there is none.
-    """
+    """The place of a query that a closure predicts, and the candidate there, or why there is none."""
 
-    seed_closure: int
     place: Place
     verified: Candidate | LoopClosureRecord
 
@@ -76,7 +73,7 @@ class Propagation:
         place = self._verifier.predict(seed, query)
         if place is None:
             return None
-        return Predicted(seed.query, place, self._verifier.verify(query, place, seed_closure=seed.query))
+        return Predicted(place, self._verifier.verify(query, place, seed_closure=seed.query))
 
     def confirmed(self, predicted: Predicted | None) -> Candidate | None:
         """The closure at a predicted place, if it is accepted there."""

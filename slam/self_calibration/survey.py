@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -102,11 +102,13 @@ def survey(
     frames: SensorFrames | None = None,
     *,
     max_classes: int = MAX_CLASSES,
+    given: Collection[str] = (),
 ) -> Survey | None:
     """The survey of the records of a log, in its order; None where no detection could be placed on the odometry.
 
     ``frames``: where the sensors sit, as far as it is known already; transforms among the records add to it.
-    ``max_classes``: all labels beyond so many are one, as they are in the map.
+    ``max_classes``: all labels beyond so many are one, as they are in the map. ``given``: settings of the odometry that
+    were set by hand; a ``length_scale`` and a ``turn_scale`` among them are kept.
     """
     gathered = _Gathered(frames or SensorFrames(), max_classes)
     for record in records:
@@ -127,7 +129,7 @@ def survey(
         is_turned = abs(found.yaw_rad) > NOTED_YAW_RAD and not is_yaw_given
         if is_turned:
             config = config.model_copy(update={"yaw_deg": config.yaw_deg + float(np.rad2deg(found.yaw_rad))})
-        is_scaled = gathered.scale_odometry(found)
+        is_scaled = gathered.scale_odometry(found, given)
         if found.delay_s == 0.0 and not is_turned and not is_scaled:
             break
     scans = gathered.scans(config, errors.delay_s)
@@ -253,6 +255,12 @@ def _claimed_ratio(tracks: ObjectTracks, estimate: ComponentEstimate | None) -> 
     return estimate.repeated * estimate.white(float(np.mean(square)))[0] / float(np.mean(claimed))
 
 
+def _correction(share: float, corrected: float) -> float:
+    """Factor on what is too small by a share and was ``corrected`` by a factor before; 1 if nothing is to be done."""
+    least = NOTED_SHARE if corrected == 1.0 else LEAST_SHARE
+    return 1.0 + share if least < abs(share) < MOST_SHARE else 1.0
+
+
 class _Gathered:
     """The records of a log that a survey needs."""
 
@@ -340,12 +348,10 @@ class _Gathered:
             self._odometry = both
         return len(self._odometry) < len(both)
 
-    def scale_odometry(self, errors: InputErrors) -> bool:
-        """Correct the lengths and turns of the odometry; returns whether there was anything to correct."""
-        length, turn = (
-            1.0 + share if (NOTED_SHARE if scale == 1.0 else LEAST_SHARE) < abs(share) < MOST_SHARE else 1.0
-            for scale, share in zip(self.scales, (errors.length_share, errors.turn_share), strict=True)
-        )
+    def scale_odometry(self, errors: InputErrors, given: Collection[str]) -> bool:
+        """Correct the lengths and turns of the odometry, but for those that are ``given``; returns whether any was."""
+        length = 1.0 if "length_scale" in given else _correction(errors.length_share, self.scales[0])
+        turn = 1.0 if "turn_scale" in given else _correction(errors.turn_share, self.scales[1])
         if (length, turn) == (1.0, 1.0):
             return False
         self.scales = self.scales[0] * length, self.scales[1] * turn

@@ -189,6 +189,15 @@ def test_lengths_of_the_odometry_are_corrected(length):
     assert found.turn_scale == 1.0
 
 
+@pytest.mark.slow
+def test_lengths_that_were_set_by_hand_are_kept_and_their_error_is_known():
+    records, config = scaled_records(1.2, 1.0), DetectionConfig(assume_body_frame=True)
+    found = survey(records, config, given={"length_scale"})
+    assert found.length_scale == 1.0
+    assert found.errors.length_share == pytest.approx(1.0 / 1.2 - 1.0, abs=0.02)
+    assert found.travel_m == pytest.approx(1.2 * survey(records, config).travel_m, rel=0.02)
+
+
 def winding_records(turn: float) -> list[Record]:
     """A drive along the arcs of an eight, among stems, whose odometry has its turns multiplied by a factor."""
     rng = np.random.default_rng(0)
