@@ -14,6 +14,7 @@ import warnings
 from types import FrameType
 
 _STOPPING = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
+_RAISE_AGAIN_S = 0.1
 
 
 class Stopped(BaseException):
@@ -46,12 +47,14 @@ def main() -> None:
 
         code = cli.run(sys.argv[1:])
     except BaseException as error:
+        _raise_again_every(0.0)
         if _stopped is None:
             raise
         code = _stopped.code
         notes = getattr(error, "__notes__", [])
         with contextlib.suppress(OSError):
             sys.stderr.write(f"dslam: {'; '.join([str(_stopped), *notes])}\n")
+    _raise_again_every(0.0)
     for number in _STOPPING:
         signal.signal(number, signal.SIG_IGN)  # there is nothing left to interrupt
     _close_streams()
@@ -63,7 +66,24 @@ def _stop(number: int, frame: FrameType | None) -> None:
     for other in _STOPPING:
         signal.signal(other, signal.SIG_DFL)  # who asks again does not want to wait
     _stopped = Stopped(number)
+    if hasattr(signal, "SIGALRM"):
+        signal.signal(signal.SIGALRM, _stop_again)
+    _raise_again_every(_RAISE_AGAIN_S)
     raise _stopped
+
+
+def _stop_again(number: int, frame: FrameType | None) -> None:
+    """Raise again what a library swallowed: numpy clears whatever is raised while it looks for protocols."""
+    error = sys.exc_info()[1]
+    while error is not None and error is not _stopped:
+        error = error.__context__
+    if error is None and _stopped is not None:  # else it is on its way, and files are being closed
+        raise _stopped
+
+
+def _raise_again_every(seconds: float) -> None:
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_REAL, seconds, seconds)
 
 
 def _prepare_streams() -> None:

@@ -142,6 +142,37 @@ class TestSignals:
         result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
         assert (result.returncode, result.stderr) == (130, "dslam: interrupted\n")
 
+    def test_that_a_library_swallowed_are_raised_again(self) -> None:
+        code = (
+            "import os, signal, sys, time, tools\n"
+            "def swallow(*_):\n"
+            "    try: os.kill(os.getpid(), signal.SIGINT)\n"
+            "    except BaseException: pass\n"
+            "    time.sleep(60)\n"
+            "import logs.summary; logs.summary.summarize = swallow\n"
+            f"sys.argv = ['dslam', 'info', {str(SAMPLE)!r}]\n"
+            "tools.main()"
+        )
+        command = [sys.executable, "-c", code]
+        result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=50)
+        assert (result.returncode, result.stderr) == (130, "dslam: interrupted\n")
+
+    def test_are_not_raised_again_while_files_are_closed(self) -> None:
+        code = (
+            "import os, signal, sys, time, tools\n"
+            "def close_slowly(*_):\n"
+            "    try: os.kill(os.getpid(), signal.SIGINT)\n"
+            "    finally:\n"
+            "        time.sleep(0.5)\n"
+            "        print('closed')\n"
+            "import logs.summary; logs.summary.summarize = close_slowly\n"
+            f"sys.argv = ['dslam', 'info', {str(SAMPLE)!r}]\n"
+            "tools.main()"
+        )
+        command = [sys.executable, "-c", code]
+        result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        assert (result.returncode, result.stdout, result.stderr) == (130, "closed\n", "dslam: interrupted\n")
+
     def test_that_became_another_error_on_their_way(self) -> None:
         code = (
             "import sys, tools\n"
