@@ -26,11 +26,13 @@ TRACKED = "its landmarks are still associated: there is no loop to close"
 @dataclass(frozen=True, slots=True, eq=False)
 class Decision:
     """``accepted``: the closure of a query, None if there is none. ``rejected``: records of the other candidates.
+    ``tracked``: the candidate that is accepted without a closure, by landmarks that were never let go.
     ``contradicts_odometry``: whether a candidate would be accepted if the odometry predicted nothing.
     """
 
     rejected: tuple[LoopClosureRecord, ...]
     accepted: Candidate | None = None
+    tracked: Candidate | None = None
     contradicts_odometry: bool = False
 
 
@@ -94,7 +96,7 @@ class Acceptance:
         best = replace(likeliest, posterior_log_odds=float(posterior.posterior_log_odds[posterior.best]))
         rejected = tuple(each.record(Stage.ACCEPTANCE, "another candidate is likelier") for each in others)
         if best.is_tracked and self._is_sure(posterior):
-            return Decision((*rejected, best.record(Stage.ASSOCIATION, TRACKED)))
+            return Decision((*rejected, best.record(Stage.ASSOCIATION, TRACKED)), tracked=best)
         if self._is_sure(posterior):
             rivals = self._verifier.rivals(query, best)
             compared = suppress_non_maxima([best, *others, *rivals], sensor_range_m=self._sensor_range_m)

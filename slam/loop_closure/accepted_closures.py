@@ -34,6 +34,7 @@ class AcceptedClosures:
         self._keyframes = keyframes
         self._loops = ClosedLoops(object_map, graph, keyframes, min_travel_m=config.loop_closure.min_travel_m)
         self._closed: dict[int, int] = {}
+        self._tracked: dict[int, int] = {}
         self._accepted: list[Accepted] = []
 
     @property
@@ -50,8 +51,10 @@ class AcceptedClosures:
         return self._loops.are_connected(self._keyframes[0].id, keyframe.id)
 
     def keyframes_nearby(self) -> set[int]:
-        """Localized keyframes within ``propagation_distance_m`` of a closure: their positions can be compared."""
-        ends = np.unique(self.keyframes)
+        """Localized keyframes within ``propagation_distance_m`` of a closure, or of a place that was recognised by
+        landmarks never let go: their positions can be compared.
+        """
+        ends = np.unique(np.array([*self._closed.items(), *self._tracked.items()], dtype=np.int64))
         segments = np.array([keyframe.odometry.segment for keyframe in self._keyframes])
         near: set[int] = set()
         for segment in np.unique(segments[ends]).tolist():
@@ -77,6 +80,10 @@ class AcceptedClosures:
         self._closed[candidate.query] = candidate.reference
         return candidate.record(Stage.ACCEPTED, reason, inserted=is_new, represented_by=represented_by)
 
+    def add_tracked(self, candidate: Candidate) -> None:
+        """Remember a place that was recognised by landmarks never let go: there is no loop to close."""
+        self._tracked[candidate.query] = candidate.reference
+
     def revoke_since(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
         """Revoke the closures of a keyframe's segment from the keyframe ``since`` on, which contradict the map.
 
@@ -94,6 +101,7 @@ class AcceptedClosures:
         is_kidnapped = keyframe.odometry.travel_m - connected_m > self._trusted_after_m
         if not is_kidnapped:
             since = next(each.id for each in self._keyframes if each.odometry.segment == segment)
+        self._tracked = {query: reference for query, reference in self._tracked.items() if query < since}
         self._loops.remove([loop for loop in self._loops.loops if loop.candidate.query >= since])
         # A closure goes with the factor that represents it, and one that is inconsistent itself goes anyhow.
         revoked = self._revoke(lambda each: max(each.candidate.query, each.represented_by) >= since)

@@ -192,6 +192,8 @@ class LoopCloser:
         decision = self._acceptance.decide(query, candidates)
         if decision.contradicts_odometry:
             self._rejected_by_odometry.add(query.keyframe.id)
+        if decision.tracked is not None:
+            self.closures.add_tracked(decision.tracked)
         best, records = decision.accepted, list(decision.rejected)
         if best is None:
             return records

@@ -73,6 +73,8 @@ def test_a_pose_by_landmarks_never_let_go_is_recognised_and_not_closed(acceptanc
     tracked = replace(candidate(0.0, SURE_LLR + 10.0), is_tracked=True)
     found = acceptance.decide(query(), [tracked, candidate(2.0, SURE_LLR - 5.0)])
     assert found.accepted is None
+    assert found.tracked is not None
+    assert found.tracked.is_tracked
     assert [each.stage for each in found.rejected] == ["acceptance", "association"]
     acceptance.reset()
     patterns.alike = []

@@ -11,6 +11,7 @@ from slam.common.arrays import FloatArray
 from slam.common.config import AssociationConfig, Config, FactorGraphConfig
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.loop_closure.accepted_closures import AcceptedClosures
+from slam.loop_closure.candidate import Candidate
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
@@ -45,14 +46,16 @@ class Drive:
         graph.update()
 
     def accept(self, query: int, *, reference: int | None = None, off_m: float = 0.0) -> None:
-        candidate = make_candidate(
+        self.closures.add(self.candidate(query, reference=reference, off_m=off_m), "")
+
+    def candidate(self, query: int, *, reference: int | None = None, off_m: float = 0.0) -> Candidate:
+        return make_candidate(
             query=query,
             reference=query - ROUND if reference is None else reference,
             travel_m=STEP_M * query,
             T_reference_query=pose(STEP_M * ROUND + off_m),
             T_local_query=pose(STEP_M * query),
         )
-        self.closures.add(candidate, "")
 
     def declare_lost(self, since: int) -> list[int]:
         records, _ = self.closures.revoke_since(self.keyframes[-1], since)
@@ -156,3 +159,18 @@ def test_keyframes_near_a_closure_can_be_compared_once_they_are_localized(street
     alone = Drive(second_segment=1)
     alone.accept(118, reference=92)
     assert alone.closures.keyframes_nearby() == set()
+
+
+def test_landmarks_are_compared_near_a_place_that_was_recognised_without_a_closure(street):
+    assert street.closures.keyframes_nearby() == set()
+    street.closures.add_tracked(street.candidate(100))
+    nearby = street.closures.keyframes_nearby()
+    assert {10, 100} <= nearby
+    assert 50 not in nearby
+    assert street.closed == []
+
+
+def test_a_place_recognised_without_a_closure_is_forgotten_once_the_robot_is_lost(street):
+    street.closures.add_tracked(street.candidate(100))
+    street.declare_lost(since=100)
+    assert street.closures.keyframes_nearby() == set()

@@ -50,6 +50,7 @@ class Parts(Patterns):
         self.kidnapped_at: Keyframe | None = None
         self.resets = 0
         self.closed: dict[int, int] = {}
+        self.recognised: list[int] = []
         # Acceptance.
         self.min_objects = 4
 
@@ -112,7 +113,7 @@ class Parts(Patterns):
 
     def decide(self, query: Query, candidates: list[Candidate]) -> Decision:
         if self.is_acceptable(candidates[0]):
-            return Decision((), candidates[0])
+            return Decision((), tracked=candidates[0]) if self.is_tracked else Decision((), candidates[0])
         return Decision((candidates[0].record(Stage.ACCEPTANCE, "weak"),))
 
     def reset(self) -> None:
@@ -129,6 +130,9 @@ class Parts(Patterns):
         assert candidate.query not in self.closed
         self.closed[candidate.query] = candidate.reference
         return candidate.record(Stage.ACCEPTED, reason)
+
+    def add_tracked(self, candidate: Candidate) -> None:
+        self.recognised.append(candidate.query)
 
     def revoke_since(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:
         return [], True
@@ -212,6 +216,14 @@ def test_a_closure_by_landmarks_that_are_still_associated_is_not_propagated(part
     drive.close(FIRST)
     parts.is_tracked = True
     assert accepted(drive.close(FIRST + 1)) == {}
+
+
+def test_a_place_recognised_by_landmarks_that_are_still_associated_is_remembered(parts):
+    drive = Drive(parts)
+    parts.llrs = {FIRST: SURE_LLR}
+    parts.is_tracked = True
+    assert accepted(drive.close(FIRST)) == {}
+    assert parts.recognised == [FIRST]
 
 
 def test_a_closure_predicts_no_keyframe_far_before_it(parts):
