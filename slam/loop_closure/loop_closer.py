@@ -9,6 +9,8 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from logs.messages import LoopClosureRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import IntArray
@@ -34,6 +36,9 @@ from slam.place_recognition.retrieval import PlaceRetriever
 
 logger = logging.getLogger(__name__)
 
+NEW_SHARE = 0.1
+"""Least share of landmarks in a query that were not in the last one that was looked up."""
+
 
 class LoopCloser:
     """Finds, verifies, accepts and inserts loop closures, keyframe by keyframe."""
@@ -48,6 +53,7 @@ class LoopCloser:
     ) -> None:
         self._submap_config = config.submap
         self._sensor_range_m = config.detection.sensor_range_m
+        self._propagation_distance_m = config.loop_closure.propagation_distance_m
         self._map = object_map
         self._keyframes = keyframes
         self._track = KeyframeTrack(config.odometry)
@@ -65,6 +71,7 @@ class LoopCloser:
         """Where in the prior map the robot is said to be; places elsewhere in it are left out."""
         self.lost_since_keyframe: int | None = None
         """The first keyframe that is inconsistent with the map, once the robot is lost; None while it is not."""
+        self._looked_up: Query | None = None
         self._rejected_by_odometry: set[int] = set()
         self._acceptance = Acceptance(config, self._verifier, keyframes)
         self._propagation = Propagation(config, self._verifier, self._acceptance, object_map, keyframes)
@@ -98,6 +105,10 @@ class LoopCloser:
         propagated = self._propagation.confirmed(predicted)
         if propagated is not None:
             return [self._accept(propagated, f"propagated from the closure of keyframe {propagated.seed_closure}")]
+        alike = self._looked_up_alike(query)
+        if alike is not None:
+            return [query.refusal(Stage.RETRIEVAL, f"few new landmarks since keyframe {alike.keyframe.id}")]
+        self._looked_up = query
         # 2. Elsewhere landmarks that are still followed, or retrieval by triangles and descriptors, propose candidates.
         verified = self._verify_proposed(query) if self._has_enough_objects(query) else []
         # 3. If the robot is lost and none of them is acceptable, the whole map is searched, for unconfirmed ones, too.
@@ -114,6 +125,15 @@ class LoopCloser:
             [each for each in verified if isinstance(each, Candidate)], sensor_range_m=self._sensor_range_m
         )
         return refused + self._decide(query, candidates)
+
+    def _looked_up_alike(self, query: Query) -> Query | None:
+        """The last query that was looked up, if the answer is the same; a closure soon after predicts this one, too."""
+        last = self._looked_up
+        if last is None or not self._has_enough_objects(query) or not self.closures.is_localized(query.keyframe):
+            return None
+        known_share = np.isin(query.submap.rows, last.submap.rows).mean()
+        is_alike = known_share > 1.0 - NEW_SHARE and query.travel_m - last.travel_m < self._propagation_distance_m
+        return last if is_alike else None
 
     def _verify_proposed(self, query: Query) -> list[Candidate | LoopClosureRecord]:
         """The candidates at the places that landmarks still followed, hypotheses and retrieval propose."""
@@ -171,6 +191,7 @@ class LoopCloser:
         """
         revoked = self.closures.revoke_since(keyframe, since)
         self.lost_since_keyframe = None
+        self._looked_up = None
         self._continuity.restart()
         self._propagation.reset()
         self._acceptance.reset()

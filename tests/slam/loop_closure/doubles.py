@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from slam.common.arrays import FloatArray
@@ -35,9 +37,10 @@ def make_submap(positions: FloatArray, labels: list[int] | None = None, *, first
     return Submap(np.asarray(positions, dtype=np.float64).reshape(-1, 3), np.full(count, 0.3), classes, rows)
 
 
-def make_query(keyframe: Keyframe, count: int = 0) -> Query:
+def make_query(keyframe: Keyframe, count: int = 0, *, first_row: int = 0) -> Query:
     """A query with so many objects."""
-    return Query(keyframe, make_submap(np.zeros((count, 3))), keyframe.T_local_body)
+    submap = make_submap(np.zeros((count, 3)))
+    return Query(keyframe, replace(submap, rows=submap.rows + first_row), keyframe.T_local_body)
 
 
 class Patterns:

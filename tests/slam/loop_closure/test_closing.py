@@ -42,6 +42,9 @@ class Parts(Patterns):
         self.off_m = 0.0
         """How far from there."""
         self.objects, self.unconfirmed = 10, 0
+        self.new_rows, self.first_row = 0, 0
+        """Landmarks that each query has and the one before it had not."""
+        self.retrieved = 0
         self.places = [PLACE]
         self.keyframes: Sequence[Keyframe] = []
         self.is_connected = True
@@ -53,6 +56,10 @@ class Parts(Patterns):
         self.recognised: list[int] = []
         # Acceptance.
         self.min_objects = 4
+
+    def recent_submap(self, *_: Any) -> Submap:
+        self.first_row += self.new_rows
+        return make_query(self.keyframes[0], self.objects, first_row=self.first_row).submap
 
     # Verifier.
     def latest_m(self, query: Query) -> float:
@@ -89,6 +96,7 @@ class Parts(Patterns):
         pass
 
     def retrieve(self, query: Submap, *, before_m: float, seed: int) -> list[Place]:
+        self.retrieved += 1
         return self.places
 
     def search_imported_map(self, query: Submap) -> list[Place]:
@@ -154,7 +162,7 @@ class Map:
     """An object map of landmarks of the segment 1, seen from the beginning."""
 
     def __init__(self) -> None:
-        self.rows = np.zeros(20, dtype=LANDMARK)
+        self.rows = np.zeros(1000, dtype=LANDMARK)
         self.rows["segment"] = 1
 
 
@@ -164,7 +172,7 @@ def parts(monkeypatch: pytest.MonkeyPatch) -> Parts:
     for name in ("Verifier", "PlaceRetriever", "AcceptedClosures", "ContinuityMonitor", "Acceptance"):
         monkeypatch.setattr(module, name, lambda *_, **__: parts)
     monkeypatch.setattr(module, "recent_landmarks", lambda *_: None)
-    monkeypatch.setattr(module, "recent_submap", lambda *_: make_query(parts.keyframes[0], parts.objects).submap)
+    monkeypatch.setattr(module, "recent_submap", parts.recent_submap)
     monkeypatch.setattr(
         module,
         "recent_submap_with_unconfirmed",
@@ -255,6 +263,7 @@ def test_a_closure_predicts_over_some_travel_only(parts):
 
 
 def test_a_closure_predicts_those_before_it_that_are_not_closed(parts):
+    parts.new_rows = 10
     drive = Drive(parts)
     for number in range(FIRST, FIRST + 4):
         parts.llrs[number] = TRACKED_LLR
@@ -264,6 +273,41 @@ def test_a_closure_predicts_those_before_it_that_are_not_closed(parts):
     found = accepted(drive.close(FIRST + 4))
     assert found.keys() == {FIRST, FIRST + 2, FIRST + 3, FIRST + 4}
     assert found[FIRST + 2] == f"propagated from the closure of keyframe {FIRST + 3}"
+
+
+def test_a_query_with_few_new_landmarks_is_not_looked_up_again(parts):
+    drive = Drive(parts)
+    parts.objects, parts.new_rows = 20, 1
+    drive.close(FIRST)
+    reasons = [record.reason for record in drive.close(FIRST + 1)]
+    assert (parts.retrieved, reasons) == (1, [f"few new landmarks since keyframe {FIRST}"])
+    drive.close(FIRST + 2)  # two of twenty
+    assert parts.retrieved == 2
+
+
+def test_a_query_with_few_new_landmarks_is_looked_up_where_no_closure_will_predict_it(parts):
+    drive = Drive(parts, propagation_distance_m=5.0)
+    drive.close(FIRST)
+    drive.close(FIRST + 2)
+    assert parts.retrieved == 1
+    drive.close(FIRST + 3)
+    assert parts.retrieved == 2
+
+
+def test_a_robot_that_is_lost_looks_up_every_query(parts):
+    drive = Drive(parts)
+    parts.is_connected = False
+    drive.close(FIRST)
+    drive.close(FIRST + 1)
+    assert parts.retrieved == 2
+
+
+def test_a_robot_that_got_lost_looks_up_what_it_had_looked_up_before(parts):
+    drive = Drive(parts)
+    drive.close(FIRST)
+    drive.closer.declare_lost(drive.keyframes[-1], FIRST)
+    drive.close(FIRST + 1)
+    assert parts.retrieved == 2
 
 
 def test_few_objects_close_no_loop(parts):
@@ -375,6 +419,7 @@ def test_in_a_map_that_is_being_made_landmarks_may_be_missed(parts):
 
 @pytest.mark.parametrize(("off_m", "is_lost"), [(5.9, False), (6.1, True)])
 def test_a_closure_far_from_where_the_last_one_leads_is_a_kidnapping(parts, off_m, is_lost):
+    parts.new_rows = 10
     drive = start_in_map(parts)
     parts.llrs[FIRST + 1], parts.off_m = SURE_LLR, off_m
     found = drive.close(FIRST + 1)
@@ -384,6 +429,7 @@ def test_a_closure_far_from_where_the_last_one_leads_is_a_kidnapping(parts, off_
 
 
 def test_places_where_the_robot_is_said_not_to_be_are_left_out(parts):
+    parts.new_rows = 10
     drive = Drive(parts, prior=True, min_travel_m=1.0)
     parts.llrs = {FIRST: SURE_LLR, FIRST + 1: SURE_LLR}
     drive.closer.place_prior = PlacePrior(np.array([5000.0, 0.0]), 10.0)
