@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -60,7 +61,7 @@ class TrainingFolder(Generic[E]):
             **{name: part.state_dict() for name, part in parts.items()},
         }
         with replaced(self.path / CHECKPOINT) as part:
-            torch.save(state, part)
+            torch.save({**state, "sha256": _digest(state)}, part)
 
     def resume(self, parts: Mapping[str, Stateful], device: torch.device | None = None) -> list[E]:
         """Put the parts into the state of the checkpoint; returns the epochs before it, none without a checkpoint.
@@ -74,6 +75,8 @@ class TrainingFolder(Generic[E]):
             return []
         try:
             state = torch.load(path, map_location=device, weights_only=True)
+            if state.pop("sha256", None) != _digest(state):
+                raise ValueError("it was altered, or is of another version")
             theirs = dict(json.loads(state["identity"]))
             epochs = [self.epoch_type(**each) for each in json.loads(state["epochs"])]
         except Exception as error:  # what torch raises depends on where the file is broken
@@ -88,6 +91,28 @@ class TrainingFolder(Generic[E]):
         for name, part in parts.items():
             part.load_state_dict(state[name])
         return epochs
+
+
+def _digest(state: Mapping[str, Any]) -> str:
+    """SHA-256 of all tensors, numbers and texts: an optimizer takes an altered state, and fails when it is used."""
+    digest = hashlib.sha256()
+
+    def add(key: str, value: Any) -> None:
+        if isinstance(value, Mapping):
+            for name, each in value.items():
+                add(f"{key}/{name}", each)
+        elif isinstance(value, list | tuple):
+            for number, each in enumerate(value):
+                add(f"{key}/{number}", each)
+        elif isinstance(value, torch.Tensor):
+            plain = value.detach().cpu().contiguous()
+            digest.update(f"{key} {plain.dtype} {tuple(plain.shape)}\n".encode())
+            digest.update(plain.reshape(-1).view(torch.uint8).numpy().tobytes())
+        else:
+            digest.update(f"{key} {value!r}\n".encode(errors="backslashreplace"))
+
+    add("", state)
+    return digest.hexdigest()
 
 
 @contextmanager

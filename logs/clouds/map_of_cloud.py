@@ -58,7 +58,10 @@ def _objects(
     cloud = cloud.finite()
     numbers = np.unique(cloud.classes).tolist()
     kept = {number: name(number) for number in numbers if not reason(number)}
-    found = find_objects(cloud, kept, CloudSettings())
+    try:
+        found = find_objects(cloud, kept, CloudSettings())
+    except DatasetError as error:
+        raise DatasetError(f"{source}: {error}") from error
     parts = Counter(_instances(cloud))
     left_out = Counter({why: 0 for number in numbers if (why := reason(number))})
     for number, count in parts.items():

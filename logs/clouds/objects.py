@@ -11,12 +11,15 @@ import numpy as np
 from logs.clouds.geometry import clusters, voxel_means
 from logs.clouds.labelled_cloud import LabelledCloud
 from logs.clouds.one_sided import Centre, seen_from_all_sides, seen_from_one_side
+from logs.errors import DatasetError
 from logs.messages import FloatArray, IntArray, ObjectDetections
 
 NOMINAL_REACH_M = 60.0
 """Reach of the sensor for which the lengths of the settings are meant, where they are not given."""
 REACH_QUANTILE = 0.99
 FEWEST_POINTS = 5
+MOST_VOXELS = 2**20
+"""Along an axis, so that the places of all voxels can be numbered: 100 km of those of 0.1 m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,12 +96,13 @@ def find_objects(
         The objects, by class and instance or the order of their points; none of an empty cloud.
 
     Raises:
-        DatasetError: Open3D is missing.
+        DatasetError: Open3D is missing, or points lie more than 2^20 voxels apart.
     """
     settings = settings or CloudSettings()
     cloud = cloud.finite()
     scale = _scale(cloud, viewpoint)
     voxel_m = settings.voxel_m or 0.1 * scale
+    _check_extent(cloud, voxel_m)
     fewest = FEWEST_POINTS
     if viewpoint is not None:
         fewest = max(fewest, int(np.ceil(settings.min_share * len(cloud.positions))))
@@ -155,6 +159,19 @@ def _scale(cloud: LabelledCloud, viewpoint: FloatArray | None) -> float:
         return 1.0
     reach_m = float(np.quantile(np.linalg.norm(cloud.positions - viewpoint, axis=1), REACH_QUANTILE))
     return float(2.0 ** np.round(np.log2(max(reach_m, 1e-3) / NOMINAL_REACH_M)))
+
+
+def _check_extent(cloud: LabelledCloud, voxel_m: float) -> None:
+    if len(cloud.positions) == 0:
+        return
+    low, high = cloud.positions.min(axis=0), cloud.positions.max(axis=0)
+    astray = ~((high - low) / voxel_m < MOST_VOXELS) | ~(np.maximum(-low, high) / voxel_m < 2.0**62)
+    if astray.any():
+        axis = int(astray.argmax())
+        raise DatasetError(
+            f"a cloud reaches from {'xyz'[axis]} = {low[axis]:g} m to {high[axis]:g} m, more than {MOST_VOXELS} voxels "
+            f"of {voxel_m:g} m; remove the points that lie astray"
+        )
 
 
 def _parts(

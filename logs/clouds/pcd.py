@@ -14,7 +14,9 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.clouds.file_size import check_size
 from logs.errors import DatasetError
+from logs.storage.regular_file import open_regular
 
 _TYPES = {"F": ("f", (4, 8)), "I": ("i", (1, 2, 4, 8)), "U": ("u", (1, 2, 4, 8))}
 _FILLING = "_"
@@ -48,12 +50,12 @@ def read_pcd(path: Path) -> Mapping[str, NDArray[Any]]:
         DatasetError: the file cannot be read, is no PCD file, or is cut off.
     """
     try:
-        with open(path, "rb") as stream:
+        with open_regular(path) as stream:
             header = _read_header(stream)
             columns = _READERS[header.storage](stream, header)
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror}); check the path") from error
-    except (ValueError, IndexError, struct.error) as error:
+    except (ValueError, OverflowError, IndexError, struct.error) as error:
         raise DatasetError(f"{path}: no PCD file that can be read ({error}); write it again") from error
     if len(columns[0]) < header.count:
         raise DatasetError(
@@ -77,6 +79,8 @@ def _read_header(stream: BinaryIO) -> _Header:
         raise ValueError("its header lacks FIELDS, SIZE, TYPE, WIDTH, HEIGHT or DATA")
     names, sizes = entries["FIELDS"], [int(size) for size in entries["SIZE"]]
     counts = [int(count) for count in entries.get("COUNT", ["1"] * len(names))]
+    if len(set(names) - {_FILLING}) < len([name for name in names if name != _FILLING]):
+        raise ValueError("two of its FIELDS have one name")
     if not names or not len(names) == len(sizes) == len(entries["TYPE"]) == len(counts):
         raise ValueError("FIELDS, SIZE, TYPE and COUNT differ in length")
     count = int(entries["WIDTH"][0]) * int(entries["HEIGHT"][0])
@@ -96,6 +100,7 @@ def _kind(code: str, size: int) -> np.dtype[Any]:
 
 def _read_text(stream: BinaryIO, header: _Header) -> list[NDArray[Any]]:
     width = sum(header.counts)
+    check_size(stream, header.count, 2 * width, "points")
     rows = np.loadtxt(stream, max_rows=header.count, ndmin=2) if header.count else np.zeros((0, width))
     if rows.shape[1] != width and len(rows):
         raise ValueError(f"lines of {rows.shape[1]} numbers for {width} fields")
@@ -104,6 +109,7 @@ def _read_text(stream: BinaryIO, header: _Header) -> list[NDArray[Any]]:
 
 
 def _read_binary(stream: BinaryIO, header: _Header) -> list[NDArray[Any]]:
+    check_size(stream, header.count, header.row.itemsize, "points")
     rows = np.fromfile(stream, header.row, header.count)
     return [rows[name] for name in header.row.names or ()]
 
@@ -111,9 +117,8 @@ def _read_binary(stream: BinaryIO, header: _Header) -> list[NDArray[Any]]:
 def _read_compressed(stream: BinaryIO, header: _Header) -> list[NDArray[Any]]:
     """Each field of all points after the other, packed by LZF."""
     packed_bytes, size = _SIZES.unpack(stream.read(_SIZES.size))
+    check_size(stream, packed_bytes, 1, "packed bytes")
     packed = stream.read(packed_bytes)
-    if len(packed) < packed_bytes:
-        raise ValueError(f"{len(packed)} of {packed_bytes} packed bytes are there; it is cut off")
     if size != header.row.itemsize * header.count or size > _MOST_EXPANSION * packed_bytes:
         raise ValueError(f"{packed_bytes} bytes packed of {size} for {header.count} points")
     content, begin, columns = _unpack(packed, size), 0, list[NDArray[Any]]()

@@ -12,6 +12,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.clouds.file_size import check_size
 from logs.errors import DatasetError
 from logs.storage.regular_file import open_regular
 
@@ -47,8 +48,9 @@ def read_ply(path: Path) -> Mapping[str, NDArray[Any]]:
         with open_regular(path) as stream:
             order, count, properties = _header(path, stream)
             names = list(properties)
+            kind = np.dtype([(name, order + code) for name, code in properties.items()])
+            check_size(stream, count, kind.itemsize if order else 2 * len(names), "vertices")
             if order:
-                kind = np.dtype([(name, order + code) for name, code in properties.items()])
                 rows: NDArray[Any] = np.fromfile(stream, kind, count)
                 columns: Mapping[str, NDArray[Any]] = {name: rows[name] for name in names}
             else:
@@ -58,7 +60,7 @@ def read_ply(path: Path) -> Mapping[str, NDArray[Any]]:
                 columns = dict(zip(names, rows.T, strict=True))
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror}); check the path") from error
-    except (ValueError, UnicodeDecodeError) as error:
+    except (ValueError, OverflowError) as error:
         raise DatasetError(f"{path}: no PLY file that can be read ({error}); write it again") from error
     if len(rows) < count:
         raise DatasetError(f"{path}: {len(rows)} of {count} vertices are there; it is cut off: copy it again")
@@ -80,8 +82,10 @@ def _header(path: Path, stream: BinaryIO) -> tuple[str, int, dict[str, str]]:
             case ["element", name, number]:
                 elements.append(name)
                 count = int(number) if len(elements) == 1 else count
-            case ["property", code, name] if elements == ["vertex"] and code in _TYPES:
+            case ["property", code, name] if elements == ["vertex"] and code in _TYPES and name not in properties:
                 properties[name] = _TYPES[code]
+            case ["property", _, name] if elements == ["vertex"] and name in properties:
+                raise ValueError(f"two properties of a vertex are called {name!r}")
             case ["property", *_] if elements == ["vertex"]:
                 raise ValueError(f"a vertex has {' '.join(words)!r}, which is no number")
             case ["comment" | "obj_info" | "property", *_]:

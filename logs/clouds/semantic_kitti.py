@@ -39,7 +39,10 @@ class SemanticKitti:
         found = []
         for done, (number, points, labels) in enumerate(self.scans, start=1):
             cloud = read_semantic_kitti_scan(points, labels)
-            objects = find_objects(cloud, SEMANTIC_KITTI_OBJECTS, settings, viewpoint=_SENSOR)
+            try:
+                objects = find_objects(cloud, SEMANTIC_KITTI_OBJECTS, settings, viewpoint=_SENSOR)
+            except DatasetError as error:
+                raise DatasetError(f"{points}: {error}") from error
             found.append(objects.detections(self.stamps_ns[number], "base_link"))
             if progress is not None:
                 progress(done / len(self.scans))

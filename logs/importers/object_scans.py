@@ -13,7 +13,7 @@ from zlib import error as ZlibError  # noqa: N812 - a class, whatever zlib calls
 import numpy as np
 
 from logs.errors import DatasetError
-from logs.importers.text_files import TextFile, parse_numbers, sha256_of
+from logs.importers.text_files import LONGEST_NUMBER, TextFile, parse_numbers, sha256_of
 from logs.messages import FloatArray
 from logs.storage.regular_file import most_unpacked, open_regular, read_regular
 
@@ -120,7 +120,7 @@ def _sequence_folder(path: Path, files: dict[str, TextFile], sequence: str | Non
 
 def _class_counts(name: str, number: int, line: str) -> tuple[int, int, int]:
     fields = [field.strip() for field in line.split(",")]
-    if len(fields) != len(LABELS) or not all(field.isdecimal() for field in fields):
+    if len(fields) != len(LABELS) or not all(field.isdecimal() and len(field) <= LONGEST_NUMBER for field in fields):
         raise DatasetError(
             f"{name}, line {number}: {line!r} is not '{','.join(f'{label}s' for label in LABELS)}' counts"
         )

@@ -11,6 +11,9 @@ from pathlib import Path
 from logs.errors import DatasetError
 from logs.storage.regular_file import read_regular
 
+LONGEST_NUMBER = 18
+"""Digits of a whole number, so that 64 bits hold it."""
+
 
 @dataclass(frozen=True, slots=True)
 class TextFile:

@@ -19,7 +19,7 @@ import numpy as np
 
 from logs.errors import DatasetError
 from logs.importers.imported_log import ImportSummary, write_imported_log
-from logs.importers.text_files import TextFile, parse_numbers, read_text_file, sha256_of
+from logs.importers.text_files import LONGEST_NUMBER, TextFile, parse_numbers, read_text_file, sha256_of
 from logs.messages import DetectionTruth, FloatArray, ObjectDetections, Odometry
 
 DEFAULT_STEP_S = 0.2
@@ -135,7 +135,7 @@ def import_victoria_park(output: Path, *, path: Path | None = None, step_s: floa
 
 
 def _key(file: TextFile, number: int, text: str) -> int:
-    if not text.isdecimal():
+    if not (text.isdecimal() and len(text) <= LONGEST_NUMBER):
         raise DatasetError(f"{file.name}, line {number}: {text!r} is not the number of a pose or tree")
     return int(text)
 

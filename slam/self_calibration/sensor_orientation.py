@@ -7,6 +7,7 @@ tried on pairs of scans with enough travel and on pairs with enough turn, since 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from itertools import permutations, product
 
@@ -55,7 +56,9 @@ def find_orientation(scans: Sequence[SurveyScan], headings_rad: FloatArray) -> F
 
 def roll_pitch_yaw_deg(R: FloatArray) -> FloatArray:
     """Angles (3,) about the fixed axes x, y, z, in this order."""
-    return np.asarray(Rotation.from_matrix(R).as_euler("xyz", degrees=True)) + 0.0
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Gimbal lock")  # one of the angles may be chosen then, and is 0
+        return np.asarray(Rotation.from_matrix(R).as_euler("xyz", degrees=True)) + 0.0
 
 
 def _quarter_turns() -> list[FloatArray]:
@@ -80,9 +83,13 @@ def _spacing(scans: Sequence[SurveyScan], range_m: float) -> float:
     """Median distance [m] of a detection from the nearest of its class in its scan, in space; at most ``range_m``."""
     nearest = []
     for scan in scans[:: max(len(scans) // (4 * PAIRS), 1)]:
-        apart = np.linalg.norm(scan.positions[:, None] - scan.positions[None], axis=2)
-        apart[(scan.labels[:, None] != scan.labels[None]) | np.eye(len(apart), dtype=np.bool_)] = np.inf
-        nearest.append(apart.min(axis=1, initial=np.inf))
+        apart = np.full(len(scan.positions), np.inf)
+        for label in np.unique(scan.labels):
+            rows = np.flatnonzero(scan.labels == label)
+            if len(rows) > 1:
+                places = scan.positions[rows]
+                apart[rows] = np.asarray(cKDTree(places).query(places, k=2)[0])[:, 1]
+        nearest.append(apart)
     return min(float(np.median(np.concatenate(nearest))), range_m)
 
 

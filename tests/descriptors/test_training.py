@@ -200,6 +200,14 @@ def test_a_truncated_checkpoint_is_refused(folder, tmp_path, share):
         train(TINY, tmp_path)
 
 
+def test_an_altered_checkpoint_is_refused(folder, tmp_path):
+    state = torch.load(folder / CHECKPOINT, weights_only=True)
+    del state["optimizer"]["state"][0]["step"]
+    torch.save(state, tmp_path / CHECKPOINT)
+    with pytest.raises(DescriptorError, match="cannot be read: it was altered, or is of another version; delete it"):
+        train(TINY, tmp_path)
+
+
 @pytest.mark.parametrize("content", [{}, {"config": "{}", "epochs": "x"}, [1, 2]], ids=["empty", "no epochs", "list"])
 def test_what_is_no_checkpoint_is_refused(tmp_path, content):
     torch.save(content, tmp_path / CHECKPOINT)

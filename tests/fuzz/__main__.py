@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
-import shutil
+import multiprocessing
+import os
 import sys
 import tempfile
 import time
 from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
 
-from tests.fuzz.cases import FAMILIES, make_case
-from tests.fuzz.judgement import judge
-from tests.fuzz.sandbox import Limits, run
+from tests.fuzz.cases import FAMILIES
 from tests.fuzz.seeds import make_seeds
+from tests.fuzz.trial import Trials, Verdict, begin, run_case
 from tools.cli import make_app
 
 _IMPORTED = ("slam.replay", "slam.evaluation.evaluate", "slam.evaluation.html_report.page", "logs.summary",
@@ -27,7 +27,8 @@ _IMPORTED = ("slam.replay", "slam.evaluation.evaluate", "slam.evaluation.html_re
              "slam.simulation.degraded_log", "logs.importers.text_log", "logs.importers.detection_tables", "osmium",
              "logs.importers.maps.osm", "slam.map_joining.joint_map", "slam.evaluation.comparison", "slam.sweeps.sweep",
              "slam.localization.imported_map_editing", "slam.evaluation.report.text", "tools.evaluation.evaluate",
-             "tools.evaluation.compare", "multiprocessing.pool", "encodings.idna", "_strptime")  # fmt: skip
+             "tools.evaluation.compare", "logs.clouds.map_of_cloud", "logs.clouds.semantic_kitti",
+             "open3d", "multiprocessing.pool", "encodings.idna", "_strptime")  # fmt: skip
 """What children would import again and again."""
 _SCRATCH = "/dev/shm" if Path("/dev/shm").is_dir() else None
 """Outputs are flushed to the disk before they get their names, which takes longer than the rest of most cases."""
@@ -42,9 +43,10 @@ def main() -> int:
     parser.add_argument("--family", choices=FAMILIES, default="", help="only those")
     parser.add_argument("--keep", type=Path, default=Path("out/fuzz"), help="folder for the cases that fail")
     parser.add_argument("--minutes", type=float, default=np.inf, help="end after that time")
+    parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes; the cases are the same")
     options = parser.parse_args()
     for module in _IMPORTED:
-        with contextlib.suppress(ModuleNotFoundError):
+        with contextlib.suppress(ImportError, OSError):
             __import__(module)
     make_app()
     with tempfile.TemporaryDirectory(prefix="fuzz-", dir=_SCRATCH) as folder:
@@ -54,48 +56,50 @@ def main() -> int:
 def fuzz(folder: Path, options: argparse.Namespace) -> int:
     """Run the cases in ``folder``; what was wrong is printed as it is found, and counted at the end."""
     (folder / "seeds").mkdir()
-    seeds = make_seeds(folder / "seeds")
-    limits = Limits()
-    codes: Counter[int] = Counter()
-    complaints: Counter[str] = Counter()
-    started = time.monotonic()
-    done = 0
-    slowest, largest = 0.0, 0
-    for number in range(options.first, options.first + options.count):
-        if time.monotonic() - started > 60.0 * options.minutes:
-            break
-        case_folder = folder / "case"
-        case_folder.mkdir()
-        case = make_case(seeds, case_folder, np.random.default_rng([options.seed, number]), options.family)
-        outcome = run(case.arguments, case_folder, limits)
-        codes[outcome.code] += 1
-        done += 1
-        if done % 1000 == 0:
-            print(f"{number + 1}: {done} cases in {time.monotonic() - started:.0f} s", flush=True)
-        slowest, largest = max(slowest, outcome.seconds), max(largest, outcome.peak_bytes)
-        found = judge(case.arguments, case.outputs, outcome, limits)
-        for complaint in found:
-            complaints[complaint] += 1
-            print(f"{number}: {complaint}  [{' '.join(case.arguments)[:200]}]", flush=True)
-        if found:
-            _keep(case_folder, options.keep / f"{options.seed}-{number}", case.arguments)
-        shutil.rmtree(case_folder)
-    seconds = time.monotonic() - started
-    print(f"\n{done} cases in {seconds:.0f} s; exit codes {dict(sorted(codes.items()))}; slowest {slowest:.1f} s, "
-          f"largest {largest / 1e6:.0f} MB above the {len(seeds.logs)} seeds' own")  # fmt: skip
-    for complaint, count in complaints.most_common():
-        print(f"{count:6d}  {complaint}")
-    return int(bool(complaints))
+    trials = Trials(make_seeds(folder / "seeds"), options.seed, options.family, folder, options.keep.resolve())
+    tally = _Tally()
+    numbers = range(options.first, options.first + options.count)
+    fork = multiprocessing.get_context("fork")
+    with ProcessPoolExecutor(options.workers, fork, begin, (trials,)) as pool:
+        for verdict in pool.map(run_case, numbers):
+            tally.add(verdict)
+            if tally.seconds > 60.0 * options.minutes:
+                pool.shutdown(cancel_futures=True)
+                break
+    tally.show()
+    return int(bool(tally.complaints))
 
 
-def _keep(case_folder: Path, target: Path, arguments: list[str]) -> None:
-    shutil.rmtree(target, ignore_errors=True)
-    shutil.copytree(case_folder, target, symlinks=True, ignore=_pipes)
-    (target / "arguments.json").write_text(json.dumps(arguments))
+class _Tally:
+    """What became of all cases so far, in the order of their numbers."""
 
+    def __init__(self) -> None:
+        self.complaints: Counter[str] = Counter()
+        self._codes: Counter[int] = Counter()
+        self._slowest_s, self._largest_bytes = 0.0, 0
+        self._started = time.monotonic()
 
-def _pipes(folder: str, names: list[str]) -> list[str]:
-    return [name for name in names if (Path(folder) / name).is_fifo()]
+    @property
+    def seconds(self) -> float:
+        return time.monotonic() - self._started
+
+    def add(self, verdict: Verdict) -> None:
+        self._codes[verdict.code] += 1
+        self._slowest_s = max(self._slowest_s, verdict.seconds)
+        self._largest_bytes = max(self._largest_bytes, verdict.peak_bytes)
+        for complaint in verdict.complaints:
+            self.complaints[complaint] += 1
+            print(f"{verdict.number}: {complaint}  [{' '.join(verdict.arguments)[:200]}]", flush=True)
+        if self._codes.total() % 1000 == 0:
+            print(f"{verdict.number + 1}: {self._codes.total()} cases in {self.seconds:.0f} s", flush=True)
+
+    def show(self) -> None:
+        codes = dict(sorted(self._codes.items()))
+        largest = f"largest {self._largest_bytes / 1e6:.0f} MB above what is imported"
+        print(f"\n{self._codes.total()} cases in {self.seconds:.0f} s; exit codes {codes}; slowest "
+              f"{self._slowest_s:.1f} s, {largest}")  # fmt: skip
+        for complaint, count in self.complaints.most_common():
+            print(f"{count:6d}  {complaint}")
 
 
 if __name__ == "__main__":

@@ -12,10 +12,12 @@ import numpy as np
 from slam.common.config import Config
 from slam.common.config_tree import settings_of
 from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_text
+from tests.fuzz.dataset_cases import checkpoint_arguments, cloud_arguments, dataset_arguments
 from tests.fuzz.log_mutations import mutate_log
 from tests.fuzz.mcap_file import Layout, write_file
 from tests.fuzz.odd_paths import make_odd_paths, odd_arguments
 from tests.fuzz.seeds import WEIGHTS, Seeds
+from tests.fuzz.training_mutations import mutate_weights
 
 _SETTINGS = [setting.key for setting in settings_of(Config())]
 
@@ -119,7 +121,7 @@ def _objects(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
 
 def _weights(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
     """A drive that is as it should be, and weights of a network that are not."""
-    (folder / WEIGHTS.name).write_bytes(mutate_bytes(seeds.files[WEIGHTS.name], rng))
+    (folder / WEIGHTS.name).write_bytes(mutate_weights(seeds.files[WEIGHTS.name], rng))
     given = ["--set", f"loop_closure.descriptor={WEIGHTS.name}"]
     return Case(["replay", _intact(seeds, folder, "drive"), "-o", "out.mcap", *given], [folder / "out.mcap"])
 
@@ -164,6 +166,18 @@ def _training(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
     return Case(["train", "network", "--maps", given, "--maps", "none.csv", "--epochs", "1"])
 
 
+def _checkpoints(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    return Case(checkpoint_arguments(seeds.trainings, folder, rng))
+
+
+def _clouds(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    return Case(cloud_arguments(folder, rng), [folder / "out.mcap"])
+
+
+def _datasets(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    return Case(dataset_arguments(folder, rng), [folder / "out.mcap"])
+
+
 def _paths(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
     return Case(odd_arguments(make_odd_paths(seeds, folder), rng))
 
@@ -198,6 +212,9 @@ _FAMILIES: dict[str, tuple[Callable[[Seeds, Path, np.random.Generator], Case], f
     "maps": (_maps, 1),
     "several": (_several, 0.7),
     "training": (_training, 0.1),
+    "checkpoints": (_checkpoints, 0.7),
+    "clouds": (_clouds, 1.5),
+    "datasets": (_datasets, 0.7),
     "paths": (_paths, 1.5),
 }
 FAMILIES = tuple(_FAMILIES)

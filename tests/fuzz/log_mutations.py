@@ -60,7 +60,7 @@ def _payloads(file: McapFile, rng: np.random.Generator) -> None:
         elif encoding == "cdr":
             data = _mutate_cdr(message.data, one)
         elif encoding == "json":
-            data = _mutate_json(message.data, one)
+            data = mutate_json(message.data, one)
         else:
             data = mutate_bytes(message.data, one)
         file.messages[i] = replace(message, data=data)
@@ -139,7 +139,7 @@ def _mutate_cdr(data: bytes, rng: np.random.Generator) -> bytes:
     return bytes(altered)
 
 
-def _mutate_json(data: bytes, rng: np.random.Generator) -> bytes:
+def mutate_json(data: bytes, rng: np.random.Generator) -> bytes:
     """Another value, of another kind perhaps, at one place of the tree."""
     if rng.random() < 0.2:
         return mutate_bytes(data, rng)

@@ -18,6 +18,7 @@ from logs.decoders.protobuf import DECODERS
 from logs.reader import LogReader
 from logs.writer import LogWriter
 from slam.formats.g2o import write_pose_graph
+from tests.fuzz.dataset_cases import NETWORKS, make_trainings_small, training_arguments
 from tests.fuzz.mcap_file import McapFile, Message, read_file
 from tests.helpers.pose_graphs import with_false
 from tests.logs.examples import every_kind
@@ -35,14 +36,16 @@ _ODOMETRY = definition(
 
 @dataclass(frozen=True)
 class Seeds:
-    """Logs by name, and the bytes of other files by name."""
+    """Logs by name, the bytes of other files by name, and of checkpoints by the folder of their training."""
 
     logs: dict[str, McapFile]
     files: dict[str, bytes]
+    trainings: dict[str, bytes]
 
 
 def make_seeds(folder: Path) -> Seeds:
-    """Make them in ``folder``, a few seconds."""
+    """Make them in ``folder``, a few seconds; trainings of this process are small from then on."""
+    make_trainings_small()
     drive, mapped, saved = folder / "drive.mcap", folder / "mapped.mcap", folder / "map.mcap"
     _write_drive(drive)
     _run("replay", drive, "-o", mapped, "--save-map", saved)
@@ -64,7 +67,14 @@ def make_seeds(folder: Path) -> Seeds:
     return Seeds(
         logs={**logs, "json": _as_json(logs["drive"])},
         files={name: (folder / name).read_bytes() for name in texts},
+        trainings={name: _checkpoint(folder, name) for name in NETWORKS},
     )
+
+
+def _checkpoint(folder: Path, name: str) -> bytes:
+    with contextlib.chdir(folder):
+        _run(*training_arguments(name))
+    return (folder / name / "checkpoint.pt").read_bytes()
 
 
 def _run(*arguments: object) -> str:

@@ -24,6 +24,9 @@ Names = Annotated[
     typer.Option("--name", metavar="NUMBER=CLASS", help="What is an object, instead of all but 0. Repeatable."),
 ]
 
+_LONGEST_NUMBER = 18
+"""Digits of the number of a class, so that 64 bits hold it."""
+
 
 def semantic_kitti(
     output: NewLog,
@@ -160,7 +163,7 @@ def _parsed_names(names: list[str] | None) -> Mapping[int, str] | None:
     named: dict[int, str] = {}
     for pair in names or ():
         number, _, label = pair.partition("=")
-        if not number.isdecimal() or not label:
+        if not number.isdecimal() or len(number) > _LONGEST_NUMBER or not label:
             raise typer.BadParameter(f"{pair!r} is not NUMBER=CLASS, for example 80=pole.", param_hint="--name")
         named[int(number)] = label
     return named or None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import struct
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 
 from logs.clouds.class_names import BOLLARD
 from logs.clouds.cloud_files import ANY, IQMULUS, PARIS_LILLE, CloudFields, read_cloud
+from logs.clouds.labelled_cloud import LabelledCloud
 from logs.clouds.map_of_cloud import named_objects, urban_objects
 from logs.clouds.objects import find_objects
 from logs.clouds.occlusion import visible_objects
@@ -203,6 +205,9 @@ def test_pcd_that_open3d_packed(tmp_path: Path) -> None:
         ("1 2 3 80 5", "1 2 3 80", "no PCD file that can be read"),
         ("6 7 8 71 0\n", "", "1 of 2 points are there; it is cut off"),
         ("WIDTH 2", "WIDTH -2", "-2 points"),
+        ("WIDTH 2", f"WIDTH {2**62}", "points are there; it is cut off"),
+        ("WIDTH 2", "WIDTH " + "9" * 5000, "no PCD file that can be read"),
+        ("FIELDS x y z", "FIELDS x y y", "two of its FIELDS have one name"),
         ("label instance", "a b", "no field tells the class"),
     ],
 )
@@ -229,6 +234,8 @@ def damaged(path: Path, kind: str) -> Path:
         "no end": content.replace(b"end_header", b"comment end"),
         "a list": content.replace(b"property uchar reflectance", b"property list uchar int reflectance"),
         "faces first": content.replace(b"element vertex", b"element edge"),
+        "huge": content.replace(b"element vertex ", b"element vertex 999999999999999999"),
+        "two of a name": content.replace(b"property float y", b"property float x"),
         "a fraction": content.replace(b"property uint label", b"property float class2"),
     }
     path.write_bytes(changes[kind])
@@ -241,6 +248,8 @@ def damaged(path: Path, kind: str) -> Path:
         ("no class", "no field tells the class of a point .*; it has x, y, z"),
         ("no positions", "no fields x, y and z; it has class"),
         ("cut off", "of .* vertices are there; it is cut off"),
+        ("huge", "of 9.* vertices are there; it is cut off"),
+        ("two of a name", "two properties of a vertex are called 'x'"),
         ("no ply", "does not begin with 'ply'"),
         ("no end", "no PLY file that can be read"),
         ("a list", "which is no number"),
@@ -254,6 +263,23 @@ def test_faults_are_one_line_with_the_file(tmp_path: Path, kind: str, fault: str
     assert "\n" not in str(refused.value)
     with pytest.raises(DatasetError, match=r"none\.ply: cannot be read"):
         read_cloud(tmp_path / "none.ply")
+
+
+@pytest.mark.parametrize("name", ["cloud.ply", "cloud.pcd"])
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(DatasetError, match="a pipe"):
+        read_cloud(tmp_path / name)
+
+
+@pytest.mark.parametrize("astray", [1e9, 1e30, -1e300])
+def test_points_that_lie_astray_are_told(tmp_path: Path, astray: float) -> None:
+    points = np.array([*post(3.0, 0.0), [0.0, astray, 0.0]])
+    labelled = LabelledCloud(points, np.full(len(points), 7))
+    with pytest.raises(
+        DatasetError, match=r"a\.ply: a cloud reaches from y = .* m, more than 1048576 voxels of 0\.1 m"
+    ):
+        named_objects(labelled, "a.ply", "")
 
 
 def wall(x_m: float, width_m: float) -> FloatArray:

@@ -157,6 +157,7 @@ POSE = "1 0 0 0 0 1 0 0 0 0 1 0\n"
         (_write("objects/07/bow.txt", "1,0,1\n0,2,0\n0,0,0\n"), "scan 1: .*000001.txt has 1 centroids, .*counts 2"),
         (_write("objects/07/bow.txt", "1,0,1\n0,1\n0,0,0\n"), "bow.txt, line 2"),
         (_write("objects/07/bow.txt", "1,0,1\n0,-1,0\n0,0,0\n"), "bow.txt, line 2"),
+        (_write("objects/07/bow.txt", f"1,0,{'9' * 5000}\n0,1,0\n0,0,0\n"), "bow.txt, line 1"),
         (_write("objects/07/bow.txt", "1,0,1\n0,1,0\n"), "2 scans, centroids holds 3; scan 2 is not counted"),
         (_write("objects/07/centroids/000002.txt", "\n1 2 x\n"), "000002.txt, line 2: 'x' is not a number"),
         (_write("objects/07/centroids/000001.txt", "1 2 nan\n"), "000001.txt, line 1: 'nan' is not a finite"),

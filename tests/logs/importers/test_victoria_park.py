@@ -114,6 +114,8 @@ def test_log_reads_back(tmp_path: Path) -> None:
         ("ODOMETRY 0 1 2 0 0 1 0 0 1 0\n", "line 1: 10 values where 11"),
         ("ODOMETRY 0 1 2 0 x 1 0 0 1 0 1\n", "line 1: 'x' is not a number"),
         ("ODOMETRY 0 1.5 2 0 0 1 0 0 1 0 1\n", "line 1: '1.5' is not the number"),
+        (f"ODOMETRY 0 {'9' * 5000} 2 0 0 1 0 0 1 0 1\n", "line 1: '9+' is not a finite"),
+        (f"ODOMETRY 0 {'9' * 300} 2 0 0 1 0 0 1 0 1\n", "line 1: '9+' is not the number"),
         ("ODOMETRY 0 1 2 0 0 1 0 0 1 0 1\nLANDMARK 0 5 1 1 1 0 1\n", "line 2: LANDMARK from pose 0, .* at pose 1"),
         ("ODOMETRY 0 1 2 0 0 1 0 0 1 0 1\nODOMETRY 2 3 2 0 0 1 0 0 1 0 1\n", "line 2: ODOMETRY from pose 2"),
         ("ODOMETRY 0 1 2 0 0 1 0 0 1 0 1\nLANDMARK 1 5 1 1 1 2 1\n", "line 2: covariance .* not positive definite"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slam.self_calibration.object_tracks import SurveyScan
-from slam.self_calibration.sensor_orientation import _reached, find_orientation, roll_pitch_yaw_deg
+from slam.self_calibration.sensor_orientation import _reached, _spacing, find_orientation, roll_pitch_yaw_deg
 from tests.helpers.surveyed_drives import SurveyedDrive
 
 NOISE = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}
@@ -45,6 +46,7 @@ def test_a_robot_that_only_goes_straight_on_tells_nothing():
     np.testing.assert_array_equal(find_orientation(upside_down, straight.headings), np.eye(3))
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("angles_deg", [RIGHT, UPSIDE_DOWN, OPTICAL, (90, 0, 0), (0, 90, 0)])
 def test_the_angles_give_the_rotation_back(angles_deg):
     R = Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix()
@@ -64,3 +66,23 @@ def test_no_scan_is_paired_with_itself():
     assert _reached(np.zeros(5), 0.0) == []
     assert _reached(np.arange(4.0), 0.0) == []
     assert _reached(np.arange(4.0), 2.0) == [(0, 2), (1, 3)]
+
+
+def test_the_spacing_is_the_distance_of_the_nearest_of_its_class(drive):
+    scan = drive.scans[0]
+    apart = np.linalg.norm(scan.positions[:, None] - scan.positions, axis=2)
+    apart[(scan.labels[:, None] != scan.labels) | np.eye(len(apart), dtype=bool)] = np.inf
+    assert _spacing([scan], 1e9) == pytest.approx(np.median(apart.min(axis=1)))
+    assert _spacing([scan], 0.1) == 0.1
+
+
+def test_the_spacing_of_many_objects_takes_no_memory_of_all_their_pairs():
+    positions = np.random.default_rng(0).uniform(-50.0, 50.0, (5000, 3))
+    scan = replace(SurveyedDrive(0, NOISE, scans=2, objects=80).scans[0], positions=positions,
+                   labels=np.zeros(5000, dtype=np.int64))  # fmt: skip
+    tracemalloc.start()
+    try:
+        _spacing([scan], 100.0)
+        assert tracemalloc.get_traced_memory()[1] < 5e6
+    finally:
+        tracemalloc.stop()
