@@ -110,7 +110,7 @@ def _linearize(
     starts = np.cumsum(sizes) - sizes
     row, column, entry = np.asarray(graph.linearize(values).sparseJacobian_())
     # Both are counted from one; the last column is the right side.
-    row, column = row.astype(np.int64) - 1, column.astype(np.int64) - 1
+    row, column = row.astype(np.int32) - 1, column.astype(np.int32) - 1
     is_right = column == len(owners)
     shape = (int(sizes.sum()), len(owners))
     weighted = np.zeros(shape[0])

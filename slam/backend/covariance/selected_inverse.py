@@ -45,10 +45,11 @@ def diagonal_blocks_of_inverse(matrix: sparse.csc_array, owners: IntArray) -> tu
     pivots = factors.U.diagonal()
     if not np.array_equal(factors.perm_r, factors.perm_c) or not np.all(pivots.real > 0.0):
         raise np.linalg.LinAlgError("the matrix is not positive definite")
+    original = np.argsort(factors.perm_c)  # row of the matrix that each step of the elimination took
     lower = sparse.csc_array(factors.L)
+    del factors  # it holds U, and L a second time
     lower.sort_indices()
     owners = owners * len(owners) + connected_components(abs(matrix) > 0.0, directed=False)[1]
-    original = np.argsort(factors.perm_c)  # row of the matrix that each step of the elimination took
     owners = owners[original]
     rows, columns, values = list[IntArray](), list[IntArray](), list[Matrix]()
     for column, front, piece in _walk(lower, pivots, owners):
@@ -66,7 +67,7 @@ def _walk(lower: sparse.csc_array, pivots: Matrix, owners: IntArray) -> Iterator
     while stack:
         column, piece = stack.pop()
         yield column, fronts[column], piece
-        for child in children[column]:
+        for child in sorted(children[column], key=lambda child: -len(fronts[child])):
             start, end = lower.indptr[child], lower.indptr[child + 1]
             below = np.zeros(len(fronts[child]), dtype=pivots.dtype)
             below[np.searchsorted(fronts[child], lower.indices[start:end])] = lower.data[start:end]
