@@ -39,6 +39,8 @@ LEAST_INFORMATION = 0.01
 TEST_PROBABILITY = 0.05
 COMPLEX_STEP = 1e-12
 SIZE = 6
+SOLVED_AT_ONCE = 48
+"""Right sides, which are dense."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +124,7 @@ def _adding(samples: IntArray, row_count: int) -> sparse.csr_array:
 
 def _posterior_variances(system: LinearSystem, adding: sparse.csr_array) -> FloatArray:
     """Variance (S,) that the optimised graph leaves to each of those sums of rows."""
-    sensitivity = (adding @ system.jacobian).toarray().T
+    sensitivity = sparse.csr_array(adding @ system.jacobian)
     try:
         factorized = splu(
             _information(system, system.kernel_weight),
@@ -132,7 +134,12 @@ def _posterior_variances(system: LinearSystem, adding: sparse.csr_array) -> Floa
         )
     except RuntimeError as error:
         raise np.linalg.LinAlgError(str(error)) from error
-    return np.asarray(np.einsum("ni,ni->i", sensitivity, factorized.solve(sensitivity)))
+    variances = np.zeros(sensitivity.shape[0])
+    for start in range(0, len(variances), SOLVED_AT_ONCE):
+        part = slice(start, start + SOLVED_AT_ONCE)
+        columns = sensitivity[part].toarray().T
+        variances[part] = np.einsum("ni,ni->i", columns, factorized.solve(columns))
+    return variances
 
 
 def _maximize(residuals: FloatArray, posterior: FloatArray, measured: FloatArray) -> FloatArray:
