@@ -8,6 +8,7 @@ from slam.evaluation.metrics.landmarks import LandmarkQuality
 from slam.evaluation.metrics.relocalization import RelocalizationQuality
 from slam.evaluation.metrics.trajectory import TrajectoryErrors
 from slam.evaluation.place_recognition.closures import ClosureQuality
+from slam.evaluation.place_recognition.discoveries import Discoveries
 from slam.evaluation.report.text_tables import fraction, number
 from slam.evaluation.result import Evaluation
 
@@ -66,8 +67,7 @@ def _closures(quality: ClosureQuality | None, reason: str | None) -> str:
     if quality.true_count is None or quality.false_count is None:
         return f"{counted}; precision {_missing(reason)}"
     precision = fraction(quality.precision, quality.true_count, quality.true_count + quality.false_count)
-    origins = quality.discoveries
-    origin = f"{origins.found} retrieved, {origins.followed} propagated, {origins.led_back} back"
+    origin = _origin(quality.discoveries)
     revisits = quality.revisits
     if revisits is None or not revisits.revisit_count:
         return f"{counted}, precision {precision}; {origin}; no revisit"
@@ -75,6 +75,14 @@ def _closures(quality: ClosureQuality | None, reason: str | None) -> str:
     if revisits.associated_count and revisits.recognised is not None:
         recall += f" ({100.0 * revisits.recognised:.2f} % with data association)"
     return f"precision {precision}, recall {recall}; {origin}"
+
+
+def _origin(discoveries: Discoveries) -> str:
+    text = f"{discoveries.found} retrieved, {discoveries.followed} propagated, {discoveries.led_back} back"
+    share = discoveries.largest_false_share
+    if share is None:
+        return text
+    return f"{text}; {discoveries.independent} independent: at most {100.0 * share:.0f} % false"
 
 
 def _relocalization(quality: RelocalizationQuality | None, reason: str | None) -> str:

@@ -60,13 +60,15 @@ def test_loop_closures_of_a_drive_there_and_back() -> None:
         assert text in report
 
 
-def test_the_summary_tells_what_was_found_from_what_was_followed() -> None:
+def test_the_summary_tells_what_was_found_from_what_was_followed_and_how_sure_the_precision_is() -> None:
     log = there_and_back_log()
     followed = [
         (topic, replace(record, seed_query_keyframe_id=90) if isinstance(record, LoopClosureRecord) else record)
         for topic, record in log
     ]
-    assert summarize(evaluate(collect_records(log)))["closures"].endswith("; 2 retrieved, 0 propagated, 0 back")
+    assert summarize(evaluate(collect_records(log)))["closures"].endswith(
+        "; 2 retrieved, 0 propagated, 0 back; 2 independent: at most 97 % false"
+    )
     assert "; 0 retrieved, " in summarize(evaluate(collect_records(followed)))["closures"]
 
 
