@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     from slam.common.errors import InputDataError, SlamError
     from slam.evaluation.result import Evaluation
     from slam.final_map import FinalMap
-    from slam.library import ScanLocalizer, evaluate_log, landmark_table, read_map, read_trajectory
+    from slam.library import evaluate_log, landmark_table, read_map, read_trajectory
     from slam.object_map.map_io import SavedMap, load_map
-    from slam.registration.registration import Registration
     from slam.replay import ReplaySummary, replay
+    from slam.scan_localization import ScanLocalization, ScanLocalizer
     from slam.system import Slam
 
 __all__ = [
@@ -51,9 +51,9 @@ __all__ = [
     "ObjectDetections",
     "ObjectMapRecord",
     "Odometry",
-    "Registration",
     "ReplaySummary",
     "SavedMap",
+    "ScanLocalization",
     "ScanLocalizer",
     "Selection",
     "Slam",
@@ -89,10 +89,10 @@ _NAMES_OF_MODULES = {
     "slam.common.config": ("Config", "load_config"),
     "slam.common.errors": ("InputDataError", "SlamError"),
     "slam.evaluation.result": ("Evaluation",),
-    "slam.library": ("ScanLocalizer", "evaluate_log", "landmark_table", "read_map", "read_trajectory"),
+    "slam.library": ("evaluate_log", "landmark_table", "read_map", "read_trajectory"),
     "slam.object_map.map_io": ("SavedMap", "load_map"),
-    "slam.registration.registration": ("Registration",),
     "slam.replay": ("ReplaySummary", "replay"),
+    "slam.scan_localization": ("ScanLocalization", "ScanLocalizer"),
     "slam.final_map": ("FinalMap",),
     "slam.system": ("Slam",),
 }

@@ -73,7 +73,7 @@ LAYERS = (
     {"self_calibration"},
     {"localization"},
     {"loop_closure"},
-    {"display", "map_joining"},
+    {"display", "map_joining", "scan_localization"},
     {"final_map", "assessment"},
     {"system", "output_log", "prepared_log"},
     {"provenance"},

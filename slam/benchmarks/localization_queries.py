@@ -8,14 +8,48 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from logs.messages import ObjectMapRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
-from slam.place_recognition.global_localization import LabelledMap
 from slam.simulation.world import World
 
 FLIPPING_RADIUS = 100.0
 """Of hidden-point removal, in distances of the farthest object."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelledMap:
+    """Objects (M, 3) m with labels (M,) in ``vocabulary``."""
+
+    positions: FloatArray
+    labels: IntArray
+    vocabulary: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def names(self, labels: IntArray) -> tuple[str, ...]:
+        """The classes of labels (N,)."""
+        return tuple(self.vocabulary[label] for label in labels.tolist())
+
+    def to_record(self) -> ObjectMapRecord:
+        """The same as confirmed landmarks, each of them seen once and known exactly."""
+        count = len(self)
+        return ObjectMapRecord(
+            stamp_ns=0,
+            frame_id="map",
+            vocabulary=self.vocabulary,
+            ids=tuple(map(str, range(count))),
+            positions=self.positions,
+            covariances=np.zeros((count, 3, 3)),
+            class_probabilities=np.eye(len(self.vocabulary))[self.labels],
+            states=("confirmed",) * count,
+            reasons=("",) * count,
+            observation_counts=np.ones(count, dtype=np.int64),
+            first_seen_ns=np.zeros(count, dtype=np.int64),
+            last_seen_ns=np.zeros(count, dtype=np.int64),
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,10 +11,9 @@ from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
 from slam.benchmarks.descriptors import hits, make_localizer
-from slam.benchmarks.localization_queries import SCENARIOS, draw_queries, labelled_map
+from slam.benchmarks.localization_queries import SCENARIOS, LabelledMap, draw_queries, labelled_map
 from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
-from slam.place_recognition.global_localization import LabelledMap
 from slam.simulation.world import World
 
 SIZES = (500, 1000, 2000, 4299, 10_000, 20_000, 50_000)
@@ -75,9 +74,9 @@ def benchmark_map_size(
                     times, success = [], []
                     for query in of_scenario:
                         started = time.perf_counter()
-                        found = localize(query, scenario).registration
+                        found = localize(query, scenario)
                         times.append(time.perf_counter() - started)
-                        success.append(hits(found.T_reference_query, query))
+                        success.append(hits(found.T_map_query, query))
                     cells.append(
                         SizeCell(
                             method,

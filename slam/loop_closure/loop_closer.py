@@ -60,7 +60,8 @@ class LoopCloser:
         for keyframe in keyframes:  # of the prior map
             self._track.add(keyframe)
         self._retriever = PlaceRetriever(config, object_map, imported)
-        self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes)
+        mapped = None if imported is None else imported.positions
+        self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes, mapped)
         self.closures = AcceptedClosures(config, object_map, graph, keyframes)
         self._stretches = Stretches(0.5 * config.submap.travel_m)
         self._missing = MissingLandmarks()

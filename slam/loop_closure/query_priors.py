@@ -25,8 +25,8 @@ PASSED_RANGES = 0.5
 class QueryPriors:
     """Paths and priors of the poses of queries.
 
-    ``imported_positions`` (N, 2) m are those of the objects of an imported map, ``cell_m`` is the resolution of the
-    area that is mapped.
+    ``mapped`` (N, 2) m are the objects of a map without keyframes, ``cell_m`` is the resolution of the area that is
+    mapped.
     """
 
     def __init__(
@@ -35,7 +35,7 @@ class QueryPriors:
         track: KeyframeTrack,
         graph: FactorGraph,
         keyframes: Sequence[Keyframe],
-        imported_positions: FloatArray,
+        mapped: FloatArray,
         *,
         cell_m: float,
     ) -> None:
@@ -45,7 +45,7 @@ class QueryPriors:
         self._graph = graph
         self._keyframes = keyframes
         self._area = MapArea(cell_m=cell_m)
-        self._area.cover_positions(imported_positions)
+        self._area.cover_positions(mapped)
 
     def path(self, query: Query) -> FloatArray:
         """Where the robot was (P, 3), in the frame of the query, so long ago that all around is mapped by now."""

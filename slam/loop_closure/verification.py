@@ -30,10 +30,6 @@ from slam.registration.registration import Registration, refine
 
 # Farther from the reference traversal, in sensor ranges, its map is incomplete.
 MAX_REFERENCE_RANGES = 20.0 / 30.0
-# Two candidates are consistent up to three standard deviations of the odometry between their references.
-MAX_CONSISTENT_PENALTY = 4.5
-# Poses of a query in itself that are tried in the aliasing test, the identity among them.
-ALIASES_TRIED = 5
 
 
 class Verifier:
@@ -46,7 +42,9 @@ class Verifier:
         track: KeyframeTrack,
         graph: FactorGraph,
         keyframes: Sequence[Keyframe],
+        mapped: FloatArray | None = None,
     ) -> None:
+        """``mapped`` (N, 2) m: objects of a map without keyframes, among which the robot may be anywhere."""
         self._config = config
         self._sensor_range_m = config.detection.sensor_range_m
         self._retriever = retriever
@@ -58,7 +56,7 @@ class Verifier:
             track,
             graph,
             keyframes,
-            retriever.imported_positions(),
+            np.zeros((0, 2)) if mapped is None else mapped,
             cell_m=MAX_REFERENCE_RANGES * config.detection.sensor_range_m,
         )
 
@@ -152,12 +150,16 @@ class Verifier:
         return replace(candidate, rows=rows, log_likelihood_ratios=ratios[first])
 
     def are_consistent(self, a: Candidate, b: Candidate) -> bool:
-        """Whether two candidates of one query may both be true: two traversals of one place, apart by drift."""
+        """Whether two candidates of one query may both be true: two traversals of one place, apart by drift.
+
+        They are by less than ``registration.gate_sigma`` standard deviations, as two observations of one object are.
+        """
         first, second = sorted((a, b), key=lambda candidate: candidate.reference)
         T_implied = first.T_reference_query @ invert(second.T_reference_query)
         T_predicted = invert(self._graph.pose(first.reference)) @ self._graph.pose(second.reference)
         sigmas = self._track.drift_sigmas(first.reference, second.reference)
-        return odometry_penalty(T_predicted, T_implied, sigmas, self._config) < MAX_CONSISTENT_PENALTY
+        penalty = odometry_penalty(T_predicted, T_implied, sigmas, self._config)
+        return penalty < 0.5 * self._config.registration.gate_sigma**2
 
     def agree(self, T_a: FloatArray, T_b: FloatArray) -> bool:
         """Whether two estimates (4, 4) of one pose agree; see :func:`poses_agree`."""
@@ -169,7 +171,7 @@ class Verifier:
         place = Place(candidate.T_local_query, reference.travel_m, reference.segment, 0.0)
         reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
         shifted = shifted_along_track(query.submap, reference_submap, place.T_local_query, self._sensor_range_m)
-        repeated = place.T_local_query @ self._retriever.aliases(query.submap, count=ALIASES_TRIED)
+        repeated = place.T_local_query @ self._retriever.aliases(query.submap)
         found = [self.verify(query, replace(place, T_local_query=T)) for T in [*shifted, *repeated]]
         return [
             each

@@ -148,18 +148,18 @@ class PlaceRetriever:
             if found.T_reference_query is not None
         ]
 
-    def aliases(self, query: Submap, *, count: int) -> FloatArray:
-        """Poses (H, 4, 4) of a query in itself at which its objects repeat; one of them is the identity."""
+    def aliases(self, query: Submap) -> FloatArray:
+        """Poses (H, 4, 4) of a query in itself at which its objects repeat; one of them is the identity.
+
+        As many as there are candidates of a query in the map.
+        """
+        count = self._config.max_candidates + self._config.max_candidates_by_triangles
         return self._triangles.aliases(query, count=count)
 
     @property
     def has_imported_map(self) -> bool:
         """Whether there is a map that nobody drove."""
         return self._imported is not None
-
-    def imported_positions(self) -> FloatArray:
-        """Positions (N, 2) m of the objects of the imported map; none without one."""
-        return np.zeros((0, 2)) if self._imported is None else self._imported.positions
 
     def search_imported_map(self, query: Submap) -> list[Place]:
         """The best places of a query in the imported map; none without one."""

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from slam.benchmarks.localization_queries import SCENARIOS, Scenario, draw_queries, labelled_map, visible
+from slam.benchmarks.localization_queries import SCENARIOS, LabelledMap, Scenario, draw_queries, labelled_map, visible
 from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, yaw_rad
-from slam.place_recognition.global_localization import LabelledMap
 from slam.simulation.street import generate_street
 from tests.slam.simulation.worlds import straight_street
 

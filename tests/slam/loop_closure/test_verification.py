@@ -61,10 +61,7 @@ class Landmarks:
     def class_shares(self) -> FloatArray:
         return np.full(16, 1.0 / 16.0)
 
-    def imported_positions(self) -> FloatArray:
-        return np.zeros((0, 2))
-
-    def aliases(self, query: Submap, *, count: int) -> FloatArray:
+    def aliases(self, query: Submap) -> FloatArray:
         return np.stack(self.repeated)
 
     def first_seen_travels_m(self, submap: Submap) -> FloatArray:
@@ -207,6 +204,19 @@ def test_candidates_are_consistent_if_the_odometry_relates_their_references():
     assert verifier.are_consistent(candidate(HERE), candidate(HERE + 10))
     assert verifier.are_consistent(candidate(HERE + 10), candidate(HERE))
     assert not verifier.are_consistent(candidate(HERE), candidate(HERE + 10, off_m=30.0))
+
+
+def test_candidates_are_consistent_within_the_gate_of_registration():
+    for gate_sigma, expected in ((1.0, False), (3.0, True)):
+        scene = Scene(scattered(), registration={"gate_sigma": gate_sigma})
+        # Two sigmas of the closures' common error, which is all that there is between a reference and itself.
+        off_m = 2.0 * scene.config.odometry.inflation * scene.config.loop_closure.base_sigma_m
+        T = invert(body(HERE)) @ body(QUERY)
+        first, second = (
+            make_candidate(reference=HERE, T_reference_query=transform_from_xyz_yaw(np.array([x, 0.0, 0.0]), 0.0) @ T)
+            for x in (0.0, off_m)
+        )
+        assert scene.verifier.are_consistent(first, second) == expected
 
 
 def test_the_penalty_is_that_of_the_prior_which_is_uniform_across_a_break():

@@ -1,0 +1,158 @@
+"""Where in a map a single scan was made: a query submap of one scan, without odometry.
+
+It takes the way of a closure in a prior map: retrieval proposes places, :class:`Verifier` registers the scan there, and
+:class:`Acceptance` accepts the likeliest of them once its posterior probability of being wrong is small enough. The
+prior is uniform over the map, and the alternatives are the other candidates and "not in the map".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from logs.messages import LoopClosureRecord, ObjectDetections, ObjectMapRecord
+from slam.backend.factor_graph import FactorGraph
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.config import Config
+from slam.common.errors import InputDataError
+from slam.localization.prior_map import restore_map_frame
+from slam.loop_closure.acceptance import Acceptance, Decision
+from slam.loop_closure.candidate import Candidate, Query
+from slam.loop_closure.consistency import suppress_non_maxima
+from slam.loop_closure.verification import Verifier
+from slam.object_map.landmarks import ObjectMap
+from slam.object_map.submap import Submap
+from slam.odometry.drift import KeyframeTrack
+from slam.odometry.keyframe import Keyframe
+from slam.odometry.pose import OdometryPose
+from slam.place_recognition.imported_places import SEGMENT, TRAVEL_M
+from slam.place_recognition.place import Place
+from slam.place_recognition.retrieval import PlaceRetriever
+
+Verified = Candidate | LoopClosureRecord
+"""A candidate, or the record with the reason why there is none at a place."""
+
+SCAN = 1
+"""The scan as a keyframe; the one before it stands for the frame of the map."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanLocalization:
+    """``T_reference_query`` (4, 4) = ``T_map_scan`` with its covariance (6, 6), rotation first; None where the scan is
+    not localized, and the ``reason`` why.
+
+    ``pairs`` (K, 2): inliers, as indices of the scan's detections and of the map's landmarks.
+    """
+
+    T_reference_query: FloatArray | None
+    covariance: FloatArray | None
+    pairs: IntArray
+    reason: str
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a pose."""
+        return self.T_reference_query is not None
+
+
+class ScanLocalizer:
+    """Finds single scans in a map, without odometry. Reuse one for many scans: it holds the index of the map."""
+
+    def __init__(self, objects: ObjectMapRecord, config: Config | None = None) -> None:
+        """Index all landmarks of ``objects``.
+
+        Raises:
+            InputDataError: the map is empty.
+            DescriptorError: there is no such descriptor.
+        """
+        if len(objects.ids) == 0:
+            raise InputDataError("the map holds no confirmed landmark, so that no scan can be found in it")
+        config = Config() if config is None else config
+        self._submap_config = config.submap
+        self._sensor_range_m = config.detection.sensor_range_m
+        self._size = len(objects.ids)
+        object_map = ObjectMap(config.association)
+        object_map.restore(objects, travel_m=TRAVEL_M)
+        self._number = {label: number for number, label in enumerate(object_map.vocabulary)}
+        graph = FactorGraph(config.factor_graph, sensor_range_m=self._sensor_range_m)
+        self._scan = Keyframe(SCAN, OdometryPose(0, np.eye(4), 0.0, SEGMENT + 1, np.inf), np.eye(4))
+        keyframes = [restore_map_frame(graph), self._scan]
+        graph.add_fixed_keyframe(SCAN, np.eye(4))
+        graph.update()
+        track = KeyframeTrack(config.odometry)
+        for keyframe in keyframes:
+            track.add(keyframe)
+        self._retriever = PlaceRetriever(config, object_map)
+        self._retriever.index_inactive_landmarks(0.0)
+        self._verifier = Verifier(config, self._retriever, track, graph, keyframes, objects.positions[:, :2])
+        self._acceptance = Acceptance(config, self._verifier, keyframes)
+
+    def localize(self, scan: ObjectDetections) -> ScanLocalization:
+        """The pose of the scan in the map, or the reason why there is none.
+
+        Args:
+            scan: detections in a frame whose z points up, such as the body of a robot on level ground. Objects of
+                classes that the map does not have are left out.
+        """
+        query = self.query(scan)
+        if not self.has_enough_objects(query):
+            least = self._acceptance.min_objects
+            return _not_found(f"{len(query.submap)} objects of classes of the map, min_inliers is {least}")
+        verified = self.propose(query)
+        if not verified:
+            return _not_found("no matches that agree on a place")
+        decision = self.decide(query, verified)
+        best = decision.accepted
+        if best is None:
+            return _not_found(decision.rejected[-1].reason)
+        pairs = best.pairs - np.array([self._size, 0])
+        return ScanLocalization(best.T_local_query, best.covariance, pairs, "")
+
+    def query(self, scan: ObjectDetections) -> Query:
+        """The query submap of one scan: its objects of classes of the map, numbered after the landmarks of the map."""
+        known = np.flatnonzero([label in self._number for label in scan.labels])
+        positions = scan.positions[known]
+        config = self._submap_config
+        sigmas = np.hypot(config.landmark_sigma_m, config.sigma_per_m * np.hypot(positions[:, 0], positions[:, 1]))
+        labels = np.array([self._number[scan.labels[row]] for row in known.tolist()], dtype=np.int64)
+        return Query(self._scan, Submap(positions, sigmas, labels, self._size + known), np.eye(4))
+
+    def has_enough_objects(self, query: Query) -> bool:
+        """Whether it has the objects without which there is no pose."""
+        return len(query.submap) >= self._acceptance.min_objects
+
+    def propose(self, query: Query) -> list[Verified]:
+        """The candidates by retrieval and, where none is acceptable, those by exhaustive search."""
+        verified = self.retrieve(query)
+        if not any(isinstance(each, Candidate) and self._acceptance.is_acceptable(each) for each in verified):
+            verified += self.search_exhaustively(query)
+        return verified
+
+    def retrieve(self, query: Query) -> list[Verified]:
+        """The candidates that triangles and descriptors propose, as for a drive."""
+        latest_m = self._verifier.latest_m(query)
+        return self._verify(query, self._retriever.retrieve(query.submap, before_m=latest_m, seed=SCAN))
+
+    def search_exhaustively(self, query: Query) -> list[Verified]:
+        """The candidates that pairs of objects propose, as for a drive that is lost."""
+        return self._verify(query, self._retriever.search_exhaustively(query.submap, segment=SEGMENT))
+
+    def _verify(self, query: Query, places: Sequence[Place]) -> list[Verified]:
+        return [self._verifier.verify(query, place) for place in places]
+
+    def decide(self, query: Query, verified: Sequence[Verified]) -> Decision:
+        """The accepted candidate, if there is one; the reason of the likeliest one comes last."""
+        refused = tuple(each for each in verified if isinstance(each, LoopClosureRecord))
+        found = [each for each in verified if isinstance(each, Candidate)]
+        if not found:
+            return Decision(refused)
+        self._acceptance.reset()
+        candidates = suppress_non_maxima(found, sensor_range_m=self._sensor_range_m)
+        decision = self._acceptance.decide(query, candidates)
+        return replace(decision, rejected=(*refused, *decision.rejected))
+
+
+def _not_found(reason: str) -> ScanLocalization:
+    return ScanLocalization(None, None, np.zeros((0, 2), dtype=np.int64), reason)
