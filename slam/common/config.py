@@ -143,6 +143,9 @@ class DetectionConfig(_Branch):
     assume_body_frame: bool = Field(
         default=False, description="take every detection to be in the body frame, whatever frame its message names"
     )
+    assume_odometry_frame: bool = Field(
+        default=False, description="the same for the frame of the odometry, as of a tracker whose objects stand still"
+    )
 
 
 class AssociationConfig(_Branch):

@@ -146,6 +146,12 @@ def _notes(config: Config, survey: Survey, estimated: Mapping[str, float]) -> tu
         if offset_s := estimated.get(key, 0.0):
             age = "older" if offset_s < 0 else "newer"
             notes.append(f"{what} messages seem {abs(offset_s):.3f} s {age} than their stamps say: corrected ({key})")
+    if survey.assumed_frame is not None:
+        of = "body" if survey.assumed_frame == "assume_body_frame" else "odometry"
+        notes.append(
+            f"objects stand still if detections are in the frame of the {of}, and not in the one that their messages "
+            f"name: taken to be (detection.{survey.assumed_frame}); check frame_id"
+        )
     if any(survey.turned_deg) and not any(_is_given(config, f"detection.{name}") for name in TURNS):
         roll, pitch, yaw = survey.turned_deg
         notes.append(
@@ -221,6 +227,7 @@ def _corrections(survey: Survey, delays: LoggingDelays) -> dict[str, float]:
         "detection.time_offset_s": 0.0 if of_odometry else errors.delay_s,
         "detection.claimed_sigma_factor": _claimed_factor(survey),
         **_confirmation(survey),
+        **({f"detection.{survey.assumed_frame}": True} if survey.assumed_frame else {}),
         **({"odometry.length_scale": survey.length_scale} if survey.length_scale != 1.0 else {}),
         **({"odometry.turn_scale": survey.turn_scale} if survey.turn_scale != 1.0 else {}),
         **({"odometry.sources": survey.sources} if survey.sources > 1 else {}),

@@ -34,21 +34,20 @@ def find_orientation(scans: Sequence[SurveyScan], headings_rad: FloatArray) -> F
         scans: (K) in the order of their stamps.
         headings_rad: (K,) of the body, continuous.
     """
-    range_m = float(np.median(np.concatenate([np.linalg.norm(scan.positions, axis=1) for scan in scans])))
-    spacing_m = _spacing(scans, range_m)
+    range_m = _median_range(scans)
+    spacing_m = spacing_of(scans)
     moved_m = MOVED_SPACINGS * spacing_m
-    groups = _pairs_by_travel(scans, moved_m), _pairs_by_turn(headings_rad, moved_m / max(range_m, 1e-9))
+    groups = pairs_by_travel(scans, moved_m), _pairs_by_turn(headings_rad, moved_m / max(range_m, 1e-9))
     if min(len(group) for group in groups) < LEAST_PAIRS:
         return np.eye(3)
     rotations = _quarter_turns()
-    T_odom_upright = [transform_from_xyz_yaw(scan.T_odom_body[:3, 3], yaw_rad(scan.T_odom_body)) for scan in scans]
-    as_it_is = sum(_distance(scans, T_odom_upright, group, rotations[0], spacing_m) for group in groups)
+    as_it_is = sum(distance_of_nearest(scans, group, rotations[0], spacing_m) for group in groups)
     best, least = np.eye(3), BETTER * as_it_is
     for R in rotations[1:]:
         apart = 0.0
         for group in groups:
             if apart < least:  # else it is worse already
-                apart += _distance(scans, T_odom_upright, group, R, spacing_m)
+                apart += distance_of_nearest(scans, group, R, spacing_m)
         if apart < least:
             best, least = R, apart
     return best
@@ -72,15 +71,15 @@ def _quarter_turns() -> list[FloatArray]:
     return found
 
 
-def _pairs_by_travel(scans: Sequence[SurveyScan], moved_m: float) -> list[tuple[int, int]]:
+def pairs_by_travel(scans: Sequence[SurveyScan], moved_m: float) -> list[tuple[int, int]]:
     """Pairs of scans with just so much travel in between, evenly over the drive."""
     positions = np.stack([scan.T_odom_body[:2, 3] for scan in scans])
     travel_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
     return _evenly(_reached(travel_m, moved_m))
 
 
-def _spacing(scans: Sequence[SurveyScan], range_m: float) -> float:
-    """Median distance [m] of a detection from the nearest of its class in its scan, in space; at most ``range_m``."""
+def spacing_of(scans: Sequence[SurveyScan]) -> float:
+    """Median distance [m] of a detection from the nearest of its class in its scan, in space; at most its range."""
     nearest = []
     for scan in scans[:: max(len(scans) // (4 * PAIRS), 1)]:
         apart = np.full(len(scan.positions), np.inf)
@@ -90,7 +89,11 @@ def _spacing(scans: Sequence[SurveyScan], range_m: float) -> float:
                 places = scan.positions[rows]
                 apart[rows] = np.asarray(cKDTree(places).query(places, k=2)[0])[:, 1]
         nearest.append(apart)
-    return min(float(np.median(np.concatenate(nearest))), range_m)
+    return min(float(np.median(np.concatenate(nearest))), _median_range(scans))
+
+
+def _median_range(scans: Sequence[SurveyScan]) -> float:
+    return float(np.median(np.concatenate([np.linalg.norm(scan.positions, axis=1) for scan in scans])))
 
 
 def _pairs_by_turn(headings_rad: FloatArray, least_rad: float) -> list[tuple[int, int]]:
@@ -113,22 +116,24 @@ def _evenly(pairs: list[tuple[int, int]]) -> list[tuple[int, int]]:
     return [pairs[index] for index in np.unique(chosen)]
 
 
-def _distance(
-    scans: Sequence[SurveyScan],
-    T_odom_upright: Sequence[FloatArray],
-    pairs: list[tuple[int, int]],
-    R: FloatArray,
-    limit_m: float,
+def distance_of_nearest(
+    scans: Sequence[SurveyScan], pairs: list[tuple[int, int]], R: FloatArray, limit_m: float
 ) -> float:
-    """Median distance [m] of detections from the nearest of their class in the other scan, at most ``limit_m``."""
+    """Median distance [m] of detections from the nearest of their class in the other scan of a pair, in the odometry
+    frame, at most ``limit_m``; detections are turned by R (3, 3) first.
+    """
     found = []
     for first, second in pairs:
         one, other = scans[first], scans[second]
         # Classes lie on layers that are farther apart than the limit.
         points, reference = (
-            np.column_stack([apply(T_odom_upright[each], scan.positions @ R.T), 10.0 * limit_m * scan.labels])
-            for each, scan in ((first, one), (second, other))
+            np.column_stack([apply(_upright(scan), scan.positions @ R.T), 10.0 * limit_m * scan.labels])
+            for scan in (one, other)
         )
         distances, _ = cKDTree(reference).query(points, distance_upper_bound=limit_m)
         found.append(np.minimum(distances, limit_m))
     return float(np.median(np.concatenate(found)))
+
+
+def _upright(scan: SurveyScan) -> FloatArray:
+    return transform_from_xyz_yaw(scan.T_odom_body[:3, 3], yaw_rad(scan.T_odom_body))

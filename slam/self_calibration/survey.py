@@ -13,10 +13,11 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import AssociationConfig, DetectionConfig
 from slam.common.geometry import apply, interpolate, invert, transform_from_xyz_yaw, yaw_rad
 from slam.frontend.input.scan import is_wanted
-from slam.frontend.input.sensor_frames import SensorFrames, corrected
+from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
 from slam.odometry.scaled_odometry import ScaledOdometry
 from slam.odometry.sources import FollowedSource
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
+from slam.self_calibration.detection_frame import agree, better_frame
 from slam.self_calibration.height_noise import HeightNoise, estimate_height_noise
 from slam.self_calibration.input_errors import BodyMotion, InputErrors, estimate_input_errors
 from slam.self_calibration.label_noise import LabelNoise, estimate_label_noise
@@ -49,6 +50,8 @@ LEAST_SHARE = 0.005
 MOST_REPEATED = 16
 NOTED_DETOUR = 1.5
 """Poses of one source hardly ever go back with every other message."""
+FRAMES = "assume_body_frame", "assume_odometry_frame"
+"""Settings that take detections to be in another frame than their messages name."""
 ROUNDS = 8
 """Corrections of the input are found one after another: a large one is only seen in part at first."""
 
@@ -63,6 +66,7 @@ class Survey:
     between scans; ``claimed_ratio``: the variance of detections by that which their messages claim, NaN where none
     does; ``shared_bias_m``: the rms bias that centroids of a class share; ``components`` is None where too few objects
     could be tracked; ``labels``: how far they can be trusted; ``heights``: how much the heights of detections vary;
+    ``assumed_frame``: the setting by which detections are taken to be in another frame than their messages name;
     ``turned_deg``: roll, pitch and yaw by which detections had to be turned beyond the transform of their sensor;
     ``length_scale``, ``turn_scale``: factors by which the odometry's lengths and turns had to be corrected;
     ``detectability``: how often an object in view is detected;
@@ -88,6 +92,7 @@ class Survey:
     errors: InputErrors
     labels: LabelNoise = field(default_factory=LabelNoise)
     heights: HeightNoise = field(default_factory=HeightNoise)
+    assumed_frame: str | None = None
     turned_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     detour: float = 1.0
     sources: int = 1
@@ -117,8 +122,12 @@ def survey(
     detour = gathered.detour()
     sources = 2 if detour > NOTED_DETOUR and gathered.follow_one_source() else 1
     is_yaw_given = "yaw_deg" in config.model_fields_set
+    assumed = _assumed_frame(gathered, config)
+    if assumed is not None:
+        config = config.model_copy(update={assumed: True})
     labels = gathered.judge_labels(config)
-    config = _oriented(gathered, config)
+    if not config.assume_odometry_frame:
+        config = _oriented(gathered, config)
     errors = InputErrors()
     for _ in range(ROUNDS):
         scans = gathered.scans(config, errors.delay_s)
@@ -140,6 +149,7 @@ def survey(
     length_scale, turn_scale = gathered.scales
     return replace(
         told,
+        assumed_frame=assumed,
         turned_deg=turned_deg,
         labels=labels,
         detour=detour,
@@ -147,6 +157,21 @@ def survey(
         length_scale=length_scale,
         turn_scale=turn_scale,
     )
+
+
+def _assumed_frame(gathered: _Gathered, config: DetectionConfig) -> str | None:
+    """The setting by which scans agree far better than by the frames that messages name, however turned; None where
+    they agree well or a setting was given by hand.
+    """
+    if config.model_fields_set & set(FRAMES):
+        return None
+    as_they_are = gathered.scans(config, 0.0)
+    if agree(as_they_are):
+        return None
+    others = {name: gathered.scans(config.model_copy(update={name: True}), 0.0) for name in FRAMES}
+    if better_frame(as_they_are, others) is None:
+        return None
+    return better_frame(gathered.scans(_oriented(gathered, config), 0.0), others)
 
 
 def _oriented(gathered: _Gathered, config: DetectionConfig) -> DetectionConfig:
@@ -315,7 +340,6 @@ class _Gathered:
         delay_ns = round(delay_s * 1e9)
         if len(stamps) < 2:
             return []
-        body_frame = self._odometry[0].child_frame_id
         vocabulary: defaultdict[str, int] = defaultdict()
         vocabulary.default_factory = vocabulary.__len__
         first = dict[tuple[int, str], ObjectDetections]()
@@ -326,11 +350,10 @@ class _Gathered:
         T_odom_body = interpolate(stamps, poses, np.array([d.stamp_ns + delay_ns for d in usable], dtype=np.int64))
         scans = []
         for detections, T in zip(usable, T_odom_body, strict=True):
-            frame = body_frame if config.assume_body_frame else detections.frame_id
-            T_body_sensor = self._frames.find(body_frame, frame, detections.stamp_ns)
+            T_body_sensor = find_sensor(self._frames, detections, self._odometry[0], T, config)
             if T_body_sensor is None:
                 continue
-            scans.append(_upright_scan(detections, T, corrected(T_body_sensor, config), vocabulary, config))
+            scans.append(_upright_scan(detections, T, T_body_sensor, vocabulary, config))
             np.minimum(scans[-1].labels, self._max_classes - 1, out=scans[-1].labels)
         return _without_far_off(scans)
 

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import logging
 
-import numpy as np
-
 from logs.messages import ObjectDetections, Odometry
 from slam.common.arrays import FloatArray
 from slam.common.config import DetectionConfig
-from slam.common.geometry import invert
 from slam.frontend.input.scan import Scan, make_scan
-from slam.frontend.input.sensor_frames import SensorFrames, corrected
+from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
 from slam.odometry.pose import OdometryPose
 
 logger = logging.getLogger(__name__)
@@ -23,13 +20,12 @@ class ScanPlacer:
     def __init__(self, config: DetectionConfig, frames: SensorFrames) -> None:
         self._config = config
         self._frames = frames
-        self._body_frame = ""
-        self._odom_frame = ""
+        self._odometry: Odometry | None = None
         self._missing: set[str] = set()
 
     def follow(self, odometry: Odometry) -> None:
         """Take the names of the body and the odometry frame from a message."""
-        self._body_frame, self._odom_frame = odometry.child_frame_id, odometry.frame_id
+        self._odometry = odometry
 
     def place(self, detections: ObjectDetections, pose: OdometryPose) -> Scan | None:
         """The scan of detections made at ``pose``; None where the log has no transform to the body."""
@@ -40,24 +36,23 @@ class ScanPlacer:
 
     def _sensor_pose(self, detections: ObjectDetections, pose: OdometryPose) -> FloatArray | None:
         """``T_body_sensor`` at the stamp of the detections; None where the log has no transform."""
-        frame, body_frame = detections.frame_id.lstrip("/"), self._body_frame.lstrip("/")
-        if frame in ("", body_frame) or self._config.assume_body_frame:
-            return corrected(np.eye(4), self._config)
-        if frame == self._odom_frame.lstrip("/"):
-            return invert(pose.T_odom_body)
-        T_body_sensor = self._frames.find(body_frame, frame, detections.stamp_ns)
+        if self._odometry is None:
+            return None
+        T_body_sensor = find_sensor(self._frames, detections, self._odometry, pose.T_odom_body, self._config)
+        frame = detections.frame_id.lstrip("/")
         if T_body_sensor is None and frame not in self._missing:
             self._missing.add(frame)
             logger.warning("%s: detections in that frame are dropped", self.describe_missing())
-        return None if T_body_sensor is None else corrected(T_body_sensor, self._config)
+        return T_body_sensor
 
     def describe_missing(self) -> str:
         """Which frames nothing connects with the body, and what they and the body are connected with; empty if none."""
-        if not self._missing:
+        if not self._missing or self._odometry is None:
             return ""
-        trees = {self._frames.tree_of(frame) for frame in (*self._missing, self._body_frame)}
+        body_frame = self._odometry.child_frame_id
+        trees = {self._frames.tree_of(frame) for frame in (*self._missing, body_frame)}
         listed = "; ".join(", ".join(tree) for tree in sorted(trees))
         return (
-            f"no transform leads from {', '.join(sorted(self._missing))} to {self._body_frame} (frames that "
+            f"no transform leads from {', '.join(sorted(self._missing))} to {body_frame} (frames that "
             f"belong together: {listed})"
         )

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from logs.messages import Transform
+from logs.messages import ObjectDetections, Odometry, Transform
 from slam.common.arrays import FloatArray
 from slam.common.config import DetectionConfig
 from slam.common.errors import InputDataError
@@ -108,6 +108,29 @@ class SensorFrames:
                 f"the transforms form a loop: {' -> '.join(loop)}, so no sensor has a place on the body; "
                 "find out which node publishes one of them wrongly, and leave it out of the log"
             )
+
+
+def find_sensor(
+    frames: SensorFrames,
+    detections: ObjectDetections,
+    odometry: Odometry,
+    T_odom_body: FloatArray,
+    config: DetectionConfig,
+) -> FloatArray | None:
+    """``T_body_sensor`` (4, 4) for detections at the pose ``T_odom_body`` (4, 4), corrected as the settings say.
+
+    Detections in the frame of the odometry need no transform. None where nothing connects their frame with the body;
+    ``odometry`` names both frames.
+    """
+    frame, body_frame = _plain(detections.frame_id), _plain(odometry.child_frame_id)
+    if config.assume_odometry_frame:
+        return invert(T_odom_body)
+    if frame in ("", body_frame) or config.assume_body_frame:
+        return corrected(np.eye(4), config)
+    if frame == _plain(odometry.frame_id):
+        return invert(T_odom_body)
+    T_body_sensor = frames.find(body_frame, frame, detections.stamp_ns)
+    return None if T_body_sensor is None else corrected(T_body_sensor, config)
 
 
 class _Track:

@@ -17,6 +17,7 @@ from slam.simulation.faults.stream import (
     Stream,
     alter_detections,
     body_frames_of,
+    odometry_at,
     replace_scans,
     scans_of,
     seconds_ns,
@@ -63,6 +64,26 @@ def shift_heights(stream: Stream, rng: np.random.Generator, height_m: float) -> 
     def alter(detections: ObjectDetections) -> ObjectDetections:
         up = frame(detections.frame_id)[:3, :3].T @ np.array([0.0, 0.0, height_m])
         return replace(detections, positions=detections.positions + up)
+
+    return alter_detections(stream, alter)
+
+
+def place_in_odometry_frame(stream: Stream, rng: np.random.Generator) -> list[Entry]:
+    """Positions are those in the frame of the odometry, as a tracker has them, and are told to be in the sensor's."""
+    frame = body_frames_of(stream)
+    stamps_ns = np.array(
+        [e.content.stamp_ns for e in stream if isinstance(e.content, ObjectDetections)], dtype=np.int64
+    )
+    T_odom_body = iter(odometry_at(stream, stamps_ns) if len(stamps_ns) else ())
+
+    def alter(detections: ObjectDetections) -> ObjectDetections:
+        T_odom_sensor = next(T_odom_body) @ frame(detections.frame_id)
+        R, covariances = T_odom_sensor[:3, :3], detections.covariances
+        return replace(
+            detections,
+            positions=apply(T_odom_sensor, detections.positions),
+            covariances=None if covariances is None else R @ covariances @ R.T,
+        )
 
     return alter_detections(stream, alter)
 

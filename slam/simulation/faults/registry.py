@@ -289,6 +289,13 @@ _OF_POSITIONS = (
         (_metres(2.0),),
         reads=(*_ODOMETRY, RecordKind.TRANSFORMS),
     ),
+    Fault(
+        "odometry_frame",
+        "positions are in the frame of the odometry, and are told to be in the sensor's",
+        positions.place_in_odometry_frame,
+        _DETECTIONS,
+        reads=(*_ODOMETRY, RecordKind.TRANSFORMS),
+    ),
     Fault("sensor_upside_down", "the sensor hangs upside down, untold", positions.turn_upside_down, _DETECTIONS),
     Fault(
         "sensor_yaw",

@@ -324,3 +324,10 @@ def test_of_sensors_that_take_turns_each_may_miss_a_landmark_as_often(surveyed):
     )
     assert in_turn.landmark.max_missed_scans == 3 * alone.landmark.max_missed_scans
     assert in_turn.landmark.confirm_fraction == pytest.approx(1.0 / 6.0)
+
+
+@pytest.mark.parametrize(("name", "of"), [("assume_odometry_frame", "odometry"), ("assume_body_frame", "body")])
+def test_detections_in_another_frame_than_they_say_are_taken_from_it_and_told(surveyed, name, of):
+    calibration = calibrate(Config(), replace(surveyed, assumed_frame=name))
+    assert getattr(calibration.config.detection, name) is True
+    assert f"objects stand still if detections are in the frame of the {of}" in " ".join(calibration.notes)

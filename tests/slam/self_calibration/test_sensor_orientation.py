@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slam.self_calibration.object_tracks import SurveyScan
-from slam.self_calibration.sensor_orientation import _reached, _spacing, find_orientation, roll_pitch_yaw_deg
+from slam.self_calibration.sensor_orientation import _reached, find_orientation, roll_pitch_yaw_deg, spacing_of
 from tests.helpers.surveyed_drives import SurveyedDrive
 
 NOISE = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}
@@ -72,8 +72,9 @@ def test_the_spacing_is_the_distance_of_the_nearest_of_its_class(drive):
     scan = drive.scans[0]
     apart = np.linalg.norm(scan.positions[:, None] - scan.positions, axis=2)
     apart[(scan.labels[:, None] != scan.labels) | np.eye(len(apart), dtype=bool)] = np.inf
-    assert _spacing([scan], 1e9) == pytest.approx(np.median(apart.min(axis=1)))
-    assert _spacing([scan], 0.1) == 0.1
+    assert spacing_of([scan]) == pytest.approx(np.median(apart.min(axis=1)))
+    alone = replace(scan, labels=np.arange(len(scan.labels)))
+    assert spacing_of([alone]) == pytest.approx(np.median(np.linalg.norm(scan.positions, axis=1)))
 
 
 def test_the_spacing_of_many_objects_takes_no_memory_of_all_their_pairs():
@@ -82,7 +83,7 @@ def test_the_spacing_of_many_objects_takes_no_memory_of_all_their_pairs():
                    labels=np.zeros(5000, dtype=np.int64))  # fmt: skip
     tracemalloc.start()
     try:
-        _spacing([scan], 100.0)
+        spacing_of([scan])
         assert tracemalloc.get_traced_memory()[1] < 5e6
     finally:
         tracemalloc.stop()

@@ -49,3 +49,12 @@ def test_a_frame_that_nothing_connects_is_named(placer):
     assert placer.describe_missing() == ""
     assert placer.place(detections("camera"), POSE) is None
     assert placer.describe_missing().startswith("no transform leads from camera to base_link")
+
+
+def test_detections_of_a_tracker_are_taken_from_the_odometry_frame_whatever_they_say():
+    placer = ScanPlacer(DetectionConfig(assume_odometry_frame=True), SensorFrames())
+    placer.follow(Odometry(10, T_ODOM_BODY, frame_id="odom", child_frame_id="base_link"))
+    at = T_ODOM_BODY @ np.array([4.0, 0.0, 0.0, 1.0])
+    for frame in ("base_link", "", "odom", "nowhere"):
+        scan = placer.place(detections(frame, tuple(at[:3])), POSE)
+        np.testing.assert_allclose(scan.positions, [[4.0, 0.0, 0.0]], atol=1e-12)

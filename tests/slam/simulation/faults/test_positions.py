@@ -8,6 +8,7 @@ from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert
 from slam.simulation.faults.faulty_log import apply_faults
 from slam.simulation.faults.registry import parse_faults
+from slam.simulation.faults.stream import odometry_of
 from tests.slam.simulation.faults.streams import (
     COUNT,
     COVARIANCE,
@@ -85,3 +86,11 @@ def test_left_and_right_are_exchanged_for_a_while() -> None:
     assert after[50:70] == pytest.approx(before[50:70] * [1.0, -1.0, 1.0])
     assert np.array_equal(after[:50], before[:50])
     assert np.array_equal(after[70:], before[70:])
+
+
+def test_positions_are_in_the_frame_of_the_odometry() -> None:
+    changed, T_odom_body = faulty("odometry_frame"), odometry_of(drive())[1]
+    expected = [apply(T @ T_BODY_SENSOR, at) for T, at in zip(T_odom_body, positions(drive()), strict=True)]
+    assert positions(changed) == pytest.approx(np.array(expected))
+    R = (T_odom_body[7] @ T_BODY_SENSOR)[:3, :3]
+    assert records(changed, ObjectDetections)[7].covariances[0] == pytest.approx(R @ COVARIANCE @ R.T)

@@ -1,0 +1,81 @@
+"""Which frame detections are in: found by which scans agree."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from logs.messages import ObjectDetections, Odometry, Record
+from slam.common.config import DetectionConfig
+from slam.common.geometry import apply, invert
+from slam.self_calibration.detection_frame import agree, better_frame
+from slam.self_calibration.object_tracks import SurveyScan
+from slam.self_calibration.survey import survey
+from tests.helpers.surveyed_drives import SurveyedDrive
+
+NOISE = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}
+
+
+@pytest.fixture(scope="module")
+def drive() -> SurveyedDrive:
+    return SurveyedDrive(0, NOISE, scans=600, objects=80)
+
+
+def fixed(scans: list[SurveyScan]) -> list[SurveyScan]:
+    """The scans with positions in the frame of the odometry."""
+    return [replace(scan, positions=apply(scan.T_odom_body, scan.positions)) for scan in scans]
+
+
+def records(scans: list[SurveyScan], frame: str) -> list[Record]:
+    found: list[Record] = []
+    for scan in scans:
+        labels = tuple("stem" for _ in scan.labels)
+        found.append(Odometry(scan.stamp_ns, scan.T_odom_body, "odom", "base_link"))
+        found.append(ObjectDetections(scan.stamp_ns, frame, scan.positions, labels, np.ones(len(labels))))
+    return found
+
+
+@pytest.mark.parametrize("is_fixed", [False, True])
+@pytest.mark.parametrize("frame", ["odom", "base_link"])
+def test_the_frame_in_which_objects_stand_still_is_found_whatever_messages_say(drive, is_fixed, frame):
+    scans = fixed(drive.scans) if is_fixed else drive.scans
+    found = survey(records(scans, frame), DetectionConfig())
+    right = "odom" if is_fixed else "base_link"
+    setting = "assume_odometry_frame" if is_fixed else "assume_body_frame"
+    assert found.assumed_frame == (None if frame == right else setting)
+    assert found.max_range_m < 1.1 * drive.range_m
+    assert found.turned_deg == (0.0, 0.0, 0.0)
+
+
+def test_a_frame_that_was_set_by_hand_is_kept(drive):
+    by_hand = DetectionConfig(assume_body_frame=True)
+    found = survey(records(fixed(drive.scans), "base_link"), by_hand)
+    assert found.assumed_frame is None
+    assert found.max_range_m > 2.0 * drive.range_m
+
+
+def test_a_sensor_that_looks_backwards_is_on_the_body(drive):
+    backwards = np.diag([-1.0, -1.0, 1.0])
+    found = survey(records([replace(each, positions=each.positions @ backwards) for each in drive.scans], "base_link"),
+                   DetectionConfig())  # fmt: skip
+    assert found.assumed_frame is None
+    assert np.abs(found.turned_deg) == pytest.approx([0.0, 0.0, 180.0], abs=1.0)
+
+
+def test_odometry_that_trembles_while_the_robot_stands_tells_no_frame(drive):
+    rng = np.random.default_rng(0)
+    scan, standing = drive.scans[0], list[SurveyScan]()
+    for number in range(3000):
+        T = np.eye(4)
+        T[:2, 3] = rng.normal(scale=0.05, size=2)
+        standing.append(replace(scan, stamp_ns=number * 10**8, T_odom_body=T))
+    assert agree(standing)
+    assert better_frame(standing, {"fixed": [replace(e, positions=apply(invert(e.T_odom_body), e.positions))
+                                             for e in standing]}) is None  # fmt: skip
+
+
+def test_without_scans_no_frame_is_found():
+    assert agree([])
+    assert better_frame([], {"fixed": []}) is None
