@@ -24,10 +24,11 @@ partly visible object moves up and down."""
 def find_duplicate_landmarks(
     object_map: ObjectMap, graph: FactorGraph, keyframes: Collection[int], *, radius_m: float
 ) -> list[tuple[int, int]]:
-    """Pairs of duplicate landmarks, the older one first, no landmark twice.
+    """Pairs of duplicate landmarks, the older one first, in the order in which they are to be merged.
 
     Two landmarks are duplicates if they have the same class, are mutual nearest neighbours of that class within
     ``radius_m`` in the plane, and no keyframe observed both: two objects that near to each other are seen together.
+    The older one stays where it is and is compared again, with the keyframes of both.
 
     Args:
         object_map: the landmarks.
@@ -44,14 +45,24 @@ def find_duplicate_landmarks(
     rows = np.array(usable, dtype=np.int64)
     if not len(rows):
         return []
-    nearest = _nearest_alike(graph.landmark_positions(rows), object_map.classes(rows), radius_m)
-    return [
-        (int(rows[index]), int(rows[other]))
-        for index, other in enumerate(nearest.tolist())
-        if index < other
-        and nearest[other] == index
-        and observers[int(rows[index])].isdisjoint(observers[int(rows[other])])
-    ]
+    positions, classes = graph.landmark_positions(rows), object_map.classes(rows)
+    pairs = list[tuple[int, int]]()
+    while True:
+        nearest = _nearest_alike(positions, classes, radius_m)
+        found = [
+            (index, other)
+            for index, other in enumerate(nearest.tolist())
+            if index < other
+            and nearest[other] == index
+            and observers[int(rows[index])].isdisjoint(observers[int(rows[other])])
+        ]
+        if not found:
+            return pairs
+        for index, other in found:
+            pairs.append((int(rows[index]), int(rows[other])))
+            observers[int(rows[index])] |= observers[int(rows[other])]
+        left = np.delete(np.arange(len(rows)), [other for _, other in found])
+        rows, positions, classes = rows[left], positions[left], classes[left]
 
 
 def fuse_duplicate_landmarks(
