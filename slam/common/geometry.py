@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -38,6 +40,16 @@ def transform_from_xyz_yaw(xyz: FloatArray, yaw_rad: FloatArray | float) -> Floa
 
 def invert(T_a_b: FloatArray) -> FloatArray:
     """``T_b_a`` of ``T_a_b`` (..., 4, 4), by transposing the rotation."""
+    if T_a_b.ndim == 2:  # plain numbers are sooner done than arrays of three
+        (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = T_a_b.tolist()
+        return np.array(
+            [
+                [a, d, g, -(a * x + d * y + g * z)],
+                [b, e, h, -(b * x + e * y + h * z)],
+                [c, f, i, -(c * x + f * y + i * z)],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
+        )
     R_b_a = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
     return make_transform(R_b_a, -np.einsum("...ij,...j->...i", R_b_a, T_a_b[..., :3, 3]))
 
@@ -72,6 +84,27 @@ def rotation_angle_rad(T: FloatArray) -> FloatArray:
     return np.asarray(np.arctan2(np.linalg.norm(axis_sine, axis=-1), cosine))
 
 
+def rotation_of(vector: FloatArray) -> FloatArray:
+    """Rotations (..., 3, 3) of rotation vectors (..., 3) rad, by their quaternions.
+
+    SciPy has the same formula, but takes four times as long for one.
+    """
+    if vector.ndim > 1:
+        return np.asarray(Rotation.from_rotvec(vector).as_matrix())
+    x, y, z = vector.tolist()
+    angle = math.sqrt(x * x + y * y + z * z)
+    # Below, the series of sin(a / 2) / a.
+    scale = math.sin(0.5 * angle) / angle if angle > 1e-3 else 0.5 - angle**2 / 48.0 + angle**4 / 3840.0
+    x, y, z, w = scale * x, scale * y, scale * z, math.cos(0.5 * angle)
+    return np.array(
+        [
+            [x * x - y * y - z * z + w * w, 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), -x * x + y * y - z * z + w * w, 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), -x * x - y * y + z * z + w * w],
+        ]
+    )
+
+
 def rotation_vector(R: FloatArray) -> FloatArray:
     """Rotation vectors (..., 3) rad of rotations (..., 3, 3), the shortest ones.
 
@@ -82,6 +115,8 @@ def rotation_vector(R: FloatArray) -> FloatArray:
     if np.any(cosine < 0.0):
         return np.asarray(Rotation.from_matrix(R).as_rotvec())
     sine = np.sqrt(np.einsum("...i,...i->...", axis_sine, axis_sine))
+    if R.ndim == 2:
+        return np.asarray(axis_sine if sine < 1e-12 else np.arctan2(sine, cosine) / sine * axis_sine)
     is_tiny = sine < 1e-12
     factor = np.where(is_tiny, 1.0, np.arctan2(sine, cosine) / np.where(is_tiny, 1.0, sine))
     return np.asarray(factor[..., None] * axis_sine)
@@ -89,6 +124,9 @@ def rotation_vector(R: FloatArray) -> FloatArray:
 
 def _axis_sine_and_cosine(R: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Axis times sine of the angle (..., 3), and its cosine (...), of rotations (..., 3, 3)."""
+    if R.ndim == 2:
+        (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+        return 0.5 * np.array([h - f, c - g, d - b]), np.float64(0.5 * (a + e + i - 1.0))
     axis_sine = 0.5 * np.stack(
         [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1
     )
@@ -127,11 +165,19 @@ def interpolate(stamps_ns: IntArray, T_a_b: FloatArray, at_ns: IntArray) -> Floa
     # Offsets from the stamp before are exact in float64; absolute epoch nanoseconds are not.
     upper = np.clip(np.searchsorted(stamps_ns, at_ns, side="right"), 1, len(stamps_ns) - 1)
     lower = upper - 1
-    fraction = ((at_ns - stamps_ns[lower]) / (stamps_ns[upper] - stamps_ns[lower]))[:, None]
-    translation = (1.0 - fraction) * T_a_b[lower, :3, 3] + fraction * T_a_b[upper, :3, 3]
-    start, end = T_a_b[lower, :3, :3], T_a_b[upper, :3, :3]
+    fraction = (at_ns - stamps_ns[lower]) / (stamps_ns[upper] - stamps_ns[lower])
+    return blend(T_a_b[lower], T_a_b[upper], fraction)
+
+
+def blend(T_start: FloatArray, T_end: FloatArray, fraction: FloatArray | float) -> FloatArray:
+    """Poses (..., 4, 4) a ``fraction`` (...) of the way from one to another: linear in translation, shortest arc in
+    rotation.
+    """
+    share = np.asarray(fraction)[..., None]
+    start, end = T_start[..., :3, :3], T_end[..., :3, :3]
     turn = rotation_vector(np.swapaxes(start, -1, -2) @ end)
-    return make_transform(start @ Rotation.from_rotvec(fraction * turn).as_matrix(), translation)
+    translation = (1.0 - share) * T_start[..., :3, 3] + share * T_end[..., :3, 3]
+    return make_transform(start @ rotation_of(share * turn), translation)
 
 
 def relative(T_odom_from: FloatArray, T_odom_to: FloatArray) -> FloatArray:

@@ -47,13 +47,18 @@ class ActiveLandmarks:
         self._local = LocalMap()
         self._pose: OdometryPose | None = None
         self._known_slots: tuple[IntArray, IntArray, IntArray] | None = None
+        self._known_place: tuple[OdometryPose, FloatArray, FloatArray] | None = None
         self.rows = np.zeros(0, dtype=np.int64)
 
     @property
     def T_local_body(self) -> FloatArray:
         """(4, 4) of the last pose that was advanced to."""
         assert self._pose is not None
-        return np.asarray(self._local.T_local_odom(self._pose.T_odom_body) @ self._pose.T_odom_body)
+        known, pose, local = self._known_place, self._pose, self._local.pose
+        if known is None or known[0] is not pose or known[1] is not local:
+            T_local_body = np.asarray(self._local.T_local_odom(pose.T_odom_body) @ pose.T_odom_body)
+            self._known_place = known = pose, local, T_local_body
+        return known[2]
 
     def restart(self, pose: OdometryPose) -> None:
         """Begin anew at a pose, without landmarks."""
@@ -70,7 +75,7 @@ class ActiveLandmarks:
             variances = self._config.association.odometry_inflation**2 * step_variances(
                 before, pose, self._config.odometry
             )
-            self._local.advance(upright_step(before.T_odom_body, pose.T_odom_body), variances[[0, 2]])
+            self._local.advance(upright_step(before.T_odom_body, pose.T_odom_body), variances[::2])
             self._pose = pose
             rows = self.rows[self._slots < 0]
             landmarks = self._map.rows
@@ -86,18 +91,20 @@ class ActiveLandmarks:
 
     def predict(self, stamp_ns: int) -> Prediction:
         """Where the active landmarks should be at a time; those that seem to move go on moving."""
-        landmarks = self._map.rows[self.rows]
-        seconds = (stamp_ns - landmarks["last_seen_ns"]) * 1e-9
-        positions = landmarks["position_local"] + seconds[:, None] * landmarks["velocity_local"]
-        covariances = landmarks["covariance_local"].copy()
-        moves = np.any(landmarks["velocity_local"] != 0.0, axis=1)
-        swerve_m = moves * self._config.landmark.moving_acceleration_mps2 * seconds * np.maximum(seconds, MIN_SWERVE_S)
-        covariances += (swerve_m**2)[:, None, None] * np.eye(3)
+        landmarks, rows = self._map.rows, self.rows
+        positions, covariances = landmarks["position_local"][rows], landmarks["covariance_local"][rows]
+        velocities = landmarks["velocity_local"][rows]
+        if velocities.any():
+            seconds = (stamp_ns - landmarks["last_seen_ns"][rows]) * 1e-9
+            acceleration = velocities.any(axis=1) * self._config.landmark.moving_acceleration_mps2
+            swerve_m = acceleration * seconds * np.maximum(seconds, MIN_SWERVE_S)
+            positions += seconds[:, None] * velocities
+            covariances += (swerve_m**2)[:, None, None] * np.eye(3)
         slots = self._slots
-        held = slots >= 0
-        if held.any() and self._pose is not None:
+        held = np.flatnonzero(slots >= 0)
+        if len(held) and self._pose is not None:
             positions[held, :2], planar = self._local.predict(slots[held])
-            travel_m = np.abs(self._pose.travel_m - landmarks["last_seen_travel_m"][held])
+            travel_m = np.abs(self._pose.travel_m - landmarks["last_seen_travel_m"][rows[held]])
             heights = covariances[held, 2, 2] + self._config.odometry.translation_sigma**2 * travel_m
             covariances[held] = 0.0
             covariances[held, :2, :2] = planar
@@ -132,31 +139,34 @@ class ActiveLandmarks:
             predicted.positions[indices], predicted.covariances[indices], seen.positions, seen.covariances
         )
         slots = self._slots[indices]
-        held = slots >= 0
+        held = np.flatnonzero(slots >= 0)
         offsets = seen.positions[held, :2] - self.T_local_body[:2, 3]
         self._local.update(slots[held], offsets, covariances[held, :2, :2])
         landmarks["position_local"][rows], landmarks["covariance_local"][rows] = positions, filtered
         landmarks["position_local"][self._local.ids, :2] = self._local.positions()
-        if held.any():
-            block = np.zeros((int(held.sum()), 3, 3))
+        if len(held):
+            block = np.zeros((len(held), 3, 3))
             block[:, :2, :2] = self._local.predict(slots[held])[1]
             block[:, 2, 2] = filtered[held, 2, 2]
             landmarks["covariance_local"][rows[held]] = block
 
     def add(self, rows: IntArray) -> None:
         """Make landmarks active; they are tentative until they are confirmed."""
-        self.rows = np.concatenate([self.rows, rows])
+        if len(rows):
+            self.rows = np.concatenate([self.rows, rows])
 
     def confirm(self, rows: IntArray) -> None:
         """Let confirmed landmarks (K,), active and in view, correct the robot's pose from now on."""
-        landmarks = self._map.rows[rows]
-        offsets = landmarks["position_local"][:, :2] - self.T_local_body[:2, 3]
-        self._local.insert(rows, offsets, landmarks["covariance_local"][:, :2, :2])
+        if len(rows):
+            landmarks = self._map.rows[rows]
+            offsets = landmarks["position_local"][:, :2] - self.T_local_body[:2, 3]
+            self._local.insert(rows, offsets, landmarks["covariance_local"][:, :2, :2])
 
     def drop(self, rows: IntArray) -> None:
         """Make landmarks inactive."""
-        self.rows = self.rows[~np.isin(self.rows, rows)]
-        self._local.remove(rows)
+        if len(rows):
+            self.rows = self.rows[~np.isin(self.rows, rows)]
+            self._local.remove(rows)
 
     def release(self, rows: IntArray) -> None:
         """Let landmarks correct the robot's pose no longer, but go on following them."""
@@ -170,9 +180,10 @@ class ActiveLandmarks:
         if len(held) == 0:
             return uncertain
         covariances = self._local.predict(slots[held])[1]
-        sigmas = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
+        variances, covariance = np.diagonal(covariances, axis1=1, axis2=2), covariances[:, 0, 1]
+        largest = 0.5 * variances.sum(axis=1) + np.hypot(0.5 * (variances[:, 0] - variances[:, 1]), covariance)
         distances = np.linalg.norm(self._local.positions()[slots[held]] - self.T_local_body[:2, 3], axis=1)
-        uncertain[held] = (sigmas > self._config.association.confusion_distance_m) | (
+        uncertain[held] = (np.sqrt(largest) > self._config.association.confusion_distance_m) | (
             distances > self._config.association.active_radius_m
         )
         excess = len(held) - self._config.association.max_landmarks
@@ -201,19 +212,17 @@ class ActiveLandmarks:
         ids = self._local.ids
         if len(ids) < 2:
             return None
-        classes = self._map.classes(ids)
-        positions = self._local.positions()
-        area = float(np.prod(np.maximum(np.ptp(positions, axis=0), 1e-3)))
-        first, second = np.triu_indices(len(ids), 1)
+        classes, scans = self._map.classes(ids), self._map.rows["last_scan"][ids]
         # Two that were seen in one scan are two.
-        scans = self._map.rows["last_scan"][ids]
-        near = (classes[first] == classes[second]) & (scans[first] != scans[second])
-        first, second = first[near], second[near]
+        first, second = np.nonzero(np.triu((classes[:, None] == classes) & (scans[:, None] != scans), 1))
+        positions = self._local.positions()
         # Whatever their correlation is, the variance of a difference is at most twice the sum of both.
         offsets, variances = positions[first] - positions[second], self._local.variances()
         largest = 2.0 * (variances[first] + variances[second] + self._view_variance)
         near = np.einsum("ki,ki->k", offsets, offsets) < 14.0 * largest
         first, second = first[near], second[near]
+        if len(first) == 0:
+            return None
         difference, covariances = self._local.difference(first, second)
         covariances = covariances + self._view_variance * np.eye(2)
         near = np.einsum("ki,ki->k", difference, difference) < 14.0 * np.trace(covariances, axis1=1, axis2=2)
@@ -221,6 +230,7 @@ class ActiveLandmarks:
         if len(first) == 0:
             return None
         distances = np.einsum("ki,ki->k", difference, np.linalg.solve(covariances, difference[..., None])[..., 0])
+        area = float(np.prod(np.maximum(np.ptp(positions, axis=0), 1e-3)))
         clutter = np.bincount(classes)[classes[first]] / area
         llr = -0.5 * (distances + np.log(np.linalg.det(2.0 * np.pi * covariances))) - np.log(clutter)
         llr[distances > float(chdtri(2, 1.0 - self._config.association.gate_probability))] = -np.inf

@@ -10,6 +10,7 @@ detections costs no more than its neighbourhoods.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,8 +74,8 @@ def associate(
     rows = np.full(len(positions), NEW, dtype=np.int64)
     if len(positions) == 0 or len(landmark_positions) == 0:
         return Assignment(rows)
-    gate = float(chdtri(3, 1.0 - config.gate_probability))
-    outer_gate = max(float(chdtri(3, 1.0 - config.new_object_gate_probability)), gate)
+    gate = _gate(config.gate_probability)
+    outer_gate = max(_gate(config.new_object_gate_probability), gate)
     detection, landmark = _near_pairs(positions, covariances, landmark_positions, landmark_covariances, outer_gate)
     if len(detection) == 0:
         return Assignment(rows)
@@ -82,17 +83,22 @@ def associate(
     S = covariances[detection] + landmark_covariances[landmark]
     distance_squared = np.einsum("ni,ni->n", innovation, np.linalg.solve(S, innovation[..., None])[..., 0])
     classes = landmark_beliefs.shape[1]
-    label_cost = -2.0 * np.log(label_likelihood(landmark_beliefs[landmark, labels[detection]], classes, config))
+    belief = landmark_beliefs[landmark, labels[detection]]
+    label_cost = -2.0 * np.log(label_likelihood(belief, classes, config))
     pair_cost = distance_squared + np.log(np.linalg.det(2.0 * np.pi * S)) + label_cost
     none_cost = -2.0 * np.log(config.new_object_density / classes)
 
-    inside = distance_squared <= gate
-    likely = landmark_beliefs[landmark, labels[detection]] >= 0.5
-    rows[detection[likely & (distance_squared <= outer_gate)]] = AMBIGUOUS
-    taken = _cheapest(detection[inside], landmark[inside], pair_cost[inside], none_cost)
-    taken_rows, taken_costs = detection[inside][taken], pair_cost[inside][taken]
-    rows[taken_rows] = landmark[inside][taken]
-    return Assignment(rows, 0.5 * float(np.sum(none_cost - taken_costs)))
+    rows[detection[(belief >= 0.5) & (distance_squared <= outer_gate)]] = AMBIGUOUS
+    inside = np.flatnonzero(distance_squared <= gate)
+    taken = inside[_cheapest(detection[inside], landmark[inside], pair_cost[inside], none_cost)]
+    rows[detection[taken]] = landmark[taken]
+    return Assignment(rows, 0.5 * float(np.sum(none_cost - pair_cost[taken])))
+
+
+@lru_cache
+def _gate(probability: float) -> float:
+    """The squared distance in three dimensions that is exceeded with 1 - ``probability``."""
+    return float(chdtri(3, 1.0 - probability))
 
 
 def _cheapest(detection: IntArray, landmark: IntArray, pair_cost: FloatArray, none_cost: float) -> IntArray:
@@ -104,12 +110,17 @@ def _cheapest(detection: IntArray, landmark: IntArray, pair_cost: FloatArray, no
     contested = (np.bincount(detection)[detection] > 1) | (np.bincount(landmark)[landmark] > 1)
     if not contested.any():
         return worth
-    rows, row = np.unique(detection[contested], return_inverse=True)
-    columns, column = np.unique(landmark[contested], return_inverse=True)
-    shape = len(rows), len(columns)
-    solve = _partners if len(rows) * len(columns) <= FEW_DISTANCES else _partners_of_many
+    (row, rows), (column, columns) = _ranks(detection[contested]), _ranks(landmark[contested])
+    shape = rows, columns
+    solve = _partners if rows * columns <= FEW_DISTANCES else _partners_of_many
     partner = solve(row, column, none_cost - pair_cost[contested], shape)
     return np.sort(np.concatenate([worth[~contested], worth[contested][partner[row] == column]]))
+
+
+def _ranks(values: IntArray) -> tuple[IntArray, int]:
+    """The rank of each of the values (N,), which are not negative, among the different ones; and how many these are."""
+    ranks = np.cumsum(np.bincount(values) > 0)
+    return ranks[values] - 1, int(ranks[-1])
 
 
 def _partners(row: IntArray, column: IntArray, gain: FloatArray, shape: tuple[int, int]) -> IntArray:

@@ -48,6 +48,11 @@ class LocalMap:
         return self._ids
 
     @property
+    def pose(self) -> FloatArray:
+        """The robot's pose (3,), x, y [m] and the heading [rad], local frame; another array once it has changed."""
+        return self._pose
+
+    @property
     def pose_covariance(self) -> FloatArray:
         """Covariance (3, 3) of x, y [m] and the heading [rad], local frame."""
         return self._P[:POSE, :POSE].copy()
@@ -70,19 +75,19 @@ class LocalMap:
             T_before_after: (4, 4) between the gravity frames of the body (upright) before and after.
             variances: (2,) of the step: each horizontal coordinate [m^2] and the heading [rad^2].
         """
-        heading = self._pose[2]
+        from_x, from_y, heading = self._pose.tolist()
         c, s = np.cos(heading), np.sin(heading)
-        x, y = T_before_after[:2, 3]
-        moved = np.array([c * x - s * y, s * x + c * y])
-        self._pose[:2] += moved
-        x, y = self._pose[:2] - self._predicted
+        x, y = T_before_after[:2, 3].tolist()
+        turned = _wrapped(heading + float(yaw_rad(T_before_after)))
+        self._pose = np.array([from_x + (c * x - s * y), from_y + (s * x + c * y), turned])
+        x, y = (self._pose[:2] - self._predicted).tolist()
         F = np.eye(POSE)
         F[:2, 2] = -y, x
         self._predicted = self._pose[:2].copy()
-        self._pose[2] = _wrapped(heading + float(yaw_rad(T_before_after)))
         self._P[:POSE] = F @ self._P[:POSE]
         self._P[:, :POSE] = self._P[:, :POSE] @ F.T
-        self._P[[0, 1, 2], [0, 1, 2]] += [variances[0], variances[0], variances[1]]
+        for entry, variance in enumerate((variances[0], variances[0], variances[1])):
+            self._P[entry, entry] += variance
 
     def anchor(self) -> None:
         """Hold the robot's pose to be known: all covariances are relative to it from now on.
@@ -129,16 +134,16 @@ class LocalMap:
         PH = np.einsum("dr,kir->dki", self._P[:, :POSE], G) + self._P[:, columns]
         PH = PH.reshape(len(self._P), 2 * count)
         S = np.einsum("kir,rc->kic", G, PH[:POSE]).reshape(2 * count, 2 * count) + PH[columns.ravel()]
-        innovation = (measured - offsets).ravel()
-        block = np.arange(2 * count).reshape(count, 2)
-        S[block[:, :, None], block[:, None, :]] += covariances
-        own = S[block[:, :, None], block[:, None, :]]
-        distances = np.einsum("ki,ki->k", innovation[block], np.linalg.solve(own, innovation[block][..., None])[..., 0])
+        innovations = measured - offsets
+        entries = np.arange(2 * count).reshape(count, 2)
+        blocks = entries[:, :, None], entries[:, None, :]
+        own = S[blocks] + covariances
+        distances = np.einsum("ki,ki->k", innovations, np.linalg.solve(own, innovations[..., None])[..., 0])
         excess = np.maximum(distances / GATE - 1.0, 0.0)  # Huber's weights on the measurements
-        S[block[:, :, None], block[:, None, :]] += excess[:, None, None] * covariances
+        S[blocks] = own + excess[:, None, None] * covariances
         lower = np.linalg.cholesky(S)
         gain = np.linalg.solve(lower, PH.T)
-        change = gain.T @ np.linalg.solve(lower, innovation)
+        change = gain.T @ np.linalg.solve(lower, innovations.ravel())
         self._P -= gain.T @ gain
         self._apply(change)
 
@@ -166,9 +171,11 @@ class LocalMap:
 
     def remove(self, ids: IntArray) -> None:
         """Let go of landmarks; those not held are passed over."""
-        kept = ~np.isin(self._ids, ids)
-        if kept.all():
+        held = [self._slots[each] for each in ids.tolist() if each in self._slots]
+        if not held:
             return
+        kept = np.ones(len(self._ids), dtype=np.bool_)
+        kept[held] = False
         columns = np.concatenate([np.arange(POSE), (POSE + 2 * np.flatnonzero(kept)[:, None] + np.arange(2)).ravel()])
         self._P = self._P[np.ix_(columns, columns)]
         self._positions, self._first = self._positions[kept], self._first[kept]
@@ -207,8 +214,8 @@ class LocalMap:
 
     def _apply(self, change: FloatArray) -> None:
         self._P = 0.5 * (self._P + self._P.T)
-        self._pose = self._pose + change[:POSE]
-        self._pose[2] = _wrapped(float(self._pose[2]))
+        x, y, heading = (self._pose + change[:POSE]).tolist()
+        self._pose = np.array([x, y, _wrapped(heading)])
         self._positions = self._positions + change[POSE:].reshape(-1, 2)
 
     def _set_ids(self, ids: IntArray) -> None:

@@ -116,20 +116,21 @@ class Mapper:
             scan=self._scan_count,
             travel_m=pose.travel_m,
         )
-        in_local = scan.seen_from(self._active.T_local_body)
-        rows[new] = self._map.add(
-            in_local.positions[new],
-            in_local.covariances[new],
-            labels[new],
-            stamp_ns=scan.stamp_ns,
-            scan=self._scan_count,
-            travel_m=pose.travel_m,
-            segment=pose.segment,
-        )
-        self._active.add(rows[new])
+        if new.any():
+            corrected = scan.seen_from(self._active.T_local_body)
+            rows[new] = self._map.add(
+                corrected.positions[new],
+                corrected.covariances[new],
+                labels[new],
+                stamp_ns=scan.stamp_ns,
+                scan=self._scan_count,
+                travel_m=pose.travel_m,
+                segment=pose.segment,
+            )
+            self._active.add(rows[new])
         used = known | new
         self._keyframe_observations.add(rows[used], in_keyframe.of(used))
-        self._update_life_cycle(rows[used], in_local.covariances[used])
+        self._update_life_cycle(rows[used], scan.covariances[used])
         return _associations(scan, rows, new)
 
     def log_likelihood_ratio(self, scan: Scan, pose: OdometryPose) -> float:
@@ -190,14 +191,14 @@ class Mapper:
             self._merge(kept, dropped)
         observations = self._keyframe_observations.observations(self.keyframes[-1].id, self._config.detection)
         self._keyframe_observations = KeyframeObservations()
-        states = self._map.rows["state"]
         for observation in observations:
             self._held_back[observation.landmark].append(observation)
         ready = list[Observation]()
-        for row in sorted(self._held_back):
-            if states[row] == LandmarkState.CONFIRMED:
+        rows = sorted(self._held_back)
+        for row, state in zip(rows, self._map.rows["state"][rows].tolist(), strict=True):
+            if state == LandmarkState.CONFIRMED:
                 ready += self._held_back.pop(row)
-            elif states[row] == LandmarkState.RETIRED:
+            elif state == LandmarkState.RETIRED:
                 del self._held_back[row]
         self._graph.add_observations(ready)
 
@@ -225,22 +226,21 @@ class Mapper:
         """
         limits = self._config.landmark
         landmarks = self._map.rows
-        velocities = self._map.velocities(seen)
-        speeds = np.linalg.norm(velocities, axis=1)
         sigmas = np.sqrt(np.trace(covariances, axis1=1, axis2=2) / 3.0)
-        noise_mps = MOVING_SIGMAS * self._map.speed_sigmas(seen, sigmas)
-        too_fast = speeds > np.maximum(limits.moving_speed_mps, noise_mps)
-        observations = landmarks["observations"][seen]
+        velocities, noise_mps = self._map.velocities(seen, sigmas)
+        speeds = np.linalg.norm(velocities, axis=1)
+        too_fast = speeds > np.maximum(limits.moving_speed_mps, MOVING_SIGMAS * noise_mps)
+        observations, states = landmarks["observations"][seen], landmarks["state"][seen]
         seconds = (landmarks["last_seen_ns"][seen] - landmarks["first_seen_ns"][seen]) * 1e-9
         far = speeds * seconds > limits.moving_distance_m
         moving = too_fast & far & (observations >= limits.moving_observations)
-        followed = too_fast & (landmarks["state"][seen] != LandmarkState.CONFIRMED) & (observations >= 3)
+        followed = too_fast & (states != LandmarkState.CONFIRMED.value) & (observations >= 3)
         landmarks["velocity_local"][seen] = np.where((followed | moving)[:, None], velocities, 0.0)
-        stopped = (landmarks["state"][seen] == LandmarkState.RETIRED) & ~too_fast
+        stopped = (states == LandmarkState.RETIRED.value) & ~too_fast
         self._active.drop(seen[stopped])
         self._retire(seen[moving], RetirementReason.MOVING, stays_active=True)
 
-        tentative = landmarks["state"][seen] == LandmarkState.TENTATIVE
+        tentative = landmarks["state"][seen] == LandmarkState.TENTATIVE.value
         enough = observations >= limits.confirm_observations
         scans = self._scan_count - landmarks["first_scan"][seen] + 1
         steady = observations >= limits.confirm_fraction * scans
@@ -257,7 +257,7 @@ class Mapper:
         unseen_m = travel_m - landmarks["last_seen_travel_m"][rows]
         unseen_scans = self._scan_count - landmarks["last_scan"][rows]
         lost = (unseen_m > limits.max_missed_distance_m) | (unseen_scans > limits.max_missed_scans)
-        stale = lost & (landmarks["state"][rows] != LandmarkState.CONFIRMED)
+        stale = lost & (landmarks["state"][rows] != LandmarkState.CONFIRMED.value)
         self._deactivate(stale | self._active.uncertain())
 
     def _deactivate(self, gone: NDArray[np.bool_]) -> None:
@@ -265,12 +265,14 @@ class Mapper:
         if not gone.any():
             return
         rows = self._active.rows[gone]
-        tentative = self._map.rows["state"][rows] == LandmarkState.TENTATIVE
+        tentative = self._map.rows["state"][rows] == LandmarkState.TENTATIVE.value
         self._retire(rows[tentative], RetirementReason.NOT_CONFIRMED)
         self._active.drop(rows)
 
     def _retire(self, rows: IntArray, reason: RetirementReason, *, stays_active: bool = False) -> None:
         """Retire landmarks and remove them from the graph; moving ones are still followed, out of the local map."""
+        if not len(rows):
+            return
         self._map.retire(rows, reason)
         if stays_active:
             self._active.release(rows)

@@ -73,9 +73,11 @@ class _Step:
     def travel_m(self) -> float:
         return self.keyframe.odometry.travel_m
 
-    def in_body(self, positions: FloatArray) -> FloatArray:
-        """Points (N, 3) of the odometry's frame in the plane (N, 2) of the body's."""
-        return np.asarray(positions @ self.T_gravity_local[:2, :3].T + self.T_gravity_local[:2, 3])
+
+def _in_plane(T_gravity_local: FloatArray, positions: FloatArray) -> FloatArray:
+    """Points (N, 3) of the odometry's frame in the planes (..., N, 2) of bodies at (..., 4, 4)."""
+    R, shift = T_gravity_local[..., :2, :3], T_gravity_local[..., :2, 3]
+    return np.asarray(positions @ np.swapaxes(R, -1, -2) + shift[..., None, :])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,7 +140,8 @@ class ContinuityMonitor:
         return None
 
     def _sides(self, landmarks: RecentLandmarks, times_m: FloatArray) -> _Sides:
-        in_body = np.stack([step.in_body(landmarks.positions) for step in self._steps])  # (S, N, 2)
+        T_gravity_local = np.array([step.T_gravity_local for step in self._steps])
+        in_body = _in_plane(T_gravity_local, landmarks.positions)  # (S, N, 2)
         shares = self._visibility.probability(in_body.reshape(-1, 2)).reshape(in_body.shape[:2])
         log_missed = np.log1p(-np.minimum(shares, 0.99))
         sums = np.concatenate([np.zeros((1, len(landmarks.rows))), np.cumsum(log_missed, axis=0)])
@@ -164,7 +167,8 @@ class ContinuityMonitor:
         step = self._steps[middle]
         there = (landmarks.first_seen_m <= step.travel_m) & (landmarks.last_seen_m >= step.travel_m)
         self._visibility.learn(
-            step.in_body(landmarks.positions[there]), np.isin(landmarks.rows[there], step.seen, assume_unique=True)
+            _in_plane(step.T_gravity_local, landmarks.positions[there]),
+            np.isin(landmarks.rows[there], step.seen, assume_unique=True),
         )
         index = sides.seen.shape[1] // 2
         in_view, seen = sides.in_view[:, index], sides.seen[:, index]

@@ -195,22 +195,16 @@ class ObjectMap:
         landmarks["sum_tp"][rows] += seconds[:, None] * offset
         self._beliefs.count(rows, labels)
 
-    def velocities(self, rows: IntArray) -> FloatArray:
-        """Velocity (N, 3) m/s in the odometry frame: the least-squares line through all measurements."""
+    def velocities(self, rows: IntArray, position_sigmas_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Velocities (N, 3) m/s in the odometry frame, by the least-squares lines through all measurements, and the
+        standard deviations (N,) m/s of each of their coordinates, for that noise (N,) m of a measurement.
+        """
         landmarks = self.rows[rows]
-        slope = (
-            landmarks["sum_tp"] - landmarks["sum_t"][:, None] * landmarks["sum_p"] / landmarks["observations"][:, None]
-        )
-        return np.asarray(slope / self._time_spreads(rows)[:, None])
-
-    def speed_sigmas(self, rows: IntArray, position_sigmas_m: FloatArray) -> FloatArray:
-        """Standard deviation (N,) m/s of each coordinate of the velocity, for that noise (N,) m of a measurement."""
-        return np.asarray(position_sigmas_m / np.sqrt(self._time_spreads(rows)))
-
-    def _time_spreads(self, rows: IntArray) -> FloatArray:
-        """Sum of squared deviations (N,) s^2 of the times of the measurements from their mean, at least (1 ms)^2."""
-        landmarks = self.rows[rows]
-        return np.asarray(np.maximum(landmarks["sum_tt"] - landmarks["sum_t"] ** 2 / landmarks["observations"], 1e-6))
+        count, times = landmarks["observations"], landmarks["sum_t"]
+        # Squared deviations [s^2] of the times of the measurements from their mean, at least (1 ms)^2.
+        spreads = np.maximum(landmarks["sum_tt"] - times**2 / count, 1e-6)
+        slopes = landmarks["sum_tp"] - times[:, None] * landmarks["sum_p"] / count[:, None]
+        return slopes / spreads[:, None], position_sigmas_m / np.sqrt(spreads)
 
     def confirm(self, rows: IntArray) -> None:
         """Make tentative landmarks confirmed ones."""

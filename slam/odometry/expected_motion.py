@@ -8,10 +8,9 @@ message that is wrong.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
-from slam.common.geometry import make_transform, relative, rotation_angle_rad, rotation_vector
+from slam.common.geometry import make_transform, relative, rotation_angle_rad, rotation_of, rotation_vector
 
 UNEXPECTED_RATIO = 3.0
 """A change of velocity so many times as great as any before is unexpected."""
@@ -99,7 +98,7 @@ class ExpectedMotion:
             return self._steps < LEAST_STEPS or bool(np.all(speeds <= self._change))
         T_deviation = relative(T_predicted, T_odom_body)
         deviation = np.array([np.linalg.norm(T_deviation[:3, 3]), rotation_angle_rad(T_deviation)])
-        return bool(np.all(deviation <= self.tolerances(stamp_ns)))
+        return bool((deviation <= self.tolerances(stamp_ns)).all())
 
 
 def _twist(T_before_after: FloatArray) -> FloatArray:
@@ -109,4 +108,4 @@ def _twist(T_before_after: FloatArray) -> FloatArray:
 
 def motion(twist: FloatArray) -> FloatArray:
     """The step (4, 4) of a translation and rotation vector (6,)."""
-    return make_transform(Rotation.from_rotvec(twist[3:]).as_matrix(), twist[:3])
+    return make_transform(rotation_of(twist[3:]), twist[:3])

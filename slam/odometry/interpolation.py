@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import invert, make_transform, rotation_vector
+from slam.common.geometry import blend, invert
 
 
 def interpolate_between_keyframes(
@@ -38,8 +37,5 @@ def interpolate_between_keyframes(
 
     T_before, T_after = predict(before), predict(after)
     start, end = stamps_ns[keyframe_indices[before]], stamps_ns[keyframe_indices[after]]
-    fraction = np.where(end > start, (stamps_ns - start) / np.maximum(end - start, 1), 0.0)[:, None]
-    turn = rotation_vector(np.swapaxes(T_before[:, :3, :3], 1, 2) @ T_after[:, :3, :3])
-    rotation = T_before[:, :3, :3] @ Rotation.from_rotvec(fraction * turn).as_matrix()
-    translation = (1.0 - fraction) * T_before[:, :3, 3] + fraction * T_after[:, :3, 3]
-    return make_transform(rotation, translation)
+    fraction = np.where(end > start, (stamps_ns - start) / np.maximum(end - start, 1), 0.0)
+    return blend(T_before, T_after, fraction)

@@ -25,19 +25,18 @@ def step_variances(before: OdometryPose, after: OdometryPose, config: OdometryCo
     turn_rad = float(rotation_angle_rad(T_before_after))
     seconds = abs(after.stamp_ns - before.stamp_ns) * 1e-9
     mended_m2, mended_rad2 = abs(after.mended_m2 - before.mended_m2), abs(after.mended_rad2 - before.mended_rad2)
-    walk = np.array(
+    translation = max(config.min_translation_sigma_m**2, config.translation_sigma**2 * length_m)
+    tilt = max(config.min_rotation_sigma_rad**2, config.tilt_sigma**2 * length_m)
+    heading = max(
+        config.min_rotation_sigma_rad**2, config.yaw_sigma**2 * length_m + config.yaw_sigma_by_turn**2 * turn_rad
+    )
+    return np.array(
         [
-            max(config.min_translation_sigma_m**2, config.translation_sigma**2 * length_m)
-            + config.translation_sigma_by_time**2 * seconds,
-            max(config.min_rotation_sigma_rad**2, config.tilt_sigma**2 * length_m),
-            max(
-                config.min_rotation_sigma_rad**2,
-                config.yaw_sigma**2 * length_m + config.yaw_sigma_by_turn**2 * turn_rad,
-            )
-            + config.yaw_sigma_by_time**2 * seconds,
+            translation + config.translation_sigma_by_time**2 * seconds + mended_m2,
+            tilt + mended_rad2,
+            heading + config.yaw_sigma_by_time**2 * seconds + mended_rad2,
         ]
     )
-    return np.asarray(walk + np.array([mended_m2, mended_rad2, mended_rad2]))
 
 
 def step_covariance(

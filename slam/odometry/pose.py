@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from slam.common.arrays import FloatArray
-from slam.common.geometry import interpolate
+from slam.common.geometry import blend
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,8 +31,7 @@ class OdometryPose:
 
 def between(before: OdometryPose, after: OdometryPose, stamp_ns: int) -> OdometryPose:
     """The pose at a time between those of two poses of one segment."""
-    stamps = np.array([before.stamp_ns, after.stamp_ns])
-    T = interpolate(stamps, np.stack([before.T_odom_body, after.T_odom_body]), np.array([stamp_ns]))[0]
     fraction = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
+    T = blend(before.T_odom_body, after.T_odom_body, fraction)
     travel_m = before.travel_m + fraction * (after.travel_m - before.travel_m)
     return replace(after, stamp_ns=stamp_ns, T_odom_body=T, travel_m=travel_m)

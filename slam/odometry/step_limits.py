@@ -19,6 +19,7 @@ JUMP_SLACK_RANGES = 2.0 / 30.0
 RESTART_TOLERANCE = 1e-6
 # unless the body was on its way there: no farther off than that from going on as before, in sensor ranges.
 RESTART_SLACK_RANGES = 0.25 / 30.0
+_IDENTITY = np.eye(4)
 
 
 class StepLimits:
@@ -69,7 +70,7 @@ class StepLimits:
 
         A kidnapped robot may continue near the pose of its odometry by chance; that shows no jump.
         """
-        if not any(np.abs(T_reported - T_start).max() < RESTART_TOLERANCE for T_start in (T_first, np.eye(4))):
+        if not any(np.abs(T_reported - T_start).max() < RESTART_TOLERANCE for T_start in (T_first, _IDENTITY)):
             return False
         last = poses[-1]
         before = poses[-2] if len(poses) > 1 else last

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -63,14 +64,17 @@ def diagonal_blocks_of_inverse(matrix: sparse.csc_array, owners: IntArray) -> tu
 def _walk(lower: sparse.csc_array, pivots: Matrix, owners: IntArray) -> Iterator[tuple[int, IntArray, Matrix]]:
     """Each column with its front, the column and the rows below it, and the inverse over the front."""
     fronts, children, roots = _elimination_tree(lower, owners)
+    starts = lower.indptr.tolist()
     stack = [(root, np.array([[1.0 / pivots[root]]])) for root in roots]
     while stack:
         column, piece = stack.pop()
         yield column, fronts[column], piece
         for child in sorted(children[column], key=lambda child: -len(fronts[child])):
-            start, end = lower.indptr[child], lower.indptr[child + 1]
-            below = np.zeros(len(fronts[child]), dtype=pivots.dtype)
-            below[np.searchsorted(fronts[child], lower.indices[start:end])] = lower.data[start:end]
+            own = slice(starts[child], starts[child + 1])
+            below = lower.data[own]
+            if len(below) < len(fronts[child]):
+                below = np.zeros(len(fronts[child]), dtype=pivots.dtype)
+                below[np.searchsorted(fronts[child], lower.indices[own])] = lower.data[own]
             stack.append((child, _extend(fronts[child], fronts[column], piece, below[1:], pivots[child])))
 
 
@@ -80,8 +84,8 @@ def _elimination_tree(lower: sparse.csc_array, owners: IntArray) -> tuple[list[I
     The rows of a column are rows of its parent's; where the factorisation left out a zero they are put back, as
     are rows of the column's owner that nothing couples with it.
     """
-    starts, indices = lower.indptr, lower.indices.astype(np.int64)
-    fronts = [indices[starts[j] : starts[j + 1]] for j in range(len(starts) - 1)]
+    starts, indices = lower.indptr.tolist(), lower.indices.astype(np.int64)
+    fronts = [indices[start:end] for start, end in pairwise(starts)]
     for j, own in _owners_left_apart(lower, owners):
         fronts[j] = np.union1d(fronts[j], own)
     children: list[list[int]] = [[] for _ in fronts]
@@ -92,10 +96,10 @@ def _elimination_tree(lower: sparse.csc_array, owners: IntArray) -> tuple[list[I
             continue
         parent = int(front[1])
         children[parent].append(j)
-        above = fronts[parent]
-        places = np.searchsorted(above, front[1:])
-        if places[-1] >= len(above) or not np.array_equal(above[places], front[1:]):
-            fronts[parent] = np.union1d(above, front[1:])
+        above, below = fronts[parent], front[1:]
+        places = np.searchsorted(above, below)
+        if places[-1] >= len(above) or (above[places] != below).any():
+            fronts[parent] = np.union1d(above, below)
     return fronts, children, roots
 
 

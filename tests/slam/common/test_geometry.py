@@ -12,10 +12,12 @@ from slam.common.arrays import FloatArray
 from slam.common.errors import GeometryError
 from slam.common.geometry import (
     apply,
+    blend,
     interpolate,
     invert,
     make_transform,
     rotation_angle_rad,
+    rotation_of,
     rotation_vector,
     transform_from_xyz_yaw,
     travelled_m,
@@ -77,6 +79,20 @@ def test_one_and_many_are_treated_alike():
     for function in (invert, rotation_angle_rad, yaw_rad):
         each = np.array([function(one) for one in T])
         np.testing.assert_allclose(function(batch).reshape(each.shape), each, atol=1e-15)
+    for function in (rotation_vector, lambda R: rotation_of(rotation_vector(R))):
+        each = np.array([function(one[:3, :3]) for one in T])
+        np.testing.assert_allclose(function(batch[..., :3, :3]).reshape(each.shape), each, atol=1e-14)
+    fractions = rng.uniform(size=5)
+    each = np.array(
+        [blend(first, second, fraction) for first, second, fraction in zip(T[:-1], T[1:], fractions, strict=True)]
+    )
+    np.testing.assert_allclose(blend(T[:-1], T[1:], fractions), each, atol=1e-14)
+
+
+@given(axes, angles)
+def test_the_rotation_of_a_vector_is_scipys(axis, angle_rad):
+    vector = axis / np.linalg.norm(axis) * angle_rad
+    np.testing.assert_allclose(rotation_of(vector), Rotation.from_rotvec(vector).as_matrix(), atol=1e-15)
 
 
 def test_nothing_in_gives_nothing_out():

@@ -121,13 +121,13 @@ def test_the_velocity_is_the_least_squares_line_through_all_sightings():
     p = t[:, None] * [1.5, -0.5, 0.0] + rng.normal(scale=0.2, size=(31, 3))
     object_map = new_map(positions=p[:1])
     line_of_sightings(object_map, 0, t[1:], p[1:])
-    np.testing.assert_allclose(object_map.velocities(np.array([0]))[0], np.polyfit(t, p, 1)[0], atol=1e-6)
-    expected = 0.2 / np.sqrt(np.sum((t - t.mean()) ** 2))
-    np.testing.assert_allclose(object_map.speed_sigmas(np.array([0]), 0.2), expected, rtol=1e-6)
+    velocities, sigmas = object_map.velocities(np.array([0]), np.array([0.2]))
+    np.testing.assert_allclose(velocities[0], np.polyfit(t, p, 1)[0], atol=1e-6)
+    np.testing.assert_allclose(sigmas, 0.2 / np.sqrt(np.sum((t - t.mean()) ** 2)), rtol=1e-6)
 
 
 def test_what_was_seen_once_stands_still():
-    assert new_map().velocities(np.array([0])).tolist() == [[0.0, 0.0, 0.0]]
+    assert new_map().velocities(np.array([0]), np.array([0.2]))[0].tolist() == [[0.0, 0.0, 0.0]]
 
 
 def test_merged_landmarks_are_one_in_the_map_and_two_around_the_robot():
