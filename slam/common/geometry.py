@@ -126,7 +126,7 @@ def _axis_sine_and_cosine(R: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Axis times sine of the angle (..., 3), and its cosine (...), of rotations (..., 3, 3)."""
     if R.ndim == 2:
         (a, b, c), (d, e, f), (g, h, i) = R.tolist()
-        return 0.5 * np.array([h - f, c - g, d - b]), np.float64(0.5 * (a + e + i - 1.0))
+        return 0.5 * np.array([h - f, c - g, d - b]), np.asarray(0.5 * (a + e + i - 1.0))
     axis_sine = 0.5 * np.stack(
         [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1
     )

@@ -130,10 +130,9 @@ class LocalMap:
             return
         offsets = self._positions[slots] - self._pose[:2]
         G = self._jacobians(slots)
-        columns = POSE + 2 * slots[:, None] + np.arange(2)
-        PH = np.einsum("dr,kir->dki", self._P[:, :POSE], G) + self._P[:, columns]
-        PH = PH.reshape(len(self._P), 2 * count)
-        S = np.einsum("kir,rc->kic", G, PH[:POSE]).reshape(2 * count, 2 * count) + PH[columns.ravel()]
+        columns = (POSE + 2 * slots[:, None] + np.arange(2)).ravel()
+        HP = _by_pose(G, self._P[:, :POSE].T) + self._P[:, columns].T
+        S = _by_pose(G, HP[:, :POSE].T) + HP[:, columns].T
         innovations = measured - offsets
         entries = np.arange(2 * count).reshape(count, 2)
         blocks = entries[:, :, None], entries[:, None, :]
@@ -142,7 +141,7 @@ class LocalMap:
         excess = np.maximum(distances / GATE - 1.0, 0.0)  # Huber's weights on the measurements
         S[blocks] = own + excess[:, None, None] * covariances
         lower = np.linalg.cholesky(S)
-        gain = np.linalg.solve(lower, PH.T)
+        gain = np.linalg.solve(lower, HP)
         change = gain.T @ np.linalg.solve(lower, innovations.ravel())
         self._P -= gain.T @ gain
         self._apply(change)
@@ -213,7 +212,8 @@ class LocalMap:
         return _pose_jacobians(self._first[slots] - self._predicted)
 
     def _apply(self, change: FloatArray) -> None:
-        self._P = 0.5 * (self._P + self._P.T)
+        self._P = self._P + self._P.T
+        self._P *= 0.5
         x, y, heading = (self._pose + change[:POSE]).tolist()
         self._pose = np.array([x, y, _wrapped(heading)])
         self._positions = self._positions + change[POSE:].reshape(-1, 2)
@@ -239,6 +239,11 @@ def _pose_jacobians(offsets: FloatArray) -> FloatArray:
     G[:, 0, 0] = G[:, 1, 1] = -1.0
     G[:, 0, 2], G[:, 1, 2] = offsets[:, 1], -offsets[:, 0]
     return G
+
+
+def _by_pose(G: FloatArray, covariances: FloatArray) -> FloatArray:
+    """(2 K, N): Jacobians (K, 2, 3) of offsets by the pose, which are -I in its position, times (3, N)."""
+    return np.asarray((G[:, :, 2, None] * covariances[2] - covariances[:2]).reshape(-1, covariances.shape[1]))
 
 
 def _wrapped(angle_rad: float) -> float:

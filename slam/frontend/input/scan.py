@@ -35,6 +35,8 @@ class Scan:
 
     def of(self, chosen: NDArray[np.bool_]) -> Scan:
         """Some of the detections, chosen by (N,); ``used`` stays that of the whole message."""
+        if chosen.all():
+            return self
         return replace(
             self,
             positions=self.positions[chosen],

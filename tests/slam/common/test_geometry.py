@@ -79,9 +79,10 @@ def test_one_and_many_are_treated_alike():
     for function in (invert, rotation_angle_rad, yaw_rad):
         each = np.array([function(one) for one in T])
         np.testing.assert_allclose(function(batch).reshape(each.shape), each, atol=1e-15)
-    for function in (rotation_vector, lambda R: rotation_of(rotation_vector(R))):
-        each = np.array([function(one[:3, :3]) for one in T])
-        np.testing.assert_allclose(function(batch[..., :3, :3]).reshape(each.shape), each, atol=1e-14)
+    vectors_of_each = np.array([rotation_vector(one[:3, :3]) for one in T])
+    np.testing.assert_allclose(rotation_vector(batch[..., :3, :3]).reshape(-1, 3), vectors_of_each, atol=1e-14)
+    rotations_of_each = np.array([rotation_of(vector) for vector in vectors_of_each])
+    np.testing.assert_allclose(rotation_of(vectors_of_each), rotations_of_each, atol=1e-14)
     fractions = rng.uniform(size=5)
     each = np.array(
         [blend(first, second, fraction) for first, second, fraction in zip(T[:-1], T[1:], fractions, strict=True)]
