@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
+import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -10,6 +13,24 @@ from slam.common.config import Config
 from slam.replay import replay
 from slam.simulation.config import SimulationConfig
 from tests.helpers.short_drives import Entry, drive, write_log
+
+_ALL_SLOW = re.compile(r"^pytestmark = (\[\s*)?pytest\.mark\.slow\b", re.MULTILINE)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Files with slow tests alone are not even imported where these are left out."""
+    if config.getoption("markexpr") != "not slow" or not collection_path.match("test_*.py"):
+        return None
+    return True if _ALL_SLOW.search(collection_path.read_text(encoding="utf-8")) else None
+
+
+@pytest.fixture(scope="session")
+def open3d() -> Any:
+    """Imported by the first test that needs it, which takes seconds."""
+    try:
+        return importlib.import_module("open3d")
+    except (ImportError, OSError) as error:
+        pytest.skip(f"Open3D cannot be imported: {error}")
 
 
 @pytest.fixture(scope="session")

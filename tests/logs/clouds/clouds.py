@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,15 +16,7 @@ DATA = Path(os.environ.get("DSLAM_DATA", Path(__file__).resolve().parents[4] / "
 SCANS, KITTI = DATA / "scans", DATA / "kitti00"
 
 
-def _import_error() -> str:
-    try:
-        importlib.import_module("open3d")
-    except (ImportError, OSError) as error:
-        return str(error)
-    return ""
-
-
-needs_open3d = pytest.mark.skipif(bool(_import_error()), reason=f"Open3D cannot be imported: {_import_error()}")
+needs_open3d = pytest.mark.usefixtures("open3d")
 needs_scans = pytest.mark.skipif(
     not SCANS.is_dir() or not KITTI.is_dir(), reason=f"no scans in {DATA}; set DSLAM_DATA to the folder that holds them"
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import struct
 from pathlib import Path
@@ -181,9 +180,7 @@ def test_pcd_with_gaps_between_its_fields(tmp_path: Path, storage: str) -> None:
         read_cloud(path)
 
 
-@needs_open3d
-def test_pcd_that_open3d_packed(tmp_path: Path) -> None:
-    open3d: Any = importlib.import_module("open3d")
+def test_pcd_that_open3d_packed(open3d: Any, tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     positions = np.repeat(rng.normal(size=(200, 3)), 10, axis=0).astype(np.float32)
     cloud = open3d.t.geometry.PointCloud(open3d.core.Tensor(positions))
