@@ -146,6 +146,11 @@ def _notes(config: Config, survey: Survey, estimated: Mapping[str, float]) -> tu
         if offset_s := estimated.get(key, 0.0):
             age = "older" if offset_s < 0 else "newer"
             notes.append(f"{what} messages seem {abs(offset_s):.3f} s {age} than their stamps say: corrected ({key})")
+    if survey.lacks_heading:
+        notes.append(
+            "the odometry's heading never changes, and objects do not stand still by it: it seems to hold positions "
+            "only; record its orientations"
+        )
     if survey.assumed_frame is not None:
         of = "body" if survey.assumed_frame == "assume_body_frame" else "odometry"
         notes.append(

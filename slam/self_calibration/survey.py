@@ -52,6 +52,8 @@ NOTED_DETOUR = 1.5
 """Poses of one source hardly ever go back with every other message."""
 FRAMES = "assume_body_frame", "assume_odometry_frame"
 """Settings that take detections to be in another frame than their messages name."""
+SAME_HEADING_RAD = 1e-6
+"""Headings of an odometry without orientations differ by rounding only."""
 ROUNDS = 8
 """Corrections of the input are found one after another: a large one is only seen in part at first."""
 
@@ -66,6 +68,7 @@ class Survey:
     between scans; ``claimed_ratio``: the variance of detections by that which their messages claim, NaN where none
     does; ``shared_bias_m``: the rms bias that centroids of a class share; ``components`` is None where too few objects
     could be tracked; ``labels``: how far they can be trusted; ``heights``: how much the heights of detections vary;
+    ``lacks_heading``: whether that of the odometry never changes, and objects do not stand still by it;
     ``assumed_frame``: the setting by which detections are taken to be in another frame than their messages name;
     ``turned_deg``: roll, pitch and yaw by which detections had to be turned beyond the transform of their sensor;
     ``length_scale``, ``turn_scale``: factors by which the odometry's lengths and turns had to be corrected;
@@ -92,6 +95,7 @@ class Survey:
     errors: InputErrors
     labels: LabelNoise = field(default_factory=LabelNoise)
     heights: HeightNoise = field(default_factory=HeightNoise)
+    lacks_heading: bool = False
     assumed_frame: str | None = None
     turned_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     detour: float = 1.0
@@ -146,9 +150,11 @@ def survey(
         return None
     turned_deg = (config.roll_deg, config.pitch_deg, (config.yaw_deg + 180.0) % 360.0 - 180.0)
     told = summarize(scans, errors, gathered.tracks(scans))
+    lacks_heading = bool(np.ptp(_headings(scans)) < SAME_HEADING_RAD) and not agree(scans)
     length_scale, turn_scale = gathered.scales
     return replace(
         told,
+        lacks_heading=lacks_heading,
         assumed_frame=assumed,
         turned_deg=turned_deg,
         labels=labels,

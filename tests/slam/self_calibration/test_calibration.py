@@ -331,3 +331,8 @@ def test_detections_in_another_frame_than_they_say_are_taken_from_it_and_told(su
     calibration = calibrate(Config(), replace(surveyed, assumed_frame=name))
     assert getattr(calibration.config.detection, name) is True
     assert f"objects stand still if detections are in the frame of the {of}" in " ".join(calibration.notes)
+
+
+def test_odometry_without_orientations_is_told(surveyed):
+    assert "seems to hold positions only" in " ".join(calibrate(Config(), replace(surveyed, lacks_heading=True)).notes)
+    assert "positions only" not in " ".join(calibrate(Config(), surveyed).notes)

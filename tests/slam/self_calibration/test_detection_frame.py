@@ -79,3 +79,13 @@ def test_odometry_that_trembles_while_the_robot_stands_tells_no_frame(drive):
 def test_without_scans_no_frame_is_found():
     assert agree([])
     assert better_frame([], {"fixed": []}) is None
+
+
+@pytest.mark.parametrize("turns", [False, True])
+def test_odometry_without_orientations_is_found_by_the_objects_that_do_not_stand_still(turns):
+    drive = SurveyedDrive(0, NOISE, scans=600, objects=80, turns=turns)
+    scans = [replace(scan, T_odom_body=np.eye(4)) for scan in drive.scans]
+    for scan, known in zip(scans, drive.scans, strict=True):
+        scan.T_odom_body[:3, 3] = known.T_odom_body[:3, 3]
+    assert survey(records(scans, "base_link"), DetectionConfig()).lacks_heading == turns
+    assert not survey(records(drive.scans, "base_link"), DetectionConfig()).lacks_heading
