@@ -71,7 +71,8 @@ class FactorStore:
         A landmark enters the graph with its first observation, which gives it all three coordinates, so none is ever
         under-constrained. Observations nearer than ``MIN_RANGE_RANGES``, whose bearing is undefined, are passed over.
         """
-        used = [each for each in observations if not np.linalg.norm(each.position) < self._min_range_m]
+        ranges_m = np.linalg.norm(np.array([each.position for each in observations]).reshape(-1, 3), axis=1)
+        used = [each for each, range_m in zip(observations, ranges_m, strict=True) if not range_m < self._min_range_m]
         factors = bearing_range_factors([self._canonical(each) for each in used], self._config)
         for observation, factor, position in zip(used, factors, self._positions_map(used), strict=True):
             if observation.landmark not in self.landmarks:

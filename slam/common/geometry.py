@@ -81,7 +81,7 @@ def rotation_angle_rad(T: FloatArray) -> FloatArray:
     From the sine and the cosine together, so that it is exact near 0 and near pi, where arccos alone is not.
     """
     axis_sine, cosine = _axis_sine_and_cosine(T[..., :3, :3])
-    return np.asarray(np.arctan2(np.linalg.norm(axis_sine, axis=-1), cosine))
+    return np.asarray(np.arctan2(np.sqrt((axis_sine**2).sum(axis=-1)), cosine))
 
 
 def rotation_of(vector: FloatArray) -> FloatArray:

@@ -165,7 +165,7 @@ class ActiveLandmarks:
     def drop(self, rows: IntArray) -> None:
         """Make landmarks inactive."""
         if len(rows):
-            self.rows = self.rows[~np.isin(self.rows, rows)]
+            self.rows = self.rows[(self.rows[:, None] != rows).all(axis=1)]
             self._local.remove(rows)
 
     def release(self, rows: IntArray) -> None:

@@ -241,6 +241,8 @@ class Mapper:
         self._retire(seen[moving], RetirementReason.MOVING, stays_active=True)
 
         tentative = landmarks["state"][seen] == LandmarkState.TENTATIVE.value
+        if not tentative.any():
+            return
         enough = observations >= limits.confirm_observations
         scans = self._scan_count - landmarks["first_scan"][seen] + 1
         steady = observations >= limits.confirm_fraction * scans
@@ -306,6 +308,6 @@ def _associations(scan: Scan, rows: IntArray, created: NDArray[np.bool_]) -> Det
     landmark_ids = [""] * len(scan.used)
     created_of_all = np.zeros(len(scan.used), dtype=np.bool_)
     created_of_all[scan.used] = created
-    for place, row in zip(np.flatnonzero(scan.used), rows.tolist(), strict=True):
+    for place, row in zip(np.flatnonzero(scan.used).tolist(), rows.tolist(), strict=True):
         landmark_ids[place] = str(row) if row >= 0 else ""
     return DetectionAssociations(scan.stamp_ns, tuple(landmark_ids), created_of_all)

@@ -52,13 +52,13 @@ def diagonal_blocks_of_inverse(matrix: sparse.csc_array, owners: IntArray) -> tu
     lower.sort_indices()
     owners = owners * len(owners) + connected_components(abs(matrix) > 0.0, directed=False)[1]
     owners = owners[original]
-    rows, columns, values = list[IntArray](), list[IntArray](), list[Matrix]()
+    rows, columns, values = list[IntArray](), list[int](), list[Matrix]()
     for column, front, piece in _walk(lower, pivots, owners):
-        own = np.flatnonzero(owners[front] == owners[column])
+        (own,) = (owners[front] == owners[column]).nonzero()
         rows.append(front[own])
-        columns.append(np.full(len(own), column))
+        columns += [column] * len(own)
         values.append(piece[0, own])
-    return original[np.concatenate(rows)], original[np.concatenate(columns)], np.concatenate(values)
+    return original[np.concatenate(rows)], original[columns], np.concatenate(values)
 
 
 def _walk(lower: sparse.csc_array, pivots: Matrix, owners: IntArray) -> Iterator[tuple[int, IntArray, Matrix]]:

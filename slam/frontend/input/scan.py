@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,12 +38,14 @@ class Scan:
         """Some of the detections, chosen by (N,); ``used`` stays that of the whole message."""
         if chosen.all():
             return self
-        return replace(
-            self,
-            positions=self.positions[chosen],
-            covariances=self.covariances[chosen],
-            labels=tuple(label for label, is_chosen in zip(self.labels, chosen, strict=True) if is_chosen),
-            has_own_covariance=self.has_own_covariance[chosen],
+        return Scan(
+            self.stamp_ns,
+            self.sensor,
+            self.positions[chosen],
+            self.covariances[chosen],
+            tuple(compress(self.labels, chosen.tolist())),
+            self.used,
+            self.has_own_covariance[chosen],
         )
 
     def seen_from(self, T_frame_body: FloatArray) -> Scan:
@@ -85,7 +88,7 @@ def make_scan(
         sensor=detections.frame_id,
         positions=positions[used],
         covariances=covariances,
-        labels=tuple(label for label, is_used in zip(detections.labels, used, strict=True) if is_used),
+        labels=tuple(compress(detections.labels, used.tolist())),
         used=used,
         has_own_covariance=has_own_covariance,
     )
