@@ -7,7 +7,7 @@ PROTOC := build/protoc/bin/python
 # The build of torch at PyPI brings several gigabytes of CUDA, which nothing here needs.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
-.PHONY: help demo check test bench-check lint ci audit wheel fuzz bombs mutants kills soak docs results schemas clean
+.PHONY: help demo check fast test bench-check lint ci audit wheel fuzz bombs mutants kills soak docs results schemas clean
 
 help:
 	@echo 'make demo     simulate a drive, map it, evaluate it; leaves out/demo*.mcap, out/demo.html and out/demo.png'
@@ -62,7 +62,11 @@ lint: $(INSTALLED)
 	$(BIN)/mypy
 	$(BIN)/mypy -p tests
 
-check: lint
+# Beside each other: lint is one process, and the tests wait for files now and then.
+check: $(INSTALLED)
+	@$(MAKE) --no-print-directory --jobs=2 lint fast
+
+fast: $(INSTALLED)
 	$(BIN)/pytest -m 'not slow' -n auto --dist loadfile
 
 test: lint
