@@ -15,6 +15,9 @@ from logs.schemas import dslam_pb2 as pb
 from logs.topics import RecordKind
 from logs.validation import LARGEST_M, FloatArray, Refusal, matrix_rows, transforms, usable_covariance
 
+_LARGEST = (1e3 * LARGEST_M) ** 2
+"""Of a variance: that of a place as far as can be, whose direction is unknown in each of many steps, is still less."""
+
 
 def _same_length(count: int, **arrays: Sequence[Any]) -> None:
     for name, array in arrays.items():
@@ -30,7 +33,7 @@ def _integers(values: Sequence[int], count: int, what: str) -> m.IntArray:
 def _finite(array: FloatArray, what: str) -> FloatArray:
     if not np.isfinite(array).all():
         raise Refusal("number is not finite", what)
-    if (np.abs(array) > LARGEST_M**2).any():
+    if (np.abs(array) > _LARGEST).any():
         raise Refusal("number is out of range", what)
     return array
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import multiprocessing
 import os
 import sys
@@ -18,20 +17,7 @@ import numpy as np
 from tests.fuzz.cases import FAMILIES
 from tests.fuzz.seeds import make_seeds
 from tests.fuzz.trial import Trials, Verdict, begin, run_case
-from tools.cli import make_app
-
-_IMPORTED = ("slam.replay", "slam.evaluation.evaluate", "slam.evaluation.html_report.page", "logs.summary",
-             "slam.visualization.map_plot", "slam.backend.pose_graph.robust_optimization", "rich.table",
-             "matplotlib.pyplot", "slam.object_map.map_io", "slam.formats.g2o", "tools.console", "plotly.graph_objects",
-             "descriptors.learned.network_descriptor", "descriptors.towers.training", "slam.simulation.faults.registry",
-             "slam.simulation.degraded_log", "logs.importers.text_log", "logs.importers.detection_tables", "osmium",
-             "logs.importers.maps.osm", "slam.map_joining.joint_map", "slam.evaluation.comparison", "slam.sweeps.sweep",
-             "slam.localization.imported_map_editing", "slam.evaluation.report.text", "tools.evaluation.evaluate",
-             "tools.evaluation.compare", "logs.clouds.map_of_cloud", "logs.clouds.semantic_kitti",
-             "open3d", "multiprocessing.pool", "encodings.idna", "_strptime")  # fmt: skip
-"""What children would import again and again."""
-_SCRATCH = "/dev/shm" if Path("/dev/shm").is_dir() else None
-"""Outputs are flushed to the disk before they get their names, which takes longer than the rest of most cases."""
+from tests.helpers.forked_commands import SCRATCH, import_commands
 
 
 def main() -> int:
@@ -45,11 +31,8 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=np.inf, help="end after that time")
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes; the cases are the same")
     options = parser.parse_args()
-    for module in _IMPORTED:
-        with contextlib.suppress(ImportError, OSError):
-            __import__(module)
-    make_app()
-    with tempfile.TemporaryDirectory(prefix="fuzz-", dir=_SCRATCH) as folder:
+    import_commands()
+    with tempfile.TemporaryDirectory(prefix="fuzz-", dir=SCRATCH) as folder:
         return fuzz(Path(folder), options)
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.helpers.forked_commands import SCRATCH, import_commands
 from tests.kills.commands import make_commands
 from tests.kills.trial import kill_and_repeat, run_whole
 
@@ -23,7 +24,8 @@ def main() -> int:
     parser.add_argument("--only", default="", help="commands whose name contains this")
     options = parser.parse_args()
     rng = np.random.default_rng(options.seed)
-    with tempfile.TemporaryDirectory(prefix="kills-") as name:
+    import_commands()
+    with tempfile.TemporaryDirectory(prefix="kills-", dir=SCRATCH) as name:
         return _kill(Path(name), options.count, options.only, rng)
 
 
@@ -39,6 +41,10 @@ def _kill(folder: Path, count: int, only: str, rng: np.random.Generator) -> int:
         was_killed, wrong = kill_and_repeat(command, folder / "trial", seconds, reference, is_new=bool(rng.integers(2)))
         killed[command.name] += was_killed
         faults += bool(wrong)
+        if (number + 1) % 20 == 0:
+            print(
+                f"{number + 1} runs, {sum(killed.values())} killed before their end, {faults} with a fault", flush=True
+            )
         for each in wrong:
             print(f"{number}: {command.name} after {seconds:.2f} s: {each}", flush=True)
     print(f"{count} runs, {sum(killed.values())} killed before their end {dict(killed)}: {faults} with a fault")
