@@ -41,10 +41,12 @@ def _read_file_names(folder: Path) -> list[str]:
         raise UnreadableLogError(f"cannot read {folder}: it is a directory without {METADATA_FILE}; {remedy}")
     try:
         information = YAML(typ="safe", pure=True).load(path)["rosbag2_bagfile_information"]
-        names = [str(name) for name in information["relative_file_paths"]]
+        names = list(information["relative_file_paths"])
+        if not all(isinstance(name, str) for name in names):  # others may be written out without end
+            raise ValueError("its relative_file_paths are no texts")
     except OSError as error:
         raise UnreadableLogError(f"cannot read {path}: {error.strerror}; check the path") from error
-    except (YAMLError, KeyError, TypeError, ValueError) as error:
+    except (YAMLError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise UnreadableLogError(
             f"{path} is no description of a rosbag2 recording ({' '.join(str(error).split())}); "
             "'ros2 bag reindex' writes it anew"

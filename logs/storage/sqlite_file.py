@@ -64,12 +64,13 @@ class SqliteFile:
         parameters = (*empty, self._limits.message_bytes, *wanted)
         try:
             for id, topic_id, log_time_ns, data in self._database.execute(query, parameters):
-                if not 0 <= log_time_ns <= LAST_NS:
+                if not (isinstance(log_time_ns, int) and 0 <= log_time_ns <= LAST_NS):
                     self._reading_counters["messages_without_time"] += 1
                 elif data is None:
                     self._reading_counters["messages_too_large"] += 1
-                else:
-                    yield RawMessage(wanted[topic_id], log_time_ns, log_time_ns, id % 2**32, data)
+                else:  # SQLite puts what it likes into any column
+                    content = data if isinstance(data, bytes) else b""
+                    yield RawMessage(wanted[topic_id], log_time_ns, log_time_ns, int(id) % 2**32, content)
         except sqlite3.DatabaseError:
             self._is_complete = False
 
@@ -82,10 +83,13 @@ class SqliteFile:
         self._database.close()
 
     def _read_channels(self) -> dict[int, ChannelInfo]:
+        if missing := {"messages", "topics"} - self._tables():
+            raise sqlite3.DatabaseError(f"no table {' and '.join(sorted(missing))}")
         spans = {
             topic_id: (count, first_ns, last_ns)
             for topic_id, count, first_ns, last_ns in self._database.execute(
-                "SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages GROUP BY topic_id"
+                "SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages "
+                "WHERE typeof(timestamp) = 'integer' GROUP BY topic_id"
             )
         }
         definitions = self._read_definitions()
@@ -93,6 +97,8 @@ class SqliteFile:
         for id, topic, type_name, encoding in self._database.execute(
             "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
         ):
+            if not isinstance(id, int) or not all(isinstance(text, str) for text in (topic, type_name, encoding)):
+                raise sqlite3.DatabaseError(f"topic {topic!r} of type {type_name!r} in {encoding!r}")
             definition = definitions.get(type_name) or known_definition(type_name)
             schema = Schema(id, type_name, *definition)
             channels[id] = ChannelInfo(Channel(id, topic, encoding, schema), *spans.get(id, (0, None, None)))
@@ -100,15 +106,19 @@ class SqliteFile:
 
     def _read_definitions(self) -> dict[str, tuple[str, bytes]]:
         """Type name -> (encoding, definition)."""
-        tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-        if "message_definitions" not in tables:
+        if "message_definitions" not in self._tables():
             return {}
         return {
             type_name: (encoding, text.encode())
             for type_name, encoding, text in self._database.execute(
                 "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions ORDER BY id"
             )
+            if isinstance(encoding, str) and isinstance(text, str)
         }
+
+    def _tables(self) -> set[str]:
+        """Those that hold rows; a view may compute them without end."""
+        return {name for (name,) in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
 
 
 def _marks(parameters: Collection[int]) -> str:

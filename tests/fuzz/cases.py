@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import zstandard
 
 from slam.common.config import Config
 from slam.common.config_tree import settings_of
 from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mutate_text
-from tests.fuzz.dataset_cases import checkpoint_arguments, cloud_arguments, dataset_arguments
+from tests.fuzz.dataset_cases import checkpoint_arguments, cloud_arguments, dataset_arguments, write_bag_of
 from tests.fuzz.log_mutations import mutate_log
 from tests.fuzz.mcap_file import Layout, write_file
 from tests.fuzz.odd_paths import make_odd_paths, odd_arguments
@@ -43,6 +44,8 @@ def _log(seeds: Seeds, folder: Path, rng: np.random.Generator, name: str = "") -
         path.write_bytes(mutate_bytes(write_file(seeds.logs[name], Layout()), rng))
     else:
         path.write_bytes(mutate_log(seeds.logs[name], rng))
+    if rng.random() < 0.03:
+        path.write_bytes(mutate_bytes(zstandard.compress(path.read_bytes()), rng))
     return path.name
 
 
@@ -178,6 +181,13 @@ def _datasets(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
     return Case(dataset_arguments(folder, rng), [folder / "out.mcap"])
 
 
+def _bags(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
+    given = write_bag_of(seeds.bag, folder, rng)
+    if rng.random() < 0.5:
+        return Case(["info", given, "--json"])
+    return Case(["replay", given, "-o", "out.mcap"], [folder / "out.mcap"])
+
+
 def _paths(seeds: Seeds, folder: Path, rng: np.random.Generator) -> Case:
     return Case(odd_arguments(make_odd_paths(seeds, folder), rng))
 
@@ -215,6 +225,7 @@ _FAMILIES: dict[str, tuple[Callable[[Seeds, Path, np.random.Generator], Case], f
     "checkpoints": (_checkpoints, 0.7),
     "clouds": (_clouds, 1.5),
     "datasets": (_datasets, 0.7),
+    "bags": (_bags, 1),
     "paths": (_paths, 1.5),
 }
 FAMILIES = tuple(_FAMILIES)

@@ -21,6 +21,7 @@ from slam.formats.g2o import write_pose_graph
 from tests.fuzz.dataset_cases import NETWORKS, make_trainings_small, training_arguments
 from tests.fuzz.mcap_file import McapFile, Message, read_file
 from tests.helpers.pose_graphs import with_false
+from tests.helpers.ros2_logs import write_bag
 from tests.logs.examples import every_kind
 from tests.logs.test_ros2 import DETECTIONS, TF, definition, detection, header, pose, result
 from tests.tools.runs import SAMPLE
@@ -36,10 +37,11 @@ _ODOMETRY = definition(
 
 @dataclass(frozen=True)
 class Seeds:
-    """Logs by name, the bytes of other files by name, and of checkpoints by the folder of their training."""
+    """Logs by name, the bytes of other files by name, those of a bag, and checkpoints by the folder of a training."""
 
     logs: dict[str, McapFile]
     files: dict[str, bytes]
+    bag: dict[str, bytes]
     trainings: dict[str, bytes]
 
 
@@ -67,8 +69,14 @@ def make_seeds(folder: Path) -> Seeds:
     return Seeds(
         logs={**logs, "json": _as_json(logs["drive"])},
         files={name: (folder / name).read_bytes() for name in texts},
+        bag={path.name: path.read_bytes() for path in _write_bag(folder).iterdir()},
         trainings={name: _checkpoint(folder, name) for name in NETWORKS},
     )
+
+
+def _write_bag(folder: Path) -> Path:
+    with LogReader(folder / "ros.mcap") as reader:
+        return write_bag(folder / "bag", list(reader.messages()), storage="sqlite3")
 
 
 def _checkpoint(folder: Path, name: str) -> bytes:

@@ -25,6 +25,15 @@ class Reference:
     seconds: float
 
 
+@dataclass(frozen=True)
+class Trial:
+    """Whether a command was killed before it ended, what is wrong, and how long it took when it was given again."""
+
+    was_killed: bool
+    wrong: list[str]
+    seconds: float
+
+
 def run_whole(command: Command, folder: Path) -> Reference:
     """Run a command that nobody kills."""
     folder.mkdir()
@@ -35,13 +44,8 @@ def run_whole(command: Command, folder: Path) -> Reference:
     return Reference(_files(folder), time.monotonic() - started)
 
 
-def kill_and_repeat(
-    command: Command, folder: Path, seconds: float, reference: Reference, *, is_new: bool
-) -> tuple[bool, list[str]]:
-    """Kill a command after ``seconds``, in an empty folder if ``is_new``, or else over what a whole run left.
-
-    Returns whether it was killed before it ended, and what is wrong: empty if nothing is.
-    """
+def kill_and_repeat(command: Command, folder: Path, seconds: float, reference: Reference, *, is_new: bool) -> Trial:
+    """Kill a command after ``seconds``, in an empty folder if ``is_new``, or else over what a whole run left."""
     folder.mkdir()
     if not is_new:
         for name, content in reference.files.items():
@@ -54,14 +58,16 @@ def kill_and_repeat(
     wrong = [f"after the kill: {each}" for each in _faults(command, _files(folder), reference)]
     if not is_new:
         wrong += [f"after the kill: {name} is gone" for name in reference.files if not (folder / name).exists()]
+    started = time.monotonic()
     code = os.waitstatus_to_exitcode(os.waitpid(_start(command, folder), 0)[1])
+    again_s = time.monotonic() - started
     if code != 0:
         wrong.append(f"the second run ends with {code}: {(folder / 'said.txt').read_text()[-300:]}")
     found = _files(folder)
     wrong += [f"after the second run: {each}" for each in _faults(command, found, reference)]
     wrong += [f"the second run left no {name}" for name in reference.files if name not in found]
     shutil.rmtree(folder)
-    return was_killed, wrong
+    return Trial(was_killed, wrong, again_s)
 
 
 def _start(command: Command, folder: Path) -> int:

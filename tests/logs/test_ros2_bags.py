@@ -143,7 +143,12 @@ def test_a_folder_of_recordings_names_them(bags: dict[str, Path], tmp_path: Path
         LogReader(tmp_path / "monday" / "metadata.yaml")
 
 
-@pytest.mark.parametrize("text", ["", "a: [1", "rosbag2_bagfile_information: 3", "rosbag2_bagfile_information: {}"])
+NONE = "rosbag2_bagfile_information: "
+
+
+@pytest.mark.parametrize(
+    "text", ["", "a: [1", f"{NONE}3", f"{NONE}{{}}", f"{NONE}{{relative_file_paths: [[a]]}}", "[" * 20_000]
+)
 def test_metadata_that_is_none(bags: dict[str, Path], tmp_path: Path, text: str) -> None:
     bag = break_bag(bags["mcap"], tmp_path)
     (bag / "metadata.yaml").write_text(text)
@@ -185,6 +190,59 @@ def test_a_database_that_ends_early_is_read_or_refused_in_one_line(
     assert len(found) < len(contents(bags["mcap"]))
     assert "\n" not in told
     assert "truncated" in told or path.name in told
+
+
+def alter(bag: Path, tmp_path: Path, statement: str, *values: object) -> Path:
+    broken = break_bag(bag, tmp_path)
+    (path,) = broken.glob("*.db3")
+    with sqlite3.connect(path) as database:
+        database.execute(statement, values)
+    return broken
+
+
+@pytest.mark.parametrize("value", ["soon", 1e300, None, b"x"])
+def test_messages_without_a_time_in_a_database_are_left_out(
+    bags: dict[str, Path], tmp_path: Path, value: object
+) -> None:
+    try:
+        broken = alter(bags["db3"], tmp_path, "UPDATE messages SET timestamp = ? WHERE id = 3", value)
+    except sqlite3.IntegrityError:
+        pytest.skip("the table allows no such value")
+    with LogReader(broken) as reader:
+        assert len(list(reader.messages())) == len(contents(bags["db3"])) - 1
+        assert reader.counters == {"messages_without_time": 1}
+    assert summarize(broken).selection is not None
+
+
+@pytest.mark.parametrize("value", ["text", 7])
+def test_what_is_no_content_in_a_database_is_no_message(bags: dict[str, Path], tmp_path: Path, value: object) -> None:
+    broken = alter(bags["db3"], tmp_path, "UPDATE messages SET data = ?", value)
+    with LogReader(broken) as reader:
+        assert {raw.data for raw in reader.messages()} == {b""}
+        assert list(reader.records(select_topics(reader.topics()))) == []
+
+
+@pytest.mark.parametrize("column", ["name", "type", "serialization_format"])
+def test_topics_without_text_in_a_database_are_refused(bags: dict[str, Path], tmp_path: Path, column: str) -> None:
+    broken = alter(bags["db3"], tmp_path, f"UPDATE topics SET {column} = ?", b"\xff")
+    with pytest.raises(UnreadableLogError, match=r"part_0\.db3: topic .*a damaged one"):
+        LogReader(broken)
+
+
+def test_definitions_without_text_are_none(bags: dict[str, Path], tmp_path: Path) -> None:
+    broken = alter(bags["db3"], tmp_path, "UPDATE message_definitions SET encoded_message_definition = ?", b"\xff")
+    assert len(contents(broken)) == len(contents(bags["db3"]))
+
+
+def test_a_view_in_place_of_a_table_is_not_computed(bags: dict[str, Path], tmp_path: Path) -> None:
+    broken = alter(bags["db3"], tmp_path, "ALTER TABLE messages RENAME TO others")
+    with sqlite3.connect(next(broken.glob("*.db3"))) as database:
+        database.execute(
+            "CREATE VIEW messages AS WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM n) "
+            "SELECT id, 1 AS topic_id, 1 AS timestamp, x'' AS data FROM n"
+        )
+    with pytest.raises(UnreadableLogError, match="no table messages"):
+        LogReader(broken)
 
 
 def test_unpacked_files_are_removed(bags: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
+from logs.messages import ObjectDetections, Odometry
 from logs.reader import LogReader
 from logs.storage.ros2_definitions import typestore
+from logs.writer import LogWriter
 from slam.common.georeference import Georeference
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import EvaluationRecords, read_records
@@ -27,6 +29,20 @@ ORIGIN = "60.1699,24.9384,12.5,30"
 @pytest.fixture(scope="module")
 def records(mapped: Path) -> EvaluationRecords:
     return read_records(mapped)
+
+
+def test_a_map_far_up_is_exported(dslam: Run, tmp_path: Path) -> None:
+    """The variances of places are beyond the squares of their coordinates where directions are hardly known."""
+    places = np.random.default_rng(0).uniform(-40.0, 40.0, (20, 3))
+    with LogWriter(tmp_path / "drive.mcap") as writer:
+        for i in range(40):
+            T_odom_body = np.eye(4)
+            T_odom_body[:3, 3] = i, 0.0, 1e7 * i
+            writer.write("/odom", Odometry(i * 10**9, T_odom_body))
+            writer.write("/objects", ObjectDetections(i * 10**9, "base_link", places, ("tree",) * 20, np.ones(20)))
+    assert dslam("replay", tmp_path / "drive.mcap", "-o", tmp_path / "mapped.mcap").code == 0
+    result = dslam("export", tmp_path / "mapped.mcap", "--g2o", tmp_path / "graph.g2o")
+    assert (result.code, result.err) == (0, "")
 
 
 class TestLandmarks:
