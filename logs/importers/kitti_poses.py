@@ -9,6 +9,7 @@ import numpy as np
 from logs.errors import DatasetError
 from logs.importers.text_files import TextFile, parse_numbers
 from logs.messages import FloatArray
+from logs.validation import LARGEST_M
 
 ROTATION_TOLERANCE = 1e-3
 """Largest |R^T R - I| of a rotation that is taken for rounding (the files have 7 digits) and not for damage."""
@@ -94,6 +95,10 @@ def _rigid_transforms(name: str, numbers: list[int], rows: list[list[float]]) ->
             f"{name}, line {numbers[i]}: not a rotation (|R^T R - I| = {error[i]:.3g}, allowed {ROTATION_TOLERANCE:g}; "
             f"det R = {determinant[i]:.3g}); expected a 3x4 pose, row-major"
         )
+    far = (np.abs(T[:, :3, 3]) > LARGEST_M).any(axis=1)
+    if far.any():
+        i = int(far.argmax())
+        raise DatasetError(f"{name}, line {numbers[i]}: {T[i, :3, 3]} m is no place; correct it, or leave the line out")
     U, _, Vt = np.linalg.svd(R)
     T[:, :3, :3] = U @ Vt
     return T

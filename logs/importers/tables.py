@@ -209,7 +209,10 @@ def _read_csv(source: SourceText) -> Table:
     lines, delimiter = source.text.splitlines(), max(_DELIMITERS, key=header.count)
     if delimiter not in header:
         header, lines, delimiter = ",".join(header.split()), [",".join(each.split()) for each in lines], ","
-    names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
+    try:
+        names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
+    except csv.Error as error:
+        raise DatasetError(f"{source.name}, line {line}: not CSV ({error})") from error
     if _is_number(names[0]):
         raise DatasetError(
             f"{source.name}, line {line}: numbers where the names of the columns are expected; "

@@ -16,7 +16,7 @@ from logs.importers.stamps import Stamps, read_stamps
 from logs.importers.tables import LENGTH_UNITS, Column, SourceText, Table, read_table, table_of_rows
 from logs.importers.text_files import TextFile
 from logs.messages import FloatArray
-from logs.validation import QUATERNION_NORM_TOLERANCE
+from logs.validation import LARGEST_M, QUATERNION_NORM_TOLERANCE
 
 SLOWEST_STEP_S = 20.0
 """A median step longer than that is no odometry: a replay takes every such gap for a break (odometry.max_gap_s)."""
@@ -163,6 +163,9 @@ def _poses(table: Table) -> FloatArray:
         column = table.find((name, f"position_{name}", f"p{name}", f"t{name}"), LENGTH_UNITS)
         if column is not None:
             T[:, i, 3] = table.numbers(column, LENGTH_UNITS)
+            if (far := np.abs(T[:, i, 3]) > LARGEST_M).any():
+                row = int(far.argmax())
+                raise table.error(row, column, f"{T[row, i, 3]:g} m is no place; correct it, or leave the line out")
         elif name != "z":
             table.need(name, f"{name}_m", (name,), LENGTH_UNITS)
     T[:, :3, :3] = _rotations(table)

@@ -156,7 +156,14 @@ class ActiveLandmarks:
             self.rows = np.concatenate([self.rows, rows])
 
     def confirm(self, rows: IntArray) -> None:
-        """Let confirmed landmarks (K,), active and in view, correct the robot's pose from now on."""
+        """Let confirmed landmarks (K,), active and in view, correct the robot's pose from now on.
+
+        Of more than can be kept the others are made inactive at once: the filter's memory grows with their square.
+        """
+        most = self._config.association.max_landmarks
+        if len(rows) > most:
+            self.drop(rows[:-most])
+            rows = rows[-most:]
         if len(rows):
             landmarks = self._map.rows[rows]
             offsets = landmarks["position_local"][:, :2] - self.T_local_body[:2, 3]

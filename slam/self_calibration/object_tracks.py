@@ -27,6 +27,8 @@ LOST_PROBABILITY, MOST_MISSED, SAMPLED_SCANS = 0.1, 20, 600
 """... more, where the detector misses so many that a track would end too soon with that probability; at most so many.
 Then a neighbour would be taken for the object. The first scans tell how many.
 """
+MOST_DISTANCES = 2**20
+"""Held at a time, 8 MB, however many objects a scan has."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,6 +93,11 @@ class Detectability:
     def share(self) -> float:
         """Probability that an object is detected in a scan."""
         return self.probability / self.period
+
+
+def nearest_of_class_m(positions: FloatArray, labels: IntArray) -> FloatArray:
+    """How far (N,) each of the detections (N, D) m of a scan is from the nearest of its class; inf if it is alone."""
+    return _nearest(positions, labels, positions, labels).second_m  # each is its own nearest
 
 
 def detectability_of(tracks: ObjectTracks) -> Detectability:
@@ -168,23 +175,16 @@ class _OpenTracks:
         self, scan: int, points: FloatArray, ranges: FloatArray, labels: IntArray
     ) -> tuple[IntArray, FloatArray]:
         """Tracks (N,) of the detections of a scan, those that continue none begin one; and the room (N,) of each."""
-        apart = _distances(points, self._points)
-        apart[labels[:, None] != self._labels[None]] = np.inf
-        others = _distances(points, points)
-        others[(labels[:, None] != labels[None]) | np.eye(len(points), dtype=np.bool_)] = np.inf
-        rooms = np.minimum(AMBIGUITY * others.min(axis=1, initial=np.inf), RANGE_SHARE * ranges)
+        rooms = np.minimum(AMBIGUITY * nearest_of_class_m(points, labels), RANGE_SHARE * ranges)
         tracks = np.full(len(points), -1, dtype=np.int64)
         goes_on = np.zeros(len(self._tracks), dtype=np.bool_)
-        if apart.size:
-            rows = np.arange(len(points))
-            nearest = np.argmin(apart, axis=1)
-            distances = apart[rows, nearest]
-            mutual = np.argmin(apart, axis=0)[nearest] == rows
-            apart[rows, nearest] = np.inf
-            rooms = np.minimum(rooms, AMBIGUITY * apart.min(axis=1))
-            found = mutual & (distances < rooms)
-            tracks[found] = self._tracks[nearest[found]]
-            goes_on[nearest[found]] = True
+        if len(points) and len(self._points):
+            open_ = _nearest(points, labels, self._points, self._labels)
+            mutual = open_.back[open_.index] == np.arange(len(points))
+            rooms = np.minimum(rooms, AMBIGUITY * open_.second_m)
+            found = mutual & (open_.distance_m < rooms)
+            tracks[found] = self._tracks[open_.index[found]]
+            goes_on[open_.index[found]] = True
         fresh = tracks < 0
         tracks[fresh] = self._count + np.arange(int(fresh.sum()))
         self._count += int(fresh.sum())
@@ -196,7 +196,43 @@ class _OpenTracks:
         return tracks, rooms
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Nearest:
+    """Of N points the nearest of M others by ``index`` (N,), its distance and that of the second (N,), inf where there
+    is none of the class; ``back`` (M,): for each other the nearest point.
+    """
+
+    index: IntArray
+    distance_m: FloatArray
+    second_m: FloatArray
+    back: IntArray
+
+
+def _nearest(points: FloatArray, labels: IntArray, others: FloatArray, other_labels: IntArray) -> _Nearest:
+    """Between points (N, D) and others (M, D) m of equal labels; some rows of their distances are held at a time."""
+    count = len(points)
+    index, back = np.zeros(count, dtype=np.int64), np.zeros(len(others), dtype=np.int64)
+    distance_m, second_m, least_m = np.full(count, np.inf), np.full(count, np.inf), np.full(len(others), np.inf)
+    size = max(MOST_DISTANCES // max(len(others), 1), 1)
+    for start in range(0, count if len(others) else 0, size):
+        part = slice(start, start + size)
+        apart = _distances(points[part], others)
+        apart[labels[part, None] != other_labels] = np.inf
+        rows, columns = np.arange(len(apart)), np.arange(len(others))
+        closest = np.argmin(apart, axis=0)
+        nearer = apart[closest, columns] < least_m
+        least_m[nearer], back[nearer] = apart[closest, columns][nearer], start + closest[nearer]
+        index[part] = np.argmin(apart, axis=1)
+        distance_m[part] = apart[rows, index[part]]
+        apart[rows, index[part]] = np.inf
+        second_m[part] = apart.min(axis=1)
+    return _Nearest(index, distance_m, second_m, back)
+
+
 def _distances(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(N, M) m between points (N, 2) and (M, 2)."""
-    x, y = a[:, None, 0] - b[:, 0], a[:, None, 1] - b[:, 1]
-    return np.asarray(np.sqrt(x * x + y * y))
+    """(N, M) m between points (N, D) and (M, D)."""
+    squares = np.zeros((len(a), len(b)))
+    for here, there in zip(a.T, b.T, strict=True):
+        offsets = here[:, None] - there
+        squares += offsets * offsets
+    return np.sqrt(squares)

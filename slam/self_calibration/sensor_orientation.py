@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, transform_from_xyz_yaw, yaw_rad
-from slam.self_calibration.object_tracks import SurveyScan
+from slam.self_calibration.object_tracks import SurveyScan, nearest_of_class_m
 
 MOVED_SPACINGS = 0.25
 """Between two scans that are compared, objects seem to move by that share of their spacing if all is right."""
@@ -80,15 +80,8 @@ def pairs_by_travel(scans: Sequence[SurveyScan], moved_m: float) -> list[tuple[i
 
 def spacing_of(scans: Sequence[SurveyScan]) -> float:
     """Median distance [m] of a detection from the nearest of its class in its scan, in space; at most its range."""
-    nearest = []
-    for scan in scans[:: max(len(scans) // (4 * PAIRS), 1)]:
-        apart = np.full(len(scan.positions), np.inf)
-        for label in np.unique(scan.labels):
-            rows = np.flatnonzero(scan.labels == label)
-            if len(rows) > 1:
-                places = scan.positions[rows]
-                apart[rows] = np.asarray(cKDTree(places).query(places, k=2)[0])[:, 1]
-        nearest.append(apart)
+    some = scans[:: max(len(scans) // (4 * PAIRS), 1)]
+    nearest = [nearest_of_class_m(scan.positions, scan.labels) for scan in some]
     return min(float(np.median(np.concatenate(nearest))), _median_range(scans))
 
 

@@ -27,6 +27,7 @@ from slam.self_calibration.object_tracks import (
     SurveyScan,
     detectability_of,
     follow_objects,
+    nearest_of_class_m,
 )
 from slam.self_calibration.sensor_orientation import find_orientation, roll_pitch_yaw_deg
 from slam.self_calibration.variance_components import CLIP, ComponentEstimate, Motion, estimate_components
@@ -261,12 +262,7 @@ def _ranges(scan: SurveyScan) -> FloatArray:
 
 
 def _spacing(scans: list[SurveyScan]) -> float:
-    nearest = []
-    for scan in scans:
-        apart = np.linalg.norm(scan.positions[:, None, :2] - scan.positions[None, :, :2], axis=2)
-        apart[(scan.labels[:, None] != scan.labels[None]) | np.eye(len(apart), dtype=np.bool_)] = np.inf
-        nearest.append(apart.min(axis=1, initial=np.inf))
-    distances = np.concatenate(nearest)
+    distances = np.concatenate([nearest_of_class_m(scan.positions[:, :2], scan.labels) for scan in scans])
     distances = distances[np.isfinite(distances)]
     return float(np.median(distances)) if len(distances) else float("nan")
 

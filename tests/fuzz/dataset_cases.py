@@ -133,7 +133,7 @@ def _mutate_database(path: Path, rng: np.random.Generator) -> None:
                         connection.execute(f"DELETE FROM {table} {where}")
                     case 1 if rng.random() < 0.3:
                         connection.execute(f"ALTER TABLE {table} RENAME TO other")
-                    case _:
+                    case _ if columns:
                         column = str(rng.choice(columns))
                         connection.execute(f"UPDATE {table} SET {column} = ? {where}", (odd,))
 

@@ -88,6 +88,7 @@ def test_stamps_keep_every_digit() -> None:
         (TUM + "0.3 1 2 three 0 0 0 1\n", r"poses\.txt, line 3, column z: 'three' is not a finite number; correct"),
         (TUM + "0.3 1 nan 3 0 0 0 1\n", r"poses\.txt, line 3, column y: 'nan' is not a finite number"),
         (TUM + "# pause\nnow 1 2 3 0 0 0 1\n", r"poses\.txt, line 4, column stamp: 'now' is not a time"),
+        (TUM + "0.3 1 -1e308 3 0 0 0 1\n", r"poses\.txt, line 3, column y: -1e\+308 m is no place; correct it"),
         (TUM + "0.3 1 2 3 0 0 0 0.5\n", r"poses\.txt, line 3, column qx qy qz qw: a quaternion of norm 0\.5"),
         (TUM + "0.15 1 2 3 0 0 0 1\n", r"poses\.txt, line 3, column stamp: 0\.15 comes after 0\.2; sort"),
         (TUM + "0.2 1 2 3 0 0 0 1\n", r"poses\.txt, line 3, column stamp: 0\.2 stands there twice; remove"),

@@ -133,6 +133,13 @@ def test_of_too_many_landmarks_those_seen_last_are_kept():
     assert bench.uncertain_rows() == [0, 1]
 
 
+def test_of_too_many_that_are_confirmed_at_once_the_filter_holds_no_more_than_are_kept():
+    bench = Bench(association={"max_landmarks": 10, **FAR_APART})
+    bench.add([[float(i), 5.0, 0.0] for i in range(40)])
+    assert bench.active.rows.tolist() == list(range(30, 40))
+    assert bench.uncertain_rows() == []
+
+
 def test_a_tentative_landmark_is_never_uncertain():
     bench = Bench(association={"confusion_distance_m": 0.1, "active_radius_m": 1.0})
     bench.add([[5.0, 2.0, 0.0]], confirmed=False)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
 from slam.common.geometry import transform_from_xyz_yaw
+from slam.self_calibration import object_tracks
 from slam.self_calibration.object_tracks import (
     MISSED_SCANS,
     ObjectTracks,
@@ -152,3 +155,23 @@ def test_sensors_that_take_turns_detect_what_each_of_them_sees():
     seen = [OBJECTS[:2] if number % 2 else OBJECTS[2:] for number in range(40)]
     found = detectability_of(follow([scan_of(each, number=number) for number, each in enumerate(seen)]))
     assert (found.period, found.probability, found.share) == (2, 1.0, 0.5)
+
+
+@pytest.mark.parametrize("most", [1, 50, 1000])
+def test_distances_may_be_held_in_parts(monkeypatch, most):
+    drive = SurveyedDrive(0, {}, scans=40, objects=80)
+    whole = follow_objects(drive.scans, drive.headings)
+    monkeypatch.setattr(object_tracks, "MOST_DISTANCES", most)
+    parts = follow_objects(drive.scans, drive.headings)
+    np.testing.assert_array_equal(parts.track, whole.track)
+    np.testing.assert_array_equal(parts.rooms, whole.rooms)
+
+
+def test_scans_of_many_objects_take_no_memory_of_all_their_pairs():
+    objects = np.random.default_rng(0).uniform(-300.0, 300.0, (3000, 3))
+    tracemalloc.start()
+    try:
+        follow([scan_of(objects), scan_of(objects, number=1)])
+        assert tracemalloc.get_traced_memory()[1] < 60e6
+    finally:
+        tracemalloc.stop()
