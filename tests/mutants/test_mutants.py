@@ -24,7 +24,7 @@ def test_rules_have_names_of_their_own():
 
 def test_a_rule_that_is_broken_is_noticed_and_one_that_is_not_is_not():
     tests = ("tests/slam/odometry/test_noise.py",)
-    broken = Mutant("slam/odometry/noise.py", tests, "", "return np.asarray(walk +", "return np.asarray(0.0 * walk +")
+    broken = Mutant("slam/odometry/noise.py", tests, "", "translation + config", "0.0 * translation + config")
     assert run_tests(tests, broken) is Verdict.CAUGHT
     assert run_tests(tests) is Verdict.SURVIVED
     missing = Mutant("slam/odometry/noise.py", tests, "", "import numpy as np", "import no_such_library as np")
