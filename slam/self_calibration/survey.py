@@ -350,12 +350,13 @@ class _Gathered:
         usable = [d for d in first.values() if stamps[0] <= d.stamp_ns + delay_ns <= stamps[-1] and len(d.positions)]
         usable.sort(key=lambda detections: detections.stamp_ns)
         T_odom_body = interpolate(stamps, poses, np.array([d.stamp_ns + delay_ns for d in usable], dtype=np.int64))
+        T_upright_body = invert(transform_from_xyz_yaw(T_odom_body[:, :3, 3], yaw_rad(T_odom_body))) @ T_odom_body
         scans = []
-        for detections, T in zip(usable, T_odom_body, strict=True):
+        for detections, T, T_upright in zip(usable, T_odom_body, T_upright_body, strict=True):
             T_body_sensor = find_sensor(self._frames, detections, self._odometry[0], T, config)
             if T_body_sensor is None:
                 continue
-            scans.append(_upright_scan(detections, T, T_body_sensor, vocabulary, config))
+            scans.append(_upright_scan(detections, T, T_upright @ T_body_sensor, vocabulary, config))
             np.minimum(scans[-1].labels, self._max_classes - 1, out=scans[-1].labels)
         return _without_far_off(scans)
 
@@ -414,12 +415,11 @@ class _Gathered:
 def _upright_scan(
     detections: ObjectDetections,
     T_odom_body: FloatArray,
-    T_body_sensor: FloatArray,
+    T_upright_sensor: FloatArray,
     vocabulary: defaultdict[str, int],
     config: DetectionConfig,
 ) -> SurveyScan:
-    T_odom_upright = transform_from_xyz_yaw(T_odom_body[:3, 3], yaw_rad(T_odom_body))
-    positions = apply(invert(T_odom_upright) @ T_odom_body @ T_body_sensor, detections.positions)
+    positions = apply(T_upright_sensor, detections.positions)
     used = np.isfinite(positions).all(axis=1) & is_wanted(detections, config)
     variances = np.full(len(positions), np.nan)
     if detections.covariances is not None:
