@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from logs.storage.regular_file import read_regular
+from logs.validation import LARGEST_M
 from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
 
@@ -164,6 +165,6 @@ def _number(path: Path, line: int, column: str, text: str) -> float:
         number = float(text)
     except ValueError:
         number = math.nan
-    if not math.isfinite(number):
-        raise SimulationError(f"{path}, line {line}: {column} is {text!r}, not a finite number")
+    if not abs(number) <= LARGEST_M:
+        raise SimulationError(f"{path}, line {line}: {column} is {text[:40]!r}, not a number up to {LARGEST_M:g}")
     return number

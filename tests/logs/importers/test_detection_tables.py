@@ -113,6 +113,7 @@ ROW = "stamp_s,label,x_m,y_m,z_m,score,diameter_m\n0,a,1,2,3,0.5,0.2\n"
         ("0,1,2\n", r"det\.csv, line 1: numbers where the names of the columns are expected; begin .* header"),
         ("stamp_s,label,y_m\n0,a,2\n", r"det\.csv: no column for x among stamp_s, label, y_m; call .* x_m"),
         ("label,x_m,y_m\na,1,2\n", r"det\.csv: no column for the stamp among .*; call .* stamp_s"),
+        ("stamp_s,x_m,y_m," + "9" * 200_000 + "\n0,1,2,3\n", r"det\.csv, line 1: not CSV \(field larger"),
         ("stamp_s,x_m,x_m,y_m\n0,1,1,2\n", r"det\.csv, line 1: column x_m stands there twice"),
         ("stamp_s,time,x_m,y_m\n0,0,1,2\n", r"det\.csv: columns stamp_s and time say the same"),
         (ROW + "0,a,1,2\n", r"det\.csv, line 3: 4 values where 7 are expected"),

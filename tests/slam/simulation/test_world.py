@@ -47,6 +47,7 @@ def test_columns_may_stand_in_any_order(tmp_path: Path) -> None:
         ("x_m,y_m,z_m,class,id\n", TOUR, "objects.csv: no object"),
         (OBJECTS + "nan,2,0,tree,n3,\n", TOUR, "objects.csv, line 4: x_m is 'nan'"),
         (OBJECTS + "1,two,0,tree,n3,\n", TOUR, "objects.csv, line 4: y_m is 'two'"),
+        (OBJECTS + "1e300,2,0,tree,n3,\n", TOUR, "objects.csv, line 4: x_m is '1e300', not a number up to 1e.09"),
         (OBJECTS + "1,2\n", TOUR, "objects.csv, line 4: fewer values"),
         (OBJECTS + "1,2,0, ,n3,\n", TOUR, "objects.csv, line 4: empty class"),
         (OBJECTS + "1,2,0,tree,,\n", TOUR, "objects.csv, line 4: empty id"),
