@@ -98,6 +98,14 @@ def test_a_clock_that_was_never_set_holds_nothing_back() -> None:
         assert list(clocks.follow(item(record, stamp_ns))) == [record]
 
 
+def test_messages_that_are_logged_in_batches_may_vary_as_much_again() -> None:
+    clocks = StampClocks()
+    for row in range(MESSAGES):
+        made_ns = START_NS + row * TENTH_NS
+        late_ns = (4 - row % 5) * TENTH_NS if row < SET_AT else 6 * TENTH_NS
+        assert len(list(clocks.follow(item(scan(made_ns), made_ns + late_ns)))) == 1
+
+
 def test_stamps_that_always_jump_to_and_fro_show_no_step() -> None:
     errors, clocks = followed(lambda row: -5 * TENTH_NS * (row // 6 % 2))
     assert clocks.steps == []
