@@ -16,6 +16,8 @@ from slam.map_joining.place_index import make_place_index
 from slam.object_map.map_io import SavedMap
 from tests.helpers.driven_maps import drive_poses, driven_map, town
 
+pytestmark = pytest.mark.slow
+
 CONFIG = Config()
 DRIVES = ((0.0, 250.0), (350.0, 100.0), (300.0, 500.0))
 
