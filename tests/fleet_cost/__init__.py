@@ -1,0 +1,1 @@
+"""What joining a fleet costs beside mapping its logs."""
