@@ -36,8 +36,8 @@ from slam.place_recognition.retrieval import PlaceRetriever
 
 logger = logging.getLogger(__name__)
 
-NEW_SHARE = 0.1
-"""Least share of landmarks in a query that were not in the last one that was looked up."""
+CHANGED_SHARE = 0.2
+"""A query is looked up if that share of its landmarks and those of the last one looked up are in one of them only."""
 
 
 class LoopCloser:
@@ -108,7 +108,7 @@ class LoopCloser:
             return [self._accept(propagated, f"propagated from the closure of keyframe {propagated.seed_closure}")]
         alike = self._looked_up_alike(query)
         if alike is not None:
-            return [query.refusal(Stage.RETRIEVAL, f"few new landmarks since keyframe {alike.keyframe.id}")]
+            return [query.refusal(Stage.RETRIEVAL, f"landmarks are those of keyframe {alike.keyframe.id}")]
         self._looked_up = query
         # 2. Elsewhere landmarks that are still followed, or retrieval by triangles and descriptors, propose candidates.
         verified = self._verify_proposed(query) if self._has_enough_objects(query) else []
@@ -132,9 +132,11 @@ class LoopCloser:
         last = self._looked_up
         if last is None or not self._has_enough_objects(query) or not self.closures.is_localized(query.keyframe):
             return None
-        known_share = np.isin(query.submap.rows, last.submap.rows).mean()
-        is_alike = known_share > 1.0 - NEW_SHARE and query.travel_m - last.travel_m < self._propagation_distance_m
-        return last if is_alike else None
+        common = len(np.intersect1d(query.submap.rows, last.submap.rows, assume_unique=True))
+        all_of_both = len(query.submap) + len(last.submap) - common
+        is_alike = common > (1.0 - CHANGED_SHARE) * all_of_both
+        is_near = query.travel_m - last.travel_m < self._propagation_distance_m
+        return last if is_alike and is_near else None
 
     def _verify_proposed(self, query: Query) -> list[Candidate | LoopClosureRecord]:
         """The candidates at the places that landmarks still followed, hypotheses and retrieval propose."""

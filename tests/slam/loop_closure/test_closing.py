@@ -275,17 +275,30 @@ def test_a_closure_predicts_those_before_it_that_are_not_closed(parts):
     assert found[FIRST + 2] == f"propagated from the closure of keyframe {FIRST + 3}"
 
 
-def test_a_query_with_few_new_landmarks_is_not_looked_up_again(parts):
+def test_a_query_with_the_landmarks_of_the_last_one_is_not_looked_up_again(parts):
     drive = Drive(parts)
     parts.objects, parts.new_rows = 20, 1
     drive.close(FIRST)
     reasons = [record.reason for record in drive.close(FIRST + 1)]
-    assert (parts.retrieved, reasons) == (1, [f"few new landmarks since keyframe {FIRST}"])
-    drive.close(FIRST + 2)  # two of twenty
+    assert (parts.retrieved, reasons) == (1, [f"landmarks are those of keyframe {FIRST}"])
+    drive.close(FIRST + 2)  # two others among twenty: 18 of 22
+    assert parts.retrieved == 1
+    drive.close(FIRST + 3)  # 17 of 23
     assert parts.retrieved == 2
 
 
-def test_a_query_with_few_new_landmarks_is_looked_up_where_no_closure_will_predict_it(parts):
+def test_a_query_that_lost_landmarks_is_looked_up_again(parts):
+    drive = Drive(parts)
+    drive.close(FIRST)
+    parts.objects = 9
+    drive.close(FIRST + 1)
+    assert parts.retrieved == 1
+    parts.objects = 8
+    drive.close(FIRST + 2)
+    assert parts.retrieved == 2
+
+
+def test_a_query_with_the_landmarks_of_the_last_one_is_looked_up_where_no_closure_will_predict_it(parts):
     drive = Drive(parts, propagation_distance_m=5.0)
     drive.close(FIRST)
     drive.close(FIRST + 2)
