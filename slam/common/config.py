@@ -96,6 +96,9 @@ class DetectionConfig(_Branch):
         default=0.2, gt=0, description="position noise at range 0, where the message has none [m]"
     )
     sigma_per_m: float = Field(default=0.01, ge=0, description="growth of that noise with the range [m / m]")
+    range_sigma_ratio: float = Field(
+        default=1.0, gt=0, le=1e4, description="that noise is across the line of sight; along it by that factor"
+    )
     common_sigma_m: float = Field(
         default=0.4,
         ge=0,

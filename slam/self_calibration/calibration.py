@@ -68,6 +68,8 @@ LEAST_DRIFT, LEAST_TURN_RAD = 0.01, 0.005
 """Detections cannot tell an odometry better than that: off by such a share of the sensor range after as much travel,
 and by so many radians. An estimate of zero only says that the noise is below what detections show.
 """
+LEAST_SIGMA = 1e-4
+"""Least noise of a position, in sensor ranges."""
 UNIQUE_INFLATION = 5.0
 """Factor on the odometry's noise where no two objects of a class share a scan: a wide gate then confuses nothing."""
 STAMPING_SCANS = 2.0
@@ -268,11 +270,11 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
     drift, turn = _shares_not_of_bias(found, survey)
     objects = _objects_that_err_alike(survey, found.view)
     repeated = 1 if survey.components is None else survey.components.repeated
-    white = repeated * 0.5 * (found.radial + found.tangential)
-    by_range = repeated * 0.5 * (found.radial_by_range + found.tangential_by_range)
+    white, by_range, ratio = _sight_noise(config, survey, found)
+    white, by_range = repeated * white, repeated * by_range
     submap_m = _lengths(config, survey)["submap.travel_m"]
     between_passes = found.view + 0.5 * submap_m * found.translation_by_travel
-    floor_m = 1e-4 * survey.range_m
+    floor_m = LEAST_SIGMA * survey.range_m
     scan_m = survey.travel_m / survey.scans
     keyframe_m = _keyframe_distance_m(config, survey)
     return {
@@ -286,6 +288,7 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         "odometry.min_translation_sigma_m": floor_m,
         "detection.base_sigma_m": max(np.sqrt(white), floor_m),
         "detection.sigma_per_m": np.sqrt(by_range),
+        "detection.range_sigma_ratio": ratio,
         "detection.common_sigma_m": np.sqrt(found.view),
         "detection.height_sigma_m": _height_sigma(survey, white + by_range * survey.median_range_m**2),
         # Errors stay the same while the viewing direction changes by 1 rad.
@@ -295,6 +298,19 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         "loop_closure.base_sigma_m": max(np.sqrt(between_passes), floor_m),
         "loop_closure.base_height_sigma_m": np.sqrt(survey.heights.own + 2.0 * survey.heights.common),
     }
+
+
+def _sight_noise(config: Config, survey: Survey, found: NoiseComponents) -> tuple[float, float, float]:
+    """Variance across the line of sight, its growth with the squared range, and the standard deviation along it by that
+    across, at the median range. Where the noise is given by hand it is the same along and across.
+    """
+    if any(_is_given(config, f"detection.{name}") for name in ("base_sigma_m", "sigma_per_m")):
+        white, by_range = found.radial + found.tangential, found.radial_by_range + found.tangential_by_range
+        return 0.5 * white, 0.5 * by_range, 1.0
+    square_m, least = survey.median_range_m**2, (LEAST_SIGMA * survey.range_m) ** 2
+    across = max(found.tangential + found.tangential_by_range * square_m, least)
+    along = max(found.radial + found.radial_by_range * square_m, least)
+    return found.tangential, found.tangential_by_range, min(float(np.sqrt(along / across)), 1.0 / LEAST_SIGMA)
 
 
 def _height_sigma(survey: Survey, horizontal: float) -> float:

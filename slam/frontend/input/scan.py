@@ -65,15 +65,18 @@ def make_scan(
 ) -> Scan:
     """The detections of one message that pass the limits on score and range, in the body frame.
 
-    Covariances are the message's own, else (base_sigma_m + sigma_per_m * range)^2 in each coordinate; the range is
-    taken from the body, since the frame of the message may be one that does not move with the sensor. The noise of
-    heights is added to both, along the vertical ``up_body`` (3,) in the axes of the body.
+    Covariances are the message's own, else (base_sigma_m + sigma_per_m * range)^2 across the line of sight, and
+    range_sigma_ratio^2 times that along it; the range is taken from the body, since the frame of the message may be one
+    that does not move with the sensor. The noise of heights is added to both, along the vertical ``up_body`` (3,) in
+    the axes of the body.
     """
     positions = apply(T_body_sensor, detections.positions)
     ranges = np.linalg.norm(positions, axis=1)
     used = is_wanted(detections, config) & (ranges <= config.max_range_m)
     sigmas = config.base_sigma_m + config.sigma_per_m * ranges[used]
-    covariances = sigmas[:, None, None] ** 2 * np.eye(3)
+    sights = positions[used] / np.maximum(ranges[used], 1e-12)[:, None]
+    along = (config.range_sigma_ratio**2 - 1.0) * sights[:, :, None] * sights[:, None, :]
+    covariances = sigmas[:, None, None] ** 2 * (np.eye(3) + along)
     has_own_covariance = np.zeros(len(covariances), dtype=np.bool_)
     if detections.covariances is not None:
         R = T_body_sensor[:3, :3]

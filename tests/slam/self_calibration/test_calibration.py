@@ -151,7 +151,9 @@ def test_little_data_make_the_noise_large(surveyed):
     errors = surveyed.components.standard_errors
     doubtful = replace(
         surveyed,
-        components=replace(surveyed.components, standard_errors=replace(errors, radial=1.0, translation_by_travel=1.0)),
+        components=replace(
+            surveyed.components, standard_errors=replace(errors, tangential=1.0, translation_by_travel=1.0)
+        ),
     )
     sure, unsure = (calibrate(Config(), each).config for each in (surveyed, doubtful))
     assert unsure.detection.base_sigma_m > 2.0 * sure.detection.base_sigma_m
@@ -274,6 +276,25 @@ def test_labels_that_say_nothing_are_ignored_and_told(surveyed, labels, told):
     calibration = calibrate(Config(), replace(surveyed, labels=labels))
     assert calibration.config.association.max_classes == 1
     assert any(told in note for note in calibration.notes)
+
+
+def test_noise_along_the_line_of_sight_is_told_from_that_across(surveyed):
+    """As of a camera, which knows directions better than distances."""
+    assert surveyed.components is not None
+    square_m = surveyed.median_range_m**2
+    found = replace(
+        surveyed.components.variances,
+        radial=0.5, radial_by_range=1.5 / square_m, tangential=0.05, tangential_by_range=0.03 / square_m,
+    )  # fmt: skip
+    none = replace(surveyed.components.standard_errors, **dict.fromkeys(found.__dataclass_fields__, 0.0))
+    camera = replace(surveyed, components=replace(surveyed.components, variances=found, standard_errors=none))
+    detection = calibrate(Config(), camera).config.detection
+    assert detection.base_sigma_m == pytest.approx(0.05**0.5)
+    assert detection.sigma_per_m == pytest.approx(0.03**0.5 / surveyed.median_range_m)
+    assert detection.range_sigma_ratio == pytest.approx(5.0)
+    by_hand = calibrate(Config.model_validate({"detection": {"base_sigma_m": 0.3}}), camera).config.detection
+    assert by_hand.range_sigma_ratio == 1.0
+    assert by_hand.sigma_per_m == pytest.approx((0.5 * 1.53) ** 0.5 / surveyed.median_range_m)
 
 
 def test_errors_that_scans_repeat_average_out_more_slowly(surveyed):

@@ -37,6 +37,15 @@ def test_without_covariances_the_noise_grows_with_the_range():
     assert not scan.has_own_covariance.any()
 
 
+def test_without_covariances_the_noise_is_larger_along_the_line_of_sight():
+    config = DetectionConfig(base_sigma_m=0.5, sigma_per_m=0.0, range_sigma_ratio=4.0)
+    scan = make_scan(detections([[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]]), np.eye(4), config)
+    sight, across = np.array([0.6, 0.8, 0.0]), np.array([0.8, -0.6, 0.0])
+    np.testing.assert_allclose(scan.covariances[0] @ sight, 2.0**2 * sight, atol=1e-12)
+    np.testing.assert_allclose(scan.covariances[0] @ across, 0.5**2 * across, atol=1e-12)
+    np.testing.assert_allclose(scan.covariances[1], 0.5**2 * np.eye(3))
+
+
 def test_positions_and_covariances_turn_into_the_body_frame():
     rng = np.random.default_rng(0)
     T_body_sensor = random_transform(rng)
