@@ -22,12 +22,12 @@ partly visible object moves up and down."""
 
 
 def find_duplicate_landmarks(
-    object_map: ObjectMap, graph: FactorGraph, keyframes: Collection[int], *, radius_m: float
+    object_map: ObjectMap, graph: FactorGraph, keyframes: Collection[int], *, radius_m: float, together: float = 0.0
 ) -> list[tuple[int, int]]:
     """Pairs of duplicate landmarks, the older one first, in the order in which they are to be merged.
 
     Two landmarks are duplicates if they have the same class, are mutual nearest neighbours of that class within
-    ``radius_m`` in the plane, and no keyframe observed both: two objects that near to each other are seen together.
+    ``radius_m`` in the plane, and few keyframes observed both: two objects that near to each other are seen together.
     The older one stays where it is and is compared again, with the keyframes of both.
 
     Args:
@@ -35,6 +35,7 @@ def find_duplicate_landmarks(
         graph: their positions, at its current estimate.
         keyframes: only landmarks that one of these observed are compared: keyframes near a loop closure.
         radius_m: largest horizontal distance of duplicates [m].
+        together: largest share of the keyframes of either that observed both.
     """
     observers = graph.observers()
     usable = [
@@ -54,7 +55,7 @@ def find_duplicate_landmarks(
             for index, other in enumerate(nearest.tolist())
             if index < other
             and nearest[other] == index
-            and observers[int(rows[index])].isdisjoint(observers[int(rows[other])])
+            and _share(observers[int(rows[index])], observers[int(rows[other])]) <= together
         ]
         if not found:
             return pairs
@@ -66,16 +67,21 @@ def find_duplicate_landmarks(
 
 
 def fuse_duplicate_landmarks(
-    object_map: ObjectMap, graph: FactorGraph, keyframes: Collection[int], *, radius_m: float
+    object_map: ObjectMap, graph: FactorGraph, keyframes: Collection[int], *, radius_m: float, together: float = 0.0
 ) -> int:
     """Merge duplicate landmarks until there are none; returns how many were merged into another."""
     merged = 0
-    while pairs := find_duplicate_landmarks(object_map, graph, keyframes, radius_m=radius_m):
+    while pairs := find_duplicate_landmarks(object_map, graph, keyframes, radius_m=radius_m, together=together):
         for kept, dropped in pairs:
             object_map.merge(kept, dropped)
             graph.merge_landmarks(kept, dropped)
         merged += len(pairs)
     return merged
+
+
+def _share(a: set[int], b: set[int]) -> float:
+    """Share of the keyframes of the landmark with fewer of them that observed both."""
+    return len(a & b) / min(len(a), len(b))
 
 
 def _nearest_alike(positions: FloatArray, classes: IntArray, radius_m: float) -> IntArray:

@@ -29,6 +29,8 @@ logger = logging.getLogger(__name__)
 
 TIE_SIGMA_RAD, TIE_SIGMA_PITCHES = 10.0, 10.0
 """Of the edges that place one map beside another before any join is weighed, in radians and extents of the maps."""
+MOST_TOGETHER = 0.5
+"""Two objects are both seen by most drives that pass; few drives have two landmarks of one object."""
 FUSIONS = 3
 """Rounds of fusing landmarks and optimising: better positions show more duplicates."""
 
@@ -205,8 +207,9 @@ def _solved(
     restore_factors(graph, range(len(T_map_place)), T_map_place, edges, observations)
     for _ in range(FUSIONS):
         graph.optimize()
+        radius_m = 2.0 * config.submap.landmark_sigma_m
         if not fuse_duplicate_landmarks(
-            object_map, graph, range(len(T_map_place)), radius_m=2.0 * config.submap.landmark_sigma_m
+            object_map, graph, range(len(T_map_place)), radius_m=radius_m, together=MOST_TOGETHER
         ):
             break
     else:

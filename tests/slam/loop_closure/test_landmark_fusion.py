@@ -65,6 +65,14 @@ def test_twin_what_speaks_for_two_keeps_two(other: Seen) -> None:
     assert found([FIRST, other]) == []
 
 
+def test_few_that_saw_both_do_not_keep_two_where_some_may() -> None:
+    landmarks = [FIRST, ("tree", (5.3, 3.8, 0.2), (2, 3))]
+    object_map, graph = mapped(landmarks)
+    assert find_duplicate_landmarks(object_map, graph, range(KEYFRAMES), radius_m=0.7, together=0.5) == [(0, 1)]
+    assert find_duplicate_landmarks(object_map, graph, range(KEYFRAMES), radius_m=0.7, together=0.49) == []
+    assert fuse_duplicate_landmarks(object_map, graph, range(KEYFRAMES), radius_m=0.7, together=0.5) == 1
+
+
 def test_what_is_not_confirmed_or_not_well_placed_is_left() -> None:
     pair = [FIRST, ("tree", (5.3, 3.8, 0.2), (3, 4))]
     assert found(pair, tentative=(1,)) == []
