@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 from logs.messages import LoopClosureRecord
 
-STAGES = ("retrieval", "registration", "acceptance", "consistency", "association", "back_end", "accepted")
-"""Where a candidate is decided, in the order in which it comes there."""
+STAGES = ("repeated", "retrieval", "registration", "acceptance", "consistency", "association", "back_end", "accepted")
+"""Where a candidate is decided, in the order in which it comes there; what is repeated was not looked up."""
 
 
 def find_final_decisions(records: Iterable[LoopClosureRecord]) -> tuple[LoopClosureRecord, ...]:

@@ -17,6 +17,7 @@ NOWHERE = -1
 class Stage(StrEnum):
     """The stage at which a candidate was accepted or rejected."""
 
+    REPEATED = "repeated"
     RETRIEVAL = "retrieval"
     REGISTRATION = "registration"
     ACCEPTANCE = "acceptance"

@@ -108,7 +108,7 @@ class LoopCloser:
             return [self._accept(propagated, f"propagated from the closure of keyframe {propagated.seed_closure}")]
         alike = self._looked_up_alike(query)
         if alike is not None:
-            return [query.refusal(Stage.RETRIEVAL, f"landmarks are those of keyframe {alike.keyframe.id}")]
+            return [query.refusal(Stage.REPEATED, f"landmarks are those of keyframe {alike.keyframe.id}")]
         self._looked_up = query
         # 2. Elsewhere landmarks that are still followed, or retrieval by triangles and descriptors, propose candidates.
         verified = self._verify_proposed(query) if self._has_enough_objects(query) else []
@@ -218,6 +218,7 @@ class LoopCloser:
             self._rejected_by_odometry.add(query.keyframe.id)
         if decision.tracked is not None:
             self.closures.add_tracked(decision.tracked)
+            self._looked_up = None  # it is no answer for the next keyframe, which may have let the landmarks go
         best, records = decision.accepted, list(decision.rejected)
         if best is None:
             return records

@@ -5,6 +5,7 @@ from __future__ import annotations
 from slam.visualization import palette
 
 STAGES = {
+    "repeated": "--stage-repeated",
     "retrieval": "--stage-retrieval",
     "registration": "--stage-registration",
     "acceptance": "--stage-acceptance",
@@ -33,6 +34,7 @@ LIGHT = {
     "--closure-false": palette.FALSE_CLOSURE,
     "--closure-undecided": palette.CLOSURE,
     "--missed": palette.MISSED,
+    "--stage-repeated": "#d5dae1",
     "--stage-retrieval": "#b6bdc8",
     "--stage-registration": "#7d9cc0",
     "--stage-acceptance": "#c9a50a",
@@ -64,6 +66,7 @@ DARK = LIGHT | {
     "--closure-false": "#ff4d4d",
     "--closure-undecided": "#f062c0",
     "--missed": "#b794ff",
+    "--stage-repeated": "#414a57",
     "--stage-retrieval": "#5b6675",
     "--stage-registration": "#7d9cc0",
     "--stage-association": "#b794ff",

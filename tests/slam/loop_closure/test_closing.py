@@ -234,6 +234,15 @@ def test_a_place_recognised_by_landmarks_that_are_still_associated_is_remembered
     assert parts.recognised == [FIRST]
 
 
+def test_where_landmarks_are_still_associated_each_query_is_looked_up(parts):
+    drive = Drive(parts)
+    parts.llrs = dict.fromkeys((FIRST, FIRST + 1), SURE_LLR)
+    parts.is_tracked = True
+    drive.close(FIRST)
+    drive.close(FIRST + 1)
+    assert parts.recognised == [FIRST, FIRST + 1]
+
+
 def test_a_closure_predicts_no_keyframe_far_before_it(parts):
     drive = Drive(parts)
     numbers = FIRST, FIRST + 1, FIRST + 26
@@ -279,8 +288,8 @@ def test_a_query_with_the_landmarks_of_the_last_one_is_not_looked_up_again(parts
     drive = Drive(parts)
     parts.objects, parts.new_rows = 20, 1
     drive.close(FIRST)
-    reasons = [record.reason for record in drive.close(FIRST + 1)]
-    assert (parts.retrieved, reasons) == (1, [f"landmarks are those of keyframe {FIRST}"])
+    told = [(record.stage, record.reason) for record in drive.close(FIRST + 1)]
+    assert (parts.retrieved, told) == (1, [("repeated", f"landmarks are those of keyframe {FIRST}")])
     drive.close(FIRST + 2)  # two others among twenty: 18 of 22
     assert parts.retrieved == 1
     drive.close(FIRST + 3)  # 17 of 23
