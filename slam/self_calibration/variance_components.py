@@ -122,8 +122,8 @@ def _estimate(tracks: ObjectTracks, motion: Motion) -> ComponentEstimate | None:
     totals = np.concatenate(sums, axis=1)  # (BLOCKS, equations, COMPONENTS + 2)
     if not np.isfinite(totals).all():
         return None
-    solution, misfit = _solve(totals.sum(axis=0))
-    left_out = np.array([_solve(np.delete(totals, block, axis=0).sum(axis=0))[0] for block in range(BLOCKS)])
+    solution, misfit = solve_components(totals.sum(axis=0))
+    left_out = np.array([solve_components(np.delete(totals, block, axis=0).sum(axis=0))[0] for block in range(BLOCKS)])
     with np.errstate(over="ignore", invalid="ignore"):
         spread = np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((left_out - left_out.mean(axis=0)) ** 2, axis=0))
     spread = np.maximum(spread, misfit)
@@ -283,10 +283,12 @@ def _binned(rows: FloatArray, weights: FloatArray, bins: IntArray, block: IntArr
     return sums
 
 
-def _solve(sums: FloatArray) -> tuple[FloatArray, FloatArray]:
+def solve_components(sums: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Variances (COMPONENTS,) from the summed equations (E, COMPONENTS + 2); their errors while the others are held."""
     counts = sums[:, -1]
     used = counts >= LEAST_IN_BIN
+    if not used.any():
+        return np.zeros(COMPONENTS), np.zeros(COMPONENTS)
     means = sums[used, :-1] / counts[used, None]
     X, y = means[:, :-1], means[:, -1]
     # The relative sampling error of a mean square of n values is sqrt(2 / n).

@@ -9,10 +9,12 @@ import pytest
 
 from slam.self_calibration.object_tracks import ObjectTracks, follow_objects
 from slam.self_calibration.variance_components import (
+    COMPONENTS,
     ComponentEstimate,
     Motion,
     component_names,
     estimate_components,
+    solve_components,
 )
 from tests.helpers.surveyed_drives import SurveyedDrive
 
@@ -215,3 +217,11 @@ def test_errors_that_scans_repeat_are_found(times):
     assert found is not None
     assert found.repeated == times
     assert np.sqrt(found.white(100.0)[0]) == pytest.approx(DETECTOR["radial"], rel=0.25)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_equations_of_too_few_detections_tell_nothing() -> None:
+    """As where one of the blocks of the jackknife held all that there was."""
+    variances, errors = solve_components(np.zeros((4, COMPONENTS + 2)))
+    np.testing.assert_array_equal(variances, np.zeros(COMPONENTS))
+    np.testing.assert_array_equal(errors, np.zeros(COMPONENTS))
