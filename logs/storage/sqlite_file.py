@@ -14,6 +14,9 @@ from logs.storage.ros2_definitions import known_definition
 from logs.storage.storage import ChannelInfo
 from logs.topics import Channel, RawMessage, Schema
 
+# The messages of SQLite's errors quote the file, and quotes that are no UTF-8 fail to decode.
+_DATABASE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
+
 
 class SqliteFile:
     """The rosbag2 database at ``path``; see :class:`logs.storage.storage.Storage`.
@@ -33,7 +36,7 @@ class SqliteFile:
         try:
             self._database = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
             self._channels = self._read_channels()
-        except sqlite3.Error as error:
+        except _DATABASE_ERRORS as error:
             raise UnreadableLogError(
                 f"cannot read {name}: {error}; it is no database of rosbag2, or a damaged one"
             ) from error
@@ -71,7 +74,7 @@ class SqliteFile:
                 else:  # SQLite puts what it likes into any column
                     content = data if isinstance(data, bytes) else b""
                     yield RawMessage(wanted[topic_id], log_time_ns, log_time_ns, int(id) % 2**32, content)
-        except sqlite3.DatabaseError:
+        except _DATABASE_ERRORS:
             self._is_complete = False
 
     def metadata(self) -> dict[str, dict[str, str]]:

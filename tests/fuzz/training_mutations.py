@@ -45,9 +45,9 @@ def mutate_weights(content: bytes, rng: np.random.Generator) -> bytes:
             header = json.dumps(tree).encode()
         case _:
             values = np.frombuffer(tensors[: len(tensors) // 4 * 4], dtype="<f4").copy()
-            values[rng.integers(len(values), size=int(rng.choice([1, 20])))] = np.float64(rng.choice(FLOATS)).astype(
-                "f4"
-            )
+            with np.errstate(over="ignore"):
+                value = np.float64(rng.choice(FLOATS)).astype("f4")
+            values[rng.integers(len(values), size=int(rng.choice([1, 20])))] = value
             tensors = values.tobytes() + tensors[len(values) * 4 :]
     return len(header).to_bytes(8, "little") + header + tensors
 

@@ -245,6 +245,14 @@ def test_a_view_in_place_of_a_table_is_not_computed(bags: dict[str, Path], tmp_p
         LogReader(broken)
 
 
+def test_a_damaged_schema_whose_error_is_no_text_is_refused(bags: dict[str, Path], tmp_path: Path) -> None:
+    broken = break_bag(bags["db3"], tmp_path)
+    (path,) = broken.glob("*.db3")
+    path.write_bytes(path.read_bytes().replace(b"PRIMARY KEY", b"PRIMARY \x8fEY"))
+    with pytest.raises(UnreadableLogError, match=r"part_0\.db3: .* a damaged one"):
+        LogReader(broken)
+
+
 def test_unpacked_files_are_removed(bags: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     with LogReader(bags["file_zstd"]):

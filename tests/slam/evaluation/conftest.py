@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
@@ -26,11 +27,21 @@ class Relocalized:
 @pytest.fixture(scope="session")
 def kidnapped(tmp_path_factory: pytest.TempPathFactory) -> EvaluationRecords:
     """A mapping drive in which the robot is taken from the last street to the first one, which it drives again."""
-    folder = tmp_path_factory.mktemp("kidnapped")
+    return _kidnapped(tmp_path_factory.mktemp("kidnapped"), Config())
+
+
+@pytest.fixture(scope="session")
+def looked_up(tmp_path_factory: pytest.TempPathFactory) -> EvaluationRecords:
+    """The same without propagation, so that each keyframe is looked up."""
+    config = Config.model_validate({"loop_closure": {"propagation_distance_m": 0.0}})
+    return _kidnapped(tmp_path_factory.mktemp("looked_up"), config)
+
+
+def _kidnapped(folder: Path, config: Config) -> EvaluationRecords:
     kidnap = KidnapConfig(from_m=200.0, to_m=ONE_BLOCK_ROUND_M, gap_s=30.0)
     simulation = SimulationConfig(drive=DriveConfig(rate_hz=5.0), kidnap=kidnap)
     log = write_log(folder / "in.mcap", drive(simulation, world=one_block()))
-    replay(log, folder / "out.mcap", Config())
+    replay(log, folder / "out.mcap", config)
     return read_records(folder / "out.mcap")
 
 
