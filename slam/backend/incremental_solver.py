@@ -25,9 +25,10 @@ RELINEARIZE_UNIT_RANGES = 1.0 / 30.0
 class IncrementalSolver:
     """iSAM2 (Kaess et al. 2012), and what it takes in with its next update.
 
-    Each factor has a number of the caller's, which never changes. The observations from most keyframes wait for the
-    batch solution: neighbouring keyframes see the same landmarks, to which the local map has fitted them already, and
-    the memory of iSAM2 grows with the keyframes that are tied to many landmarks.
+    Each factor has a number of the caller's, which never changes. Observations that are not summed up over several
+    keyframes wait for the batch solution but for those from one keyframe in ``observed_keyframes``: neighbouring
+    keyframes see the same landmarks, to which the local map has fitted them already, and the memory of iSAM2 grows with
+    the keyframes that are tied to many landmarks.
     """
 
     def __init__(self, config: FactorGraphConfig, calls: GtsamCalls, *, sensor_range_m: float) -> None:

@@ -241,7 +241,8 @@ class FactorGraphConfig(_Branch):
     observed_keyframes: int = Field(
         default=4,
         ge=1,
-        description="iSAM2 takes in the observations from one keyframe in so many; the batch solution takes in all",
+        description="so many keyframes in a row observe a landmark once where the odometry between them is far better "
+        "than a detection; elsewhere iSAM2 takes in one keyframe in so many, and the batch solution all",
     )
 
 

@@ -24,6 +24,7 @@ from slam.frontend.continuity import scan_log_likelihood_ratio
 from slam.frontend.data_association import associate
 from slam.frontend.input.scan import Scan
 from slam.frontend.keyframe_observations import KeyframeObservations
+from slam.frontend.observation_group import ObservationGroup
 from slam.frontend.scan_alignment import Alignment, align_scan
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from slam.odometry.keyframe import Keyframe, is_keyframe_due
@@ -48,6 +49,7 @@ class Mapper:
         self._graph = graph
         self._active = ActiveLandmarks(config, object_map)
         self._keyframe_observations = KeyframeObservations()
+        self._group = ObservationGroup(config.odometry)
         self._held_back: defaultdict[int, list[Observation]] = defaultdict(list)
         self._anchored_m = 0.0
         self._message_count = 0
@@ -74,7 +76,7 @@ class Mapper:
         if not self.keyframes:
             self._graph.add_first_keyframe(keyframe.id, pose.T_odom_body)
         else:
-            self.close_keyframe()
+            self.close_keyframe(ends_group=False)
             self._graph.add_next_keyframe(
                 _odometry_edge(self.keyframes[-1], keyframe, self._config), _local_step(self.keyframes[-1], keyframe)
             )
@@ -185,13 +187,11 @@ class Mapper:
         )
         self._retire(rows, RetirementReason.CONTRADICTED)
 
-    def close_keyframe(self) -> None:
+    def close_keyframe(self, *, ends_group: bool = True) -> None:
         """Add the observations since the last keyframe to the graph; those of tentative landmarks are held back."""
         for kept, dropped in self._active.merge_duplicates():
             self._merge(kept, dropped)
-        observations = self._keyframe_observations.observations(self.keyframes[-1].id, self._config.detection)
-        self._keyframe_observations = KeyframeObservations()
-        for observation in observations:
+        for observation in self._grouped(ends_group=ends_group):
             self._held_back[observation.landmark].append(observation)
         ready = list[Observation]()
         rows = sorted(self._held_back)
@@ -201,6 +201,17 @@ class Mapper:
             elif state == LandmarkState.RETIRED:
                 del self._held_back[row]
         self._graph.add_observations(ready)
+
+    def _grouped(self, *, ends_group: bool) -> list[Observation]:
+        """The observations of the groups of keyframes that end with the last keyframe or before it."""
+        keyframe = self.keyframes[-1]
+        observations = self._keyframe_observations.observations(keyframe.id, self._config.detection)
+        self._keyframe_observations = KeyframeObservations()
+        ended = self._group.take() if self._group.ends_before(keyframe) else []
+        self._group.add(keyframe, observations)
+        if ends_group or keyframe.id % self._config.factor_graph.observed_keyframes == 0:
+            ended += self._group.take()
+        return ended
 
     def _merge(self, kept: int, dropped: int) -> None:
         """Make one of two landmarks of the local map."""
