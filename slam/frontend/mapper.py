@@ -6,7 +6,6 @@ the last one to the factor graph (map frame).
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from logs.messages import DetectionAssociations
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import Edge, EdgeKind, Observation
+from slam.backend.factors import Edge, EdgeKind
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import invert, relative
@@ -23,8 +22,7 @@ from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.continuity import scan_log_likelihood_ratio
 from slam.frontend.data_association import associate
 from slam.frontend.input.scan import Scan
-from slam.frontend.keyframe_observations import KeyframeObservations
-from slam.frontend.observation_group import ObservationGroup
+from slam.frontend.pending_observations import PendingObservations
 from slam.frontend.scan_alignment import Alignment, align_scan
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from slam.odometry.keyframe import Keyframe, is_keyframe_due
@@ -48,9 +46,7 @@ class Mapper:
         self._map = object_map
         self._graph = graph
         self._active = ActiveLandmarks(config, object_map)
-        self._keyframe_observations = KeyframeObservations()
-        self._group = ObservationGroup(config.odometry)
-        self._held_back: defaultdict[int, list[Observation]] = defaultdict(list)
+        self._pending = PendingObservations(config, object_map)
         self._anchored_m = 0.0
         self._message_count = 0
         self._sensors: set[str] = set()
@@ -131,7 +127,7 @@ class Mapper:
             )
             self._active.add(rows[new])
         used = known | new
-        self._keyframe_observations.add(rows[used], in_keyframe.of(used))
+        self._pending.add(rows[used], in_keyframe.of(used))
         self._update_life_cycle(rows[used], scan.covariances[used])
         return _associations(scan, rows, new)
 
@@ -191,27 +187,7 @@ class Mapper:
         """Add the observations since the last keyframe to the graph; those of tentative landmarks are held back."""
         for kept, dropped in self._active.merge_duplicates():
             self._merge(kept, dropped)
-        for observation in self._grouped(ends_group=ends_group):
-            self._held_back[observation.landmark].append(observation)
-        ready = list[Observation]()
-        rows = sorted(self._held_back)
-        for row, state in zip(rows, self._map.rows["state"][rows].tolist(), strict=True):
-            if state == LandmarkState.CONFIRMED:
-                ready += self._held_back.pop(row)
-            elif state == LandmarkState.RETIRED:
-                del self._held_back[row]
-        self._graph.add_observations(ready)
-
-    def _grouped(self, *, ends_group: bool) -> list[Observation]:
-        """The observations of the groups of keyframes that end with the last keyframe or before it."""
-        keyframe = self.keyframes[-1]
-        observations = self._keyframe_observations.observations(keyframe.id, self._config.detection)
-        self._keyframe_observations = KeyframeObservations()
-        ended = self._group.take() if self._group.ends_before(keyframe) else []
-        self._group.add(keyframe, observations)
-        if ends_group or keyframe.id % self._config.factor_graph.observed_keyframes == 0:
-            ended += self._group.take()
-        return ended
+        self._graph.add_observations(self._pending.close(self.keyframes[-1], ends_group=ends_group))
 
     def _merge(self, kept: int, dropped: int) -> None:
         """Make one of two landmarks of the local map."""
@@ -292,7 +268,7 @@ class Mapper:
         else:
             self._active.drop(rows)
         for row in rows.tolist():
-            self._held_back.pop(row, None)
+            self._pending.drop(row)
             self._graph.remove_landmark(row)
 
 

@@ -1,0 +1,82 @@
+"""PendingObservations: what waits, what goes into the graph, and what never does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.common.config import AssociationConfig, Config
+from slam.common.geometry import transform_from_xyz_yaw
+from slam.frontend.input.scan import Scan
+from slam.frontend.pending_observations import PendingObservations
+from slam.object_map.landmarks import ObjectMap, RetirementReason
+from slam.odometry.keyframe import Keyframe
+from slam.odometry.pose import OdometryPose
+
+PRECISE = {"translation_sigma": 1e-4, "yaw_sigma": 1e-5, "min_translation_sigma_m": 1e-4}
+NOISY = {"translation_sigma": 1.0, "yaw_sigma": 0.1}
+
+
+def keyframe(number: int) -> Keyframe:
+    T = transform_from_xyz_yaw(np.array([2.0 * number, 0.0, 0.0]), 0.0)
+    return Keyframe(number, OdometryPose(number * 10**9, T, 2.0 * number, 0, 1.0), np.eye(4))
+
+
+class Drive:
+    """Two landmarks that every keyframe observes."""
+
+    def __init__(self, odometry: dict[str, float]) -> None:
+        self.map = ObjectMap(AssociationConfig())
+        labels = self.map.label_indices(("tree", "tree"))
+        covariances = np.tile(0.01 * np.eye(3), (2, 1, 1))
+        self.rows = self.map.add(np.eye(2, 3), covariances, labels, stamp_ns=0, scan=0, travel_m=0.0)
+        self.pending = PendingObservations(Config.model_validate({"odometry": odometry}), self.map)
+
+    def close(self, number: int, *, ends_group: bool = False) -> list[tuple[int, int]]:
+        """Landmark and keyframe of each observation that goes into the graph."""
+        flags = np.ones(2, dtype=np.bool_)
+        covariances = np.tile(0.01 * np.eye(3), (2, 1, 1))
+        scan = Scan(number, "lidar", 5.0 * np.eye(2, 3), covariances, ("tree",) * 2, flags, flags)
+        self.pending.add(self.rows, scan)
+        ready = self.pending.close(keyframe(number), ends_group=ends_group)
+        return [(each.landmark, each.keyframe) for each in ready]
+
+
+@pytest.mark.parametrize(("odometry", "expected"), [(PRECISE, [4, 8]), (NOISY, [1, 2, 3, 4, 5, 6, 7, 8])])
+def test_keyframes_are_grouped_by_four_where_the_odometry_is_precise(odometry, expected):
+    drive = Drive(odometry)
+    drive.map.confirm(drive.rows)
+    found = [pair for number in range(1, 9) for pair in drive.close(number)]
+    assert sorted(found) == [(row, number) for row in (0, 1) for number in expected]
+
+
+def test_the_last_group_can_be_ended():
+    drive = Drive(PRECISE)
+    drive.map.confirm(drive.rows)
+    assert drive.close(1) == []
+    assert drive.close(2, ends_group=True) == [(0, 2), (1, 2)]
+
+
+def test_observations_of_tentative_landmarks_wait_until_they_are_confirmed():
+    drive = Drive(NOISY)
+    assert drive.close(1, ends_group=True) == []
+    drive.map.confirm(drive.rows[1:])
+    assert drive.close(2, ends_group=True) == [(1, 1), (1, 2)]
+
+
+def test_observations_of_retired_landmarks_are_dropped():
+    drive = Drive(PRECISE)
+    drive.map.retire(drive.rows[:1], RetirementReason.NOT_CONFIRMED)
+    drive.map.confirm(drive.rows[1:])
+    drive.close(1)
+    assert drive.close(2, ends_group=True) == [(1, 2)]
+    drive.map.confirm(drive.rows)
+    assert drive.close(3, ends_group=True) == [(0, 3), (1, 3)]
+
+
+def test_what_is_held_back_can_be_dropped():
+    drive = Drive(NOISY)
+    drive.close(1, ends_group=True)
+    drive.pending.drop(0)
+    drive.map.confirm(drive.rows)
+    assert drive.close(2, ends_group=True) == [(0, 2), (1, 1), (1, 2)]
