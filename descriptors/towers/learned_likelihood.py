@@ -59,11 +59,7 @@ class LearnedLikelihood:
         fine = self._rings.fine(horizontal_m(constellations.positions))
         # Most objects have neighbours of a few classes only: the rows of the others stay 0.
         there, rows = np.unique(constellations.owners * size + constellations.labels, return_inverse=True)
-        *kernels, wide = self._kernels
-        level = self._laid(wide, gates.sum(axis=1), rows, fine, len(there))
-        density = sum(
-            self._laid(kernel, gate, rows, fine, len(there)) for gate, kernel in zip(gates.T, kernels, strict=True)
-        )
+        density, level = self._laid(gates, rows, fine, len(there))
         classes = there % size if size else there
         per_background = (1.0 / background).astype(np.float32)[classes]
         worth, crowded = self._ring_terms(background)
@@ -89,15 +85,19 @@ class LearnedLikelihood:
         return np.asarray(np.diff(below, axis=2) / np.diff(edges_m), dtype=np.float32)
 
     def _laid(
-        self,
-        kernel: NDArray[np.float32],
-        gate: NDArray[np.float32],
-        rows: NDArray[np.int64],
-        fine: NDArray[np.int64],
-        count: int,
-    ) -> NDArray[np.float32]:
-        """Sums (count, R) of a kernel at the distances of neighbours (P,), each weighted by its gate, by row."""
-        return np.asarray(csr_matrix((gate, (rows, fine)), shape=(count, FINE)) @ kernel)
+        self, gates: NDArray[np.float32], rows: NDArray[np.int64], fine: NDArray[np.int64], count: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Density and level, (count, R) each: sums by row of the kernels at the distances of neighbours (P,), weighted
+        by their gates (P, W), and of the wide kernel, weighted by the sums of the gates.
+        """
+        weights = np.column_stack([gates, gates.sum(axis=1)])
+        kernels = np.arange(len(self._kernels))
+        below = rows[:, None] + count * kernels  # one product for all kernels, which lie below each other
+        columns = fine[:, None] + FINE * kernels
+        shape = count * len(kernels), FINE * len(kernels)
+        laid = csr_matrix((weights.ravel(), (below.ravel(), columns.ravel())), shape=shape)
+        sums = (laid @ self._kernels.reshape(-1, self.rings)).reshape(len(kernels), count, self.rings)
+        return sums[:-1].sum(axis=0), sums[-1]
 
     def _ring_terms(self, background: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         features = ring_features(background, self._rings).reshape(-1, 2).astype(np.float32)

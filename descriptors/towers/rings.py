@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import convolve
+from scipy.ndimage import convolve1d
 
 from descriptors.constellation import Constellations
 
@@ -96,6 +96,7 @@ class Background:
     def __init__(self, rings: Rings) -> None:
         self._rings = rings
         self._prior = 2.0 * np.pi * rings.middles_m * PRIOR_PER_KM2 * 1e-6
+        self._spans_m = _summed(rings.widths_m[None])
         self._counts = np.zeros((0, len(rings)))
         self._objects = 0
 
@@ -110,12 +111,12 @@ class Background:
 
     def density(self, classes: int) -> NDArray[np.float64]:
         """(C, R) for a vocabulary of so many classes, above 0 everywhere."""
-        kernel = np.ones((1, 2 * SMOOTHED_RINGS + 1))
         counts = np.vstack([self._counts, np.zeros((max(classes - len(self._counts), 0), len(self._rings)))])
-        smooth = _convolved(counts, kernel) / _convolved(self._rings.widths_m[None], kernel)
+        smooth = _summed(counts) / self._spans_m
         own = (smooth + PRIOR_OBJECTS * self._prior) / (self._objects + PRIOR_OBJECTS)
         return np.asarray((1.0 - SHARED) * own + SHARED * own.mean(axis=0, keepdims=True))
 
 
-def _convolved(rows: NDArray[np.float64], kernel: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(convolve(rows, kernel, mode="constant"))
+def _summed(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows (C, R), each ring with those to either side of it."""
+    return np.asarray(convolve1d(rows, np.ones(2 * SMOOTHED_RINGS + 1), axis=1, mode="constant"))
