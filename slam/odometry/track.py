@@ -17,7 +17,7 @@ from slam.common.arrays import FloatArray
 from slam.common.config import DetectionConfig, OdometryConfig
 from slam.common.geometry import invert, make_transform
 from slam.odometry.expected_motion import ExpectedMotion
-from slam.odometry.pose import OdometryPose, between
+from slam.odometry.pose import OdometryPose, pose_at
 from slam.odometry.step_limits import StepLimits
 from slam.odometry.unexpected_step import Continuation, Correction, UnexpectedStep
 
@@ -74,6 +74,9 @@ class OdometryTrack:
         have a wrong stamp: it is put off until the next message, which confirms or refutes it. From an unexpected
         step on, none adds any until ``resolve`` is called.
         """
+        if odometry.stamp_ns < 0:  # by the correction of its clock; no log can hold such a time
+            self._counters["odometry_before_time_zero"] += 1
+            return []
         added = []
         fell, self._falls = self._falls, odometry.stamp_ns < self._arrived_ns
         self._arrived_ns = odometry.stamp_ns
@@ -168,14 +171,7 @@ class OdometryTrack:
 
     def at(self, stamp_ns: int) -> OdometryPose | None:
         """The pose at a time, between the two messages around it; None where the track has none or breaks there."""
-        after = None
-        for pose in reversed(self._poses):
-            if pose.stamp_ns == stamp_ns:
-                return pose
-            if pose.stamp_ns < stamp_ns:
-                return None if after is None or after.segment != pose.segment else between(pose, after, stamp_ns)
-            after = pose
-        return None
+        return pose_at(self._poses, stamp_ns)
 
     def _comes_late(self, odometry: Odometry, last_ns: int) -> bool:
         """Whether a message comes after a silence that is long beside the last interval."""

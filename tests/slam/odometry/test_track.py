@@ -146,6 +146,17 @@ def test_what_comes_again_or_late_is_counted_wherever_it_says_that_the_body_is()
     assert counters == {"odometry_duplicated": 1, "odometry_out_of_order": 1}
 
 
+def test_messages_from_before_time_zero_are_left_out():
+    counters = Counter[str]()
+    made = OdometryTrack(CONFIG, counters)
+    before_zero_s = -1.0 - START_NS * 1e-9
+    for seconds in (before_zero_s, before_zero_s + 0.5, 0, 1, 2):
+        made.add(odometry(seconds, 0.0 if seconds < 0 else 5.0 * seconds))
+    assert made.latest is not None
+    assert (made.latest.segment, made.latest.travel_m) == (0, pytest.approx(10.0))
+    assert counters == {"odometry_before_time_zero": 2}
+
+
 def test_one_stamp_from_the_future_is_no_silence():
     made = OdometryTrack(CONFIG)
     for seconds, x in ((0, 0), (1, 1), (1000, 2), (2, 2), (3, 3)):
