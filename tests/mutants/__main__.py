@@ -24,6 +24,8 @@ def main() -> int:
     if options.list:
         print("\n".join(f"{each.file}: {each.rule}" for each in mutants))
         return 0
+    for mutant in mutants:
+        mutant.source()  # in a child, a text that is not there would look like a test that fails
     import_libraries()
     broken = [tests for tests in dict.fromkeys(each.tests for each in mutants) if run_tests(tests) != Verdict.SURVIVED]
     if broken:
