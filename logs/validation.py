@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections import Counter
 from collections.abc import Sequence
 
@@ -40,8 +41,9 @@ def stamp_ns(seconds: int, nanoseconds: int, fallback_ns: int) -> int:
 
     Raises:
         Refusal: a time before zero.
+        TypeError: they are no whole numbers.
     """
-    total = seconds * 1_000_000_000 + nanoseconds
+    total = operator.index(seconds) * 1_000_000_000 + operator.index(nanoseconds)
     if total < 0:
         raise Refusal("negative time", f"{total} ns")
     return total or fallback_ns

@@ -115,8 +115,11 @@ class LogWriter:
         self._writer.add_message(channel_id, raw.log_time_ns, raw.data, raw.publish_time_ns, raw.sequence)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Store key-value text under ``name``, keys in sorted order. Writing one name twice stores both."""
-        self._writer.add_metadata(name, dict(sorted(values.items())))
+        """Store key-value text under ``name``, keys in sorted order. Writing one name twice stores both.
+
+        Bytes of file names that are no UTF-8 are written out, as ``\\udcff``.
+        """
+        self._writer.add_metadata(name, {key: _encodable(text) for key, text in sorted(values.items())})
 
     def add_array(self, name: str, array: NDArray[Any]) -> None:
         """Attach ``array`` in NumPy's file format, for :func:`logs.container.attachments.read_arrays`.
@@ -256,3 +259,7 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def _encodable(text: str) -> str:
+    return text.encode("utf-8", "backslashreplace").decode()

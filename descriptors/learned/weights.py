@@ -136,7 +136,7 @@ def _mapping(path: Path, texts: Mapping[str, str], key: str) -> dict[str, Any]:
 def _typed(path: Path, texts: Mapping[str, str], key: str, kind: type[_T]) -> _T:
     try:
         value = json.loads(texts[key])
-    except (KeyError, ValueError) as error:
+    except (KeyError, ValueError, RecursionError) as error:
         raise WeightsError(
             f"{path}: metadata without a readable {key!r}; these are no weights of this program"
         ) from error

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.clouds.file_size import check_size
+from logs.clouds.text_rows import read_rows
 from logs.errors import DatasetError
 from logs.storage.regular_file import open_regular
 
@@ -101,7 +102,7 @@ def _kind(code: str, size: int) -> np.dtype[Any]:
 def _read_text(stream: BinaryIO, header: _Header) -> list[NDArray[Any]]:
     width = sum(header.counts)
     check_size(stream, header.count, 2 * width, "points")
-    rows = np.loadtxt(stream, max_rows=header.count, ndmin=2) if header.count else np.zeros((0, width))
+    rows = read_rows(stream, header.count, width)
     if rows.shape[1] != width and len(rows):
         raise ValueError(f"lines of {rows.shape[1]} numbers for {width} fields")
     ends = np.cumsum(header.counts)

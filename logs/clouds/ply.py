@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.clouds.file_size import check_size
+from logs.clouds.text_rows import read_rows
 from logs.errors import DatasetError
 from logs.storage.regular_file import open_regular
 
@@ -54,7 +55,7 @@ def read_ply(path: Path) -> Mapping[str, NDArray[Any]]:
                 rows: NDArray[Any] = np.fromfile(stream, kind, count)
                 columns: Mapping[str, NDArray[Any]] = {name: rows[name] for name in names}
             else:
-                rows = np.loadtxt(stream, max_rows=count, ndmin=2) if count else np.zeros((0, len(names)))
+                rows = read_rows(stream, count, len(names))
                 if rows.shape[1:] != (len(names),):
                     raise ValueError(f"lines of {rows.shape[1]} numbers for {len(names)} properties")
                 columns = dict(zip(names, rows.T, strict=True))

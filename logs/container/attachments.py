@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any, BinaryIO, Literal
 
 import numpy as np
@@ -22,6 +23,7 @@ _TIMES, _LENGTH, _LONG_LENGTH, _CHECKSUM = (struct.Struct(each) for each in ("<Q
 OVERHEAD = HEADER.size + _TIMES.size + 2 * _LENGTH.size + _LONG_LENGTH.size
 """Bytes of an attachment before its content, without those of its name and its media type."""
 _LONGEST_TEXT = 1000
+_NO_HEADER = (TypeError, SyntaxError, TokenError)  # NumPy reads a header as an expression of Python
 _PIECE_BYTES = 1 << 20
 
 
@@ -82,7 +84,7 @@ def read_arrays(path: Path, *, checked: Collection[str] = ()) -> dict[str, NDArr
                 if attachment.name in checked and not attachment.is_intact(stream):
                     raise UnreadableLogError(f"{path} is damaged: array {attachment.name} has another checksum")
                 found[attachment.name] = attachment.map_array(path, stream)
-    except (*DAMAGE, OSError) as error:
+    except (*DAMAGE, *_NO_HEADER, OSError) as error:
         raise UnreadableLogError(f"{path} is damaged: an attachment cannot be read as an array ({error})") from error
     return found
 

@@ -132,7 +132,7 @@ class IndexedFile:
             opcodes = Counter(opcode for opcode, _, _ in blocks.records(covered))
             if not _OF_A_SUMMARY.issuperset(opcodes) or checksum not in (0, zlib.crc32(covered[:-4])):
                 return None
-            self._check_count(max(opcodes[blocks.SCHEMA], opcodes[blocks.CHANNEL]))
+            self._limits.check_channels(self._name, max(opcodes[blocks.SCHEMA], opcodes[blocks.CHANNEL]))
             self._stream.seek(0)
             summary = SeekingReader(self._stream).get_summary()
         except (*DAMAGE, OSError):
@@ -235,31 +235,17 @@ class IndexedFile:
                 self._add_channel(mcap_records.Channel.read(_stream_of(content[begin:end])))
 
     def _add_schema(self, schema: mcap_records.Schema) -> None:
-        self._check_name("a schema", schema.name)
+        self._limits.check_name(self._name, "a schema", schema.name)
         self.index.schemas[schema.id] = Schema(schema.id, schema.name, schema.encoding, schema.data)
-        self._check_count(len(self.index.schemas))
+        self._limits.check_channels(self._name, len(self.index.schemas))
 
     def _add_channel(self, channel: mcap_records.Channel) -> None:
-        self._check_name("a topic", channel.topic)
+        self._limits.check_name(self._name, "a topic", channel.topic)
         schema = self.index.schemas.get(channel.schema_id)
         self.index.channels[channel.id] = Channel(
             channel.id, channel.topic, channel.message_encoding, schema, channel.metadata
         )
-        self._check_count(len(self.index.channels))
-
-    def _check_count(self, count: int) -> None:
-        if count > self._limits.channels:
-            raise UnreadableLogError(
-                f"{self._name} has more than {self._limits.channels} channels or schemas; if it is to be trusted, "
-                f"--set limits.channels={count}"
-            )
-
-    def _check_name(self, what: str, name: str) -> None:
-        if len(name) > self._limits.name_length:
-            raise UnreadableLogError(
-                f"{self._name}: the name of {what} has {len(name)} characters, more than {self._limits.name_length}; "
-                f"if it is to be trusted, --set limits.name_length={len(name)}"
-            )
+        self._limits.check_channels(self._name, len(self.index.channels))
 
 
 def _stream_of(data: bytes) -> ReadDataStream:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from logs.errors import UnreadableLogError
+
 MEGABYTE = 1_000_000
 _BYTES_OF_AN_OBJECT = 512  # a vision_msgs/Detection3D with one hypothesis takes about 480
 
@@ -49,6 +51,30 @@ class ReadingLimits:
     def metadata_bytes(self) -> int:
         """``metadata_mb`` in bytes."""
         return round(self.metadata_mb * MEGABYTE)
+
+    def check_channels(self, file: str, count: int) -> None:
+        """Refuse a file with so many channels, or schemas.
+
+        Raises:
+            UnreadableLogError: there are more than ``channels``.
+        """
+        if count > self.channels:
+            raise UnreadableLogError(
+                f"{file} has more than {self.channels} channels or schemas; if it is to be trusted, "
+                f"--set limits.channels={count}"
+            )
+
+    def check_name(self, file: str, what: str, name: str) -> None:
+        """Refuse a file with so long a name of ``what``.
+
+        Raises:
+            UnreadableLogError: it has more than ``name_length`` characters.
+        """
+        if len(name) > self.name_length:
+            raise UnreadableLogError(
+                f"{file}: the name of {what} has {len(name)} characters, more than {self.name_length}; "
+                f"if it is to be trusted, --set limits.name_length={len(name)}"
+            )
 
 
 RESULT_LIMITS = ReadingLimits(chunk_mb=1000.0, message_mb=1000.0, waiting_mb=1000.0)

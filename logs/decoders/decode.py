@@ -55,6 +55,8 @@ def decode(
 
 
 def _check(record: Record, limits: ReadingLimits) -> None:
+    if not isinstance(record.stamp_ns, int):  # a definition that the log brings may say otherwise
+        raise Refusal("time is no whole number", f"{record.stamp_ns!r:.40} ns")
     if not 0 <= record.stamp_ns <= LAST_NS:
         raise Refusal("time out of range", f"{record.stamp_ns} ns")
     names: tuple[str, ...] = ()
@@ -72,5 +74,7 @@ def _check(record: Record, limits: ReadingLimits) -> None:
         names = (record.frame_id, record.child_frame_id)
     elif isinstance(record, Transform):
         names = (record.parent_frame_id, record.child_frame_id)
+    if not all(isinstance(name, str) for name in names):
+        raise Refusal("name is no text")
     if names and max(map(len, names)) > limits.name_length:
         raise Refusal("name longer than limits.name_length", f"more than {limits.name_length} characters")

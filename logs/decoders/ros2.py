@@ -15,6 +15,9 @@ from logs.messages import Record
 from logs.topics import RawMessage, RecordKind
 from logs.validation import FloatArray, Refusal, stamp_ns, transform_from_quaternion
 
+# What fields of other types than usual lead to; a log brings its own definitions.
+_OTHER_DEFINITION = (AttributeError, TypeError, ValueError, IndexError, KeyError, OverflowError, MemoryError)
+
 
 def decode(raw: RawMessage, kind: RecordKind, counters: Counter[str]) -> tuple[Record, ...]:
     """Records of one message; see :class:`logs.decoders.registry.Decoder`.
@@ -30,7 +33,9 @@ def decode(raw: RawMessage, kind: RecordKind, counters: Counter[str]) -> tuple[R
         if schema.name in _OBJECTS:
             return _OBJECTS[schema.name](message, raw, counters)
         return _POSES[schema.name](message, kind, raw.log_time_ns, counters)
-    except AttributeError as error:
+    except Refusal:
+        raise
+    except _OTHER_DEFINITION as error:
         raise Refusal(f"unknown version of {schema.name}", str(error)) from error
 
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
+import lzma
 import os
 import re
 import tarfile
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from lzma import LZMAError
+from io import BytesIO
 from pathlib import Path, PurePosixPath
+from typing import Any
 from zlib import error as ZlibError  # noqa: N812 - a class, whatever zlib calls it
 
 import numpy as np
@@ -15,12 +20,14 @@ import numpy as np
 from logs.errors import DatasetError
 from logs.importers.text_files import LONGEST_NUMBER, TextFile, parse_numbers, sha256_of
 from logs.messages import FloatArray
-from logs.storage.regular_file import most_unpacked, open_regular, read_regular
+from logs.storage.regular_file import MOST_BYTES, most_unpacked, open_regular, read_regular
 
 LABELS = ("vehicle", "trunk", "pole")
 """The classes in the order in which ``bow.txt`` counts them."""
 
-_WANTED = re.compile(r"(?:^|/)(?:bow\.txt|centroids/\d+\.txt)$")
+_WANTED = re.compile(r"(?:^|/)(?:bow\.txt|centroids/[0-9]{1,18}\.txt)$")
+
+_OPENERS: Mapping[bytes, Callable[..., Any]] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ": lzma.open}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,27 +87,46 @@ def _read_folder(path: Path) -> dict[str, TextFile]:
 
 def _read_archive(path: Path) -> dict[str, TextFile]:
     files = {}
-    unpacked = 0
+    held = 0
     try:
-        with open_regular(path) as stream, tarfile.open(fileobj=stream) as archive:
-            limit = most_unpacked(os.fstat(stream.fileno()).st_size)
+        with tarfile.open(fileobj=BytesIO(_unpacked(path)), tarinfo=_Member) as archive:
             for member in archive:
                 relative = PurePosixPath(member.name).as_posix()
                 if not member.isfile() or not _WANTED.search(relative):
                     continue
-                unpacked += member.size
-                if unpacked > limit:
-                    raise DatasetError(
-                        f"{path}: unpacks to more than {limit / 1e6:.0f} MB; unpack it and give the folder"
-                    )
+                held += member.size  # of a sparse file more than the archive holds
+                if held > MOST_BYTES:
+                    raise tarfile.TarError(f"{held} bytes in its files")
                 content = archive.extractfile(member)
                 if content is not None:
                     files[relative] = TextFile(f"{path.name}:{relative}", content.read())
-    except (OSError, EOFError, tarfile.TarError, LZMAError, ZlibError) as error:
+    except (OSError, EOFError, ValueError, OverflowError, tarfile.TarError, lzma.LZMAError, ZlibError) as error:
         raise DatasetError(
             f"{path}: cannot be read as an archive ({error}); expected a .tar.xz or .tar.gz, or a folder"
         ) from error
     return files
+
+
+def _unpacked(path: Path) -> bytes:
+    """The archive without its compression: the library would unpack a header of any size into memory."""
+    with open_regular(path) as packed:
+        magic = packed.read(max(map(len, _OPENERS)))
+        packed.seek(0)
+        limit = most_unpacked(os.fstat(packed.fileno()).st_size)
+        opener = next((each for start, each in _OPENERS.items() if magic.startswith(start)), None)
+        content: bytes = packed.read() if opener is None else opener(packed).read(limit + 1)
+    if opener is not None and len(content) > limit:
+        raise DatasetError(f"{path}: unpacks to more than {limit / 1e6:.0f} MB; unpack it and give the folder")
+    return content
+
+
+class _Member(tarfile.TarInfo):
+    """A member of an archive, whose size is not below zero: the library would read it again without end."""
+
+    def _block(self, count: int) -> int:
+        if count < 0:
+            raise tarfile.HeaderError(f"a member of {count} bytes")
+        return int(super()._block(count))  # type: ignore[misc]
 
 
 def _sequence_folder(path: Path, files: dict[str, TextFile], sequence: str | None) -> PurePosixPath:

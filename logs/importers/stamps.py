@@ -152,9 +152,11 @@ def _decimal(table: Table, row: int, column: Column, cell: str) -> Decimal:
             column,
             f"{cell} are no whole nanoseconds; name the columns and call this one stamp_s if it holds seconds",
         )
-    if exact.scaleb(unit) <= _LAST_NS:
+    if exact <= Decimal(_LAST_NS).scaleb(-unit):  # the other way round, an exponent might overflow
         return exact
-    epochs = [u for u in (6, 3, 0) if u < unit and _FIRST_EPOCH_S <= exact.scaleb(u - 9) <= _LAST_EPOCH_S]
+    epochs = [
+        u for u in (6, 3, 0) if u < unit and _FIRST_EPOCH_S * 10 ** (9 - u) <= exact <= _LAST_EPOCH_S * 10 ** (9 - u)
+    ]
     remedy = f"they look like {_UNIT_NAMES[epochs[0]]}: " if epochs else ""
     raise table.error(
         row,

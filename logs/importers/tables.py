@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from logs.container.json_text import parse_json
 from logs.errors import DatasetError
 from logs.importers.text_files import read_text_file
 from logs.messages import FloatArray
@@ -213,7 +214,7 @@ def _read_csv(source: SourceText) -> Table:
         names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
     except csv.Error as error:
         raise DatasetError(f"{source.name}, line {line}: not CSV ({error})") from error
-    if _is_number(names[0]):
+    if not names or _is_number(names[0]):
         raise DatasetError(
             f"{source.name}, line {line}: numbers where the names of the columns are expected; "
             "begin the file with a header such as stamp_s,label,x_m,y_m,z_m"
@@ -235,15 +236,13 @@ def _read_json_lines(source: SourceText) -> Table:
     for line, text in source.lines():
         try:
             # Numbers stay text, so that stamps keep all their digits.
-            value = json.loads(text, parse_float=str, parse_int=str, parse_constant=str)
+            value = parse_json(text, parse_float=str, parse_int=str, parse_constant=str)
         except json.JSONDecodeError as error:
             raise DatasetError(
                 f"{source.name}, line {line}: not JSON ({error.msg}, character {error.colno}); write one object a line"
             ) from error
-        except RecursionError as error:
-            raise DatasetError(
-                f"{source.name}, line {line}: nested too deeply; write flat objects, one a line"
-            ) from error
+        except ValueError as error:
+            raise DatasetError(f"{source.name}, line {line}: {error}; write flat objects, one a line") from error
         if not isinstance(value, dict):
             raise DatasetError(f'{source.name}, line {line}: not an object; write {{"stamp_s": 0.1, "x_m": 1.0, ...}}')
         objects.append((line, {key: _cell(source, line, key, cell) for key, cell in value.items()}))

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import takewhile
 from pathlib import Path
+from typing import Any
 
 from logs.errors import UnreadableLogError
+from logs.storage.regular_file import open_regular
 
 METADATA_FILE = "metadata.yaml"
+_LIST = "relative_file_paths"
+_MOST_BYTES = 1_000_000
+"""Of a description; a second of time is needed for 100 kB."""
+_DEEPEST = 32
 
 
 def find_bag_files(folder: Path) -> list[Path]:
@@ -40,13 +48,11 @@ def _read_file_names(folder: Path) -> list[str]:
         remedy = remedy or "give a log, or the directory of a rosbag2 recording"
         raise UnreadableLogError(f"cannot read {folder}: it is a directory without {METADATA_FILE}; {remedy}")
     try:
-        information = YAML(typ="safe", pure=True).load(path)["rosbag2_bagfile_information"]
-        names = list(information["relative_file_paths"])
-        if not all(isinstance(name, str) for name in names):  # others may be written out without end
-            raise ValueError("its relative_file_paths are no texts")
+        with open_regular(path) as stream:
+            names = _file_names(YAML(typ="safe", pure=True).parse(stream.read(_MOST_BYTES)))
     except OSError as error:
         raise UnreadableLogError(f"cannot read {path}: {error.strerror}; check the path") from error
-    except (YAMLError, KeyError, TypeError, ValueError, RecursionError) as error:
+    except (YAMLError, ValueError, OverflowError) as error:
         raise UnreadableLogError(
             f"{path} is no description of a rosbag2 recording ({' '.join(str(error).split())}); "
             "'ros2 bag reindex' writes it anew"
@@ -54,3 +60,28 @@ def _read_file_names(folder: Path) -> list[str]:
     if not names:
         raise UnreadableLogError(f"{path} names no files: the recording is empty")
     return names
+
+
+def _file_names(events: Iterator[Any]) -> list[str]:
+    """The list ``relative_file_paths``. Nothing else is made of what the file says: YAML may hold anything.
+
+    Raises:
+        ValueError: there is no such list, or other things than texts are in it.
+    """
+    depth, is_near = 0, False
+    for event in events:
+        kind = type(event).__name__
+        if is_near and kind == "SequenceStartEvent":
+            return [_text(each) for each in takewhile(lambda each: type(each).__name__ != "SequenceEndEvent", events)]
+        is_near = getattr(event, "value", None) == _LIST
+        depth += kind.endswith("StartEvent") - kind.endswith("EndEvent")
+        if depth > _DEEPEST:
+            raise ValueError("nested too deeply")
+    raise ValueError(f"no list {_LIST}")
+
+
+def _text(event: Any) -> str:
+    value = getattr(event, "value", None)
+    if not isinstance(value, str):
+        raise ValueError(f"its {_LIST} are no texts")
+    return value

@@ -16,6 +16,10 @@ from logs.topics import Channel, RawMessage, Schema
 
 # The messages of SQLite's errors quote the file, and quotes that are no UTF-8 fail to decode.
 _DATABASE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
+_TABLES = (
+    "SELECT name FROM sqlite_master AS t WHERE type = 'table' AND rootpage > 0 "
+    "AND NOT EXISTS (SELECT 1 FROM pragma_table_xinfo(t.name) WHERE hidden > 1)"
+)
 
 
 class SqliteFile:
@@ -30,6 +34,7 @@ class SqliteFile:
     """
 
     def __init__(self, path: Path, name: str, limits: ReadingLimits) -> None:
+        self._name = name
         self._limits = limits
         self._is_complete = True
         self._reading_counters: Counter[str] = Counter()
@@ -73,7 +78,8 @@ class SqliteFile:
                     self._reading_counters["messages_too_large"] += 1
                 else:  # SQLite puts what it likes into any column
                     content = data if isinstance(data, bytes) else b""
-                    yield RawMessage(wanted[topic_id], log_time_ns, log_time_ns, int(id) % 2**32, content)
+                    sequence = id % 2**32 if isinstance(id, int) else 0
+                    yield RawMessage(wanted[topic_id], log_time_ns, log_time_ns, sequence, content)
         except _DATABASE_ERRORS:
             self._is_complete = False
 
@@ -88,24 +94,36 @@ class SqliteFile:
     def _read_channels(self) -> dict[int, ChannelInfo]:
         if missing := {"messages", "topics"} - self._tables():
             raise sqlite3.DatabaseError(f"no table {' and '.join(sorted(missing))}")
+        topics = self._read_topics()
         spans = {
             topic_id: (count, first_ns, last_ns)
             for topic_id, count, first_ns, last_ns in self._database.execute(
                 "SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages "
-                "WHERE typeof(timestamp) = 'integer' GROUP BY topic_id"
+                f"WHERE typeof(timestamp) = 'integer' AND topic_id IN ({_marks(topics)}) GROUP BY topic_id",
+                tuple(topics),
             )
         }
         definitions = self._read_definitions()
         channels = {}
+        for id, (topic, type_name, encoding) in topics.items():
+            definition = definitions.get(type_name) or known_definition(type_name)
+            schema = Schema(id, type_name, *definition)
+            channels[id] = ChannelInfo(Channel(id, topic, encoding, schema), *spans.get(id, (0, None, None)))
+        return channels
+
+    def _read_topics(self) -> dict[int, tuple[str, str, str]]:
+        """Number -> topic, type and encoding."""
+        topics: dict[int, tuple[str, str, str]] = {}
         for id, topic, type_name, encoding in self._database.execute(
             "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
         ):
             if not isinstance(id, int) or not all(isinstance(text, str) for text in (topic, type_name, encoding)):
                 raise sqlite3.DatabaseError(f"topic {topic!r} of type {type_name!r} in {encoding!r}")
-            definition = definitions.get(type_name) or known_definition(type_name)
-            schema = Schema(id, type_name, *definition)
-            channels[id] = ChannelInfo(Channel(id, topic, encoding, schema), *spans.get(id, (0, None, None)))
-        return channels
+            self._limits.check_name(self._name, "a topic", topic)
+            self._limits.check_name(self._name, "a type", type_name)
+            topics[id] = topic, type_name, encoding
+            self._limits.check_channels(self._name, len(topics))
+        return topics
 
     def _read_definitions(self) -> dict[str, tuple[str, bytes]]:
         """Type name -> (encoding, definition)."""
@@ -114,14 +132,16 @@ class SqliteFile:
         return {
             type_name: (encoding, text.encode())
             for type_name, encoding, text in self._database.execute(
-                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions ORDER BY id"
+                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions "
+                "WHERE length(encoded_message_definition) <= ? ORDER BY id",
+                (self._limits.message_bytes,),
             )
             if isinstance(encoding, str) and isinstance(text, str)
         }
 
     def _tables(self) -> set[str]:
-        """Those that hold rows; a view may compute them without end."""
-        return {name for (name,) in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        """Those that hold rows; views, virtual tables and generated columns may compute without end."""
+        return {name for (name,) in self._database.execute(_TABLES)}
 
 
 def _marks(parameters: Collection[int]) -> str:

@@ -17,6 +17,7 @@ import annotated_types
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+from logs.container.json_text import parse_json
 from logs.storage.regular_file import open_regular
 from slam.common.errors import ConfigurationError
 from slam.common.renamed_settings import RENAMED_SETTINGS
@@ -120,8 +121,8 @@ def changes(defaults: BaseModel, text: str) -> list[str]:
     # By way of JSON, as what is recorded.
     known = {setting.key: json.loads(json.dumps(setting.value)) for setting in settings_of(defaults)}
     try:
-        recorded = dict(_leaves(json.loads(text)))
-    except (ValueError, AttributeError):
+        recorded = dict(_leaves(parse_json(text)))
+    except (ValueError, AttributeError, RecursionError):
         return ["unreadable"]
     return [
         f"{key}={_toml_value(value)}"

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from logs.container.json_text import parse_json
 from slam.common.arrays import FloatArray
 from slam.common.errors import GeometryError
 
@@ -94,7 +95,7 @@ class Georeference:
             GeometryError: it is none.
         """
         try:
-            return cls(**{name: float(value) for name, value in json.loads(text).items()})
+            return cls(**{name: float(value) for name, value in parse_json(text).items()})
         except (ValueError, TypeError, AttributeError) as error:
             raise GeometryError(f"{text[:60]!r} is no georeference ({error})") from error
 

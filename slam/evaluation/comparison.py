@@ -12,6 +12,7 @@ from typing import Any
 
 from scipy.special import stdtrit
 
+from logs.container.json_text import parse_json
 from slam.common.config import Config
 from slam.common.config_tree import changes
 from slam.common.errors import EvaluationError
@@ -161,7 +162,7 @@ def _differences(groups: Sequence[Group], key: str) -> list[Difference]:
 def _identity(run: Run) -> str:
     """Equal for runs that are repetitions of one another; a run without provenance equals no other."""
     try:
-        configuration = json.dumps(json.loads(run.configuration), sort_keys=True)
+        configuration = json.dumps(parse_json(run.configuration), sort_keys=True)
     except ValueError:
         return f"unknown {run.name}"
     return f"{run.version} {run.given_map} {configuration}"

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from logs.container.json_text import parse_json
 from logs.errors import LogError
 from logs.messages import SceneMarkers
 from slam.common.config import Config
@@ -72,7 +73,7 @@ def map_session(task: SessionTask) -> Session:
 def read_session(folder: Path) -> Session | None:
     """What a finished task left in its folder; None if there is nothing, or nothing that can be used."""
     try:
-        values = json.loads((folder / LEDGER_NAME).read_text(encoding="utf-8"))
+        values = parse_json((folder / LEDGER_NAME).read_text(encoding="utf-8"))
         session = Session(**{**values, "notes": tuple(values["notes"])})
     except (OSError, ValueError, TypeError, KeyError):
         return None

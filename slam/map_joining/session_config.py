@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping
 
+from logs.container.json_text import parse_json
 from slam.common.config import Config
 from slam.common.errors import SavedMapError
 
@@ -22,7 +22,7 @@ def session_config(metadata: Mapping[str, str]) -> Config:
     try:
         config = Config.model_validate_json(metadata.get("configuration", "{}"))
         branches: dict[str, dict[str, float]] = {}
-        for key, value in json.loads(metadata.get("estimated", "{}")).items():
+        for key, value in parse_json(metadata.get("estimated", "{}")).items():
             branch, name = key.split(".")
             branches.setdefault(branch, {})[name] = float(value)
         changed = {name: getattr(config, name).model_copy(update=update) for name, update in branches.items()}

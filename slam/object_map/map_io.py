@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.container.json_text import parse_json
 from logs.container.limits import RESULT_LIMITS
 from logs.errors import LogError
 from logs.messages import FactorGraphRecord, ObjectMapRecord, SceneMarkers
@@ -258,7 +259,7 @@ def _of_ids(markers: SceneMarkers, ids: set[str]) -> SceneMarkers:
 
 def _drives(path: Path, metadata: Mapping[str, str]) -> tuple[Mapping[str, str], ...]:
     try:
-        drives = json.loads(metadata.get("drives", "[]"))
+        drives = parse_json(metadata.get("drives", "[]"))
         return tuple(_drive(drive) for drive in drives) or (_drive(metadata),)
     except (ValueError, TypeError, AttributeError) as error:
         raise SavedMapError(f"{path} is damaged (its list of drives cannot be read: {error}); {MAKE_IT}") from error

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 
 import numpy as np
 
+from logs.container.json_text import parse_json
 from slam.backend.edge_kind import EdgeKind
 from slam.object_map.map_io import SavedMap, are_of_kind
 
@@ -83,6 +83,6 @@ def summarize_map(saved: SavedMap) -> MapSummary:
 
 def _descriptor(configuration: str) -> str:
     try:
-        return str(json.loads(configuration)["loop_closure"]["descriptor"])
+        return str(parse_json(configuration)["loop_closure"]["descriptor"])
     except (ValueError, KeyError, TypeError):
         return ""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from logs.container.attachments import read_arrays
+from logs.container.json_text import parse_json
 from logs.errors import LogError
 from logs.reader import LogReader
 from logs.writer import LogWriter
@@ -34,6 +35,8 @@ LEAST_SPACING_M = 0.01
 LONGEST_M = 1e6
 """Extent above which they cannot be either, nor the plane of one map."""
 _CHECKED = ("positions", "classes", "ids", "tiles", "tile_starts")
+_LAYOUT = {"positions": ("f", 2), "classes": ("u", 1), "ids": ("S", 1), "tiles": ("iu", 1), "tile_starts": ("iu", 1),
+           "quad_vertices": ("iu", 2), "quad_starts": ("iu", 1)}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,18 +194,21 @@ def load_imported_map(path: Path) -> ImportedMap:
         return _assembled(about, read_arrays(path, checked=_CHECKED))
     except LogError as error:
         raise SavedMapError(f"{error}; {MAKE_IT}") from error
-    except (KeyError, ValueError, TypeError, GeometryError) as error:
+    except (KeyError, ValueError, TypeError, IndexError, OverflowError, GeometryError) as error:
         raise SavedMapError(f"{path} is damaged ({error}); {MAKE_IT}") from error
 
 
 def _assembled(about: Mapping[str, str], arrays: Mapping[str, NDArray[Any]]) -> ImportedMap:
-    grid = json.loads(about["grid"])
+    for name, (kinds, dimensions) in _LAYOUT.items():
+        if arrays[name].dtype.kind not in kinds or arrays[name].ndim != dimensions:
+            raise ValueError(f"its array {name} is of {arrays[name].dtype} and shape {arrays[name].shape}")
+    grid = parse_json(about["grid"])
     georeference = about.get("georeference")
     imported = ImportedMap(
         positions=arrays["positions"],
         classes=arrays["classes"],
         ids=arrays["ids"],
-        vocabulary=tuple(json.loads(about["vocabulary"])),
+        vocabulary=tuple(parse_json(about["vocabulary"])),
         sigma_m=float(grid["sigma_m"]),
         tile_m=float(grid["tile_m"]),
         corner=np.array(grid["corner"]),

@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from logs.container.json_text import parse_json
 from logs.errors import LogError, UnwritableLogError
 from logs.storage.placement import put_in_place
 from slam.common.config import Config
@@ -175,7 +176,7 @@ class CellFolder:
     def finished(self, cell: Cell) -> CellResult | None:
         """The result of a cell that was computed before; one that failed or cannot be read is to be tried again."""
         try:
-            stored = json.loads((self._cells / cell.file_name).read_text(encoding="utf-8"))
+            stored = parse_json((self._cells / cell.file_name).read_text(encoding="utf-8"))
             result = CellResult(stored["evaluation"], stored["error"], stored["times"])
             is_right = stored["key"] == cell.key and isinstance(result.evaluation, dict)
         except (OSError, ValueError, TypeError, KeyError):

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from logs.container.json_text import parse_json
 from logs.errors import DatasetError
 from logs.importers.maps.map_objects import MapObjects, check_degrees, distinct
 from logs.importers.maps.object_table import CLASS_NAMES, ID_NAMES, UNKNOWN
@@ -37,7 +38,8 @@ def read_geojson(path: Path, *, class_property: str | None = None) -> MapObjects
         if not points:
             others[_geometry_of(feature)] += 1
             continue
-        properties = feature.get("properties") or {}
+        properties = feature.get("properties")
+        properties = properties if isinstance(properties, dict) else {}
         label = _first(properties, (class_property,) if class_property else CLASS_NAMES)
         for part, point in enumerate(points):
             positions.append(point)
@@ -72,21 +74,21 @@ def _features(path: Path, text: str) -> list[Any]:
 
 def _is_feature(line: str) -> bool:
     try:
-        content = json.loads(line)
-    except (ValueError, RecursionError):
+        content = parse_json(line)
+    except ValueError:
         return False
     return isinstance(content, dict) and content.get("type") == "Feature"
 
 
 def _parsed(path: Path, text: str, *, first_line: int = 1) -> Any:
     try:
-        return json.loads(text)
+        return parse_json(text)
     except json.JSONDecodeError as error:
         line = first_line + error.lineno - 1
         raise DatasetError(
             f"{path}, line {line}: not JSON ({error.msg}, character {error.colno}); the file may be cut off"
         ) from error
-    except (RecursionError, ValueError) as error:
+    except ValueError as error:
         raise DatasetError(
             f"{path}: nested too deeply, or numbers too long ({error}); export the layer again"
         ) from error
@@ -103,10 +105,11 @@ def _points(path: Path, number: int, feature: Any) -> Iterator[list[float]]:
     if not isinstance(geometry, dict) or geometry.get("type") not in ("Point", "MultiPoint"):
         return
     coordinates: Any = geometry.get("coordinates")
-    for point in [coordinates] if geometry["type"] == "Point" else coordinates or []:
+    points = coordinates if geometry["type"] == "MultiPoint" else [coordinates]
+    for point in points if isinstance(points, list) else []:
         try:
             longitude, latitude, *height = (float(value) for value in point)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise DatasetError(f"{path}, feature {number}: {point!r:.60} is no position; give [lon, lat]") from error
         yield [latitude, longitude, height[0] if height else 0.0]
 

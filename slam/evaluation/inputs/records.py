@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from logs.container.json_text import parse_json
 from logs.container.limits import RESULT_LIMITS
 from logs.messages import (
     DetectionAssociations,
@@ -253,7 +253,7 @@ def _topics_used(recorded: str, there: Iterable[TopicInfo]) -> dict[str, str]:
 def _read_tree(recorded: str) -> dict[str, Any]:
     """What a JSON object says; nothing where the text is none."""
     try:
-        tree = json.loads(recorded)
+        tree = parse_json(recorded)
     except ValueError:
         return {}
     return tree if isinstance(tree, dict) else {}

@@ -1,0 +1,219 @@
+"""Values that the libraries under the readers do not take, each refused in one line or left out."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import sqlite3
+import struct
+import tarfile
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from logs.clouds.cloud_files import read_cloud
+from logs.container.attachments import read_arrays
+from logs.container.json_text import parse_json
+from logs.decoders.decode import decode
+from logs.errors import DatasetError, InvalidRecordError, UnreadableLogError
+from logs.importers.maps.geojson import read_geojson
+from logs.importers.object_scans import read_object_scans
+from logs.importers.text_log import read_text_log
+from logs.reader import LogReader
+from logs.storage.bag_folder import find_bag_files
+from logs.topics import Channel, RawMessage, RecordKind, Schema
+from logs.writer import LogWriter
+
+POSES = "".join(f"{i / 10:.1f} {i / 10:.1f} 0 0 0 0 0 1\n" for i in range(20))
+SCANS = "stamp_s,x_m,y_m,label\n" + "".join(f"{i / 10:.1f},5,{i % 4},a\n" for i in range(20))
+TOPICS = "create table topics(id integer primary key,name text,type text,serialization_format text);"
+TABLES = f"{TOPICS}create table messages(id,topic_id integer,timestamp integer,data blob);"
+ODOMETRY = "insert into topics values(1,'/odom','nav_msgs/msg/Odometry','cdr');"
+
+
+def point(coordinates: Any, kind: str = "Point", **others: Any) -> dict[str, Any]:
+    return {"type": "Feature", "properties": {}, "geometry": {"type": kind, "coordinates": coordinates}, **others}
+
+
+def layer(path: Path, *features: Any) -> Path:
+    content = {"type": "FeatureCollection", "features": [point([13.0, 52.0]), *features]}
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return path
+
+
+def test_json_is_refused_where_it_is_nested_too_deeply_and_holds_whole_characters_only() -> None:
+    with pytest.raises(ValueError, match="nested too deeply"):
+        parse_json("[" * 100_000)
+    assert parse_json('{"a": ["\\ud800", "\\ud83d\\ude00"]}') == {"a": ["?", "\U0001f600"]}
+
+
+def test_coordinates_of_hundreds_of_digits(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="feature 2"):
+        read_geojson(layer(tmp_path / "a.geojson", point([10**400, 52.0])))
+
+
+@pytest.mark.parametrize("odd", [point([1.0, 2.0], properties=[1]), point(5, "MultiPoint"), point("ab", "MultiPoint")])
+def test_properties_and_points_that_are_none(tmp_path: Path, odd: dict[str, Any]) -> None:
+    assert len(read_geojson(layer(tmp_path / "a.geojson", odd))) >= 1
+
+
+def test_names_of_objects_can_be_written(tmp_path: Path) -> None:
+    found = read_geojson(layer(tmp_path / "a.geojson", point([1.0, 2.0], id="\ud800")))
+    assert [name.encode("utf-8") for name in found.ids] == [b"1", b"?"]
+
+
+def test_times_with_exponents_of_any_size(tmp_path: Path) -> None:
+    odometry, detections = tmp_path / "odometry.tum", tmp_path / "detections.csv"
+    odometry.write_text(POSES, encoding="utf-8")
+    for stamp in ("1e999999", "1e999999999999999999"):
+        detections.write_text(SCANS.replace("0.3,", f"{stamp},"), encoding="utf-8")
+        with pytest.raises(DatasetError, match="after the year 2262"):
+            read_text_log(odometry=odometry, detections=detections)
+
+
+def test_a_comment_that_names_no_column(tmp_path: Path) -> None:
+    odometry, detections = tmp_path / "odometry.tum", tmp_path / "detections.csv"
+    odometry.write_text(POSES, encoding="utf-8")
+    detections.write_text("#\t\n1,2,3\n", encoding="utf-8")
+    with pytest.raises(DatasetError, match="numbers where the names of the columns are expected"):
+        read_text_log(odometry=odometry, detections=detections)
+
+
+def test_file_names_that_are_no_utf_8_can_be_recorded(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with LogWriter(path) as writer:
+        writer.add_metadata("source", {"odometry": "\udcff.tum"})
+    with LogReader(path) as reader:
+        assert reader.metadata() == {"source": {"odometry": "\\udcff.tum"}}
+
+
+def database(path: Path, script: str) -> Path:
+    with sqlite3.connect(path) as connection:
+        connection.executescript(script)
+    connection.close()
+    return path
+
+
+def test_messages_whose_numbers_are_none(tmp_path: Path) -> None:
+    rows = "insert into messages values('abc',1,5,x'00'),(null,1,6,x'00'),(1e300,1,7,x'00');"
+    with LogReader(database(tmp_path / "a.db3", TABLES + ODOMETRY + rows)) as reader:
+        assert [raw.sequence for raw in reader.messages()] == [0, 0, 0]
+
+
+def test_databases_of_many_topics_or_long_names(tmp_path: Path) -> None:
+    many = "with recursive n(i) as (select 2 union all select i+1 from n where i<5000) insert into topics "
+    many += "select i,'/t'||i,'nav_msgs/msg/Odometry','cdr' from n;"
+    with pytest.raises(UnreadableLogError, match=r"limits\.channels"):
+        LogReader(database(tmp_path / "a.db3", TABLES + many))
+    for column in ("name", "type"):
+        path = database(
+            tmp_path / f"{column}.db3", f"{TABLES}{ODOMETRY}update topics set {column}=printf('%.*c',2000,'x');"
+        )
+        with pytest.raises(UnreadableLogError, match=r"limits\.name_length"):
+            LogReader(path)
+
+
+def test_tables_that_compute_what_they_hold(tmp_path: Path) -> None:
+    computed = (
+        "create table messages(id,topic_id integer,timestamp integer,data blob generated always as (zeroblob(9)));"
+    )
+    with pytest.raises(UnreadableLogError, match="no table messages"):
+        LogReader(database(tmp_path / "a.db3", TOPICS + computed))
+
+
+LISTED = "rosbag2_bagfile_information:\n  {before}\n  relative_file_paths: [a.db3]\n"
+
+
+@pytest.mark.parametrize("value", ["!!int ''", "!!float ''", '"\\Uffffffff"', "59:" * 300 + "0.5", "[" * 3000])
+def test_a_description_of_a_recording_that_holds_what_yaml_cannot(tmp_path: Path, value: str) -> None:
+    (tmp_path / "metadata.yaml").write_text(LISTED.format(before=f"a: {value}"), encoding="utf-8")
+    with pytest.raises(UnreadableLogError, match=r"no description of a rosbag2 recording|names a\.db3"):
+        find_bag_files(tmp_path)
+
+
+def tar_header(name: str, size: int, kind: bytes = b"0") -> bytes:
+    member = tarfile.TarInfo(name)
+    member.type = kind
+    header = bytearray(member.tobuf(tarfile.GNU_FORMAT))
+    header[124:136] = (size % 2**96).to_bytes(12, "big") if size < 0 else b"%011o\0" % size
+    header[148:156] = b" " * 8
+    header[148:156] = b"%06o\0 " % sum(header)
+    return bytes(header)
+
+
+def test_archives_with_sizes_below_zero_end(tmp_path: Path) -> None:
+    path = tmp_path / "a.tar"
+    path.write_bytes(tar_header("00/bow.txt", 0) + tar_header("a", -512) + bytes(1024))
+    with pytest.raises(DatasetError):
+        read_object_scans(path)
+
+
+def test_headers_of_archives_are_not_unpacked_to_any_size(tmp_path: Path) -> None:
+    path = tmp_path / "a.tar.gz"
+    path.write_bytes(gzip.compress(tar_header("a", 70_000_000, b"x") + bytes(70_000_000), 1))
+    with pytest.raises(DatasetError, match="unpacks to more than 64 MB"):
+        read_object_scans(path)
+
+
+def test_numbers_of_scans_of_thousands_of_digits(tmp_path: Path) -> None:
+    path = tmp_path / "a.tar"
+    with tarfile.open(path, "w", format=tarfile.PAX_FORMAT) as archive:
+        for name in ("00/bow.txt", f"00/centroids/{'1' * 5000}.txt"):
+            member = tarfile.TarInfo(name)
+            member.size = 6
+            archive.addfile(member, BytesIO(b"0,0,0\n"))
+    with pytest.raises(DatasetError, match="scan 0 has no file"):
+        read_object_scans(path)
+
+
+@pytest.mark.parametrize("header", ["{[]: 1}", "(" * 3000, "{1: 2, 'a': 3}"])
+def test_arrays_whose_header_is_another_expression(tmp_path: Path, header: str) -> None:
+    path = tmp_path / "a.mcap"
+    content = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header) + 1) + header.encode() + b"\n" + bytes(64)
+    with LogWriter(path) as writer:
+        writer._writer.add_attachment(0, 0, "a", "a", content)
+    with pytest.raises(UnreadableLogError, match="cannot be read as an array"):
+        read_arrays(path)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("suffix", ["pcd", "ply"])
+def test_points_without_numbers_are_told_once(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a.{suffix}"
+    if suffix == "pcd":
+        head = "VERSION .7\nFIELDS x y z label\nSIZE 4 4 4 4\nTYPE F F F U\nWIDTH 3\nHEIGHT 1\nDATA ascii\n"
+    else:
+        properties = "".join(f"property float {name}\n" for name in ("x", "y", "z", "label"))
+        head = f"ply\nformat ascii 1.0\nelement vertex 3\n{properties}end_header\n"
+    path.write_text(head + "\n" * 200, encoding="utf-8")
+    with pytest.raises(DatasetError):
+        read_cloud(path)
+
+
+def poses_message(seconds: str, frame: str) -> RawMessage:
+    """A geometry_msgs/msg/PoseArray without poses, by a definition with other types of its time and frame."""
+    name, line = "geometry_msgs/msg/PoseArray", f"\n{'=' * 80}\nMSG: "
+    parts = {"std_msgs/Header": f"my/Time stamp\n{frame} frame_id", "my/Time": f"{seconds} sec\nuint32 nanosec"}
+    text = "std_msgs/Header header\nuint8[] poses" + "".join(f"{line}{part}\n{of}" for part, of in parts.items())
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(text, name))
+    values: dict[str, Any] = {"float64": 1.5e9, "int32": 1, "string": "a"}
+    stamp = store.types["my/msg/Time"](values[seconds], 0)
+    header = store.types["std_msgs/msg/Header"](stamp, values[frame])
+    message = store.types[name](header, np.zeros(0, np.uint8))
+    data = bytes(store.serialize_cdr(message, name))
+    return RawMessage(Channel(1, "/poses", "cdr", Schema(1, name, "ros2msg", text.encode())), 5, 5, 0, data)
+
+
+def test_definitions_that_say_other_types_than_usual() -> None:
+    (record,) = decode(poses_message("int32", "string"), RecordKind.DETECTIONS)
+    assert record.stamp_ns == 10**9
+    with pytest.raises(InvalidRecordError, match="name is no text"):
+        decode(poses_message("int32", "int32"), RecordKind.DETECTIONS)
+    for seconds in ("float64", "string"):
+        with pytest.raises(InvalidRecordError, match="unknown version"):
+            decode(poses_message(seconds, "string"), RecordKind.DETECTIONS)
