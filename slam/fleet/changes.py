@@ -11,12 +11,11 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from slam.backend.factors import EdgeKind
-from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.common.arrays import IntArray
 from slam.common.georeference import Georeference
+from slam.fleet.passes import find_passes
 from slam.fleet.presence import Presence, estimate_presence, seen_probabilities
 from slam.map_joining.joint_map import JointMap
-from slam.object_map.map_io import are_of_kind
 from slam.sweeps.cells import write_text
 
 REPORTED = 0.5
@@ -56,9 +55,9 @@ def detect_changes(joint: JointMap, stamps_ns: Sequence[int]) -> LivingMap:
         joint: the map; its members have to be in the order of their dates.
         stamps_ns: when each member drove.
     """
-    seen, distances_m = _sightings(joint)
+    passes = find_passes(joint)
     when = np.array(stamps_ns, dtype=np.int64)
-    presence = estimate_presence(seen, seen_probabilities(seen, distances_m), when)
+    presence = estimate_presence(passes.seen, seen_probabilities(passes.seen, passes.in_view_m), when)
     return LivingMap(presence, _changes(joint, presence, when, area_m2=_area_m2(joint)))
 
 
@@ -90,43 +89,6 @@ def _coordinates(position: tuple[float, float, float], georeference: Georeferenc
         return [round(value, 3) for value in position]
     latitude, longitude, altitude_m = georeference.to_geodetic(np.array([position]))[0].tolist()
     return [round(longitude, 9), round(latitude, 9), round(altitude_m, 3)]
-
-
-def _sightings(joint: JointMap) -> tuple[BoolArray, FloatArray]:
-    """Which landmarks (L, M) each member saw, and their distances (L, M) m from its path."""
-    row_of = {name: row for row, name in enumerate(joint.objects.ids)}
-    column_of = {number: column for column, number in enumerate(joint.members)}
-    seen = np.zeros((len(row_of), len(column_of)), dtype=np.bool_)
-    for sighting in joint.sightings:
-        seen[row_of[sighting.landmark], column_of[sighting.map_number]] = True
-    distances_m = np.full(seen.shape, np.inf)
-    for number, column in column_of.items():
-        starts, ends = _path(joint, number)
-        distances_m[:, column] = _distances_m(joint.objects.positions[:, :2], starts, ends)
-    return seen, distances_m
-
-
-def _path(joint: JointMap, number: int) -> tuple[FloatArray, FloatArray]:
-    """Straight pieces (P, 2) of the path of a member, from and to; at least its first place."""
-    graph = joint.graph
-    ends = graph.edge_keyframe_ids[are_of_kind(graph, EdgeKind.ODOMETRY)]
-    ends = ends[joint.place_maps[ends[:, 0]] == number]
-    places = graph.T_map_body[:, :2, 3]
-    first = int(np.flatnonzero(joint.place_maps == number)[0])
-    ends = np.vstack([ends, [[first, first]]])
-    return places[ends[:, 0]], places[ends[:, 1]]
-
-
-def _distances_m(points: FloatArray, starts: FloatArray, ends: FloatArray) -> FloatArray:
-    """Distance (N,) of points (N, 2) from the nearest of some straight pieces (P, 2)."""
-    along = ends - starts
-    length2 = np.maximum(np.einsum("pi,pi->p", along, along), 1e-12)
-    nearest = np.full(len(points), np.inf)
-    for start, step, square in zip(starts, along, length2, strict=True):
-        share = np.clip((points - start) @ step / square, 0.0, 1.0)
-        offsets = points - start - share[:, None] * step
-        nearest = np.minimum(nearest, np.hypot(offsets[:, 0], offsets[:, 1]))
-    return nearest
 
 
 def _area_m2(joint: JointMap) -> float:

@@ -223,10 +223,10 @@ def _save(
     config: Config,
     georeference: Georeference | None,
 ) -> str:
-    """Write the landmarks of a part that stand there now as a map of tiles; returns its name, empty if none is due."""
+    """Write the landmarks of a part that a session would see now as a map of tiles; returns its name, empty if none."""
     if rank > 1 and len(part.members) == 1:
         return ""
-    now = np.flatnonzero(living.presence.present >= REPORTED)
+    now = np.flatnonzero(living.presence.useful >= REPORTED)
     name = "map.mcap" if rank == 1 else f"map_{rank}.mcap"
     labels, ids = part.objects.labels, part.objects.ids
     try:

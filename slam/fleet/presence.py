@@ -3,8 +3,13 @@
 A landmark is not there yet, then there, then gone: a hidden Markov chain over the sessions in the order of their
 dates, with one hazard for both changes (Rabiner, Proceedings of the IEEE 1989, for the forward and backward passes).
 A session says something of a landmark only where it passed: it saw it, or it missed it although it would have been seen
-with the probability of its distance from the path, which is learned from the fleet. The hazard is estimated from all
-landmarks by expectation maximisation, so that a fleet in which nothing changes reports no changes.
+with a probability that is learned from the fleet, by the length of the path from which it was in view.
+
+Landmarks differ: one of two signs beside each other has a landmark of its own in the maps of few sessions only. Each
+landmark has a detectability, the factor of that probability, constant in time, whose distribution is estimated from the
+fleet (MacKenzie et al., Occupancy Estimation and Modeling, chapter 4: detection that differs from site to site). So
+what few of many sessions have is not told to have appeared and gone. The hazard, too, is estimated from all landmarks,
+by expectation maximisation, so that a fleet in which nothing changes reports no changes.
 """
 
 from __future__ import annotations
@@ -18,11 +23,13 @@ from slam.common.arrays import BoolArray, FloatArray, IntArray
 NOT_YET, PRESENT, GONE = 0, 1, 2
 FALSE_SIGHTING = 1e-3
 """Probability that a session has a landmark where none stands any more."""
-DISTANCES = 12
-"""Cells of the distance from the path."""
+CELLS = 12
+"""Cells of the length in view, with equal numbers of sightings."""
+DETECTABILITIES = 0.5 ** np.arange(7)
+"""Down to one sighting in 64 passes; what is seen more rarely says nothing."""
 PRIOR_PASSED, PRIOR_SEEN = 2.0, 1.0
 """What is assumed of a cell before anything was seen there."""
-ITERATIONS = 30
+ITERATIONS = 12
 LEAST_DAYS = 1.0
 """Sessions of one day are taken to be that far apart."""
 FIRST_CHANGES = 0.1
@@ -35,11 +42,12 @@ class Presence:
 
     ``states`` (L, M, 3): probability that it is not there yet, there, and gone, when the session passed;
     ``changed`` (L, M - 1, 2): that it appeared, and that it went, between one session and the next;
-    ``hazard_per_day``: of either change.
+    ``detectability`` (L,): expected; ``hazard_per_day``: of either change.
     """
 
     states: FloatArray
     changed: FloatArray
+    detectability: FloatArray
     hazard_per_day: float
 
     @property
@@ -57,28 +65,32 @@ class Presence:
         """Probability (L,) that it is there at the last session."""
         return np.asarray(self.states[:, -1, PRESENT])
 
+    @property
+    def useful(self) -> FloatArray:
+        """Probability (L,) that it is there at the last session and, where most objects would be, seen by the next."""
+        return np.asarray(self.present * self.detectability)
 
-def seen_probabilities(seen: BoolArray, distances_m: FloatArray) -> FloatArray:
+
+def seen_probabilities(seen: BoolArray, in_view_m: FloatArray) -> FloatArray:
     """Probability (L, M) that a session sees a landmark that is there; 0 where it did not pass.
 
     Learned from landmarks that an earlier and a later session saw, so that they certainly stood there.
 
     Args:
         seen: (L, M), sessions in the order of their dates.
-        distances_m: (L, M) from the path of the session.
+        in_view_m: (L, M) length of the path of the session from which the landmark was in view, 0 where it was not.
     """
-    if not seen.any():
-        return np.zeros(seen.shape)
-    reach_m = float(np.quantile(distances_m[seen], 0.99))
-    cells = np.minimum((distances_m / reach_m * DISTANCES).astype(np.int64), DISTANCES)
+    passed = in_view_m > 0.0
+    if not (seen & passed).any():
+        return np.where(seen, PRIOR_SEEN / PRIOR_PASSED, 0.0)
+    limits_m = np.quantile(in_view_m[seen & passed], np.arange(1, CELLS) / CELLS)
+    cells = np.searchsorted(limits_m, in_view_m)
     before = np.cumsum(seen, axis=1) - seen > 0
     after = np.cumsum(seen[:, ::-1], axis=1)[:, ::-1] - seen > 0
-    certain = before & after
-    passed = np.bincount(cells[certain], minlength=DISTANCES + 1)[: DISTANCES + 1] + PRIOR_PASSED
-    met = np.bincount(cells[certain & seen], minlength=DISTANCES + 1)[: DISTANCES + 1] + PRIOR_SEEN
-    share = met / passed
-    share[DISTANCES] = 0.0
-    probabilities = share[cells]
+    certain = before & after & passed
+    opportunities = np.bincount(cells[certain], minlength=CELLS) + PRIOR_PASSED
+    met = np.bincount(cells[certain & seen], minlength=CELLS) + PRIOR_SEEN
+    probabilities = np.where(passed, (met / opportunities)[cells], 0.0)
     # What was seen was in view, however far.
     return np.where(seen, np.maximum(probabilities, PRIOR_SEEN / PRIOR_PASSED), probabilities)
 
@@ -88,25 +100,51 @@ def estimate_presence(seen: BoolArray, probabilities: FloatArray, stamps_ns: Int
 
     Args:
         seen: (L, M) sightings.
-        probabilities: (L, M) that it would have been seen, if it was there.
+        probabilities: (L, M) that it would have been seen, if it was there and as well detectable as most.
         stamps_ns: (M,) of the sessions, ascending.
     """
     days = np.diff(stamps_ns) / 86_400e9
     span = max(float(days.sum()), LEAST_DAYS)
-    there = np.where(seen, probabilities, 1.0 - probabilities)
-    absent = np.where(seen, FALSE_SIGHTING, 1.0)
-    likelihoods = np.stack([absent, there, absent], axis=2)
     hazard = FIRST_CHANGES / span
+    weights = np.full(len(DETECTABILITIES), 1.0 / len(DETECTABILITIES))
     for _ in range(ITERATIONS):
-        states, changed = _smooth(likelihoods, days, hazard)
+        states, changed, shares = _average(seen, probabilities, days, hazard, weights)
         there_days = states[:, :-1, PRESENT] @ days
         hazard = (0.5 * float(changed.sum()) + FIRST_CHANGES) / (float(there_days.sum()) + span)
-    states, changed = _smooth(likelihoods, days, hazard)
-    return Presence(states, changed, hazard)
+        weights = (shares.sum(axis=0) + 1.0 / len(weights)) / (len(shares) + 1.0)
+    states, changed, shares = _average(seen, probabilities, days, hazard, weights)
+    return Presence(states, changed, shares @ DETECTABILITIES, hazard)
 
 
-def _smooth(likelihoods: FloatArray, days: FloatArray, hazard: float) -> tuple[FloatArray, FloatArray]:
-    """Posterior of the states (L, M, 3) and of the changes between two sessions (L, M - 1, 2)."""
+def _average(
+    seen: BoolArray, probabilities: FloatArray, days: FloatArray, hazard: float, weights: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Posterior of the states (L, M, 3), of the changes (L, M - 1, 2) and of the detectabilities (L, D).
+
+    Args:
+        seen, probabilities: as for :func:`estimate_presence`.
+        days: (M - 1,) between sessions.
+        hazard: of either change, a day.
+        weights: (D,) prior of the detectabilities.
+    """
+    count, sessions = seen.shape
+    states, changed = np.zeros((count, sessions, 3)), np.zeros((count, sessions - 1, 2))
+    absent = np.where(seen, FALSE_SIGHTING, 1.0)
+    log_shares, total = np.zeros((count, len(weights))), np.full(count, -np.inf)
+    # A running average, as all posteriors at once would take much memory.
+    for k, (detectability, weight) in enumerate(zip(DETECTABILITIES.tolist(), weights.tolist(), strict=True)):
+        there = np.where(seen, detectability * probabilities, 1.0 - detectability * probabilities)
+        each_states, each_changed, log_evidence = _smooth(np.stack([absent, there, absent], axis=2), days, hazard)
+        log_shares[:, k] = log_evidence + np.log(weight)
+        total = np.logaddexp(total, log_shares[:, k])
+        share = np.exp(log_shares[:, k] - total)[:, None, None]
+        states += share * (each_states - states)
+        changed += share * (each_changed - changed)
+    return states, changed, np.exp(log_shares - total[:, None])
+
+
+def _smooth(likelihoods: FloatArray, days: FloatArray, hazard: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Posterior of the states (L, M, 3), of the changes between two sessions (L, M - 1, 2), and log evidence (L,)."""
     count, sessions, _ = likelihoods.shape
     # What is to appear does so at any time: by the last session all that the map has stood there once.
     left = np.cumsum(days[::-1])[::-1]
@@ -115,12 +153,13 @@ def _smooth(likelihoods: FloatArray, days: FloatArray, hazard: float) -> tuple[F
         for each, rest in zip(days.tolist(), left.tolist(), strict=True)
     ]
     begins = -np.expm1(-hazard * float(days.sum()))
-    forward = np.zeros((count, sessions, 3))
-    forward[:, 0] = np.array([begins, 1.0 - begins, 0.0]) * likelihoods[:, 0]
-    forward[:, 0] /= forward[:, 0].sum(axis=1, keepdims=True)
-    for k, step in enumerate(steps, start=1):
-        forward[:, k] = forward[:, k - 1] @ step * likelihoods[:, k]
-        forward[:, k] /= forward[:, k].sum(axis=1, keepdims=True)
+    forward, log_evidence = np.zeros((count, sessions, 3)), np.zeros(count)
+    first = np.array([begins, 1.0 - begins, 0.0])
+    for k in range(sessions):
+        forward[:, k] = (forward[:, k - 1] @ steps[k - 1] if k else first) * likelihoods[:, k]
+        norms = forward[:, k].sum(axis=1)
+        forward[:, k] /= norms[:, None]
+        log_evidence += np.log(norms)
     backward = np.ones((count, sessions, 3))
     changed = np.zeros((count, sessions - 1, 2))
     for k in range(sessions - 2, -1, -1):
@@ -132,7 +171,7 @@ def _smooth(likelihoods: FloatArray, days: FloatArray, hazard: float) -> tuple[F
         backward[:, k] = ahead @ steps[k].T
         backward[:, k] /= backward[:, k].sum(axis=1, keepdims=True)
     states = forward * backward
-    return states / states.sum(axis=2, keepdims=True), changed
+    return states / states.sum(axis=2, keepdims=True), changed, log_evidence
 
 
 def _transition(appears: float, goes: float) -> FloatArray:

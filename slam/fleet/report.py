@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from slam.fleet.changes import REPORTED
 from slam.fleet.fleet import Fleet
 from slam.sweeps.cells import write_text
 
@@ -94,7 +95,7 @@ def _of_part(fleet: Fleet, rank: int) -> dict[str, Any]:
         "logs": len(part.members),
         "landmarks": len(part.objects.ids),
         "landmarks_of_logs": len(part.sightings),
-        "present": int(np.count_nonzero(living.presence.present >= 0.5)),
+        "present": int(np.count_nonzero(living.presence.present >= REPORTED)),
         "median_sigma_m": round(float(np.median(sigmas_m)), 3),
         "joins_rejected": len(part.rejected),
         "hazard_per_day": living.presence.hazard_per_day,

@@ -57,20 +57,42 @@ def test_the_hazard_follows_the_share_that_changes() -> None:
     assert 1.0 / 600.0 < many < 1.0 / 100.0
 
 
-def test_probabilities_are_learned_by_distance_from_what_certainly_stood_there() -> None:
+def test_what_few_of_many_sessions_have_neither_came_nor_went() -> None:
+    steady = [[1] * 8] * 40
+    rare = [[0, 0, 1, 0, 0, 0, 0, 0], [0, 0, 0, 1, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 1, 0, 0, 0]]
+    came = [0, 0, 0, 0, 1, 1, 1, 1]
+    seen = np.array([*steady, *rare, came], dtype=bool).repeat(4, axis=1)
+    seen[40:44] &= np.arange(32) % 4 == 0
+    stamps_ns = np.arange(32) * 7 * DAY_NS
+    result = estimate_presence(seen, np.full(seen.shape, SEEN), stamps_ns)
+    assert (result.appeared[40:44] < 0.5).all()
+    assert (result.gone[40:44] < 0.5).all()
+    assert (result.useful[40:44] < 0.5).all()
+    assert (result.useful[:40] > 0.9).all()
+    assert result.appeared[44] > 0.9
+    assert result.useful[44] > 0.9
+
+
+def test_what_half_of_the_sessions_see_is_no_change_where_most_are_seen_by_all() -> None:
+    rng = np.random.default_rng(2)
+    seen = np.vstack([np.ones((60, 32), bool), rng.random((8, 32)) < 0.4])
+    seen[60:, -3:] = False
+    result = estimate_presence(seen, np.full(seen.shape, 0.97), np.arange(32) * 7 * DAY_NS)
+    assert (result.gone[60:] < 0.5).all()
+    assert (result.detectability[60:] < 0.6).all()
+
+
+def test_probabilities_are_learned_by_the_length_in_view_from_what_certainly_stood_there() -> None:
     rng = np.random.default_rng(1)
-    distances_m = rng.uniform(0.0, 30.0, (300, 8))
-    seen = rng.random((300, 8)) < np.where(distances_m < 15.0, 0.95, 0.5)
+    in_view_m = rng.uniform(1.0, 60.0, (300, 8))
+    seen = rng.random((300, 8)) < np.where(in_view_m > 30.0, 0.95, 0.5)
     seen[:, [0, -1]] = True
-    far = distances_m.copy()
-    far[:, 1] = 200.0
+    in_view_m[:, 1] = 0.0
     seen[:, 1] = False
-    probabilities = seen_probabilities(seen, far)
+    probabilities = seen_probabilities(seen, in_view_m)
     middle = slice(2, 7)
     missed = ~seen[:, middle]
-    near = far[:, middle] < 12.0
-    assert abs(np.median(probabilities[:, middle][missed & near]) - 0.95) < 0.05
-    assert (
-        abs(np.median(probabilities[:, middle][missed & (far[:, middle] > 18.0) & (far[:, middle] < 27)]) - 0.5) < 0.1
-    )
+    length_m = in_view_m[:, middle]
+    assert abs(np.median(probabilities[:, middle][missed & (length_m > 36.0)]) - 0.95) < 0.05
+    assert abs(np.median(probabilities[:, middle][missed & (length_m < 20.0)]) - 0.5) < 0.1
     assert (probabilities[:, 1] == 0.0).all()
