@@ -22,7 +22,12 @@ partly visible object moves up and down."""
 
 
 def find_duplicate_landmarks(
-    object_map: ObjectMap, graph: FactorGraph, keyframes: Collection[int], *, radius_m: float, together: float = 0.0
+    object_map: ObjectMap,
+    graph: FactorGraph,
+    keyframes: Collection[int],
+    *,
+    radius_m: float,
+    drives: IntArray | None = None,
 ) -> list[tuple[int, int]]:
     """Pairs of duplicate landmarks, the older one first, in the order in which they are to be merged.
 
@@ -35,7 +40,8 @@ def find_duplicate_landmarks(
         graph: their positions, at its current estimate.
         keyframes: only landmarks that one of these observed are compared: keyframes near a loop closure.
         radius_m: largest horizontal distance of duplicates [m].
-        together: largest share of the keyframes of either that observed both.
+        drives: (K,) number of the drive of each keyframe, by date. If given, two landmarks that a keyframe observed
+            are duplicates nevertheless where most drives that passed have one of them only.
     """
     observers = graph.observers()
     usable = [
@@ -55,7 +61,7 @@ def find_duplicate_landmarks(
             for index, other in enumerate(nearest.tolist())
             if index < other
             and nearest[other] == index
-            and _share(observers[int(rows[index])], observers[int(rows[other])]) <= together
+            and _may_be_one(observers[int(rows[index])], observers[int(rows[other])], drives)
         ]
         if not found:
             return pairs
@@ -67,11 +73,16 @@ def find_duplicate_landmarks(
 
 
 def fuse_duplicate_landmarks(
-    object_map: ObjectMap, graph: FactorGraph, keyframes: Collection[int], *, radius_m: float, together: float = 0.0
+    object_map: ObjectMap,
+    graph: FactorGraph,
+    keyframes: Collection[int],
+    *,
+    radius_m: float,
+    drives: IntArray | None = None,
 ) -> int:
     """Merge duplicate landmarks until there are none; returns how many were merged into another."""
     merged = 0
-    while pairs := find_duplicate_landmarks(object_map, graph, keyframes, radius_m=radius_m, together=together):
+    while pairs := find_duplicate_landmarks(object_map, graph, keyframes, radius_m=radius_m, drives=drives):
         for kept, dropped in pairs:
             object_map.merge(kept, dropped)
             graph.merge_landmarks(kept, dropped)
@@ -79,9 +90,19 @@ def fuse_duplicate_landmarks(
     return merged
 
 
-def _share(a: set[int], b: set[int]) -> float:
-    """Share of the keyframes of the landmark with fewer of them that observed both."""
-    return len(a & b) / min(len(a), len(b))
+def _may_be_one(a: set[int], b: set[int], drives: IntArray | None) -> bool:
+    """Whether no keyframe observed both landmarks, or most drives that passed have one of them rather than both.
+
+    Only drives from the one before the first that has the rarer landmark to the one after the last count: an object
+    that came later than the one beside it was not there for the others to see.
+    """
+    if a.isdisjoint(b) or drives is None:
+        return a.isdisjoint(b)
+    rare, common = sorted(({int(drives[keyframe]) for keyframe in each} for each in (a, b)), key=len)
+    first = max((drive for drive in common if drive < min(rare)), default=min(rare))
+    last = min((drive for drive in common if drive > max(rare)), default=max(rare))
+    passed = [drive for drive in rare | common if first <= drive <= last]
+    return 2 * len(rare & common) < len(passed)
 
 
 def _nearest_alike(positions: FloatArray, classes: IntArray, radius_m: float) -> IntArray:

@@ -29,8 +29,6 @@ logger = logging.getLogger(__name__)
 
 TIE_SIGMA_RAD, TIE_SIGMA_PITCHES = 10.0, 10.0
 """Of the edges that place one map beside another before any join is weighed, in radians and extents of the maps."""
-MOST_TOGETHER = 0.5
-"""Two objects are both seen by most drives that pass; few drives have two landmarks of one object."""
 FUSIONS = 3
 """Rounds of fusing landmarks and optimising: better positions show more duplicates."""
 
@@ -205,11 +203,12 @@ def _solved(
         observations += observations_of(saved.graph, place_of, rows_of[number])
     edges += [Edge(*_edge(join, maps, first), join.covariance, EdgeKind.LOOP_CLOSURE) for join in joins]
     restore_factors(graph, range(len(T_map_place)), T_map_place, edges, observations)
+    place_maps = np.repeat(members, [len(maps[number].graph.keyframe_ids) for number in members])
+    radius_m = 2.0 * config.submap.landmark_sigma_m
     for _ in range(FUSIONS):
         graph.optimize()
-        radius_m = 2.0 * config.submap.landmark_sigma_m
         if not fuse_duplicate_landmarks(
-            object_map, graph, range(len(T_map_place)), radius_m=radius_m, together=MOST_TOGETHER
+            object_map, graph, range(len(T_map_place)), radius_m=radius_m, drives=place_maps
         ):
             break
     else:
@@ -231,7 +230,7 @@ def _solved(
         members=tuple(members),
         objects=objects,
         graph=graph.to_record(stamp_ns, stamps_ns),
-        place_maps=np.repeat(members, [len(maps[number].graph.keyframe_ids) for number in members]),
+        place_maps=place_maps,
         sightings=tuple(sightings),
         rejected=tuple(rejected),
     )

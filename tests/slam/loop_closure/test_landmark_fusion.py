@@ -65,12 +65,27 @@ def test_twin_what_speaks_for_two_keeps_two(other: Seen) -> None:
     assert found([FIRST, other]) == []
 
 
-def test_few_that_saw_both_do_not_keep_two_where_some_may() -> None:
-    landmarks = [FIRST, ("tree", (5.3, 3.8, 0.2), (2, 3))]
+def test_a_drive_with_two_landmarks_does_not_keep_two_of_all_drives() -> None:
+    landmarks = [("tree", (5.0, 4.0, 0.0), (0, 1, 2, 4)), ("tree", (5.3, 3.8, 0.2), (2,))]
     object_map, graph = mapped(landmarks)
-    assert find_duplicate_landmarks(object_map, graph, range(KEYFRAMES), radius_m=0.7, together=0.5) == [(0, 1)]
-    assert find_duplicate_landmarks(object_map, graph, range(KEYFRAMES), radius_m=0.7, together=0.49) == []
-    assert fuse_duplicate_landmarks(object_map, graph, range(KEYFRAMES), radius_m=0.7, together=0.5) == 1
+    every, drives = range(KEYFRAMES), np.arange(KEYFRAMES)
+    assert find_duplicate_landmarks(object_map, graph, every, radius_m=0.7) == []
+    assert find_duplicate_landmarks(object_map, graph, every, radius_m=0.7, drives=drives) == [(0, 1)]
+    assert fuse_duplicate_landmarks(object_map, graph, every, radius_m=0.7, drives=drives) == 1
+
+
+@pytest.mark.parametrize(
+    "seen",
+    [
+        pytest.param(((0, 1, 2, 3), (0, 1, 2)), id="most drives have both"),
+        pytest.param(((0, 1, 2, 3, 4), (3, 4)), id="it came later"),
+        pytest.param(((0, 1, 2, 3, 4), (0, 1)), id="it went"),
+    ],
+)
+def test_twin_what_most_drives_that_passed_saw_beside_another_is_two(seen: tuple[tuple[int, ...], ...]) -> None:
+    landmarks = [("tree", (5.0, 4.0, 0.0), seen[0]), ("tree", (5.3, 3.8, 0.2), seen[1])]
+    drives = np.arange(KEYFRAMES)
+    assert find_duplicate_landmarks(*mapped(landmarks), range(KEYFRAMES), radius_m=0.7, drives=drives) == []
 
 
 def test_what_is_not_confirmed_or_not_well_placed_is_left() -> None:
