@@ -88,6 +88,7 @@ def test_it_learns_what_holds_for_other_maps_too(tmp_path, seed):
     assert best > max(2.5 * chance, best_idle + 0.04)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "architecture", [PointNetArchitecture(length=16), SGNetArchitecture(length=16)], ids=lambda a: a.name
 )

@@ -75,6 +75,7 @@ def test_a_bag_maps_as_its_mcap_does(bags: dict[str, Path], name: str, tmp_path:
     assert trajectories[0] == trajectories[1]
 
 
+@pytest.mark.slow
 @needs_nav2
 @pytest.mark.parametrize("name", ["db3", "split"])
 def test_a_real_recording_as_a_folder(name: str, tmp_path: Path) -> None:

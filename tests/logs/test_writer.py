@@ -34,6 +34,7 @@ def test_the_same_records_give_the_same_bytes(tmp_path):
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
 
 
+@pytest.mark.slow
 def test_the_same_bytes_in_another_process(tmp_path):
     write_everything(tmp_path / "a.mcap")
     program = f"from tests.logs.test_writer import write_everything; write_everything({str(tmp_path / 'b.mcap')!r})"

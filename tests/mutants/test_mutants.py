@@ -22,6 +22,7 @@ def test_rules_have_names_of_their_own():
     assert len(names) == len(set(names)) >= 90
 
 
+@pytest.mark.slow
 def test_a_rule_that_is_broken_is_noticed_and_one_that_is_not_is_not():
     tests = ("tests/slam/odometry/test_noise.py",)
     broken = Mutant("slam/odometry/noise.py", tests, "", "translation + config", "0.0 * translation + config")

@@ -127,6 +127,7 @@ def test_the_output_says_what_it_was_made_from(noisy_log, noisy_output):
     assert json.loads(found["topics"])["/odom"] == ["odometry"]
 
 
+@pytest.mark.slow
 def test_what_is_not_to_be_calibrated_is_mapped_with_the_settings_as_they_are(noisy_log, tmp_path):
     config = Config.model_validate({"calibration": {"enabled": False}, "keyframe": {"distance_m": 3.0}})
     replay(noisy_log, tmp_path / "out.mcap", config)
@@ -165,6 +166,7 @@ class PowerCutError(RuntimeError):
     """Something that nobody expects."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [SlamError("broken"), PowerCutError("power cut")])
 def test_an_error_on_the_way_leaves_no_file_under_the_final_name(noisy_log, tmp_path, monkeypatch, error):
     """The part that was written stays and can be read; an output from before stays as it was."""

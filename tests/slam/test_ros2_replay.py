@@ -71,6 +71,7 @@ def test_a_swinging_sensor_is_followed(tmp_path: Path, own_frame: bool) -> None:
     assert "detections_without_transform" not in summary.counters
 
 
+@pytest.mark.slow
 def test_a_frame_that_nothing_connects_is_named_with_its_tree(tmp_path: Path) -> None:
     messages = swinging(told=False)
     extra = [_tf(messages[0][2], "tower", "mast", np.eye(4)), _tf(messages[0][2], "base_link", "imu", np.eye(4))]

@@ -39,6 +39,7 @@ def test_every_dependency_has_a_licence_that_permits_its_use(name):
     assert is_permitted(licence_of(DEPENDENCIES[name])), licence_of(DEPENDENCIES[name])
 
 
+@pytest.mark.slow
 def test_nothing_under_the_gpl_is_imported_not_even_by_tests():
     owners = packages_distributions()
     for module, file in imported_names().items():

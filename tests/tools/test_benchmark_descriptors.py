@@ -32,6 +32,7 @@ def test_the_help_has_an_example(dslam: Run) -> None:
     assert "Example: dslam benchmark descriptors" in " ".join(result.out.split())
 
 
+@pytest.mark.slow
 def test_json_has_every_measure_of_every_scenario(dslam: Run) -> None:
     result = benchmark(dslam, "--descriptor", "ring_likelihood", "--descriptor", "exhaustive search", "--json")
     assert (result.code, result.err) == (0, "")
@@ -59,6 +60,7 @@ def test_a_table_for_people(dslam: Run) -> None:
     assert "taking in the map: onion" in result.out
 
 
+@pytest.mark.slow
 def test_a_table_in_markdown(dslam: Run) -> None:
     result = benchmark(dslam, "--descriptor", "ring_likelihood", "--descriptor", "exhaustive search", "--markdown")
     assert result.code == 0

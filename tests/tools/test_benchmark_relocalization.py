@@ -58,6 +58,7 @@ def test_the_help_has_an_example(dslam: Run) -> None:
     assert "Example: dslam benchmark relocalization" in " ".join(result.out.split())
 
 
+@pytest.mark.slow
 def test_json_has_every_figure(dslam: Run, files: tuple[object, ...], tmp_path: Path) -> None:
     more = ("--kidnaps", 2, "--max-travel", 25, "--seed", 5, "--noise", 1.5, "--changed", 0.1, "--json")
     result = dslam("benchmark", "relocalization", *files, *more)
@@ -73,6 +74,7 @@ def test_json_has_every_figure(dslam: Run, files: tuple[object, ...], tmp_path: 
     assert all(outcome["distance_m"] is None or outcome["distance_m"] <= 25.0 for outcome in told["outcomes"])
 
 
+@pytest.mark.slow
 def test_a_table_for_people_and_settings_of_the_estimator(dslam: Run, files: tuple[object, ...]) -> None:
     settings = ("--set", "loop_closure.enabled=false")
     result = dslam("benchmark", "relocalization", *files, "--kidnaps", 1, "--max-travel", 10, *settings)

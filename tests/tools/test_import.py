@@ -84,6 +84,7 @@ def test_the_help_names_the_columns(dslam: Run, word: str) -> None:
 
 
 @needs_open3d
+@pytest.mark.slow
 def test_a_labelled_cloud_becomes_a_map(dslam: Run, tmp_path: Path) -> None:
     cloud = write_ply(tmp_path / "Lille1.ply", street("class", "label"))
     result = dslam("import", "paris-lille", tmp_path / "map.mcap", "--file", cloud)

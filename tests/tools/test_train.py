@@ -139,6 +139,7 @@ def test_the_epoch_that_is_told_is_that_of_the_weights_even_among_equals(
     assert json.loads(result.out)["best"]["epoch"] == metrics["epoch"]
 
 
+@pytest.mark.slow
 def test_maps_of_one_s_own_are_taken_and_the_weights_make_an_index(
     dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

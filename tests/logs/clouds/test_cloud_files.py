@@ -88,6 +88,7 @@ def test_a_label_alone_is_the_class_and_the_instance_may_be_in_its_upper_half(tm
 
 
 @needs_open3d
+@pytest.mark.slow
 def test_the_preprocessing_of_the_paper(tmp_path: Path) -> None:
     found = read_cloud(write_ply(tmp_path / "Lille1.ply", street("class", "label")), PARIS_LILLE)
     objects, summary = urban_objects(found, "Lille1.ply", "")

@@ -242,6 +242,7 @@ def test_links_and_paths_that_climb_are_only_names_in_memory(dataset: Dataset) -
 @pytest.mark.skipif(
     not DATA.is_dir(), reason=f"no KITTI data in {DATA}; set DSLAM_DATA to the folder that holds kitti00"
 )
+@pytest.mark.slow
 def test_kitti_00() -> None:
     drive = read_kitti_objects(
         detections=DATA / "gosmatch_00.tar.xz",

@@ -76,6 +76,7 @@ def test_a_damaged_archive_is_refused(drive: TextDrive) -> None:
         read_text_log(**drive.files(odometry="odometry.tum.gz"))
 
 
+@pytest.mark.slow
 def test_an_archive_that_is_far_larger_inside_is_refused_before_it_fills_the_memory(drive: TextDrive) -> None:
     path = drive.write("odometry.tum.gz", TUM)
     packed = zlib.compressobj(9, wbits=31)

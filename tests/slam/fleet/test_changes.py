@@ -69,6 +69,7 @@ def changes(story: tuple[World, World, int, int, int]) -> tuple[Change, ...]:
     return detect_changes(joint, [month * MONTH_NS for month in range(MONTHS)]).changes
 
 
+@pytest.mark.slow
 def test_what_went_came_and_moved_is_told_with_place_and_dates(
     story: tuple[World, World, int, int, int], changes: tuple[Change, ...]
 ) -> None:

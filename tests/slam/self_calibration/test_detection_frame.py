@@ -37,6 +37,7 @@ def records(scans: list[SurveyScan], frame: str) -> list[Record]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_fixed", [False, True])
 @pytest.mark.parametrize("frame", ["odom", "base_link"])
 def test_the_frame_in_which_objects_stand_still_is_found_whatever_messages_say(drive, is_fixed, frame):
@@ -56,6 +57,7 @@ def test_a_frame_that_was_set_by_hand_is_kept(drive):
     assert found.max_range_m > 2.0 * drive.range_m
 
 
+@pytest.mark.slow
 def test_a_sensor_that_looks_backwards_is_on_the_body(drive):
     backwards = np.diag([-1.0, -1.0, 1.0])
     found = survey(records([replace(each, positions=each.positions @ backwards) for each in drive.scans], "base_link"),
@@ -81,6 +83,7 @@ def test_without_scans_no_frame_is_found():
     assert better_frame([], {"fixed": []}) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turns", [False, True])
 def test_odometry_without_orientations_is_found_by_the_objects_that_do_not_stand_still(turns):
     drive = SurveyedDrive(0, NOISE, scans=600, objects=80, turns=turns)

@@ -87,6 +87,7 @@ def test_several_components_are_told_apart():
         assert sigma / 1.6 < median < sigma * 1.6, name
 
 
+@pytest.mark.slow
 def test_errors_by_jackknife_are_as_large_as_estimates_scatter():
     sigmas = DETECTOR | {"jitter": 0.05, "translation_by_travel": 0.05}
     found = [estimate(SurveyedDrive(seed, sigmas, scans=900)) for seed in range(8)]
@@ -205,6 +206,7 @@ def test_a_motion_that_never_was_tells_nothing_of_its_noise():
     assert found.variances.heading_by_turn == found.standard_errors.heading_by_turn == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("times", [1, 4, 8])
 def test_errors_that_scans_repeat_are_found(times):
     drive = SurveyedDrive(0, DETECTOR, scans=400)

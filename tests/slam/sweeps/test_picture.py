@@ -62,6 +62,7 @@ def test_strengths_of_one_option_are_a_curve_and_the_rest_stands_beside(drawn: l
     assert dropout.get_ylim()[1] > 3.0  # every seed is in sight
 
 
+@pytest.mark.slow
 def test_what_is_undefined_or_failed_is_said(drawn: list[Figure]) -> None:
     for results, told in (((result(1.0, None),), "undefined"), ((CellResult(None, "broken", {}),), "failed")):
         with warnings.catch_warnings():

@@ -106,6 +106,7 @@ def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
         draw_map(tmp_path / "missing" / "a.png", full_picture())
 
 
+@pytest.mark.slow
 def test_pictures_need_no_global_plotting_state() -> None:
     code = "import sys, slam.visualization.map_plot; sys.exit('matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

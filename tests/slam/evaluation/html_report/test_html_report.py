@@ -390,6 +390,7 @@ def test_other_drives_are_drawn_whole_too(browser: Browser, tmp_path: Path, kind
 
 @needs_chromium
 @pytest.mark.parametrize("width_px", [390, 1280, 1920])
+@pytest.mark.slow
 def test_a_browser_draws_the_page(browser: Browser, file: Path, tmp_path: Path, width_px: int) -> None:
     browser.requests()
     assert_whole(browser, file, width_px)
@@ -545,6 +546,7 @@ def test_a_browser_that_cannot_draw_says_so(browser: Browser, page: str, tmp_pat
 
 
 @needs_chromium
+@pytest.mark.slow
 def test_charts_follow_the_width_of_the_window(browser: Browser, file: Path) -> None:
     browser.open(file, width_px=1280)
     width = "return document.querySelector('#chart-trajectory .main-svg').getBoundingClientRect().width"
@@ -577,6 +579,7 @@ def test_a_map_has_equal_scales(browser: Browser, file: Path) -> None:
         ("candidates", "another", ("a stage <i>of tomorrow</i>",)),
     ],
 )
+@pytest.mark.slow
 def test_a_hover_tells_values(browser: Browser, file: Path, chart: str, trace: str, expected: tuple[str, ...]) -> None:
     browser.open(file, width_px=1280)
     browser.run(f"document.getElementById('chart-{chart}').scrollIntoView({{block: 'center'}})")
@@ -596,6 +599,7 @@ def test_a_hover_tells_values(browser: Browser, file: Path, chart: str, trace: s
 
 
 @needs_chromium
+@pytest.mark.slow
 def test_a_click_on_the_key_hides_and_a_double_click_isolates(browser: Browser, file: Path) -> None:
     browser.open(file, width_px=1280)
     visible = (
@@ -614,6 +618,7 @@ def test_a_click_on_the_key_hides_and_a_double_click_isolates(browser: Browser, 
 
 
 @needs_chromium
+@pytest.mark.slow
 def test_the_page_turns_dark_with_its_surroundings(browser: Browser, file: Path) -> None:
     seen = (
         "const style = getComputedStyle; const chart = document.getElementById('chart-trajectory');"
@@ -632,6 +637,7 @@ def test_the_page_turns_dark_with_its_surroundings(browser: Browser, file: Path)
 
 
 @needs_chromium
+@pytest.mark.slow
 def test_an_empty_page_is_drawn_too(browser: Browser, tmp_path: Path) -> None:
     records = EvaluationRecords()
     write_report(tmp_path / "empty.html", records, evaluate(records), title="nothing")

@@ -97,6 +97,7 @@ def test_logs_without_ranks_are_refused() -> None:
         measure([closure(200, -1, stage="retrieval"), closure(210, 30, truth=TRUTH)])
 
 
+@pytest.mark.slow
 def test_the_estimator_ranks_what_descriptors_propose_and_nothing_else(looked_up: EvaluationRecords) -> None:
     ranks_of_query = defaultdict[int, set[int]](set)
     predicted = set[int]()
