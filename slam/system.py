@@ -24,7 +24,7 @@ from slam.backend.batch_solver import Optimization
 from slam.backend.factor_graph import FactorGraph
 from slam.common.config import Config
 from slam.common.errors import InputDataError
-from slam.display.snapshot import MapSnapshot, take_snapshot
+from slam.display.snapshot import MapSnapshot, SnapshotSchedule, take_snapshot
 from slam.final_map import FinalMap, FinalRecords, judge_outcome
 from slam.frontend.failed_headings import loosen_failed_headings
 from slam.frontend.input.scan_placer import ScanPlacer
@@ -96,7 +96,7 @@ class Slam:
         self._localization = LocalizationState(has_prior_map=prior_map is not None)
         self._odometry_offset_ns = round(config.odometry.time_offset_s * 1e9)
         self._path, self._output = OdometryPath(), PoseOutput()
-        self._keyframes_shown = self._first_keyframe
+        self._schedule = SnapshotSchedule(self._first_keyframe, config.factor_graph.update_keyframes)
         self.closing_seconds: list[float] = []
         """Time that looking for loops took, keyframe by keyframe."""
 
@@ -134,12 +134,8 @@ class Slam:
         return [*self._scan_mapper.map_waiting()]
 
     def snapshot(self) -> MapSnapshot | None:
-        """The map as it is known now, for viewers; None if no keyframe has brought it up to date since the last one."""
-        keyframes = self._mapper.keyframes
-        if len(keyframes) == self._keyframes_shown or keyframes[-1].id % self._config.factor_graph.update_keyframes:
-            return None
-        self._keyframes_shown = len(keyframes)
-        return self._snapshot()
+        """The map as it is known now, for viewers; None if too few keyframes brought it up to date since the last."""
+        return self._snapshot() if self._schedule.is_due(len(self._mapper.keyframes)) else None
 
     def _snapshot(self) -> MapSnapshot:
         return take_snapshot(

@@ -15,6 +15,29 @@ from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.object_map.submap import recent_submap
 from slam.odometry.keyframe import Keyframe
 
+NEW_SHARE = 0.01
+"""A snapshot is due once that share of the keyframes of the drive is new."""
+
+
+class SnapshotSchedule:
+    """When snapshots are due: each holds the whole map, so the larger that is, the fewer are taken.
+
+    ``first_keyframe``: the number of keyframes before the drive; ``update_keyframes``: every so many bring the estimate
+    up to date.
+    """
+
+    def __init__(self, first_keyframe: int, update_keyframes: int) -> None:
+        self._first = self._shown = first_keyframe
+        self._update_keyframes = update_keyframes
+
+    def is_due(self, keyframes: int) -> bool:
+        """Whether one is due now, and is taken, with so many keyframes."""
+        is_updated = (keyframes - 1) % self._update_keyframes == 0
+        if not is_updated or keyframes - self._shown <= NEW_SHARE * (keyframes - self._first):
+            return False
+        self._shown = keyframes
+        return True
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapSnapshot:

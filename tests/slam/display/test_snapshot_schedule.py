@@ -1,0 +1,32 @@
+"""SnapshotSchedule: often at first, and in proportion to the map later."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+
+from slam.display.snapshot import NEW_SHARE, SnapshotSchedule
+
+
+def taken(keyframes: int, *, first: int = 0) -> list[int]:
+    schedule = SnapshotSchedule(first, 5)
+    return [count - first for count in range(first + 1, first + keyframes + 1) if schedule.is_due(count)]
+
+
+@pytest.mark.parametrize("first", [0, 1000])
+def test_the_first_keyframe_and_every_update_after_it_are_shown_while_the_drive_is_short(first):
+    assert taken(400, first=first) == list(range(1, 401, 5))
+
+
+def test_later_ones_are_as_far_apart_as_a_share_of_the_drive():
+    counts = taken(20_000)
+    for before, after in pairwise(counts):
+        assert NEW_SHARE * after < after - before <= max(NEW_SHARE * after + 5, 5)
+    assert len(counts) < 600
+
+
+def test_no_keyframe_is_shown_twice():
+    schedule = SnapshotSchedule(0, 5)
+    assert schedule.is_due(1)
+    assert not schedule.is_due(1)
