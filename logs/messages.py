@@ -212,7 +212,8 @@ class FactorGraphRecord:
     edge_kinds: "odometry" | "discontinuity" (of the odometry: no information) | "closure".
     observation_keyframe_ids (O,), observation_landmark_ids, observation_positions (O, 3) m in the body frame of the
     keyframe, observation_covariances (O, 3, 3) m^2; observation_redundancies (O,), by which those covariances were
-    widened because so many observations share their errors; (0,) where none was.
+    widened because so many observations share their errors, less than 1 where one sums up several keyframes, so that
+    the robust kernel stays as wide; (0,) where all are 1.
     """
 
     stamp_ns: int

@@ -63,7 +63,9 @@ def map_session(task: SessionTask) -> Session:
     try:
         session = _mapped(task, scratch)
     except (LogError, SlamError) as error:
-        session = Session(task.sha256, " ".join([str(error), *getattr(error, "__notes__", ())]))
+        # The name of the scratch folder is another each time.
+        reason = " ".join([str(error), *getattr(error, "__notes__", ())]).replace(f"{scratch}/", "")
+        session = Session(task.sha256, reason)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
     write_text(task.folder / LEDGER_NAME, json.dumps(asdict(session), indent=1) + "\n")

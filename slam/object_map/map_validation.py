@@ -92,8 +92,8 @@ def _fault_of_graph(graph: FactorGraphRecord) -> str:
             f"{graph.observation_keyframe_ids[row]} with a covariance that is not positive definite"
         )
     inflations = graph.observation_redundancies
-    if len(inflations) and (len(inflations) != len(wrong) or (inflations < 1.0).any()):
-        return "the covariance inflations (redundancies) of the observations in its graph are not 1 or more for each"
+    if len(inflations) and (len(inflations) != len(wrong) or (inflations <= 0.0).any()):
+        return "the covariance inflations (redundancies) of the observations in its graph are not positive for each"
     ends = graph.edge_keyframe_ids
     loops = ends[np.asarray(ends[:, 0] == ends[:, 1])]
     if len(loops):

@@ -16,11 +16,12 @@ import numpy as np
 import pytest
 
 from slam.common.config import Config
-from slam.common.errors import FleetError
+from slam.common.errors import FleetError, SavedMapError
 from slam.fleet.engine import ProcessEngine
 from slam.fleet.fleet import Fleet, map_fleet
 from slam.fleet.logs import FleetLog
 from slam.fleet.report import fleet_report, write_report
+from slam.fleet.sessions import SessionTask, map_session
 from slam.place_recognition.imported_map import load_imported_map
 from slam.simulation.config import SimulationConfig
 from slam.simulation.simulation import write_simulation
@@ -140,3 +141,15 @@ def test_a_killed_driver_goes_on_where_it_was(logs: list[FleetLog], mapped: tupl
 def test_a_fleet_in_which_nothing_can_be_mapped_is_refused(logs: list[FleetLog], tmp_path: Path) -> None:
     with pytest.raises(FleetError, match="none of 1 logs"):
         map_fleet([log for log in logs if log.name == "broken"], tmp_path, Config(), InlineEngine())
+
+
+def test_why_a_log_has_no_map_is_told_by_the_same_bytes_each_time(
+    logs: list[FleetLog], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(log: Path, output: Path, config: Config, *, map_path: Path) -> None:
+        raise SavedMapError(f"{map_path} was not written")
+
+    monkeypatch.setattr("slam.fleet.sessions.replay", refuse)
+    told = [map_session(SessionTask(logs[0].path, "0", Config(), tmp_path / name)) for name in ("a", "b")]
+    assert told[0].reason == "map.mcap was not written"
+    assert told[0] == told[1]

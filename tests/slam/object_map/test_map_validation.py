@@ -58,6 +58,9 @@ GRAPH_FAULTS = {
     "with a covariance that is not positive definite": lambda g: replace(
         g, observation_covariances=set_first(g.observation_covariances, -np.eye(3))
     ),
+    "redundancies) of the observations in its graph are not positive for each": lambda g: replace(
+        g, observation_redundancies=set_first(np.ones(len(g.observation_positions)), 0.0)
+    ),
     "no edge ties keyframe 1 to the first one": lambda g: replace(
         g,
         edge_keyframe_ids=g.edge_keyframe_ids[:0],
@@ -93,3 +96,10 @@ def test_two_maps_in_one_file_are_refused(known: SavedMap, tmp_path: Path) -> No
 
 def test_twin_the_same_file_without_a_fault_is_a_map(known: SavedMap, tmp_path: Path) -> None:
     assert load_map(write_map(tmp_path / "m.mcap", known.objects, known.graph)).objects.ids == known.objects.ids
+
+
+def test_observations_of_keyframes_that_were_summed_up_may_have_less_than_one_as_redundancy(
+    known: SavedMap, tmp_path: Path
+) -> None:
+    graph = replace(known.graph, observation_redundancies=np.full(len(known.graph.observation_positions), 0.5))
+    assert load_map(write_map(tmp_path / "m.mcap", known.objects, graph)).objects.ids == known.objects.ids
