@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-import numpy as np
 from scipy.special import expit
 
 from logs.messages import LoopClosureRecord
@@ -95,9 +94,9 @@ class Acceptance:
         others = [each for each in candidates if each is not likeliest]
         best = replace(likeliest, posterior_log_odds=float(posterior.posterior_log_odds[posterior.best]))
         rejected = tuple(each.record(Stage.ACCEPTANCE, "another candidate is likelier") for each in others)
-        if best.is_tracked and self._is_sure(posterior):
+        if best.is_tracked and self._is_sure(best):
             return Decision((*rejected, best.record(Stage.ASSOCIATION, TRACKED)), tracked=best)
-        if self._is_sure(posterior):
+        if self._is_sure(best):
             rivals = self._verifier.rivals(query, best)
             compared = suppress_non_maxima([best, *others, *rivals], sensor_range_m=self._sensor_range_m)
             posterior = self._posterior(query, compared)
@@ -108,10 +107,11 @@ class Acceptance:
             best = replace(best, posterior_log_odds=odds, best_rival_llr=best_rival)
         else:
             is_best = True
-        if is_best and self._is_sure(posterior):
+        if is_best and self._is_sure(best):
             return Decision(rejected, best)
         fits = best.log_likelihood_ratio >= self._least_log_odds
-        doubt = f"wrong with probability {expit(-posterior.posterior_log_odds[posterior.best]):.2g}"
+        doubted = best.posterior_log_odds if is_best else posterior.posterior_log_odds[posterior.best]
+        doubt = f"wrong with probability {expit(-doubted):.2g}" if doubted is not None else ""
         reason = doubt if is_best else f"ambiguous: another pose is likelier, {doubt}"
         record = best.record(Stage.CONSISTENCY if fits else Stage.ACCEPTANCE, reason)
         unpredicted = best.log_likelihood_ratio - best.unpredicted_penalty
@@ -137,8 +137,9 @@ class Acceptance:
             candidate.log_likelihood_ratios,
         )
 
-    def _is_sure(self, posterior: Posterior) -> bool:
-        return bool(np.max(posterior.posterior_log_odds) >= self._least_log_odds)
+    def _is_sure(self, best: Candidate) -> bool:
+        """Whether this very pose is; another may be surer that can be true together with two that cannot."""
+        return best.posterior_log_odds is not None and best.posterior_log_odds >= self._least_log_odds
 
     def _agree(self, a: Candidate, b: Candidate) -> bool:
         return self._verifier.agree(a.T_local_query, b.T_local_query)

@@ -57,6 +57,24 @@ def test_a_rival_that_fits_as_well_leaves_it_open(acceptance, patterns):
     assert acceptance.decide(query(), both).accepted is not None
 
 
+@pytest.mark.parametrize("are_proposed", [True, False])
+def test_a_pose_is_not_as_sure_as_one_that_may_be_true_with_it_and_with_its_rival(
+    acceptance, patterns, monkeypatch, are_proposed
+):
+    monkeypatch.setattr(
+        patterns, "are_consistent", lambda a, b: 100.0 in (a.T_local_query[0, 3], b.T_local_query[0, 3])
+    )
+    others = [candidate(200.0, SURE_LLR + 9.9), candidate(100.0, SURE_LLR + 9.0)]
+    patterns.alike = [] if are_proposed else others
+    decision = acceptance.decide(query(), [candidate(0.0, SURE_LLR + 10.0), *(others if are_proposed else [])])
+    assert decision.accepted is None
+
+
+def test_a_pattern_that_fits_better_leaves_it_open_although_both_may_be_true(acceptance, patterns):
+    patterns.alike, patterns.passed_twice = [candidate(200.0, SURE_LLR + 12.0)], True
+    assert acceptance.decide(query(), [candidate(0.0, SURE_LLR + 10.0)]).accepted is None
+
+
 def test_a_pattern_that_repeats_itself_leaves_it_open(acceptance, patterns):
     patterns.alike = [candidate(8.0, SURE_LLR + 4.0)]
     assert acceptance.decide(query(), [candidate(0.0, SURE_LLR + 5.0)]).accepted is None
