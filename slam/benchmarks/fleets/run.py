@@ -25,7 +25,7 @@ from slam.simulation.world import load_world
 from slam.sweeps.workers import Death
 
 SINGLES = 4
-"""Logs that are mapped again by a plain replay, to compare the cost."""
+"""Logs, evenly from all cities, that are mapped again by a plain replay, to compare the cost."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,10 +97,11 @@ def benchmark_fleet(
     fleet = map_fleet(truth.logs, folder, Config(), measured, progress=progress)
     wall_s, own_s = time.perf_counter() - started, time.process_time() - own
     write_report(folder / "report.json", fleet)
-    usable = [log for log in truth.logs if truth.drives[log.name].city >= 0][:SINGLES]
+    usable = [log for log in truth.logs if truth.drives[log.name].city >= 0]
     replays = MeasuredEngine(engine)
     replayed = sum(
-        not isinstance(outcome, Death) for _, outcome in replays.compute(_replay, [log.path for log in usable])
+        not isinstance(outcome, Death)
+        for _, outcome in replays.compute(_replay, [log.path for log in usable[:: -(-len(usable) // SINGLES)]])
     )
     maps = [load_map(path) for path in session_maps(fleet, folder, Config())]
     files = [path for path in (folder / "sessions").rglob("*") if path.is_file()]
