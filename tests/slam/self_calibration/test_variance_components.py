@@ -206,8 +206,7 @@ def test_a_motion_that_never_was_tells_nothing_of_its_noise():
     assert found.variances.heading_by_turn == found.standard_errors.heading_by_turn == 0.0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("times", [1, 4, 8])
+@pytest.mark.parametrize("times", [1, 4, pytest.param(8, marks=pytest.mark.slow)])
 def test_errors_that_scans_repeat_are_found(times):
     drive = SurveyedDrive(0, DETECTOR, scans=400)
     tracks, motion = drive.tracks, drive.motion
