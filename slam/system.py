@@ -249,7 +249,9 @@ class Slam:
         if self.state != State.LOST:
             updates.append(self._output.map_to_odom(pose))
         self.counters["keyframes"] += 1
-        self.counters["closures_accepted"] += sum(closure.accepted for closure in closures)
+        accepted = [closure for closure in closures if closure.accepted]
+        self.counters["closures_accepted"] += len(accepted)
+        self.counters["closures_retrieved"] += sum(closure.seed_query_keyframe_id is None for closure in accepted)
         self.counters["closures_inserted"] += sum(closure.inserted for closure in closures)
         if len(self._mapper.keyframes) == self._first_keyframe + 1:
             updates.append(self._status(self.state, "first odometry", level="info"))

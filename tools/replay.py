@@ -116,7 +116,7 @@ def _show(output: Path, picture: Path | None, summary: ReplaySummary) -> None:
         f"with {counters.get('objects_used', 0)} objects",
         "keyframes": str(counters.get("keyframes", 0)),
         "landmarks": ", ".join(landmarks),
-        "loops": f"{counters.get('closures_accepted', 0)} loop closures accepted, "
+        "loops": f"{counters.get('closures_accepted', 0)} loop closures accepted ({_origins(counters)}), "
         f"{counters.get('closures_inserted', 0)} factors, {counters.get('closures_removed', 0)} removed as outliers"
         + rejected_by_odometry_note(counters.get("closures_rejected_by_odometry", 0)),
         **({"found": _fixes(summary)} if summary.relocalization_times_s else {}),
@@ -135,6 +135,12 @@ def noted_counters(counters: Mapping[str, int]) -> list[str]:
         for name, count in counters.items()
         if count and not name.startswith(_SHOWN) and name not in _USED
     ]
+
+
+def _origins(counters: Mapping[str, int]) -> str:
+    """The propagated closures are only as right as the retrieved ones that they start from."""
+    retrieved = counters.get("closures_retrieved", 0)
+    return f"{retrieved} retrieved, {counters.get('closures_accepted', 0) - retrieved} propagated"
 
 
 def _fixes(summary: ReplaySummary) -> str:
