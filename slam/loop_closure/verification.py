@@ -28,8 +28,8 @@ from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import PlaceRetriever
 from slam.registration.registration import Registration, refine
 
-# Farther from the reference traversal, in sensor ranges, its map is incomplete.
-MAX_REFERENCE_RANGES = 20.0 / 30.0
+# Farther from the reference traversal, in sensor ranges, its map has less than half of what is in view.
+MAX_REFERENCE_RANGES = 1.0
 
 
 class Verifier:

@@ -137,12 +137,22 @@ def test_fewer_pairs_than_make_a_pose_are_refused():
     assert len(Scene(scattered(3)).verified().pairs) == 3
 
 
-def test_far_from_every_keyframe_of_the_traversal_nothing_is_verified():
+def beside(lateral_m: float) -> tuple[Scene, Place]:
+    """A query that is so far from all keyframes of the reference traversal, whose objects it sees."""
     scene = Scene(scattered())
-    aside = transform_from_xyz_yaw(np.array([0.0, 25.0, 0.0]), 0.0)
+    aside = transform_from_xyz_yaw(np.array([0.0, lateral_m, 0.0]), 0.0)
     scene.landmarks.reference = make_submap(apply(aside, scene.landmarks.reference.positions))
-    place = replace(scene.place, T_local_query=aside @ scene.place.T_local_query)
-    assert "no earlier keyframe within 20 m of the place" in scene.refusal(place)
+    return scene, replace(scene.place, T_local_query=aside @ scene.place.T_local_query)
+
+
+def test_farther_from_every_keyframe_of_the_traversal_than_the_sensor_sees_nothing_is_verified():
+    scene, place = beside(35.0)
+    assert "no earlier keyframe within 30 m of the place" in scene.refusal(place)
+
+
+def test_a_way_beside_the_traversal_is_verified():
+    scene, place = beside(25.0)
+    assert len(scene.verified(place).pairs) >= 3
 
 
 def test_the_reference_is_no_keyframe_of_the_same_traversal():
