@@ -92,26 +92,27 @@ class Acceptance:
         posterior = self._posterior(query, candidates)
         likeliest = candidates[posterior.best]
         others = [each for each in candidates if each is not likeliest]
-        best = replace(likeliest, posterior_log_odds=float(posterior.posterior_log_odds[posterior.best]))
+        log_odds = float(posterior.posterior_log_odds[posterior.best])
+        best = replace(likeliest, posterior_log_odds=log_odds)
         rejected = tuple(each.record(Stage.ACCEPTANCE, "another candidate is likelier") for each in others)
-        if best.is_tracked and self._is_sure(best):
+        if best.is_tracked and self._is_sure(log_odds):
             return Decision((*rejected, best.record(Stage.ASSOCIATION, TRACKED)), tracked=best)
-        if self._is_sure(best):
+        if self._is_sure(log_odds):
             rivals = self._verifier.rivals(query, best)
             compared = suppress_non_maxima([best, *others, *rivals], sensor_range_m=self._sensor_range_m)
             posterior = self._posterior(query, compared)
             is_best = self._agree(compared[posterior.best], best)
             best_rival = max((each.log_likelihood_ratio for each in compared if each is not best), default=None)
             itself = next(i for i, each in enumerate(compared) if self._agree(each, best))
-            odds = float(posterior.posterior_log_odds[itself])
-            best = replace(best, posterior_log_odds=odds, best_rival_llr=best_rival)
+            log_odds = float(posterior.posterior_log_odds[itself])
+            best = replace(best, posterior_log_odds=log_odds, best_rival_llr=best_rival)
         else:
             is_best = True
-        if is_best and self._is_sure(best):
+        if is_best and self._is_sure(log_odds):
             return Decision(rejected, best)
         fits = best.log_likelihood_ratio >= self._least_log_odds
-        doubted = best.posterior_log_odds if is_best else posterior.posterior_log_odds[posterior.best]
-        doubt = f"wrong with probability {expit(-doubted):.2g}" if doubted is not None else ""
+        likeliest_log_odds = log_odds if is_best else posterior.posterior_log_odds[posterior.best]
+        doubt = f"wrong with probability {expit(-likeliest_log_odds):.2g}"
         reason = doubt if is_best else f"ambiguous: another pose is likelier, {doubt}"
         record = best.record(Stage.CONSISTENCY if fits else Stage.ACCEPTANCE, reason)
         unpredicted = best.log_likelihood_ratio - best.unpredicted_penalty
@@ -137,9 +138,9 @@ class Acceptance:
             candidate.log_likelihood_ratios,
         )
 
-    def _is_sure(self, best: Candidate) -> bool:
-        """Whether this very pose is; another may be surer that can be true together with two that cannot."""
-        return best.posterior_log_odds is not None and best.posterior_log_odds >= self._least_log_odds
+    def _is_sure(self, log_odds: float) -> bool:
+        """Whether the accepted pose itself is; another may be surer that can be true together with two that cannot."""
+        return log_odds >= self._least_log_odds
 
     def _agree(self, a: Candidate, b: Candidate) -> bool:
         return self._verifier.agree(a.T_local_query, b.T_local_query)

@@ -28,9 +28,6 @@ from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import PlaceRetriever
 from slam.registration.registration import Registration, refine
 
-# Farther from the reference traversal, in sensor ranges, its map has less than half of what is in view.
-MAX_REFERENCE_RANGES = 1.0
-
 
 class Verifier:
     """Registers queries at retrieved places and computes log-likelihood ratios."""
@@ -57,7 +54,7 @@ class Verifier:
             graph,
             keyframes,
             np.zeros((0, 2)) if mapped is None else mapped,
-            cell_m=MAX_REFERENCE_RANGES * config.detection.sensor_range_m,
+            cell_m=config.detection.sensor_range_m,
         )
 
     def latest_m(self, query: Query) -> float:
@@ -73,7 +70,7 @@ class Verifier:
         T_local_query = np.asarray(seed_closure.T_local_query @ T_seed_query)
         reference_pose = self._keyframes[seed_closure.reference].odometry
         place = Place(T_local_query, reference_pose.travel_m, reference_pose.segment, 0.0)
-        reference = self._nearest(place, query, within_m=self._max_reference_m)
+        reference = self._nearest(place, query, within_m=self._sensor_range_m)
         return replace(place, travel_m=reference.odometry.travel_m) if reference else None
 
     def place_at(self, query: Query, T_local_query: FloatArray, segment: int) -> Place | None:
@@ -101,15 +98,15 @@ class Verifier:
 
     def verify(self, query: Query, place: Place, *, seed_closure: int = NOWHERE) -> Candidate | LoopClosureRecord:
         """The candidate at a place, or the record with the reason for its rejection."""
-        if self._nearest(place, query, within_m=self._max_reference_m + self.reach_m) is None:
+        if self._nearest(place, query, within_m=self._sensor_range_m + self.reach_m) is None:
             return self._out_of_reach(query, place)
         reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
         registration = _register(query.submap, reference_submap, place.T_local_query, self._config)
         if registration.T_reference_query is None:
-            reference = self._nearest(place, query, within_m=self._max_reference_m)
+            reference = self._nearest(place, query, within_m=self._sensor_range_m)
             return query.refusal(Stage.REGISTRATION, registration.reason, reference, rank=place.rank)
         registered = replace(place, T_local_query=registration.T_reference_query)
-        reference = self._nearest(registered, query, within_m=self._max_reference_m)
+        reference = self._nearest(registered, query, within_m=self._sensor_range_m)
         if reference is None:
             return self._out_of_reach(query, place)
         candidate = self._candidate(query, place, reference_submap, registration, reference, seed_closure)
@@ -249,20 +246,19 @@ class Verifier:
         return np.asarray(registered + np.diag(np.array([tilt, tilt, yaw, shift, shift, height]) ** 2))
 
     @property
-    def _max_reference_m(self) -> float:
-        return MAX_REFERENCE_RANGES * self._sensor_range_m
-
-    @property
     def reach_m(self) -> float:
         """How far registration can move a pose: its search radius, which halves from step to step."""
         return 2.0 * self._config.registration.search_radius_m
 
     def _out_of_reach(self, query: Query, place: Place) -> LoopClosureRecord:
-        reason = f"no earlier keyframe within {self._max_reference_m:g} m of the place"
+        reason = f"no earlier keyframe within {self._sensor_range_m:g} m of the place"
         return query.refusal(Stage.REGISTRATION, reason, rank=place.rank)
 
     def _nearest(self, place: Place, query: Query, *, within_m: float) -> Keyframe | None:
-        """The nearest keyframe of the reference traversal, if it is so near."""
+        """The nearest keyframe of the reference traversal, if it is so near.
+
+        Farther away than the sensor sees, the map of that traversal has less than half of what is in view.
+        """
         extent_m = TRAVERSAL_EXTENT * self._config.loop_closure.min_travel_m
         found = self._track.nearest(
             place.T_local_query[:3, 3],

@@ -122,3 +122,10 @@ def test_places_that_become_one_keep_the_best_rank() -> None:
     second, first = (replace(make_candidate(llrs={0: llr}), rank=rank) for llr, rank in ((30.0, 2), (20.0, 1)))
     kept = suppress_non_maxima([first, second], sensor_range_m=30.0)
     assert [(candidate.rank, candidate.score) for candidate in kept] == [(1, 30.0)]
+
+
+def test_the_status_counts_the_closures_that_were_retrieved(kidnapped: EvaluationRecords) -> None:
+    seeds = [each.seed_query_keyframe_id for each in kidnapped.closures if each.accepted]
+    assert kidnapped.status is not None
+    assert kidnapped.status.counters["closures_retrieved"] == seeds.count(None)
+    assert 0 < seeds.count(None) < len(seeds)
