@@ -135,13 +135,13 @@ class FactorGraph:
                     f"edge {edge.from_keyframe} -> {edge.to_keyframe}: keyframe {keyframe} is not in the graph"
                 )
 
-    def add_observations(self, observations: Sequence[Observation]) -> int:
-        """Tie landmarks to the keyframes that saw them; returns how many were used.
+    def add_observations(self, observations: Sequence[Observation]) -> None:
+        """Tie landmarks to the keyframes that saw them.
 
         A landmark enters the graph with its first observation, which gives it all three coordinates, so none is ever
-        under-constrained. Observations nearer than ``MIN_RANGE_RANGES``, whose bearing is undefined, are passed over.
+        under-constrained.
         """
-        return self._store.add_observations(observations)
+        self._store.add_observations(observations)
 
     def replace_covariances(self, covariances: Mapping[int, FloatArray]) -> None:
         """Give the edges of these numbers other covariances (6, 6); all is solved in batch from then on."""

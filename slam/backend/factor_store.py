@@ -10,17 +10,16 @@ import numpy as np
 
 from slam.backend.batch_solver import BatchSolver, GtsamCalls
 from slam.backend.factors import (
-    MIN_RANGE_RANGES,
     Edge,
     Factor,
     LandmarkPrior,
     Observation,
     PosePrior,
-    bearing_range_factors,
     between_factor,
     checked_pose,
     landmark_prior_factor,
     map_frame_factor,
+    observation_factors,
     prior_factor,
 )
 from slam.backend.incremental_solver import IncrementalSolver
@@ -39,7 +38,7 @@ class FactorStore:
 
     def __init__(self, config: FactorGraphConfig, calls: GtsamCalls, *, sensor_range_m: float) -> None:
         self._config = config
-        self._min_range_m = MIN_RANGE_RANGES * sensor_range_m
+        self._sensor_range_m = sensor_range_m
         self._landmark_priors: dict[int, int] = {}  # priors of the landmarks of a prior map that are in the graph
         self._next_factor = 0
         self.factors: dict[int, Factor] = {}
@@ -65,23 +64,26 @@ class FactorStore:
         self.solver.add(number, factor if factor is not None else self.solver_factor(record))
         return number
 
-    def add_observations(self, observations: Sequence[Observation]) -> int:
-        """Tie landmarks to the keyframes that saw them; returns how many were used.
+    def add_observations(self, observations: Sequence[Observation]) -> None:
+        """Tie landmarks to the keyframes that saw them.
 
         A landmark enters the graph with its first observation, which gives it all three coordinates, so none is ever
-        under-constrained. Observations nearer than ``MIN_RANGE_RANGES``, whose bearing is undefined, are passed over.
+        under-constrained.
         """
-        ranges_m = np.linalg.norm(np.array([each.position for each in observations]).reshape(-1, 3), axis=1)
-        used = [each for each, range_m in zip(observations, ranges_m, strict=True) if not range_m < self._min_range_m]
-        factors = bearing_range_factors([self._canonical(each) for each in used], self._config)
-        for observation, factor, position in zip(used, factors, self._positions_map(used), strict=True):
+        factors = self._observation_factors(observations)
+        for observation, factor, position in zip(observations, factors, self._positions_map(observations), strict=True):
             if observation.landmark not in self.landmarks:
                 self._enter(observation.landmark)
             number = self._number(observation)
             variable = self.landmarks.variable_of(observation.landmark)
             self.solver.add_observation(number, factor, observation.keyframe, variable, position)
             self.landmarks.observe(observation.landmark, number)
-        return len(used)
+
+    def _observation_factors(self, observations: Sequence[Observation]) -> list[gtsam.NonlinearFactor]:
+        """The solver's factors of observations, each of the variable that its landmark has in the graph."""
+        return observation_factors(
+            [self._canonical(each) for each in observations], self._config, sensor_range_m=self._sensor_range_m
+        )
 
     def _positions_map(self, observations: Sequence[Observation]) -> FloatArray:
         """Where observations (N,) put their landmarks, (N, 3) m in the map."""
@@ -174,7 +176,7 @@ class FactorStore:
             case Edge():
                 return map_frame_factor(record) if record.from_keyframe == self.known.frame else between_factor(record)
             case Observation():
-                return bearing_range_factors([self._canonical(record)], self._config)[0]
+                return self._observation_factors([record])[0]
             case PosePrior():
                 return prior_factor(record)
             case LandmarkPrior():

@@ -21,8 +21,9 @@ from slam.common.errors import FactorGraphError
 PRIOR_SIGMA_RAD = 1e-4
 # In sensor ranges.
 PRIOR_SIGMA_RANGES = 1e-3 / 30.0
-# Nearer than this, in sensor ranges, a bearing is not informative: the object is on top of the sensor.
-MIN_RANGE_RANGES = 0.3 / 30.0
+# In sensor ranges: what is in view is so much nearer than the camera of ``observation_factors`` that rays are parallel.
+CAMERA_RANGES = 1e6
+CAMERA_AXES = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 ORTHONORMAL_TOLERANCE = 1e-6
 CLOSURE_KERNEL_WIDTH = 1.0
 
@@ -115,15 +116,16 @@ def _measurement(edge: Edge) -> tuple[gtsam.Pose3, gtsam.noiseModel.Base]:
     return checked_pose(edge.T_from_to, what), noise
 
 
-def bearing_range_factor(observation: Observation, config: FactorGraphConfig) -> gtsam.NonlinearFactor:
-    """The GTSAM factor of an observation, which is at least ``MIN_RANGE_RANGES`` away."""
-    return bearing_range_factors([observation], config)[0]
-
-
-def bearing_range_factors(
-    observations: Sequence[Observation], config: FactorGraphConfig
+def observation_factors(
+    observations: Sequence[Observation], config: FactorGraphConfig, *, sensor_range_m: float
 ) -> list[gtsam.NonlinearFactor]:
-    """The GTSAM factors of observations that are at least ``MIN_RANGE_RANGES`` away."""
+    """The GTSAM factors of observations: the error is that of the position in the body frame, with its covariance.
+
+    GTSAM has no such factor. A stereo camera that looks up from ``CAMERA_RANGES`` below the body, with that distance as
+    its focal length and its baseline, sees a point (x, y, z) at uL = x, uR = x + z - distance, v = y. (A factor of
+    bearing and range would not do: the tangent plane of its bearing has axes that jump, so that it cannot tell a sure
+    azimuth from an unsure height.)
+    """
     if not observations:
         return []
     positions = np.array([observation.position for observation in observations])
@@ -132,24 +134,26 @@ def bearing_range_factors(
     if len(not_finite):
         what = _name(observations[not_finite[0]])
         raise FactorGraphError(f"{what}: the position {positions[not_finite[0]]} is not finite")
-    ranges_m = np.linalg.norm(positions, axis=1)
-    sights = positions / ranges_m[:, None]
-    range_variances = np.einsum("ni,nij,nj->n", sights, covariances, sights)
-    # GTSAM spans the tangent plane of the bearing by axes that jump where the smallest coordinate changes, straight
-    # ahead for one. So the two bearing errors get one variance, the mean across the line of sight, and no axes.
-    bearing_variances = (np.trace(covariances, axis1=1, axis2=2) - range_variances) / (2.0 * ranges_m**2)
-    variances = np.stack([bearing_variances, bearing_variances, range_variances], axis=1)
-    variances *= np.array([observation.covariance_inflation for observation in observations])[:, None]
-    inflations = {observation.covariance_inflation for observation in observations}
-    kernels = {inflation: _robust_kernel(config, inflation) for inflation in inflations}
+    inflations = np.array([observation.covariance_inflation for observation in observations])
+    noises = inflations[:, None, None] * (CAMERA_AXES @ covariances @ CAMERA_AXES.T)
+    kernels = {inflation: _robust_kernel(config, inflation) for inflation in set(inflations.tolist())}
+    distance_m = CAMERA_RANGES * sensor_range_m
+    camera = gtsam.Cal3_S2Stereo(distance_m, distance_m, 0.0, 0.0, 0.0, distance_m)
+    T_body_camera = gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, -distance_m]))
+    scales = distance_m / (distance_m + positions[:, 2])
+    lefts, ups = scales * positions[:, 0], scales * positions[:, 1]
+    rights = lefts - scales * distance_m
     factors: list[gtsam.NonlinearFactor] = []
-    for observation, range_m, variance in zip(observations, ranges_m.tolist(), variances, strict=True):
-        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Diagonal.Variances(variance)
+    for observation, left, right, up, covariance in zip(
+        observations, lefts.tolist(), rights.tolist(), ups.tolist(), noises, strict=True
+    ):
+        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(covariance)
         kernel = kernels[observation.covariance_inflation]
         if kernel is not None:
             noise = gtsam.noiseModel.Robust.Create(kernel, noise)
         keys = X(observation.keyframe), L(observation.landmark)
-        factors.append(gtsam.BearingRangeFactor3D(*keys, gtsam.Unit3(observation.position), range_m, noise))
+        seen = gtsam.StereoPoint2(left, right, up)
+        factors.append(gtsam.GenericStereoFactor3D(seen, noise, *keys, camera, T_body_camera))
     return factors
 
 

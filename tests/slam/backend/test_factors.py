@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
 from gtsam.symbol_shorthand import L, X
+from scipy.spatial.transform import Rotation
 
-from slam.backend.factors import Edge, EdgeKind, Observation, bearing_range_factors, between_factor
+from slam.backend.factors import Edge, EdgeKind, Observation, between_factor, observation_factors
 from slam.common.arrays import FloatArray
 from slam.common.config import FactorGraphConfig
 from slam.common.errors import FactorGraphError
-from slam.common.geometry import transform_from_xyz_yaw
+from slam.common.geometry import make_transform, transform_from_xyz_yaw
 
 FAR = np.array([6.0, 8.0, 0.0])
 SIGMA_M = 0.2
@@ -50,7 +53,8 @@ def test_a_closure_that_is_far_off_counts_less_and_less():
 
 
 def ranged(off_m: float, kernel: str, inflation: float = 1.0) -> float:
-    (factor,) = bearing_range_factors([observed(inflation=inflation)], FactorGraphConfig(observation_kernel=kernel))
+    config = FactorGraphConfig(observation_kernel=kernel)
+    (factor,) = observation_factors([observed(inflation=inflation)], config, sensor_range_m=30.0)
     return float(factor.error(values(np.eye(4), FAR * (1.0 + off_m / 10.0))))
 
 
@@ -69,13 +73,31 @@ def test_errors_that_observations_share_make_each_count_less_and_leave_its_kerne
     assert ranged(3.0, "cauchy", inflation=4.0) == pytest.approx(expected)
 
 
-def test_a_bearing_is_the_more_exact_the_farther_the_object():
-    for range_m in (5.0, 50.0):
-        config = FactorGraphConfig(observation_kernel="none")
-        (factor,) = bearing_range_factors([observed(np.array([range_m, 0.0, 0.0]))], config)
-        point = range_m * np.array([np.cos(0.01), np.sin(0.01), 0.0])
-        expected = 0.5 * (0.01 * range_m / SIGMA_M) ** 2
-        assert factor.error(values(np.eye(4), point)) == pytest.approx(expected, rel=1e-3)
+@pytest.mark.parametrize("sensor_range_m", [1.5, 30.0, 600.0])
+@pytest.mark.parametrize("seed", range(5))
+def test_the_error_of_an_observation_is_that_of_the_position_in_the_body(seed, sensor_range_m):
+    """The linear system is that of the residual R^T (m - t) - p, weighed by the covariance."""
+    rng = np.random.default_rng(seed)
+    position, off = rng.uniform(-sensor_range_m, sensor_range_m, 3), rng.normal(size=3)
+    A = rng.normal(size=(3, 3))
+    observation = replace(observed(position), covariance=1e-4 * np.eye(3) + 0.01 * A @ A.T)
+    plain = FactorGraphConfig(observation_kernel="none")
+    (factor,) = observation_factors([observation], plain, sensor_range_m=sensor_range_m)
+    T_map_body = make_transform(Rotation.random(random_state=rng).as_matrix(), 100.0 * rng.normal(size=3))
+    R, seen = T_map_body[:3, :3], position + off
+    point = R @ seen + T_map_body[:3, 3]
+    information = np.linalg.inv(observation.covariance)
+    at = values(np.eye(4), point)
+    at.update(X(0), gtsam.Pose3(T_map_body))
+    np.testing.assert_allclose(2.0 * factor.error(at), off @ information @ off, rtol=1e-4)
+    x, y, z = seen
+    by_rotation = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    jacobian = np.hstack([R.T, by_rotation, -np.eye(3)])  # landmark; rotation and translation of the body
+    graph = gtsam.NonlinearFactorGraph()
+    graph.add(factor)
+    expected = jacobian.T @ information @ jacobian
+    hessian = graph.linearize(at).hessian()[0]
+    np.testing.assert_allclose(hessian, expected, atol=1e-4 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("T", [np.diag([1.0, 1.0, -1.0, 1.0]), 2.0 * np.eye(4), np.full((4, 4), np.nan)])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import Edge, Factor, Observation, bearing_range_factor, bearing_range_factors
+from slam.backend.factors import Edge, Factor, Observation, observation_factors
 from slam.common.arrays import FloatArray
 from slam.common.config import AssociationConfig, FactorGraphConfig
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
@@ -208,9 +208,9 @@ def test_factors_made_at_once_are_those_made_one_by_one() -> None:
             Observation(0, row, rng.uniform(1.0, 20.0, 3), A @ A.T + 0.01 * np.eye(3), float(rng.choice([1.0, 500.0])))
         )
     config = FactorGraphConfig(observation_kernel="cauchy", observed_keyframes=1)
-    together = bearing_range_factors(observations, config)
+    together = observation_factors(observations, config, sensor_range_m=30.0)
     for observation, factor in zip(observations, together, strict=True):
-        assert factor.equals(bearing_range_factor(observation, config), 1e-12)
+        assert factor.equals(observation_factors([observation], config, sensor_range_m=30.0)[0], 1e-12)
     other = replace(observations[0], covariance=2.0 * observations[0].covariance)
-    assert not together[0].equals(bearing_range_factor(other, config), 1e-12)
-    assert bearing_range_factors([], config) == []
+    assert not together[0].equals(observation_factors([other], config, sensor_range_m=30.0)[0], 1e-12)
+    assert observation_factors([], config, sensor_range_m=30.0) == []

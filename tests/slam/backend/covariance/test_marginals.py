@@ -17,8 +17,8 @@ from slam.backend.factors import (
     Factor,
     Observation,
     PosePrior,
-    bearing_range_factor,
     between_factor,
+    observation_factors,
     prior_factor,
 )
 from slam.common.arrays import FloatArray
@@ -80,7 +80,7 @@ def as_gtsam(record: Factor) -> gtsam.NonlinearFactor:
         case Edge():
             return between_factor(record)
         case Observation():
-            return bearing_range_factor(record, PLAIN)
+            return observation_factors([record], PLAIN, sensor_range_m=30.0)[0]
     raise AssertionError(record)
 
 
