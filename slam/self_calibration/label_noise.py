@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.self_calibration.object_tracks import SurveyScan, follow_objects
+from slam.self_calibration.object_tracks import SurveyScan, follow_objects, objects_among
 
 LEAST_PAIRS = 100
 SLIGHT = 0.2
@@ -46,7 +46,7 @@ class LabelNoise:
 
 def estimate_label_noise(scans: Sequence[SurveyScan], headings_rad: FloatArray) -> LabelNoise:
     """The noise of the labels in ``scans`` (K), whose bodies head to ``headings_rad`` (K,) in the odometry frame."""
-    tracks = follow_objects(scans, headings_rad, by_class=False)
+    tracks = objects_among(follow_objects(scans, headings_rad, by_class=False))
     same = tracks.track[1:] == tracks.track[:-1]
     if int(same.sum()) < LEAST_PAIRS:
         return LabelNoise()

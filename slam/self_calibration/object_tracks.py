@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.common.arrays import FloatArray, IntArray
+from slam.self_calibration.track_existence import existence_probabilities
 
 AMBIGUITY = 0.5
 """A track goes on with a detection nearer than this share of the distance to the next object of its class."""
@@ -27,6 +28,8 @@ LOST_PROBABILITY, MOST_MISSED, SAMPLED_SCANS = 0.1, 20, 600
 """... more, where the detector misses so many that a track would end too soon with that probability; at most so many.
 Then a neighbour would be taken for the object. The first scans tell how many.
 """
+LEAST_SHARE = 1e-12
+"""Squared distances that are a smaller share of the squared room are rounding."""
 MOST_DISTANCES = 2**20
 """Held at a time, 8 MB, however many objects a scan has."""
 
@@ -95,6 +98,23 @@ class Detectability:
         return self.probability / self.period
 
 
+def objects_among(tracks: ObjectTracks) -> ObjectTracks:
+    """The tracks that are of objects rather than of false detections that lie near each other by chance."""
+    return tracks.of(_existence(tracks) > 0.5)
+
+
+def _existence(tracks: ObjectTracks) -> FloatArray:
+    """Probability (S,), for each detection, that its track is of an object."""
+    _, first, row = np.unique(tracks.track, return_index=True, return_inverse=True)
+    steps = tracks.points - tracks.points[np.maximum(np.arange(len(row)) - 1, 0)]
+    shares = np.maximum(np.einsum("ni,ni->n", steps, steps), LEAST_SHARE * tracks.rooms**2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        closeness = np.nan_to_num(np.log(tracks.rooms**2 / shares))
+    closeness[first] = 0.0  # a track begins there
+    links = (np.bincount(row) - 1).astype(np.float64)
+    return existence_probabilities(links, np.bincount(row, closeness).astype(np.float64))[row]
+
+
 def nearest_of_class_m(positions: FloatArray, labels: IntArray) -> FloatArray:
     """How far (N,) each of the detections (N, D) m of a scan is from the nearest of its class; inf if it is alone."""
     return _nearest(positions, labels, positions, labels).second_m  # each is its own nearest
@@ -112,7 +132,7 @@ def detectability_of(tracks: ObjectTracks) -> Detectability:
 
 def _missed_scans(scans: Sequence[SurveyScan], headings_rad: FloatArray, *, by_class: bool) -> int:
     """In how many scans in a row an object may be missed."""
-    found = detectability_of(_follow(scans, headings_rad, MOST_MISSED, by_class=by_class))
+    found = detectability_of(objects_among(_follow(scans, headings_rad, MOST_MISSED, by_class=by_class)))
     if not np.isfinite(found.probability):
         return MISSED_SCANS
     detected = np.clip(found.probability, 1e-3, 1.0 - 1e-3)

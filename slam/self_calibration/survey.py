@@ -28,6 +28,7 @@ from slam.self_calibration.object_tracks import (
     detectability_of,
     follow_objects,
     nearest_of_class_m,
+    objects_among,
 )
 from slam.self_calibration.sensor_orientation import find_orientation, roll_pitch_yaw_deg
 from slam.self_calibration.variance_components import CLIP, ComponentEstimate, Motion, estimate_components
@@ -205,7 +206,7 @@ def summarize(scans: list[SurveyScan], errors: InputErrors | None = None, tracks
         stamps_s,
     )
     ranges = np.concatenate([np.hypot(scan.positions[:, 0], scan.positions[:, 1]) for scan in scans])
-    tracks = tracks or follow_objects(scans, headings)
+    tracks = tracks or objects_among(follow_objects(scans, headings))
     biases = centroid_biases(tracks)
     components = estimate_components(
         without_bias(tracks, biases), motion, most_repeated=_scans_of_a_view(float(np.median(ranges)), motion)
@@ -334,7 +335,7 @@ class _Gathered:
     def tracks(self, scans: list[SurveyScan]) -> ObjectTracks:
         """The tracks of the objects in scans; those of the last scans are kept."""
         if self._followed is None or self._followed[0] is not scans:
-            self._followed = scans, follow_objects(scans, _headings(scans))
+            self._followed = scans, objects_among(follow_objects(scans, _headings(scans)))
         return self._followed[1]
 
     def _corrected_scans(self, config: DetectionConfig, delay_s: float) -> list[SurveyScan]:
