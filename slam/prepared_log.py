@@ -152,7 +152,8 @@ def _survey(
     drift: ClockDrift,
 ) -> tuple[Survey | None, StampClocks]:
     clocks = StampClocks(drift)
-    records = inputs.prepare(record for item in reader.items(selection) for record in clocks.follow(item))
+    items = reader.items(selection, again_follows=True)
+    records = inputs.prepare(record for item in items for record in clocks.follow(item))
     with threadpool_limits(1, user_api="blas"):
         found = survey(
             records,

@@ -37,6 +37,7 @@ class IncrementalSolver:
         self._relinearize_unit_m = RELINEARIZE_UNIT_RANGES * sensor_range_m
         self._isam = self._new_isam("CHOLESKY")
         self._values: gtsam.Values | None = None
+        self._poses: dict[int, FloatArray] = {}  # what ``pose`` answered since the last update
         self._pending: dict[int, gtsam.NonlinearFactor] = {}
         self._pending_values = gtsam.Values()
         self._slots: dict[int, int] = {}
@@ -119,7 +120,6 @@ class IncrementalSolver:
                 numbers = sorted([*self._slots, *self._pending])
                 # The failed update has taken the new variables in already.
                 result = self._start_over(self._factors(), self._isam.getLinearizationPoint(), "QR")
-            self._values = None
         self._took_in(numbers, result)
 
     def restart(self, values: gtsam.Values, changed: Mapping[int, gtsam.NonlinearFactor]) -> None:
@@ -131,7 +131,6 @@ class IncrementalSolver:
         except RuntimeError as error:
             logger.info("joining by Cholesky failed (%s); solving afresh by QR", first_line(error))
             result = self._start_over(factors, values, "QR")
-        self._values = None
         self._slots = {}
         self._took_in(list(factors), result)
 
@@ -149,12 +148,14 @@ class IncrementalSolver:
         key = X(keyframe)
         if self._pending_values.exists(key):
             return np.asarray(self._pending_values.atPose3(key).matrix())
-        if not self._isam.valueExists(key):
-            raise FactorGraphError(f"keyframe {keyframe} is not in the graph")
-        if self._values is not None:
-            return np.asarray(self._values.atPose3(key).matrix())
-        with self._calls.doing(f"the estimate of keyframe {keyframe}"):
-            return np.asarray(self._isam.calculateEstimatePose3(key).matrix())
+        if keyframe not in self._poses:
+            if not self._isam.valueExists(key):
+                raise FactorGraphError(f"keyframe {keyframe} is not in the graph")
+            with self._calls.doing(f"the estimate of keyframe {keyframe}"):
+                known = self._values
+                pose = self._isam.calculateEstimatePose3(key) if known is None else known.atPose3(key)
+            self._poses[keyframe] = pose.matrix()
+        return self._poses[keyframe].copy()
 
     def estimate(self) -> gtsam.Values:
         """All variables as of the last update; iSAM2 computes those not queried before only here."""
@@ -191,6 +192,8 @@ class IncrementalSolver:
         return self._isam.update(graph, kept)
 
     def _took_in(self, numbers: list[int], result: gtsam.ISAM2Result) -> None:
+        self._values = None
+        self._poses = {}
         self._slots.update(zip(numbers, result.getNewFactorsIndices(), strict=True))
         self._pending = {}
         self._pending_values = gtsam.Values()

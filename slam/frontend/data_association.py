@@ -81,11 +81,11 @@ def associate(
         return Assignment(rows)
     innovation = positions[detection] - landmark_positions[landmark]
     S = covariances[detection] + landmark_covariances[landmark]
-    distance_squared = np.einsum("ni,ni->n", innovation, np.linalg.solve(S, innovation[..., None])[..., 0])
+    distance_squared, determinant = squared_distances(innovation, S)
     classes = landmark_beliefs.shape[1]
     belief = landmark_beliefs[landmark, labels[detection]]
     label_cost = -2.0 * np.log(label_likelihood(belief, classes, config))
-    pair_cost = distance_squared + np.log(np.linalg.det(2.0 * np.pi * S)) + label_cost
+    pair_cost = distance_squared + np.log((2.0 * np.pi) ** 3 * determinant) + label_cost
     none_cost = -2.0 * np.log(config.new_object_density / classes)
 
     rows[detection[(belief >= 0.5) & (distance_squared <= outer_gate)]] = AMBIGUOUS
@@ -93,6 +93,22 @@ def associate(
     taken = inside[_cheapest(detection[inside], landmark[inside], pair_cost[inside], none_cost)]
     rows[detection[taken]] = landmark[taken]
     return Assignment(rows, 0.5 * float(np.sum(none_cost - pair_cost[taken])))
+
+
+def squared_distances(offsets: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Squared Mahalanobis distances (N,) of offsets (N, 3) m and the determinants (N,) of their covariances (N, 3, 3).
+
+    By the factors L D L^T, written out: LAPACK takes a call a matrix.
+    """
+    x, y, z = offsets.T
+    (first, _, _), (yx, yy, _), (zx, zy, zz) = covariances.transpose(1, 2, 0)
+    l_yx, l_zx = yx / first, zx / first
+    second, rest = yy - l_yx * yx, zy - l_zx * yx
+    l_zy = rest / second
+    third = zz - l_zx * zx - l_zy * rest
+    y = y - l_yx * x
+    z = z - l_zx * x - l_zy * y
+    return x * x / first + y * y / second + z * z / third, first * second * third
 
 
 @lru_cache

@@ -130,8 +130,9 @@ def expected_log_likelihood_ratios(
     placed = apply(T_reference_query, path)[:, None, :2]
     offsets = reference.positions[:, :2] - placed
     passed = np.flatnonzero((np.einsum("pni,pni->pn", offsets, offsets) < radius_m**2).any(axis=0))
-    is_matched = np.isin(passed, pairs[:, 1])
-    return passed, np.where(is_matched, seen, seen + np.log1p(-seen))
+    is_matched = np.zeros(len(reference), dtype=np.bool_)
+    is_matched[pairs[:, 1]] = True
+    return passed, np.where(is_matched[passed], seen, seen + np.log1p(-seen))
 
 
 def _clutter_densities(
@@ -149,9 +150,10 @@ def _clutter_densities(
     others[pairs[:, 1], pairs[:, 0]] = False
     disc_area = np.pi * config.clutter_radius_m**2
     in_disc = np.sum(others & (distances < config.clutter_radius_m), axis=0) / disc_area
-    c, s = np.cos(heading_rad), np.sin(heading_rad)
-    along_track = _strip_densities(offsets, others, np.array([c, s]), config)
-    row = _row_densities(offsets, distances, others, config)
+    clutter = _Clutter.of(offsets, others)
+    headings = np.broadcast_to([np.cos(heading_rad), np.sin(heading_rad)], (len(query), 2))
+    along_track = _strip_densities(clutter, headings, config)
+    row = _row_densities(clutter, offsets, distances, others, config)
     # Half an object as a pseudo-count: in the disc, or in as much of the map as holds half an object of the class.
     area = np.full(len(query), disc_area)
     if class_shares is not None:
@@ -163,8 +165,29 @@ def _clutter_densities(
     return np.asarray(np.maximum.reduce([in_disc, along_track, row, 0.5 / area]))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Clutter:
+    """Pairs (P,) of a landmark and an object of its class that it is not matched with, and where it is from the object,
+    ``offsets`` (P, 2) m.
+    """
+
+    landmarks: IntArray
+    objects: IntArray
+    offsets: FloatArray
+
+    @staticmethod
+    def of(offsets: FloatArray, others: BoolArray) -> _Clutter:
+        """The pairs ``others`` (M, N) of landmarks and objects, among the ``offsets`` (M, N, 2) m of all."""
+        landmarks, objects = np.nonzero(others)
+        return _Clutter(landmarks, objects, offsets[landmarks, objects])
+
+    def chosen(self, which: BoolArray) -> _Clutter:
+        """Some of the pairs, by a mask (P,)."""
+        return _Clutter(self.landmarks[which], self.objects[which], self.offsets[which])
+
+
 def _row_densities(
-    offsets: FloatArray, distances: FloatArray, others: BoolArray, config: LikelihoodRatioConfig
+    clutter: _Clutter, offsets: FloatArray, distances: FloatArray, others: BoolArray, config: LikelihoodRatioConfig
 ) -> FloatArray:
     """Densities (N,) along the line through each object and its nearest other landmark of the class, that one left out.
 
@@ -177,19 +200,18 @@ def _row_densities(
         nearest = np.argmin(apart, axis=0)
         found = np.isfinite(apart[nearest, columns])
         direction = offsets[nearest, columns] / np.maximum(distances[nearest, columns], 1e-9)[:, None]
-        left = others.copy()
-        left[nearest, columns] = False
-        rows = np.maximum(rows, np.where(found, _strip_densities(offsets, left, direction, config), 0.0))
+        left = clutter.chosen(clutter.landmarks != nearest[clutter.objects])
+        rows = np.maximum(rows, np.where(found, _strip_densities(left, direction, config), 0.0))
         apart[nearest, columns] = np.inf
     return rows
 
 
-def _strip_densities(
-    offsets: FloatArray, counted: BoolArray, direction: FloatArray, config: LikelihoodRatioConfig
-) -> FloatArray:
-    """Densities (N,) of the landmarks ``counted`` (M, N) along a ``direction`` (2,) or (N, 2), Gaussian across it."""
-    along = np.sum(offsets * direction, axis=-1)
-    across = offsets[..., 1] * direction[..., 0] - offsets[..., 0] * direction[..., 1]
+def _strip_densities(clutter: _Clutter, directions: FloatArray, config: LikelihoodRatioConfig) -> FloatArray:
+    """Densities (N,) of the landmarks along the ``directions`` (N, 2) from the objects, Gaussian across them."""
+    dx, dy = directions[clutter.objects].T
+    x, y = clutter.offsets.T
+    inside = np.flatnonzero(np.abs(x * dx + y * dy) < config.clutter_along_track_m)
+    across = (y * dx - x * dy)[inside]
     area = 2.0 * config.clutter_along_track_m * config.clutter_cross_track_sigma_m * np.sqrt(2.0 * np.pi)
     profile = np.exp(-0.5 * (across / config.clutter_cross_track_sigma_m) ** 2)
-    return np.asarray(np.sum((counted & (np.abs(along) < config.clutter_along_track_m)) * profile, axis=0) / area)
+    return np.asarray(np.bincount(clutter.objects[inside], profile, len(directions)) / area)

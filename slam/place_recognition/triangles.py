@@ -49,8 +49,10 @@ def neighbour_triangles(
         [np.repeat(rows, len(first)), nearest[:, first + 1].ravel(), nearest[:, second + 1].ravel()], axis=1
     )
     vertices.sort(axis=1)
-    vertices = np.unique(vertices, axis=0)
     vertices = vertices[(vertices[:, 0] != vertices[:, 1]) & (vertices[:, 1] != vertices[:, 2])]
+    vertices = vertices[np.lexsort(vertices.T[::-1])]
+    repeats = (vertices[1:] == vertices[:-1]).all(axis=1)
+    vertices = vertices[~np.concatenate([[False], repeats])[: len(vertices)]]
     plane = positions[:, 0] + 1j * positions[:, 1]
     corners = plane[vertices]
     sides = np.abs(np.roll(corners, -1, axis=1) - np.roll(corners, 1, axis=1))  # opposite to each corner

@@ -77,7 +77,8 @@ def _regress(x: FloatArray, y: FloatArray) -> float:
     weights = np.ones_like(x)
     slope = 0.0
     for _ in range(ROUNDS):
-        slope = float(np.sum(weights * x * y) / max(float(np.sum(weights * x * x)), 1e-300))
+        weighted = weights * x
+        slope = float(np.sum(weighted * y) / max(float(np.sum(weighted * x)), 1e-300))
         residuals = y - slope * x
         scale = CAUCHY * 1.4826 * float(np.median(np.abs(residuals))) + 1e-12
         weights = 1.0 / (1.0 + (residuals / scale) ** 2)

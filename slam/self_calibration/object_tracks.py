@@ -117,7 +117,13 @@ def _existence(tracks: ObjectTracks) -> FloatArray:
 
 def nearest_of_class_m(positions: FloatArray, labels: IntArray) -> FloatArray:
     """How far (N,) each of the detections (N, D) m of a scan is from the nearest of its class; inf if it is alone."""
-    return _nearest(positions, labels, positions, labels).second_m  # each is its own nearest
+    nearest_m = np.full(len(positions), np.inf)
+    for part in _parts(len(positions), len(positions)):
+        apart = _squares(positions[part], labels[part], positions, labels)
+        rows = np.arange(len(apart))
+        apart[rows, rows + part.start] = np.inf
+        nearest_m[part] = np.sqrt(apart.min(axis=1))
+    return nearest_m
 
 
 def detectability_of(tracks: ObjectTracks) -> Detectability:
@@ -229,30 +235,36 @@ class _Nearest:
 
 
 def _nearest(points: FloatArray, labels: IntArray, others: FloatArray, other_labels: IntArray) -> _Nearest:
-    """Between points (N, D) and others (M, D) m of equal labels; some rows of their distances are held at a time."""
+    """Between points (N, D) and others (M, D) m of equal labels."""
     count = len(points)
     index, back = np.zeros(count, dtype=np.int64), np.zeros(len(others), dtype=np.int64)
-    distance_m, second_m, least_m = np.full(count, np.inf), np.full(count, np.inf), np.full(len(others), np.inf)
-    size = max(MOST_DISTANCES // max(len(others), 1), 1)
-    for start in range(0, count if len(others) else 0, size):
-        part = slice(start, start + size)
-        apart = _distances(points[part], others)
-        apart[labels[part, None] != other_labels] = np.inf
-        rows, columns = np.arange(len(apart)), np.arange(len(others))
-        closest = np.argmin(apart, axis=0)
-        nearer = apart[closest, columns] < least_m
-        least_m[nearer], back[nearer] = apart[closest, columns][nearer], start + closest[nearer]
-        index[part] = np.argmin(apart, axis=1)
-        distance_m[part] = apart[rows, index[part]]
-        apart[rows, index[part]] = np.inf
-        second_m[part] = apart.min(axis=1)
-    return _Nearest(index, distance_m, second_m, back)
+    nearest, second, least = np.full(count, np.inf), np.full(count, np.inf), np.full(len(others), np.inf)
+    for part in _parts(count, len(others)):
+        apart = _squares(points[part], labels[part], others, other_labels)
+        closest = apart.argmin(axis=0)
+        of_part = apart[closest, np.arange(len(others))]
+        nearer = of_part < least
+        least[nearer], back[nearer] = of_part[nearer], part.start + closest[nearer]
+        rows = np.arange(len(apart))
+        index[part] = chosen = apart.argmin(axis=1)
+        nearest[part] = apart[rows, chosen]
+        apart[rows, chosen] = np.inf
+        second[part] = apart.min(axis=1)
+    return _Nearest(index, np.sqrt(nearest), np.sqrt(second), back)
 
 
-def _distances(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(N, M) m between points (N, D) and (M, D)."""
-    squares = np.zeros((len(a), len(b)))
-    for here, there in zip(a.T, b.T, strict=True):
-        offsets = here[:, None] - there
-        squares += offsets * offsets
-    return np.sqrt(squares)
+def _parts(count: int, others: int) -> list[slice]:
+    """The rows of (count, others) distances, so many at a time as are held."""
+    size = max(MOST_DISTANCES // max(others, 1), 1)
+    return [slice(start, start + size) for start in range(0, count if others else 0, size)]
+
+
+def _squares(points: FloatArray, labels: IntArray, others: FloatArray, other_labels: IntArray) -> FloatArray:
+    """(N, M) m^2: squared distances of points (N, D) from others (M, D), inf where labels differ."""
+    squares = np.zeros((len(points), len(others)))
+    for axis in range(points.shape[1]):
+        offsets = np.subtract.outer(points[:, axis], others[:, axis])
+        offsets *= offsets
+        squares += offsets
+    squares[labels[:, None] != other_labels] = np.inf
+    return squares

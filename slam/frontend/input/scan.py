@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import compress
 
 import numpy as np
@@ -51,7 +51,15 @@ class Scan:
     def seen_from(self, T_frame_body: FloatArray) -> Scan:
         """The same scan with its positions and covariances in another frame."""
         R = T_frame_body[:3, :3]
-        return replace(self, positions=apply(T_frame_body, self.positions), covariances=R @ self.covariances @ R.T)
+        return Scan(
+            self.stamp_ns,
+            self.sensor,
+            apply(T_frame_body, self.positions),
+            R @ self.covariances @ R.T,
+            self.labels,
+            self.used,
+            self.has_own_covariance,
+        )
 
 
 def is_wanted(detections: ObjectDetections, config: DetectionConfig) -> NDArray[np.bool_]:

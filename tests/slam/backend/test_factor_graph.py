@@ -106,6 +106,18 @@ def test_a_closure_between_far_keyframes_bends_the_chain():
     assert worst_pose_error_m(closed) < worst_pose_error_m(open_loop)
 
 
+def test_a_pose_that_was_asked_for_is_another_after_the_next_update():
+    T = true_poses()
+    graph = build(noisy_edges(), [])
+    graph.update()
+    before = graph.pose(11)
+    graph.pose(11)[:] = np.nan  # what is handed out is the caller's
+    assert np.array_equal(graph.pose(11), before)
+    graph.add_edge(replace(edge(0, 11, invert(T[0]) @ T[11], "closure"), covariance=1e-6 * np.eye(6)))
+    graph.update()
+    assert np.linalg.norm((graph.pose(11) - before)[:3, 3]) > 0.5
+
+
 def test_twin_a_closure_the_wrong_way_round_does_not_close():
     T = true_poses()
     backwards = replace(edge(11, 0, invert(T[0]) @ T[11], "closure"), covariance=1e-6 * np.eye(6))

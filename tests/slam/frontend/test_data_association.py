@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import AssociationConfig
 from slam.frontend import data_association
-from slam.frontend.data_association import AMBIGUOUS, NEW, associate, label_likelihood
+from slam.frontend.data_association import AMBIGUOUS, NEW, associate, label_likelihood, squared_distances
 
 CONFIG = AssociationConfig()
 Scene = tuple[FloatArray, FloatArray, IntArray, FloatArray, FloatArray, FloatArray]
@@ -210,3 +210,14 @@ def test_five_thousand_detections_find_their_landmarks_and_none_is_taken_twice()
     found = associate(*plain_scene(detections, landmarks, sigma_m=0.05), CONFIG).landmark_rows
     assert len(np.unique(found[found >= 0])) == np.count_nonzero(found >= 0)
     assert np.mean(found == order) > 0.99
+
+
+@pytest.mark.parametrize("count", [0, 1, 50])
+def test_distances_and_determinants_are_those_of_lapack(count):
+    rng = np.random.default_rng(3)
+    factors = rng.normal(size=(count, 3, 3)) * [1.0, 0.3, 5.0]
+    covariances, offsets = factors @ factors.transpose(0, 2, 1) + 1e-3 * np.eye(3), rng.normal(size=(count, 3))
+    distances, determinants = squared_distances(offsets, covariances)
+    solved = np.linalg.solve(covariances, offsets[..., None])[..., 0]
+    assert np.allclose(distances, np.einsum("ni,ni->n", offsets, solved), rtol=1e-6)
+    assert np.allclose(determinants, np.linalg.det(covariances), rtol=1e-6)
