@@ -33,11 +33,11 @@ from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.mapper import Mapper
 from slam.frontend.scan_mapper import ScanMapper
 from slam.frontend.step_resolver import StepResolver
+from slam.graph_condenser import GraphCondenser
 from slam.localization.gnss import GnssPrior
 from slam.localization.pose_output import PoseOutput
 from slam.localization.prior_map import PriorMap, relocalizations, restore_prior_map, with_heights_of
 from slam.localization.state import Fix, LocalizationState, State
-from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
 from slam.loop_closure.loop_closer import LoopCloser
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
@@ -86,6 +86,9 @@ class Slam:
         self._mapper = Mapper(config, self._object_map, self._graph, known)
         self._closer = LoopCloser(config, self._object_map, self._graph, self._mapper.keyframes, imported)
         self._closer.place_prior = place_prior
+        self._condenser = GraphCondenser(
+            config, self._object_map, self._graph, self._mapper.keyframes, self._closer.closures, self.counters
+        )
         self._gnss: GnssPrior | None = None
         if isinstance(prior_map, ImportedMap) and prior_map.georeference is not None and place_prior is None:
             self._gnss = GnssPrior(prior_map.georeference)
@@ -177,11 +180,7 @@ class Slam:
         if self._first_keyframe and self._extends:
             self._mapper.retire_gone(self._closer.missing_landmarks())
         if self._extends:
-            self._graph.optimize(roughly=True)
-            radius_m = 2.0 * self._config.submap.landmark_sigma_m
-            nearby = self._closer.closures.keyframes_nearby()
-            fused = fuse_duplicate_landmarks(self._object_map, self._graph, nearby, radius_m=radius_m)
-            self.counters["landmarks_fused"] = fused
+            self._condenser.fuse_landmarks()
         optimization = self._graph.optimize()
         self.counters["batch_iterations"] = optimization.iterations
         return removed, warning, optimization
@@ -199,7 +198,7 @@ class Slam:
         if unknown := records.place_landmarks():
             self.counters["covariances_missing"] = unknown
         self.counters["labels_beyond_max_classes"] += self._object_map.unlisted_labels
-        self.counters["closures_removed"] = len(removed)
+        self.counters["closures_removed"] += len(removed)
         self.counters["closures_rejected_by_odometry"] = self._closer.rejected_by_odometry_count
         graph, object_map = records.graph(), records.object_map()
         doubts = assess(graph, object_map, sensor_range_m=self._config.detection.sensor_range_m)
@@ -248,6 +247,8 @@ class Slam:
         updates: list[Record] = [*closures, *changes, *found]
         if self.state != State.LOST:
             updates.append(self._output.map_to_odom(pose))
+        if self._extends:
+            updates += self._condenser.update()
         self.counters["keyframes"] += 1
         accepted = [closure for closure in closures if closure.accepted]
         self.counters["closures_accepted"] += len(accepted)

@@ -86,7 +86,7 @@ LAYERS = (
     {"localization"},
     {"loop_closure"},
     {"display", "map_joining", "scan_localization"},
-    {"final_map", "assessment"},
+    {"final_map", "assessment", "graph_condenser"},
     {"system", "output_log", "prepared_log"},
     {"provenance"},
     {"replay"},

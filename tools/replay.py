@@ -16,7 +16,15 @@ if TYPE_CHECKING:
     from slam.replay import ReplaySummary
 
 # Everything else that is counted was used, or is a number of landmarks.
-_USED = ("odometry_used", "detections_used", "objects_used", "keyframes", "keyframes_recognised", "batch_iterations")
+_USED = (
+    "odometry_used",
+    "detections_used",
+    "objects_used",
+    "keyframes",
+    "keyframes_recognised",
+    "keyframes_condensed",
+    "batch_iterations",
+)
 _SHOWN = ("landmarks_", "closures_", "relocalizations")
 _LANDMARK_STATES = ("confirmed", "tentative", "retired")
 
@@ -114,7 +122,7 @@ def _show(output: Path, picture: Path | None, summary: ReplaySummary) -> None:
         "log": f"{summary.log_s:.1f} s, mapped in {summary.wall_s:.1f} s{speed}",
         "used": f"{counters.get('odometry_used', 0)} odometry messages, {counters.get('detections_used', 0)} scans "
         f"with {counters.get('objects_used', 0)} objects",
-        "keyframes": str(counters.get("keyframes", 0)),
+        "keyframes": _keyframes(counters),
         "landmarks": ", ".join(landmarks),
         "loops": f"{counters.get('closures_accepted', 0)} loop closures accepted ({_origins(counters)}), "
         f"{counters.get('closures_inserted', 0)} factors, {counters.get('closures_removed', 0)} removed as outliers"
@@ -126,6 +134,11 @@ def _show(output: Path, picture: Path | None, summary: ReplaySummary) -> None:
         "written": str(output) + (f", {picture}" if picture else ""),
     }
     console.show(console.pairs(rows))
+
+
+def _keyframes(counters: Mapping[str, int]) -> str:
+    condensed = counters.get("keyframes_condensed", 0)
+    return str(counters.get("keyframes", 0)) + (f", {condensed} condensed into earlier ones" if condensed else "")
 
 
 def noted_counters(counters: Mapping[str, int]) -> list[str]:

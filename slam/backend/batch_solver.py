@@ -150,6 +150,10 @@ class BatchSolver:
             raise FactorGraphError(f"keyframe {keyframe} is not in the graph")
         return np.asarray(self._values.atPose3(X(keyframe)).matrix())
 
+    def point(self, landmark: int) -> FloatArray:
+        """Position (3,) m of a landmark."""
+        return np.asarray(self._values.atPoint3(L(landmark)))
+
     def estimate(self) -> gtsam.Values:
         """All variables as of the last step."""
         return self._values
@@ -161,6 +165,11 @@ class BatchSolver:
     def settle(self, landmarks: Mapping[int, FloatArray]) -> BatchSolver:
         """This one."""
         return self
+
+    @property
+    def factors(self) -> Mapping[int, gtsam.NonlinearFactor]:
+        """All factors, by their numbers."""
+        return self._factors
 
     @property
     def numbers(self) -> list[int]:

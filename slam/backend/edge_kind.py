@@ -9,9 +9,10 @@ class EdgeKind(StrEnum):
     """Where an edge comes from; the values are those of logs.
 
     ``DISCONTINUITY``: the odometry jumped, paused or restarted, so the edge holds no information, but keeps the graph
-    connected until a closure does it.
+    connected until a closure does it. ``CONDENSED``: a keyframe at one end stands for another one of a later traversal.
     """
 
     ODOMETRY = "odometry"
     DISCONTINUITY = "discontinuity"
     LOOP_CLOSURE = "closure"
+    CONDENSED = "condensed"

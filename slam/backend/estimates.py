@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -20,6 +20,14 @@ class Estimates:
     keyframe_positions: FloatArray
     landmarks: IntArray
     landmark_positions: FloatArray
+
+    def with_keyframes(self, keyframes: IntArray, positions: FloatArray) -> Estimates:
+        """These, and positions (N, 3) of other keyframes (N,)."""
+        return replace(
+            self,
+            keyframes=np.concatenate([self.keyframes, keyframes]),
+            keyframe_positions=np.concatenate([self.keyframe_positions, positions]),
+        )
 
 
 def read_estimates(*values: gtsam.Values) -> Estimates:

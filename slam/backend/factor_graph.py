@@ -24,7 +24,6 @@ from slam.backend.factors import (
     between_factor,
 )
 from slam.backend.graph_record import make_graph_record
-from slam.backend.segment_joining import moved_estimate, relaxed_breaks, shift_of_segment
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import DetectionConfig, FactorGraphConfig
 from slam.common.errors import FactorGraphError
@@ -60,6 +59,12 @@ class FactorGraph:
     def keyframes(self) -> IntArray:
         """Ids (K,) of the keyframes, in the order in which they were added."""
         return np.array(self._keyframes, dtype=np.int64)
+
+    @property
+    def keyframe_variables(self) -> IntArray:
+        """Ids (V,) of those that are variables: all but those attached to another one."""
+        attached = self._store.attached.anchors
+        return np.array([keyframe for keyframe in self._keyframes if keyframe not in attached], dtype=np.int64)
 
     @property
     def landmarks(self) -> IntArray:
@@ -119,18 +124,12 @@ class FactorGraph:
         """
         self._check_ends(edge)
         self.update()
-        store, keyframes = self._store, set(moved.tolist())
-        T_shift = shift_of_segment(edge, self.pose(edge.from_keyframe), self.pose(edge.to_keyframe), keyframes)
         with self._calls.doing("the joining of two segments"):
-            landmarks = [each for each in store.landmarks.variables if store.solver.holds_landmark(each)]
-            seen_by_others = store.seen_by_others(keyframes)
-            along = {each for each in landmarks if each not in seen_by_others and not store.known.holds(each)}
-            values = moved_estimate(store.solver.estimate(), self._keyframes, landmarks, keyframes, along, T_shift)
-            return store.restart(values, edge, relaxed_breaks(self.factors, keyframes, values))
+            return self._store.join(edge, set(moved.tolist()), self.keyframe_variables.tolist())
 
     def _check_ends(self, edge: Edge) -> None:
         for keyframe in (edge.from_keyframe, edge.to_keyframe):
-            if not self._store.solver.holds_keyframe(keyframe):
+            if not self._store.holds_keyframe(keyframe):
                 raise FactorGraphError(
                     f"edge {edge.from_keyframe} -> {edge.to_keyframe}: keyframe {keyframe} is not in the graph"
                 )
@@ -199,12 +198,24 @@ class FactorGraph:
         """``T_map_body`` (4, 4) of a keyframe."""
         return self._store.pose(keyframe)
 
-    def poses(self) -> FloatArray:
-        """``T_map_body`` (K, 4, 4) of all keyframes, in the order of ``keyframes``."""
+    def poses(self, keyframes: IntArray | None = None) -> FloatArray:
+        """``T_map_body`` (K, 4, 4) of all keyframes, in the order of ``keyframes``, or of some (K,)."""
         self.update()
-        values = self._store.solver.estimate()
-        fixed = self._store.known.poses
-        return np.array([fixed.get(k, values.atPose3(X(k)).matrix()) for k in self._keyframes]).reshape(-1, 4, 4)
+        values, fixed = self._store.solver.estimate(), self._store.known.poses
+
+        def pose(keyframe: int) -> FloatArray:
+            return fixed.get(keyframe, values.atPose3(X(keyframe)).matrix())
+
+        wanted = self._keyframes if keyframes is None else keyframes.tolist()
+        return self._store.attached.poses(wanted, pose)
+
+    def condense(self, anchors: Mapping[int, int]) -> None:
+        """Attach keyframes to others, as they are at the optimum; the incremental estimate goes on from there.
+
+        An attached keyframe is no variable any more and moves rigidly with its anchor, which takes over what was
+        observed from it.
+        """
+        self._store.condense(anchors)
 
     def landmark_positions(self, landmarks: IntArray) -> FloatArray:
         """Positions (N, 3) m in the map of landmarks that are in the graph."""
@@ -214,7 +225,8 @@ class FactorGraph:
 
     def estimates(self) -> Estimates:
         """Where everything is as far as it is known now; nothing is solved for it."""
-        return self._store.solver.estimates()
+        estimates, attached = self._store.solver.estimates(), np.array(list(self._store.attached.anchors))
+        return estimates.with_keyframes(attached, self.poses(attached)[:, :3, 3]) if len(attached) else estimates
 
     def to_record(self, stamp_ns: int, keyframe_stamps_ns: IntArray) -> FactorGraphRecord:
         """The whole graph at its current estimate, as it goes into a log."""
@@ -223,7 +235,7 @@ class FactorGraph:
             self.keyframes,
             keyframe_stamps_ns,
             self.poses(),
-            self.factors.values(),
+            [*self.factors.values(), *self._store.attached.rigid_edges(self.prior_sigma_m)],
             self._store.landmarks.variable_of,
             self._pose_covariances_if_known(),
         )
@@ -240,7 +252,12 @@ class FactorGraph:
         Rotation [rad] before translation [m], of the right perturbation ``T_map_body Exp(xi)``: about the body's axes.
         """
         self.update()
-        return self._all_marginals().of_keyframes(self.keyframes) if self._keyframes else np.zeros((0, 6, 6))
+        if not self._keyframes:
+            return np.zeros((0, 6, 6))
+        attached = self._store.attached
+        anchors = [attached.anchors.get(keyframe, keyframe) for keyframe in self._keyframes]
+        of_anchors = self._all_marginals().of_keyframes(np.array(anchors, dtype=np.int64))
+        return attached.covariances(self._keyframes, of_anchors)
 
     def _pose_covariances_if_known(self) -> FloatArray:
         try:

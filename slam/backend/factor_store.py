@@ -9,6 +9,8 @@ import gtsam
 import numpy as np
 
 from slam.backend.batch_solver import BatchSolver, GtsamCalls
+from slam.backend.condensing.attached_keyframes import AttachedKeyframes
+from slam.backend.condensing.condensed_factors import condensed_factors, relative_covariances, summed_at_estimate
 from slam.backend.factors import (
     Edge,
     Factor,
@@ -25,6 +27,7 @@ from slam.backend.factors import (
 from slam.backend.incremental_solver import IncrementalSolver
 from slam.backend.known_map import KnownMap
 from slam.backend.observed_landmarks import ObservedLandmarks
+from slam.backend.segment_joining import moved_estimate, relaxed_breaks, shift_of_segment
 from slam.common.arrays import FloatArray
 from slam.common.config import FactorGraphConfig
 from slam.common.errors import FactorGraphError
@@ -38,28 +41,38 @@ class FactorStore:
 
     def __init__(self, config: FactorGraphConfig, calls: GtsamCalls, *, sensor_range_m: float) -> None:
         self._config = config
+        self._calls = calls
         self._sensor_range_m = sensor_range_m
         self._landmark_priors: dict[int, int] = {}  # priors of the landmarks of a prior map that are in the graph
         self._next_factor = 0
         self.factors: dict[int, Factor] = {}
-        self.solver: IncrementalSolver | BatchSolver = IncrementalSolver(config, calls, sensor_range_m=sensor_range_m)
+        self.solver: IncrementalSolver | BatchSolver = self._incremental_solver()
         self.landmarks = ObservedLandmarks()
+        self.attached = AttachedKeyframes()
         self.known = KnownMap()
 
     def pose(self, keyframe: int) -> FloatArray:
         """``T_map_body`` (4, 4) of a keyframe."""
+        if keyframe in self.attached.anchors:
+            return self.attached.pose(keyframe, self.pose(self.attached.anchors[keyframe]))
         fixed = self.known.poses.get(keyframe)
         return self.solver.pose(keyframe) if fixed is None else fixed
+
+    def holds_keyframe(self, keyframe: int) -> bool:
+        """Whether a keyframe is in the graph, as a variable or attached to one."""
+        return keyframe in self.attached.anchors or self.solver.holds_keyframe(keyframe)
 
     def insert_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
         """Add a keyframe at a pose (4, 4)."""
         pose = checked_pose(T_map_body, f"keyframe {keyframe}")
-        if self.solver.holds_keyframe(keyframe):
+        if self.holds_keyframe(keyframe):
             raise FactorGraphError(f"keyframe {keyframe} is in the graph already")
         self.solver.insert_keyframe(keyframe, pose)
 
     def add(self, record: Factor, factor: gtsam.NonlinearFactor | None = None) -> int:
         """Add a factor between variables that are there; returns its number."""
+        if isinstance(record, Edge) and self.attached.moves(record):
+            record, factor = self.attached.edge(record), None
         number = self._number(record)
         self.solver.add(number, factor if factor is not None else self.solver_factor(record))
         return number
@@ -70,6 +83,7 @@ class FactorStore:
         A landmark enters the graph with its first observation, which gives it all three coordinates, so none is ever
         under-constrained.
         """
+        observations = [self.attached.observation(each) for each in observations]
         factors = self._observation_factors(observations)
         for observation, factor, position in zip(observations, factors, self._positions_map(observations), strict=True):
             if observation.landmark not in self.landmarks:
@@ -135,7 +149,7 @@ class FactorStore:
             for variable, numbers in self.landmarks.factors_of_variables()
         }
 
-    def seen_by_others(self, keyframes: set[int]) -> set[int]:
+    def _seen_by_others(self, keyframes: set[int]) -> set[int]:
         """Landmarks that other keyframes than these observe."""
         return {
             self.landmarks.variable_of(factor.landmark)
@@ -143,10 +157,22 @@ class FactorStore:
             if isinstance(factor, Observation) and factor.keyframe not in keyframes
         }
 
-    def restart(self, values: gtsam.Values, new: Edge, changed: Mapping[int, Edge]) -> int:
+    def join(self, edge: Edge, moved: set[int], keyframes: Sequence[int]) -> int:
+        """Move the keyframes ``moved``, and landmarks that only they saw, to where an edge puts them, and add it.
+
+        ``keyframes``: those that are variables. Returns the number of the edge.
+        """
+        T_shift = shift_of_segment(edge, self.pose(edge.from_keyframe), self.pose(edge.to_keyframe), moved)
+        landmarks = [each for each in self.landmarks.variables if self.solver.holds_landmark(each)]
+        seen_by_others = self._seen_by_others(moved)
+        along = {each for each in landmarks if each not in seen_by_others and not self.known.holds(each)}
+        values = moved_estimate(self.solver.estimate(), keyframes, landmarks, moved, along, T_shift)
+        return self._restart(values, edge, relaxed_breaks(self.factors, moved, values))
+
+    def _restart(self, values: gtsam.Values, new: Edge, changed: Mapping[int, Edge]) -> int:
         """Solve all afresh from ``values``, with a new edge, and others in the place of some; returns its number."""
         self.factors |= changed
-        number = self._number(new)
+        number = self._number(self.attached.edge(new))
         replaced = {each: self.solver_factor(self.factors[each]) for each in (*changed, number)}
         self.solver.restart(values, replaced)
         return number
@@ -157,6 +183,31 @@ class FactorStore:
         factors = {number: self.solver_factor(edge) for number, edge in changed.items()}
         solver = self.settle()
         solver.restart(solver.estimate(), factors)
+
+    def condense(self, anchors: Mapping[int, int]) -> None:
+        """Attach keyframes to their anchors at the optimum, and go on incrementally."""
+        solver = self.settle()
+        factors = self.factors.values()
+        covariances = relative_covariances(
+            ((self.landmarks.variable_of(each.landmark), each) for each in factors if isinstance(each, Observation)),
+            [each for each in factors if isinstance(each, Edge)],
+            anchors,
+            sensor_range_m=self._sensor_range_m,
+        )
+        self.attached.attach(anchors, covariances, self.pose)
+        gone, edges, moved = condensed_factors(self.factors, anchors, self.attached)
+        for edge in edges:
+            self.add(edge)
+        moved = [self._canonical(each) for each in moved]
+        T_map_body = np.array([self.pose(each.keyframe) for each in moved]).reshape(-1, 4, 4)
+        points = np.array([solver.point(each.landmark) for each in moved]).reshape(-1, 3)
+        self.add_observations(summed_at_estimate(moved, T_map_body, points, self._config))
+        for number in gone:
+            self.remove(number)
+        resumed = self._incremental_solver()
+        seen_from = {number: each.keyframe for number, each in self.factors.items() if isinstance(each, Observation)}
+        resumed.resume(solver.estimate(), solver.factors, seen_from)
+        self.solver = resumed
 
     def settle(self) -> BatchSolver:
         """End the incremental estimate: from now on all observations are used, and updates are steps in batch."""
@@ -181,6 +232,9 @@ class FactorStore:
                 return prior_factor(record)
             case LandmarkPrior():
                 return landmark_prior_factor(record)
+
+    def _incremental_solver(self) -> IncrementalSolver:
+        return IncrementalSolver(self._config, self._calls, sensor_range_m=self._sensor_range_m)
 
     def _number(self, record: Factor) -> int:
         self._next_factor += 1

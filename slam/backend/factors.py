@@ -200,3 +200,14 @@ def _robust_kernel(config: FactorGraphConfig, inflation: float) -> gtsam.noiseMo
             return gtsam.noiseModel.mEstimator.Huber.Create(width)
         case _:
             return None
+
+
+def kernel_weights(squares: FloatArray, kernel: str) -> FloatArray:
+    """Weights (N,) that a robust kernel gives squared residuals (N,), in squares of its width."""
+    match kernel:
+        case "cauchy":
+            return 1.0 / (1.0 + squares)
+        case "huber":
+            return 1.0 / np.sqrt(np.maximum(squares, 1.0))
+        case _:
+            return np.ones(len(squares))

@@ -70,6 +70,9 @@ class IncrementalSolver:
     def add(self, number: int, factor: gtsam.NonlinearFactor) -> None:
         """Add a factor between variables that are held."""
         self._pending[number] = factor
+        self._count(number, factor)
+
+    def _count(self, number: int, factor: gtsam.NonlinearFactor) -> None:
         for key in list(factor.keys()):
             if gtsam.symbolChr(key) == ord("l"):
                 self._landmark_of[number] = gtsam.symbolIndex(key)
@@ -79,12 +82,15 @@ class IncrementalSolver:
         self, number: int, factor: gtsam.NonlinearFactor, keyframe: int, landmark: int, position_map: FloatArray
     ) -> None:
         """Add an observation of a landmark, which has the position (3,) m if it is new; most only wait."""
-        if keyframe % self._config.observed_keyframes:
+        if self._waits(keyframe):
             self._waiting[number] = factor
             return
         if not self.holds_landmark(landmark):
             self.insert_landmark(landmark, position_map)
         self.add(number, factor)
+
+    def _waits(self, keyframe: int) -> bool:
+        return keyframe % self._config.observed_keyframes != 0
 
     def remove(self, number: int) -> None:
         """Take a factor out again; a landmark leaves with its last one."""
@@ -133,6 +139,16 @@ class IncrementalSolver:
             result = self._start_over(factors, values, "QR")
         self._slots = {}
         self._took_in(list(factors), result)
+
+    def resume(
+        self, values: gtsam.Values, factors: Mapping[int, gtsam.NonlinearFactor], seen_from: Mapping[int, int]
+    ) -> None:
+        """Go on, empty so far, from a batch solution; ``seen_from``: the keyframes of the factors that observe."""
+        self._waiting = {each: factors[each] for each, keyframe in seen_from.items() if self._waits(keyframe)}
+        held = {number: factor for number, factor in factors.items() if number not in self._waiting}
+        for number, factor in held.items():
+            self._count(number, factor)
+        self.restart(values, held)
 
     def settle(self, landmarks: Mapping[int, FloatArray]) -> BatchSolver:
         """The batch solver that goes on from here with all factors; positions (3,) m of ``landmarks`` not held yet."""

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from slam.backend.factors import Observation
+from slam.backend.observation_sums import sum_observations
 from slam.common.arrays import FloatArray
 from slam.common.config import OdometryConfig
 from slam.common.geometry import relative
@@ -54,11 +55,7 @@ class ObservationGroup:
         return bool(added.mean() > MAX_ADDED_VARIANCE)
 
     def take(self) -> list[Observation]:
-        """One observation a landmark, in the frame of the last keyframe; a next group begins.
-
-        Information adds up. The inflation is divided by the number of observations, so that the robust kernel stays as
-        wide as for one of them.
-        """
+        """One observation a landmark, in the frame of the last keyframe; a next group begins."""
         keyframes, observations, frames = self._keyframes, self._observations, self._frames
         self._keyframes, self._observations, self._frames = [], [], []
         self._variances = np.zeros(2)
@@ -67,21 +64,13 @@ class ObservationGroup:
         last = keyframes[-1]
         T = np.array([relative(last.odometry.T_odom_body, each.odometry.T_odom_body) for each in keyframes])[frames]
         R = T[:, :3, :3]
-        positions = np.einsum("nij,nj->ni", R, [each.position for each in observations]) + T[:, :3, 3]
-        information = np.linalg.inv(R @ _covariances(observations) @ np.swapaxes(R, 1, 2))
-        landmarks, rows = np.unique([each.landmark for each in observations], return_inverse=True)
-        summed, weighted = np.zeros((len(landmarks), 3, 3)), np.zeros((len(landmarks), 3))
-        np.add.at(summed, rows, information)
-        np.add.at(weighted, rows, np.einsum("nij,nj->ni", information, positions))
-        covariances = np.linalg.inv(summed)
-        means = np.einsum("nij,nj->ni", covariances, weighted)
-        inflations = np.bincount(rows, [each.covariance_inflation for each in observations]) / np.bincount(rows) ** 2
-        return [
-            Observation(last.id, *each)
-            for each in zip(
-                landmarks.tolist(), means, covariances / inflations[:, None, None], inflations.tolist(), strict=True
-            )
-        ]
+        return sum_observations(
+            np.full(len(observations), last.id),
+            np.array([each.landmark for each in observations]),
+            np.einsum("nij,nj->ni", R, [each.position for each in observations]) + T[:, :3, 3],
+            R @ _covariances(observations) @ np.swapaxes(R, 1, 2),
+            np.array([each.covariance_inflation for each in observations]),
+        )
 
     def _step(self, keyframe: Keyframe) -> FloatArray:
         translation, _, heading = step_variances(self._keyframes[-1].odometry, keyframe.odometry, self._config)

@@ -121,8 +121,8 @@ class AcceptedClosures:
         rejection = reject_outlier_closures(
             graph.factors,
             list(loops),
-            graph.keyframes,
-            graph.poses(),
+            graph.keyframe_variables,
+            graph.poses(graph.keyframe_variables),
             odometry_inflation=self._odometry_inflation,
         )
         reasons = {
@@ -134,6 +134,20 @@ class AcceptedClosures:
         removed = self._revoke(lambda each: each.represented_by in reasons)
         records = [each.candidate.record(Stage.BACK_END, reasons[each.represented_by]) for each in removed]
         return records, rejection.message
+
+    def settled_before_m(self, travel_m: float) -> float:
+        """Closures before the returned travel are not revoked any more, now that the robot has come to ``travel_m``."""
+        trusted_m = travel_m - self._trusted_after_m
+        doubtful = any(
+            self._crosses_break(loop.candidate) and loop.candidate.travel_m > trusted_m for loop in self._loops.loops
+        )
+        return -np.inf if doubtful else trusted_m
+
+    def forget_condensed(self) -> None:
+        """Forget the closures whose factors were condensed, and those that they represent: they are part of the map."""
+        self._loops.forget_condensed()
+        factors = {loop.candidate.query for loop in self._loops.loops}
+        self._accepted = [each for each in self._accepted if each.represented_by in factors]
 
     def _revoke(self, is_revoked: Callable[[Accepted], bool]) -> list[Accepted]:
         """Take accepted closures back; their factors are removed elsewhere."""

@@ -39,10 +39,12 @@ class ClosedLoops:
         self, object_map: ObjectMap, graph: FactorGraph, keyframes: Sequence[Keyframe], *, min_travel_m: float
     ) -> None:
         self._min_travel_m = min_travel_m
+        self._keyframes = keyframes
         self._segments = SegmentConnectivity(keyframes)
         self._map = object_map
         self._graph = graph
         self.loops: list[ClosedLoop] = []
+        self._lasting: list[tuple[int, int]] = []  # reference and query of condensed closures across breaks
 
     def nearest(self, travel_m: float) -> ClosedLoop | None:
         """The closure whose query is nearest in travel."""
@@ -71,8 +73,19 @@ class ClosedLoops:
             self._graph.remove_factor(loop.factor)
         self._merge_without({loop.factor for loop in loops})
         self._segments.reset()
-        for loop in self.loops:
-            self._segments.connect(loop.candidate.reference, loop.candidate.query)
+        for ends in [*self._lasting, *((each.candidate.reference, each.candidate.query) for each in self.loops)]:
+            self._segments.connect(*ends)
+
+    def forget_condensed(self) -> None:
+        """Forget the closures whose factors are no longer in the graph: nothing can remove them."""
+        held = self._graph.factors
+        ended = [loop.candidate for loop in self.loops if loop.factor not in held]
+        self._lasting += [
+            (each.reference, each.query)
+            for each in ended
+            if self._keyframes[each.reference].odometry.segment != self._keyframes[each.query].odometry.segment
+        ]
+        self.loops = [loop for loop in self.loops if loop.factor in held]
 
     def _merge_without(self, gone: set[int]) -> None:
         """Undo all merges since the first of the closures with the factors ``gone``, and make the others again.

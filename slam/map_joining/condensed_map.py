@@ -15,7 +15,7 @@ import numpy as np
 from logs.messages import FactorGraphRecord
 from slam.backend.factors import EdgeKind
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import apply, covariance_in_axes, invert
+from slam.common.geometry import adjoint, apply, covariance_in_axes, invert
 from slam.object_map.map_io import SavedMap, are_of_kind
 from slam.object_map.submap import gravity_frame
 
@@ -114,19 +114,10 @@ def _composed(graph: FactorGraphRecord, steps: list[int], last: int) -> FloatArr
     """Covariance (6, 6) of a chain of edges, in the upright frame of its last keyframe, row ``last``."""
     P = np.zeros((6, 6))
     for step in steps:
-        A = _adjoint(invert(graph.edge_transforms[step]))
+        A = adjoint(invert(graph.edge_transforms[step]))
         P = A @ P @ A.T + graph.edge_covariances[step]
     T_map_body = graph.T_map_body[last]
     return covariance_in_axes(P, T_map_body[:3, :3].T @ gravity_frame(T_map_body)[:3, :3])
-
-
-def _adjoint(T: FloatArray) -> FloatArray:
-    """Adjoint (6, 6) of a transform, rotation before translation."""
-    R, (x, y, z) = T[:3, :3], T[:3, 3]
-    A = np.zeros((6, 6))
-    A[:3, :3] = A[3:, 3:] = R
-    A[3:, :3] = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ R
-    return A
 
 
 def _observations(

@@ -80,8 +80,8 @@ def save_map(
     Args:
         path: replaced if it is there.
         objects: all landmarks; only confirmed ones are kept.
-        graph: the optimised graph. A stretch that only a break of the odometry ties to the rest lies anywhere, and is
-            left out, with what only it saw.
+        graph: the optimised graph. Condensed keyframes are left out, and a stretch that only a break of the odometry
+            ties to the rest, which lies anywhere, with what only it saw.
         markers: the landmarks for viewers.
         provenance: version, configuration and input of the drive.
         earlier_drives: those of the map that the drive went on from.
@@ -94,7 +94,7 @@ def save_map(
         SavedMapError: what is to be saved would be refused when it is loaded.
     """
     kept = confirmed(objects)
-    graph = observing(graph, kept, np.ones(len(graph.keyframe_ids), dtype=np.bool_))
+    graph = observing(graph, kept, ~_condensed(graph))
     _refuse_fault(path, kept, graph)
     is_tied = _tied(graph, to_first=earlier_drives is not None)
     seen = set(graph.observation_landmark_ids)
@@ -239,6 +239,14 @@ def _covariance_inflations(graph: FactorGraphRecord) -> FloatArray:
     """Covariance inflation of each observation (O,); 1 where the record has none."""
     inflations = graph.observation_redundancies
     return inflations if len(inflations) else np.ones(len(graph.observation_landmark_ids))
+
+
+def _condensed(graph: FactorGraphRecord) -> NDArray[np.bool_]:
+    """Which keyframes (K,) only condensed edges tie to the rest: others stand for them, and observed what they did."""
+    is_condensed = are_of_kind(graph, EdgeKind.CONDENSED)
+    tied, otherwise = graph.edge_keyframe_ids[is_condensed], graph.edge_keyframe_ids[~is_condensed]
+    needed = np.concatenate([otherwise.ravel(), graph.observation_keyframe_ids])
+    return np.isin(graph.keyframe_ids, tied) & ~np.isin(graph.keyframe_ids, needed)
 
 
 def _tied(graph: FactorGraphRecord, *, to_first: bool) -> NDArray[np.bool_]:

@@ -93,17 +93,17 @@ def replay_drive(
 
 def two_blocks() -> World:
     """Around two blocks of 80 m x 60 m, one street of it again, the street between them, and back the other way."""
-    return _furnished([CORNERS[name] for name in "ABCDEFABEDC"], seed=3)
+    return furnished([CORNERS[name] for name in "ABCDEFABEDC"], seed=3)
 
 
 def one_block() -> World:
     """Around a block of 80 m x 60 m, and one street of it again."""
-    return _furnished([CORNERS[name] for name in "ABEFAB"], seed=3)
+    return furnished([CORNERS[name] for name in "ABEFAB"], seed=3)
 
 
 def winding_street() -> World:
     """Streets 100 m apart, to and fro, none driven twice."""
-    return _furnished([(0, 0), (120, 0), (120, 100), (0, 100), (0, 200), (120, 200)], seed=5)
+    return furnished([(0, 0), (120, 0), (120, 100), (0, 100), (0, 200), (120, 200)], seed=5)
 
 
 def rows_of_lamps(spacing_m: float) -> World:
@@ -121,7 +121,7 @@ def with_objects(world: World, rows: list[int]) -> World:
     return World("few", ids, world.positions[rows], tuple(world.labels[row] for row in rows), world.tour)
 
 
-def _furnished(corners: list[tuple[int, int]], *, seed: int) -> World:
+def furnished(corners: list[tuple[int, int]], *, seed: int) -> World:
     """An object of some class about every 5 m of each street, 4 m to 9 m off it."""
     rng = np.random.default_rng(seed)
     tour = np.array(corners, dtype=np.float64)

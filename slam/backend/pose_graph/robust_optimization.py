@@ -18,6 +18,8 @@ logger = logging.getLogger(__name__)
 
 
 MAX_ITERATIONS = 100
+LEAST_DECREASE = 1e-5
+"""Of the cost, in nats."""
 MAX_ROUNDS = 20
 KERNEL_WIDTH = 1.0
 """Width of the Cauchy kernel in standard deviations of the whole, whitened error."""
@@ -70,6 +72,7 @@ def optimize_robustly(
     closures: IntArray,
     *,
     max_iterations: int = MAX_ITERATIONS,
+    least_decrease: float = LEAST_DECREASE,
 ) -> RobustSolution:
     """Solve a graph, and reject the false closures in it.
 
@@ -90,12 +93,13 @@ def optimize_robustly(
         initial: a value for each variable.
         closures: (C,) indices of the factors that are closures; C may be 0.
         max_iterations: of one solution by Levenberg-Marquardt, of which there are several.
+        least_decrease: of the cost, in nats: a solution ends with a step that lowers it by less.
 
     Raises:
         FactorGraphError: an index is none of a factor between two poses with plain noise.
         RuntimeError: GTSAM cannot solve the graph, e.g. because something hangs on closures only.
     """
-    solver = _Solver(graph, initial, closures, max_iterations)
+    solver = _Solver(graph, initial, closures, max_iterations, least_decrease)
     none_kept = np.zeros(len(closures), dtype=np.bool_)
     alone = solver.solve(none_kept, initial, "the solution without closures" if len(closures) else "the solution")
     if len(closures) == 0:
@@ -116,7 +120,12 @@ class _Solver:
     """Solves a graph with some of its closures, and keeps count."""
 
     def __init__(
-        self, graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values, closures: IntArray, max_iterations: int
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        initial: gtsam.Values,
+        closures: IntArray,
+        max_iterations: int,
+        least_decrease: float,
     ) -> None:
         self._indices = [int(index) for index in closures]
         self._plain = [_closure(graph, index) for index in self._indices]
@@ -125,6 +134,7 @@ class _Solver:
             self._others.remove(index)
         self._initial = initial
         self._max_iterations = max_iterations
+        self._least_decrease = least_decrease
         self._iterations = 0
         self._shortfalls: list[str] = []
 
@@ -132,6 +142,7 @@ class _Solver:
         """The least cost of all other factors and the closures in force (C,), near ``start``."""
         parameters = gtsam.LevenbergMarquardtParams()
         parameters.setMaxIterations(self._max_iterations)
+        parameters.setAbsoluteErrorTol(self._least_decrease)
         graph = self._graph(in_force, width)
         optimizer = gtsam.LevenbergMarquardtOptimizer(graph, start, parameters)
         values = optimizer.optimize()

@@ -174,3 +174,40 @@ def test_a_place_recognised_without_a_closure_is_forgotten_once_the_robot_is_los
     street.closures.add_tracked(street.candidate(100))
     street.declare_lost(since=100)
     assert street.closures.keyframes_nearby() == set()
+
+
+def test_a_condensed_closure_is_part_of_the_map_for_good(street):
+    street.accept(95)
+    street.accept(94)
+    street.accept(110)
+    (factor,) = (n for n, each in street.graph.factors.items() if isinstance(each, Edge) and each.kind == "closure"
+                 and each.to_keyframe == 95)  # fmt: skip
+    street.graph.remove_factor(factor)
+    street.closures.forget_condensed()
+    assert street.closed == [95, 94, 110]
+    assert street.declare_lost(since=0) == [110]
+    assert street.closed == [95, 94]
+
+
+def test_segments_stay_connected_by_a_condensed_closure():
+    street = Drive(second_segment=1)
+    street.accept(95)
+    assert street.closures.is_localized(street.keyframes[95])
+    (factor,) = (n for n, each in street.graph.factors.items() if isinstance(each, Edge) and each.kind == "closure")
+    street.graph.remove_factor(factor)
+    street.closures.forget_condensed()
+    street.accept(110)
+    street.declare_lost(since=110)
+    assert street.closures.is_localized(street.keyframes[95])
+
+
+def test_closures_are_settled_once_a_relocalization_would_no_longer_be_revoked():
+    trusted_m = 60.0
+    street = Drive()
+    street.accept(110)
+    assert street.closures.settled_before_m(1000.0) == 1000.0 - trusted_m
+    street = Drive(second_segment=1)
+    street.accept(110)
+    relocalized_m = STEP_M * 110
+    assert street.closures.settled_before_m(relocalized_m + trusted_m - 1.0) == -np.inf
+    assert street.closures.settled_before_m(relocalized_m + trusted_m + 1.0) == relocalized_m + 1.0

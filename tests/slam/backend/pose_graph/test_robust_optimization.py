@@ -11,6 +11,7 @@ from slam.backend.pose_graph.pose_graph_optimization import PoseGraphSolution, o
 from slam.backend.pose_graph.robust_optimization import (
     INFLATION,
     LEAST_AGREEMENT,
+    LEAST_DECREASE,
     LEAST_SHARE,
     _could_be_lower,
     _misfit,
@@ -358,6 +359,6 @@ def test_a_small_share_is_more_than_chance_unless_the_others_fit_the_odometry_as
     values = gtsam.Values()
     values.insert(0, gtsam.Pose3())
     values.insert(1, gtsam.Pose3())
-    solver = _Solver(graph, values, np.arange(2, 2 + len(offsets_m)), 100)
+    solver = _Solver(graph, values, np.arange(2, 2 + len(offsets_m)), 100, LEAST_DECREASE)
     assert LEAST_SHARE < kept / len(offsets_m) < LEAST_AGREEMENT
     assert solver.agree(np.arange(len(offsets_m)) < kept, values) is is_more_than_chance

@@ -1,0 +1,109 @@
+"""When the graph is condensed: a long drive through the same places keeps the graph of two traversals."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from logs.messages import LoopClosureRecord
+from slam.backend.condensing.anchors import find_anchors
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import Observation
+from slam.common.config import Config
+from slam.loop_closure.accepted_closures import AcceptedClosures
+from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
+from slam.object_map.landmarks import ObjectMap
+from slam.odometry.keyframe import Keyframe
+
+logger = logging.getLogger(__name__)
+
+SMALL_GRAPH = 3000
+"""A graph of so few keyframes, some 200 MB, is never condensed."""
+GROWTH = 2.0
+"""The graph is condensed again once it has that many times the keyframes that it had afterwards."""
+LEAST_SHARE = 0.25
+"""Of the keyframes that must go, so that it is worth a solution of the whole graph."""
+
+
+class GraphCondenser:
+    """Attaches keyframes of later traversals to those of the second one, once the graph has outgrown the map."""
+
+    def __init__(
+        self,
+        config: Config,
+        object_map: ObjectMap,
+        graph: FactorGraph,
+        keyframes: Sequence[Keyframe],
+        closures: AcceptedClosures,
+        counters: Counter[str],
+    ) -> None:
+        """``counters``: where it counts the keyframes that are attached, and the closures that it rejects."""
+        self._min_travel_m = config.loop_closure.min_travel_m
+        self._radius_m = 2.0 * config.submap.landmark_sigma_m
+        self._anchor_every = config.factor_graph.observed_keyframes
+        self._map = object_map
+        self._graph = graph
+        self._keyframes = keyframes
+        self._closures = closures
+        self._counters = counters
+        self._due_at = SMALL_GRAPH
+        self._variables = 0
+        self._counted = 0
+
+    def update(self) -> list[LoopClosureRecord]:
+        """Condense the graph if it is due; returns records of closures that are rejected as outliers then."""
+        self._variables += len(self._keyframes) - self._counted
+        self._counted = len(self._keyframes)
+        # Keyframes of a map that nobody drove are tied to its frame, not to one another.
+        if self._variables < self._due_at or self._keyframes[0].is_map_frame:
+            return []
+        removed = list[LoopClosureRecord]()
+        if len(self._anchors()) >= LEAST_SHARE * self._variables:
+            removed = self._condense()
+        self._due_at = max(SMALL_GRAPH, round(GROWTH * self._variables))
+        return removed
+
+    def fuse_landmarks(self) -> None:
+        """Fuse duplicate landmarks at the optimum."""
+        self._graph.optimize(roughly=True)
+        nearby = self._closures.keyframes_nearby()
+        fused = fuse_duplicate_landmarks(self._map, self._graph, nearby, radius_m=self._radius_m)
+        self._counters["landmarks_fused"] += fused
+
+    def _condense(self) -> list[LoopClosureRecord]:
+        self._graph.settle()
+        removed, warning = self._closures.reject_outliers()
+        if warning:
+            logger.warning("closures: %s", warning)
+        self.fuse_landmarks()
+        self._graph.optimize(roughly=True)
+        anchors = self._anchors()
+        self._graph.condense(anchors)
+        self._closures.forget_condensed()
+        self._counters["keyframes_condensed"] += len(anchors)
+        self._counters["closures_removed"] += len(removed)
+        self._variables -= len(anchors)
+        logger.info("condensed the graph: %d keyframes attached, %d remain", len(anchors), self._variables)
+        return removed
+
+    def _anchors(self) -> dict[int, int]:
+        variables = self._graph.keyframe_variables
+        of = [self._keyframes[keyframe] for keyframe in variables.tolist()]
+        travel_m = np.array([each.odometry.travel_m for each in of])
+        now_m = self._keyframes[-1].odometry.travel_m
+        settled_m = min(self._closures.settled_before_m(now_m), now_m - self._min_travel_m)
+        return find_anchors(
+            [
+                (each.keyframe, self._map.canonical_id(each.landmark))
+                for each in self._graph.factors.values()
+                if isinstance(each, Observation)
+            ],
+            variables,
+            travel_m,
+            is_settled=(travel_m < settled_m) & np.array([not each.is_prior for each in of]),
+            may_anchor=variables % self._anchor_every == 0,
+            min_travel_m=self._min_travel_m,
+        )

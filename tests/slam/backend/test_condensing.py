@@ -1,0 +1,373 @@
+"""Keyframes of later traversals attached to earlier ones: the same map with fewer variables."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import X
+
+from slam.backend.condensing.anchors import find_anchors
+from slam.backend.condensing.attached_keyframes import AttachedKeyframes
+from slam.backend.condensing.condensed_factors import condensed_factors, relative_covariances, summed_at_estimate
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import Edge, Observation, between_factor, kernel_weights
+from slam.common.arrays import FloatArray
+from slam.common.config import FactorGraphConfig
+from slam.common.geometry import adjoint, apply, invert, relative, transform_from_xyz_yaw
+from tests.slam.backend.graphs import PLAIN
+
+ROUND, LANDMARKS = 12, 15
+STEP_COVARIANCE = np.diag(np.repeat([0.02**2, 0.05**2], 3))
+SEEN_COVARIANCE = 0.02**2 * np.eye(3)
+
+
+def true_poses(rounds: int) -> FloatArray:
+    """On a circle of 8 m, each round a little beside the one before, and looking elsewhere."""
+    number = np.arange(rounds * ROUND)
+    around, lap = 2 * np.pi * number / ROUND, number // ROUND
+    radius = 8.0 + 0.3 * lap
+    xyz = np.stack([radius * np.sin(around), -radius * np.cos(around), 0.1 * lap], axis=1)
+    return transform_from_xyz_yaw(xyz, around + 0.4 * lap)
+
+
+def true_landmarks() -> FloatArray:
+    return np.random.default_rng(0).uniform([-14, -14, -1], [14, 14, 3], (LANDMARKS, 3))
+
+
+def driven(rounds: int, config: FactorGraphConfig = PLAIN, *, seed: int = 1) -> FactorGraph:
+    """Rounds in which each keyframe sees the eight landmarks nearest to it."""
+    rng = np.random.default_rng(seed)
+    T, landmarks = true_poses(rounds), true_landmarks()
+    graph = FactorGraph(config)
+    graph.add_first_keyframe(0, T[0])
+    for k in range(len(T)):
+        if k > 0:
+            error = gtsam.Pose3.Expmap(rng.multivariate_normal(np.zeros(6), STEP_COVARIANCE)).matrix()
+            graph.add_next_keyframe(Edge(k - 1, k, relative(T[k - 1], T[k]) @ error, STEP_COVARIANCE, "odometry"))
+        seen = apply(invert(T[k]), landmarks)
+        nearest = np.argsort(np.linalg.norm(seen, axis=1))[:8].tolist()
+        graph.add_observations(
+            [Observation(k, row, seen[row] + rng.normal(scale=0.02, size=3), SEEN_COVARIANCE) for row in nearest]
+        )
+        graph.update()
+    return graph
+
+
+def anchors_of(graph: FactorGraph, *, settled: int) -> dict[int, int]:
+    """Those of the keyframes before ``settled``, each of which is ten metres of travel."""
+    variables = graph.keyframe_variables
+    return find_anchors(
+        [(each.keyframe, each.landmark) for each in graph.factors.values() if isinstance(each, Observation)],
+        variables,
+        10.0 * variables,
+        is_settled=variables < settled,
+        may_anchor=np.ones(len(variables), dtype=np.bool_),
+        min_travel_m=60.0,
+    )
+
+
+def condensed(rounds: int, config: FactorGraphConfig = PLAIN, *, settled: int | None = None) -> FactorGraph:
+    graph = driven(rounds, config)
+    graph.optimize()
+    graph.condense(anchors_of(graph, settled=rounds * ROUND if settled is None else settled))
+    return graph
+
+
+def find(seen: list[tuple[int, list[int]]], travel_m: list[float], **limits: list[bool]) -> dict[int, int]:
+    """Anchors of keyframes, each given with its id and the landmarks that it observed."""
+    everything = np.ones(len(seen), dtype=np.bool_)
+    return find_anchors(
+        [(keyframe, landmark) for keyframe, landmarks in seen for landmark in landmarks],
+        np.array([keyframe for keyframe, _ in seen]),
+        np.array(travel_m),
+        is_settled=np.array(limits.get("is_settled", everything)),
+        may_anchor=np.array(limits.get("may_anchor", everything)),
+        min_travel_m=50.0,
+    )
+
+
+# Which keyframes are attached
+
+
+def test_a_keyframe_is_attached_to_the_one_of_the_second_traversal_that_saw_most_of_its_landmarks():
+    first = [(1, [1, 2, 3, 4, 5, 6])]
+    second = [(4, [1, 2, 3]), (5, [2, 3, 4, 5]), (6, [7, 8, 9])]
+    seen = [*first, *second, (20, [2, 3, 4, 6])]
+    assert find(seen, [0.0, 100.0, 110.0, 120.0, 200.0]) == {20: 5}
+
+
+def test_of_several_that_saw_as_many_the_first_one_is_taken():
+    seen = [(number, [1, 2, 3]) for number in (0, 1, 2, 9)]
+    assert find(seen, [0.0, 100.0, 101.0, 200.0]) == {9: 1}
+
+
+def test_keyframes_of_one_traversal_are_not_attached():
+    seen = [(number, [1, 2, 3]) for number in (0, 1, 2)]
+    assert find(seen, [0.0, 100.0, 150.0]) == {}
+    assert find(seen, [0.0, 100.0, 150.1]) == {2: 1}
+    assert find(seen, [0.0, 50.0, 100.1]) == {}
+
+
+def test_three_common_landmarks_and_half_of_those_seen_are_needed():
+    def third(landmarks: list[int], *, of_second: list[int]) -> dict[int, int]:
+        return find([(0, of_second), (1, of_second), (2, landmarks)], [0.0, 99.0, 198.0])
+
+    assert third([1, 2, 8, 9], of_second=[1, 2, 3]) == {}
+    assert third([1, 2, 3, 4, 5, 6], of_second=[1, 2, 3]) == {2: 1}
+    assert third([1, 2, 3, 4, 5, 6, 7], of_second=[1, 2, 3]) == {}
+
+
+def test_a_keyframe_that_is_not_settled_stays():
+    seen = [(number, [1, 2, 3]) for number in range(3)]
+    assert find(seen, [0.0, 99.0, 198.0], is_settled=[True, True, False]) == {}
+
+
+def test_an_attached_keyframe_is_no_anchor_and_neither_is_one_that_may_not_be():
+    laps = [(number, [1, 2, 3]) for number in range(5)]
+    travel_m = [99.0 * number for number in range(5)]
+    assert find(laps, travel_m) == {2: 1, 3: 1, 4: 1}
+    assert find(laps, travel_m, may_anchor=[True, False, True, True, True]) == {3: 2, 4: 2}
+
+
+def test_keyframes_that_saw_nothing_go_with_the_next_one_that_did():
+    seen = [(0, [1, 2, 3]), (1, [1, 2, 3]), (2, []), (3, []), (4, [1, 2, 3]), (5, []), (6, [7, 8])]
+    assert find(seen, [0.0, 99.0, 196.0, 197.0, 198.0, 199.0, 200.0]) == {2: 1, 3: 1, 4: 1}
+
+
+# What the graph is afterwards
+
+
+def test_condensing_leaves_the_estimate_where_it_was():
+    whole, graph = driven(3), condensed(3)
+    whole.optimize()
+    assert len(graph.keyframe_variables) < 2.5 * ROUND
+    np.testing.assert_array_equal(graph.keyframes, np.arange(3 * ROUND))
+    np.testing.assert_allclose(graph.poses(), whole.poses(), atol=0.02)
+    rows = whole.landmarks
+    np.testing.assert_allclose(graph.landmark_positions(rows), whole.landmark_positions(rows), atol=0.01)
+
+
+def test_the_size_of_a_condensed_graph_does_not_grow_with_the_rounds():
+    few, many = condensed(4), condensed(9)
+    assert len(many.keyframe_variables) <= len(few.keyframe_variables) + 1
+    assert len(many.factors) < 1.2 * len(few.factors)
+
+
+def test_observations_of_all_rounds_count():
+    truth = true_landmarks()
+
+    def sigma_m(graph: FactorGraph) -> float:
+        graph.optimize()
+        assert np.linalg.norm(graph.landmark_positions(graph.landmarks) - truth[graph.landmarks], axis=1).max() < 0.1
+        return float(np.sqrt(np.trace(graph.landmark_covariances(graph.landmarks), axis1=1, axis2=2).mean() / 3.0))
+
+    once, whole, attached = sigma_m(driven(1)), sigma_m(driven(6)), sigma_m(condensed(6))
+    assert 0.5 * whole < attached < 1.1 * whole < once
+
+
+def test_the_drive_goes_on_from_a_condensed_graph():
+    graph = condensed(4, settled=3 * ROUND)
+    T, landmarks = true_poses(5), true_landmarks()
+    for k in range(4 * ROUND, 5 * ROUND):
+        graph.add_next_keyframe(Edge(k - 1, k, relative(T[k - 1], T[k]), STEP_COVARIANCE, "odometry"))
+        seen = apply(invert(T[k]), landmarks)
+        graph.add_observations([Observation(k, row, seen[row], SEEN_COVARIANCE) for row in range(LANDMARKS)])
+        graph.update()
+    graph.optimize()
+    assert np.linalg.norm(graph.poses()[:, :3, 3] - T[:, :3, 3], axis=1).max() < 0.1
+    graph.condense(anchors_of(graph, settled=5 * ROUND))
+    assert len(graph.keyframe_variables) < 2.5 * ROUND
+    assert np.linalg.norm(graph.poses()[:, :3, 3] - T[:, :3, 3], axis=1).max() < 0.1
+
+
+def test_iSAM2_takes_in_as_few_observations_as_before():
+    graph = condensed(3, FactorGraphConfig(observation_kernel="none", observed_keyframes=4))
+    assert set(graph.factors) >= {0}
+    graph.add_next_keyframe(Edge(3 * ROUND - 1, 3 * ROUND, np.eye(4), STEP_COVARIANCE, "odometry"))
+    graph.update()
+    assert np.linalg.norm(graph.poses()[: 3 * ROUND, :3, 3] - true_poses(3)[:, :3, 3], axis=1).max() < 0.15
+
+
+def test_an_attached_keyframe_moves_with_its_anchor():
+    graph = condensed(3)
+    anchors = anchors_of(driven(3), settled=3 * ROUND)
+    before = {k: relative(graph.pose(a), graph.pose(k)) for k, a in anchors.items()}
+    graph.add_edge(Edge(0, 6, np.eye(4), 1e-6 * np.eye(6), "odometry"))
+    graph.optimize()
+    assert anchors
+    for k, a in anchors.items():
+        np.testing.assert_allclose(relative(graph.pose(a), graph.pose(k)), before[k], atol=1e-9)
+
+
+def test_positions_of_all_keyframes_are_known_while_the_drive_goes_on():
+    graph = condensed(3)
+    estimates = graph.estimates()
+    order = np.argsort(estimates.keyframes)
+    np.testing.assert_array_equal(estimates.keyframes[order], np.arange(3 * ROUND))
+    np.testing.assert_allclose(estimates.keyframe_positions[order], graph.poses()[:, :3, 3], atol=1e-9)
+
+
+def test_closures_to_an_attached_keyframe_pull_at_its_anchor():
+    graph = condensed(3)
+    attached = (set(graph.keyframes.tolist()) - set(graph.keyframe_variables.tolist())).pop()
+    T_true = true_poses(3)[attached] @ transform_from_xyz_yaw(np.array([1.0, 2.0, 0.0]), 0.3)
+    graph.add_keyframe(99, np.eye(4))
+    closure = relative(true_poses(3)[attached], T_true)
+    graph.add_edge(Edge(attached, 99, closure, 1e-4 * np.eye(6), "closure"))
+    graph.optimize()
+    np.testing.assert_allclose(relative(graph.pose(attached), graph.pose(99)), closure, atol=1e-6)
+    np.testing.assert_allclose(graph.pose(99)[:3, 3], T_true[:3, 3], atol=0.1)
+
+
+def test_merged_landmarks_can_be_condensed_and_removed():
+    graph = driven(3)
+    graph.optimize()
+    graph.merge_landmarks(0, 1)
+    graph.condense(anchors_of(graph, settled=3 * ROUND))
+    graph.remove_landmark(0)
+    graph.optimize()
+    assert not {0, 1} & set(graph.landmarks.tolist())
+
+
+def test_the_record_holds_all_keyframes_and_ties_each_to_its_anchor():
+    graph = condensed(3)
+    record = graph.to_record(0, np.arange(3 * ROUND))
+    kinds = np.array(record.edge_kinds)
+    attached = set(range(3 * ROUND)) - set(graph.keyframe_variables.tolist())
+    assert attached
+    assert attached <= set(record.edge_keyframe_ids[kinds == "condensed"][:, 1].tolist())
+    assert not attached & set(record.observation_keyframe_ids.tolist())
+    assert record.pose_covariances.shape == (3 * ROUND, 6, 6)
+    assert (np.linalg.eigvalsh(record.pose_covariances) > 0.0).all()
+
+
+# Factors of attached keyframes
+
+
+def attached_at(T_anchor_keyframe: FloatArray, covariance: FloatArray) -> AttachedKeyframes:
+    attached = AttachedKeyframes()
+    poses = {1: np.eye(4), 2: T_anchor_keyframe}
+    attached.attach({2: 1}, {2: covariance}, lambda keyframe: poses[keyframe])
+    return attached
+
+
+@pytest.mark.parametrize("ends", [(2, 3), (3, 2)])
+def test_an_edge_of_an_attached_keyframe_has_the_error_that_it_had(ends):
+    rng = np.random.default_rng(3)
+    T_1_2 = gtsam.Pose3.Expmap(rng.normal(size=6)).matrix()
+    A = rng.normal(size=(6, 6))
+    edge = Edge(ends[0], ends[1], gtsam.Pose3.Expmap(rng.normal(size=6)).matrix(), A @ A.T + np.eye(6), "odometry")
+    T = {1: gtsam.Pose3.Expmap(rng.normal(size=6)), 3: gtsam.Pose3.Expmap(rng.normal(size=6))}
+    T[2] = T[1].compose(gtsam.Pose3(T_1_2))
+    # Near what it says, where errors are linear.
+    other = T[2].compose(gtsam.Pose3(edge.T_from_to)) if ends == (2, 3) else T[2].compose(
+        gtsam.Pose3(edge.T_from_to).inverse()
+    )  # fmt: skip
+    T[3] = other.compose(gtsam.Pose3.Expmap(1e-4 * rng.normal(size=6)))
+    values = gtsam.Values()
+    for keyframe, pose in T.items():
+        values.insert(X(keyframe), pose)
+    moved = attached_at(T_1_2, np.zeros((6, 6))).edge(edge)
+    assert {moved.from_keyframe, moved.to_keyframe} == {1, 3}
+    assert between_factor(moved).error(values) == pytest.approx(between_factor(edge).error(values), rel=1e-3)
+
+
+def test_what_is_unknown_of_an_attached_keyframe_is_added_to_its_edges():
+    T_1_2 = transform_from_xyz_yaw(np.array([2.0, 1.0, 0.0]), 0.5)
+    T_2_3 = transform_from_xyz_yaw(np.array([0.0, 3.0, 0.0]), -0.2)
+    unknown = np.diag([0.01, 0.02, 0.03, 0.4, 0.5, 0.6])
+    attached = attached_at(T_1_2, unknown)
+    Ad = adjoint(invert(T_2_3))
+    found = attached.edge(Edge(2, 3, T_2_3, STEP_COVARIANCE, "odometry"))
+    np.testing.assert_allclose(found.covariance, STEP_COVARIANCE + Ad @ unknown @ Ad.T)
+    back = attached.edge(Edge(3, 2, invert(T_2_3), STEP_COVARIANCE, "odometry"))
+    Ad = adjoint(T_1_2)
+    np.testing.assert_allclose(back.covariance, Ad @ (STEP_COVARIANCE + unknown) @ Ad.T)
+    np.testing.assert_allclose(attached.covariances([1, 2], np.zeros((2, 6, 6))), [np.zeros((6, 6)), unknown])
+
+
+def test_an_attached_keyframe_follows_when_its_anchor_is_attached():
+    attached = attached_at(transform_from_xyz_yaw(np.array([1.0, 0.0, 0.0]), 0.0), 0.01 * np.eye(6))
+    poses = {each: transform_from_xyz_yaw(np.array([x, 0.0, 0.0]), 0.0) for each, x in ((0, 0.0), (1, 5.0), (2, 6.0))}
+    attached.attach({1: 0}, {1: 0.01 * np.eye(6)}, lambda keyframe: poses[keyframe])
+    assert attached.anchors == {1: 0, 2: 0}
+    np.testing.assert_allclose(attached.pose(2, np.eye(4)), poses[2])
+    assert attached.covariances([2], np.zeros((1, 6, 6)))[0, 0, 0] == pytest.approx(0.02)
+
+
+def test_edges_between_attached_keyframes_and_their_closures_are_no_longer_needed():
+    T = transform_from_xyz_yaw(np.array([1.0, 0.0, 0.0]), 0.0)
+    factors = {
+        0: Edge(11, 12, T, np.eye(6), "odometry"),
+        1: Edge(12, 13, T, np.eye(6), "odometry"),
+        2: Edge(2, 12, np.eye(4), np.eye(6), "closure"),
+        3: Edge(12, 20, np.eye(4), np.eye(6), "closure"),
+        4: Edge(1, 2, T, np.eye(6), "odometry"),
+        5: Observation(12, 7, np.array([1.0, 0.0, 0.0]), np.eye(3)),
+        6: Observation(2, 7, np.array([1.0, 0.0, 0.0]), np.eye(3)),
+        7: Observation(13, 7, np.array([1.0, 0.0, 0.0]), np.eye(3)),
+    }
+    attached = AttachedKeyframes()
+    anchors = {11: 1, 12: 2}
+    attached.attach(anchors, dict.fromkeys(anchors, np.zeros((6, 6))), lambda _: np.eye(4))
+    gone, edges, moved = condensed_factors(factors, anchors, attached)
+    assert gone == [0, 1, 2, 3, 5, 6]
+    assert [(each.from_keyframe, each.to_keyframe, each.kind) for each in edges] == [
+        (2, 13, "condensed"),
+        (2, 20, "closure"),
+    ]
+    assert [each.keyframe for each in moved] == [2, 2]
+
+
+# Noise
+
+
+def test_an_outlier_has_hardly_any_weight_in_a_sum():
+    right = [Observation(0, 5, np.array([10.0, 0.0, 0.0]), 0.01 * np.eye(3)) for _ in range(2)]
+    wrong = Observation(0, 5, np.array([10.0, 3.0, 0.0]), 0.01 * np.eye(3))
+    at, point = np.tile(np.eye(4), (3, 1, 1)), np.tile([10.0, 0.0, 0.0], (3, 1))
+    cauchy = summed_at_estimate([*right, wrong], at, point, FactorGraphConfig(observation_kernel="cauchy"))
+    plain = summed_at_estimate([*right, wrong], at, point, FactorGraphConfig(observation_kernel="none"))
+    assert len(cauchy) == len(plain) == 1
+    assert cauchy[0].position[1] < 0.01
+    assert plain[0].position[1] == pytest.approx(1.0)
+    np.testing.assert_allclose(plain[0].covariance_inflation * plain[0].covariance, 0.01 / 3.0 * np.eye(3))
+
+
+@pytest.mark.parametrize("kernel", ["cauchy", "huber"])
+def test_weights_are_those_of_gtsam(kernel):
+    estimators = gtsam.noiseModel.mEstimator
+    estimator = estimators.Cauchy.Create(1.5) if kernel == "cauchy" else estimators.Huber.Create(1.5)
+    residuals = np.array([0.0, 0.4, 1.4, 1.6, 9.0])
+    expected = [estimator.weight(each) for each in residuals]
+    np.testing.assert_allclose(kernel_weights((residuals / 1.5) ** 2, kernel), expected)
+
+
+def test_common_landmarks_tell_the_relative_pose_as_surely_as_a_solver_says():
+    T, landmarks = true_poses(1)[0], true_landmarks()
+    config = FactorGraphConfig(observation_kernel="none", observed_keyframes=1)
+    graph = FactorGraph(config)
+    graph.add_first_keyframe(0, T)
+    graph.add_next_keyframe(Edge(0, 1, np.eye(4), 1e4 * np.eye(6), "odometry"))
+    seen = apply(invert(T), landmarks)
+    observations = [Observation(k, row, seen[row], SEEN_COVARIANCE) for k in (0, 1) for row in range(LANDMARKS)]
+    graph.add_observations(observations)
+    graph.optimize()
+    exact = graph.pose_covariances()[1] - graph.pose_covariances()[0]
+    found = relative_covariances([(o.landmark, o) for o in observations], [], {1: 0}, sensor_range_m=30.0)[1]
+    np.testing.assert_allclose(np.sqrt(np.diag(found)), np.sqrt(np.diag(exact)), rtol=0.3)
+
+
+def test_odometry_carries_what_is_known_of_one_keyframe_to_its_neighbours():
+    seen = [Observation(k, row, p, SEEN_COVARIANCE) for k in (0, 2) for row, p in enumerate(5.0 * np.eye(3))]
+    step = 1e-4 * np.eye(6)
+    edges = [Edge(2, 3, np.eye(4), step, "odometry"), Edge(3, 4, np.eye(4), step, "odometry")]
+    anchors = {2: 0, 3: 0, 4: 0}
+    found = relative_covariances([(o.landmark, o) for o in seen], edges, anchors, sensor_range_m=30.0)
+    np.testing.assert_allclose(found[3], found[2] + step, rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(found[4], found[2] + 2 * step, rtol=1e-3, atol=1e-6)
+    closed = [*edges, Edge(1, 4, np.eye(4), 1e-6 * np.eye(6), "closure")]
+    sure = relative_covariances([(o.landmark, o) for o in seen], closed, anchors, sensor_range_m=30.0)
+    assert np.diag(sure[4]).max() < 1.1e-6
+    assert (np.diag(sure[2]) < np.diag(found[2])).all()
