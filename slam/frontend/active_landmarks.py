@@ -60,6 +60,12 @@ class ActiveLandmarks:
             self._known_place = known = pose, local, T_local_body
         return known[2]
 
+    @property
+    def T_local_odom(self) -> FloatArray:
+        """(4, 4) by which the landmarks correct the odometry now."""
+        assert self._pose is not None
+        return self._local.T_local_odom(self._pose.T_odom_body)
+
     def restart(self, pose: OdometryPose) -> None:
         """Begin anew at a pose, without landmarks."""
         self._local.start(pose.T_odom_body)

@@ -62,6 +62,8 @@ class Mapper:
             sensor_range_m=self._config.detection.sensor_range_m,
         ):
             return None
+        if self.keyframes:
+            self.close_keyframe(ends_group=False)
         if self.keyframes and pose.segment != self.keyframes[-1].odometry.segment:
             self._deactivate(np.ones(len(self._active.rows), dtype=np.bool_))
             self._active.restart(pose)
@@ -72,7 +74,6 @@ class Mapper:
         if not self.keyframes:
             self._graph.add_first_keyframe(keyframe.id, pose.T_odom_body)
         else:
-            self.close_keyframe(ends_group=False)
             self._graph.add_next_keyframe(
                 _odometry_edge(self.keyframes[-1], keyframe, self._config), _local_step(self.keyframes[-1], keyframe)
             )
@@ -187,7 +188,9 @@ class Mapper:
         """Add the observations since the last keyframe to the graph; those of tentative landmarks are held back."""
         for kept, dropped in self._active.merge_duplicates():
             self._merge(kept, dropped)
-        self._graph.add_observations(self._pending.close(self.keyframes[-1], ends_group=ends_group))
+        keyframe = self.keyframes[-1]
+        T_local_body = self._active.T_local_odom @ keyframe.odometry.T_odom_body
+        self._graph.add_observations(self._pending.close(keyframe, T_local_body, ends_group=ends_group))
 
     def _merge(self, kept: int, dropped: int) -> None:
         """Make one of two landmarks of the local map."""

@@ -1,7 +1,8 @@
 """Observations of several keyframes in a row, summed up into one observation a landmark.
 
 The graph and its solvers take time and memory by the observation. While the odometry is far better than a detection,
-observations are carried into the frame of a later keyframe at no loss.
+observations are carried into the frame of a later keyframe at no loss: by the landmarks around, since an error of the
+odometry would be common to all objects in view and not average out over them.
 """
 
 from __future__ import annotations
@@ -28,16 +29,20 @@ class ObservationGroup:
     def __init__(self, config: OdometryConfig) -> None:
         self._config = config
         self._keyframes: list[Keyframe] = []
+        self._T_local_body: list[FloatArray] = []
         self._observations: list[Observation] = []
         self._frames: list[int] = []  # of each observation, its place in ``_keyframes``
         self._variances = np.zeros(2)  # of the motion since the first keyframe: m^2 along an axis, rad^2 of the heading
 
-    def add(self, keyframe: Keyframe, observations: Sequence[Observation]) -> None:
-        """Take in what was observed from the next keyframe."""
+    def add(self, keyframe: Keyframe, T_local_body: FloatArray, observations: Sequence[Observation]) -> None:
+        """Take in what was observed from the next keyframe; ``T_local_body`` (4, 4): where the landmarks have it now
+        that it was observed, see :mod:`slam.frontend.local_map`.
+        """
         if self._keyframes:
             self._variances += self._step(keyframe)
         self._frames += [len(self._keyframes)] * len(observations)
         self._keyframes.append(keyframe)
+        self._T_local_body.append(T_local_body)
         self._observations += observations
 
     def ends_before(self, keyframe: Keyframe) -> bool:
@@ -57,12 +62,13 @@ class ObservationGroup:
     def take(self) -> list[Observation]:
         """One observation a landmark, in the frame of the last keyframe; a next group begins."""
         keyframes, observations, frames = self._keyframes, self._observations, self._frames
-        self._keyframes, self._observations, self._frames = [], [], []
+        T_local_body = self._T_local_body
+        self._keyframes, self._T_local_body, self._observations, self._frames = [], [], [], []
         self._variances = np.zeros(2)
         if len(keyframes) < 2 or not observations:
             return observations
         last = keyframes[-1]
-        T = np.array([relative(last.odometry.T_odom_body, each.odometry.T_odom_body) for each in keyframes])[frames]
+        T = np.array([relative(T_local_body[-1], each) for each in T_local_body])[frames]
         R = T[:, :3, :3]
         return sum_observations(
             np.full(len(observations), last.id),

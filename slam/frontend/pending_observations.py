@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 
 from slam.backend.factors import Observation
-from slam.common.arrays import IntArray
+from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.frontend.input.scan import Scan
 from slam.frontend.keyframe_observations import KeyframeObservations
@@ -33,9 +33,12 @@ class PendingObservations:
         """Forget what is held back of a landmark."""
         self._held_back.pop(row, None)
 
-    def close(self, keyframe: Keyframe, *, ends_group: bool) -> list[Observation]:
-        """What goes into the graph once a keyframe has all its observations; those of tentative landmarks wait."""
-        for observation in self._grouped(keyframe, ends_group=ends_group):
+    def close(self, keyframe: Keyframe, T_local_body: FloatArray, *, ends_group: bool) -> list[Observation]:
+        """What goes into the graph once a keyframe has all its observations; those of tentative landmarks wait.
+
+        ``T_local_body`` (4, 4): where the landmarks have the keyframe by then.
+        """
+        for observation in self._grouped(keyframe, T_local_body, ends_group=ends_group):
             self._held_back[observation.landmark].append(observation)
         ready = list[Observation]()
         rows = sorted(self._held_back)
@@ -46,12 +49,12 @@ class PendingObservations:
                 del self._held_back[row]
         return ready
 
-    def _grouped(self, keyframe: Keyframe, *, ends_group: bool) -> list[Observation]:
+    def _grouped(self, keyframe: Keyframe, T_local_body: FloatArray, *, ends_group: bool) -> list[Observation]:
         """The observations of the groups of keyframes that end with a keyframe or before it."""
         observations = self._since_keyframe.observations(keyframe.id, self._detection)
         self._since_keyframe = KeyframeObservations()
         ended = self._group.take() if self._group.ends_before(keyframe) else []
-        self._group.add(keyframe, observations)
+        self._group.add(keyframe, T_local_body, observations)
         if ends_group or keyframe.id % self._observed_keyframes == 0:
             ended += self._group.take()
         return ended

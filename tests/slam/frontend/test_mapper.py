@@ -260,6 +260,21 @@ def test_a_vehicle_that_is_parked_stays():
     assert bench.graph.landmarks.tolist() == [0, 1, 2, 3, 4]
 
 
+def test_the_landmarks_carry_observations_from_keyframe_to_keyframe_where_the_odometry_is_wrong():
+    """Lengths are 3 % too long; four keyframes 2 m apart are summed up."""
+    bench = Bench(odometry={"translation_sigma": 0.01})
+    for number in range(60):
+        x = 0.5 * number
+        bench.move(0.1 * number, x)
+        bench.see(0.1 * number, OBJECTS + np.array([0.03 * x, 0.0, 0.0]), sigma_m=0.25)
+    bench.mapper.close_keyframe()
+    last = [each for each in bench.observations() if each.keyframe == 12]
+    assert len(last) == len(OBJECTS)
+    assert all(each.covariance_inflation < 0.3 for each in last)
+    off = [each.position[0] + 0.97 * 24.0 - OBJECTS[each.landmark, 0] for each in last]
+    np.testing.assert_allclose(off, 0.0, atol=0.04)
+
+
 def test_a_jump_of_the_odometry_lets_go_of_the_landmarks_in_view():
     bench = Bench()
     bench.drive(10)

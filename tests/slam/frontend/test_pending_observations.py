@@ -38,7 +38,8 @@ class Drive:
         covariances = np.tile(0.01 * np.eye(3), (2, 1, 1))
         scan = Scan(number, "lidar", 5.0 * np.eye(2, 3), covariances, ("tree",) * 2, flags, flags)
         self.pending.add(self.rows, scan)
-        ready = self.pending.close(keyframe(number), ends_group=ends_group)
+        last = keyframe(number)
+        ready = self.pending.close(last, last.odometry.T_odom_body, ends_group=ends_group)
         return [(each.landmark, each.keyframe) for each in ready]
 
 
