@@ -28,6 +28,11 @@ def make_transform(rotation: FloatArray, translation: FloatArray) -> FloatArray:
 def transform_from_xyz_yaw(xyz: FloatArray, yaw_rad: FloatArray | float) -> FloatArray:
     """Transforms (..., 4, 4) that turn about z by ``yaw_rad`` (...) and move by ``xyz`` (..., 3)."""
     yaw, translation = np.asarray(yaw_rad, dtype=np.float64), np.asarray(xyz, dtype=np.float64)
+    if yaw.ndim == 0 and translation.ndim == 1:
+        (x, y, z), cosine, sine = translation.tolist(), math.cos(yaw), math.sin(yaw)
+        return np.array(
+            [[cosine, -sine, 0.0, x], [sine, cosine, 0.0, y], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]],
+        )
     c, s = np.cos(yaw), np.sin(yaw)
     shape = translation.shape[:-1]
     T = np.zeros((*(shape if yaw.shape == shape else np.broadcast_shapes(yaw.shape, shape)), 4, 4))
@@ -80,8 +85,11 @@ def rotation_angle_rad(T: FloatArray) -> FloatArray:
 
     From the sine and the cosine together, so that it is exact near 0 and near pi, where arccos alone is not.
     """
-    axis_sine, cosine = _axis_sine_and_cosine(T[..., :3, :3])
-    return np.asarray(np.arctan2(np.sqrt((axis_sine**2).sum(axis=-1)), cosine))
+    if T.ndim == 2:
+        x, y, z, cosine = _single_axis_sine_and_cosine(T[:3, :3])
+        return np.asarray(math.atan2(math.hypot(x, y, z), cosine))
+    axis_sine, cosines = _axis_sine_and_cosine(T[..., :3, :3])
+    return np.asarray(np.arctan2(np.sqrt((axis_sine**2).sum(axis=-1)), cosines))
 
 
 def rotation_of(vector: FloatArray) -> FloatArray:
@@ -111,22 +119,30 @@ def rotation_vector(R: FloatArray) -> FloatArray:
     Up to a quarter turn directly, which is an order of magnitude sooner for one rotation than SciPy, which is asked for
     larger ones: near half a turn the sine does not tell the axis.
     """
+    if R.ndim == 2:
+        x, y, z, cos = _single_axis_sine_and_cosine(R)
+        if cos < 0.0:
+            return np.asarray(Rotation.from_matrix(R).as_rotvec())
+        sin = math.hypot(x, y, z)
+        scale = 1.0 if sin < 1e-12 else math.atan2(sin, cos) / sin
+        return np.array([scale * x, scale * y, scale * z])
     axis_sine, cosine = _axis_sine_and_cosine(R)
     if np.any(cosine < 0.0):
         return np.asarray(Rotation.from_matrix(R).as_rotvec())
     sine = np.sqrt(np.einsum("...i,...i->...", axis_sine, axis_sine))
-    if R.ndim == 2:
-        return np.asarray(axis_sine if sine < 1e-12 else np.arctan2(sine, cosine) / sine * axis_sine)
     is_tiny = sine < 1e-12
     factor = np.where(is_tiny, 1.0, np.arctan2(sine, cosine) / np.where(is_tiny, 1.0, sine))
     return np.asarray(factor[..., None] * axis_sine)
 
 
+def _single_axis_sine_and_cosine(R: FloatArray) -> tuple[float, float, float, float]:
+    """The same of one rotation (3, 3), as plain numbers."""
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    return 0.5 * (h - f), 0.5 * (c - g), 0.5 * (d - b), 0.5 * (a + e + i - 1.0)
+
+
 def _axis_sine_and_cosine(R: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Axis times sine of the angle (..., 3), and its cosine (...), of rotations (..., 3, 3)."""
-    if R.ndim == 2:
-        (a, b, c), (d, e, f), (g, h, i) = R.tolist()
-        return 0.5 * np.array([h - f, c - g, d - b]), np.asarray(0.5 * (a + e + i - 1.0))
     axis_sine = 0.5 * np.stack(
         [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1
     )

@@ -38,6 +38,17 @@ class Prediction:
     covariances: FloatArray
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Held:
+    """The active landmarks in the EKF: their ``indices`` (K,) in ``rows``, their positions (K, 2) m, and covariances
+    (K, 2, 2) m^2 relative to the robot.
+    """
+
+    indices: IntArray
+    positions: FloatArray
+    covariances: FloatArray
+
+
 class ActiveLandmarks:
     """``rows`` (A,) of the object map that are active."""
 
@@ -48,6 +59,7 @@ class ActiveLandmarks:
         self._pose: OdometryPose | None = None
         self._known_slots: tuple[IntArray, IntArray, IntArray] | None = None
         self._known_place: tuple[OdometryPose, FloatArray, FloatArray] | None = None
+        self._known_held: tuple[IntArray, FloatArray, _Held] | None = None
         self.rows = np.zeros(0, dtype=np.int64)
 
     @property
@@ -106,14 +118,13 @@ class ActiveLandmarks:
             swerve_m = acceleration * seconds * np.maximum(seconds, MIN_SWERVE_S)
             positions += seconds[:, None] * velocities
             covariances += (swerve_m**2)[:, None, None] * np.eye(3)
-        slots = self._slots
-        held = np.flatnonzero(slots >= 0)
+        held = self._held.indices
         if len(held) and self._pose is not None:
-            positions[held, :2], planar = self._local.predict(slots[held])
             travel_m = np.abs(self._pose.travel_m - landmarks["last_seen_travel_m"][rows[held]])
             heights = covariances[held, 2, 2] + self._config.odometry.translation_sigma**2 * travel_m
+            positions[held, :2] = self._held.positions
             covariances[held] = 0.0
-            covariances[held, :2, :2] = planar
+            covariances[held, :2, :2] = self._held.covariances
             covariances[held, 2, 2] = heights
         return Prediction(positions, covariances)
 
@@ -187,15 +198,13 @@ class ActiveLandmarks:
 
     def uncertain(self) -> BoolArray:
         """(A,) which confirmed landmarks may be confused with others of their class by now, or are too many to keep."""
-        slots = self._slots
         uncertain = np.zeros(len(self.rows), dtype=np.bool_)
-        held = np.flatnonzero(slots >= 0)
+        held, covariances = self._held.indices, self._held.covariances
         if len(held) == 0:
             return uncertain
-        covariances = self._local.predict(slots[held])[1]
         variances, covariance = np.diagonal(covariances, axis1=1, axis2=2), covariances[:, 0, 1]
         largest = 0.5 * variances.sum(axis=1) + np.hypot(0.5 * (variances[:, 0] - variances[:, 1]), covariance)
-        distances = np.linalg.norm(self._local.positions()[slots[held]] - self.T_local_body[:2, 3], axis=1)
+        distances = np.linalg.norm(self._held.positions - self.T_local_body[:2, 3], axis=1)
         uncertain[held] = (np.sqrt(largest) > self._config.association.confusion_distance_m) | (
             distances > self._config.association.active_radius_m
         )
@@ -257,6 +266,15 @@ class ActiveLandmarks:
     def _view_variance(self) -> float:
         """By how much [m^2] two views of an object differ in where they put it."""
         return 2.0 * max(self._config.detection.common_sigma_m, self._config.detection.min_sigma_m) ** 2
+
+    @property
+    def _held(self) -> _Held:
+        """The active landmarks in the EKF as they are now."""
+        known, slots, pose = self._known_held, self._slots, self._local.pose
+        if known is None or known[0] is not slots or known[1] is not pose:
+            indices = np.flatnonzero(slots >= 0)
+            self._known_held = known = slots, pose, _Held(indices, *self._local.predict(slots[indices]))
+        return known[2]
 
     @property
     def _slots(self) -> IntArray:

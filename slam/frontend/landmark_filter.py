@@ -12,6 +12,8 @@ import numpy as np
 
 from slam.common.arrays import FloatArray
 
+_AXES = np.arange(3)
+
 
 def predict_covariances(covariances: FloatArray, offsets: FloatArray, variances: FloatArray) -> FloatArray:
     """Covariances (N, 3, 3) m^2 of landmarks relative to the robot after it moved on.
@@ -24,12 +26,11 @@ def predict_covariances(covariances: FloatArray, offsets: FloatArray, variances:
     A rotation error e of the robot moves a landmark at offset r by e x r, so a covariance Q of e becomes [r] Q [r]^T.
     """
     translation, tilt, heading = variances
-    cross = np.zeros_like(covariances)
-    for axis, (first, second) in enumerate(((1, 2), (2, 0), (0, 1))):
-        cross[:, second, first] = offsets[:, axis]
-        cross[:, first, second] = -offsets[:, axis]
-    turned = (cross * np.array([tilt, tilt, heading])) @ np.swapaxes(cross, -1, -2)
-    return np.asarray(covariances + translation * np.eye(3) + turned)
+    # Written out, it is -q r_i r_j beside the diagonal, with the q of the axis that is neither i nor j.
+    of_third = np.array([[0.0, heading, tilt], [heading, 0.0, tilt], [tilt, tilt, 0.0]])
+    added = -of_third * (offsets[:, :, None] * offsets[:, None, :])
+    added[:, _AXES, _AXES] = translation + (offsets * offsets) @ of_third
+    return np.asarray(covariances + added)
 
 
 def update_positions(

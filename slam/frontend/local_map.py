@@ -16,6 +16,7 @@ with Jacobians at the latest estimates the filter seems to learn it from each me
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import invert, transform_from_xyz_yaw, yaw_rad
@@ -49,7 +50,9 @@ class LocalMap:
 
     @property
     def pose(self) -> FloatArray:
-        """The robot's pose (3,), x, y [m] and the heading [rad], local frame; another array once it has changed."""
+        """The robot's pose (3,), x, y [m] and the heading [rad], local frame; another array once any estimate or
+        covariance has changed, but where ``ids`` is another.
+        """
         return self._pose
 
     @property
@@ -81,13 +84,18 @@ class LocalMap:
         turned = _wrapped(heading + float(yaw_rad(T_before_after)))
         self._pose = np.array([from_x + (c * x - s * y), from_y + (s * x + c * y), turned])
         x, y = (self._pose[:2] - self._predicted).tolist()
-        F = np.eye(POSE)
-        F[:2, 2] = -y, x
         self._predicted = self._pose[:2].copy()
-        self._P[:POSE] = F @ self._P[:POSE]
-        self._P[:, :POSE] = self._P[:, :POSE] @ F.T
-        for entry, variance in enumerate((variances[0], variances[0], variances[1])):
-            self._P[entry, entry] += variance
+        # P becomes F P F^T + Q; F is the identity but for the last entries of its first two rows, -y and x.
+        P = self._P
+        P[0] -= y * P[2]
+        P[1] += x * P[2]
+        P[:, 0] -= y * P[:, 2]
+        P[:, 1] += x * P[:, 2]
+        P[1, 0] = P[0, 1]
+        translation, rotation = variances.tolist()
+        P[0, 0] += translation
+        P[1, 1] += translation
+        P[2, 2] += rotation
 
     def anchor(self) -> None:
         """Hold the robot's pose to be known: all covariances are relative to it from now on.
@@ -101,6 +109,7 @@ class LocalMap:
         P = self._P[POSE:, POSE:] + mixed + mixed.T + G @ self._P[:POSE, :POSE] @ G.T
         self._P = np.zeros_like(self._P)
         self._P[POSE:, POSE:] = 0.5 * (P + P.T)
+        self._pose = self._pose.copy()
         self._first, self._predicted = self._positions.copy(), self._pose[:2].copy()
 
     def predict(self, slots: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -137,14 +146,14 @@ class LocalMap:
         entries = np.arange(2 * count).reshape(count, 2)
         blocks = entries[:, :, None], entries[:, None, :]
         own = S[blocks] + covariances
-        distances = np.einsum("ki,ki->k", innovations, np.linalg.solve(own, innovations[..., None])[..., 0])
-        excess = np.maximum(distances / GATE - 1.0, 0.0)  # Huber's weights on the measurements
+        excess = np.maximum(_squared_distances(innovations, own) / GATE - 1.0, 0.0)  # Huber's weights
         S[blocks] = own + excess[:, None, None] * covariances
-        lower = np.linalg.cholesky(S)
-        gain = np.linalg.solve(lower, HP)
-        change = gain.T @ np.linalg.solve(lower, innovations.ravel())
+        # One triangular solution for the gain and for what it is applied to.
+        known = np.column_stack([HP, innovations.ravel()])
+        whitened = solve_triangular(np.linalg.cholesky(S), known, lower=True, check_finite=False, overwrite_b=True)
+        gain, innovation = whitened[:, :-1], whitened[:, -1]
         self._P -= gain.T @ gain
-        self._apply(change)
+        self._apply(innovation @ gain)
 
     def insert(self, ids: IntArray, offsets: FloatArray, covariances: FloatArray) -> None:
         """Take in landmarks (K,) at ``offsets`` (K, 2) m from the robot in local axes, known by (K, 2, 2) m^2."""
@@ -160,7 +169,8 @@ class LocalMap:
         P[:size, :size] = self._P
         P[size:, :size] = G @ self._P[:POSE]
         P[:size, size:] = P[size:, :size].T
-        P[size:, size:] = G @ self._P[:POSE, :POSE] @ G.T
+        own = G @ self._P[:POSE, :POSE] @ G.T
+        P[size:, size:] = 0.5 * (own + own.T)
         block = size + np.arange(2 * count).reshape(count, 2)
         P[block[:, :, None], block[:, None, :]] += covariances
         self._P = P
@@ -199,7 +209,8 @@ class LocalMap:
         PH = self._P[:, a : a + 2] - self._P[:, b : b + 2]
         S = covariance[0] + variance * np.eye(2)
         gain = np.linalg.solve(S, PH.T).T
-        self._P -= gain @ S @ gain.T
+        P = self._P - gain @ S @ gain.T
+        self._P = 0.5 * (P + P.T)
         self._apply(-gain @ offset[0])
         self.remove(np.array([dropped]))
 
@@ -212,8 +223,6 @@ class LocalMap:
         return _pose_jacobians(self._first[slots] - self._predicted)
 
     def _apply(self, change: FloatArray) -> None:
-        self._P = self._P + self._P.T
-        self._P *= 0.5
         x, y, heading = (self._pose + change[:POSE]).tolist()
         self._pose = np.array([x, y, _wrapped(heading)])
         self._positions = self._positions + change[POSE:].reshape(-1, 2)
@@ -244,6 +253,13 @@ def _pose_jacobians(offsets: FloatArray) -> FloatArray:
 def _by_pose(G: FloatArray, covariances: FloatArray) -> FloatArray:
     """(2 K, N): Jacobians (K, 2, 3) of offsets by the pose, which are -I in its position, times (3, N)."""
     return np.asarray((G[:, :, 2, None] * covariances[2] - covariances[:2]).reshape(-1, covariances.shape[1]))
+
+
+def _squared_distances(offsets: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Squared Mahalanobis distances (K,) of offsets (K, 2), by the inverses of their covariances (K, 2, 2)."""
+    x, y = offsets.T
+    xx, xy, yy = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
+    return np.asarray((yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy))
 
 
 def _wrapped(angle_rad: float) -> float:

@@ -85,9 +85,10 @@ class Mapper:
     def add_scan(self, scan: Scan, pose: OdometryPose) -> DetectionAssociations:
         """Associate one scan, taken at ``pose``, with the landmarks around, and bring them up to date."""
         self._count_scan(scan.sensor)
+        T_local_body = self._active.advance(pose)
         self._deactivate_stale(pose.travel_m)
         T_keyframe_body = relative(self.keyframes[-1].odometry.T_odom_body, pose.T_odom_body)
-        in_local, in_keyframe = scan.seen_from(self._active.advance(pose)), scan.seen_from(T_keyframe_body)
+        in_local, in_keyframe = scan.seen_from(T_local_body), scan.seen_from(T_keyframe_body)
         labels = self._map.label_indices(scan.labels)
         predicted = self._active.predict(scan.stamp_ns)
         common = self._common_covariances(scan)

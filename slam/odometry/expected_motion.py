@@ -7,6 +7,8 @@ message that is wrong.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from slam.common.arrays import FloatArray
@@ -97,8 +99,9 @@ class ExpectedMotion:
             speeds = np.linalg.norm(self._velocity.reshape(2, 3), axis=1)
             return self._steps < LEAST_STEPS or bool(np.all(speeds <= self._change))
         T_deviation = relative(T_predicted, T_odom_body)
-        deviation = np.array([np.linalg.norm(T_deviation[:3, 3]), rotation_angle_rad(T_deviation)])
-        return bool((deviation <= self.tolerances(stamp_ns)).all())
+        most_m, most_rad = self.tolerances(stamp_ns).tolist()
+        deviation_m = math.hypot(*T_deviation[:3, 3].tolist())
+        return bool(deviation_m <= most_m and rotation_angle_rad(T_deviation) <= most_rad)
 
 
 def _twist(T_before_after: FloatArray) -> FloatArray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from slam.common.arrays import FloatArray
@@ -21,7 +23,7 @@ def step_variances(before: OdometryPose, after: OdometryPose, config: OdometryCo
     those of a mended step in between.
     """
     T_before_after = relative(before.T_odom_body, after.T_odom_body)
-    length_m = max(abs(after.travel_m - before.travel_m), float(np.linalg.norm(T_before_after[:3, 3])))
+    length_m = max(abs(after.travel_m - before.travel_m), math.hypot(*T_before_after[:3, 3].tolist()))
     turn_rad = float(rotation_angle_rad(T_before_after))
     seconds = abs(after.stamp_ns - before.stamp_ns) * 1e-9
     mended_m2, mended_rad2 = abs(after.mended_m2 - before.mended_m2), abs(after.mended_rad2 - before.mended_rad2)

@@ -6,6 +6,7 @@ follows it, until somebody who has the detections decides how the track goes on:
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from dataclasses import replace
 
@@ -245,9 +246,9 @@ class OdometryTrack:
         else:
             breaks, self._breaks_next = self._breaks_next, False
             seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9
-            step_m = float(np.linalg.norm(xyz_m - last.T_odom_body[:3, 3]))
+            step_m = math.dist(xyz_m, last.T_odom_body[:3, 3])
             # The jitter of a standing body is no travel.
-            counted_m = float(np.linalg.norm(xyz_m - self._counted_xyz_m))
+            counted_m = math.dist(xyz_m, self._counted_xyz_m)
             if breaks or counted_m >= self._jitter_m:
                 self._counted_xyz_m = xyz_m
             self._is_frozen = self._is_frozen and self._repeats(odometry)

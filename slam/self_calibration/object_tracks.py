@@ -201,16 +201,15 @@ class _OpenTracks:
         self, scan: int, points: FloatArray, ranges: FloatArray, labels: IntArray
     ) -> tuple[IntArray, FloatArray]:
         """Tracks (N,) of the detections of a scan, those that continue none begin one; and the room (N,) of each."""
-        rooms = np.minimum(AMBIGUITY * nearest_of_class_m(points, labels), RANGE_SHARE * ranges)
         tracks = np.full(len(points), -1, dtype=np.int64)
         goes_on = np.zeros(len(self._tracks), dtype=np.bool_)
+        nearest = _nearest(points, labels, self._points, self._labels)
+        rooms = np.minimum(AMBIGUITY * nearest.next_m, RANGE_SHARE * ranges)
         if len(points) and len(self._points):
-            open_ = _nearest(points, labels, self._points, self._labels)
-            mutual = open_.back[open_.index] == np.arange(len(points))
-            rooms = np.minimum(rooms, AMBIGUITY * open_.second_m)
-            found = mutual & (open_.distance_m < rooms)
-            tracks[found] = self._tracks[open_.index[found]]
-            goes_on[open_.index[found]] = True
+            mutual = nearest.back[nearest.index] == np.arange(len(points))
+            found = mutual & (nearest.distance_m < rooms)
+            tracks[found] = self._tracks[nearest.index[found]]
+            goes_on[nearest.index[found]] = True
         fresh = tracks < 0
         tracks[fresh] = self._count + np.arange(int(fresh.sum()))
         self._count += int(fresh.sum())
@@ -224,33 +223,38 @@ class _OpenTracks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Nearest:
-    """Of N points the nearest of M others by ``index`` (N,), its distance and that of the second (N,), inf where there
-    is none of the class; ``back`` (M,): for each other the nearest point.
+    """Of N points the nearest of M open tracks by ``index`` (N,), its distance (N,) and that of the next object (N,),
+    be it another track or another of the points; inf where there is none of the class. ``back`` (M,): for each track
+    the nearest point.
     """
 
     index: IntArray
     distance_m: FloatArray
-    second_m: FloatArray
+    next_m: FloatArray
     back: IntArray
 
 
-def _nearest(points: FloatArray, labels: IntArray, others: FloatArray, other_labels: IntArray) -> _Nearest:
-    """Between points (N, D) and others (M, D) m of equal labels."""
+def _nearest(points: FloatArray, labels: IntArray, tracks: FloatArray, track_labels: IntArray) -> _Nearest:
+    """Between points (N, 2) and the ends (M, 2) m of tracks, of equal labels."""
     count = len(points)
-    index, back = np.zeros(count, dtype=np.int64), np.zeros(len(others), dtype=np.int64)
-    nearest, second, least = np.full(count, np.inf), np.full(count, np.inf), np.full(len(others), np.inf)
-    for part in _parts(count, len(others)):
-        apart = _squares(points[part], labels[part], others, other_labels)
-        closest = apart.argmin(axis=0)
-        of_part = apart[closest, np.arange(len(others))]
-        nearer = of_part < least
-        least[nearer], back[nearer] = of_part[nearer], part.start + closest[nearer]
+    index, back = np.zeros(count, dtype=np.int64), np.zeros(len(tracks), dtype=np.int64)
+    nearest, following, least = np.full(count, np.inf), np.full(count, np.inf), np.full(len(tracks), np.inf)
+    all_points, all_labels = np.concatenate([points, tracks]), np.concatenate([labels, track_labels])
+    for part in _parts(count, len(all_points)):
+        apart = _squares(points[part], labels[part], all_points, all_labels)
         rows = np.arange(len(apart))
-        index[part] = chosen = apart.argmin(axis=1)
-        nearest[part] = apart[rows, chosen]
-        apart[rows, chosen] = np.inf
-        second[part] = apart.min(axis=1)
-    return _Nearest(index, np.sqrt(nearest), np.sqrt(second), back)
+        apart[rows, part.start + rows] = np.inf
+        if len(tracks):
+            of_tracks = apart[:, count:]
+            closest = of_tracks.argmin(axis=0)
+            of_part = of_tracks[closest, np.arange(len(tracks))]
+            nearer = of_part < least
+            least[nearer], back[nearer] = of_part[nearer], part.start + closest[nearer]
+            index[part] = chosen = of_tracks.argmin(axis=1)
+            nearest[part] = of_tracks[rows, chosen]
+            of_tracks[rows, chosen] = np.inf
+        following[part] = apart.min(axis=1)
+    return _Nearest(index, np.sqrt(nearest), np.sqrt(following), back)
 
 
 def _parts(count: int, others: int) -> list[slice]:

@@ -81,25 +81,33 @@ def make_scan(
     positions = apply(T_body_sensor, detections.positions)
     ranges = np.linalg.norm(positions, axis=1)
     used = is_wanted(detections, config) & (ranges <= config.max_range_m)
-    sigmas = config.base_sigma_m + config.sigma_per_m * ranges[used]
-    sights = positions[used] / np.maximum(ranges[used], 1e-12)[:, None]
-    along = (config.range_sigma_ratio**2 - 1.0) * sights[:, :, None] * sights[:, None, :]
-    covariances = sigmas[:, None, None] ** 2 * (np.eye(3) + along)
-    has_own_covariance = np.zeros(len(covariances), dtype=np.bool_)
+    positions = positions[used]
+    has_own_covariance = np.zeros(len(positions), dtype=np.bool_)
+    covariances = np.zeros((len(positions), 3, 3))
     if detections.covariances is not None:
         R = T_body_sensor[:3, :3]
         own = detections.covariances[used]
-        has_own_covariance = np.any(own != 0.0, axis=(1, 2))
+        has_own_covariance = own.any(axis=(1, 2))
         # No detector is right to the millimetre; what claims it would outweigh everything else.
-        own = config.claimed_sigma_factor**2 * (R @ own @ R.T) + config.min_sigma_m**2 * np.eye(3)
-        covariances = np.where(has_own_covariance[:, None, None], own, covariances)
+        covariances = config.claimed_sigma_factor**2 * (R @ own @ R.T) + config.min_sigma_m**2 * np.eye(3)
+    if not has_own_covariance.all():
+        by_range = _covariances_by_range(positions, ranges[used], config)
+        covariances = np.where(has_own_covariance[:, None, None], covariances, by_range)
     covariances = covariances + config.height_sigma_m**2 * np.outer(up_body, up_body)
     return Scan(
         stamp_ns=detections.stamp_ns,
         sensor=detections.frame_id,
-        positions=positions[used],
+        positions=positions,
         covariances=covariances,
         labels=tuple(compress(detections.labels, used.tolist())),
         used=used,
         has_own_covariance=has_own_covariance,
     )
+
+
+def _covariances_by_range(positions: FloatArray, ranges: FloatArray, config: DetectionConfig) -> FloatArray:
+    """(N, 3, 3) m^2 of detections at (N, 3) m whose message gives none."""
+    sigmas = config.base_sigma_m + config.sigma_per_m * ranges
+    sights = positions / np.maximum(ranges, 1e-12)[:, None]
+    along = (config.range_sigma_ratio**2 - 1.0) * sights[:, :, None] * sights[:, None, :]
+    return np.asarray(sigmas[:, None, None] ** 2 * (np.eye(3) + along))

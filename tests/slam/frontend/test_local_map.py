@@ -426,3 +426,20 @@ def test_an_anchor_changes_nothing_that_can_be_measured():
     for before, after in ((positions, local.predict(slots)[0]), (covariances, local.predict(slots)[1])):
         np.testing.assert_allclose(after, before, atol=1e-12)
     np.testing.assert_allclose(local.difference(first, second)[0], apart[0], atol=1e-12)
+
+
+def test_what_is_kept_of_the_filter_is_known_to_be_out_of_date():
+    local = LocalMap()
+    local.insert(np.array([4, 7]), np.array([[5.0, 1.0], [5.1, 1.0]]), np.tile(0.01 * np.eye(2), (2, 1, 1)))
+    changes = {
+        "advance": lambda: local.advance(step(0.0, 0.0, 0.0), STEP_VARIANCES),
+        "update": lambda: local.update(np.array([0]), np.array([[5.0, 1.0]]), 0.01 * np.eye(2)[None]),
+        "anchor": local.anchor,
+        "insert": lambda: local.insert(np.array([8]), np.array([[9.0, 1.0]]), 0.01 * np.eye(2)[None]),
+        "merge": lambda: local.merge(4, 7, 0.01),
+        "remove": lambda: local.remove(np.array([8])),
+    }
+    for name, change in changes.items():
+        pose, ids = local.pose, local.ids
+        change()
+        assert local.pose is not pose or local.ids is not ids, name
