@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.ndimage import convolve1d
 
 from descriptors.constellation import Constellations
 
@@ -119,4 +119,5 @@ class Background:
 
 def _summed(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rows (C, R), each ring with those to either side of it."""
-    return np.asarray(convolve1d(rows, np.ones(2 * SMOOTHED_RINGS + 1), axis=1, mode="constant"))
+    padded = np.pad(rows, ((0, 0), (SMOOTHED_RINGS, SMOOTHED_RINGS)))
+    return np.asarray(sliding_window_view(padded, 2 * SMOOTHED_RINGS + 1, axis=1).sum(axis=-1))
