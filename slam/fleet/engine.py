@@ -67,7 +67,11 @@ class RayEngine:
     def compute(
         self, function: Callable[[_Task], _Outcome], tasks: Sequence[_Task]
     ) -> Iterator[tuple[_Task, _Outcome | Death]]:
-        """See :class:`Engine`."""
+        """See :class:`Engine`.
+
+        Raises:
+            FleetError: Ray itself failed, for example because its process on this machine died.
+        """
         remote = self._ray.remote(num_cpus=1, max_retries=TRIES - 1)(function)
         running = {remote.remote(task): task for task in tasks}
         errors = self._ray.exceptions
@@ -75,10 +79,17 @@ class RayEngine:
         while running:
             finished, _ = self._ray.wait(list(running), num_returns=1)
             task = running.pop(finished[0])
+            outcome: _Outcome | Death
             try:
-                yield task, self._ray.get(finished[0])
+                outcome = self._ray.get(finished[0])
             except died:
-                yield task, Death(None)
+                outcome = Death(None)
+            except errors.RayTaskError:
+                raise  # the function raised it
+            except errors.RayError as error:
+                reason = (str(error) or type(error).__name__).splitlines()[0]
+                raise FleetError(f"Ray failed: {reason} The same command goes on from here.") from error
+            yield task, outcome
 
 
 @contextmanager

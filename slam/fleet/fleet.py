@@ -24,7 +24,7 @@ from slam.common.georeference import Georeference
 from slam.fleet.changes import REPORTED, Change, LivingMap, detect_changes, write_changes
 from slam.fleet.engine import Engine
 from slam.fleet.logs import FleetLog
-from slam.fleet.sessions import MAP_NAME, Session, SessionTask, map_session, read_session
+from slam.fleet.sessions import MAP_NAME, Session, SessionTask, map_session, read_session, remove_scratch
 from slam.map_joining.acceptance import MapPair, judge_pairs
 from slam.map_joining.joins import Join, find_joins
 from slam.map_joining.joint_map import JointMap, join_maps
@@ -138,6 +138,8 @@ def _map_sessions(
             outcome = Session(task.sha256, "the process that mapped it died each time, perhaps for want of memory")
         sessions[task.sha256] = outcome
         progress(0.8 * finished / len(tasks), f"mapping, {finished} of {len(tasks)} logs")
+    for each in folders.values():
+        remove_scratch(each)
     return sessions, folders
 
 

@@ -20,7 +20,7 @@ from slam.object_map.map_io import SavedMap, load_map, save_map
 from slam.replay import replay
 from slam.sweeps.cells import write_text
 
-MAP_NAME, LEDGER_NAME = "map.mcap", "session.json"
+MAP_NAME, LEDGER_NAME, SCRATCH = "map.mcap", "session.json", "mapping-"
 STRETCHES_A_SUBMAP = 2.0
 """Places on the travel of a submap."""
 
@@ -59,7 +59,7 @@ class Session:
 def map_session(task: SessionTask) -> Session:
     """Map a log into ``folder``: its condensed map and its ledger, which is written last."""
     task.folder.mkdir(parents=True, exist_ok=True)
-    scratch = Path(tempfile.mkdtemp(prefix="mapping-", dir=task.folder))
+    scratch = Path(tempfile.mkdtemp(prefix=SCRATCH, dir=task.folder))
     try:
         session = _mapped(task, scratch)
     except (LogError, SlamError) as error:
@@ -70,6 +70,12 @@ def map_session(task: SessionTask) -> Session:
         shutil.rmtree(scratch, ignore_errors=True)
     write_text(task.folder / LEDGER_NAME, json.dumps(asdict(session), indent=1) + "\n")
     return session
+
+
+def remove_scratch(folder: Path) -> None:
+    """Remove what a process that was killed left in the folder of its session."""
+    for scratch in folder.glob(f"{SCRATCH}*"):
+        shutil.rmtree(scratch, ignore_errors=True)
 
 
 def read_session(folder: Path) -> Session | None:

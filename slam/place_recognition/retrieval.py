@@ -38,6 +38,8 @@ SEARCHED_PAIR_RANGES = 2.0
 SEARCHED_OBJECTS = 25
 # Descriptors are compared where a class tells at least one bit: rings full of objects of one class are all alike.
 DESCRIBED_PERPLEXITY = 2.0
+INDEXED_TRAVERSALS = 4
+"""So many traversals of a place are in the index; what more there are would be found no sooner."""
 # Least travel between two updates of the index, in sensor ranges.
 INDEX_EVERY_RANGES = 10.0 / 30.0
 
@@ -58,6 +60,7 @@ class PlaceRetriever:
             object_map, landmark_sigma_m=config.submap.landmark_sigma_m, extent_m=self._extent_m
         )
         self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
+        self._left_out = np.zeros(0, dtype=np.int64)
         self._indexed_m = -np.inf
         self._searches: dict[int, tuple[IntArray, ExhaustiveSearch | None]] = {}
 
@@ -69,11 +72,23 @@ class PlaceRetriever:
         landmarks = self._map.rows
         confirmed = landmarks["state"] == LandmarkState.CONFIRMED
         behind = confirmed & (landmarks["last_seen_travel_m"] < travel_m - self._config.inactive_travel_m)
-        behind[self._rows] = False
+        behind[self._rows] = behind[self._left_out] = False
         if self._imported is not None:
             behind &= landmarks["segment"] != SEGMENT
         for segment in np.unique(landmarks["segment"][behind]):
-            self._enter(np.flatnonzero(behind & (landmarks["segment"] == segment)), int(segment))
+            new = np.flatnonzero(behind & (landmarks["segment"] == segment))
+            often = self._seen_often(new)
+            self._left_out = np.concatenate([self._left_out, new[often]])
+            if not often.all():
+                self._enter(new[~often], int(segment))
+
+    def _seen_often(self, new: IntArray) -> BoolArray:
+        """Which landmarks (N,) are indexed as ``INDEXED_TRAVERSALS`` of earlier traversals."""
+        indexed = np.zeros(len(self._map), dtype=np.bool_)
+        indexed[self._rows] = True
+        kept = [self._map.canonical_id(row) for row in new.tolist()]
+        counts = [np.count_nonzero(indexed[[row, *self._map.aliases(row)]]) for row in kept]
+        return np.array(counts, dtype=np.int64) >= INDEXED_TRAVERSALS
 
     def _enter(self, new: IntArray, segment: int) -> None:
         landmarks = self._map.rows

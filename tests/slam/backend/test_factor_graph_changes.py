@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
+import gtsam
 import numpy as np
 import pytest
+from gtsam.symbol_shorthand import L
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
+from slam.backend.incremental_solver import IncrementalSolver
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from tests.slam.backend.graphs import (
     KEYFRAMES,
@@ -137,7 +142,7 @@ def test_the_record_of_a_graph_without_edges_and_observations():
     assert graph.landmark_covariances(graph.landmarks).shape == (0, 3, 3)
 
 
-def test_what_only_a_break_tied_is_moved_as_a_whole_to_where_the_closure_puts_it():
+def test_what_only_a_break_tied_is_moved_as_a_whole_to_where_the_closure_puts_it(monkeypatch):
     graph = FactorGraph(PLAIN)
     tight, loose = np.diag(np.repeat([1e-6, 1e-4], 3)), np.diag(np.repeat([1.0, 1e4], 3))
     step = transform_from_xyz_yaw(np.array([2.0, 0.0, 0.0]), 0.0)
@@ -149,10 +154,20 @@ def test_what_only_a_break_tied_is_moved_as_a_whole_to_where_the_closure_puts_it
     graph.add_observations([Observation(k, row, np.array(at), SEEN_COVARIANCE) for k, row, at in seen])
     graph.update()
     T_far = transform_from_xyz_yaw(np.array([-60.0, 45.0, 0.0]), 2.5)
+    started: list[gtsam.Values] = []
+    restart = IncrementalSolver.restart
+
+    def noted_restart(solver: IncrementalSolver, values: gtsam.Values, changed: Mapping[int, Any]) -> None:
+        started.append(gtsam.Values(values))
+        restart(solver, values, changed)
+
+    monkeypatch.setattr(IncrementalSolver, "restart", noted_restart)
     graph.add_joining_edge(Edge(0, 2, T_far, tight, EdgeKind.LOOP_CLOSURE), np.array([2, 3]))
     (break_now,) = (f for f in graph.factors.values() if isinstance(f, Edge) and f.kind == EdgeKind.DISCONTINUITY)
     np.testing.assert_allclose(break_now.T_from_to, invert(step) @ T_far, atol=0.01)
     np.testing.assert_allclose(graph.pose(3), T_far @ step, atol=0.1)
+    np.testing.assert_allclose(started[0].atPoint3(L(5)), [4.0, 3.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(started[0].atPoint3(L(6)), apply(T_far, np.array([[4.0, 3.0, 0.0]]))[0], atol=0.1)
     np.testing.assert_allclose(graph.landmark_positions(np.array([5])), [[4.0, 3.0, 0.0]], atol=1e-6)
     graph.optimize()
     expected = [[4.0, 3.0, 0.0], apply(T_far, np.array([[4.0, 3.0, 0.0]]))[0]]

@@ -3,12 +3,15 @@ from __future__ import annotations
 import os
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from slam.common.errors import FleetError
-from slam.fleet.engine import ProcessEngine, open_engine
+from slam.fleet.engine import ProcessEngine, RayEngine, open_engine
 from slam.sweeps.workers import Death
 
 
@@ -72,3 +75,33 @@ def test_a_cluster_that_does_not_come_up_is_told_in_a_line(monkeypatch: pytest.M
     monkeypatch.setattr(ray, "init", init)
     with pytest.raises(FleetError, match=r"Ray cannot be started on this machine: the node timed out$"), open_engine(1):
         pass
+
+
+class FailingRay:
+    """Ray whose one task ends in an error."""
+
+    def __init__(self, error: Exception) -> None:
+        self.exceptions = pytest.importorskip("ray.exceptions", reason="Ray is not installed")
+        self._error = error
+
+    def remote(self, **_: object) -> Callable[[Callable[[int], int]], Any]:
+        return lambda function: SimpleNamespace(remote=function)
+
+    def wait(self, running: list[int], **_: object) -> tuple[list[int], list[int]]:
+        return running[:1], running[1:]
+
+    def get(self, _: int) -> int:
+        raise self._error
+
+
+def test_a_failure_of_ray_itself_is_told_in_a_line() -> None:
+    errors = pytest.importorskip("ray.exceptions", reason="Ray is not installed")
+    engine = RayEngine(FailingRay(errors.LocalRayletDiedError()))
+    with pytest.raises(FleetError, match=r"^Ray failed: .*raylet died.* The same command goes on from here\.$"):
+        list(engine.compute(doubled, [1]))
+
+
+def test_what_a_task_raises_is_raised() -> None:
+    errors = pytest.importorskip("ray.exceptions", reason="Ray is not installed")
+    with pytest.raises(errors.RayTaskError):
+        list(RayEngine(FailingRay(errors.RayTaskError("doubled", "", ValueError("a bug")))).compute(doubled, [1]))

@@ -135,6 +135,7 @@ def test_a_killed_driver_goes_on_where_it_was(logs: list[FleetLog], mapped: tupl
     finished = {path: path.stat().st_mtime_ns for path in tmp_path.glob("sessions/*/session.json")}
     run(logs, tmp_path, InlineEngine())
     assert same_bytes(mapped[0], tmp_path)
+    assert not list(tmp_path.glob("sessions/*/mapping-*"))
     assert finished == {path: path.stat().st_mtime_ns for path in finished}
 
 

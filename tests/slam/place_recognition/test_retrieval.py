@@ -10,7 +10,7 @@ from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.object_map.landmarks import ObjectMap, RetirementReason
 from slam.object_map.submap import Submap
 from slam.place_recognition.place import Place
-from slam.place_recognition.retrieval import PLACE_RADIUS_RANGES, PlaceRetriever
+from slam.place_recognition.retrieval import INDEXED_TRAVERSALS, PLACE_RADIUS_RANGES, PlaceRetriever
 
 CONFIG = Config()
 COUNT = 25
@@ -105,3 +105,19 @@ def test_the_reference_of_a_place_is_of_its_traversal_its_segment_and_around_it(
     found = places.retriever.reference_submap(place, before_m=BEFORE_M)
     assert found.rows.tolist() == here.tolist()
     assert len(places.retriever.reference_submap(place, before_m=499.0)) == 0
+
+
+@pytest.mark.parametrize(("traversals", "is_found"), [(INDEXED_TRAVERSALS - 1, True), (INDEXED_TRAVERSALS, False)])
+def test_the_index_holds_only_so_many_traversals_of_a_place(places, traversals, is_found):
+    first = places.add(0.0, 0.0)
+    for number in range(1, traversals):
+        for kept, dropped in zip(first, places.add(0.0, float(number)), strict=True):
+            places.map.merge(int(kept), int(dropped))
+    places.retriever.index_inactive_landmarks(500.0)
+    for kept, dropped in zip(first, places.add(50.0, 550.0), strict=True):
+        places.map.merge(int(kept), int(dropped))
+    places.add(400.0, 551.0, seed=2)
+    places.retriever.index_inactive_landmarks(NOW_M)
+    found = places.retriever.retrieve(places.query(50.0), before_m=BEFORE_M, seed=0)
+    assert any(abs(place.T_local_query[0, 3] - 50.0) < 0.1 for place in found) is is_found
+    assert places.found_m(400.0, seed=2) == [400.0]
