@@ -14,9 +14,10 @@ change of the viewing direction B between the two scans,
 which is linear in the twelve variances. Means over scan pairs with lags of 1, 2, 4, ... scans give the equations, which
 non-negative least squares solves (least-squares variance component estimation: Teunissen and Amiri-Simkooei, J. Geodesy
 2008; here with the means' own sampling errors as weights). Displacements are clipped at eight times their median, so
-that slips, wrong matches and moving objects count little. Uncertainty is found by leaving out a block of time at a time
-(the jackknife), and is not less than what the misfit of the equations leaves of a component while all others are held:
-the jackknife does not see it in a component whose estimate stays at zero.
+that slips, wrong matches and moving objects count little, and what they have beyond the common motion of their scans
+at three (:mod:`slam.self_calibration.displacement_outliers`). Uncertainty is found by leaving out a block of time at a
+time (the jackknife), and is not less than what the misfit of the equations leaves of a component while all others are
+held: the jackknife does not see it in a component whose estimate stays at zero.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from slam.common.arrays import FloatArray, IntArray
+from slam.self_calibration.displacement_outliers import without_outliers
 from slam.self_calibration.object_tracks import ObjectTracks
 
 BLOCKS = 8
@@ -171,6 +173,7 @@ def _equations(tracks: ObjectTracks, motion: Motion, first: IntArray, second: In
     d = _clipped(tracks.points[second] - tracks.points[first])
     x, x_before = tracks.offsets[second], tracks.offsets[first]
     scan, scan_before = tracks.scan[second], tracks.scan[first]
+    d = without_outliers(d, x, scan * (int(scan.max()) + 1) + scan_before)
     L, A, T = (each[scan] - each[scan_before] for each in (motion.travel_m, motion.turn_rad, motion.time_s))
     block = np.minimum(scan * BLOCKS // (int(tracks.scan.max()) + 1), BLOCKS - 1)
     return np.concatenate(
