@@ -111,6 +111,7 @@ class Mapper:
         self._map.record_observations(
             rows[known],
             in_local.positions[known],
+            in_local.covariances[known],
             labels[known],
             stamp_ns=scan.stamp_ns,
             scan=self._scan_count,
@@ -130,7 +131,7 @@ class Mapper:
             self._active.add(rows[new])
         used = known | new
         self._pending.add(rows[used], in_keyframe.of(used))
-        self._update_life_cycle(rows[used], scan.covariances[used])
+        self._update_life_cycle(rows[used])
         return _associations(scan, rows, new)
 
     def log_likelihood_ratio(self, scan: Scan, pose: OdometryPose) -> float:
@@ -209,7 +210,7 @@ class Mapper:
         variances = np.where(scan.has_own_covariance, 0.0, self._config.detection.common_sigma_m**2)
         return np.asarray(variances[:, None, None] * np.eye(3))
 
-    def _update_life_cycle(self, seen: IntArray, covariances: FloatArray) -> None:
+    def _update_life_cycle(self, seen: IntArray) -> None:
         """Update the life cycle of the observed landmarks: confirm static ones, retire moving ones.
 
         What is faster than its noise explains is followed at its speed: a landmark that only seemed to move slows down
@@ -217,8 +218,7 @@ class Mapper:
         """
         limits = self._config.landmark
         landmarks = self._map.rows
-        sigmas = np.sqrt(np.trace(covariances, axis1=1, axis2=2) / 3.0)
-        velocities, noise_mps = self._map.velocities(seen, sigmas)
+        velocities, noise_mps = self._map.velocities(seen)
         speeds = np.linalg.norm(velocities, axis=1)
         too_fast = speeds > np.maximum(limits.moving_speed_mps, MOVING_SIGMAS * noise_mps)
         observations, states = landmarks["observations"][seen], landmarks["state"][seen]

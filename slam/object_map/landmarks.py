@@ -61,6 +61,10 @@ LANDMARK = np.dtype(
         ("sum_p", np.float64, 3),
         ("sum_tp", np.float64, 3),
         ("first_position_local", np.float64, 3),
+        # Sums of its measurements' covariances, and of these times the time and its square.
+        ("sum_c", np.float64, (3, 3)),
+        ("sum_tc", np.float64, (3, 3)),
+        ("sum_ttc", np.float64, (3, 3)),
     ]
 )
 
@@ -144,7 +148,7 @@ class ObjectMap:
         landmarks["segment"][new] = segment
         landmarks["position_local"][new] = positions_local
         landmarks["first_position_local"][new] = positions_local
-        landmarks["covariance_local"][new] = covariances_local
+        landmarks["covariance_local"][new] = landmarks["sum_c"][new] = covariances_local
         self._beliefs.begin(new, labels)
         return new
 
@@ -179,9 +183,19 @@ class ObjectMap:
         return rows
 
     def record_observations(
-        self, rows: IntArray, measured_local: FloatArray, labels: IntArray, *, stamp_ns: int, scan: int, travel_m: float
+        self,
+        rows: IntArray,
+        measured_local: FloatArray,
+        covariances: FloatArray,
+        labels: IntArray,
+        *,
+        stamp_ns: int,
+        scan: int,
+        travel_m: float,
     ) -> None:
-        """Count one more measurement of each of ``rows`` (N,), at ``measured_local`` (N, 3) m, with its label (N,)."""
+        """Count one more measurement of each of ``rows`` (N,), at ``measured_local`` (N, 3) m with ``covariances``
+        (N, 3, 3) m^2, with its label (N,).
+        """
         landmarks = self.rows
         seconds = (stamp_ns - landmarks["first_seen_ns"][rows]) * 1e-9
         offset = measured_local - landmarks["first_position_local"][rows]
@@ -193,18 +207,25 @@ class ObjectMap:
         landmarks["sum_tt"][rows] += seconds**2
         landmarks["sum_p"][rows] += offset
         landmarks["sum_tp"][rows] += seconds[:, None] * offset
+        for power, name in enumerate(("sum_c", "sum_tc", "sum_ttc")):
+            landmarks[name][rows] += (seconds**power)[:, None, None] * covariances
         self._beliefs.count(rows, labels)
 
-    def velocities(self, rows: IntArray, position_sigmas_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Velocities (N, 3) m/s in the odometry frame, by the least-squares lines through all measurements, and the
-        standard deviations (N,) m/s of each of their coordinates, for that noise (N,) m of a measurement.
+    def velocities(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Velocities (N, 3) m/s in the odometry frame, by the least-squares lines through all measurements, and their
+        standard deviations (N,) m/s along them, by the noise of the measurements.
         """
         landmarks = self.rows  # field by field, as whole rows are slow to copy
         count, times = landmarks["observations"][rows], landmarks["sum_t"][rows]
         # Squared deviations [s^2] of the times of the measurements from their mean, at least (1 ms)^2.
         spreads = np.maximum(landmarks["sum_tt"][rows] - times**2 / count, 1e-6)
         slopes = landmarks["sum_tp"][rows] - times[:, None] * landmarks["sum_p"][rows] / count[:, None]
-        return slopes / spreads[:, None], position_sigmas_m / np.sqrt(spreads)
+        mean = (times / count)[:, None, None]
+        linear = 2.0 * landmarks["sum_tc"][rows] - mean * landmarks["sum_c"][rows]
+        squares = landmarks["sum_ttc"][rows] - mean * linear
+        along = slopes / np.maximum(np.linalg.norm(slopes, axis=1), 1e-300)[:, None]
+        variances = np.maximum(np.einsum("ni,nij,nj->n", along, squares, along), 0.0)
+        return slopes / spreads[:, None], np.sqrt(variances) / spreads
 
     def confirm(self, rows: IntArray) -> None:
         """Make tentative landmarks confirmed ones."""

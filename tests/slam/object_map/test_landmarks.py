@@ -31,11 +31,19 @@ def see_new(object_map: ObjectMap, positions, label: int = 0):
 
 
 def see(
-    object_map: ObjectMap, row: int, label: int = 0, *, position=(0.0, 0.0, 0.0), seconds: float = 0.0, scan: int = 2
+    object_map: ObjectMap,
+    row: int,
+    label: int = 0,
+    *,
+    position=(0.0, 0.0, 0.0),
+    covariance=None,
+    seconds: float = 0.0,
+    scan: int = 2,
 ):
     object_map.record_observations(
         np.array([row]),
         np.array([position]),
+        np.array([np.eye(3) if covariance is None else covariance]),
         np.array([label]),
         stamp_ns=round(seconds * SECOND_NS),
         scan=scan,
@@ -121,13 +129,27 @@ def test_the_velocity_is_the_least_squares_line_through_all_sightings():
     p = t[:, None] * [1.5, -0.5, 0.0] + rng.normal(scale=0.2, size=(31, 3))
     object_map = new_map(positions=p[:1])
     line_of_sightings(object_map, 0, t[1:], p[1:])
-    velocities, sigmas = object_map.velocities(np.array([0]), np.array([0.2]))
+    velocities, sigmas = object_map.velocities(np.array([0]))
     np.testing.assert_allclose(velocities[0], np.polyfit(t, p, 1)[0], atol=1e-6)
-    np.testing.assert_allclose(sigmas, 0.2 / np.sqrt(np.sum((t - t.mean()) ** 2)), rtol=1e-6)
+    np.testing.assert_allclose(sigmas, 1.0 / np.sqrt(np.sum((t - t.mean()) ** 2)), rtol=1e-6)
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)])
+def test_the_noise_of_a_velocity_is_that_along_it_at_each_sighting(direction):
+    t, sigmas = np.arange(9.0), np.linspace(5.0, 1.0, 9)  # along x it shrinks as the object comes nearer
+    covariances = np.array([np.diag([sigma**2, 0.01, 0.01]) for sigma in sigmas])
+    object_map = ObjectMap(CONFIG)
+    labels = object_map.label_indices(("a",))
+    object_map.add(np.zeros((1, 3)), covariances[:1], labels, stamp_ns=0, scan=1, travel_m=0.0)
+    for second, covariance in zip(t[1:].tolist(), covariances[1:], strict=True):
+        see(object_map, 0, position=second * np.array(direction), covariance=covariance, seconds=second)
+    gains = (t - t.mean()) / np.sum((t - t.mean()) ** 2)
+    along = np.einsum("i,nij,j->n", direction, covariances, direction)
+    np.testing.assert_allclose(object_map.velocities(np.array([0]))[1], np.sqrt(np.sum(gains**2 * along)), rtol=1e-9)
 
 
 def test_what_was_seen_once_stands_still():
-    assert new_map().velocities(np.array([0]), np.array([0.2]))[0].tolist() == [[0.0, 0.0, 0.0]]
+    assert new_map().velocities(np.array([0]))[0].tolist() == [[0.0, 0.0, 0.0]]
 
 
 def test_merged_landmarks_are_one_in_the_map_and_two_around_the_robot():
