@@ -32,10 +32,10 @@ FEW_DISTANCES = 2**14
 class Assignment:
     """``landmark_rows`` (D,) int64: the row of each detection's landmark, ``NEW`` where it has none,
     ``AMBIGUOUS`` where it has none although one is near: it may be a bad measurement of that.
-    ``log_likelihood_ratio``: of all matches, against none of them."""
+    ``log_likelihood_ratios`` (D,): of each match, against a detection of no landmark; 0 for the others."""
 
     landmark_rows: IntArray
-    log_likelihood_ratio: float = 0.0
+    log_likelihood_ratios: FloatArray
 
     @property
     def matched(self) -> NDArray[np.bool_]:
@@ -46,6 +46,11 @@ class Assignment:
     def new(self) -> NDArray[np.bool_]:
         """(D,) whether the detection is of no landmark; the others are too near to one to say."""
         return np.equal(self.landmark_rows, NEW)
+
+    @property
+    def log_likelihood_ratio(self) -> float:
+        """Of all matches, against none of them."""
+        return float(self.log_likelihood_ratios.sum())
 
 
 def associate(
@@ -71,14 +76,14 @@ def associate(
     Returns:
         The assignment; nothing is assigned twice. D = 0 or L = 0 gives no match.
     """
-    rows = np.full(len(positions), NEW, dtype=np.int64)
+    rows, ratios = np.full(len(positions), NEW, dtype=np.int64), np.zeros(len(positions))
     if len(positions) == 0 or len(landmark_positions) == 0:
-        return Assignment(rows)
+        return Assignment(rows, ratios)
     gate = _gate(config.gate_probability)
     outer_gate = max(_gate(config.new_object_gate_probability), gate)
     detection, landmark = _near_pairs(positions, covariances, landmark_positions, landmark_covariances, outer_gate)
     if len(detection) == 0:
-        return Assignment(rows)
+        return Assignment(rows, ratios)
     innovation = positions[detection] - landmark_positions[landmark]
     S = covariances[detection] + landmark_covariances[landmark]
     distance_squared, determinant = squared_distances(innovation, S)
@@ -92,7 +97,8 @@ def associate(
     inside = np.flatnonzero(distance_squared <= gate)
     taken = inside[_cheapest(detection[inside], landmark[inside], pair_cost[inside], none_cost)]
     rows[detection[taken]] = landmark[taken]
-    return Assignment(rows, 0.5 * float(np.sum(none_cost - pair_cost[taken])))
+    ratios[detection[taken]] = 0.5 * (none_cost - pair_cost[taken])
+    return Assignment(rows, ratios)
 
 
 def squared_distances(offsets: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -21,6 +21,7 @@ from slam.common.geometry import invert, relative
 from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.continuity import scan_log_likelihood_ratio
 from slam.frontend.data_association import associate
+from slam.frontend.existence import which_exist
 from slam.frontend.input.scan import Scan
 from slam.frontend.pending_observations import PendingObservations
 from slam.frontend.scan_alignment import Alignment, align_scan
@@ -117,6 +118,7 @@ class Mapper:
             scan=self._scan_count,
             travel_m=pose.travel_m,
         )
+        self._map.rows["log_likelihood_ratio"][rows[known]] += assignment.log_likelihood_ratios[known]
         if new.any():
             corrected = scan.seen_from(self._active.T_local_body)
             rows[new] = self._map.add(
@@ -224,7 +226,8 @@ class Mapper:
         observations, states = landmarks["observations"][seen], landmarks["state"][seen]
         seconds = (landmarks["last_seen_ns"][seen] - landmarks["first_seen_ns"][seen]) * 1e-9
         far = speeds * seconds > limits.moving_distance_m
-        moving = too_fast & far & (observations >= limits.moving_observations)
+        exists = which_exist(landmarks, seen, self._scan_count)
+        moving = too_fast & far & (observations >= limits.moving_observations) & exists
         followed = too_fast & (states != LandmarkState.CONFIRMED.value) & (observations >= 3)
         landmarks["velocity_local"][seen] = np.where((followed | moving)[:, None], velocities, 0.0)
         stopped = (states == LandmarkState.RETIRED.value) & ~too_fast
@@ -238,7 +241,12 @@ class Mapper:
         scans = self._scan_count - landmarks["first_scan"][seen] + 1
         steady = observations >= limits.confirm_fraction * scans
         confirmed = seen[
-            tentative & enough & steady & (speeds <= limits.moving_speed_mps) & (seconds >= limits.confirm_age_s)
+            tentative
+            & exists
+            & enough
+            & steady
+            & (speeds <= limits.moving_speed_mps)
+            & (seconds >= limits.confirm_age_s)
         ]
         self._map.confirm(confirmed)
         self._active.confirm(confirmed)

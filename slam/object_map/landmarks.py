@@ -41,6 +41,7 @@ LANDMARK = np.dtype(
     [
         ("state", np.int8),
         ("observations", np.int64),  # detections assigned to it
+        ("log_likelihood_ratio", np.float64),  # of all of them but the first, against none of them
         ("first_scan", np.int64),  # numbers of the first and the last scan that saw it
         ("last_scan", np.int64),
         ("first_seen_ns", np.int64),

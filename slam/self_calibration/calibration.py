@@ -79,6 +79,8 @@ odometry is moved; beyond that, detections were old when they were stamped.
 """
 DETECTED_SHARE = 0.5
 """Share of the scans in which the detector finds an object that a landmark must be observed in to be confirmed."""
+NOTED_FALSE = 0.5
+"""Share of the detections from which those that belong to no object are noted."""
 FEW_SCANS = 5.0
 """While an object comes from the median range to the body it should be seen so often."""
 NO_DELAYS = LoggingDelays()
@@ -134,11 +136,17 @@ def _lengths(config: Config, survey: Survey) -> dict[str, float]:
     for key, power in LENGTHS.items():
         branch, name = key.split(".")
         values[key] = float(type(getattr(config, branch)).model_fields[name].get_default()) * scale**power
+    values["association.new_object_density"] = max(values["association.new_object_density"], _false_density(survey))
     values["association.active_radius_m"] = 2.0 * survey.max_range_m
     if not np.isfinite(survey.spacing_m):
         values["association.odometry_inflation"] = UNIQUE_INFLATION
     values["association.confusion_distance_m"] = survey.spacing_m if np.isfinite(survey.spacing_m) else 1e3 * range_m
     return values
+
+
+def _false_density(survey: Survey) -> float:
+    """Density of false detections [1/m^3]; 0 where too few objects could be tracked to tell them from others."""
+    return survey.clutter.per_m3 if survey.components is not None else 0.0
 
 
 def _notes(config: Config, survey: Survey, estimated: Mapping[str, float]) -> tuple[str, ...]:
@@ -188,6 +196,11 @@ def _notes(config: Config, survey: Survey, estimated: Mapping[str, float]) -> tu
         notes.append(
             f"the odometry steps back and forth: its path is {survey.detour:.1f} times as long as that of every second "
             f"message; {_about_sources(survey.sources)}"
+        )
+    if survey.clutter.share > NOTED_FALSE and survey.components is not None:
+        notes.append(
+            f"{survey.clutter.per_scan:.0f} of {survey.objects:.0f} detections a scan are never seen again: they seem "
+            "false; leave out doubtful ones (detection.min_score) or check the detector"
         )
     scan_m = survey.travel_m / survey.scans
     if scan_m * FEW_SCANS > survey.median_range_m:

@@ -17,6 +17,7 @@ from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
 from slam.odometry.scaled_odometry import ScaledOdometry
 from slam.odometry.sources import FollowedSource
 from slam.self_calibration.centroid_bias import centroid_biases, without_bias
+from slam.self_calibration.clutter import Clutter, measure_clutter
 from slam.self_calibration.detection_frame import agree, better_frame
 from slam.self_calibration.height_noise import HeightNoise, estimate_height_noise
 from slam.self_calibration.input_errors import BodyMotion, InputErrors, estimate_input_errors
@@ -74,7 +75,7 @@ class Survey:
     ``assumed_frame``: the setting by which detections are taken to be in another frame than their messages name;
     ``turned_deg``: roll, pitch and yaw by which detections had to be turned beyond the transform of their sensor;
     ``length_scale``, ``turn_scale``: factors by which the odometry's lengths and turns had to be corrected;
-    ``detectability``: how often an object in view is detected;
+    ``detectability``: how often an object in view is detected; ``clutter``: what belongs to no track of an object;
     ``detour``: the length of the odometry's path by that of its every second message; ``sources``: how many of them
     there are, two where one that is told apart from the other makes no detour.
     """
@@ -103,6 +104,7 @@ class Survey:
     detour: float = 1.0
     sources: int = 1
     detectability: Detectability = field(default_factory=Detectability)
+    clutter: Clutter = field(default_factory=Clutter)
     length_scale: float = 1.0
     turn_scale: float = 1.0
 
@@ -211,12 +213,15 @@ def summarize(scans: list[SurveyScan], errors: InputErrors | None = None, tracks
     components = estimate_components(
         without_bias(tracks, biases), motion, most_repeated=_scans_of_a_view(float(np.median(ranges)), motion)
     )
+    median_range_m = float(np.median(ranges))
+    # A detection errs by its own noise and by what changes with the view.
+    variance = components.white(median_range_m**2)[0] + components.variances.view if components is not None else 0.0
     return Survey(
         scans=len(scans),
         detections=len(ranges),
         classes=len(np.unique(np.concatenate([scan.labels for scan in scans]))),
         range_m=float(np.quantile(ranges, RANGE_QUANTILE)),
-        median_range_m=float(np.median(ranges)),
+        median_range_m=median_range_m,
         max_range_m=float(ranges.max()),
         spacing_m=_spacing(scans),
         objects=len(ranges) / len(scans),
@@ -230,6 +235,7 @@ def summarize(scans: list[SurveyScan], errors: InputErrors | None = None, tracks
         errors=errors or InputErrors(),
         heights=estimate_height_noise(tracks),
         detectability=detectability_of(tracks),
+        clutter=measure_clutter(scans, len(tracks.track), float(np.sqrt(variance))),
     )
 
 

@@ -275,6 +275,22 @@ def test_the_landmarks_carry_observations_from_keyframe_to_keyframe_where_the_od
     np.testing.assert_allclose(off, 0.0, atol=0.04)
 
 
+def test_among_false_detections_objects_are_confirmed_and_hardly_anything_else():
+    rng = np.random.default_rng(0)
+    bench = Bench(association={"new_object_density": 0.02})
+    for i in range(100):
+        false = np.column_stack([rng.uniform(-20.0, 40.0, (60, 1)), rng.uniform(-20.0, 20.0, (60, 1)), np.zeros(60)])
+        bench.move(0.3 * i, 0.02 * i)
+        noisy = OBJECTS + rng.normal(scale=0.3, size=OBJECTS.shape)
+        labels = (*LABELS, *rng.choice(LABELS, 60).tolist())
+        bench.see(0.3 * i, np.concatenate([noisy, false]), labels, sigma_m=0.3)
+    confirmed = bench.map.in_state(LandmarkState.CONFIRMED)
+    places = bench.map.rows["position_local"][confirmed]
+    distances = np.linalg.norm(places[:, None] - OBJECTS, axis=2)
+    assert (distances.min(axis=0) < 0.3).all()
+    assert len(confirmed) <= len(OBJECTS) + 1
+
+
 def test_a_jump_of_the_odometry_lets_go_of_the_landmarks_in_view():
     bench = Bench()
     bench.drive(10)

@@ -12,6 +12,7 @@ from slam.common.config import Config, LandmarkConfig, OdometryConfig
 from slam.common.errors import InputDataError
 from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.self_calibration.calibration import LEAST_DRIFT, LEAST_TURN_RAD, LENGTHS, calibrate
+from slam.self_calibration.clutter import Clutter
 from slam.self_calibration.height_noise import HeightNoise
 from slam.self_calibration.input_errors import InputErrors
 from slam.self_calibration.label_noise import LabelNoise
@@ -357,3 +358,21 @@ def test_detections_in_another_frame_than_they_say_are_taken_from_it_and_told(su
 def test_odometry_without_orientations_is_told(surveyed):
     assert "seems to hold positions only" in " ".join(calibrate(Config(), replace(surveyed, lacks_heading=True)).notes)
     assert "positions only" not in " ".join(calibrate(Config(), surveyed).notes)
+
+
+# False detections
+
+
+def test_false_detections_beyond_the_usual_make_new_objects_denser(surveyed):
+    usual = calibrate(Config(), surveyed).config.association.new_object_density
+    few, many = (replace(surveyed, clutter=Clutter(0.3, 5.0, factor * usual)) for factor in (0.5, 20.0))
+    assert calibrate(Config(), few).config.association.new_object_density == usual
+    assert calibrate(Config(), many).config.association.new_object_density == 20.0 * usual
+    unknown = replace(many, components=None)
+    assert calibrate(Config(), unknown).config.association.new_object_density == usual
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.4, False), (0.7, True)])
+def test_it_is_told_if_most_detections_are_never_seen_again(surveyed, share, told):
+    notes = " ".join(calibrate(Config(), replace(surveyed, clutter=Clutter(share, 49.0, 0.02))).notes)
+    assert ("49 of" in notes and "detections a scan are never seen again: they seem false" in notes) == told
