@@ -26,6 +26,7 @@ from slam.frontend.input.scan import Scan
 from slam.frontend.pending_observations import PendingObservations
 from slam.frontend.scan_alignment import Alignment, align_scan
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
+from slam.object_map.velocities import velocities
 from slam.odometry.keyframe import Keyframe, is_keyframe_due
 from slam.odometry.noise import BREAK_SIGMA_RAD, BREAK_SIGMA_RANGES, step_covariance
 from slam.odometry.pose import OdometryPose
@@ -220,8 +221,8 @@ class Mapper:
         """
         limits = self._config.landmark
         landmarks = self._map.rows
-        velocities, noise_mps = self._map.velocities(seen)
-        speeds = np.linalg.norm(velocities, axis=1)
+        velocities_mps, noise_mps = velocities(landmarks, seen)
+        speeds = np.linalg.norm(velocities_mps, axis=1)
         too_fast = speeds > np.maximum(limits.moving_speed_mps, MOVING_SIGMAS * noise_mps)
         observations, states = landmarks["observations"][seen], landmarks["state"][seen]
         seconds = (landmarks["last_seen_ns"][seen] - landmarks["first_seen_ns"][seen]) * 1e-9
@@ -229,7 +230,7 @@ class Mapper:
         exists = which_exist(landmarks, seen, self._scan_count)
         moving = too_fast & far & (observations >= limits.moving_observations) & exists
         followed = too_fast & (states != LandmarkState.CONFIRMED.value) & (observations >= 3)
-        landmarks["velocity_local"][seen] = np.where((followed | moving)[:, None], velocities, 0.0)
+        landmarks["velocity_local"][seen] = np.where((followed | moving)[:, None], velocities_mps, 0.0)
         stopped = (states == LandmarkState.RETIRED.value) & ~too_fast
         self._active.drop(seen[stopped])
         self._retire(seen[moving], RetirementReason.MOVING, stays_active=True)

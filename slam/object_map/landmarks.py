@@ -212,22 +212,6 @@ class ObjectMap:
             landmarks[name][rows] += (seconds**power)[:, None, None] * covariances
         self._beliefs.count(rows, labels)
 
-    def velocities(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Velocities (N, 3) m/s in the odometry frame, by the least-squares lines through all measurements, and their
-        standard deviations (N,) m/s along them, by the noise of the measurements.
-        """
-        landmarks = self.rows  # field by field, as whole rows are slow to copy
-        count, times = landmarks["observations"][rows], landmarks["sum_t"][rows]
-        # Squared deviations [s^2] of the times of the measurements from their mean, at least (1 ms)^2.
-        spreads = np.maximum(landmarks["sum_tt"][rows] - times**2 / count, 1e-6)
-        slopes = landmarks["sum_tp"][rows] - times[:, None] * landmarks["sum_p"][rows] / count[:, None]
-        mean = (times / count)[:, None, None]
-        linear = 2.0 * landmarks["sum_tc"][rows] - mean * landmarks["sum_c"][rows]
-        squares = landmarks["sum_ttc"][rows] - mean * linear
-        along = slopes / np.maximum(np.linalg.norm(slopes, axis=1), 1e-300)[:, None]
-        variances = np.maximum(np.einsum("ni,nij,nj->n", along, squares, along), 0.0)
-        return slopes / spreads[:, None], np.sqrt(variances) / spreads
-
     def confirm(self, rows: IntArray) -> None:
         """Make tentative landmarks confirmed ones."""
         self.rows["state"][rows] = LandmarkState.CONFIRMED

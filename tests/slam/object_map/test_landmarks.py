@@ -9,6 +9,7 @@ from logs.writer import LogWriter
 from slam.common.config import AssociationConfig
 from slam.common.union_find import Merge
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
+from slam.object_map.velocities import velocities
 from tests.helpers.short_drives import records_of
 from tests.logs.examples import assert_same_record
 
@@ -129,8 +130,8 @@ def test_the_velocity_is_the_least_squares_line_through_all_sightings():
     p = t[:, None] * [1.5, -0.5, 0.0] + rng.normal(scale=0.2, size=(31, 3))
     object_map = new_map(positions=p[:1])
     line_of_sightings(object_map, 0, t[1:], p[1:])
-    velocities, sigmas = object_map.velocities(np.array([0]))
-    np.testing.assert_allclose(velocities[0], np.polyfit(t, p, 1)[0], atol=1e-6)
+    found, sigmas = velocities(object_map.rows, np.array([0]))
+    np.testing.assert_allclose(found[0], np.polyfit(t, p, 1)[0], atol=1e-6)
     np.testing.assert_allclose(sigmas, 1.0 / np.sqrt(np.sum((t - t.mean()) ** 2)), rtol=1e-6)
 
 
@@ -145,11 +146,13 @@ def test_the_noise_of_a_velocity_is_that_along_it_at_each_sighting(direction):
         see(object_map, 0, position=second * np.array(direction), covariance=covariance, seconds=second)
     gains = (t - t.mean()) / np.sum((t - t.mean()) ** 2)
     along = np.einsum("i,nij,j->n", direction, covariances, direction)
-    np.testing.assert_allclose(object_map.velocities(np.array([0]))[1], np.sqrt(np.sum(gains**2 * along)), rtol=1e-9)
+    np.testing.assert_allclose(
+        velocities(object_map.rows, np.array([0]))[1], np.sqrt(np.sum(gains**2 * along)), rtol=1e-9
+    )
 
 
 def test_what_was_seen_once_stands_still():
-    assert new_map().velocities(np.array([0]))[0].tolist() == [[0.0, 0.0, 0.0]]
+    assert velocities(new_map().rows, np.array([0]))[0].tolist() == [[0.0, 0.0, 0.0]]
 
 
 def test_merged_landmarks_are_one_in_the_map_and_two_around_the_robot():
