@@ -34,5 +34,6 @@ def measure_clutter(scans: Sequence[SurveyScan], tracked: int, sigma_m: float) -
     # The width of an even distribution with the entropy of a Gaussian; a detection and a landmark both err.
     height_m = np.sqrt(2.0 * np.pi * np.e * (np.var(heights) + 2.0 * sigma_m**2))
     area_m2 = np.pi * median_m**2 / np.log(2.0)
-    per_m3 = share / (area_m2 * height_m) if area_m2 * height_m > 0.0 else 0.0
+    is_known = 0.0 < median_m < np.inf and height_m > 0.0
+    per_m3 = share / (area_m2 * height_m) if is_known else 0.0
     return Clutter(share, share * len(heights) / len(scans), float(per_m3))
