@@ -64,7 +64,7 @@ class Mapper:
             sensor_range_m=self._config.detection.sensor_range_m,
         ):
             return None
-        if self.keyframes:
+        if self.keyframes and not self.keyframes[-1].is_prior:
             self.close_keyframe(ends_group=False)
         if self.keyframes and pose.segment != self.keyframes[-1].odometry.segment:
             self._deactivate(np.ones(len(self._active.rows), dtype=np.bool_))
