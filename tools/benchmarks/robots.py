@@ -141,7 +141,8 @@ def _notes(run: RobotRun) -> list[str]:
     if run.figures is None:
         return [run.failure]
     counted = noted_counters(run.figures.counters)
-    status = [] if run.figures.final_status == "optimised" else [run.figures.final_status]
+    doubts = run.figures.final_status.removeprefix("optimised").removeprefix("; ")
+    status = [doubts] if doubts else []
     return [", ".join(counted + status)] if counted or status else []
 
 
