@@ -15,7 +15,7 @@ COMMANDS = (
     *("compare", "sweep"),
     *("optimize", "view", "export", "config", "benchmark registration", "benchmark closures"),
     *("relocalize", "train", "benchmark replay", "benchmark descriptors", "benchmark map-size"),
-    *("benchmark relocalization", "benchmark faults"),
+    *("benchmark relocalization", "benchmark faults", "benchmark ablation"),
 )
 
 

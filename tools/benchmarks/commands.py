@@ -11,6 +11,7 @@ import typer
 
 from tools.arguments import ConfigFile, Json, Settings
 from tools.benchmarks import closures, descriptors, faults, fleet, kidnapping, recall, relocalization, retrieval, robots
+from tools.lab import ablation
 
 if TYPE_CHECKING:
     from slam.benchmarks.registration import RegistrationBenchmark
@@ -22,6 +23,7 @@ app.command()(descriptors.descriptors)
 app.command()(faults.faults)
 app.command()(fleet.fleet)
 app.command()(kidnapping.kidnapping)
+app.command()(ablation.ablation)
 app.command("map-size")(descriptors.map_size)
 app.command()(recall.recall)
 app.command()(relocalization.relocalization)
