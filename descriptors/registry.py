@@ -9,13 +9,13 @@ from pathlib import Path
 from descriptors.baselines.gosmatch import GosmatchGraph, GosmatchVertex
 from descriptors.baselines.onion import Onion, OnionHistogram
 from descriptors.baselines.random_walk import RandomWalk
+from descriptors.descriptellation_lr.learned_likelihood import LearnedLikelihood, is_learned_likelihood
 from descriptors.descriptor import Descriptor
 from descriptors.errors import DescriptorError
 from descriptors.index import ConstellationIndex, VectorIndex
 from descriptors.likelihood_index import LikelihoodIndex
 from descriptors.random_vector import RandomVector
 from descriptors.ring_likelihood import RingLikelihood
-from descriptors.towers.learned_likelihood import LearnedLikelihood, is_learned_likelihood
 
 HANDCRAFTED: dict[str, Callable[[], Descriptor]] = {
     "onion": Onion,
@@ -24,11 +24,13 @@ HANDCRAFTED: dict[str, Callable[[], Descriptor]] = {
     "gosmatch_graph": GosmatchGraph,
     "gosmatch_vertex": GosmatchVertex,
 }
-SHIPPED = Path(__file__).parent / "descriptellation" / "weights"
-PAPER = "descriptellation_paper"
+SHIPPED = Path(__file__).parent / "weights"
+PAPER = "descriptellation"
 NETWORKS = (PAPER, "pointnet", "sgnet")
 LEARNED = (LearnedLikelihood.name, *NETWORKS)
 DESCRIPTOR_NAMES = (RingLikelihood.name, *LEARNED, *HANDCRAFTED, RandomVector.name)
+RENAMED = {"descriptellation_paper": "descriptellation"}
+"""Names of earlier versions."""
 WEIGHTS_SUFFIX = ".safetensors"
 
 
@@ -52,6 +54,8 @@ def make_descriptor(name: str) -> Descriptor:
         return _from_weights(Path(name))
     if ":" in name:
         return _from_class(name)
+    if name in RENAMED:
+        raise DescriptorError(f"no descriptor {name!r}; it is called {RENAMED[name]!r} now")
     raise DescriptorError(
         f"no descriptor {name!r}; there are {', '.join(DESCRIPTOR_NAMES)}, weights by their path "
         f"(NAME{WEIGHTS_SUFFIX}), and classes of your own (module:Class)"

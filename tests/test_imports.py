@@ -168,7 +168,7 @@ def test_likelihoods_of_constellations_need_no_torch() -> None:
     assert importers_of("torch", "slam", "tools", "logs") == set()
     code = (
         "import sys; from descriptors.registry import make_index; make_index('ring_likelihood'); "
-        "make_index('descriptellation'); "
+        "make_index('descriptellation_lr'); "
         "import slam.system; print('torch' in sys.modules)"
     )
     result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)

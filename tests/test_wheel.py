@@ -102,7 +102,7 @@ def test_the_wheel_holds_one_package(wheel: Path) -> None:
     assert {name.split("/")[0] for name in names} == {"dslam"}
     assert "dslam/py.typed" in names
     assert "dslam/logs/samples/short_drive.mcap" in names
-    assert "dslam/descriptors/descriptellation/weights/descriptellation.safetensors" in names
+    assert "dslam/descriptors/weights/descriptellation_lr.safetensors" in names
     assert not [name for name in names if "/tests/" in name]
     assert wheel.stat().st_size < 5e6
 

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from descriptors.descriptellation.training import Epoch
-    from descriptors.towers.training_maps import TrainingMap
+    from descriptors.descriptellation_lr.training_maps import TrainingMap
 
-TOWERS = "descriptellation"
+TOWERS = "descriptellation_lr"
 
 
 def train(
@@ -24,7 +24,7 @@ def train(
         typer.Argument(metavar="FOLDER", help="For the checkpoint, the curves and the weights.", show_default=False),
     ],
     network: Annotated[
-        str, typer.Option(metavar="descriptellation|descriptellation_paper|pointnet|sgnet", help="What is trained.")
+        str, typer.Option(metavar="descriptellation_lr|descriptellation|pointnet|sgnet", help="What is trained.")
     ] = TOWERS,
     maps: Annotated[
         list[Path] | None,
@@ -32,7 +32,7 @@ def train(
             "--maps",
             metavar="FILE",
             help="A map of your own: CSV with x_m,y_m,z_m,class, a saved map, or a log that 'dslam replay' wrote. "
-            "Repeatable; descriptellation only.",
+            "Repeatable; descriptellation_lr only.",
         ),
     ] = None,
     input_kind: Annotated[
@@ -40,7 +40,7 @@ def train(
         typer.Option(
             "--input",
             metavar="embedding|one_hot|integer|position",
-            help="What descriptellation_paper is given of an object; position leaves its class out.",
+            help="What descriptellation is given of an object; position leaves its class out.",
             show_default=False,
         ),
     ] = None,
@@ -48,18 +48,18 @@ def train(
         int | None,
         typer.Option(
             min=1,
-            help="Of descriptellation 50 maps each, 8 of them, with --maps 4; of the others all data, 100 times.",
+            help="Of descriptellation_lr 50 maps each, 8 of them, with --maps 4; of the others all data, 100 times.",
         ),
     ] = None,
     anew: Annotated[
         bool, typer.Option("--anew", help="With --maps: begin with random weights instead of the shipped ones.")
     ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of the data and of the first weights.")] = 0,
-    device: Annotated[str, typer.Option(help="As torch names it: cpu, cuda, ...; descriptellation: cpu.")] = "cpu",
+    device: Annotated[str, typer.Option(help="As torch names it: cpu, cuda, ...; descriptellation_lr: cpu.")] = "cpu",
     threads: Annotated[int, typer.Option(min=1, help="Of a CPU; another number gives slightly other weights.")] = 2,
     json: Json = False,
 ) -> None:
-    """Train a descriptor network on simulated maps, and descriptellation on maps of your own, too.
+    """Train a descriptor network on simulated maps, and descriptellation_lr on maps of your own, too.
 
     With maps of your own the shipped weights are trained further, and kept where that makes nothing better there.
 
@@ -67,7 +67,7 @@ def train(
     those of the epoch with the best top 5 on validation maps; 'dslam replay --set
     loop_closure.descriptor=FOLDER/weights.safetensors' uses them.
 
-    Example: dslam train out/descriptellation --maps town.csv
+    Example: dslam train out/lr --maps town.csv
     """
     if network == TOWERS:
         if input_kind is not None or device != "cpu":
@@ -86,9 +86,15 @@ def _train_towers(
 ) -> None:
     from dataclasses import asdict, replace
 
+    from descriptors.descriptellation_lr.training import (
+        Step,
+        TowersTraining,
+        best_epoch,
+        further_training,
+        train_towers,
+    )
     from descriptors.learned.training_folder import WEIGHTS
     from descriptors.registry import SHIPPED, WEIGHTS_SUFFIX
-    from descriptors.towers.training import Step, TowersTraining, best_epoch, further_training, train_towers
     from tools import console
 
     start = SHIPPED / f"{TOWERS}{WEIGHTS_SUFFIX}" if maps and not anew else None
@@ -125,7 +131,7 @@ def _load_map(path: Path) -> TrainingMap:
     """The objects of a CSV file, of a saved map, or of the final map in a log."""
     import numpy as np
 
-    from descriptors.towers.training_maps import TrainingMap
+    from descriptors.descriptellation_lr.training_maps import TrainingMap
 
     if path.suffix.lower() == ".csv":
         from slam.simulation.world import load_objects

@@ -26,7 +26,7 @@ class DescriptellationArchitecture:
     two objects of a simulated map, with which all constellations of 30 m are complete graphs.
     """
 
-    name: str = "descriptellation_paper"
+    name: str = "descriptellation"
     input: InputKind = "embedding"
     vocabulary_size: int = 64
     embedding_length: int = 3

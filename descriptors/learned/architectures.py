@@ -42,7 +42,7 @@ class Architecture(Protocol):
 
 
 ARCHITECTURES: dict[str, tuple[type[Any], type[nn.Module]]] = {
-    "descriptellation_paper": (DescriptellationArchitecture, Descriptellation),
+    "descriptellation": (DescriptellationArchitecture, Descriptellation),
     "pointnet": (PointNetArchitecture, PointNet),
     "sgnet": (SGNetArchitecture, SGNet),
 }

@@ -304,9 +304,9 @@ class LoopClosureConfig(_Branch):
 
     enabled: bool = Field(default=True, description="close loops")
     descriptor: str = Field(
-        default="descriptellation",
-        description="descriptor of constellations: descriptellation, ring_likelihood, one of the baselines, a file of "
-        "weights (NAME.safetensors) or a class of your own (module:Class)",
+        default="descriptellation_lr",
+        description="descriptor of constellations: descriptellation_lr, ring_likelihood, one of the baselines, a "
+        "file of weights (NAME.safetensors) or a class of your own (module:Class)",
     )
     min_travel_m: float = Field(
         default=100.0, gt=0, description="least travel between the two keyframes of a closure [m]"

@@ -46,7 +46,7 @@ def test_vectors_of_the_length_of_the_architecture_tell_constellations_apart(nam
     described = network(name)(*batch((12, 9, 20), 20))
     assert described.shape == (3, ARCHITECTURES[name][0]().length)
     assert described.dtype == torch.float32
-    if name != "descriptellation_paper":  # which the paper does not normalise
+    if name != "descriptellation":  # which the paper does not normalise
         assert close(described.norm(dim=1), torch.ones(3))
     assert torch.pdist(described).min() > 1e-2
 
@@ -100,7 +100,7 @@ def test_an_object_alone_and_no_constellation_at_all(name):
     describe = network(name)
     lonely = describe(*batch((1, 1), 1))
     assert torch.isfinite(lonely).all()
-    if name != "descriptellation_paper":
+    if name != "descriptellation":
         assert close(lonely.norm(dim=1), torch.ones(2))
     empty = torch.zeros(0, 1, 3), torch.zeros(0, 1, dtype=torch.int64), torch.zeros(0, 1, dtype=torch.bool)
     assert describe(*empty).shape == (0, lonely.shape[1])
@@ -165,7 +165,7 @@ def test_the_backbone_has_as_many_layers_as_the_architecture_says():
 
 @torch.no_grad()
 def test_every_layer_of_the_backbone_adds_to_the_one_before():
-    describe = network("descriptellation_paper")
+    describe = network("descriptellation")
     given = batch((12, 5), 12)
     seen: list[Tensor] = []
     describe.fusion.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))

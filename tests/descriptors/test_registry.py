@@ -19,7 +19,7 @@ from descriptors.registry import DESCRIPTOR_NAMES, LEARNED, NETWORKS, PAPER, mak
 from slam.common.arrays import FloatArray, IntArray
 from tests.descriptors.constellations import VOCABULARY, describe, scattered
 
-WEIGHTS = Path(descriptors.__file__).parent / "descriptellation" / "weights"
+WEIGHTS = Path(descriptors.__file__).parent / "weights"
 # Of these, the vectors of unlike objects may be as near as those of like ones.
 VAGUE = ("onion", "gosmatch_graph", "random")
 
@@ -103,7 +103,7 @@ def test_every_index_may_be_searched_while_it_is_empty(name):
 def test_only_the_two_likelihoods_are_looked_up_by_likelihood():
     names = [name for name in DESCRIPTOR_NAMES if name not in NETWORKS]
     likelihoods = [name for name in names if isinstance(make_index(name), LikelihoodIndex)]
-    assert likelihoods == ["ring_likelihood", "descriptellation"]
+    assert likelihoods == ["ring_likelihood", "descriptellation_lr"]
 
 
 class Own:
@@ -160,6 +160,11 @@ def test_a_descriptor_that_does_not_exist_is_refused_with_the_names_of_those_tha
         make("rings")
     assert "'rings'" in str(refusal.value)
     assert all(name in str(refusal.value) for name in DESCRIPTOR_NAMES)
+
+
+def test_former_name_is_refused_with_the_present_one():
+    with pytest.raises(DescriptorError, match=r"'descriptellation_paper'.*'descriptellation'"):
+        make_index("descriptellation_paper")
 
 
 def test_random_vectors_are_other_ones_in_each_call_and_the_same_in_each_run():

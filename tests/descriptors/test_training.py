@@ -314,14 +314,12 @@ def test_an_epoch_goes_through_every_view_once_anchor_by_anchor_and_each_time_in
 
 
 def test_default_architectures_take_settings_and_refuse_what_they_do_not_know():
-    assert default_architecture("descriptellation_paper") == DescriptellationArchitecture()
-    assert default_architecture("descriptellation_paper", input="one_hot") == DescriptellationArchitecture(
-        input="one_hot"
-    )
+    assert default_architecture("descriptellation") == DescriptellationArchitecture()
+    assert default_architecture("descriptellation", input="one_hot") == DescriptellationArchitecture(input="one_hot")
     assert default_architecture("pointnet", length=24) == PointNetArchitecture(length=24)
-    with pytest.raises(DescriptorError, match=r"'transformer'.*descriptellation_paper, pointnet, sgnet"):
+    with pytest.raises(DescriptorError, match=r"'transformer'.*descriptellation, pointnet, sgnet"):
         default_architecture("transformer")
     with pytest.raises(DescriptorError, match=r"'pointnet' with unknown fields \['input'\]"):
         default_architecture("pointnet", input="position")
     with pytest.raises(DescriptorError, match=r"input = 'colour'"):
-        default_architecture("descriptellation_paper", input="colour")
+        default_architecture("descriptellation", input="colour")

@@ -17,7 +17,7 @@ from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mut
 from tests.fuzz.cloud_mutations import mutate_pcd, mutate_ply, write_sequence
 from tests.fuzz.training_mutations import mutate_checkpoint
 
-NETWORKS = {"towers": "descriptellation", "network": "descriptellation_paper"}
+NETWORKS = {"towers": "descriptellation_lr", "network": "descriptellation"}
 """Whose checkpoints are altered, by the name of the folder."""
 _PARK = b"""ODOMETRY 0 1 2 0 1.5707963267948966 0.0001 0 0 4e-06 0 4e-06
 LANDMARK 1 7 3 -1 0.4 0.1 0.3
@@ -40,7 +40,7 @@ def make_trainings_small() -> None:
     """Let every training of this process be one of a few constellations: its configuration is not what is tried."""
     from descriptors.descriptellation import training as networks
     from descriptors.descriptellation.dataset import DatasetConfig
-    from descriptors.towers import training as towers
+    from descriptors.descriptellation_lr import training as towers
 
     small: Any = partial(networks.TrainingConfig, dataset=DatasetConfig(anchors=6, positives=2))
     networks.TrainingConfig = small  # type: ignore[misc]

@@ -28,7 +28,7 @@ from tests.tools.runs import SAMPLE
 from tools import cli
 
 _SECONDS = 2.0
-WEIGHTS = Path(str(resources.files("descriptors"))) / "descriptellation" / "weights" / "descriptellation.safetensors"
+WEIGHTS = Path(str(resources.files("descriptors"))) / "weights" / "descriptellation_lr.safetensors"
 _ODOMETRY = definition(
     "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n"
     "geometry_msgs/PoseWithCovariance twist"

@@ -12,13 +12,14 @@ SCRATCH = "/dev/shm" if Path("/dev/shm").is_dir() else None
 of most commands."""
 _IMPORTED = ("slam.replay", "slam.evaluation.evaluate", "slam.evaluation.html_report.page", "logs.summary",
              "slam.visualization.map_plot", "slam.backend.pose_graph.robust_optimization", "rich.table",
-             "matplotlib.pyplot", "slam.object_map.map_io", "slam.formats.g2o", "tools.console", "plotly.graph_objects",
-             "descriptors.learned.network_descriptor", "descriptors.towers.training", "slam.simulation.faults.registry",
+             "matplotlib.pyplot", "slam.object_map.map_io", "slam.formats.g2o", "tools.console",
+             "plotly.graph_objects", "descriptors.learned.network_descriptor",
+             "descriptors.descriptellation_lr.training", "slam.simulation.faults.registry",
              "slam.simulation.degraded_log", "logs.importers.text_log", "logs.importers.detection_tables", "osmium",
-             "logs.importers.maps.osm", "slam.map_joining.joint_map", "slam.evaluation.comparison", "slam.sweeps.sweep",
-             "slam.localization.imported_map_editing", "slam.evaluation.report.text", "tools.evaluation.evaluate",
-             "tools.evaluation.compare", "logs.clouds.map_of_cloud", "logs.clouds.semantic_kitti",
-             "open3d", "multiprocessing.pool", "encodings.idna", "_strptime")  # fmt: skip
+             "logs.importers.maps.osm", "slam.map_joining.joint_map", "slam.evaluation.comparison",
+             "slam.sweeps.sweep", "slam.localization.imported_map_editing", "slam.evaluation.report.text",
+             "tools.evaluation.evaluate", "tools.evaluation.compare", "logs.clouds.map_of_cloud",
+             "logs.clouds.semantic_kitti", "open3d", "multiprocessing.pool", "encodings.idna", "_strptime")  # fmt: skip
 
 
 def import_commands() -> None:

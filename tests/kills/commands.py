@@ -34,7 +34,7 @@ def make_commands(folder: Path) -> list[Command]:
     replay(log, mapped)
     text = TextDrive.make(folder)
     tables = [part for role, path in text.files().items() for part in (f"--{role.replace('_', '-')}", str(path))]
-    network = ("--network", "descriptellation_paper", "--epochs", "2", "--threads", "1")
+    network = ("--network", "descriptellation", "--epochs", "2", "--threads", "1")
     return [
         Command("replay", ("replay", str(log), "-o", "out.mcap", "--save-map", "map.mcap")),
         Command("evaluate", ("evaluate", str(mapped), "--html", "report.html", "--picture", "map.png")),

@@ -232,7 +232,7 @@ class TestInfo:
             "Landmarks by class",
             "steps of odometry, 0 closures and",
             "none stored: they are computed when the map is loaded",
-            "last drive was descriptellation",
+            "last drive was descriptellation_lr",
             f"dslam relocalize LOG --map {town}",
         ):
             assert text in " ".join(result.out.split())

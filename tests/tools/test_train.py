@@ -16,12 +16,12 @@ from descriptors.descriptellation import training
 from descriptors.descriptellation.dataset import DatasetConfig
 from descriptors.descriptellation.network import DescriptellationArchitecture
 from descriptors.descriptellation.training import Epoch, TrainingConfig
+from descriptors.descriptellation_lr import training as towers
+from descriptors.descriptellation_lr.training import TowersTraining
 from descriptors.learned.training_folder import WEIGHTS
 from descriptors.learned.weights import load_weights
 from descriptors.likelihood_index import LikelihoodIndex
 from descriptors.registry import make_index
-from descriptors.towers import training as towers
-from descriptors.towers.training import TowersTraining
 from tests.tools.runs import Run, assert_refused
 
 Called = dict[str, Any]
@@ -61,14 +61,14 @@ def test_the_help_has_an_example_and_names_the_networks(dslam: Run) -> None:
     told = " ".join(result.out.split())
     assert (result.code, result.err) == (0, "")
     assert "Example: dslam train" in told
-    for name in ("descriptellation", "pointnet", "one_hot", "--seed", "--device", "--threads"):
+    for name in ("descriptellation_lr", "pointnet", "one_hot", "--seed", "--device", "--threads"):
         assert name in told
 
 
 def test_every_option_reaches_the_training(dslam: Run, called: Called, tmp_path: Path) -> None:
     options = (
         "--network",
-        "descriptellation_paper",
+        "descriptellation",
         "--input",
         "one_hot",
         "--epochs",
@@ -86,7 +86,7 @@ def test_every_option_reaches_the_training(dslam: Run, called: Called, tmp_path:
 
 
 def test_the_paper_s_network_is_trained_as_in_the_paper(dslam: Run, called: Called, tmp_path: Path) -> None:
-    assert dslam("train", tmp_path, "--network", "descriptellation_paper").code == 0
+    assert dslam("train", tmp_path, "--network", "descriptellation").code == 0
     assert called["config"] == TrainingConfig()
 
 
@@ -165,7 +165,7 @@ def test_maps_belong_to_descriptellation(dslam: Run, tmp_path: Path) -> None:
 
 def test_a_network_that_does_not_exist_is_refused(dslam: Run, tmp_path: Path) -> None:
     result = dslam("train", tmp_path / "net", "--network", "transformer")
-    assert_refused(result, "'transformer'", "descriptellation_paper, pointnet, sgnet")
+    assert_refused(result, "'transformer'", "descriptellation, pointnet, sgnet")
     assert not (tmp_path / "net").exists()
 
 
@@ -178,7 +178,7 @@ def test_an_input_for_a_network_that_has_no_choice_is_refused(dslam: Run, tmp_pa
 
 def test_an_input_that_does_not_exist_is_refused(dslam: Run, tmp_path: Path) -> None:
     assert_refused(
-        dslam("train", tmp_path / "net", "--network", "descriptellation_paper", "--input", "colour"),
+        dslam("train", tmp_path / "net", "--network", "descriptellation", "--input", "colour"),
         "colour",
         "one_hot",
     )

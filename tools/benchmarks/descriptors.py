@@ -58,7 +58,7 @@ def descriptors(
     by triangles and the default descriptor, and searches exhaustively where these find nothing.
     Without CSV files the map is a simulated street of 1150 m with 795 objects of 25 classes.
 
-    Example: dslam benchmark descriptors --descriptor descriptellation --descriptor onion --queries 100 --seeds 1
+    Example: dslam benchmark descriptors --descriptor descriptellation_lr --descriptor onion --queries 100 --seeds 1
     """
     from dataclasses import asdict
 

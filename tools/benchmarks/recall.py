@@ -53,7 +53,7 @@ def recall(
     and positions have 0.2 m of noise. Places: queries with a right pose (4 m, 10 deg) among the first 1, 5 and 25 that
     the registration finds among the matches. Times are of the processor.
 
-    Example: dslam benchmark recall --objects trees.csv --size 10000 --size 50000 --descriptor descriptellation
+    Example: dslam benchmark recall --objects trees.csv --size 10000 --size 50000 --descriptor descriptellation_lr
     """
     from dataclasses import asdict
 

@@ -51,7 +51,7 @@ def retrieval(
 
     --set registration.method=ransac verifies by sampling.
 
-    Example: dslam benchmark retrieval drive.mcap --descriptor ring_likelihood --descriptor descriptellation
+    Example: dslam benchmark retrieval drive.mcap --descriptor ring_likelihood --descriptor descriptellation_lr
     """
     from dataclasses import asdict
 

@@ -31,7 +31,7 @@ pytestmark = pytest.mark.slow
 
 TINY = DescriptellationArchitecture(vocabulary_size=6, layers=2, channels=8, fusion=8, length=16)
 SHIPPED_NAMES = [name for name in NETWORKS if (SHIPPED / f"{name}.safetensors").exists()]
-TRAINED = SHIPPED / "descriptellation_paper.safetensors"
+TRAINED = SHIPPED / "descriptellation.safetensors"
 if_shipped = pytest.mark.skipif(not TRAINED.exists(), reason=f"{TRAINED} is missing; train it with 'dslam train'")
 
 
@@ -62,7 +62,7 @@ def assert_alike(a: NDArray[np.float32], b: NDArray[np.float32]) -> None:
 def test_it_is_a_descriptor_with_the_sizes_and_the_radius_of_its_training(tmp_path):
     made: Descriptor = saved(tmp_path / "a.safetensors", radius_m=17.5)
     assert isinstance(made, LearnedDescriptor)
-    assert (made.name, made.length, made.radius_m, made.vocabulary_size) == ("descriptellation_paper", 16, 17.5, 6)
+    assert (made.name, made.length, made.radius_m, made.vocabulary_size) == ("descriptellation", 16, 17.5, 6)
 
 
 @pytest.mark.parametrize("architecture", [PointNetArchitecture(length=24), SGNetArchitecture(length=24)])
@@ -183,7 +183,7 @@ def test_the_weights_that_ship_describe(constellations, name):
 def test_the_network_that_ships_finds_as_many_of_its_validation_views_as_the_paper():
     metadata = LearnedDescriptor(TRAINED).metadata
     assert metadata.metrics["validation_top_k"] >= 0.981
-    assert metadata.training["architecture"]["name"] == "descriptellation_paper"
+    assert metadata.training["architecture"]["name"] == "descriptellation"
     assert metadata.training["dataset"]["anchors"] == 1000
     assert metadata.code_version
 

@@ -32,7 +32,7 @@ def test_the_graphs_follow_the_map_that_the_objects_are_of():
     far = np.vstack([positions, positions + np.array([500.0, 0.0, 0.0])])
 
     def distances(where):
-        index = make_index("descriptellation_paper")
+        index = make_index("descriptellation")
         assert isinstance(index, PaperIndex)
         both = np.tile(labels, len(where) // len(labels))
         entries = gather_constellations(where, both, VOCABULARY, radius_m=index.radius_m)
@@ -47,7 +47,7 @@ def test_the_graphs_follow_the_map_that_the_objects_are_of():
 
 def test_candidates_are_of_any_class():
     positions, labels = scattered(30, seed=2)
-    index = make_index("descriptellation_paper")
+    index = make_index("descriptellation")
     entries = gather_constellations(positions, labels, VOCABULARY, radius_m=index.radius_m)
     index.add(entries)
     matches = index.search(entries, 30, np.ones(30, dtype=np.bool_))

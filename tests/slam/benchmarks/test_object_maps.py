@@ -20,16 +20,16 @@ def town(count: int, extent_m: float) -> MapObjects:
 def test_a_descriptor_is_asked_in_each_map_and_finds_more_than_chance() -> None:
     figures = measure_recall(
         town(1500, 700.0),
-        ["descriptellation", "random"],
+        ["descriptellation_lr", "random"],
         sizes=[400, 1000],
         shares=[1.0, 0.5],
         classes=[4],
         queries=4,
     )
     assert [(each.descriptor, each.objects > 600) for each in figures[:4]] == [
-        ("descriptellation", False),
+        ("descriptellation_lr", False),
         ("random", False),
-        ("descriptellation", True),
+        ("descriptellation_lr", True),
         ("random", True),
     ]
     assert {each.classes for each in figures} == {4}
@@ -50,7 +50,7 @@ def test_rare_classes_become_one() -> None:
 def test_the_same_paths_are_asked_whatever_the_classes() -> None:
     one = town(600, 400.0)
     asked = [
-        measure_recall(one, ["descriptellation"], sizes=[600], classes=count, queries=3) for count in ([6], [1, 6])
+        measure_recall(one, ["descriptellation_lr"], sizes=[600], classes=count, queries=3) for count in ([6], [1, 6])
     ]
     alone, after_another = asked[0][0], asked[1][1]
     assert (alone.classes, alone.places, alone.neighbours) == (6, after_another.places, after_another.neighbours)

@@ -103,7 +103,7 @@ def test_on_a_furnished_block_everybody_is_found(outcomes: list[Outcome], kidnap
         assert is_right
 
 
-@pytest.mark.parametrize("descriptor", ["descriptellation", "ring_likelihood"])
+@pytest.mark.parametrize("descriptor", ["descriptellation_lr", "ring_likelihood"])
 def test_a_descriptor_alone_finds_everybody(search: Search, kidnaps: list[Kidnap], descriptor: str):
     """Without triangles and without the exhaustive search."""
     closing = LoopClosureConfig(descriptor=descriptor, max_candidates_when_lost=0, max_candidates_by_triangles=0)

@@ -89,7 +89,7 @@ def test_twin_a_descriptor_that_tells_nothing_recalls_little(tmp_path):
     assert outcome.closures.precision == 1.0
 
 
-@pytest.mark.parametrize("descriptor", ["ring_likelihood", "descriptellation", "onion_histogram"])
+@pytest.mark.parametrize("descriptor", ["ring_likelihood", "descriptellation_lr", "onion_histogram"])
 def test_each_keyframe_finds_its_place_by_descriptors_alone(tmp_path, descriptor):
     outcome = replay_drive(tmp_path, two_blocks(), descriptor=descriptor, **ONE_TRY)
     assert outcome.recall >= 0.8

@@ -22,13 +22,13 @@ from safetensors.torch import save
 from torch import Tensor
 
 from descriptors.constellation import Constellations, gather_constellations
+from descriptors.descriptellation_lr.learned_likelihood import FORMAT, read_towers
+from descriptors.descriptellation_lr.network import DescriptellationLRArchitecture, Towers, background_of, query_scores
+from descriptors.descriptellation_lr.training_maps import TrainingMap, draw_map
+from descriptors.descriptellation_lr.views import draw_view
 from descriptors.errors import WeightsError
 from descriptors.learned.training_folder import Stateful, TrainingFolder, replaced
 from descriptors.learned.weights import with_sorted_header
-from descriptors.towers.learned_likelihood import FORMAT, read_towers
-from descriptors.towers.network import Towers, TowersArchitecture, background_of, query_scores
-from descriptors.towers.training_maps import TrainingMap, draw_map
-from descriptors.towers.views import draw_view
 
 STEPS_PER_EPOCH = 50
 """New maps before the weights are validated, half a minute's work."""
@@ -51,7 +51,7 @@ class TowersTraining:
     and compares these with ``objects_per_map`` of the map that are of the same classes.
     """
 
-    architecture: TowersArchitecture = field(default_factory=TowersArchitecture)
+    architecture: DescriptellationLRArchitecture = field(default_factory=DescriptellationLRArchitecture)
     epochs: int = 8
     learning_rate: float = 1e-2
     last_rate: float = 3e-4

@@ -13,17 +13,17 @@ from safetensors import safe_open
 from safetensors.numpy import save_file
 
 from descriptors.constellation import Constellations, gather_constellations
+from descriptors.descriptellation_lr import training
+from descriptors.descriptellation_lr.learned_likelihood import LearnedLikelihood
+from descriptors.descriptellation_lr.network import Towers, background_of
+from descriptors.descriptellation_lr.rings import Background, Rings, horizontal_m
+from descriptors.descriptellation_lr.training import TowersEpoch, TowersTraining, best_epoch, train_towers
+from descriptors.descriptellation_lr.training_maps import TrainingMap, draw_forest, draw_map, draw_street, piece_of
+from descriptors.descriptellation_lr.views import CLUTTER, draw_view
 from descriptors.errors import DescriptorError, WeightsError
 from descriptors.learned.training_folder import CHECKPOINT, WEIGHTS
 from descriptors.likelihood_index import LikelihoodIndex
 from descriptors.registry import make_index
-from descriptors.towers import training
-from descriptors.towers.learned_likelihood import LearnedLikelihood
-from descriptors.towers.network import Towers, background_of
-from descriptors.towers.rings import Background, Rings, horizontal_m
-from descriptors.towers.training import TowersEpoch, TowersTraining, best_epoch, train_towers
-from descriptors.towers.training_maps import TrainingMap, draw_forest, draw_map, draw_street, piece_of
-from descriptors.towers.views import CLUTTER, draw_view
 
 TINY = TowersTraining(epochs=2, validation_maps=2, objects_per_map=30, views=1)
 
@@ -82,7 +82,7 @@ def test_a_map_may_grow_with_its_vocabulary(folder: Path) -> None:
 def test_among_many_of_one_class_the_right_one_is_found() -> None:
     """In a forest all rings hold stems; that a place has more of them than another must not decide."""
     found = {}
-    for name in ("descriptellation", "ring_likelihood"):
+    for name in ("descriptellation_lr", "ring_likelihood"):
         hits = []
         for seed in range(3):
             rng = np.random.default_rng(seed)
@@ -99,7 +99,7 @@ def test_among_many_of_one_class_the_right_one_is_found() -> None:
             right = near[matches.queries] == matches.entries
             hits.append(np.count_nonzero(right) / max(len(near), 1))
         found[name] = float(np.mean(hits))
-    assert found["descriptellation"] > max(0.5, found["ring_likelihood"])
+    assert found["descriptellation_lr"] > max(0.5, found["ring_likelihood"])
 
 
 def test_rings_cover_all_distances_without_gaps() -> None:

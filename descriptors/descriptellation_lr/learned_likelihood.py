@@ -13,8 +13,16 @@ from scipy.sparse import csr_matrix
 from scipy.special import erf, expit
 
 from descriptors.constellation import Constellations
+from descriptors.descriptellation_lr.rings import (
+    FEATURES,
+    FINE,
+    Background,
+    Rings,
+    horizontal_m,
+    neighbour_features,
+    ring_features,
+)
 from descriptors.errors import WeightsError
-from descriptors.towers.rings import FEATURES, FINE, Background, Rings, horizontal_m, neighbour_features, ring_features
 
 FORMAT = "descriptellation towers 1"
 MOST_NATS = 6.0
@@ -32,7 +40,7 @@ class LearnedLikelihood:
     The background is that of the objects that were described so far, so one of these belongs to one map.
     """
 
-    name = "descriptellation"
+    name = "descriptellation_lr"
     least_nats = -2.0
 
     def __init__(self, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The map tower as a network of torch, to be trained; :mod:`descriptors.towers.learned_likelihood` uses it."""
+"""The learned likelihood as a network of torch, for training; ``learned_likelihood`` evaluates it by numpy."""
 
 from __future__ import annotations
 
@@ -10,17 +10,24 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from descriptors.constellation import Constellations
-from descriptors.towers.rings import FEATURES, Background, Rings, horizontal_m, neighbour_features, ring_features
+from descriptors.descriptellation_lr.rings import (
+    FEATURES,
+    Background,
+    Rings,
+    horizontal_m,
+    neighbour_features,
+    ring_features,
+)
 
 
 @dataclass(frozen=True, slots=True)
-class TowersArchitecture:
+class DescriptellationLRArchitecture:
     """Sizes of the towers. ``widths_m`` and ``widths_per_m``: of the kernels before training, at distance 0 and how
     they grow with it; ``level_width_m``, ``level_width_per_m``: of the kernel that measures how crowded an object is;
     ``odds``: of a gate before training, P_D / (1 - P_D) with P_D 0.75.
     """
 
-    name: str = "descriptellation"
+    name: str = "descriptellation_lr"
     radius_m: float = 60.0
     least_ring_m: float = 0.25
     ring_growth: float = 0.02
@@ -46,9 +53,9 @@ class Towers(nn.Module):
     many neighbours, the presence of one carries no information; only its exact position does.
     """
 
-    def __init__(self, architecture: TowersArchitecture | None = None) -> None:
+    def __init__(self, architecture: DescriptellationLRArchitecture | None = None) -> None:
         super().__init__()
-        self.architecture = architecture or TowersArchitecture()
+        self.architecture = architecture or DescriptellationLRArchitecture()
         sizes = self.architecture
         self.rings = sizes.rings
         kernels = len(sizes.widths_m)
