@@ -1,4 +1,4 @@
-"""Processes that compute tasks: one that dies takes only its task along, and none outlives its parent."""
+"""Tasks in processes of their own: one that dies takes only its task along, and none outlives its parent."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections import deque
 from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
-from typing import Any, Generic, TypeVar
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
+from typing import Any, TypeVar
 
 from threadpoolctl import threadpool_limits
 
@@ -34,76 +34,52 @@ def compute_all(
     Args:
         compute: a function of a module, which raises nothing; it runs on one thread.
         tasks: that can be pickled.
-        jobs: processes at a time.
-        fresh: a process of its own for each task, with one job too.
+        jobs: tasks at a time, each in a new process.
+        fresh: a process for each task with one job, too.
     """
     if jobs == 1 and not fresh:
         with threadpool_limits(1):
             for task in tasks:
                 yield task, compute(task)
         return
-    waiting = deque(tasks)
-    workers = [_Worker[_Task, _Outcome](compute) for _ in range(min(jobs, len(tasks)))]
-    try:
-        for worker in workers:
-            worker.begin(waiting.popleft())
-        while busy := {worker.connection: worker for worker in workers if worker.task is not None}:
-            for ready in wait(list(busy)):
-                worker = busy[ready]  # type: ignore[index]
-                finished = worker.finish()
-                if fresh or isinstance(finished[1], Death):
-                    workers.remove(worker)
-                    worker.stop()
-                    if waiting:
-                        workers.append(worker := _Worker[_Task, _Outcome](compute))
-                if waiting:
-                    worker.begin(waiting.popleft())
-                yield finished
-    finally:
-        for worker in workers:
-            worker.stop()
-
-
-class _Worker(Generic[_Task, _Outcome]):
-    """One process, and the task that it is at."""
-
-    def __init__(self, compute: Callable[[_Task], _Outcome]) -> None:
-        spawn = multiprocessing.get_context("spawn")
-        self.connection: Connection[Any, Any]
-        self.connection, theirs = spawn.Pipe()
-        self.task: _Task | None = None
-        self._process: BaseProcess = spawn.Process(target=_serve, args=(compute, theirs), daemon=True)
-        self._process.start()
-        theirs.close()  # so that the death of the process ends the pipe
-
-    def begin(self, task: _Task) -> None:
-        self.task = task
-        self.connection.send(task)
-
-    def finish(self) -> tuple[_Task, _Outcome | Death]:
-        """The task and what came of it; blocks until it is there."""
-        assert self.task is not None
-        task, self.task = self.task, None
+    processes: set[SpawnProcess] = set()
+    with ThreadPoolExecutor(jobs) as threads:
+        futures = {threads.submit(_compute_apart, compute, task, processes): task for task in tasks}
         try:
-            return task, self.connection.recv()
-        except (EOFError, OSError):
-            self._process.join()
-            return task, Death(self._process.exitcode)
-
-    def stop(self) -> None:
-        self._process.kill()
-        self._process.join()
-        self.connection.close()
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        finally:
+            threads.shutdown(wait=False, cancel_futures=True)
+            for process in list(processes):
+                process.kill()
 
 
-def _serve(compute: Callable[[Any], Any], connection: Connection[Any, Any]) -> None:
-    """What a process does until its parent stops it."""
+def _compute_apart(compute: Callable[[_Task], _Outcome], task: _Task, processes: set[SpawnProcess]) -> _Outcome | Death:
+    """The outcome from a new process, which is one of ``processes`` as long as it runs."""
+    spawn = multiprocessing.get_context("spawn")
+    ours, theirs = spawn.Pipe(duplex=False)
+    process = spawn.Process(target=_run, args=(compute, task, theirs), daemon=True)
+    process.start()
+    processes.add(process)
+    theirs.close()  # so that the death of the process ends the pipe
+    try:
+        outcome: _Outcome = ours.recv()
+    except (EOFError, OSError):
+        process.join()
+        return Death(process.exitcode)
+    finally:
+        ours.close()
+        process.join()
+        processes.remove(process)
+    return outcome
+
+
+def _run(compute: Callable[[Any], Any], task: Any, connection: Connection[Any, Any]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; the parent decides
     threading.Thread(target=_end_with_parent, daemon=True).start()
     os.environ["OMP_NUM_THREADS"] = "1"  # for libraries that are loaded later
     with threadpool_limits(1):
-        while True:
-            connection.send(compute(connection.recv()))
+        connection.send(compute(task))
 
 
 def _end_with_parent() -> None:

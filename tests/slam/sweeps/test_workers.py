@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -38,31 +39,37 @@ def die_over_three(number: int) -> tuple[int, int]:
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_every_task_is_computed(jobs: int) -> None:
+def test_compute_all_returns_every_outcome(jobs: int) -> None:
     assert dict(compute_all(square, range(7), jobs=jobs)) == {number: number**2 for number in range(7)}
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_a_process_of_its_own_for_each_task(jobs: int) -> None:
+def test_dying_process_takes_only_its_task_along(jobs: int) -> None:
     outcomes = dict(compute_all(die_over_three, [1, 2, 3, 4], jobs=jobs, fresh=True))
     assert outcomes.pop(3) == Death(-signal.SIGKILL)
-    processes = {outcome[1] for outcome in outcomes.values() if not isinstance(outcome, Death)}
+    assert {task: outcome[0] for task, outcome in outcomes.items()} == {number: number for number in (1, 2, 4)}  # type: ignore[index]
+    processes = {outcome[1] for outcome in outcomes.values()}  # type: ignore[index]
     assert len(processes | {os.getpid()}) == 4
 
 
-def test_nothing_to_do() -> None:
+def write_late(path: Path) -> None:
+    if path.name == "late":
+        time.sleep(5.0)
+    path.touch()
+
+
+def test_closing_stops_running_tasks(tmp_path: Path) -> None:
+    outcomes = compute_all(write_late, [tmp_path / "soon", tmp_path / "late"], jobs=2)
+    assert next(outcomes)[0] == tmp_path / "soon"
+    outcomes.close()
+    assert [path.name for path in tmp_path.iterdir()] == ["soon"]
+
+
+def test_compute_all_accepts_no_tasks() -> None:
     assert list(compute_all(square, [], jobs=2)) == []
 
 
-def test_a_process_that_dies_takes_only_its_task_along() -> None:
-    outcomes = dict(compute_all(die_over_three, [1, 2, 3, 4, 5, 6], jobs=2))
-    assert outcomes.pop(3) == Death(-signal.SIGKILL)
-    assert {task: outcome[0] for task, outcome in outcomes.items() if not isinstance(outcome, Death)} == {
-        number: number for number in (1, 2, 4, 5, 6)
-    }
-
-
-def test_no_process_outlives_one_that_is_killed(tmp_path: Path) -> None:
+def test_no_process_outlives_killed_parent(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(KILLED)
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
