@@ -83,11 +83,18 @@ def settings() -> str:
     from slam.simulation.config import SimulationConfig
 
     lines = ["# Settings", "", "`dslam config` prints them as TOML; `--set KEY=VALUE` changes one."]
-    for title, tree in (("Replay", Config()), ("Simulation", SimulationConfig())):
+    replay, simulation = list(settings_of(Config())), list(settings_of(SimulationConfig()))
+    calibrated = [s for s in replay if s.key.startswith("calibration.")]
+    for title, chosen in (
+        ("Replay", [s for s in replay if s not in calibrated]),
+        ("Calibration of a robot: estimated from the log, where it is not given", calibrated),
+        ("Simulation", simulation),
+    ):
         lines += ["", f"## {title}", "", "| key | default | allowed | meaning |", "|---|---|---|---|"]
         lines += [
-            f"| `{s.key}` | {_cell(str(s.default))} | {_cell(s.allowed)} | {_cell(s.meaning)} |"
-            for s in settings_of(tree)
+            f"| `{s.key}` | {_cell('' if s.default is None else str(s.default))} | {_cell(s.allowed)} "
+            f"| {_cell(s.meaning)} |"
+            for s in chosen
         ]
     return "\n".join(lines) + "\n"
 

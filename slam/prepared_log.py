@@ -19,7 +19,7 @@ from slam.frontend.input.label_map import LabelMap
 from slam.frontend.input.scan_objects import ScanObjects
 from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.input.stamp_clocks import NO_DRIFT, ClockDrift, StampClocks
-from slam.self_calibration.calibration import Calibration, calibrate
+from slam.self_calibration.calibration import CalibratedLog, calibrate
 from slam.self_calibration.survey import Survey, survey
 
 _MAPPED = (
@@ -52,7 +52,7 @@ class PreparedLog:
     labels: LabelMap
     frames: SensorFrames
     scans: ScanObjects
-    calibration: Calibration
+    calibration: CalibratedLog
     drift: ClockDrift
     lost: Mapping[str, int]
 
@@ -130,12 +130,12 @@ def _read_frames(reader: LogReader, selection: Selection) -> SensorFrames:
 
 def _calibrate(
     reader: LogReader, selection: Selection, config: Config, inputs: InputRecords, frames: SensorFrames
-) -> tuple[Calibration, ClockDrift]:
+) -> tuple[CalibratedLog, ClockDrift]:
     """The settings for a log, of which those that were not given by hand are estimated from it, and how the clock of
     its detections drifts.
     """
-    if not config.calibration.enabled:
-        return Calibration(config), NO_DRIFT
+    if not config.calibrate:
+        return CalibratedLog(config), NO_DRIFT
     found, clocks = _survey(reader, selection, config, inputs, frames, NO_DRIFT)
     drift = clocks.drift()
     if drift.rate:
@@ -157,9 +157,9 @@ def _survey(
     with threadpool_limits(1, user_api="blas"):
         found = survey(
             records,
-            config.detection,
+            config.calibration.detection,
             frames,
-            max_classes=config.association.max_classes,
-            given=config.odometry.model_fields_set,
+            max_classes=config.calibration.objects.max_classes,
+            given=config.calibration.odometry.model_fields_set,
         )
     return found, clocks

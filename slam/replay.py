@@ -104,13 +104,15 @@ def replay(
             f"the given map stays as it is, so {map_path} would be a copy of it; extend it, or save none"
         )
     started = time.perf_counter()
-    with LogReader(source, config.limits.reading) as reader:
+    with LogReader(source, config.reading_limits) as reader:
         _check_drive(reader, source, output)
         prepared = prepare_log(reader, config, topics=topics, copy=copy)
         estimated = prepared.calibration.config
         slam = Slam(estimated, prior_map, extend=extend, place_prior=place_prior, frames=prepared.frames)
         provenance = provenance_of(reader, config, prepared, prior_map, extend=extend)
-        display = DriveDisplay(estimated.detection.sensor_range_m, _ground_truth(source, config, prepared.selection))
+        display = DriveDisplay(
+            estimated.calibration.detection.sensor_range_m, _ground_truth(source, config, prepared.selection)
+        )
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output) as writer:
             writer.add_metadata("dslam", provenance)
@@ -230,7 +232,7 @@ def _about_the_map(drive: _Drive, prior_map: PriorMap | None, final: FinalMap, c
     """What explains that the robot was not found in its map, or says that it was found at a wrong place."""
     if prior_map is None:
         return []
-    sigma_m = config.submap.landmark_sigma_m
+    sigma_m = config.calibration.objects.landmark_sigma_m
     if drive.slam.fixes:
         doubt = why_doubtful(prior_map, final.object_map, final.trajectory, sigma_m)
         return [f"probably recognised at a wrong place: {doubt}"] if doubt else []
@@ -242,7 +244,7 @@ def _ground_truth(source: Path, config: Config, selection: Selection) -> Iterato
     """The true poses of a log; it is opened when the first is asked for."""
     topics = selection.topics_of(RecordKind.GROUND_TRUTH)
     if topics:
-        with LogReader(source, config.limits.reading) as reader:
+        with LogReader(source, config.reading_limits) as reader:
             wanted = Selection(dict.fromkeys(topics, (RecordKind.GROUND_TRUTH,)))
             for entry in reader.records(wanted):
                 if isinstance(entry.record, GroundTruthPose):

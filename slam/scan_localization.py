@@ -14,6 +14,7 @@ import numpy as np
 
 from logs.messages import LoopClosureRecord, ObjectDetections, ObjectMapRecord
 from slam.backend.factor_graph import FactorGraph
+from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import InputDataError
@@ -70,18 +71,18 @@ class ScanLocalizer:
         if len(objects.ids) == 0:
             raise InputDataError("the map holds no confirmed landmark, so that no scan can be found in it")
         config = Config() if config is None else config
-        self._submap_config = config.submap
-        self._sensor_range_m = config.detection.sensor_range_m
+        self._objects = config.calibration.objects
+        self._sensor_range_m = config.sensor_range_m
         self._size = len(objects.ids)
-        object_map = ObjectMap(config.association)
+        object_map = ObjectMap(config.calibration.objects)
         object_map.restore(objects, travel_m=TRAVEL_M)
         self._number = {label: number for number, label in enumerate(object_map.vocabulary)}
-        graph = FactorGraph(config.factor_graph, sensor_range_m=self._sensor_range_m)
+        graph = FactorGraph(FactorGraphConfig(), sensor_range_m=self._sensor_range_m)
         self._scan = Keyframe(SCAN, OdometryPose(0, np.eye(4), 0.0, SEGMENT + 1, np.inf), np.eye(4))
         keyframes = [restore_map_frame(graph), self._scan]
         graph.add_fixed_keyframe(SCAN, np.eye(4))
         graph.update()
-        track = KeyframeTrack(config.odometry)
+        track = KeyframeTrack(config.calibration.odometry)
         for keyframe in keyframes:
             track.add(keyframe)
         self._retriever = PlaceRetriever(config, object_map)
@@ -114,8 +115,8 @@ class ScanLocalizer:
         """The query submap of one scan: its objects of classes of the map, numbered after the landmarks of the map."""
         known = np.flatnonzero([label in self._number for label in scan.labels])
         positions = scan.positions[known]
-        config = self._submap_config
-        sigmas = np.hypot(config.landmark_sigma_m, config.sigma_per_m * np.hypot(positions[:, 0], positions[:, 1]))
+        distances_m = np.hypot(positions[:, 0], positions[:, 1])
+        sigmas = np.hypot(self._objects.landmark_sigma_m, self._objects.landmark_sigma_per_m * distances_m)
         labels = np.array([self._number[scan.labels[row]] for row in known.tolist()], dtype=np.int64)
         return Query(self._scan, Submap(positions, sigmas, labels, self._size + known), np.eye(4))
 

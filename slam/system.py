@@ -22,6 +22,7 @@ from logs.messages import (
 from slam.assessment import assess
 from slam.backend.batch_solver import Optimization
 from slam.backend.factor_graph import FactorGraph
+from slam.backend.solver_options import UPDATE_KEYFRAMES, FactorGraphConfig
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.display.snapshot import MapSnapshot, SnapshotSchedule, take_snapshot
@@ -70,16 +71,15 @@ class Slam:
         self.counters: Counter[str] = Counter()
         self._first_segment = 0 if prior_map is None else SEGMENT + 1
         self._track = OdometryTrack(
-            config.odometry,
             self.counters,
             first_segment=self._first_segment,
-            sensor_range_m=config.detection.sensor_range_m,
+            sensor_range_m=config.sensor_range_m,
         )
         self._frames = frames or SensorFrames()
-        self._placer = ScanPlacer(config.detection, self._frames)
-        self._scans = ScanQueue(config.detection.time_offset_s)
-        self._object_map = ObjectMap(config.association)
-        self._graph = FactorGraph(config.factor_graph, sensor_range_m=config.detection.sensor_range_m)
+        self._placer = ScanPlacer(config.calibration.detection, self._frames)
+        self._scans = ScanQueue(config.calibration.detection.time_offset_s)
+        self._object_map = ObjectMap(config.calibration.objects)
+        self._graph = FactorGraph(FactorGraphConfig(), sensor_range_m=config.sensor_range_m)
         known, imported = restore_prior_map(prior_map, self._object_map, self._graph, fixed=not extend)
         self._first_keyframe = len(known)
         self._extends = extend
@@ -94,12 +94,12 @@ class Slam:
             self._gnss = GnssPrior(prior_map.georeference)
         self._resolver = StepResolver(self._mapper, self._placer)
         self._scan_mapper = ScanMapper(
-            config.detection, self._scans, self._placer, self._track, self._mapper, self.counters
+            config.calibration.detection, self._scans, self._placer, self._track, self._mapper, self.counters
         )
         self._localization = LocalizationState(has_prior_map=prior_map is not None)
-        self._odometry_offset_ns = round(config.odometry.time_offset_s * 1e9)
+        self._odometry_offset_ns = round(config.calibration.odometry.time_offset_s * 1e9)
         self._path, self._output = OdometryPath(), PoseOutput()
-        self._schedule = SnapshotSchedule(self._first_keyframe, config.factor_graph.update_keyframes)
+        self._schedule = SnapshotSchedule(self._first_keyframe, UPDATE_KEYFRAMES)
         self.closing_seconds: list[float] = []
         """Time that looking for loops took, keyframe by keyframe."""
 
@@ -147,7 +147,7 @@ class Slam:
             self._graph,
             self._closer.closures.keyframes,
             self._closer.closures.is_localized,
-            self._config.submap,
+            self._config.calibration,
         )
 
     def finish(self) -> FinalMap:
@@ -166,7 +166,8 @@ class Slam:
         if (missing := self._placer.describe_missing()) and not self.counters["detections_used"]:
             raise InputDataError(
                 f"{missing}, the body frame of the odometry, so no detection could be placed; record "
-                "/tf_static, or say --set detection.assume_body_frame=true if the detections are in the body frame"
+                "/tf_static, or say --set calibration.detection.assume_body_frame=true if the detections are in "
+                "the body frame"
             )
         self.counters["detections_without_odometry"] += len(self._scans)
         return self._final_map(*self._optimize())
@@ -201,7 +202,7 @@ class Slam:
         self.counters["closures_removed"] += len(removed)
         self.counters["closures_rejected_by_odometry"] = self._closer.rejected_by_odometry_count
         graph, object_map = records.graph(), records.object_map()
-        doubts = assess(graph, object_map, sensor_range_m=self._config.detection.sensor_range_m)
+        doubts = assess(graph, object_map, sensor_range_m=self._config.sensor_range_m)
         outcome = judge_outcome(optimization, warning, self.counters, doubts)
         return FinalMap(
             trajectory=records.trajectory(),

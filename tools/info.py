@@ -80,7 +80,7 @@ def _limits(settings: Sequence[str] | None) -> ReadingLimits | None:
         return None
     from slam.common.config import load_config
 
-    return load_config(None, settings).limits.reading
+    return load_config(None, settings).reading_limits
 
 
 def _plain(summary: LogSummary) -> dict[str, Any]:

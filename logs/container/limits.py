@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, fields
 
 from logs.errors import UnreadableLogError
 
@@ -26,6 +27,12 @@ class ReadingLimits:
     channels: int = 4096
     objects: int = 5000
     name_length: int = 1000
+
+    def scaled(self, factor: float) -> ReadingLimits:
+        """Limits that are all so many times as large; counts are one at least."""
+        values = {each.name: factor * getattr(self, each.name) for each in fields(self)}
+        counts = {name: max(round(values[name]), 1) for name in ("channels", "objects", "name_length")}
+        return ReadingLimits(**(values | counts))
 
     @property
     def chunk_bytes(self) -> int:
@@ -61,7 +68,7 @@ class ReadingLimits:
         if count > self.channels:
             raise UnreadableLogError(
                 f"{file} has more than {self.channels} channels or schemas; if it is to be trusted, "
-                f"--set limits.channels={count}"
+                f"--set memory_mb={math.ceil(self.chunk_mb * count / self.channels)}"
             )
 
     def check_name(self, file: str, what: str, name: str) -> None:
@@ -73,7 +80,8 @@ class ReadingLimits:
         if len(name) > self.name_length:
             raise UnreadableLogError(
                 f"{file}: the name of {what} has {len(name)} characters, more than {self.name_length}; "
-                f"if it is to be trusted, --set limits.name_length={len(name)}"
+                f"if it is to be trusted, "
+                f"--set memory_mb={math.ceil(self.chunk_mb * len(name) / self.name_length)}"
             )
 
 

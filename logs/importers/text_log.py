@@ -189,7 +189,7 @@ def _frame_note(table: DetectionTable) -> list[str]:
         return []
     return [
         f"detections are in {', '.join(frames)}, but these files do not tell where that sits on the body: replay with "
-        "--set detection.assume_body_frame=true if it is the body"
+        "--set calibration.detection.assume_body_frame=true if it is the body"
     ]
 
 

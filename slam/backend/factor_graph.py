@@ -24,8 +24,9 @@ from slam.backend.factors import (
     between_factor,
 )
 from slam.backend.graph_record import make_graph_record
+from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import DetectionConfig, FactorGraphConfig
+from slam.common.calibration import DetectionCalibration
 from slam.common.errors import FactorGraphError
 
 logger = logging.getLogger(__name__)
@@ -38,7 +39,9 @@ class FactorGraph:
     standard deviation of what is fixed.
     """
 
-    def __init__(self, config: FactorGraphConfig, *, sensor_range_m: float = DetectionConfig().sensor_range_m) -> None:
+    def __init__(
+        self, config: FactorGraphConfig, *, sensor_range_m: float = DetectionCalibration().sensor_range_m
+    ) -> None:
         self.prior_sigma_m = PRIOR_SIGMA_RANGES * sensor_range_m
         self._calls = GtsamCalls()
         self._store = FactorStore(config, self._calls, sensor_range_m=sensor_range_m)

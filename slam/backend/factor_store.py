@@ -28,8 +28,8 @@ from slam.backend.incremental_solver import IncrementalSolver
 from slam.backend.known_map import KnownMap
 from slam.backend.observed_landmarks import ObservedLandmarks
 from slam.backend.segment_joining import moved_estimate, relaxed_breaks, shift_of_segment
+from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
-from slam.common.config import FactorGraphConfig
 from slam.common.errors import FactorGraphError
 
 

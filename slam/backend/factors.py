@@ -14,8 +14,8 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from slam.backend.edge_kind import EdgeKind as EdgeKind
+from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
-from slam.common.config import FactorGraphConfig
 from slam.common.errors import FactorGraphError
 
 PRIOR_SIGMA_RAD = 1e-4

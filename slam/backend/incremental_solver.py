@@ -12,8 +12,8 @@ from gtsam.symbol_shorthand import L, X
 
 from slam.backend.batch_solver import BatchSolver, GtsamCalls, first_line, graph_of
 from slam.backend.estimates import Estimates, read_estimates
+from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
-from slam.common.config import FactorGraphConfig
 from slam.common.errors import FactorGraphError
 
 logger = logging.getLogger(__name__)

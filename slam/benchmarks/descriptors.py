@@ -180,9 +180,9 @@ def localizer_config(method: str, neighbours: int, registration: str = "vote", *
     of_descriptor = {"descriptor": method, "top_k": neighbours, "max_candidates_by_triangles": 0}
     retrieval = {} if method in (EXHAUSTIVE, AS_SHIPPED) else of_descriptor
     per_m = NOISE_PER_M / np.sqrt(2.0) if noisy else 0.0
+    config = config.calibrated({"objects.landmark_sigma_m": MAP_SIGMA_M, "objects.landmark_sigma_per_m": per_m})
     return config.model_copy(
         update={
-            "submap": config.submap.model_copy(update={"landmark_sigma_m": MAP_SIGMA_M, "sigma_per_m": per_m}),
             "loop_closure": config.loop_closure.model_copy(update=retrieval),
             "registration": config.registration.model_copy(update={"method": registration, "estimate_scale": noisy}),
         }

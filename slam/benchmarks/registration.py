@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import RegistrationConfig
 from slam.common.geometry import apply, invert, rotation_angle_rad, transform_from_xyz_yaw
+from slam.registration.parameters import RegistrationConfig
 from slam.registration.registration import register
 
 CORRESPONDENCES = (50, 100, 500, 1000, 5000)

@@ -110,10 +110,10 @@ def benchmark_relocalization(
 
 def calibrate_on_tour(world: World, config: Config, simulation: SimulationConfig, *, seed: int) -> Config:
     """The settings that a replay of the tour estimates; the searches are too short to estimate any."""
-    if not config.calibration.enabled:
+    if not config.calibrate:
         return config
     records = _perceived(record for _, _, record in simulate(world, simulation, seed=seed))
-    return calibrate(config, survey(records, config.detection)).config
+    return calibrate(config, survey(records, config.calibration.detection)).config
 
 
 def map_tour(world: World, config: Config, simulation: SimulationConfig, *, seed: int) -> KnownMap:

@@ -9,7 +9,7 @@ import numpy as np
 
 from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import SubmapConfig
+from slam.common.calibration import Calibration
 from slam.common.geometry import apply, invert
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.object_map.submap import recent_submap
@@ -67,7 +67,7 @@ def take_snapshot(
     graph: FactorGraph,
     closed: IntArray,
     is_localized: Callable[[Keyframe], bool],
-    config: SubmapConfig,
+    calibration: Calibration,
 ) -> MapSnapshot:
     """The map at the newest keyframe.
 
@@ -77,7 +77,7 @@ def take_snapshot(
         graph: estimates both.
         closed: query and reference keyframe (C, 2) of the accepted closures.
         is_localized: whether odometry or closures connect a keyframe with the map.
-        config: what a submap is.
+        calibration: of the robot.
     """
     estimates = graph.estimates()
     places = np.zeros((len(keyframes), 3))
@@ -103,7 +103,7 @@ def take_snapshot(
         landmarks=rows,
         positions=placed[rows],
         labels=tuple(vocabulary[index] for index in object_map.classes(rows)),
-        submap=np.intersect1d(recent_submap(object_map, newest, config).rows, rows),
+        submap=np.intersect1d(recent_submap(object_map, newest, calibration).rows, rows),
     )
 
 

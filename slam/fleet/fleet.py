@@ -170,7 +170,7 @@ def _find_pairs(
     index_path = folder / "joins" / key / "index.mcap"
     index_path.parent.mkdir(parents=True, exist_ok=True)
     if not index_path.exists():
-        index = make_place_index(maps, sigma_m=config.submap.landmark_sigma_m)
+        index = make_place_index(maps, sigma_m=config.calibration.objects.landmark_sigma_m)
         save_imported_map(index_path, index.objects)
     tasks = [
         JoinTask(number, session / MAP_NAME, index_path, index_path.parent / f"{number}.npz")
@@ -236,7 +236,7 @@ def _save(
             part.objects.positions[now],
             [labels[row] for row in now.tolist()],
             [ids[row] for row in now.tolist()],
-            sigma_m=config.submap.landmark_sigma_m,
+            sigma_m=config.calibration.objects.landmark_sigma_m,
             georeference=georeference if rank == 1 else None,
             source={"source": f"a fleet of {len(part.members)} sessions", "version": version("descriptellation-slam")},
         )

@@ -17,13 +17,22 @@ from scipy.special import chdtri
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
-from slam.frontend.input.scan import Scan
+from slam.frontend.data_association import GATE_PROBABILITY
+from slam.frontend.input.scan import MIN_SIGMA_RANGES, Scan
 from slam.frontend.landmark_filter import predict_covariances, update_positions
 from slam.frontend.local_map import LocalMap, upright_step
 from slam.object_map.landmarks import ObjectMap
-from slam.odometry.noise import step_variances
+from slam.odometry.noise import SLIP_INFLATION, step_variances
 from slam.odometry.pose import OdometryPose
 
+MAX_LANDMARKS = 200
+"""Landmarks around the robot that are kept for association, the latest seen; their joint covariance takes 0.5 MB."""
+ACTIVE_RADII = 2.0
+"""Landmarks farther from the robot than so many ranges of the farthest detection share no view with what is seen."""
+MOVING_ACCELERATION_RANGES = 0.1
+"""How much a moving object may change its speed, in sensor ranges per square second: a car brakes harder at times."""
+ODOMETRY_INFLATION, UNIQUE_INFLATION = SLIP_INFLATION, 5.0
+"""Factor on the noise of the odometry, the second where objects are unique: a wide gate then confuses nothing."""
 SAME_PROBABILITY = 0.99
 """Probability from which two landmarks are one object."""
 # Least time over which a moving object is given to change its speed: 10 Hz scans leave it none, its noise does.
@@ -54,6 +63,7 @@ class ActiveLandmarks:
 
     def __init__(self, config: Config, object_map: ObjectMap) -> None:
         self._config = config
+        self._odometry_inflation = UNIQUE_INFLATION if config.calibration.has_unique_objects else ODOMETRY_INFLATION
         self._map = object_map
         self._local = LocalMap()
         self._pose: OdometryPose | None = None
@@ -90,9 +100,7 @@ class ActiveLandmarks:
         if before is None:
             self.restart(pose)
         elif pose.stamp_ns != before.stamp_ns:
-            variances = self._config.association.odometry_inflation**2 * step_variances(
-                before, pose, self._config.odometry
-            )
+            variances = self._odometry_inflation**2 * step_variances(before, pose, self._config.calibration.odometry)
             self._local.advance(upright_step(before.T_odom_body, pose.T_odom_body), variances[::2])
             self._pose = pose
             rows = self.rows[self._slots < 0]
@@ -114,14 +122,14 @@ class ActiveLandmarks:
         velocities = landmarks["velocity_local"][rows]
         if velocities.any():
             seconds = (stamp_ns - landmarks["last_seen_ns"][rows]) * 1e-9
-            acceleration = velocities.any(axis=1) * self._config.landmark.moving_acceleration_mps2
+            acceleration = velocities.any(axis=1) * MOVING_ACCELERATION_RANGES * self._config.sensor_range_m
             swerve_m = acceleration * seconds * np.maximum(seconds, MIN_SWERVE_S)
             positions += seconds[:, None] * velocities
             covariances += (swerve_m**2)[:, None, None] * np.eye(3)
         held = self._held.indices
         if len(held) and self._pose is not None:
             travel_m = np.abs(self._pose.travel_m - landmarks["last_seen_travel_m"][rows[held]])
-            heights = covariances[held, 2, 2] + self._config.odometry.translation_sigma**2 * travel_m
+            heights = covariances[held, 2, 2] + self._config.calibration.odometry.translation_sigma**2 * travel_m
             positions[held, :2] = self._held.positions
             covariances[held] = 0.0
             covariances[held, :2, :2] = self._held.covariances
@@ -133,9 +141,7 @@ class ActiveLandmarks:
         assert self._pose is not None
         T_local_body = np.asarray(self._local.T_local_odom(self._pose.T_odom_body) @ pose.T_odom_body)
         predicted = self.predict(pose.stamp_ns)
-        variances = self._config.association.odometry_inflation**2 * step_variances(
-            self._pose, pose, self._config.odometry
-        )
+        variances = self._odometry_inflation**2 * step_variances(self._pose, pose, self._config.calibration.odometry)
         offsets = predicted.positions - T_local_body[:3, 3]
         return T_local_body, Prediction(
             predicted.positions, predict_covariances(predicted.covariances, offsets, variances)
@@ -177,7 +183,7 @@ class ActiveLandmarks:
 
         Of more than can be kept the others are made inactive at once: the filter's memory grows with their square.
         """
-        most = self._config.association.max_landmarks
+        most = MAX_LANDMARKS
         if len(rows) > most:
             self.drop(rows[:-most])
             rows = rows[-most:]
@@ -205,10 +211,10 @@ class ActiveLandmarks:
         variances, covariance = np.diagonal(covariances, axis1=1, axis2=2), covariances[:, 0, 1]
         largest = 0.5 * variances.sum(axis=1) + np.hypot(0.5 * (variances[:, 0] - variances[:, 1]), covariance)
         distances = np.linalg.norm(self._held.positions - self.T_local_body[:2, 3], axis=1)
-        uncertain[held] = (np.sqrt(largest) > self._config.association.confusion_distance_m) | (
-            distances > self._config.association.active_radius_m
+        uncertain[held] = (np.sqrt(largest) > self._config.calibration.objects.spacing_m) | (
+            distances > ACTIVE_RADII * self._config.calibration.detection.farthest_m
         )
-        excess = len(held) - self._config.association.max_landmarks
+        excess = len(held) - MAX_LANDMARKS
         if excess > 0:
             oldest = np.argsort(self._map.rows["last_seen_ns"][self.rows[held]], kind="stable")[:excess]
             uncertain[held[oldest]] = True
@@ -255,7 +261,7 @@ class ActiveLandmarks:
         area = float(np.prod(np.maximum(np.ptp(positions, axis=0), 1e-3)))
         clutter = np.bincount(classes)[classes[first]] / area
         llr = -0.5 * (distances + np.log(np.linalg.det(2.0 * np.pi * covariances))) - np.log(clutter)
-        llr[distances > float(chdtri(2, 1.0 - self._config.association.gate_probability))] = -np.inf
+        llr[distances > float(chdtri(2, 1.0 - GATE_PROBABILITY))] = -np.inf
         best = int(np.argmax(llr))
         if llr[best] < np.log(SAME_PROBABILITY / (1.0 - SAME_PROBABILITY)):
             return None
@@ -265,7 +271,11 @@ class ActiveLandmarks:
     @property
     def _view_variance(self) -> float:
         """By how much [m^2] two views of an object differ in where they put it."""
-        return 2.0 * max(self._config.detection.common_sigma_m, self._config.detection.min_sigma_m) ** 2
+        return (
+            2.0
+            * max(self._config.calibration.detection.common_sigma_m, MIN_SIGMA_RANGES * self._config.sensor_range_m)
+            ** 2
+        )
 
     @property
     def _held(self) -> _Held:

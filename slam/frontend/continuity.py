@@ -15,7 +15,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import AssociationConfig
+from slam.common.calibration import ObjectCalibration
 from slam.frontend.active_landmarks import Prediction
 from slam.frontend.data_association import associate
 from slam.odometry.unexpected_step import Continuation, UnexpectedStep
@@ -32,7 +32,7 @@ def scan_log_likelihood_ratio(
     labels: IntArray,
     predicted: Prediction,
     beliefs: FloatArray,
-    config: AssociationConfig,
+    config: ObjectCalibration,
 ) -> float:
     """Log-likelihood ratio of a scan between a predicted pose and a place where nothing is known.
 
@@ -54,7 +54,7 @@ def scan_log_likelihood_ratio(
     return float(assignment.log_likelihood_ratio + known)
 
 
-def in_a_crowd(config: AssociationConfig, predicted: Prediction, covariances: FloatArray) -> AssociationConfig:
+def in_a_crowd(config: ObjectCalibration, predicted: Prediction, covariances: FloatArray) -> ObjectCalibration:
     """The configuration with the density of the landmarks around for that of new objects."""
     if len(predicted.positions) == 0:
         return config

@@ -21,9 +21,13 @@ from scipy.spatial import cKDTree
 from scipy.special import chdtri
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import AssociationConfig
+from slam.common.calibration import ObjectCalibration
 
 NEW, AMBIGUOUS = -1, -2
+GATE_PROBABILITY = 0.9995
+"""Share of true matches that the chi-squared gate (3 degrees of freedom) keeps."""
+NEW_OBJECT_GATE_PROBABILITY = 0.999999
+"""A detection outside the gate of every landmark, but not as far off as that, is left out."""
 FEW_DISTANCES = 2**14
 """So many distances are computed sooner than trees are built."""
 
@@ -60,7 +64,7 @@ def associate(
     landmark_positions: FloatArray,
     landmark_covariances: FloatArray,
     landmark_beliefs: FloatArray,
-    config: AssociationConfig,
+    config: ObjectCalibration,
 ) -> Assignment:
     """Assign detections to landmarks, all given in one frame that is smooth around the robot.
 
@@ -79,8 +83,8 @@ def associate(
     rows, ratios = np.full(len(positions), NEW, dtype=np.int64), np.zeros(len(positions))
     if len(positions) == 0 or len(landmark_positions) == 0:
         return Assignment(rows, ratios)
-    gate = _gate(config.gate_probability)
-    outer_gate = max(_gate(config.new_object_gate_probability), gate)
+    gate = _gate(GATE_PROBABILITY)
+    outer_gate = max(_gate(NEW_OBJECT_GATE_PROBABILITY), gate)
     detection, landmark = _near_pairs(positions, covariances, landmark_positions, landmark_covariances, outer_gate)
     if len(detection) == 0:
         return Assignment(rows, ratios)
@@ -169,7 +173,7 @@ def _partners_of_many(row: IntArray, column: IntArray, gain: FloatArray, shape: 
     return partner
 
 
-def label_likelihood(belief_in_label: FloatArray, classes: int, config: AssociationConfig) -> FloatArray:
+def label_likelihood(belief_in_label: FloatArray, classes: int, config: ObjectCalibration) -> FloatArray:
     """Probability (...) of a detection's label where the landmark has that class with ``belief_in_label`` (...).
 
     A wrong label is drawn evenly from the other classes; one class alone can only be right.

@@ -21,12 +21,14 @@ def loosen_failed_headings(
     ``keyframes``: all of the graph, in the order of their ids; ``counters`` is where it counts the steps that fail. The
     graph is solved in batch from then on.
     """
-    factors = find_heading_failures(keyframes, config.odometry, failures_per_km=config.localization.failures_per_km)
+    factors = find_heading_failures(
+        keyframes, config.calibration.odometry, failures_per_km=config.localization.failures_per_km
+    )
     covariances = {
         number: step_covariance(
             keyframes[edge.from_keyframe].odometry,
             keyframes[edge.to_keyframe].odometry,
-            config.odometry,
+            config.calibration.odometry,
             heading_factor=factors[edge.to_keyframe],
         )
         for number, edge in graph.factors.items()

@@ -11,7 +11,7 @@ import numpy as np
 
 from slam.backend.factors import Observation
 from slam.common.arrays import IntArray
-from slam.common.config import DetectionConfig
+from slam.common.calibration import DetectionCalibration
 from slam.frontend.input.scan import Scan
 
 # More measurements than that from one pose, as of a robot that waits, add no information: they share their errors.
@@ -42,7 +42,7 @@ class KeyframeObservations:
         self._count[indices] += 1
         self._all_own[indices] &= scan.has_own_covariance
 
-    def observations(self, keyframe: int, config: DetectionConfig) -> list[Observation]:
+    def observations(self, keyframe: int, config: DetectionCalibration) -> list[Observation]:
         """One observation a landmark.
 
         Where the message has no covariance, the correlation of its errors is unknown: then the configured error that

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from logs.messages import DetectionAssociations
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind
+from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import invert, relative
@@ -34,6 +35,18 @@ from slam.odometry.pose import OdometryPose
 # After that travel, in sensor ranges, covariances of the local map are made relative to the robot again: what is in
 # view is far nearer, and a small turn about a start far away is a large shift.
 ANCHOR_RANGES = 10.0
+CONFIRM_OBSERVATIONS = 4
+"""Observations that confirm a landmark."""
+CONFIRM_FRACTION, DETECTED_SHARE = 0.4, 0.5
+"""Least share of the scans since its first observation in which it was observed, and of those in which an object is
+detected: each of several sensors may miss it.
+"""
+CONFIRM_AGE_S = 1.0
+"""Least time from its first to its last observation: a passing object is gone by then."""
+MISSED_RANGES, MISSED_SCANS = 0.5, 20
+"""A tentative landmark unseen for that travel in sensor ranges, or for more scans, retires."""
+MOVING_RANGES_PER_S, MOVING_RANGES, MOVING_OBSERVATIONS = 1.0 / 30.0, 1.0 / 12.0, 5
+"""What is faster than that, went so far, both in sensor ranges, and was seen so often, moves."""
 # A speed is significant if it is that many of its standard deviations.
 MOVING_SIGMAS = 3.0
 
@@ -49,6 +62,9 @@ class Mapper:
         self._graph = graph
         self._active = ActiveLandmarks(config, object_map)
         self._pending = PendingObservations(config, object_map)
+        objects = config.calibration.objects
+        self._confirm_fraction = min(CONFIRM_FRACTION, DETECTED_SHARE * objects.detection_probability)
+        self._max_missed_scans = MISSED_SCANS * objects.detection_period
         self._anchored_m = 0.0
         self._message_count = 0
         self._sensors: set[str] = set()
@@ -60,8 +76,8 @@ class Mapper:
         if self.keyframes and not is_keyframe_due(
             self.keyframes[-1].odometry,
             pose,
-            self._config.keyframe,
-            sensor_range_m=self._config.detection.sensor_range_m,
+            self._config.keyframe_distance_m,
+            sensor_range_m=self._config.sensor_range_m,
         ):
             return None
         if self.keyframes and not self.keyframes[-1].is_prior:
@@ -70,7 +86,7 @@ class Mapper:
             self._deactivate(np.ones(len(self._active.rows), dtype=np.bool_))
             self._active.restart(pose)
         keyframe = Keyframe(len(self.keyframes), pose, self._active.advance(pose))
-        if pose.travel_m - self._anchored_m > ANCHOR_RANGES * self._config.detection.sensor_range_m:
+        if pose.travel_m - self._anchored_m > ANCHOR_RANGES * self._config.sensor_range_m:
             self._active.anchor()
             self._anchored_m = pose.travel_m
         if not self.keyframes:
@@ -80,7 +96,7 @@ class Mapper:
                 _odometry_edge(self.keyframes[-1], keyframe, self._config), _local_step(self.keyframes[-1], keyframe)
             )
         self.keyframes.append(keyframe)
-        if keyframe.id % self._config.factor_graph.update_keyframes == 0:
+        if keyframe.id % UPDATE_KEYFRAMES == 0:
             self._graph.update()
         return keyframe
 
@@ -102,13 +118,13 @@ class Mapper:
             predicted.positions,
             predicted.covariances,
             self._map.beliefs(self._active.rows),
-            self._config.association,
+            self._config.calibration.objects,
         )
         known, new = assignment.matched, assignment.new
         rows = np.full(len(known), -1, dtype=np.int64)
         rows[known] = self._active.rows[assignment.landmark_rows[known]]
         # Errors that the scans of one view share are not averaged out by them.
-        independent = in_local.covariances + self._config.detection.scans_per_view * common
+        independent = in_local.covariances + self._config.calibration.detection.scans_per_view * common
         self._active.update(assignment.landmark_rows[known], predicted, in_local.of(known), independent[known])
         self._map.record_observations(
             rows[known],
@@ -147,13 +163,13 @@ class Mapper:
             self._map.label_indices(scan.labels),
             predicted,
             self._map.beliefs(self._active.rows),
-            self._config.association,
+            self._config.calibration.objects,
         )
 
     def can_align(self, tolerances: FloatArray) -> bool:
         """Whether objects are told apart from a pose that may be off by ``tolerances`` (2,) m and rad."""
-        farthest_m = tolerances[0] + tolerances[1] * self._config.detection.sensor_range_m
-        return bool(farthest_m < self._config.association.confusion_distance_m)
+        farthest_m = tolerances[0] + tolerances[1] * self._config.sensor_range_m
+        return bool(farthest_m < self._config.calibration.objects.spacing_m)
 
     def align(self, scan: Scan, pose: OdometryPose, tolerances: FloatArray) -> Alignment:
         """The scan aligned with the landmarks around, from an expected pose that may be off by ``tolerances`` (2,) m
@@ -167,7 +183,7 @@ class Mapper:
             self._map.label_indices(scan.labels),
             predicted,
             self._map.beliefs(self._active.rows),
-            self._config.association,
+            self._config.calibration.objects,
             origin=T_local_body[:3, 3],
             sigmas=tolerances,
         )
@@ -210,7 +226,7 @@ class Mapper:
 
     def _common_covariances(self, scan: Scan) -> FloatArray:
         """(N, 3, 3) m^2 of the errors that observations of an object share, where the message has no covariance."""
-        variances = np.where(scan.has_own_covariance, 0.0, self._config.detection.common_sigma_m**2)
+        variances = np.where(scan.has_own_covariance, 0.0, self._config.calibration.detection.common_sigma_m**2)
         return np.asarray(variances[:, None, None] * np.eye(3))
 
     def _update_life_cycle(self, seen: IntArray) -> None:
@@ -219,16 +235,15 @@ class Mapper:
         What is faster than its noise explains is followed at its speed: a landmark that only seemed to move slows down
         again as observations accumulate, a vehicle goes far enough to be recognised.
         """
-        limits = self._config.landmark
-        landmarks = self._map.rows
+        range_m, landmarks = self._config.sensor_range_m, self._map.rows
         velocities_mps, noise_mps = velocities(landmarks, seen)
         speeds = np.linalg.norm(velocities_mps, axis=1)
-        too_fast = speeds > np.maximum(limits.moving_speed_mps, MOVING_SIGMAS * noise_mps)
+        too_fast = speeds > np.maximum(MOVING_RANGES_PER_S * range_m, MOVING_SIGMAS * noise_mps)
         observations, states = landmarks["observations"][seen], landmarks["state"][seen]
         seconds = (landmarks["last_seen_ns"][seen] - landmarks["first_seen_ns"][seen]) * 1e-9
-        far = speeds * seconds > limits.moving_distance_m
+        far = speeds * seconds > MOVING_RANGES * range_m
         exists = which_exist(landmarks, seen, self._scan_count)
-        moving = too_fast & far & (observations >= limits.moving_observations) & exists
+        moving = too_fast & far & (observations >= MOVING_OBSERVATIONS) & exists
         followed = too_fast & (states != LandmarkState.CONFIRMED.value) & (observations >= 3)
         landmarks["velocity_local"][seen] = np.where((followed | moving)[:, None], velocities_mps, 0.0)
         stopped = (states == LandmarkState.RETIRED.value) & ~too_fast
@@ -238,27 +253,26 @@ class Mapper:
         tentative = landmarks["state"][seen] == LandmarkState.TENTATIVE.value
         if not tentative.any():
             return
-        enough = observations >= limits.confirm_observations
+        enough = observations >= CONFIRM_OBSERVATIONS
         scans = self._scan_count - landmarks["first_scan"][seen] + 1
-        steady = observations >= limits.confirm_fraction * scans
+        steady = observations >= self._confirm_fraction * scans
         confirmed = seen[
             tentative
             & exists
             & enough
             & steady
-            & (speeds <= limits.moving_speed_mps)
-            & (seconds >= limits.confirm_age_s)
+            & (speeds <= MOVING_RANGES_PER_S * range_m)
+            & (seconds >= CONFIRM_AGE_S)
         ]
         self._map.confirm(confirmed)
         self._active.confirm(confirmed)
 
     def _deactivate_stale(self, travel_m: float) -> None:
         """Deactivate landmarks that were not observed for long; tentative and moving ones sooner."""
-        limits = self._config.landmark
         landmarks, rows = self._map.rows, self._active.rows
         unseen_m = travel_m - landmarks["last_seen_travel_m"][rows]
         unseen_scans = self._scan_count - landmarks["last_scan"][rows]
-        lost = (unseen_m > limits.max_missed_distance_m) | (unseen_scans > limits.max_missed_scans)
+        lost = (unseen_m > MISSED_RANGES * self._config.sensor_range_m) | (unseen_scans > self._max_missed_scans)
         stale = lost & (landmarks["state"][rows] != LandmarkState.CONFIRMED.value)
         self._deactivate(stale | self._active.uncertain())
 
@@ -288,10 +302,10 @@ class Mapper:
 def _odometry_edge(previous: Keyframe, keyframe: Keyframe, config: Config) -> Edge:
     T_previous_keyframe = relative(previous.odometry.T_odom_body, keyframe.odometry.T_odom_body)
     kind = EdgeKind.ODOMETRY
-    covariance = step_covariance(previous.odometry, keyframe.odometry, config.odometry)
+    covariance = step_covariance(previous.odometry, keyframe.odometry, config.calibration.odometry)
     if keyframe.odometry.segment != previous.odometry.segment:
         kind = EdgeKind.DISCONTINUITY
-        sigma_m = BREAK_SIGMA_RANGES * config.detection.sensor_range_m
+        sigma_m = BREAK_SIGMA_RANGES * config.sensor_range_m
         covariance = np.diag(np.repeat([BREAK_SIGMA_RAD**2, sigma_m**2], 3))
     return Edge(previous.id, keyframe.id, T_previous_keyframe, covariance, kind)
 

@@ -14,7 +14,7 @@ import numpy as np
 from slam.backend.factors import Observation
 from slam.backend.observation_sums import sum_observations
 from slam.common.arrays import FloatArray
-from slam.common.config import OdometryConfig
+from slam.common.calibration import OdometryCalibration
 from slam.common.geometry import relative
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import step_variances
@@ -26,7 +26,7 @@ MAX_ADDED_VARIANCE = 0.1
 class ObservationGroup:
     """The observations of successive keyframes of one segment, which are handed out in the frame of the last one."""
 
-    def __init__(self, config: OdometryConfig) -> None:
+    def __init__(self, config: OdometryCalibration) -> None:
         self._config = config
         self._keyframes: list[Keyframe] = []
         self._T_local_body: list[FloatArray] = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 
 from slam.backend.factors import Observation
+from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.frontend.input.scan import Scan
@@ -18,11 +19,11 @@ class PendingObservations:
     """What was seen since the last keyframe, from the keyframes since the last group, and of tentative landmarks."""
 
     def __init__(self, config: Config, object_map: ObjectMap) -> None:
-        self._detection = config.detection
-        self._observed_keyframes = config.factor_graph.observed_keyframes
+        self._detection = config.calibration.detection
+        self._observed_keyframes = FactorGraphConfig().observed_keyframes
         self._map = object_map
         self._since_keyframe = KeyframeObservations()
-        self._group = ObservationGroup(config.odometry)
+        self._group = ObservationGroup(config.calibration.odometry)
         self._held_back: defaultdict[int, list[Observation]] = defaultdict(list)
 
     def add(self, rows: IntArray, scan: Scan) -> None:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import AssociationConfig
+from slam.common.calibration import ObjectCalibration
 from slam.common.geometry import apply, make_transform, transform_from_xyz_yaw
 from slam.frontend.active_landmarks import Prediction
 from slam.frontend.continuity import in_a_crowd, scan_log_likelihood_ratio
@@ -46,7 +46,7 @@ def align_scan(
     labels: IntArray,
     predicted: Prediction,
     beliefs: FloatArray,
-    config: AssociationConfig,
+    config: ObjectCalibration,
     *,
     origin: FloatArray,
     sigmas: FloatArray,

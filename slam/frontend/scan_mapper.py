@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from logs.messages import DetectionAssociations, ObjectDetections
-from slam.common.config import DetectionConfig
+from slam.common.calibration import DetectionCalibration
 from slam.frontend.input.scan_placer import ScanPlacer
 from slam.frontend.input.scan_queue import ScanQueue
 from slam.frontend.mapper import Mapper
@@ -17,7 +17,7 @@ class ScanMapper:
 
     def __init__(
         self,
-        config: DetectionConfig,
+        config: DetectionCalibration,
         waiting: ScanQueue,
         placer: ScanPlacer,
         track: OdometryTrack,

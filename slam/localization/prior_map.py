@@ -55,8 +55,7 @@ def with_heights_of(config: Config, prior_map: PriorMap | None) -> Config:
     """The configuration by which a drive is registered with a map: one without heights tells nothing of these."""
     if not isinstance(prior_map, ImportedMap) or not is_flat(prior_map):
         return config
-    registration = config.registration.model_copy(update={"height_sigma_m": HEIGHT_SIGMA_M})
-    return config.model_copy(update={"registration": registration})
+    return config.calibrated({"objects.height_sigma_m": HEIGHT_SIGMA_M})
 
 
 def restore_prior_map(

@@ -18,6 +18,7 @@ from slam.loop_closure.consistency import suppress_non_maxima, which_agree
 from slam.loop_closure.verification import Verifier
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.place import Place
+from slam.registration.parameters import registration_config
 
 TRACKED = "its landmarks are still associated: there is no loop to close"
 
@@ -42,17 +43,17 @@ class Acceptance:
     """
 
     def __init__(self, config: Config, verifier: Verifier, keyframes: Sequence[Keyframe]) -> None:
-        self.min_objects = config.registration.min_inliers
+        self.min_objects = registration_config(config).min_inliers
         """Objects without which there is no pose."""
         self._failures_per_km = config.localization.failures_per_km
         self._least_log_odds = -log_odds_of(config.localization.error_probability)
-        self._sensor_range_m = config.detection.sensor_range_m
+        self._sensor_range_m = config.sensor_range_m
         self._verifier = verifier
         self._keyframes = keyframes
         self._localizer = Localizer(
             config.localization,
             partial(which_agree, sensor_range_m=self._sensor_range_m),
-            memory_m=config.loop_closure.propagation_distance_m,
+            memory_m=config.propagation_distance_m,
         )
 
     def reset(self) -> None:

@@ -16,7 +16,10 @@ from slam.loop_closure.candidate import Accepted, Candidate, Stage
 from slam.loop_closure.closure_graph import ClosedLoops
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.keyframe import Keyframe
+from slam.odometry.noise import SLIP_INFLATION
 
+INSERT_RANGES = 2.0 / 3.0
+"""Least travel between two closures that become factors of the graph, in sensor ranges."""
 TRUSTED_AFTER_RANGES = 60.0 / 30.0
 """A relocalization that stayed consistent over that travel, in sensor ranges, is taken to be true."""
 
@@ -27,12 +30,12 @@ class AcceptedClosures:
     def __init__(
         self, config: Config, object_map: ObjectMap, graph: FactorGraph, keyframes: Sequence[Keyframe]
     ) -> None:
-        self._limits = config.loop_closure
-        self._odometry_inflation = config.odometry.inflation
-        self._trusted_after_m = TRUSTED_AFTER_RANGES * config.detection.sensor_range_m
+        self._propagation_distance_m = config.propagation_distance_m
+        self._insert_travel_m = INSERT_RANGES * config.sensor_range_m
+        self._trusted_after_m = TRUSTED_AFTER_RANGES * config.sensor_range_m
         self._graph = graph
         self._keyframes = keyframes
-        self._loops = ClosedLoops(object_map, graph, keyframes, min_travel_m=config.loop_closure.min_travel_m)
+        self._loops = ClosedLoops(object_map, graph, keyframes, min_travel_m=config.closure_travel_m)
         self._closed: dict[int, int] = {}
         self._tracked: dict[int, int] = {}
         self._accepted: list[Accepted] = []
@@ -64,15 +67,13 @@ class AcceptedClosures:
             if of_segment[0].is_prior:  # those have positions and no travel
                 along = np.stack([keyframe.T_local_body[:2, 3] for keyframe in of_segment])
             distances_m = cKDTree(along[np.isin(members, ends)]).query(along)[0]
-            near.update(members[distances_m <= self._limits.propagation_distance_m].tolist())
+            near.update(members[distances_m <= self._propagation_distance_m].tolist())
         return {row for row in near if self.is_localized(self._keyframes[row])}
 
     def add(self, candidate: Candidate, reason: str) -> LoopClosureRecord:
         """Accept a closure; it becomes a factor unless one within ``insert_travel_m`` represents it."""
         nearest = self._loops.nearest(candidate.travel_m)
-        is_new = nearest is None or (
-            abs(nearest.candidate.travel_m - candidate.travel_m) >= self._limits.insert_travel_m
-        )
+        is_new = nearest is None or (abs(nearest.candidate.travel_m - candidate.travel_m) >= self._insert_travel_m)
         if is_new:
             self._loops.insert(candidate)
         represented_by = candidate.query if is_new or nearest is None else nearest.candidate.query
@@ -123,7 +124,7 @@ class AcceptedClosures:
             list(loops),
             graph.keyframe_variables,
             graph.poses(graph.keyframe_variables),
-            odometry_inflation=self._odometry_inflation,
+            odometry_inflation=SLIP_INFLATION,
         )
         reasons = {
             loop.candidate.query: f"removed as an outlier: kernel weight {rejection.weights[factor]:.2g}"

@@ -6,15 +6,15 @@ For object i of the query submap, placed at z_i by the pose of the candidate,
 
 * m_i is the reference landmark that object i is matched with; without a match N(...) = 0, so LLR_i = log(1 - P_D);
 * N is the density of the horizontal error [1/m^2], isotropic with S_i = (sigma_query^2 + sigma_reference^2) I;
-* P_D (``detection_probability``) is the probability that an object of one traversal is in the map of another; of a
+* P_D (``DETECTION_PROBABILITY``) is the probability that an object of one traversal is in the map of another; of a
   landmark that is not confirmed it is multiplied by the probability that it exists;
 * lambda_i is the clutter density: landmarks of the same class per m^2 near z_i, the matched one not counted.
 
-The sum runs over the objects that should have a match: those with any reference landmark within ``coverage_radius_m``.
+The sum runs over the objects that should have a match: those with any reference landmark within ``COVERAGE_RANGES``.
 All others contribute 0. This is the likelihood ratio of target and clutter in multi-target tracking (Bar-Shalom and Li,
 Multitarget-Multisensor Tracking, 1995).
 
-lambda_i is the largest of four densities: that within ``clutter_radius_m``; that along the direction of travel, with a
+lambda_i is the largest of four densities: that within ``CLUTTER_RANGES``; that along the direction of travel, with a
 Gaussian profile across it; that along the line to each of the two nearest landmarks of the class, which do not count
 there themselves; and the prior of half an object in the area that was searched. Parked cars and trees stand in rows, so
 a wrong pose on a parallel street matches most of a row; the density along it is high and the match is worth little.
@@ -28,16 +28,23 @@ import numpy as np
 from scipy.special import logsumexp
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
-from slam.common.config import LikelihoodRatioConfig
 from slam.common.geometry import apply, yaw_rad
 from slam.object_map.submap import Submap
 
+DETECTION_PROBABILITY = 0.85
+"""P_D: probability that an object of one traversal is in the map of another."""
+COVERAGE_RANGES = 1.0 / 3.0
+"""A match is expected within that distance of any reference landmark, in sensor ranges."""
+CLUTTER_RANGES = 1.0 / 6.0
+"""Landmarks of the same class within that distance count as clutter, in sensor ranges, ..."""
+ALONG_TRACK_RANGES, CROSS_TRACK_RANGES = 1.5, 0.7 / 30.0
+"""... and those along the direction of travel within the first, with the second as standard deviation across it."""
 NEAREST = 2
 """Nearest landmarks of the class that may show the direction of a row."""
 PRIOR_OBJECTS, GRID = 10.0, 200
 """Weight, in objects, of the prior of P_D of a single place, and steps of the integral over it."""
 LEAST_COUNT = 0.01
-"""Least density of a class: so many objects in a square with sides of ``coverage_radius_m``."""
+"""Least density of a class: so many objects in a square with sides of ``COVERAGE_RANGES`` sensor ranges."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +73,7 @@ def compute_log_likelihood_ratio(
     reference: Submap,
     T_reference_query: FloatArray,
     pairs: IntArray,
-    config: LikelihoodRatioConfig,
+    sensor_range_m: float,
     class_shares: FloatArray | None = None,
 ) -> LikelihoodRatio:
     """The LLR of ``T_reference_query`` (4, 4) with the inliers ``pairs`` (K, 2): rows of query and reference.
@@ -77,16 +84,17 @@ def compute_log_likelihood_ratio(
     placed = apply(T_reference_query, query.positions)
     offsets = reference.positions[:, None, :2] - placed[None, :, :2]  # (M, N, 2)
     distances = np.hypot(offsets[..., 0], offsets[..., 1])
-    expected = np.any(distances < config.coverage_radius_m, axis=0)
+    coverage_m = COVERAGE_RANGES * sensor_range_m
+    expected = np.any(distances < coverage_m, axis=0)
     densities = _clutter_densities(
-        query, reference, offsets, distances, float(yaw_rad(T_reference_query)), pairs, config, class_shares
+        query, reference, offsets, distances, float(yaw_rad(T_reference_query)), pairs, sensor_range_m, class_shares
     )
     matched_query, matched_reference = pairs[:, 0], pairs[:, 1]
     variances = query.sigmas[matched_query] ** 2 + reference.sigmas[matched_reference] ** 2
     squares = distances[matched_reference, matched_query] ** 2
     likelihoods = np.zeros(len(query))
     likelihoods[matched_query] = np.exp(-0.5 * squares / variances) / (2.0 * np.pi * variances)
-    in_map = config.detection_probability * query.existence
+    in_map = DETECTION_PROBABILITY * query.existence
     ratios = 1.0 - in_map + in_map * likelihoods / densities
     return LikelihoodRatio(np.where(expected, np.log(ratios), 0.0), expected, len(pairs))
 
@@ -142,25 +150,26 @@ def _clutter_densities(
     distances: FloatArray,
     heading_rad: float,
     pairs: IntArray,
-    config: LikelihoodRatioConfig,
+    sensor_range_m: float,
     class_shares: FloatArray | None,
 ) -> FloatArray:
     """Landmarks (N,) of the same class per m^2 around each placed object of the query, without the matched one."""
     others = reference.labels[:, None] == query.labels[None, :]
     others[pairs[:, 1], pairs[:, 0]] = False
-    disc_area = np.pi * config.clutter_radius_m**2
-    in_disc = np.sum(others & (distances < config.clutter_radius_m), axis=0) / disc_area
+    clutter_m, coverage_m = CLUTTER_RANGES * sensor_range_m, COVERAGE_RANGES * sensor_range_m
+    disc_area = np.pi * clutter_m**2
+    in_disc = np.sum(others & (distances < clutter_m), axis=0) / disc_area
     clutter = _Clutter.of(offsets, others)
     headings = np.broadcast_to([np.cos(heading_rad), np.sin(heading_rad)], (len(query), 2))
-    along_track = _strip_densities(clutter, headings, config)
-    row = _row_densities(clutter, offsets, distances, others, config)
+    along_track = _strip_densities(clutter, headings, sensor_range_m)
+    row = _row_densities(clutter, offsets, distances, others, sensor_range_m)
     # Half an object as a pseudo-count: in the disc, or in as much of the map as holds half an object of the class.
     area = np.full(len(query), disc_area)
     if class_shares is not None:
-        near = distances < config.coverage_radius_m
+        near = distances < coverage_m
         near[pairs[:, 1], pairs[:, 0]] = False
-        density = np.sum(near, axis=0) / (np.pi * config.coverage_radius_m**2)
-        least_density = LEAST_COUNT / config.coverage_radius_m**2
+        density = np.sum(near, axis=0) / (np.pi * coverage_m**2)
+        least_density = LEAST_COUNT / coverage_m**2
         area += 0.5 / np.maximum(density * class_shares[query.labels], least_density)
     return np.asarray(np.maximum.reduce([in_disc, along_track, row, 0.5 / area]))
 
@@ -187,7 +196,7 @@ class _Clutter:
 
 
 def _row_densities(
-    clutter: _Clutter, offsets: FloatArray, distances: FloatArray, others: BoolArray, config: LikelihoodRatioConfig
+    clutter: _Clutter, offsets: FloatArray, distances: FloatArray, others: BoolArray, sensor_range_m: float
 ) -> FloatArray:
     """Densities (N,) along the line through each object and its nearest other landmark of the class, that one left out.
 
@@ -201,17 +210,18 @@ def _row_densities(
         found = np.isfinite(apart[nearest, columns])
         direction = offsets[nearest, columns] / np.maximum(distances[nearest, columns], 1e-9)[:, None]
         left = clutter.chosen(clutter.landmarks != nearest[clutter.objects])
-        rows = np.maximum(rows, np.where(found, _strip_densities(left, direction, config), 0.0))
+        rows = np.maximum(rows, np.where(found, _strip_densities(left, direction, sensor_range_m), 0.0))
         apart[nearest, columns] = np.inf
     return rows
 
 
-def _strip_densities(clutter: _Clutter, directions: FloatArray, config: LikelihoodRatioConfig) -> FloatArray:
+def _strip_densities(clutter: _Clutter, directions: FloatArray, sensor_range_m: float) -> FloatArray:
     """Densities (N,) of the landmarks along the ``directions`` (N, 2) from the objects, Gaussian across them."""
+    along_m, sigma_m = ALONG_TRACK_RANGES * sensor_range_m, CROSS_TRACK_RANGES * sensor_range_m
     dx, dy = directions[clutter.objects].T
     x, y = clutter.offsets.T
-    inside = np.flatnonzero(np.abs(x * dx + y * dy) < config.clutter_along_track_m)
+    inside = np.flatnonzero(np.abs(x * dx + y * dy) < along_m)
     across = (y * dx - x * dy)[inside]
-    area = 2.0 * config.clutter_along_track_m * config.clutter_cross_track_sigma_m * np.sqrt(2.0 * np.pi)
-    profile = np.exp(-0.5 * (across / config.clutter_cross_track_sigma_m) ** 2)
+    area = 2.0 * along_m * sigma_m * np.sqrt(2.0 * np.pi)
+    profile = np.exp(-0.5 * (across / sigma_m) ** 2)
     return np.asarray(np.bincount(clutter.objects[inside], profile, len(directions)) / area)

@@ -26,7 +26,7 @@ from slam.loop_closure.stretches import Stretches
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.missing_landmarks import MissingLandmarks
-from slam.object_map.submap import gravity_frame, recent_submap, recent_submap_with_unconfirmed
+from slam.object_map.submap import SUBMAP_RANGES, gravity_frame, recent_submap, recent_submap_with_unconfirmed
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.imported_places import ImportedPlaces
@@ -51,19 +51,19 @@ class LoopCloser:
         keyframes: Sequence[Keyframe],
         imported: ImportedPlaces | None = None,
     ) -> None:
-        self._submap_config = config.submap
-        self._sensor_range_m = config.detection.sensor_range_m
-        self._propagation_distance_m = config.loop_closure.propagation_distance_m
+        self._calibration = config.calibration
+        self._sensor_range_m = config.sensor_range_m
+        self._propagation_distance_m = config.propagation_distance_m
         self._map = object_map
         self._keyframes = keyframes
-        self._track = KeyframeTrack(config.odometry)
+        self._track = KeyframeTrack(config.calibration.odometry)
         for keyframe in keyframes:  # of the prior map
             self._track.add(keyframe)
         self._retriever = PlaceRetriever(config, object_map, imported)
         mapped = None if imported is None else imported.positions
         self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes, mapped)
         self.closures = AcceptedClosures(config, object_map, graph, keyframes)
-        self._stretches = Stretches(0.5 * config.submap.travel_m)
+        self._stretches = Stretches(0.5 * SUBMAP_RANGES * config.sensor_range_m)
         self._missing = MissingLandmarks()
         self._continuity = ContinuityMonitor(config.localization, self._sensor_range_m)
         # Only a prior map is trusted more than the robot's pose; a map in the making may itself be wrong.
@@ -153,7 +153,7 @@ class LoopCloser:
         return verified
 
     def _with_unconfirmed(self, query: Query) -> Query:
-        submap = recent_submap_with_unconfirmed(self._map, query.keyframe, self._submap_config)
+        submap = recent_submap_with_unconfirmed(self._map, query.keyframe, self._calibration)
         return replace(query, submap=submap)
 
     def _has_enough_objects(self, query: Query) -> bool:
@@ -201,7 +201,7 @@ class LoopCloser:
         return revoked
 
     def _take_query(self, keyframe: Keyframe) -> Query:
-        submap = recent_submap(self._map, keyframe, self._submap_config)
+        submap = recent_submap(self._map, keyframe, self._calibration)
         before = () if self.closures.is_localized(keyframe) else self._stretches.before(keyframe)
         query = Query(keyframe, submap, gravity_frame(keyframe.T_local_body), before)
         if self._retriever.has_imported_map:

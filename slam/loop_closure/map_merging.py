@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind
+from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import apply, invert
@@ -101,12 +102,12 @@ class _Merging:
         steps_m = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
         self._travel_m = np.concatenate([[0.0], np.cumsum(steps_m)])
         # So long is no way to anywhere in the second map itself: its own loops are closed.
-        no_return_m = max(float(self._travel_m[-1]) + 1.0, config.loop_closure.min_travel_m)
+        no_return_m = max(float(self._travel_m[-1]) + 1.0, config.closure_travel_m)
         limits = config.loop_closure.model_copy(update={"min_travel_m": no_return_m})
         self._config = config = config.model_copy(update={"loop_closure": limits})
-        sensor_range_m = config.detection.sensor_range_m
-        self._object_map = ObjectMap(config.association)
-        self._graph = FactorGraph(config.factor_graph, sensor_range_m=sensor_range_m)
+        sensor_range_m = config.sensor_range_m
+        self._object_map = ObjectMap(config.calibration.objects)
+        self._graph = FactorGraph(FactorGraphConfig(), sensor_range_m=sensor_range_m)
         self._keyframes = restore(first, self._object_map, self._graph, fixed=False)
         self._count = len(self._keyframes)
         self._rows = self._object_map.restore(second.objects, travel_m=np.inf)
@@ -153,7 +154,7 @@ class _Merging:
         first, second = self._maps
         self._object_map.confirm(self._object_map.in_state(LandmarkState.TENTATIVE))
         nearby = self._closer.closures.keyframes_nearby() if recognised else set(self._graph.keyframes.tolist())
-        radius_m = 2.0 * self._config.submap.landmark_sigma_m
+        radius_m = 2.0 * self._config.calibration.objects.landmark_sigma_m
         fuse_duplicate_landmarks(self._object_map, self._graph, nearby, radius_m=radius_m)
         self._graph.optimize()
         self._place_landmarks()

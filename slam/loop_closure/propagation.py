@@ -12,7 +12,7 @@ from logs.messages import LoopClosureRecord
 from slam.common.config import Config
 from slam.loop_closure.acceptance import Acceptance
 from slam.loop_closure.candidate import Candidate, Query
-from slam.loop_closure.likelihood_ratio import changed_log_likelihood_ratio
+from slam.loop_closure.likelihood_ratio import DETECTION_PROBABILITY, changed_log_likelihood_ratio
 from slam.loop_closure.verification import Verifier
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.keyframe import Keyframe
@@ -38,9 +38,9 @@ class Propagation:
         object_map: ObjectMap,
         keyframes: Sequence[Keyframe],
     ) -> None:
-        self._distance_m = config.loop_closure.propagation_distance_m
-        self._detection_probability = config.likelihood_ratio.detection_probability
-        self._sensor_range_m = config.detection.sensor_range_m
+        self._distance_m = config.propagation_distance_m
+        self._detection_probability = DETECTION_PROBABILITY
+        self._sensor_range_m = config.sensor_range_m
         self._verifier = verifier
         self._acceptance = acceptance
         self._map = object_map

@@ -13,9 +13,11 @@ from slam.common.geometry import apply, invert
 from slam.localization.map_area import MapArea
 from slam.localization.pose_prior import PosePrior, failure_probability
 from slam.loop_closure.candidate import NOWHERE, Query
-from slam.object_map.submap import gravity_frame
+from slam.loop_closure.consistency import CLOSURE_SIGMA_RAD
+from slam.object_map.submap import SUBMAP_RANGES, gravity_frame
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
+from slam.odometry.noise import SLIP_INFLATION
 from slam.place_recognition.place import Place
 
 PASSED_RANGES = 0.5
@@ -40,7 +42,7 @@ class QueryPriors:
         cell_m: float,
     ) -> None:
         self._config = config
-        self._sensor_range_m = config.detection.sensor_range_m
+        self._sensor_range_m = config.sensor_range_m
         self._track = track
         self._graph = graph
         self._keyframes = keyframes
@@ -50,7 +52,7 @@ class QueryPriors:
     def path(self, query: Query) -> FloatArray:
         """Where the robot was (P, 3), in the frame of the query, so long ago that all around is mapped by now."""
         latest_m = query.travel_m - PASSED_RANGES * self._sensor_range_m
-        earliest_m = query.travel_m - self._config.submap.travel_m
+        earliest_m = query.travel_m - SUBMAP_RANGES * self._sensor_range_m
         positions = list[FloatArray]()
         for keyframe in reversed(self._keyframes[: query.keyframe.id]):
             pose = keyframe.odometry
@@ -71,12 +73,11 @@ class QueryPriors:
             T_gravity_body = invert(query.T_local_gravity) @ query.keyframe.T_local_body
             T_local_query = gravity_frame(reference.T_local_body @ T_predicted @ invert(T_gravity_body))
         sigma_m, sigma_rad = self._track.drift_sigmas(*sorted((since, query.keyframe.id)))
-        limits, inflation = self._config.loop_closure, self._config.odometry.inflation
         travel_m = abs(query.travel_m - self._keyframes[since].odometry.travel_m)
         return PosePrior(
             T_local_query,
-            float(np.hypot(inflation * sigma_m, limits.base_sigma_m)),
-            float(np.hypot(inflation * sigma_rad, np.deg2rad(limits.base_sigma_deg))),
+            float(np.hypot(SLIP_INFLATION * sigma_m, self._config.calibration.objects.landmark_sigma_m)),
+            float(np.hypot(SLIP_INFLATION * sigma_rad, CLOSURE_SIGMA_RAD)),
             failure_probability(self._config.localization.failures_per_km, travel_m),
             self._area.area_m2,
         )

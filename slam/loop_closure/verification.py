@@ -13,8 +13,9 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import apply, covariance_in_axes, invert
 from slam.loop_closure.candidate import NOWHERE, Candidate, Query, Stage
-from slam.loop_closure.consistency import odometry_penalty, poses_agree
+from slam.loop_closure.consistency import odometry_penalty, poses_agree, shared_covariance
 from slam.loop_closure.likelihood_ratio import (
+    DETECTION_PROBABILITY,
     LikelihoodRatio,
     compute_log_likelihood_ratio,
     expected_log_likelihood_ratios,
@@ -26,6 +27,7 @@ from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import PlaceRetriever
+from slam.registration.parameters import RegistrationConfig, registration_config
 from slam.registration.registration import Registration, refine
 
 
@@ -43,7 +45,8 @@ class Verifier:
     ) -> None:
         """``mapped`` (N, 2) m: objects of a map without keyframes, among which the robot may be anywhere."""
         self._config = config
-        self._sensor_range_m = config.detection.sensor_range_m
+        self._registration = registration_config(config)
+        self._sensor_range_m = config.sensor_range_m
         self._retriever = retriever
         self._track = track
         self._graph = graph
@@ -54,12 +57,12 @@ class Verifier:
             graph,
             keyframes,
             np.zeros((0, 2)) if mapped is None else mapped,
-            cell_m=config.detection.sensor_range_m,
+            cell_m=config.sensor_range_m,
         )
 
     def latest_m(self, query: Query) -> float:
         """Travel up to which landmarks and keyframes may be the reference of a loop closure."""
-        return query.travel_m - self._config.loop_closure.min_travel_m
+        return query.travel_m - self._config.closure_travel_m
 
     def predict(self, seed_closure: Candidate, query: Query) -> Place | None:
         """The pose that a closure predicts for another keyframe of its segment, by the odometry between the two."""
@@ -86,7 +89,7 @@ class Verifier:
         They make one map with those of the query, in which the pose is known; None where there are too few of them.
         """
         first_seen_m = self._retriever.first_seen_travels_m(query.submap)
-        if np.count_nonzero(first_seen_m < self.latest_m(query)) < self._config.registration.min_inliers:
+        if np.count_nonzero(first_seen_m < self.latest_m(query)) < self._registration.min_inliers:
             return None
         segment = query.keyframe.odometry.segment
         found = self._track.nearest(
@@ -101,7 +104,7 @@ class Verifier:
         if self._nearest(place, query, within_m=self._sensor_range_m + self.reach_m) is None:
             return self._out_of_reach(query, place)
         reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
-        registration = _register(query.submap, reference_submap, place.T_local_query, self._config)
+        registration = _register(query.submap, reference_submap, place.T_local_query, self._registration)
         if registration.T_reference_query is None:
             reference = self._nearest(place, query, within_m=self._sensor_range_m)
             return query.refusal(Stage.REGISTRATION, registration.reason, reference, rank=place.rank)
@@ -131,7 +134,7 @@ class Verifier:
             return candidate
         chain, sigmas = [candidate], [_sigmas_of_rows(query, candidate)]
         for stretch in query.before:
-            if len(stretch.submap) < self._config.registration.min_inliers:
+            if len(stretch.submap) < self._registration.min_inliers:
                 continue
             place = self.predict(chain[-1], stretch)
             before = None if place is None else self.verify(stretch, place, seed_closure=query.keyframe.id)
@@ -149,14 +152,15 @@ class Verifier:
     def are_consistent(self, a: Candidate, b: Candidate) -> bool:
         """Whether two candidates of one query may both be true: two traversals of one place, apart by drift.
 
-        They are by less than ``registration.gate_sigma`` standard deviations, as two observations of one object are.
+        They are by less than ``gate_sigma`` standard deviations, as two observations of one object are.
         """
         first, second = sorted((a, b), key=lambda candidate: candidate.reference)
         T_implied = first.T_reference_query @ invert(second.T_reference_query)
         T_predicted = invert(self._graph.pose(first.reference)) @ self._graph.pose(second.reference)
         sigmas = self._track.drift_sigmas(first.reference, second.reference)
-        penalty = odometry_penalty(T_predicted, T_implied, sigmas, self._config)
-        return penalty < 0.5 * self._config.registration.gate_sigma**2
+        sigma_m = self._config.calibration.objects.landmark_sigma_m
+        penalty = odometry_penalty(T_predicted, T_implied, sigmas, sigma_m)
+        return penalty < 0.5 * self._registration.gate_sigma**2
 
     def agree(self, T_a: FloatArray, T_b: FloatArray) -> bool:
         """Whether two estimates (4, 4) of one pose agree; see :func:`poses_agree`."""
@@ -195,7 +199,7 @@ class Verifier:
             registration.pairs,
             self._priors.path(query),
             radius_m=PASSED_RANGES * self._sensor_range_m,
-            seen=self._config.likelihood_ratio.detection_probability,
+            seen=DETECTION_PROBABILITY,
         )
         prior = self._priors.prior(query, place, reference, seed_closure)
         exists = np.broadcast_to(query.submap.existence, len(query.submap)) == 1.0
@@ -212,7 +216,9 @@ class Verifier:
             travel_m=query.travel_m,
             T_reference_query=T_reference_query,
             T_local_query=T_local_gravity,
-            covariance=covariance_in_axes(self._covariance(covariance), T_gravity_body[:3, :3]),
+            covariance=covariance_in_axes(
+                covariance + shared_covariance(self._config.calibration.objects), T_gravity_body[:3, :3]
+            ),
             # Landmarks of the map are told from those of the query by their sign.
             rows=np.concatenate([query.submap.rows, -1 - reference_submap.rows[passed]]),
             log_likelihood_ratios=np.concatenate([ratio.per_object, of_passed]),
@@ -234,21 +240,14 @@ class Verifier:
             reference_submap,
             T_local_query,
             pairs,
-            self._config.likelihood_ratio,
+            self._sensor_range_m,
             self._retriever.class_shares(),
         )
-
-    def _covariance(self, registered: FloatArray) -> FloatArray:
-        """Covariance (6, 6) of the registration plus that of the errors which all its inliers share."""
-        limits = self._config.loop_closure
-        tilt, yaw, shift = np.deg2rad(limits.tilt_sigma_deg), np.deg2rad(limits.base_sigma_deg), limits.base_sigma_m
-        height = np.hypot(shift, limits.base_height_sigma_m)
-        return np.asarray(registered + np.diag(np.array([tilt, tilt, yaw, shift, shift, height]) ** 2))
 
     @property
     def reach_m(self) -> float:
         """How far registration can move a pose: its search radius, which halves from step to step."""
-        return 2.0 * self._config.registration.search_radius_m
+        return 2.0 * self._registration.search_radius_m
 
     def _out_of_reach(self, query: Query, place: Place) -> LoopClosureRecord:
         reason = f"no earlier keyframe within {self._sensor_range_m:g} m of the place"
@@ -259,7 +258,7 @@ class Verifier:
 
         Farther away than the sensor sees, the map of that traversal has less than half of what is in view.
         """
-        extent_m = TRAVERSAL_EXTENT * self._config.loop_closure.min_travel_m
+        extent_m = TRAVERSAL_EXTENT * self._config.closure_travel_m
         found = self._track.nearest(
             place.T_local_query[:3, 3],
             segment=place.segment,
@@ -278,7 +277,9 @@ def _sigmas_of_rows(query: Query, candidate: Candidate) -> FloatArray:
     return np.concatenate([query.submap.sigmas, of_map])
 
 
-def _register(query: Submap, reference: Submap, T_reference_query: FloatArray, config: Config) -> Registration:
+def _register(
+    query: Submap, reference: Submap, T_reference_query: FloatArray, config: RegistrationConfig
+) -> Registration:
     """The query registered with a reference submap from an approximate pose (4, 4)."""
     return refine(
         query.positions,
@@ -286,7 +287,7 @@ def _register(query: Submap, reference: Submap, T_reference_query: FloatArray, c
         reference.positions,
         reference.labels,
         T_reference_query,
-        config.registration,
+        config,
         query_sigmas=query.sigmas,
         reference_sigmas=reference.sigmas,
     )

@@ -21,7 +21,7 @@ from slam.common.arrays import BoolArray, FloatArray
 from slam.common.config import Config
 from slam.common.geometry import invert, yaw_rad
 from slam.localization.localizer import log_odds_of
-from slam.loop_closure.consistency import AGREE_RAD, AGREE_RANGES
+from slam.loop_closure.consistency import AGREE_RAD, AGREE_RANGES, CLOSURE_SIGMA_RAD
 from slam.map_joining.joins import Join, mean_drift
 from slam.object_map.map_io import SavedMap
 
@@ -131,9 +131,9 @@ def _tolerances(between_m: FloatArray, maps: Sequence[SavedMap], config: Config)
     """How far [m] and turned [rad] two joins may be apart over distances (J, J)."""
     drifts = [mean_drift(each) for each in maps]
     per_m, turn_per_m = sum(drift for drift, _ in drifts), sum(turn for _, turn in drifts)
-    turn_variance = turn_per_m * between_m + np.deg2rad(config.loop_closure.base_sigma_deg) ** 2
+    turn_variance = turn_per_m * between_m + CLOSURE_SIGMA_RAD**2
     variance = per_m * between_m + turn_variance * between_m**2
-    base_m = AGREE_RANGES * config.detection.sensor_range_m
+    base_m = AGREE_RANGES * config.sensor_range_m
     return base_m + GATE_SIGMAS * np.sqrt(variance), AGREE_RAD + GATE_SIGMAS * np.sqrt(turn_variance)
 
 

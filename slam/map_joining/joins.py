@@ -9,12 +9,13 @@ import numpy as np
 from slam.backend.factors import EdgeKind
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.loop_closure.consistency import poses_agree
-from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratio
+from slam.loop_closure.consistency import poses_agree, shared_covariance
+from slam.loop_closure.likelihood_ratio import COVERAGE_RANGES, compute_log_likelihood_ratio
 from slam.map_joining.condensed_map import place_submap_rows, positions_from
 from slam.map_joining.place_index import PlaceIndex
 from slam.object_map.map_io import SavedMap, are_of_kind
 from slam.object_map.submap import Submap
+from slam.registration.parameters import registration_config
 from slam.registration.registration import refine
 
 LEAST_LLR = 10.0
@@ -47,14 +48,14 @@ def find_joins(query: SavedMap, number: int, index: PlaceIndex, config: Config) 
     decided by all of them together (:mod:`slam.map_joining.acceptance`).
     """
     joins = []
-    shares = index.objects.class_shares()
+    shares, registering = index.objects.class_shares(), registration_config(config)
     for place in range(len(query.graph.keyframe_ids)):
         submap = _query_submap(query, place, index, config)
-        if len(submap) < config.registration.min_inliers:
+        if len(submap) < registering.min_inliers:
             continue
         known: list[Join] = []
         for found in index.find(submap, count=MAPS_PER_PLACE, besides=number):
-            reach_m = float(np.hypot(*submap.positions[:, :2].T).max()) + config.likelihood_ratio.coverage_radius_m
+            reach_m = float(np.hypot(*submap.positions[:, :2].T).max()) + COVERAGE_RANGES * config.sensor_range_m
             reference = index.submap(found.map_number, found.T_map_query[:3, 3], reach_m, sigma_m=index.objects.sigma_m)
             registration = refine(
                 submap.positions,
@@ -62,22 +63,22 @@ def find_joins(query: SavedMap, number: int, index: PlaceIndex, config: Config) 
                 reference.positions,
                 reference.labels,
                 found.T_map_query,
-                config.registration,
+                registering,
                 query_sigmas=submap.sigmas,
                 reference_sigmas=reference.sigmas,
             )
             T, covariance = registration.T_reference_query, registration.covariance
-            if T is None or covariance is None or len(registration.pairs) < config.registration.min_inliers:
+            if T is None or covariance is None or len(registration.pairs) < registering.min_inliers:
                 continue
             ratio = compute_log_likelihood_ratio(
-                submap, reference, T, registration.pairs, config.likelihood_ratio, shares
+                submap, reference, T, registration.pairs, config.sensor_range_m, shares
             )
             join = Join(
                 number,
                 place,
                 found.map_number,
                 T,
-                covariance + _shared_covariance(config),
+                covariance + shared_covariance(config.calibration.objects),
                 ratio.total,
                 ratio.matched_count,
             )
@@ -91,29 +92,22 @@ def _is_known(join: Join, known: list[Join], config: Config) -> bool:
     """Whether another pose from which the registration began has led to the same one."""
     return any(
         join.reference_map == other.reference_map
-        and poses_agree(join.T_reference_place, other.T_reference_place, sensor_range_m=config.detection.sensor_range_m)
+        and poses_agree(join.T_reference_place, other.T_reference_place, sensor_range_m=config.sensor_range_m)
         for other in known
     )
 
 
 def _query_submap(query: SavedMap, place: int, index: PlaceIndex, config: Config) -> Submap:
     """What was observed around a place, in its frame; only classes that the index has."""
+    objects = config.calibration.objects
     rows = place_submap_rows(query, place)
     positions = positions_from(query, place, rows)
     distances_m = np.hypot(positions[:, 0], positions[:, 1])
-    sigmas = np.hypot(config.submap.landmark_sigma_m, config.submap.sigma_per_m * distances_m)
+    sigmas = np.hypot(objects.landmark_sigma_m, objects.landmark_sigma_per_m * distances_m)
     names = query.objects.labels
     labels = index.labels_of([names[row] for row in rows.tolist()])
     submap = Submap(positions, sigmas, labels, rows)
     return submap.of(np.flatnonzero(labels >= 0))
-
-
-def _shared_covariance(config: Config) -> FloatArray:
-    """Covariance (6, 6) of what all inliers of a registration have in common."""
-    limits = config.loop_closure
-    tilt, yaw, shift = np.deg2rad(limits.tilt_sigma_deg), np.deg2rad(limits.base_sigma_deg), limits.base_sigma_m
-    height = np.hypot(shift, limits.base_height_sigma_m)
-    return np.diag(np.array([tilt, tilt, yaw, shift, shift, height]) ** 2)
 
 
 def mean_drift(condensed: SavedMap) -> tuple[float, float]:

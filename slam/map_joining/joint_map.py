@@ -15,6 +15,7 @@ from slam.backend.graph_record import edges_of, observations_of
 from slam.backend.map_restoration import restore_factors
 from slam.backend.pose_graph.pose_graph import PoseGraph
 from slam.backend.pose_graph.pose_graph_optimization import optimize_pose_graph
+from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import invert
@@ -190,8 +191,8 @@ def _solved(
     first = _first_places(members, maps)
     if not joins:
         T_map_place = maps[members[0]].graph.T_map_body
-    object_map = ObjectMap(config.association)
-    graph = FactorGraph(config.factor_graph, sensor_range_m=config.detection.sensor_range_m)
+    object_map = ObjectMap(config.calibration.objects)
+    graph = FactorGraph(FactorGraphConfig(), sensor_range_m=config.sensor_range_m)
     rows_of: dict[int, dict[str, int]] = {}
     edges, observations = list[Edge](), list[Observation]()
     for number in members:
@@ -204,7 +205,7 @@ def _solved(
     edges += [Edge(*_edge(join, maps, first), join.covariance, EdgeKind.LOOP_CLOSURE) for join in joins]
     restore_factors(graph, range(len(T_map_place)), T_map_place, edges, observations)
     place_maps = np.repeat(members, [len(maps[number].graph.keyframe_ids) for number in members])
-    radius_m = 2.0 * config.submap.landmark_sigma_m
+    radius_m = 2.0 * config.calibration.objects.landmark_sigma_m
     for _ in range(FUSIONS):
         graph.optimize()
         if not fuse_duplicate_landmarks(

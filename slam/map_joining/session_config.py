@@ -21,17 +21,12 @@ def session_config(metadata: Mapping[str, str]) -> Config:
     """
     try:
         config = Config.model_validate_json(metadata.get("configuration", "{}"))
-        branches: dict[str, dict[str, float]] = {}
-        for key, value in parse_json(metadata.get("estimated", "{}")).items():
-            branch, name = key.split(".")
-            branches.setdefault(branch, {})[name] = float(value)
-        changed = {name: getattr(config, name).model_copy(update=update) for name, update in branches.items()}
+        return config.calibrated(parse_json(metadata.get("estimated", "{}")))
     except (ValueError, TypeError, AttributeError) as error:
         raise SavedMapError(
             f"the configuration in the metadata of a map cannot be read ({str(error).splitlines()[0]}); map its log "
             "again with this version"
         ) from error
-    return config.model_copy(update=changed)
 
 
 def common_config(maps: Iterable[Mapping[str, str]]) -> Config:
@@ -43,5 +38,7 @@ def common_config(maps: Iterable[Mapping[str, str]]) -> Config:
     Raises:
         SavedMapError: as :func:`session_config`.
     """
-    configs = sorted((session_config(metadata) for metadata in maps), key=lambda each: each.submap.landmark_sigma_m)
+    configs = sorted(
+        (session_config(metadata) for metadata in maps), key=lambda each: each.calibration.objects.landmark_sigma_m
+    )
     return configs[math.ceil(EXACT_SHARE * (len(configs) - 1))]

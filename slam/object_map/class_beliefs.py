@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import AssociationConfig
+from slam.common.calibration import ObjectCalibration
 
 OTHER_CLASS = "other"
 """The class of objects whose own found no room in the vocabulary."""
@@ -17,7 +17,7 @@ class ClassBeliefs:
     ``unlisted_labels``: how many labels were of a class beyond the limit; of one class all labels are, on purpose.
     """
 
-    def __init__(self, config: AssociationConfig) -> None:
+    def __init__(self, config: ObjectCalibration) -> None:
         self._config = config
         self._label_counts = np.zeros((64, 8))
         self._label_index: dict[str, int] = {}

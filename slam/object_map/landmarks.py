@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from logs.messages import ObjectMapRecord
 from slam.common.arrays import BoolArray, FloatArray, IntArray
-from slam.common.config import AssociationConfig
+from slam.common.calibration import ObjectCalibration
 from slam.common.union_find import Merge, UnionFind
 from slam.object_map.class_beliefs import ClassBeliefs
 
@@ -83,7 +83,7 @@ class _ObservationSums:
 class ObjectMap:
     """Landmarks and the vocabulary of their classes."""
 
-    def __init__(self, config: AssociationConfig) -> None:
+    def __init__(self, config: ObjectCalibration) -> None:
         self._rows = np.zeros(64, dtype=LANDMARK)
         self._beliefs = ClassBeliefs(config)
         self._size = 0

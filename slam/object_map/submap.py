@@ -11,11 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import SubmapConfig
+from slam.common.calibration import Calibration
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw, yaw_rad
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
 
+SUBMAP_RANGES = 5.0 / 3.0
+"""Landmarks seen within that much travel, in sensor ranges, make a submap."""
 # A traversal reaches that far before and after a place, in multiples of the least travel between two traversals.
 TRAVERSAL_EXTENT = 1.1
 # Seen once only, a landmark is rather a false detection.
@@ -50,52 +52,53 @@ def gravity_frame(T_local_body: FloatArray) -> FloatArray:
     return transform_from_xyz_yaw(T_local_body[..., :3, 3], yaw_rad(T_local_body))
 
 
-def recent_submap(object_map: ObjectMap, keyframe: Keyframe, config: SubmapConfig) -> Submap:
+def recent_submap(object_map: ObjectMap, keyframe: Keyframe, calibration: Calibration) -> Submap:
     """The confirmed landmarks of the last stretch of travel, in the gravity frame of a keyframe (the paper's QLSM)."""
-    rows = _recent_rows(object_map, keyframe, config)
+    rows = _recent_rows(object_map, keyframe, calibration)
     return _in_gravity_frame(
-        object_map, rows[object_map.rows["state"][rows] == LandmarkState.CONFIRMED], keyframe, config
+        object_map, rows[object_map.rows["state"][rows] == LandmarkState.CONFIRMED], keyframe, calibration
     )
 
 
-def recent_submap_with_unconfirmed(object_map: ObjectMap, keyframe: Keyframe, config: SubmapConfig) -> Submap:
+def recent_submap_with_unconfirmed(object_map: ObjectMap, keyframe: Keyframe, calibration: Calibration) -> Submap:
     """The same with the landmarks that were seen twice at least, but are not confirmed.
 
     Each exists with the share of the landmarks of its segment, seen as often, that were confirmed (the rule of
     succession, with one of either kind seen before).
     """
     landmarks = object_map.rows
-    rows = _recent_rows(object_map, keyframe, config)
+    rows = _recent_rows(object_map, keyframe, calibration)
     rows = rows[object_map.may_exist(rows) & (landmarks["observations"][rows] >= LEAST_OBSERVATIONS)]
     decided = (landmarks["segment"] == keyframe.odometry.segment) & (landmarks["state"] != LandmarkState.TENTATIVE)
     as_often = landmarks["observations"][decided] >= landmarks["observations"][rows][:, None]
     is_confirmed = landmarks["state"][decided] == LandmarkState.CONFIRMED
     shares = (1.0 + np.sum(as_often & is_confirmed, axis=1)) / (2.0 + np.sum(as_often, axis=1))
     existence = np.where(landmarks["state"][rows] == LandmarkState.CONFIRMED, 1.0, shares)
-    return replace(_in_gravity_frame(object_map, rows, keyframe, config), existence=existence)
+    return replace(_in_gravity_frame(object_map, rows, keyframe, calibration), existence=existence)
 
 
-def placed_submap(object_map: ObjectMap, rows: IntArray, centre_local: FloatArray, config: SubmapConfig) -> Submap:
+def placed_submap(object_map: ObjectMap, rows: IntArray, centre_local: FloatArray, calibration: Calibration) -> Submap:
     """The landmarks ``rows`` (N,) from a traversal near ``centre_local`` (3,), in the local frame."""
-    return _submap(object_map, rows, object_map.rows["position_local"][rows], centre_local, config)
+    return _submap(object_map, rows, object_map.rows["position_local"][rows], centre_local, calibration)
 
 
-def _recent_rows(object_map: ObjectMap, keyframe: Keyframe, config: SubmapConfig) -> IntArray:
+def _recent_rows(object_map: ObjectMap, keyframe: Keyframe, calibration: Calibration) -> IntArray:
     landmarks, pose = object_map.rows, keyframe.odometry
-    recent = landmarks["last_seen_travel_m"] > pose.travel_m - config.travel_m
+    recent = landmarks["last_seen_travel_m"] > pose.travel_m - SUBMAP_RANGES * calibration.detection.sensor_range_m
     return np.flatnonzero(recent & (landmarks["segment"] == pose.segment))
 
 
-def _in_gravity_frame(object_map: ObjectMap, rows: IntArray, keyframe: Keyframe, config: SubmapConfig) -> Submap:
+def _in_gravity_frame(object_map: ObjectMap, rows: IntArray, keyframe: Keyframe, calibration: Calibration) -> Submap:
     T_gravity_local = invert(gravity_frame(keyframe.T_local_body))
     positions = apply(T_gravity_local, object_map.rows["position_local"][rows])
-    return _submap(object_map, rows, positions, np.zeros(3), config)
+    return _submap(object_map, rows, positions, np.zeros(3), calibration)
 
 
 def _submap(
-    object_map: ObjectMap, rows: IntArray, positions: FloatArray, centre: FloatArray, config: SubmapConfig
+    object_map: ObjectMap, rows: IntArray, positions: FloatArray, centre: FloatArray, calibration: Calibration
 ) -> Submap:
     distances = np.hypot(positions[:, 0] - centre[0], positions[:, 1] - centre[1])
     own_variances = np.trace(object_map.rows["covariance_local"][rows][:, :2, :2], axis1=1, axis2=2) / 2.0
-    variances = config.landmark_sigma_m**2 + (config.sigma_per_m * distances) ** 2 + own_variances
+    objects = calibration.objects
+    variances = objects.landmark_sigma_m**2 + (objects.landmark_sigma_per_m * distances) ** 2 + own_variances
     return Submap(positions, np.sqrt(variances), object_map.classes(rows), rows)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from slam.common.arrays import FloatArray
-from slam.common.config import OdometryConfig
+from slam.common.calibration import OdometryCalibration
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import step_variances
 from slam.odometry.pose import OdometryPose
@@ -27,7 +27,7 @@ _KEYFRAME = np.dtype(
 class KeyframeTrack:
     """One row a keyframe; its row is its id."""
 
-    def __init__(self, config: OdometryConfig) -> None:
+    def __init__(self, config: OdometryCalibration) -> None:
         self._config = config
         self._rows = np.zeros(64, dtype=_KEYFRAME)
         self._size = 0

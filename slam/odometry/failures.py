@@ -14,17 +14,17 @@ from itertools import groupby, pairwise
 import numpy as np
 
 from slam.common.arrays import FloatArray
-from slam.common.config import OdometryConfig
+from slam.common.calibration import OdometryCalibration
 from slam.common.geometry import relative, yaw_rad
 from slam.odometry.keyframe import Keyframe
-from slam.odometry.noise import step_variances
+from slam.odometry.noise import SLIP_INFLATION, step_variances
 
 WINDOWS = (4, 8, 16, 32, 64)
 """Steps whose differences are summed up; the corrections of fewer are mostly noise."""
 
 
 def find_heading_failures(
-    keyframes: Sequence[Keyframe], config: OdometryConfig, *, failures_per_km: float
+    keyframes: Sequence[Keyframe], config: OdometryCalibration, *, failures_per_km: float
 ) -> dict[int, float]:
     """Factors on the heading variances of the steps that fail, by the id of the keyframe after the step.
 
@@ -46,7 +46,7 @@ def find_heading_failures(
     return found
 
 
-def _factors(keyframes: Sequence[Keyframe], config: OdometryConfig, failures_per_km: float) -> FloatArray:
+def _factors(keyframes: Sequence[Keyframe], config: OdometryCalibration, failures_per_km: float) -> FloatArray:
     """Factor (K - 1,) on the variance of each step between keyframes (K,) of one segment; 1 where none fails."""
     T_odom = np.array([keyframe.odometry.T_odom_body for keyframe in keyframes])
     T_local = np.array([keyframe.T_local_body for keyframe in keyframes])
@@ -60,7 +60,7 @@ def _factors(keyframes: Sequence[Keyframe], config: OdometryConfig, failures_per
     for length in WINDOWS:
         excess = _window_sums(turns, length) ** 2 / (_window_sums(variances, length) + 2.0 * jitter)
         expected = failures_per_km * np.maximum(travel_km[length:] - travel_km[:-length], 1e-9)
-        fails = excess > config.inflation**2 * -2.0 * np.log(np.minimum(expected, 1.0))
+        fails = excess > SLIP_INFLATION**2 * -2.0 * np.log(np.minimum(expected, 1.0))
         for start in np.flatnonzero(fails).tolist():
             steps = slice(start, start + length)
             factors[steps] = np.maximum(factors[steps], excess[start])

@@ -7,13 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.common.arrays import FloatArray
-from slam.common.config import KeyframeConfig
 from slam.common.geometry import relative, rotation_angle_rad
 from slam.odometry.pose import OdometryPose
 
 # The robot stands still below that motion.
 MOVED_RANGES = 0.1 / 30
 MOVED_RAD = 0.02
+TURN_RAD = np.deg2rad(20.0)
+"""A keyframe is due after that turn: an eighteenth of a circle, by which the view changes."""
+INTERVAL_S = 5.0
+"""A body that moves at all has a keyframe so often, that a map is published while it creeps."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,13 +35,16 @@ class Keyframe:
     is_map_frame: bool = False
 
 
-def is_keyframe_due(last: OdometryPose, pose: OdometryPose, limits: KeyframeConfig, *, sensor_range_m: float) -> bool:
-    """Whether the body has come so far since the last keyframe, or moved so long ago, that a next one is due."""
+def is_keyframe_due(last: OdometryPose, pose: OdometryPose, distance_m: float, *, sensor_range_m: float) -> bool:
+    """Whether the body has come so far since the last keyframe, or moved so long ago, that a next one is due.
+
+    ``distance_m``: travel from one keyframe to the next.
+    """
     turn_rad = float(rotation_angle_rad(relative(last.T_odom_body, pose.T_odom_body)))
     has_moved = pose.travel_m - last.travel_m >= MOVED_RANGES * sensor_range_m or turn_rad >= MOVED_RAD
     return bool(
         pose.segment != last.segment
-        or pose.travel_m - last.travel_m >= limits.distance_m
-        or turn_rad >= np.deg2rad(limits.angle_deg)
-        or (pose.stamp_ns - last.stamp_ns >= limits.interval_s * 1e9 and has_moved)
+        or pose.travel_m - last.travel_m >= distance_m
+        or turn_rad >= TURN_RAD
+        or (pose.stamp_ns - last.stamp_ns >= INTERVAL_S * 1e9 and has_moved)
     )

@@ -7,16 +7,18 @@ import math
 import numpy as np
 
 from slam.common.arrays import FloatArray
-from slam.common.config import OdometryConfig
+from slam.common.calibration import OdometryCalibration
 from slam.common.geometry import covariance_in_axes, relative, rotation_angle_rad
 from slam.odometry.pose import OdometryPose
 
 # A break in the odometry ties nothing together, but the graph must stay connected until a closure does it.
 BREAK_SIGMA_RAD = 1.0
 BREAK_SIGMA_RANGES = 100 / 30
+SLIP_INFLATION = 3.0
+"""Factor on the sigmas of the odometry where a match is in question: slips are larger than the noise of a step."""
 
 
-def step_variances(before: OdometryPose, after: OdometryPose, config: OdometryConfig) -> FloatArray:
+def step_variances(before: OdometryPose, after: OdometryPose, config: OdometryCalibration) -> FloatArray:
     """Variances (3,) of the step between two poses of one segment.
 
     They are those of each coordinate of the position [m^2], of roll and pitch [rad^2], and of the heading [rad^2], with
@@ -42,7 +44,7 @@ def step_variances(before: OdometryPose, after: OdometryPose, config: OdometryCo
 
 
 def step_covariance(
-    before: OdometryPose, after: OdometryPose, config: OdometryConfig, *, heading_factor: float = 1.0
+    before: OdometryPose, after: OdometryPose, config: OdometryCalibration, *, heading_factor: float = 1.0
 ) -> FloatArray:
     """Covariance (6, 6) of the step between two poses of one segment, rotation first, in the axes of the body after it.
 

@@ -8,11 +8,16 @@ from itertools import islice
 import numpy as np
 
 from slam.common.arrays import FloatArray
-from slam.common.config import OdometryConfig
 from slam.odometry.pose import OdometryPose
 
 # The speed before a step is the greatest of that many steps, because a single one is noisy.
 RECENT_STEPS = 10
+MAX_GAP_S = 20.0
+"""A longer gap is a discontinuity: nobody knows where the body went in between."""
+MAX_SPEED_RANGES = 2.0
+"""A faster step is one, too, in sensor ranges per second: what is in view would be passed within a second."""
+MAX_ACCELERATION_RANGES = 1.0 / 6.0
+"""... and a step that needs a greater acceleration, in sensor ranges per square second."""
 # Odometry may be that far off from one message to the next without being called broken, in sensor ranges.
 JUMP_SLACK_RANGES = 2.0 / 30.0
 # A pose that is the first one to so many metres (and about as many radians) is the first one again,
@@ -25,8 +30,8 @@ _IDENTITY = np.eye(4)
 class StepLimits:
     """Limits of a step from the last of some poses to a next one."""
 
-    def __init__(self, config: OdometryConfig, sensor_range_m: float) -> None:
-        self._config = config
+    def __init__(self, sensor_range_m: float) -> None:
+        self._sensor_range_m = sensor_range_m
         self._jump_slack_m = JUMP_SLACK_RANGES * sensor_range_m
         self._restart_slack_m = RESTART_SLACK_RANGES * sensor_range_m
 
@@ -52,7 +57,7 @@ class StepLimits:
         seconds = (stamp_ns - last.stamp_ns) * 1e-9
         step_m = float(np.linalg.norm(T_odom_body[:3, 3] - last.T_odom_body[:3, 3]))
         return (
-            seconds > self._config.max_gap_s
+            seconds > MAX_GAP_S
             or step_m > self._farthest_step_m(poses, seconds)
             or self.starts_over(poses, stamp_ns, T_odom_body, T_reported=T_reported, T_first=T_first)
         )
@@ -82,5 +87,5 @@ class StepLimits:
     def _farthest_step_m(self, poses: Reversible[OdometryPose], seconds: float) -> float:
         """How far the body can have come since the last pose; farther is a jump of the odometry."""
         speed_mps = max(pose.speed_mps for pose in islice(reversed(poses), RECENT_STEPS))
-        reachable_mps = speed_mps + self._config.max_acceleration_mps2 * seconds
-        return min(reachable_mps, self._config.max_speed_mps) * seconds + self._jump_slack_m
+        reachable_mps = speed_mps + MAX_ACCELERATION_RANGES * self._sensor_range_m * seconds
+        return min(reachable_mps, MAX_SPEED_RANGES * self._sensor_range_m) * seconds + self._jump_slack_m

@@ -15,11 +15,11 @@ from scipy.spatial.transform import Rotation
 
 from logs.messages import Odometry
 from slam.common.arrays import FloatArray
-from slam.common.config import DetectionConfig, OdometryConfig
+from slam.common.calibration import DetectionCalibration
 from slam.common.geometry import invert, make_transform
 from slam.odometry.expected_motion import ExpectedMotion
 from slam.odometry.pose import OdometryPose, pose_at
-from slam.odometry.step_limits import StepLimits
+from slam.odometry.step_limits import MAX_GAP_S, MAX_SPEED_RANGES, StepLimits
 from slam.odometry.unexpected_step import Continuation, Correction, UnexpectedStep
 
 # Scans wait for the odometry message that follows them; older ones than this many messages have lost their pose.
@@ -38,15 +38,14 @@ class OdometryTrack:
 
     def __init__(
         self,
-        config: OdometryConfig,
         counters: Counter[str] | None = None,
         *,
         first_segment: int = 0,
-        sensor_range_m: float = DetectionConfig().sensor_range_m,
+        sensor_range_m: float = DetectionCalibration().sensor_range_m,
     ) -> None:
-        self._config = config
+        self._max_speed_mps = MAX_SPEED_RANGES * sensor_range_m
         self._jitter_m = JITTER_RANGES * sensor_range_m
-        self._limits = StepLimits(config, sensor_range_m)
+        self._limits = StepLimits(sensor_range_m)
         self._first_segment = first_segment
         self._breaks_next = False
         self._poses: deque[OdometryPose] = deque(maxlen=HISTORY)
@@ -135,7 +134,7 @@ class OdometryTrack:
             )
             if self._repeats(first):
                 frozen_velocity = self._motion.velocity
-        is_overdue = last.stamp_ns - first.stamp_ns > self._config.max_gap_s * 1e9 or len(self._held) >= HISTORY
+        is_overdue = last.stamp_ns - first.stamp_ns > MAX_GAP_S * 1e9 or len(self._held) >= HISTORY
         default = Continuation.BROKEN if self._is_beyond_limits(first) else Continuation.REPORTED
         return UnexpectedStep(
             tuple(self._held), poses, default, is_overdue, tolerances, frozen_velocity, self._is_frozen
@@ -176,7 +175,7 @@ class OdometryTrack:
 
     def _comes_late(self, odometry: Odometry, last_ns: int) -> bool:
         """Whether a message comes after a silence that is long beside the last interval."""
-        long_ns = self._config.max_gap_s * 1e9
+        long_ns = MAX_GAP_S * 1e9
         if len(self._poses) > 1 and not self._held:
             long_ns = min(long_ns, LATE * (last_ns - self._poses[-2].stamp_ns))
         return odometry.stamp_ns - last_ns > long_ns
@@ -222,7 +221,7 @@ class OdometryTrack:
             T_reported=odometry.T_odom_body,
             T_first=self._T_odom_first,
         )
-        may_be = seconds <= self._config.max_gap_s and not starts_over
+        may_be = seconds <= MAX_GAP_S and not starts_over
         return may_be and self._is_usual(following) and not self._is_beyond_limits(following)
 
     def _is_beyond_limits(self, odometry: Odometry) -> bool:
@@ -242,7 +241,7 @@ class OdometryTrack:
             self._counted_xyz_m = xyz_m
             self._T_odom_first = odometry.T_odom_body
             self._motion.add(odometry.stamp_ns, T_odom_body)
-            pose = OdometryPose(odometry.stamp_ns, T_odom_body, 0.0, self._first_segment, self._config.max_speed_mps)
+            pose = OdometryPose(odometry.stamp_ns, T_odom_body, 0.0, self._first_segment, self._max_speed_mps)
         else:
             breaks, self._breaks_next = self._breaks_next, False
             seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9
@@ -264,7 +263,7 @@ class OdometryTrack:
                 T_odom_body,
                 travel_m=last.travel_m + (counted_m if counted_m >= self._jitter_m and not breaks else 0.0),
                 segment=last.segment + breaks,
-                speed_mps=self._config.max_speed_mps if breaks else step_m / seconds,
+                speed_mps=self._max_speed_mps if breaks else step_m / seconds,
                 T_odom_reported=self._T_odom_reported,
                 mended_m2=float(self._mended[0]),
                 mended_rad2=float(self._mended[1]),

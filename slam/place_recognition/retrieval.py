@@ -24,10 +24,13 @@ from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
 from slam.place_recognition.place import Place, traversal_of
 from slam.place_recognition.triangle_retrieval import TriangleRetriever
 from slam.registration.exhaustive_search import ExhaustiveSearch
+from slam.registration.parameters import registration_config
 from slam.registration.registration import register
 
 logger = logging.getLogger(__name__)
 
+INACTIVE_RANGES = 2.0
+"""A landmark unseen for that travel, in sensor ranges, is added to the index: the robot has left it behind."""
 # Radius of a reference submap, in sensor ranges.
 PLACE_RADIUS_RANGES = 90.0 / 30.0
 # Sensor range for which the descriptors are made: their rings, kernels and radii are lengths of their own.
@@ -50,14 +53,14 @@ class PlaceRetriever:
     def __init__(self, config: Config, object_map: ObjectMap, imported: ImportedPlaces | None = None) -> None:
         self._imported = imported
         self._config = config.loop_closure
-        self._submap_config = config.submap
-        self._registration_config = config.registration
-        self._sensor_range_m = config.detection.sensor_range_m
-        self._extent_m = TRAVERSAL_EXTENT * config.loop_closure.min_travel_m
+        self._calibration = config.calibration
+        self._registration_config = registration_config(config)
+        self._sensor_range_m = config.sensor_range_m
+        self._extent_m = TRAVERSAL_EXTENT * config.closure_travel_m
         self._map = object_map
         self._index = make_index(config.loop_closure.descriptor)
         self._triangles = TriangleRetriever(
-            object_map, landmark_sigma_m=config.submap.landmark_sigma_m, extent_m=self._extent_m
+            object_map, landmark_sigma_m=config.calibration.objects.landmark_sigma_m, extent_m=self._extent_m
         )
         self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
         self._left_out = np.zeros(0, dtype=np.int64)
@@ -71,7 +74,7 @@ class PlaceRetriever:
         self._indexed_m = travel_m
         landmarks = self._map.rows
         confirmed = landmarks["state"] == LandmarkState.CONFIRMED
-        behind = confirmed & (landmarks["last_seen_travel_m"] < travel_m - self._config.inactive_travel_m)
+        behind = confirmed & (landmarks["last_seen_travel_m"] < travel_m - INACTIVE_RANGES * self._sensor_range_m)
         behind[self._rows] = behind[self._left_out] = False
         if self._imported is not None:
             behind &= landmarks["segment"] != SEGMENT
@@ -145,7 +148,7 @@ class PlaceRetriever:
         if not len(matches.queries):
             return []
         entries, references = np.unique(matches.entries, return_inverse=True)
-        reference = placed_submap(self._map, self._rows[entries], np.zeros(3), self._submap_config)
+        reference = placed_submap(self._map, self._rows[entries], np.zeros(3), self._calibration)
         correspondences = np.column_stack([matches.queries, references])
         registrations = register(
             query.positions,
@@ -153,7 +156,7 @@ class PlaceRetriever:
             correspondences,
             self._registration_config,
             query_sigmas=query.sigmas,
-            reference_sigmas=np.full(len(reference), self._submap_config.landmark_sigma_m),
+            reference_sigmas=np.full(len(reference), self._calibration.objects.landmark_sigma_m),
             rng=np.random.default_rng(seed),
             count=self._config.max_candidates,
         )
@@ -212,8 +215,8 @@ class PlaceRetriever:
         return known
 
     def _make_search(self, rows: IntArray) -> ExhaustiveSearch | None:
-        reference = placed_submap(self._map, rows, np.zeros(3), self._submap_config)
-        sigmas = np.full(len(rows), self._submap_config.landmark_sigma_m)
+        reference = placed_submap(self._map, rows, np.zeros(3), self._calibration)
+        sigmas = np.full(len(rows), self._calibration.objects.landmark_sigma_m)
         try:
             return ExhaustiveSearch(
                 reference.positions,
@@ -253,4 +256,4 @@ class PlaceRetriever:
             & (landmarks["state"] == LandmarkState.CONFIRMED)
             & (np.einsum("ij,ij->i", offsets, offsets) < radius_m**2)
         )
-        return placed_submap(self._map, rows, centre, self._submap_config)
+        return placed_submap(self._map, rows, centre, self._calibration)

@@ -9,8 +9,8 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import RegistrationConfig
 from slam.common.geometry import make_transform
+from slam.registration.parameters import RegistrationConfig
 from slam.registration.refinement import Columns, least_squares, squared_residuals
 
 MAX_ROTATION_SIGMA_RAD = 0.2

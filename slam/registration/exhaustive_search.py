@@ -13,12 +13,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from slam.common.arrays import ComplexArray, FloatArray, IntArray
-from slam.common.config import RegistrationConfig
 from slam.common.errors import GeometryError
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.registration.class_raster import make_class_raster
 from slam.registration.estimate import Registration, not_found
 from slam.registration.object_pairs import MapPairs, QueryPairs, query_pairs
+from slam.registration.parameters import RegistrationConfig
 from slam.registration.registration import refine_many
 
 SURE_INLIERS = 4

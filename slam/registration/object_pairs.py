@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from slam.common.arrays import ComplexArray, FloatArray, IntArray
-from slam.common.config import RegistrationConfig
+from slam.registration.parameters import RegistrationConfig
 
 CHUNKS = (2**10, 2**13)
 """Proposals in the first chunk, which may be enough, and in the largest: what stays in the processor's cache."""

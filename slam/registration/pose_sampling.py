@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import RegistrationConfig
+from slam.registration.parameters import RegistrationConfig
 from slam.registration.pose_voting import PoseHypotheses
 from slam.registration.refinement import Columns, squared_residuals, support
 

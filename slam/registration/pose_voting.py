@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.common.arrays import ComplexArray, FloatArray, IntArray
-from slam.common.config import RegistrationConfig
+from slam.registration.parameters import RegistrationConfig
 from slam.registration.refinement import Columns
 
 BLOCK_PAIRS = 2**15

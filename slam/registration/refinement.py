@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
-from slam.common.config import RegistrationConfig
+from slam.registration.parameters import RegistrationConfig
 
 SHRINK = 0.5
 """The search radius shrinks by this factor from one iteration to the next."""

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from slam.common.arrays import ComplexArray, FloatArray, IntArray
-from slam.common.config import RegistrationConfig
 from slam.common.errors import GeometryError
 from slam.registration.estimate import Registration, estimate, not_found
+from slam.registration.parameters import RegistrationConfig
 from slam.registration.pose_sampling import sample
 from slam.registration.pose_voting import vote
 from slam.registration.refinement import Columns, make_columns, refine_poses, squared_residuals, support

@@ -10,42 +10,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from pydantic import BaseModel
 
-from slam.common.config import Config, DetectionConfig, LandmarkConfig
+from slam.common.calibration import DetectionCalibration, ObjectCalibration
+from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.frontend.input.stamp_clocks import LoggingDelays
+from slam.object_map.submap import SUBMAP_RANGES
 from slam.self_calibration.label_noise import LabelNoise
 from slam.self_calibration.survey import NOTED_DETOUR, NOTED_SHARE, Survey
 from slam.self_calibration.variance_components import NoiseComponents
-
-LENGTHS: Mapping[str, int] = {
-    "keyframe.distance_m": 1,
-    "detection.max_range_m": 1,
-    "detection.sensor_range_m": 1,
-    "detection.min_sigma_m": 1,
-    "odometry.max_speed_mps": 1,
-    "odometry.max_acceleration_mps2": 1,
-    "association.new_object_density": -3,
-    "landmark.max_missed_distance_m": 1,
-    "landmark.moving_speed_mps": 1,
-    "landmark.moving_distance_m": 1,
-    "landmark.moving_acceleration_mps2": 1,
-    "submap.travel_m": 1,
-    "likelihood_ratio.coverage_radius_m": 1,
-    "likelihood_ratio.clutter_radius_m": 1,
-    "likelihood_ratio.clutter_along_track_m": 1,
-    "likelihood_ratio.clutter_cross_track_sigma_m": 1,
-    "loop_closure.min_travel_m": 1,
-    "loop_closure.inactive_travel_m": 1,
-    "loop_closure.propagation_distance_m": 1,
-    "loop_closure.insert_travel_m": 1,
-    "registration.height_sigma_m": 1,
-    "registration.min_baseline_m": 1,
-    "registration.search_radius_m": 1,
-    "registration.distinct_m": 1,
-}
-"""Settings that are lengths, and the power of the length that their default scales with."""
 
 PRIOR_NOISE = NoiseComponents(
     radial=0.02**2,
@@ -70,28 +43,26 @@ and by so many radians. An estimate of zero only says that the noise is below wh
 """
 LEAST_SIGMA = 1e-4
 """Least noise of a position, in sensor ranges."""
-UNIQUE_INFLATION = 5.0
-"""Factor on the odometry's noise where no two objects of a class share a scan: a wide gate then confuses nothing."""
+UNIQUE_SPACING = 1e3
+"""Distance, in sensor ranges, between objects of a class of which no two share a scan."""
 STAMPING_SCANS = 2.0
 """Where log times do not tell whose stamps are wrong: up to so many intervals between scans, a difference in time
 between odometry and detections is a matter of how the odometry is stamped (of a step, its begin or its end), and the
 odometry is moved; beyond that, detections were old when they were stamped.
 """
-DETECTED_SHARE = 0.5
-"""Share of the scans in which the detector finds an object that a landmark must be observed in to be confirmed."""
 NOTED_FALSE = 0.5
 """Share of the detections from which those that belong to no object are noted."""
 FEW_SCANS = 5.0
 """While an object comes from the median range to the body it should be seen so often."""
 NO_DELAYS = LoggingDelays()
 TURNS = ("roll_deg", "pitch_deg", "yaw_deg")
-DEFAULT_RANGE_M = float(DetectionConfig.model_fields["sensor_range_m"].get_default())
+DEFAULT_RANGE_M = float(DetectionCalibration.model_fields["sensor_range_m"].get_default())
 MOST_SCALE = 1e30
 """Lengths so many times the usual ones, or a part of them as small, are beyond float64 in their powers."""
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class CalibratedLog:
     """``config``: the effective configuration; ``estimated``: the settings that the log decided, with their values;
     ``notes``: what that says of the log, for people.
     """
@@ -101,47 +72,37 @@ class Calibration:
     notes: tuple[str, ...] = ()
 
 
-def calibrate(config: Config, survey: Survey | None, delays: LoggingDelays = NO_DELAYS) -> Calibration:
+def calibrate(config: Config, survey: Survey | None, delays: LoggingDelays = NO_DELAYS) -> CalibratedLog:
     """The configuration for a log: settings that were not given by hand are derived from its survey.
 
     ``delays``: how long after their stamps messages were logged, which tells whose stamps are wrong.
     """
     if survey is None:
-        return Calibration(config, notes=("no detection lies on the odometry: nothing was estimated from the log",))
+        return CalibratedLog(config, notes=("no detection lies on the odometry: nothing was estimated from the log",))
     values = _lengths(config, survey) | _noise(config, survey) | _corrections(survey, delays)
-    estimated = {key: value for key, value in values.items() if not _is_given(config, key)}
-    branches: dict[str, dict[str, float]] = {}
-    for key, value in estimated.items():
-        branch, name = key.split(".")
-        branches.setdefault(branch, {})[name] = value
-    changed = {name: getattr(config, name).model_copy(update=update) for name, update in branches.items()}
-    return Calibration(config.model_copy(update=changed), estimated, _notes(config, survey, estimated))
+    estimated = {key: value for key, value in values.items() if not config.calibration.is_given(key)}
+    return CalibratedLog(config.calibrated(estimated), estimated, _notes(config, survey, estimated))
 
 
-def _is_given(config: Config, key: str) -> bool:
-    branch, name = key.split(".")
-    part: BaseModel = getattr(config, branch)
-    return name in part.model_fields_set
+def _sensor_range_m(config: Config, survey: Survey) -> float:
+    if config.calibration.is_given("detection.sensor_range_m"):
+        return config.sensor_range_m
+    # The range is a coarse yardstick: what is of one size, like all cars, is to be treated alike.
+    return float(DEFAULT_RANGE_M * 2.0 ** np.round(np.log2(survey.range_m / DEFAULT_RANGE_M)))
 
 
 def _lengths(config: Config, survey: Survey) -> dict[str, float]:
-    range_m = config.detection.sensor_range_m
-    if not _is_given(config, "detection.sensor_range_m"):
-        # The range is a coarse yardstick: what is of one size, like all cars, is to be treated alike.
-        range_m = float(DEFAULT_RANGE_M * 2.0 ** np.round(np.log2(survey.range_m / DEFAULT_RANGE_M)))
+    range_m = _sensor_range_m(config, survey)
     scale = range_m / DEFAULT_RANGE_M
     if not 1.0 / MOST_SCALE < scale < MOST_SCALE:
         raise InputDataError(f"objects are seen at {survey.range_m:.3g} m; give their positions in metres")
-    values = {}
-    for key, power in LENGTHS.items():
-        branch, name = key.split(".")
-        values[key] = float(type(getattr(config, branch)).model_fields[name].get_default()) * scale**power
-    values["association.new_object_density"] = max(values["association.new_object_density"], _false_density(survey))
-    values["association.active_radius_m"] = 2.0 * survey.max_range_m
-    if not np.isfinite(survey.spacing_m):
-        values["association.odometry_inflation"] = UNIQUE_INFLATION
-    values["association.confusion_distance_m"] = survey.spacing_m if np.isfinite(survey.spacing_m) else 1e3 * range_m
-    return values
+    usual = ObjectCalibration().new_object_density * scale**-3
+    return {
+        "detection.sensor_range_m": range_m,
+        "detection.farthest_m": survey.max_range_m,
+        "objects.new_object_density": max(usual, _false_density(survey)),
+        "objects.spacing_m": survey.spacing_m if np.isfinite(survey.spacing_m) else UNIQUE_SPACING * range_m,
+    }
 
 
 def _false_density(survey: Survey) -> float:
@@ -167,7 +128,7 @@ def _notes(config: Config, survey: Survey, estimated: Mapping[str, float]) -> tu
             f"objects stand still if detections are in the frame of the {of}, and not in the one that their messages "
             f"name: taken to be (detection.{survey.assumed_frame}); check frame_id"
         )
-    if any(survey.turned_deg) and not any(_is_given(config, f"detection.{name}") for name in TURNS):
+    if any(survey.turned_deg) and not any(config.calibration.is_given(f"detection.{name}") for name in TURNS):
         roll, pitch, yaw = survey.turned_deg
         notes.append(
             f"the sensor seems turned by roll {roll:.0f}, pitch {pitch:.0f}, yaw {yaw:.0f} deg against its transform, "
@@ -183,8 +144,9 @@ def _notes(config: Config, survey: Survey, estimated: Mapping[str, float]) -> tu
         short, long = ("short", "long") if scale > 1.0 else ("long", "short")
         notes.append(
             f"the odometry's lengths seem {100 * abs(1.0 - 1.0 / scale):.0f} % too {short}: corrected "
-            f"(odometry.length_scale); or the ranges of detections are too {long}: then say --set "
-            f"odometry.length_scale=1 --set detection.range_scale={1.0 / scale:.3g}"
+            f"(odometry.length_scale); or the ranges of detections are too {long}: then say "
+            "--set calibration.odometry.length_scale=1 "
+            f"--set calibration.detection.range_scale={1.0 / scale:.3g}"
         )
     elif abs(errors.length_share) > NOTED_SHARE:
         notes.append(
@@ -216,10 +178,10 @@ def _notes(config: Config, survey: Survey, estimated: Mapping[str, float]) -> tu
     if survey.labels.renamed_ns is not None:
         notes.append(
             f"all labels change at {survey.labels.renamed_ns * 1e-9:.3f} s: classes seem to have other names from then "
-            "on; labels are ignored (association.max_classes = 1)"
+            "on; labels are ignored (objects.max_classes = 1)"
         )
     elif survey.labels.is_useless:
-        notes.append("labels of one object seem drawn at random: they are ignored (association.max_classes = 1)")
+        notes.append("labels of one object seem drawn at random: they are ignored (objects.max_classes = 1)")
     if survey.components is not None and survey.components.repeated > 1:
         notes.append(
             f"detections repeat their errors over {survey.components.repeated} scans or more: their variance is taken "
@@ -246,7 +208,7 @@ def _corrections(survey: Survey, delays: LoggingDelays) -> dict[str, float]:
         "odometry.time_offset_s": -errors.delay_s if of_odometry else 0.0,
         "detection.time_offset_s": 0.0 if of_odometry else errors.delay_s,
         "detection.claimed_sigma_factor": _claimed_factor(survey),
-        **_confirmation(survey),
+        **_detectability(survey),
         **({f"detection.{survey.assumed_frame}": True} if survey.assumed_frame else {}),
         **({"odometry.length_scale": survey.length_scale} if survey.length_scale != 1.0 else {}),
         **({"odometry.turn_scale": survey.turn_scale} if survey.turn_scale != 1.0 else {}),
@@ -256,18 +218,16 @@ def _corrections(survey: Survey, delays: LoggingDelays) -> dict[str, float]:
     }
 
 
-def _confirmation(survey: Survey) -> dict[str, float]:
-    """A landmark is observed at least half as often as an object is detected; each of several sensors may miss it."""
-    usual, found = LandmarkConfig(), survey.detectability
-    share = DETECTED_SHARE * found.share
-    values: dict[str, float] = {"landmark.confirm_fraction": share} if share < usual.confirm_fraction else {}
-    return values | ({"landmark.max_missed_scans": found.period * usual.max_missed_scans} if found.period > 1 else {})
+def _detectability(survey: Survey) -> dict[str, float]:
+    found = survey.detectability
+    share: dict[str, float] = {"objects.detection_probability": found.share} if np.isfinite(found.share) else {}
+    return share | ({"objects.detection_period": found.period} if found.period > 1 else {})
 
 
 def _label_settings(labels: LabelNoise) -> dict[str, float]:
     if labels.is_useless:
-        return {"association.max_classes": 1}
-    return {"association.label_accuracy": labels.accuracy} if np.isfinite(labels.accuracy) else {}
+        return {"objects.max_classes": 1}
+    return {"objects.label_accuracy": labels.accuracy} if np.isfinite(labels.accuracy) else {}
 
 
 def _claimed_factor(survey: Survey) -> float:
@@ -285,11 +245,11 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
     repeated = 1 if survey.components is None else survey.components.repeated
     white, by_range, ratio = _sight_noise(config, survey, found)
     white, by_range = repeated * white, repeated * by_range
-    submap_m = _lengths(config, survey)["submap.travel_m"]
+    submap_m = SUBMAP_RANGES * _sensor_range_m(config, survey)
     between_passes = found.view + 0.5 * submap_m * found.translation_by_travel
     floor_m = LEAST_SIGMA * survey.range_m
     scan_m = survey.travel_m / survey.scans
-    keyframe_m = _keyframe_distance_m(config, survey)
+    keyframe_m = config.calibrated(_lengths(config, survey)).keyframe_distance_m
     return {
         "odometry.translation_sigma": max(
             np.sqrt(drift * found.translation_by_travel), LEAST_DRIFT * np.sqrt(survey.range_m)
@@ -307,9 +267,8 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         # Errors stay the same while the viewing direction changes by 1 rad.
         "detection.covariance_inflation": max(objects * survey.median_range_m / max(keyframe_m, scan_m), 1.0),
         "detection.scans_per_view": max(objects * survey.median_range_m / max(scan_m, 1e-9), 1.0),
-        "submap.landmark_sigma_m": max(np.sqrt(between_passes), floor_m),
-        "loop_closure.base_sigma_m": max(np.sqrt(between_passes), floor_m),
-        "loop_closure.base_height_sigma_m": np.sqrt(survey.heights.own + 2.0 * survey.heights.common),
+        "objects.landmark_sigma_m": max(np.sqrt(between_passes), floor_m),
+        "objects.landmark_height_sigma_m": np.sqrt(survey.heights.own + 2.0 * survey.heights.common),
     }
 
 
@@ -317,7 +276,7 @@ def _sight_noise(config: Config, survey: Survey, found: NoiseComponents) -> tupl
     """Variance across the line of sight, its growth with the squared range, and the standard deviation along it by that
     across, at the median range. Where the noise is given by hand it is the same along and across.
     """
-    if any(_is_given(config, f"detection.{name}") for name in ("base_sigma_m", "sigma_per_m")):
+    if any(config.calibration.is_given(f"detection.{name}") for name in ("base_sigma_m", "sigma_per_m")):
         white, by_range = found.radial + found.tangential, found.radial_by_range + found.tangential_by_range
         return 0.5 * white, 0.5 * by_range, 1.0
     square_m, least = survey.median_range_m**2, (LEAST_SIGMA * survey.range_m) ** 2
@@ -356,12 +315,6 @@ def _shares_not_of_bias(found: NoiseComponents, survey: Survey) -> tuple[float, 
 def _objects_that_err_alike(survey: Survey, view: float) -> float:
     """Objects in view that carry the information of one: a bias that centroids share does not average out over them."""
     return 1.0 + survey.objects * survey.shared_bias_m**2 / max(view, 1e-300)
-
-
-def _keyframe_distance_m(config: Config, survey: Survey) -> float:
-    if _is_given(config, "keyframe.distance_m"):
-        return config.keyframe.distance_m
-    return _lengths(config, survey)["keyframe.distance_m"]
 
 
 def _components(survey: Survey) -> NoiseComponents:

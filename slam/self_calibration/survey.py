@@ -10,7 +10,7 @@ import numpy as np
 
 from logs.messages import ObjectDetections, Odometry, Record, Transform
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import AssociationConfig, DetectionConfig
+from slam.common.calibration import DetectionCalibration, ObjectCalibration
 from slam.common.geometry import apply, interpolate, invert, transform_from_xyz_yaw, yaw_rad
 from slam.frontend.input.scan import is_wanted
 from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
@@ -36,7 +36,7 @@ from slam.self_calibration.variance_components import CLIP, ComponentEstimate, M
 
 MAX_DETECTIONS = 150_000
 """The survey ends after that many detections; what it estimates has converged by then."""
-MAX_CLASSES = int(AssociationConfig.model_fields["max_classes"].get_default())
+MAX_CLASSES = int(ObjectCalibration.model_fields["max_classes"].get_default())
 RANGE_QUANTILE = 0.95
 FAR_OFF = 100.0
 """Detections beyond so many median ranges are no measurements."""
@@ -111,7 +111,7 @@ class Survey:
 
 def survey(
     records: Iterable[Record],
-    config: DetectionConfig,
+    config: DetectionCalibration,
     frames: SensorFrames | None = None,
     *,
     max_classes: int = MAX_CLASSES,
@@ -169,7 +169,7 @@ def survey(
     )
 
 
-def _assumed_frame(gathered: _Gathered, config: DetectionConfig) -> str | None:
+def _assumed_frame(gathered: _Gathered, config: DetectionCalibration) -> str | None:
     """The setting by which scans agree far better than by the frames that messages name, however turned; None where
     they agree well or a setting was given by hand.
     """
@@ -184,7 +184,7 @@ def _assumed_frame(gathered: _Gathered, config: DetectionConfig) -> str | None:
     return better_frame(gathered.scans(_oriented(gathered, config), 0.0), others)
 
 
-def _oriented(gathered: _Gathered, config: DetectionConfig) -> DetectionConfig:
+def _oriented(gathered: _Gathered, config: DetectionCalibration) -> DetectionCalibration:
     """The configuration with detections turned so that scans agree; as it is where angles were given by hand."""
     if config.model_fields_set & {"roll_deg", "pitch_deg", "yaw_deg"}:
         return config
@@ -320,7 +320,7 @@ class _Gathered:
             self._count += len(record.positions)
         return self._count
 
-    def judge_labels(self, config: DetectionConfig) -> LabelNoise:
+    def judge_labels(self, config: DetectionCalibration) -> LabelNoise:
         """How far labels can be trusted; where they say nothing, all scans to come have one class."""
         scans = self.scans(config, 0.0)
         labels = estimate_label_noise(scans, _headings(scans)) if len(scans) > 1 else LabelNoise()
@@ -328,7 +328,7 @@ class _Gathered:
             self._max_classes = 1
         return labels
 
-    def scans(self, config: DetectionConfig, delay_s: float) -> list[SurveyScan]:
+    def scans(self, config: DetectionCalibration, delay_s: float) -> list[SurveyScan]:
         """The scans that lie on the odometry, corrected, in the order of their stamps, without empty ones.
 
         Of messages of one sensor with one stamp the first is used, as in the map.
@@ -344,7 +344,7 @@ class _Gathered:
             self._followed = scans, objects_among(follow_objects(scans, _headings(scans)))
         return self._followed[1]
 
-    def _corrected_scans(self, config: DetectionConfig, delay_s: float) -> list[SurveyScan]:
+    def _corrected_scans(self, config: DetectionCalibration, delay_s: float) -> list[SurveyScan]:
         stamps, poses = self._track()
         delay_ns = round(delay_s * 1e9)
         if len(stamps) < 2:
@@ -424,7 +424,7 @@ def _upright_scan(
     T_odom_body: FloatArray,
     T_upright_sensor: FloatArray,
     vocabulary: defaultdict[str, int],
-    config: DetectionConfig,
+    config: DetectionCalibration,
 ) -> SurveyScan:
     positions = apply(T_upright_sensor, detections.positions)
     used = np.isfinite(positions).all(axis=1) & is_wanted(detections, config)

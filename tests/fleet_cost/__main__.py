@@ -23,6 +23,7 @@ from slam.map_joining.joins import find_joins
 from slam.map_joining.joint_map import join_maps
 from slam.map_joining.place_index import make_place_index
 from slam.object_map.map_io import SavedMap
+from slam.object_map.submap import SUBMAP_RANGES
 from tests.helpers.driven_maps import driven_map, town
 
 LENGTH_M = 250.0
@@ -47,9 +48,9 @@ def main() -> int:
 def measure(count: int, seed: int) -> list[str]:
     """One row of the table."""
     config = Config()
-    maps = sessions(count, seed=seed, stretch_m=config.submap.travel_m / STRETCHES_A_SUBMAP)
+    maps = sessions(count, seed=seed, stretch_m=SUBMAP_RANGES * config.sensor_range_m / STRETCHES_A_SUBMAP)
     marks = [time.process_time()]
-    index = make_place_index(maps, sigma_m=config.submap.landmark_sigma_m)
+    index = make_place_index(maps, sigma_m=config.calibration.objects.landmark_sigma_m)
     marks.append(time.process_time())
     joins = [join for number, each in enumerate(maps) for join in find_joins(each, number, index, config)]
     landmarks = sum(len(each.objects.ids) for each in maps)

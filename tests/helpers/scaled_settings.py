@@ -25,6 +25,8 @@ def scaled_config(branch: Any, scale: float) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for name, info in type(branch).model_fields.items():
         value = getattr(branch, name)
+        if value is None:
+            continue
         if isinstance(value, BaseModel):
             values[name] = scaled_config(value, scale)
             continue

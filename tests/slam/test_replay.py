@@ -30,7 +30,7 @@ from slam.common.errors import SlamError
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import read_records
 from slam.replay import replay
-from slam.self_calibration.calibration import Calibration, calibrate
+from slam.self_calibration.calibration import CalibratedLog, calibrate
 from slam.self_calibration.survey import survey
 from slam.system import Slam
 from tests.helpers.short_drives import (
@@ -110,9 +110,11 @@ def test_odometry_and_truth_are_copied_bit_for_bit(noisy_log, noisy_output):
     assert content(noisy_output) == content(noisy_log)
 
 
-def calibrated(log: Path, config: Config) -> Calibration:
+def calibrated(log: Path, config: Config) -> CalibratedLog:
     with LogReader(log) as reader:
-        found = survey((entry.record for entry in reader.records(select_all(reader.topics()))), config.detection)
+        found = survey(
+            (entry.record for entry in reader.records(select_all(reader.topics()))), config.calibration.detection
+        )
     assert found is not None
     return calibrate(config, found)
 

@@ -20,13 +20,15 @@ from logs.messages import (
     Transform,
 )
 from slam.common.arrays import FloatArray
-from slam.common.config import Config, OdometryConfig
+from slam.common.calibration import Calibration, OdometryCalibration
+from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.common.geometry import invert, transform_from_xyz_yaw
 from slam.evaluation.evaluate import find_aliases
 from slam.evaluation.inputs.synchronization import clean_poses
 from slam.evaluation.metrics.association import evaluate_associations, label_detections
 from slam.final_map import FinalMap
+from slam.frontend import mapper
 from slam.simulation.config import KidnapConfig, SimulationConfig, TrafficConfig
 from slam.system import Slam
 from tests.helpers.short_drives import (
@@ -123,7 +125,10 @@ def test_twin_odometry_that_is_a_fifth_too_long_gives_a_bad_trajectory(exact_dri
         T[:3, 3] *= 1.2
         return replace(odometry, T_odom_body=T)
 
-    stretched, believed = change(exact_drive, Odometry, stretch), Config(odometry=OdometryConfig(length_scale=1.0))
+    stretched, believed = (
+        change(exact_drive, Odometry, stretch),
+        Config(calibration=Calibration(odometry=OdometryCalibration(length_scale=1.0))),
+    )
     found = run(stretched, tmp_path / "out.mcap", believed)
     assert found.estimate.absolute.rmse_m > 2.0
     assert found.landmarks.global_frame.max_m > 1.0
@@ -193,13 +198,13 @@ def test_what_moves_is_not_confirmed():
     assert len([name for name in found if name.startswith("moving")]) <= 1
 
 
-def test_following_what_moves_keeps_most_slow_traffic_out_of_the_map():
+def test_following_what_moves_keeps_most_slow_traffic_out_of_the_map(monkeypatch):
     entries = drive(SimulationConfig(traffic=TrafficConfig(vehicles=8, min_speed_mps=2.0, max_speed_mps=5.0)), seed=1)
-    nothing_moves = Config.model_validate({"landmark": {"moving_speed_mps": 50.0}})
-    followed, not_followed = (
-        len([name for name in confirmed_objects(entries, config) if name.startswith("moving")])
-        for config in (Config(), nothing_moves)
-    )
+    counts = []
+    for ranges_per_s in (mapper.MOVING_RANGES_PER_S, 2.0):
+        monkeypatch.setattr(mapper, "MOVING_RANGES_PER_S", ranges_per_s)
+        counts.append(sum(name.startswith("moving") for name in confirmed_objects(entries, Config())))
+    followed, not_followed = counts
     assert followed < 0.5 * not_followed
 
 

@@ -113,11 +113,11 @@ class TestFromEndToEnd:
 
     def test_info_of_an_output(self, dslam: Run, tmp_path: Path) -> None:
         output = tmp_path / "map.mcap"
-        settings = ("--set", "landmark.confirm_observations=7", "--set", "calibration.enabled=false")
+        settings = ("--set", "loop_closure.top_k=7", "--set", "calibrate=false")
         assert dslam("replay", SAMPLE, "-o", output, *settings).code == 0
         result = dslam("info", output, "--closures")
         for text in (
-            "defaults, but calibration.enabled=false, landmark.confirm_observations=7",
+            "defaults, but calibrate=false, loop_closure.top_k=7",
             "dslam: version",
             "landmarks_confirmed",
             "map of another log",

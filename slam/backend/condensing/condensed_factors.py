@@ -9,8 +9,8 @@ import numpy as np
 from slam.backend.condensing.attached_keyframes import AttachedKeyframes
 from slam.backend.factors import Edge, EdgeKind, Factor, Observation, kernel_weights
 from slam.backend.observation_sums import sum_observations
+from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
-from slam.common.config import FactorGraphConfig
 from slam.common.geometry import adjoint, invert
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from slam.backend.batch_solver import BatchSolver, GtsamCalls
 from slam.backend.covariance.marginals import Marginals, compute_marginals, marginals_one_by_one
 from slam.backend.factors import Factor
-from slam.common.config import FactorGraphConfig
+from slam.backend.solver_options import FactorGraphConfig
 
 logger = logging.getLogger(__name__)
 

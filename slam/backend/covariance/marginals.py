@@ -18,8 +18,8 @@ from slam.backend.covariance.covariance_estimation import (
     variance_factors,
 )
 from slam.backend.factors import CLOSURE_KERNEL_WIDTH, Edge, EdgeKind, Factor, LandmarkPrior, Observation
+from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import FactorGraphConfig
 
 KeyArray = NDArray[np.uint64]
 POSE_SIZE, POINT_SIZE = 6, 3

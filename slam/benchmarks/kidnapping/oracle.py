@@ -25,6 +25,7 @@ from slam.loop_closure.consistency import poses_agree
 from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratio
 from slam.object_map.submap import Submap, gravity_frame
 from slam.registration.exhaustive_search import ExhaustiveSearch
+from slam.registration.parameters import registration_config
 from slam.registration.registration import Registration
 
 REACH_M = 80.0
@@ -52,10 +53,10 @@ class Oracle:
         objects = saved.objects
         labels = objects.class_probabilities.argmax(axis=1).astype(np.int64)
         rows = np.arange(len(labels))
-        sigmas = np.full(len(labels), config.submap.landmark_sigma_m)
+        sigmas = np.full(len(labels), config.calibration.objects.landmark_sigma_m)
         self._known = known
         self._config = config
-        self._registration = config.registration.model_copy(update={"min_inliers": LEAST_OBJECTS})
+        self._registration = registration_config(config).model_copy(update={"min_inliers": LEAST_OBJECTS})
         self._vocabulary = {label: index for index, label in enumerate(objects.vocabulary)}
         self._map = Submap(objects.positions, sigmas, labels, rows)
         counts = 1.0 + np.bincount(labels, minlength=len(objects.vocabulary))
@@ -63,7 +64,7 @@ class Oracle:
         self._search = ExhaustiveSearch(
             objects.positions, labels, self._registration, reach_m=REACH_M, map_sigmas=sigmas
         )
-        cells = MapArea(cell_m=config.detection.sensor_range_m * 2.0 / 3.0)
+        cells = MapArea(cell_m=config.sensor_range_m * 2.0 / 3.0)
         cells.cover_positions(saved.graph.T_map_body[:, :2, 3])
         self._area_m2 = cells.area_m2
 
@@ -80,7 +81,7 @@ class Oracle:
         log_odds = [
             prior.log_mass(each.T_reference_query, each.covariance)
             + compute_log_likelihood_ratio(
-                query, self._map, each.T_reference_query, each.pairs, self._config.likelihood_ratio, self._shares
+                query, self._map, each.T_reference_query, each.pairs, self._config.sensor_range_m, self._shares
             ).total
             for each in found
             if each.T_reference_query is not None and each.covariance is not None
@@ -98,7 +99,7 @@ class Oracle:
         for index, each in enumerate(found):
             T = each.T_reference_query
             if T is not None and not any(
-                poses_agree(T, other, sensor_range_m=self._config.detection.sensor_range_m) for other in kept.values()
+                poses_agree(T, other, sensor_range_m=self._config.sensor_range_m) for other in kept.values()
             ):
                 kept[index] = T
         return [found[index] for index in kept]
@@ -109,7 +110,7 @@ class Oracle:
         positions = np.array([position for position, _, _ in known]).reshape(-1, 3)
         return Submap(
             apply(invert(T_world_gravity), positions),
-            np.hypot([sigma for _, sigma, _ in known], self._config.submap.landmark_sigma_m),
+            np.hypot([sigma for _, sigma, _ in known], self._config.calibration.objects.landmark_sigma_m),
             np.array([self._vocabulary[label] for _, _, label in known], dtype=np.int64),
             np.arange(len(known)),
         )

@@ -25,13 +25,14 @@ from slam.common.config import Config
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.localization.localizer import log_odds_of
-from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratio
-from slam.object_map.submap import Submap
+from slam.loop_closure.likelihood_ratio import COVERAGE_RANGES, compute_log_likelihood_ratio
+from slam.object_map.submap import SUBMAP_RANGES, Submap
 from slam.place_recognition.imported_map import ImportedMap, load_imported_map, make_imported_map, save_imported_map
 from slam.place_recognition.imported_places import HEIGHT_SIGMA_M
 from slam.place_recognition.quad_index import TOLERANCE_SIGMAS, QuadMatches
 from slam.place_recognition.triangle_voting import vote_for_poses
 from slam.registration.exhaustive_search import ExhaustiveSearch
+from slam.registration.parameters import registration_config
 from slam.registration.registration import refine
 from slam.sweeps.workers import Death, compute_all
 
@@ -185,7 +186,7 @@ def draw_path_queries(
         SimulationError: objects so sparse that no path meets enough of them.
     """
     config = Config()
-    travel_m, range_m = config.submap.travel_m, config.detection.sensor_range_m
+    travel_m, range_m = SUBMAP_RANGES * config.sensor_range_m, config.sensor_range_m
     tree = cKDTree(positions[:, :2])
     names = {name: number for number, name in enumerate(sorted(set(labels)))}
     classes = np.array([names[label] for label in labels], dtype=np.int64)
@@ -234,8 +235,8 @@ def locate(imported: ImportedMap, query: Submap, config: Config) -> tuple[FloatA
         tolerance_m=TOLERANCE_SIGMAS * sigma_m,
         count=config.loop_closure.max_candidates_when_lost,
     )
-    reach_m = float(np.hypot(*query.positions[:, :2].T).max()) + config.likelihood_ratio.coverage_radius_m
-    registering = config.registration.model_copy(update={"height_sigma_m": HEIGHT_SIGMA_M})
+    reach_m = float(np.hypot(*query.positions[:, :2].T).max()) + COVERAGE_RANGES * config.sensor_range_m
+    registering = registration_config(config.calibrated({"objects.height_sigma_m": HEIGHT_SIGMA_M}))
     best, best_llr = None, -np.inf
     for vote in votes:
         near = imported.near(vote.T_reference_query[:2, 3], reach_m)
@@ -258,7 +259,7 @@ def locate(imported: ImportedMap, query: Submap, config: Config) -> tuple[FloatA
         if found.T_reference_query is None:
             continue
         ratio = compute_log_likelihood_ratio(
-            query, reference, found.T_reference_query, found.pairs, config.likelihood_ratio
+            query, reference, found.T_reference_query, found.pairs, config.sensor_range_m
         )
         if ratio.total > best_llr:
             best, best_llr = found.T_reference_query, ratio.total
@@ -267,7 +268,7 @@ def locate(imported: ImportedMap, query: Submap, config: Config) -> tuple[FloatA
 
 
 def _exhaustive(imported: ImportedMap) -> Callable[[Submap], tuple[FloatArray | None, bool]]:
-    config = Config().registration.model_copy(update={"height_sigma_m": HEIGHT_SIGMA_M})
+    config = registration_config(Config().calibrated({"objects.height_sigma_m": HEIGHT_SIGMA_M}))
     search = ExhaustiveSearch(
         imported.positions.astype(np.float64),
         imported.classes.astype(np.int64),

@@ -21,6 +21,7 @@ from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.geometry import apply, rotation_angle_rad
 from slam.evaluation.inputs.protocol import Protocol
 from slam.place_recognition.retrieval import DESCRIPTOR_RANGE_M
+from slam.registration.parameters import registration_config
 from slam.registration.registration import register
 
 RECALL_AT = (1, 5, 25)
@@ -84,7 +85,7 @@ class _Asking:
         self._recorded = recorded
         self._index = index
         self._neighbours = neighbours
-        self._scale = DESCRIPTOR_RANGE_M / recorded.config.detection.sensor_range_m
+        self._scale = DESCRIPTOR_RANGE_M / recorded.config.sensor_range_m
         self._parts = 0
         self._index_s = 0.0
         self._match_s: list[float] = []
@@ -143,9 +144,9 @@ class _Asking:
             place.submap.positions,
             place.entry_positions,
             np.column_stack([matches.queries, matches.entries]),
-            config.registration,
+            registration_config(config),
             query_sigmas=place.submap.sigmas,
-            reference_sigmas=np.full(len(place.entry_positions), config.submap.landmark_sigma_m),
+            reference_sigmas=np.full(len(place.entry_positions), config.calibration.objects.landmark_sigma_m),
             rng=np.random.default_rng(0),
             count=RECALL_AT[-1],
         )
@@ -157,7 +158,7 @@ class _Asking:
         entries = np.flatnonzero(place.allowed)
         if not len(entries) or not len(place.submap):
             return None
-        reach_m = self._recorded.config.registration.search_radius_m
+        reach_m = registration_config(self._recorded.config).search_radius_m
         tree = cKDTree(place.entry_positions[entries, :2])
         ranks = np.arange(len(matches.queries)) - np.searchsorted(matches.queries, matches.queries)
         is_known = np.zeros(len(place.submap), dtype=bool)

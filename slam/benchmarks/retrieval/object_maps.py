@@ -24,6 +24,7 @@ from slam.benchmarks.retrieval.measurement import RECALL_AT, is_right
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import SimulationError
+from slam.registration.parameters import registration_config
 from slam.registration.registration import register
 
 ENTERED_AT_ONCE = 50_000
@@ -146,7 +147,7 @@ def _measure(descriptor: str, objects: _ObjectMap, queries: Sequence[TilesQuery]
         hits += [first < k for k in RECALL_AT]
     match_s, verify_s = np.median(times, axis=0)
     some = objects.positions[:: max(len(objects.labels) // 1000, 1), :2]
-    range_m = Config().detection.sensor_range_m
+    range_m = Config().sensor_range_m
     around = cKDTree(objects.positions[:, :2]).query_ball_point(some, range_m, return_length=True)
     return MapRecall(
         descriptor=descriptor,
@@ -175,7 +176,7 @@ def _propose(index: ConstellationIndex, objects: _ObjectMap, query: TilesQuery) 
         submap.positions,
         objects.positions[entries],
         np.column_stack([matches.queries, references]),
-        config.registration,
+        registration_config(config),
         query_sigmas=submap.sigmas,
         reference_sigmas=np.full(len(entries), MAP_SIGMA_M),
         rng=np.random.default_rng(0),

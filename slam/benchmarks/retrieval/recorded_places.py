@@ -29,6 +29,7 @@ from slam.evaluation.place_recognition.revisits import find_true_poses
 from slam.object_map.landmarks import LandmarkState
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, gravity_frame, recent_submap
 from slam.odometry.keyframe import Keyframe
+from slam.place_recognition.retrieval import INACTIVE_RANGES
 from slam.self_calibration.calibration import calibrate
 from slam.self_calibration.survey import survey
 from slam.system import Slam
@@ -105,8 +106,10 @@ def record_places(
             raise EvaluationError(
                 f"{path} holds no ground truth, so no place in it is known; see --topic ground_truth="
             )
-        if config.calibration.enabled:
-            config = calibrate(config, survey((e.record for e in reader.records(selection)), config.detection)).config
+        if config.calibrate:
+            config = calibrate(
+                config, survey((e.record for e in reader.records(selection)), config.calibration.detection)
+            ).config
         recorder = _Recorder(config, truth, spacing_m)
         span_ns = max(int(truth.stamps_ns[-1] - truth.stamps_ns[0]), 1)
         for entry in reader.records(selection):
@@ -126,7 +129,7 @@ class _Recorder(Slam):
     def __init__(self, config: Config, truth: PoseSeries, spacing_m: float) -> None:
         super().__init__(config)
         self._truth = truth
-        self._protocol = Protocol(revisit_m=config.loop_closure.min_travel_m)
+        self._protocol = Protocol(revisit_m=config.closure_travel_m)
         self._spacing_m = spacing_m
         self._asked_m = -np.inf
         self._indexed_m = -np.inf
@@ -140,17 +143,19 @@ class _Recorder(Slam):
         return []
 
     def _index(self, travel_m: float) -> None:
-        sensor_range_m = self._config.detection.sensor_range_m
+        sensor_range_m = self._config.sensor_range_m
         if travel_m - self._indexed_m < INDEX_EVERY_RANGES * sensor_range_m:
             return
         self._indexed_m = travel_m
         landmarks = self._object_map.rows
         confirmed = landmarks["state"] == LandmarkState.CONFIRMED
-        behind = confirmed & (landmarks["last_seen_travel_m"] < travel_m - self._config.loop_closure.inactive_travel_m)
+        behind = confirmed & (
+            landmarks["last_seen_travel_m"] < travel_m - INACTIVE_RANGES * self._config.sensor_range_m
+        )
         behind[self._rows] = False
         for segment in np.unique(landmarks["segment"][behind]):
             new = np.flatnonzero(behind & (landmarks["segment"] == segment))
-            extent_m = TRAVERSAL_EXTENT * self._config.loop_closure.min_travel_m
+            extent_m = TRAVERSAL_EXTENT * self._config.closure_travel_m
             earliest_m = landmarks["last_seen_travel_m"][new].min() - extent_m
             around = np.flatnonzero(
                 confirmed & (landmarks["segment"] == segment) & (landmarks["last_seen_travel_m"] > earliest_m)
@@ -174,8 +179,8 @@ class _Recorder(Slam):
         if not len(references):
             return
         landmarks = self._object_map.rows
-        submap = recent_submap(self._object_map, keyframe, self._config.submap)
-        before_m = keyframe.odometry.travel_m - self._config.loop_closure.min_travel_m
+        submap = recent_submap(self._object_map, keyframe, self._config.calibration)
+        before_m = keyframe.odometry.travel_m - self._config.closure_travel_m
         still_associated = np.count_nonzero(landmarks["first_seen_travel_m"][submap.rows] < before_m)
         if 2 * still_associated > len(submap):  # nothing is to be recognised where the landmarks were never lost
             return

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from logs.errors import UnwritableLogError
 from logs.storage.placement import put_in_place
-from slam.common.config import DetectionConfig
+from slam.common.calibration import DetectionCalibration
 from slam.evaluation.html_report.calibration_charts import draw_calibration
 from slam.evaluation.html_report.chart import Chart
 from slam.evaluation.html_report.closure_charts import draw_candidates, draw_precision_recall
@@ -225,9 +225,7 @@ def _describe_paths(paths: MapPaths) -> str:
 
 def _sensor_range_m(records: EvaluationRecords) -> float:
     """That by which the log was made."""
-    detection = records.configuration.get("detection")
-    known = detection.get("sensor_range_m") if isinstance(detection, Mapping) else None
-    return float(known) if isinstance(known, int | float) else DetectionConfig().sensor_range_m
+    return records.sensor_range_m or DetectionCalibration().sensor_range_m
 
 
 def _describe_missed(quality: ClosureQuality | None) -> str:

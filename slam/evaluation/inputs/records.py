@@ -82,7 +82,7 @@ class EvaluationRecords:
     def sensor_range_m(self) -> float | None:
         """The sensor range that the run went by, estimated or given; None where the log does not tell."""
         estimated = _read_tree(self.provenance.get("estimated", ""))
-        given = self.configuration.get("detection")
+        given = self.configuration.get("calibration", self.configuration).get("detection")
         range_m = estimated.get("detection.sensor_range_m")
         if range_m is None and isinstance(given, Mapping):
             range_m = given.get("sensor_range_m")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from logs.messages import CameraModel, DepthImage, ImageDetections, ObjectDetections
 from slam.common.arrays import FloatArray
-from slam.common.config import DetectionConfig
+from slam.common.calibration import DetectionCalibration
 from slam.common.geometry import invert
 from slam.frontend.input.sensor_frames import SensorFrames
 
@@ -29,7 +29,7 @@ _Object = tuple[FloatArray, FloatArray]
 class ImageLifter:
     """Places what cameras see. ``counters`` tells why some could not be placed."""
 
-    def __init__(self, config: DetectionConfig, frames: SensorFrames) -> None:
+    def __init__(self, config: DetectionCalibration, frames: SensorFrames) -> None:
         self._config = config
         self._frames = frames
         self._cameras: dict[str, CameraModel] = {}
@@ -88,7 +88,7 @@ class ImageLifter:
         if T_body_camera is None:
             return None
         return place_on_ground(
-            camera, detections.boxes[i], T_body_camera, self._config.ground_z_m, self._config.max_range_m
+            camera, detections.boxes[i], T_body_camera, self._config.ground_z_m, self._config.reach_m
         )
 
     def _depth_at(self, detections: ImageDetections) -> DepthImage | None:

@@ -21,9 +21,10 @@ from slam.odometry.sources import FollowedSource
 _REMEDIES = {
     "objects_without_camera_info": "no CameraInfo has their frame: record it, or choose it with "
     "--topic camera_info=/topic",
-    "objects_without_tag_size": "their size is not known: --set detection.tag_size_m, or record the /tf of their poses",
+    "objects_without_tag_size": "their size is not known: --set calibration.detection.tag_size_m, or record the /tf of "
+    "their poses",
     "objects_without_depth": "no depth image has their frame (--topic depth=/topic), and their feet are not on the "
-    "ground in view (/tf from the body to the camera, detection.ground_z_m)",
+    "ground in view (/tf from the body to the camera, calibration.detection.ground_z_m)",
 }
 
 
@@ -36,12 +37,12 @@ class InputRecords:
         """``scans``: those whose objects another pass has found."""
         self._labels = labels
         self._scans = scans or ScanObjects(labels, frames)
-        self._lifter = ImageLifter(config.detection, frames)
-        self._source = FollowedSource() if config.odometry.sources > 1 else None
-        odometry = config.odometry
+        self._lifter = ImageLifter(config.calibration.detection, frames)
+        self._source = FollowedSource() if config.calibration.odometry.sources > 1 else None
+        odometry = config.calibration.odometry
         self._scaled = ScaledOdometry(length_scale=odometry.length_scale, turn_scale=odometry.turn_scale)
         self._is_scaled = (odometry.length_scale, odometry.turn_scale) != (1.0, 1.0)
-        self._range_scale = config.detection.range_scale
+        self._range_scale = config.calibration.detection.range_scale
         self._frame = ""
         self._placed = 0
         self._repeated = 0

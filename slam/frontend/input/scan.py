@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 
 from logs.messages import ObjectDetections
 from slam.common.arrays import FloatArray
-from slam.common.config import DetectionConfig
+from slam.common.calibration import DetectionCalibration
 from slam.common.geometry import apply
 from slam.frontend.input.label_map import DROPPED
 
+MIN_SIGMA_RANGES = 1.0 / 3000.0
+"""Noise that is added to the messages' own covariances, in sensor ranges: a message that claims none is not exact."""
 UPRIGHT = np.array([0.0, 0.0, 1.0])
 """The vertical in the axes of a body that does not lean."""
 
@@ -62,14 +64,14 @@ class Scan:
         )
 
 
-def is_wanted(detections: ObjectDetections, config: DetectionConfig) -> NDArray[np.bool_]:
+def is_wanted(detections: ObjectDetections, config: DetectionCalibration) -> NDArray[np.bool_]:
     """(M,): which detections of a message neither the settings of labels nor that of scores leave out."""
     is_kept = np.array([label != DROPPED for label in detections.labels], dtype=np.bool_)
     return is_kept & (detections.scores >= config.min_score)
 
 
 def make_scan(
-    detections: ObjectDetections, T_body_sensor: FloatArray, config: DetectionConfig, up_body: FloatArray = UPRIGHT
+    detections: ObjectDetections, T_body_sensor: FloatArray, config: DetectionCalibration, up_body: FloatArray = UPRIGHT
 ) -> Scan:
     """The detections of one message that pass the limits on score and range, in the body frame.
 
@@ -80,7 +82,7 @@ def make_scan(
     """
     positions = apply(T_body_sensor, detections.positions)
     ranges = np.linalg.norm(positions, axis=1)
-    used = is_wanted(detections, config) & (ranges <= config.max_range_m)
+    used = is_wanted(detections, config) & (ranges <= config.reach_m)
     positions = positions[used]
     has_own_covariance = np.zeros(len(positions), dtype=np.bool_)
     covariances = np.zeros((len(positions), 3, 3))
@@ -89,7 +91,9 @@ def make_scan(
         own = detections.covariances[used]
         has_own_covariance = own.any(axis=(1, 2))
         # No detector is right to the millimetre; what claims it would outweigh everything else.
-        covariances = config.claimed_sigma_factor**2 * (R @ own @ R.T) + config.min_sigma_m**2 * np.eye(3)
+        covariances = config.claimed_sigma_factor**2 * (R @ own @ R.T) + (
+            MIN_SIGMA_RANGES * config.sensor_range_m
+        ) ** 2 * np.eye(3)
     if not has_own_covariance.all():
         by_range = _covariances_by_range(positions, ranges[used], config)
         covariances = np.where(has_own_covariance[:, None, None], covariances, by_range)
@@ -105,7 +109,7 @@ def make_scan(
     )
 
 
-def _covariances_by_range(positions: FloatArray, ranges: FloatArray, config: DetectionConfig) -> FloatArray:
+def _covariances_by_range(positions: FloatArray, ranges: FloatArray, config: DetectionCalibration) -> FloatArray:
     """(N, 3, 3) m^2 of detections at (N, 3) m whose message gives none."""
     sigmas = config.base_sigma_m + config.sigma_per_m * ranges
     sights = positions / np.maximum(ranges, 1e-12)[:, None]

@@ -6,7 +6,7 @@ import logging
 
 from logs.messages import ObjectDetections, Odometry
 from slam.common.arrays import FloatArray
-from slam.common.config import DetectionConfig
+from slam.common.calibration import DetectionCalibration
 from slam.frontend.input.scan import Scan, make_scan
 from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
 from slam.odometry.pose import OdometryPose
@@ -17,7 +17,7 @@ logger = logging.getLogger(__name__)
 class ScanPlacer:
     """Places detections on the body by the transforms of the log; ``frames`` may still grow."""
 
-    def __init__(self, config: DetectionConfig, frames: SensorFrames) -> None:
+    def __init__(self, config: DetectionCalibration, frames: SensorFrames) -> None:
         self._config = config
         self._frames = frames
         self._odometry: Odometry | None = None

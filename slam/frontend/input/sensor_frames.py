@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from logs.messages import ObjectDetections, Odometry, Transform
 from slam.common.arrays import FloatArray
-from slam.common.config import DetectionConfig
+from slam.common.calibration import DetectionCalibration
 from slam.common.errors import InputDataError
 from slam.common.geometry import interpolate, invert, make_transform
 
@@ -115,7 +115,7 @@ def find_sensor(
     detections: ObjectDetections,
     odometry: Odometry,
     T_odom_body: FloatArray,
-    config: DetectionConfig,
+    config: DetectionCalibration,
 ) -> FloatArray | None:
     """``T_body_sensor`` (4, 4) for detections at the pose ``T_odom_body`` (4, 4), corrected as the settings say.
 
@@ -173,7 +173,7 @@ def _plain(frame: str) -> str:
     return frame.lstrip("/")
 
 
-def corrected(T_body_sensor: FloatArray, config: DetectionConfig) -> FloatArray:
+def corrected(T_body_sensor: FloatArray, config: DetectionCalibration) -> FloatArray:
     """``T_body_sensor`` (4, 4) with the sensor turned where it sits, in the axes of the body, as the settings say."""
     angles_deg = (config.roll_deg, config.pitch_deg, config.yaw_deg)
     if not any(angles_deg):

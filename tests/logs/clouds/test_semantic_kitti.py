@@ -14,7 +14,7 @@ from logs.errors import DatasetError
 from logs.messages import FloatArray, GroundTruthPose, ObjectDetections, Odometry
 from logs.reader import LogReader
 from logs.selection import select_topics
-from slam.common.config import RegistrationConfig
+from slam.registration.parameters import RegistrationConfig
 from slam.registration.registration import register
 from tests.logs.clouds.clouds import KITTI, SCANS, needs_open3d, needs_scans, post
 

@@ -176,7 +176,7 @@ def test_a_frame_whose_place_is_unknown_is_told(drive: TextDrive) -> None:
         "lidar", "base_link"
     ]  # fmt: skip
     assert "detections are in lidar" in log.notes[0]
-    assert "detection.assume_body_frame=true" in log.notes[0]
+    assert "calibration.detection.assume_body_frame=true" in log.notes[0]
 
 
 def test_times_are_refused_where_no_trajectory_needs_them(drive: TextDrive) -> None:

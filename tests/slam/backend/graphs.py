@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation
+from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
-from slam.common.config import FactorGraphConfig
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
 
 PLAIN = FactorGraphConfig(observation_kernel="none", observed_keyframes=1)

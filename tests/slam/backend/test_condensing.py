@@ -12,8 +12,8 @@ from slam.backend.condensing.attached_keyframes import AttachedKeyframes
 from slam.backend.condensing.condensed_factors import condensed_factors, relative_covariances, summed_at_estimate
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation, between_factor, kernel_weights
+from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
-from slam.common.config import FactorGraphConfig
 from slam.common.geometry import adjoint, apply, invert, relative, transform_from_xyz_yaw
 from tests.slam.backend.graphs import PLAIN
 

@@ -207,7 +207,7 @@ def test_a_keyframe_is_placed_by_the_better_estimate_until_the_next_update() -> 
 
 
 def test_the_batch_solution_uses_the_observations_that_the_incremental_estimate_left_out() -> None:
-    sparse = PLAIN.model_copy(update={"observed_keyframes": KEYFRAMES})
+    sparse = replace(PLAIN, observed_keyframes=KEYFRAMES)
     graph, twin = (build(noisy_edges(), sightings(), config) for config in (sparse, PLAIN))
     assert len(graph.estimates().landmarks) < len(twin.estimates().landmarks)
     graph.optimize()

@@ -11,8 +11,8 @@ from gtsam.symbol_shorthand import L, X
 from scipy.spatial.transform import Rotation
 
 from slam.backend.factors import Edge, EdgeKind, Observation, between_factor, observation_factors
+from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
-from slam.common.config import FactorGraphConfig
 from slam.common.errors import FactorGraphError
 from slam.common.geometry import make_transform, transform_from_xyz_yaw
 

@@ -232,10 +232,9 @@ def test_the_configuration_is_the_shipped_one_with_the_noise_of_the_queries():
     for noisy in (False, True):
         config = localizer_config(AS_SHIPPED, 100, noisy=noisy)
         assert config.localization == shipped.localization
-        assert config.likelihood_ratio == shipped.likelihood_ratio
         assert config.loop_closure == shipped.loop_closure
         assert config.registration == shipped.registration.model_copy(update={"estimate_scale": noisy})
-        assert np.hypot(config.submap.sigma_per_m, config.submap.sigma_per_m) == pytest.approx(NOISE_PER_M * noisy)
+        assert np.sqrt(2.0) * config.calibration.objects.landmark_sigma_per_m == pytest.approx(NOISE_PER_M * noisy)
     of_descriptor = localizer_config("onion", 100, "ransac")
     limits = of_descriptor.loop_closure
     assert (limits.descriptor, limits.top_k, limits.max_candidates_by_triangles) == ("onion", 100, 0)

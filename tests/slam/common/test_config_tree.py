@@ -5,12 +5,16 @@ from pathlib import Path
 import pytest
 
 from slam.common.config import Config, load_config
-from slam.common.config_tree import changes, settings_of, to_toml
+from slam.common.config_tree import RENAMED, changes, settings_of, to_toml
 from slam.common.errors import ConfigurationError
-from slam.common.renamed_settings import RENAMED_SETTINGS
 from slam.simulation.config import SimulationConfig, load_simulation_config
 
-OVERRIDES = ("keyframe.distance_m=1.5", "factor_graph.observation_kernel=huber", "landmark.confirm_observations=3")
+OVERRIDES = (
+    "keyframe.distance_m=1.5",
+    "registration.method=ransac",
+    "calibration.odometry.sources=2",
+    "calibrate=false",
+)
 
 
 def written(folder: Path, text: str) -> Path:
@@ -25,11 +29,11 @@ def test_without_anything_the_defaults() -> None:
 
 
 def test_flag_wins_over_file_wins_over_default(tmp_path: Path) -> None:
-    path = written(tmp_path, "[keyframe]\ndistance_m = 3\nangle_deg = 30\n")
+    path = written(tmp_path, "[keyframe]\ndistance_m = 3\n[loop_closure]\ntop_k = 9\n")
     config = load_config(path, ["keyframe.distance_m=4", "keyframe.distance_m=5"])
     assert config.keyframe.distance_m == 5.0
-    assert config.keyframe.angle_deg == 30.0
-    assert config.keyframe.interval_s == Config().keyframe.interval_s
+    assert config.loop_closure.top_k == 9
+    assert config.loop_closure.max_candidates == Config().loop_closure.max_candidates
 
 
 @pytest.mark.parametrize("overrides", [(), OVERRIDES])
@@ -54,9 +58,10 @@ def test_changes_names_what_is_not_the_default() -> None:
     assert changes(Config(), Config().model_dump_json()) == []
     changed = changes(Config(), load_config(None, OVERRIDES).model_dump_json())
     assert changed == [
+        "calibrate=false",
         "keyframe.distance_m=1.5",
-        "landmark.confirm_observations=3",
-        'factor_graph.observation_kernel="huber"',
+        'registration.method="ransac"',
+        "calibration.odometry.sources=2",
     ]
     assert changes(Config(), "no json") == ["unreadable"]
 
@@ -86,15 +91,15 @@ def test_a_file_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
     [
         ("keyframe.distance=1", "did you mean keyframe.distance_m?"),
         ("distance_m=1", "did you mean keyframe.distance_m?"),
-        ("keyframe.distance_m.x=1", "did you mean keyframe.distance_m?"),
+        ("keyframe.distance_m.x=1", "a number > 0"),
         ("zzz.q=1", "'dslam config' lists the keys"),
         ("keyframe.distance_m=-1", "a number > 0"),
         ("keyframe.distance_m=far", "a number > 0"),
         ("keyframe.distance_m=true", "a number > 0"),
         ("keyframe.distance_m=nan", "a number > 0"),
-        ("keyframe.angle_deg=181", "a number > 0 and <= 180"),
-        ("landmark.confirm_observations=1.5", "a whole number >= 1"),
-        ("factor_graph.observation_kernel=tukey", "one of none, huber, cauchy"),
+        ("calibration.detection.yaw_deg=181", "a number >= -180 and <= 180"),
+        ("loop_closure.top_k=1.5", "a whole number >= 1"),
+        ("registration.method=guess", "one of vote, ransac"),
         ("keyframe=2", "keyframe is a branch"),
         ("seed", "expected key=value"),
         ("seed=", "expected key=value"),
@@ -117,9 +122,9 @@ def test_refusals_name_flag_and_remedy(override: str, told: str) -> None:
         ("[keyframe]\ndistance_mm = 3\n", "did you mean keyframe.distance_m?"),
         ("[keyfame]\ndistance_m = 3\n", "did you mean keyframe.distance_m?"),
         ("keyframe = 3\n", "keyframe is a branch"),
-        ("[keyframe]\nangle_deg = 200\n", "a number > 0 and <= 180"),
+        ("[calibration.detection]\nyaw_deg = 200\n", "a number >= -180 and <= 180"),
         ("seed = \n", "is no TOML"),
-        ("[landmark]\nconfirm_observations = 2026-01-01\n", "a whole number >= 1"),
+        ("[loop_closure]\ntop_k = 2026-01-01\n", "a whole number >= 1"),
     ],
 )
 def test_refusals_name_the_file(tmp_path: Path, text: str, told: str) -> None:
@@ -136,9 +141,9 @@ def test_a_file_that_is_missing(tmp_path: Path) -> None:
 
 
 def test_a_bad_flag_over_a_good_file_blames_the_flag(tmp_path: Path) -> None:
-    path = written(tmp_path, "[keyframe]\nangle_deg = 20\n")
+    path = written(tmp_path, "[loop_closure]\ntop_k = 20\n")
     with pytest.raises(ConfigurationError, match=r"^--set"):
-        load_config(path, ["keyframe.angle_deg=400"])
+        load_config(path, ["loop_closure.top_k=-1"])
 
 
 def test_what_is_missing_is_told_with_who_began_the_branch(tmp_path: Path) -> None:
@@ -150,27 +155,35 @@ def test_what_is_missing_is_told_with_who_began_the_branch(tmp_path: Path) -> No
     assert str(caught.value).startswith(f"{path}: kidnap.from_m is missing")
 
 
-@pytest.mark.parametrize(("old", "new"), RENAMED_SETTINGS.items())
-def test_a_renamed_setting_is_refused_with_its_new_name(tmp_path: Path, old: str, new: str) -> None:
+@pytest.mark.parametrize(
+    ("old", "told"),
+    [
+        ("calibration.enabled", "it was renamed to calibrate"),
+        ("limits.chunk_mb", "it was renamed to memory_mb"),
+        ("loop_closure.neighbours", "it was renamed to loop_closure.top_k"),
+        ("association.confusion_distance_m", "it was renamed to calibration.objects.spacing_m"),
+        ("odometry.yaw_sigma", "did you mean calibration.odometry.yaw_sigma?"),
+        ("landmark.confirm_observations", "it is a constant now; 'dslam config' lists the keys"),
+    ],
+)
+def test_an_old_name_is_refused_with_what_took_its_place(tmp_path: Path, old: str, told: str) -> None:
     branch, _, name = old.rpartition(".")
-    path = written(tmp_path, f"[{branch}]\n{name} = 3\n" if branch else f"[{name}]\n")
-    for given in ((None, [f"{old}=3"]), (path,)):
+    for given in ((None, [f"{old}=3"]), (written(tmp_path, f"[{branch}]\n{name} = 3\n"),)):
         with pytest.raises(ConfigurationError) as caught:
             load_config(*given)
-        assert str(caught.value).endswith(f"there is no '{old}'; it was renamed to {new}")
+        assert str(caught.value).endswith(f"there is no '{old}'; {told}")
         assert "\n" not in str(caught.value)
 
 
-def test_the_new_names_of_settings_exist_and_the_old_ones_do_not() -> None:
-    branches = set(Config.model_fields)
-    keys = {setting.key for setting in settings_of(Config())} | branches
-    assert set(RENAMED_SETTINGS.values()) <= keys
-    assert keys.isdisjoint(RENAMED_SETTINGS)
+def test_new_names_of_settings_exist_and_old_ones_do_not() -> None:
+    keys = {setting.key for setting in settings_of(Config())}
+    assert set(RENAMED.values()) <= keys
+    assert keys.isdisjoint(RENAMED)
 
 
 def test_a_renamed_setting_is_not_hinted_at_in_a_tree_without_it() -> None:
     with pytest.raises(ConfigurationError) as caught:
-        load_simulation_config(None, ["evidence.persistence=0.5"])
+        load_simulation_config(None, ["limits.chunk_mb=5"])
     assert "renamed" not in str(caught.value)
 
 
@@ -183,11 +196,11 @@ def test_a_file_without_end_is_no_file_of_settings(tmp_path: Path) -> None:
 
 
 def test_whole_numbers_have_an_end() -> None:
-    with pytest.raises(ConfigurationError, match=r"relinearize_skip=4294967296 is absurd; .* at most 2147483647"):
-        load_config(overrides=["factor_graph.relinearize_skip=4294967296"])
-    load_config(overrides=["factor_graph.relinearize_skip=2147483647"])
+    with pytest.raises(ConfigurationError, match=r"top_k=4294967296 is absurd; .* at most 2147483647"):
+        load_config(overrides=["loop_closure.top_k=4294967296"])
+    load_config(overrides=["loop_closure.top_k=2147483647"])
 
 
 def test_noise_of_a_heading_has_an_end() -> None:
     with pytest.raises(ConfigurationError, match="tilt_sigma"):
-        load_config(overrides=["odometry.tilt_sigma=1e9"])
+        load_config(overrides=["calibration.odometry.tilt_sigma=1e9"])

@@ -12,7 +12,7 @@ from logs.errors import TopicSelectionError
 from logs.messages import GroundTruthPose, LoopClosureRecord, SlamPose, Transform
 from logs.reader import LogReader
 from logs.selection import select_topics
-from slam.common.config import CalibrationConfig, Config
+from slam.common.config import Config
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.display.drive_display import DriveDisplay
 from slam.display.frames import Frames
@@ -25,7 +25,7 @@ from slam.system import Slam
 from tests.helpers.player import Player
 from tests.helpers.short_drives import drive, write_log
 
-CONFIG = Config(calibration=CalibrationConfig(enabled=False))
+CONFIG = Config(calibrate=False)
 TOLERANCE_M = 0.05
 
 

@@ -69,8 +69,8 @@ class TestGroups:
 
     def test_the_label_is_what_differs(self) -> None:
         shared = "keyframe.distance_m=1.5"
-        comparison = compare_runs([run("a", 1.0, shared, "keyframe.angle_deg=15"), run("b", 1.0, shared)], [ATE])
-        assert [group.label for group in comparison.groups] == ["keyframe.angle_deg=15.0", "keyframe.distance_m=1.5"]
+        comparison = compare_runs([run("a", 1.0, shared, "loop_closure.top_k=15"), run("b", 1.0, shared)], [ATE])
+        assert [group.label for group in comparison.groups] == ["loop_closure.top_k=15", "keyframe.distance_m=1.5"]
 
     def test_the_order_of_keys_is_none_of_the_configuration(self) -> None:
         first = run("a", 1.0)

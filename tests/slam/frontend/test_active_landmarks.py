@@ -8,13 +8,13 @@ import pytest
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import transform_from_xyz_yaw
-from slam.frontend.active_landmarks import ActiveLandmarks
+from slam.frontend.active_landmarks import ODOMETRY_INFLATION, UNIQUE_INFLATION, ActiveLandmarks
 from slam.frontend.input.scan import Scan
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.pose import OdometryPose
 
 QUIET = {"yaw_sigma": 1e-9, "yaw_sigma_by_turn": 0.0, "tilt_sigma": 1e-9, "min_rotation_sigma_rad": 1e-9}
-FAR_APART = {"confusion_distance_m": 1e3, "active_radius_m": 1e3}
+FAR_APART = {"objects": {"spacing_m": 1e3}, "detection": {"farthest_m": 500.0, "common_sigma_m": 0.02}}
 SIGMA_M = 0.05
 
 
@@ -29,8 +29,8 @@ class Bench:
 
     def __init__(self, **branches: dict[str, object]) -> None:
         odometry = QUIET | branches.pop("odometry", {})
-        self.config = Config.model_validate({"odometry": odometry} | branches)
-        self.map = ObjectMap(self.config.association)
+        self.config = Config.model_validate({"calibration": {"odometry": odometry} | branches})
+        self.map = ObjectMap(self.config.calibration.objects)
         self.active = ActiveLandmarks(self.config, self.map)
         self.x = 0.0
         self.scan = 0
@@ -88,7 +88,7 @@ class Bench:
 
 def test_a_landmark_is_let_go_once_it_is_as_uncertain_as_objects_are_apart():
     """Its variance grows by (inflation * translation_sigma)^2 a metre, here 0.15^2 m^2."""
-    bench = Bench(association={"confusion_distance_m": 1.0, "active_radius_m": 1e3})
+    bench = Bench(objects={"spacing_m": 1.0}, detection={"farthest_m": 500.0})
     bench.add([[5.0, 2.0, 0.0]])
     for x in np.arange(1.0, 44.0):
         bench.advance(x)
@@ -98,18 +98,18 @@ def test_a_landmark_is_let_go_once_it_is_as_uncertain_as_objects_are_apart():
     assert bench.uncertain_rows() == [0]
 
 
-def test_the_inflation_of_the_odometry_counts():
+def test_the_odometry_is_inflated_more_where_objects_are_unique():
     sigmas = []
-    for inflation in (1.0, 2.0):
-        bench = Bench(association={"odometry_inflation": inflation})
+    for spacing_m in (4.0, 30e3):
+        bench = Bench(objects={"spacing_m": spacing_m})
         bench.add([[5.0, 2.0, 0.0]])
         bench.advance(40.0)
         sigmas.append(bench.sigma_m(0) ** 2 - SIGMA_M**2)
-    assert sigmas[1] == pytest.approx(4.0 * sigmas[0])
+    assert sigmas[1] == pytest.approx((UNIQUE_INFLATION / ODOMETRY_INFLATION) ** 2 * sigmas[0])
 
 
 def test_a_landmark_out_of_sight_stays_certain_while_others_of_its_time_are_in_sight():
-    bench = Bench(association={"confusion_distance_m": 1.0, "active_radius_m": 1e3})
+    bench = Bench(objects={"spacing_m": 1.0}, detection={"farthest_m": 500.0})
     bench.add([[5.0, 2.0, 0.0], [90.0, 5.0, 0.0], [80.0, -5.0, 0.0]])
     for x in np.arange(1.0, 80.0):
         bench.advance(x)
@@ -119,29 +119,31 @@ def test_a_landmark_out_of_sight_stays_certain_while_others_of_its_time_are_in_s
 
 
 def test_a_landmark_far_from_the_robot_is_let_go():
-    bench = Bench(association={"confusion_distance_m": 1e3, "active_radius_m": 20.0})
+    bench = Bench(objects={"spacing_m": 1e3}, detection={"farthest_m": 10.0})
     bench.add([[5.0, 2.0, 0.0], [15.0, 2.0, 0.0]])
     bench.advance(26.0)
     assert bench.uncertain_rows() == [0]
 
 
-def test_of_too_many_landmarks_those_seen_last_are_kept():
-    bench = Bench(association={"max_landmarks": 10, **FAR_APART})
+def test_of_too_many_landmarks_those_seen_last_are_kept(monkeypatch):
+    monkeypatch.setattr("slam.frontend.active_landmarks.MAX_LANDMARKS", 10)
+    bench = Bench(**FAR_APART)
     bench.add([[float(i), 5.0, 0.0] for i in range(3)])
     bench.advance(2.0)
     bench.add([[float(i), -5.0, 0.0] for i in range(9)])
     assert bench.uncertain_rows() == [0, 1]
 
 
-def test_of_too_many_that_are_confirmed_at_once_the_filter_holds_no_more_than_are_kept():
-    bench = Bench(association={"max_landmarks": 10, **FAR_APART})
+def test_of_too_many_that_are_confirmed_at_once_the_filter_holds_no_more_than_are_kept(monkeypatch):
+    monkeypatch.setattr("slam.frontend.active_landmarks.MAX_LANDMARKS", 10)
+    bench = Bench(**FAR_APART)
     bench.add([[float(i), 5.0, 0.0] for i in range(40)])
     assert bench.active.rows.tolist() == list(range(30, 40))
     assert bench.uncertain_rows() == []
 
 
 def test_a_tentative_landmark_is_never_uncertain():
-    bench = Bench(association={"confusion_distance_m": 0.1, "active_radius_m": 1.0})
+    bench = Bench(objects={"spacing_m": 0.1}, detection={"farthest_m": 0.5})
     bench.add([[5.0, 2.0, 0.0]], confirmed=False)
     bench.advance(50.0)
     assert bench.uncertain_rows() == []
@@ -215,11 +217,8 @@ def scattered(count: int = 12) -> FloatArray:
     return np.array([[20.0 * i, 10.0 * (-1) ** i, 0.0] for i in range(count)])
 
 
-EXACT_CENTROIDS = {"common_sigma_m": 0.02, "min_sigma_m": 0.01}
-
-
 def test_two_landmarks_of_one_object_are_merged_into_the_older_one():
-    bench = Bench(detection=EXACT_CENTROIDS, association=FAR_APART)
+    bench = Bench(**FAR_APART)
     bench.add(scattered())
     bench.advance(4.0)
     (copy,) = bench.add([[20.1, -10.05, 0.0]]).tolist()
@@ -232,7 +231,7 @@ def test_two_landmarks_of_one_object_are_merged_into_the_older_one():
 
 
 def test_landmarks_of_different_classes_are_never_merged():
-    bench = Bench(detection=EXACT_CENTROIDS, association=FAR_APART)
+    bench = Bench(**FAR_APART)
     bench.add(scattered())
     bench.advance(4.0)
     bench.add([[20.0, -10.0, 0.0]], ("lamp",))
@@ -242,7 +241,7 @@ def test_landmarks_of_different_classes_are_never_merged():
 def test_two_landmarks_are_merged_the_sooner_the_less_is_known_of_how_they_lie():
     """They are 1 m apart; between them the robot drove 40 m without a landmark in sight."""
     for drives_m, expected in ((0.5, 0), (40.0, 1)):
-        bench = Bench(detection=EXACT_CENTROIDS, association=FAR_APART)
+        bench = Bench(**FAR_APART)
         bench.add(3.0 * scattered())
         for x in np.arange(0.5, drives_m + 0.1, 0.5):
             bench.advance(x)
@@ -253,7 +252,7 @@ def test_two_landmarks_are_merged_the_sooner_the_less_is_known_of_how_they_lie()
 def test_where_objects_stand_densely_one_next_to_another_is_another():
     """0.6 m apart, relatively known by about 0.45 m: one object among scattered ones, another one in a thicket."""
     for spacing_m, expected in ((20.0, 1), (0.7, 0)):
-        bench = Bench(detection=EXACT_CENTROIDS, association=FAR_APART)
+        bench = Bench(**FAR_APART)
         bench.add(scattered(60) * [spacing_m / 20.0, 0.07, 1.0] if spacing_m < 1.0 else scattered(12))
         for x in np.arange(0.5, 9.1, 0.5):
             bench.advance(x)
@@ -263,17 +262,17 @@ def test_where_objects_stand_densely_one_next_to_another_is_another():
 
 
 def test_two_landmarks_that_were_seen_in_one_scan_are_two():
-    bench = Bench(detection=EXACT_CENTROIDS, association=FAR_APART)
+    bench = Bench(**FAR_APART)
     bench.add(np.concatenate([scattered(), [[20.1, -10.05, 0.0]]]))
     assert bench.active.merge_duplicates() == []
 
 
 def test_from_a_pose_that_was_not_reached_yet_landmarks_are_less_certain_by_the_way_there():
-    bench = Bench(odometry={"translation_sigma": 0.1}, association={"odometry_inflation": 2.0})
+    bench = Bench(odometry={"translation_sigma": 0.1})
     bench.add([[20.0, 3.0, 0.0]], confirmed=False)
     T_local_body, there = bench.active.predict_from(pose_at(9.0))
     assert T_local_body[0, 3] == pytest.approx(9.0)
     here = bench.active.predict(round(9e9))
     np.testing.assert_allclose(there.positions, here.positions)
     grown = there.covariances[0, 0, 0] - here.covariances[0, 0, 0]
-    assert grown == pytest.approx(2.0**2 * 0.1**2 * 9.0, rel=0.01)
+    assert grown == pytest.approx(ODOMETRY_INFLATION**2 * 0.1**2 * 9.0, rel=0.01)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam.common.config import AssociationConfig
+from slam.common.calibration import ObjectCalibration
 from slam.common.geometry import apply, transform_from_xyz_yaw
 from slam.frontend.active_landmarks import Prediction
 from slam.frontend.continuity import decide, scan_log_likelihood_ratio
 from slam.odometry.unexpected_step import Continuation, UnexpectedStep
 
-CONFIG = AssociationConfig()
+CONFIG = ObjectCalibration()
 
 
 def log_likelihood_ratio(

@@ -9,11 +9,19 @@ import pytest
 from scipy.stats import chi2
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import AssociationConfig
+from slam.common.calibration import ObjectCalibration
 from slam.frontend import data_association
-from slam.frontend.data_association import AMBIGUOUS, NEW, associate, label_likelihood, squared_distances
+from slam.frontend.data_association import (
+    AMBIGUOUS,
+    GATE_PROBABILITY,
+    NEW,
+    NEW_OBJECT_GATE_PROBABILITY,
+    associate,
+    label_likelihood,
+    squared_distances,
+)
 
-CONFIG = AssociationConfig()
+CONFIG = ObjectCalibration()
 Scene = tuple[FloatArray, FloatArray, IntArray, FloatArray, FloatArray, FloatArray]
 
 
@@ -60,7 +68,7 @@ def cost_of(rows: tuple[int, ...] | IntArray, scene: Scene) -> float:
         S = P[d] + P_landmark[row]
         v = positions[d] - landmark_positions[row]
         squared = v @ np.linalg.inv(S) @ v
-        if squared > chi2.ppf(CONFIG.gate_probability, 3):
+        if squared > chi2.ppf(GATE_PROBABILITY, 3):
             return np.inf
         right = beliefs[row, labels[d]]
         label = right * CONFIG.label_accuracy + (1 - right) * (1 - CONFIG.label_accuracy) / (classes - 1)
@@ -71,7 +79,7 @@ def cost_of(rows: tuple[int, ...] | IntArray, scene: Scene) -> float:
 def is_near_its_like(d: int, scene: Scene) -> bool:
     """Whether some landmark that is likely of the detection's class lies within the outer gate."""
     positions, P, labels, landmark_positions, P_landmark, beliefs = scene
-    limit = chi2.ppf(CONFIG.new_object_gate_probability, 3)
+    limit = chi2.ppf(NEW_OBJECT_GATE_PROBABILITY, 3)
     for row in range(len(landmark_positions)):
         v = positions[d] - landmark_positions[row]
         if beliefs[row, labels[d]] >= 0.5 and v @ np.linalg.inv(P[d] + P_landmark[row]) @ v <= limit:
@@ -118,15 +126,15 @@ def test_nothing_on_one_side_gives_no_match(detections, landmarks):
 
 @pytest.mark.parametrize(("factor", "matched"), [(0.999, True), (1.001, False)])
 def test_the_gate_lies_where_the_chi_squared_distribution_says(factor, matched):
-    dense = AssociationConfig(new_object_density=1e-12)
-    reach_m = np.sqrt(2 * 0.2**2 * chi2.ppf(dense.gate_probability, 3))
+    dense = ObjectCalibration(new_object_density=1e-12)
+    reach_m = np.sqrt(2 * 0.2**2 * chi2.ppf(GATE_PROBABILITY, 3))
     scene = plain_scene([[factor * reach_m, 0, 0]], [[0, 0, 0]])
     assert bool(associate(*scene, dense).matched[0]) is matched
 
 
 @pytest.mark.parametrize(("factor", "row"), [(0.999, AMBIGUOUS), (1.001, NEW)])
 def test_outside_the_gate_a_detection_is_new_only_from_the_outer_gate_on(factor, row):
-    reach_m = np.sqrt(2 * 0.2**2 * chi2.ppf(CONFIG.new_object_gate_probability, 3))
+    reach_m = np.sqrt(2 * 0.2**2 * chi2.ppf(NEW_OBJECT_GATE_PROBABILITY, 3))
     assignment = associate(*plain_scene([[factor * reach_m, 0, 0]], [[0, 0, 0]]), CONFIG)
     assert assignment.landmark_rows.tolist() == [row]
     assert assignment.new.tolist() == [row == NEW]
@@ -134,7 +142,7 @@ def test_outside_the_gate_a_detection_is_new_only_from_the_outer_gate_on(factor,
 
 
 def test_near_a_landmark_of_another_class_a_detection_is_new():
-    reach_m = np.sqrt(2 * 0.2**2 * chi2.ppf(CONFIG.gate_probability, 3))
+    reach_m = np.sqrt(2 * 0.2**2 * chi2.ppf(GATE_PROBABILITY, 3))
     scene = plain_scene([[1.1 * reach_m, 0, 0]], [[0, 0, 0]], labels=[1])
     assert associate(*scene, CONFIG).landmark_rows.tolist() == [NEW]
 
@@ -175,8 +183,8 @@ def test_what_is_nobodys_stays_nobodys():
 
 def test_a_denser_world_gives_fewer_matches():
     scene = plain_scene([[0.7, 0, 0]], [[0, 0, 0]])
-    assert associate(*scene, AssociationConfig(new_object_density=1e-4)).matched[0]
-    assert not associate(*scene, AssociationConfig(new_object_density=1.0)).matched[0]
+    assert associate(*scene, ObjectCalibration(new_object_density=1e-4)).matched[0]
+    assert not associate(*scene, ObjectCalibration(new_object_density=1.0)).matched[0]
 
 
 @pytest.mark.parametrize("seed", range(10))

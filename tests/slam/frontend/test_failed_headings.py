@@ -9,6 +9,7 @@ import numpy as np
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind
+from slam.backend.solver_options import FactorGraphConfig
 from slam.common.config import Config
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.frontend.failed_headings import loosen_failed_headings
@@ -23,7 +24,7 @@ def drive(turn_rad: float) -> tuple[FactorGraph, list[Keyframe]]:
     """Ten keyframes of an odometry that goes straight, where landmarks tell a turn in each step; none is tied to a
     landmark.
     """
-    graph, keyframes = FactorGraph(CONFIG.factor_graph), list[Keyframe]()
+    graph, keyframes = FactorGraph(FactorGraphConfig()), list[Keyframe]()
     for number in range(10):
         xyz_m = np.array([2.0 * number, 0.0, 0.0])
         pose = OdometryPose(number * 10**9, transform_from_xyz_yaw(xyz_m, 0.0), 2.0 * number, 0, 2.0)
@@ -31,7 +32,7 @@ def drive(turn_rad: float) -> tuple[FactorGraph, list[Keyframe]]:
         if number == 0:
             graph.add_first_keyframe(0, np.eye(4))
         else:
-            covariance = step_covariance(keyframes[-2].odometry, pose, CONFIG.odometry)
+            covariance = step_covariance(keyframes[-2].odometry, pose, CONFIG.calibration.odometry)
             T_step = transform_from_xyz_yaw(np.array([2.0, 0.0, 0.0]), 0.0)
             graph.add_next_keyframe(Edge(number - 1, number, T_step, covariance, EdgeKind.ODOMETRY))
     return graph, keyframes

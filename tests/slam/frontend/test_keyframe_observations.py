@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam.common.config import DetectionConfig
+from slam.common.calibration import DetectionCalibration
 from slam.frontend.input.scan import Scan
 from slam.frontend.keyframe_observations import MAX_MEASUREMENTS, KeyframeObservations
 from tests.logs.examples import random_covariance
 
-CONFIG = DetectionConfig(common_sigma_m=0.3, covariance_inflation=25.0)
+CONFIG = DetectionCalibration(common_sigma_m=0.3, covariance_inflation=25.0)
 
 
 def random_sightings(rng, landmarks: int = 5, scans: int = 8):

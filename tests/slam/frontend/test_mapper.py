@@ -8,6 +8,7 @@ import pytest
 from logs.messages import DetectionAssociations, Odometry
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Observation
+from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
@@ -23,15 +24,21 @@ OBJECTS = np.array([[10.0, 4.0, 0.0], [12.0, -5.0, 1.0], [25.0, 6.0, 0.5], [5.0,
 LABELS = ("tree", "lamp", "tree", "bench")
 
 
+@pytest.fixture
+def young(monkeypatch):
+    """Landmarks are confirmed without having been seen for long."""
+    monkeypatch.setattr("slam.frontend.mapper.CONFIRM_AGE_S", 0.0)
+
+
 class Bench:
     """A mapper with a track, driven by hand; objects are given in the odometry frame and seen without noise."""
 
     def __init__(self, **branches: dict[str, object]) -> None:
-        self.config = Config.model_validate(branches)
-        self.map = ObjectMap(self.config.association)
-        self.graph = FactorGraph(self.config.factor_graph)
+        self.config = Config.model_validate({"calibration": branches})
+        self.map = ObjectMap(self.config.calibration.objects)
+        self.graph = FactorGraph(FactorGraphConfig())
         self.mapper = Mapper(self.config, self.map, self.graph)
-        self.track = OdometryTrack(self.config.odometry)
+        self.track = OdometryTrack()
 
     def move(self, seconds: float, x: float = 0.0, *, yaw: float = 0.0) -> Keyframe | None:
         T = transform_from_xyz_yaw(np.array([x, 0.0, 0.0]), yaw)
@@ -82,7 +89,7 @@ class Bench:
     ],
 )
 def test_a_keyframe_is_made_after_travel_turn_or_time(seconds, x, yaw, made):
-    bench = Bench(keyframe={"distance_m": 2.0, "angle_deg": 20.0, "interval_s": 5.0})
+    bench = Bench()
     assert bench.move(0.0).id == 0
     assert (bench.move(seconds, x, yaw=yaw) is not None) is made
 
@@ -115,8 +122,8 @@ def test_objects_are_the_same_landmarks_in_every_scan():
     assert [bench.map.vocabulary[i] for i in bench.map.beliefs(np.arange(4)).argmax(axis=1)] == list(LABELS)
 
 
-def test_a_landmark_is_confirmed_by_enough_sightings_and_only_then_enters_the_graph_with_all_of_them():
-    bench = Bench(landmark={"confirm_observations": 4, "confirm_age_s": 0.0})
+def test_a_landmark_is_confirmed_by_enough_sightings_and_only_then_enters_the_graph_with_all_of_them(young):
+    bench = Bench()
     bench.drive(3)
     assert bench.states() == [LandmarkState.TENTATIVE] * 4
     bench.drive(1, start=3)
@@ -131,20 +138,14 @@ def test_a_landmark_is_confirmed_by_enough_sightings_and_only_then_enters_the_gr
 
 
 def test_sightings_of_a_tentative_landmark_from_earlier_keyframes_are_kept_for_it():
-    bench = Bench(landmark={"confirm_observations": 9, "confirm_age_s": 0.0})
+    bench = Bench()
     bench.drive(13)
     bench.mapper.close_keyframe()
     assert sorted({o.keyframe for o in bench.observations()}) == [0, 1, 2, 3]
 
 
-def test_one_sighting_is_enough_where_the_configuration_says_so():
-    bench = Bench(landmark={"confirm_observations": 1, "confirm_age_s": 0.0})
-    bench.drive(1)
-    assert bench.states() == [LandmarkState.CONFIRMED] * 4
-
-
 def test_a_landmark_is_not_confirmed_before_it_was_seen_for_long_enough():
-    bench = Bench(landmark={"confirm_observations": 2, "confirm_age_s": 1.0})
+    bench = Bench()
     bench.drive(10)
     assert bench.states() == [LandmarkState.TENTATIVE] * 4
     bench.drive(1, start=10)
@@ -152,8 +153,8 @@ def test_a_landmark_is_not_confirmed_before_it_was_seen_for_long_enough():
 
 
 def test_what_is_seen_too_seldom_is_not_confirmed():
-    bench = Bench(landmark={"confirm_observations": 2, "confirm_fraction": 0.5, "max_missed_scans": 50})
-    for i in range(12):
+    bench = Bench()
+    for i in range(20):
         bench.move(0.1 * i, 0.1 * i)
         bench.see(0.1 * i, *((OBJECTS, LABELS) if i % 4 == 0 else (OBJECTS[:1], LABELS[:1])))
     assert bench.states() == [LandmarkState.CONFIRMED, *[LandmarkState.TENTATIVE] * 3]
@@ -161,7 +162,7 @@ def test_what_is_seen_too_seldom_is_not_confirmed():
 
 @pytest.mark.parametrize(("scans", "step_m"), [(20, 0.01), (3, 5.0)], ids=["scans", "distance"])
 def test_a_tentative_landmark_that_is_seen_no_more_is_given_up(scans, step_m):
-    bench = Bench(landmark={"max_missed_scans": 20, "max_missed_distance_m": 15.0})
+    bench = Bench()
     bench.drive(1, step_m=step_m)
     bench.drive(scans, start=1, step_m=step_m, objects=OBJECTS[:0], labels=())
     assert bench.states() == [LandmarkState.TENTATIVE] * 4
@@ -172,20 +173,20 @@ def test_a_tentative_landmark_that_is_seen_no_more_is_given_up(scans, step_m):
     assert bench.map.to_record(0).ids == ()
 
 
-def test_a_confirmed_landmark_stays_when_it_is_seen_no_more():
-    bench = Bench(landmark={"confirm_age_s": 0.0})
+def test_a_confirmed_landmark_stays_when_it_is_seen_no_more(young):
+    bench = Bench()
     bench.drive(6)
     bench.drive(100, start=6, objects=OBJECTS[:0], labels=())
     assert bench.states() == [LandmarkState.CONFIRMED] * 4
 
 
 @pytest.mark.parametrize(
-    ("association", "is_known"),
-    [({}, True), ({"confusion_distance_m": 0.2}, False), ({"active_radius_m": 30.0}, False)],
+    ("calibration", "is_known"),
+    [({}, True), ({"objects": {"spacing_m": 0.2}}, False), ({"detection": {"farthest_m": 15.0}}, False)],
     ids=["near and certain", "uncertain", "far off"],
 )
-def test_an_object_is_a_new_landmark_once_its_own_is_uncertain_or_far_off(association, is_known):
-    bench = Bench(association=association, landmark={"confirm_age_s": 0.0})
+def test_an_object_is_a_new_landmark_once_its_own_is_uncertain_or_far_off(young, calibration, is_known):
+    bench = Bench(**calibration)
     bench.drive(6)
     bench.drive(120, start=6, objects=OBJECTS[:0], labels=())
     expected = ("0", "1", "2", "3") if is_known else ("4", "5", "6", "7")
@@ -193,8 +194,8 @@ def test_an_object_is_a_new_landmark_once_its_own_is_uncertain_or_far_off(associ
     assert bench.states()[:4] == [LandmarkState.CONFIRMED] * 4
 
 
-def test_a_detection_too_near_to_a_landmark_to_be_new_makes_none():
-    bench = Bench(landmark={"confirm_age_s": 0.0})
+def test_a_detection_too_near_to_a_landmark_to_be_new_makes_none(young):
+    bench = Bench()
     bench.drive(12)
     off_m = np.array([[1.3, 0.0, 0.0], [0.0, 0.0, 0.0], [6.0, 0.0, 0.0]])
     associations = bench.drive(1, start=12, objects=OBJECTS[:3] + off_m, labels=LABELS[:3])[0]
@@ -203,8 +204,8 @@ def test_a_detection_too_near_to_a_landmark_to_be_new_makes_none():
 
 
 @pytest.mark.parametrize("detection", [{"common_sigma_m": 0.05}, {}], ids=["exact centroids", "defaults"])
-def test_two_objects_half_a_metre_apart_that_are_seen_together_stay_two(detection):
-    bench = Bench(detection=detection, landmark={"confirm_age_s": 0.0})
+def test_two_objects_half_a_metre_apart_that_are_seen_together_stay_two(young, detection):
+    bench = Bench(detection=detection)
     pair = np.array([[10.0, 4.0, 0.0], [10.5, 4.0, 0.0], [50.0, -25.0, 0.0], [50.0, 25.0, 0.0]])
     for associations in bench.drive(40, objects=pair, labels=("tree",) * 4, sigma_m=0.05):
         assert associations.landmark_ids == ("0", "1", "2", "3")
@@ -277,7 +278,7 @@ def test_the_landmarks_carry_observations_from_keyframe_to_keyframe_where_the_od
 
 def test_among_false_detections_objects_are_confirmed_and_hardly_anything_else():
     rng = np.random.default_rng(0)
-    bench = Bench(association={"new_object_density": 0.02})
+    bench = Bench(objects={"new_object_density": 0.02})
     for i in range(100):
         false = np.column_stack([rng.uniform(-20.0, 40.0, (60, 1)), rng.uniform(-20.0, 20.0, (60, 1)), np.zeros(60)])
         bench.move(0.3 * i, 0.02 * i)
@@ -300,7 +301,7 @@ def test_a_jump_of_the_odometry_lets_go_of_the_landmarks_in_view():
     assert bench.see(1.0, OBJECTS + np.array([5000.0, 0, 0])).created.all()
     bench.graph.update()
     record = bench.graph.to_record(0, np.zeros(len(bench.mapper.keyframes), dtype=np.int64))
-    assert np.sqrt(record.edge_covariances[-1][3, 3]) >= BREAK_SIGMA_RANGES * bench.config.detection.sensor_range_m
+    assert np.sqrt(record.edge_covariances[-1][3, 3]) >= BREAK_SIGMA_RANGES * bench.config.sensor_range_m
     assert record.edge_kinds[-1] == "discontinuity"
 
 
@@ -347,5 +348,5 @@ def test_the_pose_in_the_local_map_is_never_much_more_uncertain_than_over_ten_se
 
 @pytest.mark.parametrize(("tolerances", "can"), [((0.3, 0.03), True), ((4.0, 0.0), False), ((0.0, 0.2), False)])
 def test_a_scan_is_aligned_only_from_where_its_objects_cannot_be_confused(tolerances, can):
-    bench = Bench(association={"confusion_distance_m": 3.0}, detection={"sensor_range_m": 30.0})
+    bench = Bench(objects={"spacing_m": 3.0}, detection={"sensor_range_m": 30.0})
     assert bench.mapper.can_align(np.array(tolerances)) is can

@@ -7,7 +7,7 @@ import pytest
 
 from slam.backend.factors import Observation
 from slam.common.arrays import FloatArray
-from slam.common.config import OdometryConfig
+from slam.common.calibration import OdometryCalibration
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.frontend.observation_group import MAX_ADDED_VARIANCE, ObservationGroup
 from slam.odometry.keyframe import Keyframe
@@ -15,7 +15,7 @@ from slam.odometry.noise import step_variances
 from slam.odometry.pose import OdometryPose
 from tests.logs.examples import random_covariance
 
-PRECISE = OdometryConfig(
+PRECISE = OdometryCalibration(
     translation_sigma=1e-4, yaw_sigma=1e-5, min_translation_sigma_m=1e-4, min_rotation_sigma_rad=1e-5
 )
 
@@ -34,7 +34,7 @@ def local_pose(number: int) -> FloatArray:
     return transform_from_xyz_yaw(np.array([1.9 * number, 0.6 * number, 0.0]), 0.28 * number)
 
 
-def group_of(observations: list[list[Observation]], config: OdometryConfig = PRECISE) -> ObservationGroup:
+def group_of(observations: list[list[Observation]], config: OdometryCalibration = PRECISE) -> ObservationGroup:
     group = ObservationGroup(config)
     for number, seen in enumerate(observations):
         group.add(keyframe(number), local_pose(number), seen)
@@ -104,7 +104,7 @@ def test_a_last_keyframe_that_saw_nothing_is_the_frame_all_the_same():
 
 
 def test_a_group_ends_where_the_motion_would_add_too_much_variance():
-    config = OdometryConfig(translation_sigma=0.1, yaw_sigma=0.02)
+    config = OdometryCalibration(translation_sigma=0.1, yaw_sigma=0.02)
     translation, _, heading = 2.0 * step_variances(keyframe(0).odometry, keyframe(1).odometry, config)
     added_m2 = translation + heading * 100.0
     for share, ends in ((0.9, False), (1.1, True)):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam.common.config import AssociationConfig, Config
+from slam.common.calibration import ObjectCalibration
+from slam.common.config import Config
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.frontend.input.scan import Scan
 from slam.frontend.pending_observations import PendingObservations
@@ -26,11 +27,11 @@ class Drive:
     """Two landmarks that every keyframe observes."""
 
     def __init__(self, odometry: dict[str, float]) -> None:
-        self.map = ObjectMap(AssociationConfig())
+        self.map = ObjectMap(ObjectCalibration())
         labels = self.map.label_indices(("tree", "tree"))
         covariances = np.tile(0.01 * np.eye(3), (2, 1, 1))
         self.rows = self.map.add(np.eye(2, 3), covariances, labels, stamp_ns=0, scan=0, travel_m=0.0)
-        self.pending = PendingObservations(Config.model_validate({"odometry": odometry}), self.map)
+        self.pending = PendingObservations(Config.model_validate({"calibration": {"odometry": odometry}}), self.map)
 
     def close(self, number: int, *, ends_group: bool = False) -> list[tuple[int, int]]:
         """Landmark and keyframe of each observation that goes into the graph."""

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
-from slam.common.config import AssociationConfig
+from slam.common.calibration import ObjectCalibration
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw, yaw_rad
 from slam.frontend.active_landmarks import Prediction
 from slam.frontend.continuity import scan_log_likelihood_ratio
 from slam.frontend.scan_alignment import Alignment, align_scan
 
-CONFIG = AssociationConfig()
+CONFIG = ObjectCalibration()
 ORIGIN = np.array([30.0, -10.0, 0.0])
 NOISE_M = 0.05
 OBJECTS = 15

@@ -9,8 +9,9 @@ import pytest
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Factor, Observation, observation_factors
+from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
-from slam.common.config import AssociationConfig, FactorGraphConfig
+from slam.common.calibration import ObjectCalibration
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.localization.prior_map import restore
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
@@ -33,7 +34,7 @@ def seen_from(T: FloatArray, keyframe: int, rows: dict[int, FloatArray]) -> list
 
 @pytest.fixture
 def saved() -> SavedMap:
-    object_map = ObjectMap(AssociationConfig())
+    object_map = ObjectMap(ObjectCalibration())
     labels = object_map.label_indices(("tree", "lamp", "tree", "bench"))
     rows = object_map.add(OBJECTS, np.tile(SEEN, (4, 1, 1)), labels, stamp_ns=5, scan=0, travel_m=0.0)
     object_map.confirm(rows)
@@ -50,7 +51,7 @@ def saved() -> SavedMap:
 
 
 def loaded(saved: SavedMap, *, fixed: bool) -> tuple[ObjectMap, FactorGraph]:
-    object_map, graph = ObjectMap(AssociationConfig()), FactorGraph(CONFIG)
+    object_map, graph = ObjectMap(ObjectCalibration()), FactorGraph(CONFIG)
     assert [keyframe.id for keyframe in restore(saved, object_map, graph, fixed=fixed)] == [0, 1, 2]
     return object_map, graph
 
@@ -88,7 +89,7 @@ def test_observations_that_share_their_errors_come_back_as_robust_as_they_were()
         graph.add_observations([replace(each, covariance_inflation=500.0) for each in seen_from(T, k, places)])
     graph.optimize()
     before = graph.landmark_positions(np.arange(4))
-    objects = ObjectMap(AssociationConfig())
+    objects = ObjectMap(ObjectCalibration())
     rows = objects.add(
         before, np.tile(SEEN, (4, 1, 1)), objects.label_indices(("tree",) * 4), stamp_ns=5, scan=0, travel_m=0.0
     )
@@ -97,7 +98,7 @@ def test_observations_that_share_their_errors_come_back_as_robust_as_they_were()
     again = FactorGraph(config)
     restore(
         SavedMap(objects.to_record(9), graph.to_record(9, np.arange(3))),
-        ObjectMap(AssociationConfig()),
+        ObjectMap(ObjectCalibration()),
         again,
         fixed=False,
     )

@@ -7,8 +7,10 @@ import pytest
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge
+from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
-from slam.common.config import AssociationConfig, Config, FactorGraphConfig
+from slam.common.calibration import ObjectCalibration
+from slam.common.config import Config
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.loop_closure.accepted_closures import AcceptedClosures
 from slam.loop_closure.candidate import Candidate
@@ -32,7 +34,7 @@ class Drive:
     def __init__(self, *, second_segment: int = 0) -> None:
         graph = FactorGraph(FactorGraphConfig(observation_kernel="none", observed_keyframes=1))
         self.keyframes: list[Keyframe] = []
-        self.closures = AcceptedClosures(Config(), ObjectMap(AssociationConfig()), graph, self.keyframes)
+        self.closures = AcceptedClosures(Config(), ObjectMap(ObjectCalibration()), graph, self.keyframes)
         self.graph = graph
         for number in range(ROUND + 30):
             segment = second_segment if number >= ROUND else 0
@@ -154,7 +156,7 @@ def test_who_was_relocalized_long_ago_was_carried_off():
 
 def test_keyframes_near_a_closure_can_be_compared_once_they_are_localized(street):
     street.accept(100)
-    reach = int(Config().loop_closure.propagation_distance_m / STEP_M)
+    reach = int(Config().propagation_distance_m / STEP_M)
     assert street.closures.keyframes_nearby() == {*range(10 + reach + 1), *range(100 - reach, ROUND + 30)}
     alone = Drive(second_segment=1)
     alone.accept(118, reference=92)

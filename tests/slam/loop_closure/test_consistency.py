@@ -6,18 +6,20 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
-from slam.common.config import Config
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.loop_closure.consistency import (
     AGREE_RAD,
     AGREE_RANGES,
+    CLOSURE_SIGMA_RAD,
     odometry_penalty,
     poses_agree,
     suppress_non_maxima,
 )
+from slam.odometry.noise import SLIP_INFLATION
 from tests.helpers.candidates import make_candidate
 
-CONFIG = Config()
+SIGMA_M = 0.35
+"""Of a landmark between two traversals."""
 RANGE_M = 30.0
 DRIFT = (0.8, 0.02)
 T_BASE = transform_from_xyz_yaw(np.array([40.0, -7.0, 1.0]), 2.5)
@@ -60,36 +62,34 @@ def test_heights_are_not_compared():
 
 
 def test_there_is_no_odometry_penalty_at_the_prediction():
-    assert odometry_penalty(T_BASE, T_BASE, DRIFT, CONFIG) == pytest.approx(0.0, abs=1e-12)
+    assert odometry_penalty(T_BASE, T_BASE, DRIFT, SIGMA_M) == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize(
     ("x_m", "y_m", "turn_rad"), [(1.5, 0.0, 0.0), (0.0, -2.0, 0.0), (0.0, 0.0, 0.06), (1, 2, -0.05)]
 )
 def test_the_penalty_near_the_prediction_is_half_the_squared_mahalanobis_distance(x_m, y_m, turn_rad):
-    place_variance = CONFIG.odometry.inflation**2 * (DRIFT[0] ** 2 + CONFIG.loop_closure.base_sigma_m**2)
-    heading_variance = CONFIG.odometry.inflation**2 * (
-        DRIFT[1] ** 2 + np.deg2rad(CONFIG.loop_closure.base_sigma_deg) ** 2
-    )
+    place_variance = SLIP_INFLATION**2 * (DRIFT[0] ** 2 + SIGMA_M**2)
+    heading_variance = SLIP_INFLATION**2 * (DRIFT[1] ** 2 + CLOSURE_SIGMA_RAD**2)
     expected = 0.5 * ((x_m**2 + y_m**2) / place_variance + turn_rad**2 / heading_variance)
     measured = moved(T_BASE, x_m, y_m, turn_rad)
-    assert odometry_penalty(T_BASE, measured, DRIFT, CONFIG) == pytest.approx(expected, rel=1e-6)
+    assert odometry_penalty(T_BASE, measured, DRIFT, SIGMA_M) == pytest.approx(expected, rel=1e-6)
 
 
 def test_the_penalty_rises_with_the_distance():
-    penalties = [odometry_penalty(T_BASE, moved(T_BASE, x_m), DRIFT, CONFIG) for x_m in np.linspace(0.0, 500.0, 60)]
+    penalties = [odometry_penalty(T_BASE, moved(T_BASE, x_m), DRIFT, SIGMA_M) for x_m in np.linspace(0.0, 500.0, 60)]
     assert np.all(np.diff(penalties) > 0.0)
 
 
 def test_more_drift_means_less_penalty():
     measured = moved(T_BASE, 3.0, 1.0, 0.05)
-    penalties = [odometry_penalty(T_BASE, measured, (k * 0.5, k * 0.01), CONFIG) for k in (1.0, 2.0, 4.0)]
+    penalties = [odometry_penalty(T_BASE, measured, (k * 0.5, k * 0.01), SIGMA_M) for k in (1.0, 2.0, 4.0)]
     assert np.all(np.diff(penalties) < 0.0)
 
 
 def test_across_a_break_it_does_not_matter_what_the_odometry_predicts():
     infinite = (np.inf, np.inf)
-    penalties = {odometry_penalty(T_BASE, moved(T_BASE, x_m), infinite, CONFIG) for x_m in (0.0, 5.0, 500.0)}
+    penalties = {odometry_penalty(T_BASE, moved(T_BASE, x_m), infinite, SIGMA_M) for x_m in (0.0, 5.0, 500.0)}
     assert penalties == {0.0}
 
 

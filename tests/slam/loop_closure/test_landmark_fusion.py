@@ -8,7 +8,8 @@ import pytest
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation
 from slam.backend.map_restoration import add_fixed_map
-from slam.common.config import AssociationConfig, FactorGraphConfig
+from slam.backend.solver_options import FactorGraphConfig
+from slam.common.calibration import ObjectCalibration
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.loop_closure.landmark_fusion import find_duplicate_landmarks, fuse_duplicate_landmarks
 from slam.object_map.landmarks import ObjectMap
@@ -23,7 +24,7 @@ Seen = tuple[str, tuple[float, float, float], tuple[int, ...]]
 def mapped(landmarks: list[Seen], tentative: tuple[int, ...] = ()) -> tuple[ObjectMap, FactorGraph]:
     """A map of those landmarks, seen without noise along a straight street."""
     object_map, graph = (
-        ObjectMap(AssociationConfig()),
+        ObjectMap(ObjectCalibration()),
         FactorGraph(FactorGraphConfig(observation_kernel="none", observed_keyframes=1)),
     )
     T = transform_from_xyz_yaw(np.arange(KEYFRAMES)[:, None] * [2.0, 0.0, 0.0], np.zeros(KEYFRAMES))

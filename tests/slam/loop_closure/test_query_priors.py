@@ -12,9 +12,12 @@ from slam.backend.factor_graph import FactorGraph
 from slam.common.config import Config
 from slam.localization.pose_prior import failure_probability
 from slam.loop_closure.candidate import NOWHERE, Query
+from slam.loop_closure.consistency import CLOSURE_SIGMA_RAD
 from slam.loop_closure.query_priors import PASSED_RANGES, QueryPriors
+from slam.object_map.submap import SUBMAP_RANGES
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
+from slam.odometry.noise import SLIP_INFLATION
 from slam.place_recognition.place import Place
 from tests.slam.loop_closure.doubles import at, make_keyframe, make_query
 
@@ -27,7 +30,7 @@ PLACE = Place(at(7.0), 0.0, 0, np.inf)
 
 def make_priors(keyframes: list[Keyframe], config: Config = CONFIG, *, bent_m: float = 0.0) -> QueryPriors:
     """In whose graph the poses from the middle of the drive on are ``bent_m`` farther on."""
-    track = KeyframeTrack(config.odometry)
+    track = KeyframeTrack(config.calibration.odometry)
     for keyframe in keyframes:
         track.add(keyframe)
 
@@ -51,9 +54,9 @@ def query(keyframes: list[Keyframe]) -> Query:
 def test_the_path_is_where_the_robot_was_when_all_around_is_mapped(keyframes: list[Keyframe], query: Query) -> None:
     path = make_priors(keyframes).path(query)
     behind_m = -path[:, 0]
-    assert behind_m.min() >= PASSED_RANGES * CONFIG.detection.sensor_range_m
-    assert behind_m.min() < PASSED_RANGES * CONFIG.detection.sensor_range_m + STEP_M
-    assert CONFIG.submap.travel_m - STEP_M < behind_m.max() <= CONFIG.submap.travel_m
+    assert behind_m.min() >= PASSED_RANGES * CONFIG.sensor_range_m
+    assert behind_m.min() < PASSED_RANGES * CONFIG.sensor_range_m + STEP_M
+    assert SUBMAP_RANGES * CONFIG.sensor_range_m - STEP_M < behind_m.max() <= SUBMAP_RANGES * CONFIG.sensor_range_m
 
 
 def test_nothing_is_known_of_the_way_across_a_break(query: Query) -> None:
@@ -76,16 +79,16 @@ def test_a_prior_is_as_wide_as_the_odometry_may_have_drifted_since(
     keyframes: list[Keyframe], query: Query, since: int
 ) -> None:
     priors = make_priors(keyframes)
-    track = KeyframeTrack(CONFIG.odometry)
+    track = KeyframeTrack(CONFIG.calibration.odometry)
     for keyframe in keyframes:
         track.add(keyframe)
     sigma_m, sigma_rad = track.drift_sigmas(since, COUNT - 1)
-    limits, inflation = CONFIG.loop_closure, CONFIG.odometry.inflation
+    landmark_sigma_m = CONFIG.calibration.objects.landmark_sigma_m
     for prior in (
         priors.prior(query, PLACE, keyframes[since], NOWHERE),
         priors.prior(query, PLACE, keyframes[0], since),
     ):
-        assert prior.sigma_m == pytest.approx(np.hypot(inflation * sigma_m, limits.base_sigma_m))
-        assert prior.sigma_rad == pytest.approx(np.hypot(inflation * sigma_rad, np.deg2rad(limits.base_sigma_deg)))
+        assert prior.sigma_m == pytest.approx(np.hypot(SLIP_INFLATION * sigma_m, landmark_sigma_m))
+        assert prior.sigma_rad == pytest.approx(np.hypot(SLIP_INFLATION * sigma_rad, CLOSURE_SIGMA_RAD))
         travel_m = LATEST_M - STEP_M * since
         assert prior.failure_probability == failure_probability(CONFIG.localization.failures_per_km, travel_m)

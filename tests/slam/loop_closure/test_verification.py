@@ -13,13 +13,17 @@ from scipy.spatial.transform import Rotation
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.geometry import apply, covariance_in_axes, invert, make_transform, transform_from_xyz_yaw, yaw_rad
+from slam.loop_closure import consistency
 from slam.loop_closure.candidate import Candidate, Query
+from slam.loop_closure.likelihood_ratio import DETECTION_PROBABILITY
 from slam.loop_closure.verification import Verifier
 from slam.object_map.submap import Submap, gravity_frame
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
+from slam.odometry.noise import SLIP_INFLATION
 from slam.odometry.pose import OdometryPose
 from slam.place_recognition.place import Place
+from slam.registration.parameters import registration_config
 from tests.helpers.candidates import make_candidate
 from tests.slam.loop_closure.doubles import make_submap
 
@@ -76,7 +80,7 @@ class Scene:
     ) -> None:
         self.config = Config.model_validate(settings)
         self.keyframes = make_keyframes(second_segment=second_segment)
-        track = KeyframeTrack(self.config.odometry)
+        track = KeyframeTrack(self.config.calibration.odometry)
         for keyframe in self.keyframes:
             track.add(keyframe)
         world = objects + np.array([STEP_M * HERE, 0.0, 0.0])
@@ -121,7 +125,7 @@ def test_the_relative_pose_is_that_of_the_bodies_tilt_included():
 def test_objects_that_cannot_be_registered_are_weighed_where_they_are():
     """Two match; a third stands where the map has one of another class, a fourth beside the first."""
     scene = Scene(np.array([[5.0, 4.0, 0.0], [9.0, -4.0, 0.0], [14.0, 3.0, 0.0]]), [0, 1, 2])
-    missed = np.log1p(-scene.config.likelihood_ratio.detection_probability)
+    missed = np.log1p(-DETECTION_PROBABILITY)
     seen = scene.query.submap
     more = np.concatenate([seen.positions, seen.positions[:1] + np.array([0.5, 0.0, 0.0])])
     query = replace(scene.query, submap=make_submap(more, [0, 1, 3, 0], first_row=500))
@@ -157,7 +161,7 @@ def test_a_way_beside_the_traversal_is_verified():
 
 def test_the_reference_is_no_keyframe_of_the_same_traversal():
     scene = Scene(scattered())
-    assert scene.verifier.latest_m(scene.query) == STEP_M * QUERY - scene.config.loop_closure.min_travel_m
+    assert scene.verifier.latest_m(scene.query) == STEP_M * QUERY - scene.config.closure_travel_m
     assert "no earlier keyframe" in scene.refusal(replace(scene.place, travel_m=STEP_M * QUERY, T_local_query=(
         scene.place.T_local_query)))  # fmt: skip
 
@@ -174,11 +178,17 @@ def test_a_closure_predicts_within_its_segment():
     assert scene.verifier.predict(seed, elsewhere) is None
 
 
-def test_the_errors_that_inliers_share_are_in_the_covariance_in_the_axes_of_the_body():
-    shared = {"base_sigma_m": 1.0, "base_height_sigma_m": 2.0, "base_sigma_deg": 5.0, "tilt_sigma_deg": 20.0}
-    little = {"base_sigma_m": 1e-6, "base_height_sigma_m": 0.0, "base_sigma_deg": 1e-6, "tilt_sigma_deg": 1e-6}
-    with_shared, without = (Scene(scattered(), loop_closure=settings).verified() for settings in (shared, little))
+def test_the_errors_that_inliers_share_are_in_the_covariance_in_the_axes_of_the_body(monkeypatch):
     tilt, yaw = np.deg2rad([20.0, 5.0])
+    found = []
+    for objects, angles in (
+        ({"landmark_sigma_m": 1.0, "landmark_height_sigma_m": 2.0}, (tilt, yaw)),
+        ({"landmark_sigma_m": 1e-6}, (1e-6, 1e-6)),
+    ):
+        monkeypatch.setattr(consistency, "TILT_SIGMA_RAD", angles[0])
+        monkeypatch.setattr(consistency, "CLOSURE_SIGMA_RAD", angles[1])
+        found.append(Scene(scattered(), calibration={"objects": objects}).verified())
+    with_shared, without = found
     upright = np.diag([tilt**2, tilt**2, yaw**2, 1.0, 1.0, 5.0])
     R_gravity_body = (invert(gravity_frame(body(QUERY))) @ body(QUERY))[:3, :3]
     expected = covariance_in_axes(upright, R_gravity_body)
@@ -194,7 +204,7 @@ def test_a_candidate_knows_that_its_landmarks_were_never_let_go():
 
 def test_a_query_is_where_enough_landmarks_of_an_earlier_traversal_are_followed():
     scene = Scene(scattered())
-    least = scene.config.registration.min_inliers
+    least = registration_config(scene.config).min_inliers
     assert scene.verifier.tracked_place(scene.query) is None
     scene.landmarks.first_seen_m[: least - 1] = 10.0
     assert scene.verifier.tracked_place(scene.query) is None
@@ -217,10 +227,11 @@ def test_candidates_are_consistent_if_the_odometry_relates_their_references():
 
 
 def test_candidates_are_consistent_within_the_gate_of_registration():
-    for gate_sigma, expected in ((1.0, False), (3.0, True)):
-        scene = Scene(scattered(), registration={"gate_sigma": gate_sigma})
-        # Two sigmas of the closures' common error, which is all that there is between a reference and itself.
-        off_m = 2.0 * scene.config.odometry.inflation * scene.config.loop_closure.base_sigma_m
+    scene = Scene(scattered())
+    for gates, expected in ((1.05, False), (0.95, True)):
+        # Of the closures' common error, which is all that there is between a reference and itself.
+        sigma_m = SLIP_INFLATION * scene.config.calibration.objects.landmark_sigma_m
+        off_m = gates * registration_config(scene.config).gate_sigma * sigma_m
         T = invert(body(HERE)) @ body(QUERY)
         first, second = (
             make_candidate(reference=HERE, T_reference_query=transform_from_xyz_yaw(np.array([x, 0.0, 0.0]), 0.0) @ T)
@@ -250,7 +261,12 @@ def test_a_shift_that_leads_back_is_no_other_pose():
     # Two equal objects four metres apart make that shift worth trying; all others lead back from it.
     twins = np.array([[2.0, 0.0, 0.0], [2.0 + 4.0 * np.cos(0.3), 4.0 * np.sin(0.3), 0.0]])
     labels = [*range(12), 12, 12]
-    scene = Scene(np.concatenate([scattered(), twins]), labels, registration={"search_radius_m": 8.0})
+    scene = Scene(
+        np.concatenate([scattered(), twins]),
+        labels,
+        calibration={"detection": {"sensor_range_m": 80.0}},
+        loop_closure={"min_travel_m": 100.0},
+    )
     best = scene.verified()
     shifted = replace(scene.place, T_local_query=scene.place.T_local_query.copy())
     shifted.T_local_query[:2, 3] += 4.0 * shifted.T_local_query[:2, 0]

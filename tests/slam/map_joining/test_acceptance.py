@@ -77,7 +77,7 @@ def test_maps_may_be_bent_by_their_drift_between_two_places(maps: list[SavedMap]
     places = maps[0].graph.T_map_body[:, :2, 3]
     apart_m = float(np.linalg.norm(places[FAR] - places[NEAR]))
     drift_m = float(np.sqrt(apart_m * sum(mean_drift(each)[0] for each in maps)))
-    limit_m = AGREE_RANGES * CONFIG.detection.sensor_range_m
+    limit_m = AGREE_RANGES * CONFIG.sensor_range_m
     for shift_m, count in ((limit_m + 0.5 * drift_m, 2), (limit_m + 50.0, 1)):
         shifted = transform_from_xyz_yaw(np.array([shift_m, 0.0, 0.0]), 0.0) @ T_second_first
         pair = judged(maps, join(maps, T_second_first, NEAR), join(maps, shifted, FAR))

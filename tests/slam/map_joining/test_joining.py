@@ -30,7 +30,7 @@ def condensed_maps() -> list[SavedMap]:
 
 
 def all_joins(maps: list[SavedMap]) -> list[Join]:
-    index = make_place_index(maps, sigma_m=CONFIG.submap.landmark_sigma_m)
+    index = make_place_index(maps, sigma_m=CONFIG.calibration.objects.landmark_sigma_m)
     return [join for number, each in enumerate(maps) for join in find_joins(each, number, index, CONFIG)]
 
 
@@ -128,7 +128,7 @@ def test_maps_may_be_bent_by_their_drift_between_two_places(maps: list[SavedMap]
     far = max(right, key=lambda join: float(np.linalg.norm(places[join.place] - places[near.place])))
     apart_m = float(np.linalg.norm(places[far.place] - places[near.place]))
     drift_m = float(np.sqrt(apart_m * sum(mean_drift(maps[number])[0] for number in (0, 1))))
-    beyond_m = AGREE_RANGES * CONFIG.detection.sensor_range_m
+    beyond_m = AGREE_RANGES * CONFIG.sensor_range_m
     for shift_m, is_one in ((beyond_m + 0.5 * drift_m, True), (beyond_m + 50.0, False)):
         shifted = far.T_reference_place.copy()
         shifted[:2, 3] = (near.T_reference_place @ invert(maps[0].graph.T_map_body[near.place]))[:2] @ np.append(

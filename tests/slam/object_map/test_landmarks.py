@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from logs.writer import LogWriter
-from slam.common.config import AssociationConfig
+from slam.common.calibration import ObjectCalibration
 from slam.common.union_find import Merge
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from slam.object_map.velocities import velocities
@@ -14,7 +14,7 @@ from tests.helpers.short_drives import records_of
 from tests.logs.examples import assert_same_record
 
 SECOND_NS = 1_000_000_000
-CONFIG = AssociationConfig(label_accuracy=0.8)
+CONFIG = ObjectCalibration(label_accuracy=0.8)
 
 
 def new_map(vocabulary: str = "abc", count: int = 1, positions=None) -> ObjectMap:
@@ -79,13 +79,13 @@ def test_one_class_is_certain_and_none_has_no_columns():
 
 
 def test_of_one_class_no_label_lies_beyond_the_limit():
-    object_map = ObjectMap(AssociationConfig(max_classes=1))
+    object_map = ObjectMap(ObjectCalibration(max_classes=1))
     assert object_map.label_indices(("a", "b")).tolist() == [0, 0]
     assert object_map.unlisted_labels == 0
 
 
 def test_classes_beyond_the_limit_are_one_class():
-    object_map = ObjectMap(AssociationConfig(max_classes=3))
+    object_map = ObjectMap(ObjectCalibration(max_classes=3))
     assert object_map.label_indices(("a", "b", "c", "d", "a")).tolist() == [0, 1, 2, 2, 0]
     assert object_map.vocabulary == ("a", "b", "other")
     assert object_map.unlisted_labels == 2

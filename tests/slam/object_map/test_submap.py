@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
-from slam.common.config import AssociationConfig, SubmapConfig
+from slam.common.calibration import Calibration, ObjectCalibration
 from slam.common.geometry import make_transform, transform_from_xyz_yaw
 from slam.object_map.landmarks import ObjectMap, RetirementReason
 from slam.object_map.submap import gravity_frame, placed_submap, recent_submap, recent_submap_with_unconfirmed
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 
-CONFIG = SubmapConfig(travel_m=50.0, landmark_sigma_m=0.4, sigma_per_m=0.02)
+CONFIG = Calibration(objects=ObjectCalibration(landmark_sigma_m=0.4, landmark_sigma_per_m=0.02))
 OWN = np.diag([0.3**2, 0.5**2, 1.0])
 
 
 def objects(*places: tuple[float, float, int, bool]) -> ObjectMap:
     """Landmarks at x, last seen at a travel, on a segment, confirmed or not."""
-    found = ObjectMap(AssociationConfig())
+    found = ObjectMap(ObjectCalibration())
     for x_m, travel_m, segment, is_confirmed in places:
         labels = found.label_indices(("tree",))
         rows = found.add(

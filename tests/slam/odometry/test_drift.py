@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
-from slam.common.config import OdometryConfig
+from slam.common.calibration import OdometryCalibration
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
@@ -26,7 +26,7 @@ def winding_path() -> tuple[FloatArray, FloatArray]:
 
 
 def track_of(
-    config: OdometryConfig, *, break_at: int = KEYFRAMES, origin: tuple[float, float] = (0.0, 0.0)
+    config: OdometryCalibration, *, break_at: int = KEYFRAMES, origin: tuple[float, float] = (0.0, 0.0)
 ) -> KeyframeTrack:
     track = KeyframeTrack(config)
     positions, headings = winding_path()
@@ -37,14 +37,14 @@ def track_of(
     return track
 
 
-def odometry_noise(**sigmas: float) -> OdometryConfig:
+def odometry_noise(**sigmas: float) -> OdometryCalibration:
     """That noise and no other."""
     silent = {"translation_sigma": 1e-9, "yaw_sigma": 1e-9, "yaw_sigma_by_turn": 0.0}
     least = {"min_translation_sigma_m": 1e-9, "min_rotation_sigma_rad": 1e-9}
-    return OdometryConfig(**(silent | least | sigmas))
+    return OdometryCalibration(**(silent | least | sigmas))
 
 
-def monte_carlo_sigmas(config: OdometryConfig, first: int, last: int, runs: int = 4000) -> tuple[float, float]:
+def monte_carlo_sigmas(config: OdometryCalibration, first: int, last: int, runs: int = 4000) -> tuple[float, float]:
     """Rms error of the place, each coordinate, and of the heading, where each step adds its share of noise."""
     rng = np.random.default_rng(0)
     positions, headings = winding_path()
@@ -84,18 +84,18 @@ def test_drift_is_as_large_as_random_walks_make_it(first, last, sigmas):
 
 
 def test_drift_does_not_depend_on_where_the_odometry_begins():
-    config = OdometryConfig()
+    config = OdometryCalibration()
     near, far = track_of(config), track_of(config, origin=(450_000.0, 5_200_000.0))
     np.testing.assert_allclose(far.drift_sigmas(10, 110), near.drift_sigmas(10, 110), rtol=0.01)
     np.testing.assert_allclose(far.drift_sigmas(60, 75), near.drift_sigmas(60, 75), rtol=0.01)
 
 
 def test_there_is_no_drift_from_a_keyframe_to_itself():
-    assert track_of(OdometryConfig()).drift_sigmas(7, 7) == (0.0, 0.0)
+    assert track_of(OdometryCalibration()).drift_sigmas(7, 7) == (0.0, 0.0)
 
 
 def test_drift_across_a_break_is_infinite_and_beside_it_is_not():
-    config = OdometryConfig()
+    config = OdometryCalibration()
     broken, whole = track_of(config, break_at=60), track_of(config)
     assert broken.drift_sigmas(59, 60) == (np.inf, np.inf)
     assert broken.drift_sigmas(10, 100) == (np.inf, np.inf)
@@ -104,7 +104,7 @@ def test_drift_across_a_break_is_infinite_and_beside_it_is_not():
 
 
 def test_the_nearest_keyframe_is_the_one_that_brute_force_finds():
-    track = track_of(OdometryConfig())
+    track = track_of(OdometryCalibration())
     positions, _ = winding_path()
     travel_m = STEP_M * np.arange(KEYFRAMES)
     rng = np.random.default_rng(1)
@@ -124,8 +124,8 @@ def test_the_nearest_keyframe_is_the_one_that_brute_force_finds():
 
 @pytest.mark.parametrize(("from_m", "to_m"), [(300.0, 400.0), (-50.0, -1.0), (50.0, 40.0)])
 def test_no_keyframe_is_nearest_where_there_is_none(from_m, to_m):
-    assert track_of(OdometryConfig()).nearest(np.zeros(3), segment=0, from_m=from_m, to_m=to_m) is None
-    assert KeyframeTrack(OdometryConfig()).nearest(np.zeros(3), segment=0, from_m=from_m, to_m=to_m) is None
+    assert track_of(OdometryCalibration()).nearest(np.zeros(3), segment=0, from_m=from_m, to_m=to_m) is None
+    assert KeyframeTrack(OdometryCalibration()).nearest(np.zeros(3), segment=0, from_m=from_m, to_m=to_m) is None
 
 
 def test_the_nearest_keyframe_is_of_the_segment_that_is_asked_for():

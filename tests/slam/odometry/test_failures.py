@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam.common.config import OdometryConfig
+from slam.common.calibration import OdometryCalibration
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.odometry.failures import find_heading_failures
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.pose import OdometryPose
 
-CONFIG = OdometryConfig(yaw_sigma=0.002, yaw_sigma_by_turn=0.0, min_rotation_sigma_rad=1e-4, inflation=3.0)
+CONFIG = OdometryCalibration(yaw_sigma=0.002, yaw_sigma_by_turn=0.0)
 FAILURES_PER_KM = 1e-3
 STEPS = 60
 FAILING = slice(20, 40)

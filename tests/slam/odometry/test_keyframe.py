@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam.common.config import KeyframeConfig
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.odometry.keyframe import is_keyframe_due
 from slam.odometry.pose import OdometryPose
-
-LIMITS = KeyframeConfig(distance_m=2.0, angle_deg=30.0, interval_s=5.0)
 
 
 def pose(seconds: float, travel_m: float, *, yaw_rad: float = 0.0, segment: int = 0) -> OdometryPose:
@@ -23,8 +20,8 @@ def pose(seconds: float, travel_m: float, *, yaw_rad: float = 0.0, segment: int 
     [
         (pose(1.0, 1.9), False),
         (pose(1.0, 2.0), True),
-        (pose(1.0, 0.0, yaw_rad=np.deg2rad(29.0)), False),
-        (pose(1.0, 0.0, yaw_rad=np.deg2rad(31.0)), True),
+        (pose(1.0, 0.0, yaw_rad=np.deg2rad(19.0)), False),
+        (pose(1.0, 0.0, yaw_rad=np.deg2rad(21.0)), True),
         (pose(1.0, 0.0, segment=1), True),
         (pose(4.9, 0.2), False),
         (pose(5.0, 0.2), True),
@@ -33,4 +30,4 @@ def pose(seconds: float, travel_m: float, *, yaw_rad: float = 0.0, segment: int 
     ],
 )
 def test_a_keyframe_is_due_after_a_way_a_turn_a_break_or_a_time_in_motion(now, is_due):
-    assert is_keyframe_due(pose(0.0, 0.0), now, LIMITS, sensor_range_m=30.0) is is_due
+    assert is_keyframe_due(pose(0.0, 0.0), now, 2.0, sensor_range_m=30.0) is is_due

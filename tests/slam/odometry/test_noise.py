@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from slam.common.config import OdometryConfig
+from slam.common.calibration import OdometryCalibration
 from slam.common.geometry import make_transform, transform_from_xyz_yaw
 from slam.odometry.noise import step_covariance, step_variances
 from slam.odometry.pose import OdometryPose
@@ -22,7 +22,7 @@ SILENT = {
     "min_rotation_sigma_rad": 1e-6,
 }
 """Next to no noise; tests add that which they are about."""
-ALL = OdometryConfig(translation_sigma_by_time=0.02, yaw_sigma_by_time=0.003)
+ALL = OdometryCalibration(translation_sigma_by_time=0.02, yaw_sigma_by_time=0.003)
 TRANSLATION, TILT, HEADING = range(3)
 
 
@@ -44,7 +44,7 @@ def pose(x: float = 0.0, *, yaw: float = 0.0, seconds: float = 0.0, travel_m: fl
     ],
 )
 def test_each_variance_grows_in_proportion_to_what_it_is_caused_by(setting, sigma, step, amount, entry):
-    config = OdometryConfig(**(SILENT | {setting: sigma}))
+    config = OdometryCalibration(**(SILENT | {setting: sigma}))
     variances = step_variances(pose(), pose(**step), config)
     assert variances[entry] == pytest.approx(sigma**2 * amount, rel=1e-3)
     assert np.delete(variances, entry).max() < 1e-9
@@ -57,7 +57,7 @@ def test_variances_of_two_steps_add_up_to_that_of_both():
 
 
 def test_travel_that_came_back_counts_and_a_step_is_never_shorter_than_its_ends_are_apart():
-    config = OdometryConfig(**(SILENT | {"translation_sigma": 0.1}))
+    config = OdometryCalibration(**(SILENT | {"translation_sigma": 0.1}))
     there_and_back = step_variances(pose(), pose(0.0, travel_m=6.0), config)
     np.testing.assert_allclose(there_and_back[TRANSLATION], 0.01 * 6.0)
     jitter_not_counted = step_variances(pose(), pose(0.5, travel_m=0.0), config)
@@ -70,13 +70,13 @@ def test_a_step_is_as_uncertain_backwards():
 
 
 def test_standing_still_is_not_perfectly_certain():
-    config = OdometryConfig()
+    config = OdometryCalibration()
     expected = [config.min_translation_sigma_m**2, config.min_rotation_sigma_rad**2, config.min_rotation_sigma_rad**2]
     np.testing.assert_allclose(step_variances(pose(), pose(), config), expected)
 
 
 def test_turning_on_the_spot_is_not_free():
-    still, turned = (step_variances(pose(), pose(yaw=yaw), OdometryConfig()) for yaw in (0.0, np.pi / 2))
+    still, turned = (step_variances(pose(), pose(yaw=yaw), OdometryCalibration()) for yaw in (0.0, np.pi / 2))
     assert turned[HEADING] > 2.0 * still[HEADING]
 
 

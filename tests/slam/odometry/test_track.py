@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 from logs.messages import Odometry
-from slam.common.config import OdometryConfig
 from slam.common.geometry import relative, transform_from_xyz_yaw
 from slam.odometry.track import HISTORY, OdometryTrack
 
-CONFIG = OdometryConfig(max_speed_mps=50.0, max_gap_s=10.0)
 START_NS = 1_700_000_000_000_000_000
 
 
@@ -21,7 +19,7 @@ def odometry(seconds: float, x: float, yaw: float = 0.0) -> Odometry:
 
 
 def track(*steps: tuple[float, float]) -> OdometryTrack:
-    made = OdometryTrack(CONFIG)
+    made = OdometryTrack()
     for seconds, x in steps:
         made.add(odometry(seconds, x))
     made.finish()
@@ -41,7 +39,7 @@ def test_a_pose_between_two_messages_is_between_them():
 
 
 def test_at_a_message_it_is_that_message_bit_for_bit():
-    made = OdometryTrack(CONFIG)
+    made = OdometryTrack()
     first, second = odometry(0, 0.1, 0.3), odometry(0.1, 0.7, 0.4)
     made.add(first)
     made.add(second)
@@ -50,8 +48,8 @@ def test_at_a_message_it_is_that_message_bit_for_bit():
 
 
 def test_outside_of_its_time_it_knows_nothing():
-    assert OdometryTrack(CONFIG).latest is None
-    assert x_at(OdometryTrack(CONFIG), 0.0) is None
+    assert OdometryTrack().latest is None
+    assert x_at(OdometryTrack(), 0.0) is None
     made = track((0, 0), (1, 1))
     assert x_at(made, -1e-9) is None
     assert x_at(made, 1 + 1e-9) is None
@@ -99,7 +97,7 @@ def test_the_relative_pose_leads_from_one_to_the_other():
 
 
 def segments(*steps: tuple[float, float]) -> list[int]:
-    made = OdometryTrack(CONFIG)
+    made = OdometryTrack()
     poses = [pose for seconds, x in steps for pose in made.add(odometry(seconds, x))]
     return [pose.segment for pose in (*poses, *made.finish())]
 
@@ -120,7 +118,7 @@ def test_who_drives_or_stands_at_the_start_of_its_odometry_goes_on():
 
 @pytest.mark.parametrize(("sensor_range_m", "breaks"), [(30.0, 0), (1.5, 1)])
 def test_what_is_a_jump_depends_on_how_far_the_sensor_sees(sensor_range_m, breaks):
-    made = OdometryTrack(CONFIG, sensor_range_m=sensor_range_m)
+    made = OdometryTrack(sensor_range_m=sensor_range_m)
     for step in range(20):  # the speed before the first step is not known
         made.add(odometry(0.1 * step, 0.1 * step))
     made.add(odometry(2.0, 3.5))
@@ -130,7 +128,7 @@ def test_what_is_a_jump_depends_on_how_far_the_sensor_sees(sensor_range_m, break
 
 @pytest.mark.parametrize(("sensor_range_m", "travel_m"), [(30.0, 0.0), (1.5, 0.05)])
 def test_what_is_jitter_depends_on_how_far_the_sensor_sees(sensor_range_m, travel_m):
-    made = OdometryTrack(CONFIG, sensor_range_m=sensor_range_m)
+    made = OdometryTrack(sensor_range_m=sensor_range_m)
     for seconds, x in ((0.0, 0.0), (0.1, 0.03), (0.2, 0.01)):
         made.add(odometry(seconds, x))
     assert made.latest.travel_m == pytest.approx(travel_m)
@@ -138,7 +136,7 @@ def test_what_is_jitter_depends_on_how_far_the_sensor_sees(sensor_range_m, trave
 
 def test_what_comes_again_or_late_is_counted_wherever_it_says_that_the_body_is():
     counters = Counter[str]()
-    made = OdometryTrack(CONFIG, counters)
+    made = OdometryTrack(counters)
     for seconds, x in ((0, 0), (1, 5), (2, 10), (2, 10), (1.5, 7.5)):
         made.add(odometry(seconds, x))
     assert made.latest is not None
@@ -148,7 +146,7 @@ def test_what_comes_again_or_late_is_counted_wherever_it_says_that_the_body_is()
 
 def test_messages_from_before_time_zero_are_left_out():
     counters = Counter[str]()
-    made = OdometryTrack(CONFIG, counters)
+    made = OdometryTrack(counters)
     before_zero_s = -1.0 - START_NS * 1e-9
     for seconds in (before_zero_s, before_zero_s + 0.5, 0, 1, 2):
         made.add(odometry(seconds, 0.0 if seconds < 0 else 5.0 * seconds))
@@ -158,7 +156,7 @@ def test_messages_from_before_time_zero_are_left_out():
 
 
 def test_one_stamp_from_the_future_is_no_silence():
-    made = OdometryTrack(CONFIG)
+    made = OdometryTrack()
     for seconds, x in ((0, 0), (1, 1), (1000, 2), (2, 2), (3, 3)):
         made.add(odometry(seconds, x))
     assert made.latest is not None
@@ -170,7 +168,7 @@ def test_one_stamp_from_the_future_is_no_silence():
 def test_stamps_that_run_backwards_for_a_while_add_nothing(seconds):
     """The first of them lies in the future, and the last just after the last good one."""
     counters = Counter[str]()
-    made = OdometryTrack(CONFIG, counters)
+    made = OdometryTrack(counters)
     late = [odometry(2.0 + seconds - 0.1 * i, 2.0 + 0.1 * i) for i in range(round(10 * seconds))]
     after = [odometry(2.0 + seconds + 0.1 * i, 2.0 + seconds + 0.1 * i) for i in range(1, 5)]
     good = [odometry(0.1 * i, 0.1 * i) for i in range(20)]

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from logs.messages import Odometry
-from slam.common.config import OdometryConfig
+from slam.common.calibration import OdometryCalibration
 from slam.common.geometry import transform_from_xyz_yaw, yaw_rad
 from slam.odometry.noise import step_variances
 from slam.odometry.pose import OdometryPose
 from slam.odometry.track import OdometryTrack
 from slam.odometry.unexpected_step import Continuation, Correction
 
-CONFIG = OdometryConfig()
+CONFIG = OdometryCalibration()
 RATE_HZ, SPEED_MPS = 10, 5.0
 
 
@@ -30,7 +30,7 @@ def message(step: int, *, turned_rad: float = 0.0, aside_m: float = 0.0) -> Odom
 
 def driven(steps: int = 100) -> tuple[OdometryTrack, Counter[str]]:
     counters = Counter[str]()
-    track = OdometryTrack(CONFIG, counters)
+    track = OdometryTrack(counters)
     for step in range(steps):
         assert len(track.add(message(step))) == (step > 0) + (step == 1)
     return track, counters

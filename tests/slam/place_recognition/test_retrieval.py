@@ -10,20 +10,20 @@ from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.object_map.landmarks import ObjectMap, RetirementReason
 from slam.object_map.submap import Submap
 from slam.place_recognition.place import Place
-from slam.place_recognition.retrieval import INDEXED_TRAVERSALS, PLACE_RADIUS_RANGES, PlaceRetriever
+from slam.place_recognition.retrieval import INACTIVE_RANGES, INDEXED_TRAVERSALS, PLACE_RADIUS_RANGES, PlaceRetriever
 
 CONFIG = Config()
 COUNT = 25
 NOW_M = 1000.0
-BEFORE_M = NOW_M - CONFIG.loop_closure.min_travel_m
-RADIUS_M = PLACE_RADIUS_RANGES * CONFIG.detection.sensor_range_m
+BEFORE_M = NOW_M - CONFIG.closure_travel_m
+RADIUS_M = PLACE_RADIUS_RANGES * CONFIG.sensor_range_m
 
 
 class Places:
     """Landmarks around places, each seen at one travel, and a retriever that knows those left behind."""
 
     def __init__(self) -> None:
-        self.map = ObjectMap(CONFIG.association)
+        self.map = ObjectMap(CONFIG.calibration.objects)
         self.retriever = PlaceRetriever(CONFIG, self.map)
         self.labels = self.map.label_indices(("tree", "lamp", "bench", "bin"))
 
@@ -85,7 +85,7 @@ def test_not_among_retired_landmarks(places):
 
 
 def test_landmarks_are_left_behind_after_some_travel(places):
-    recent_m = NOW_M - CONFIG.loop_closure.inactive_travel_m
+    recent_m = NOW_M - INACTIVE_RANGES * CONFIG.sensor_range_m
     places.add(50.0, recent_m + 1.0)
     places.retriever.index_inactive_landmarks(NOW_M)
     found = places.retriever.retrieve(places.query(50.0), before_m=NOW_M, seed=0)
@@ -95,7 +95,7 @@ def test_landmarks_are_left_behind_after_some_travel(places):
 
 
 def test_the_reference_of_a_place_is_of_its_traversal_its_segment_and_around_it(places):
-    extent_m = 1.1 * CONFIG.loop_closure.min_travel_m
+    extent_m = 1.1 * CONFIG.closure_travel_m
     here = places.add(50.0, 500.0)
     places.add(50.0, 500.0 - extent_m - 1.0)
     places.add(50.0, 500.0 + extent_m + 1.0)

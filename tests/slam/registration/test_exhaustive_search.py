@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import RegistrationConfig
 from slam.common.errors import GeometryError
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw, yaw_rad
 from slam.registration import exhaustive_search
 from slam.registration.class_raster import make_class_raster
 from slam.registration.estimate import Registration
 from slam.registration.exhaustive_search import ExhaustiveSearch
+from slam.registration.parameters import RegistrationConfig
 from slam.registration.registration import refine_many
 
 CONFIG = RegistrationConfig()

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import RegistrationConfig
 from slam.registration.estimate import estimate
+from slam.registration.parameters import RegistrationConfig
 from slam.registration.refinement import Columns, make_columns, refine_poses, support
 
 SIGMA_M = 0.2

@@ -21,9 +21,9 @@ from slam.benchmarks.registration import (
     street_objects,
 )
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import RegistrationConfig
 from slam.common.errors import GeometryError
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
+from slam.registration.parameters import RegistrationConfig
 from slam.registration.pose_sampling import sample
 from slam.registration.refinement import least_squares, make_columns
 from slam.registration.registration import Registration, refine, refine_many, register

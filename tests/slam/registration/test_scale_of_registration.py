@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.config import RegistrationConfig
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.registration.exhaustive_search import ExhaustiveSearch
+from slam.registration.parameters import RegistrationConfig
 from slam.registration.registration import Registration, refine
 from tests.helpers.scaled_settings import scaled_config
 

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pydantic import BaseModel
 
-from slam.common.config import Config, LandmarkConfig, OdometryConfig
+from slam.common.calibration import Calibration, OdometryCalibration
+from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.frontend.input.stamp_clocks import LoggingDelays
-from slam.self_calibration.calibration import LEAST_DRIFT, LEAST_TURN_RAD, LENGTHS, calibrate
+from slam.self_calibration.calibration import LEAST_DRIFT, LEAST_TURN_RAD, calibrate
 from slam.self_calibration.clutter import Clutter
 from slam.self_calibration.height_noise import HeightNoise
 from slam.self_calibration.input_errors import InputErrors
@@ -28,15 +28,14 @@ def settings() -> dict[str, str]:
     """Description of each setting by its name, "branch.setting"."""
     return {
         f"{branch}.{name}": field.description or ""
-        for branch in Config.model_fields
-        if isinstance(getattr(Config(), branch), BaseModel)
-        for name, field in type(getattr(Config(), branch)).model_fields.items()
+        for branch in Calibration.model_fields
+        for name, field in type(getattr(Calibration(), branch)).model_fields.items()
     }
 
 
 def value_of(config: Config, key: str) -> float:
     branch, name = key.split(".")
-    return float(getattr(getattr(config, branch), name))
+    return float(getattr(getattr(config.calibration, branch), name))
 
 
 @pytest.fixture(scope="module")
@@ -53,17 +52,14 @@ def scaled(survey: Survey, factor: float) -> Survey:
 # Which settings
 
 
-def test_every_length_names_a_setting():
-    assert set(LENGTHS) <= set(settings())
-
-
 def test_every_setting_in_metres_is_derived(surveyed):
     """By its description: one that is added must be derived, too, or be named here with a reason."""
     units = ("[m]", "[m/s]", "[m/s^2]", "[1/m^3]", "[m / sqrt(m)]", "[rad / sqrt(m)]", "[m / sqrt(s)]")
     in_metres = {key for key, description in settings().items() if description.endswith(units)}
     derived = set(calibrate(Config(), surveyed).estimated)
     # Gravity holds roll and pitch, and detections do not tell them; how a robot is built is not in its log.
-    stay = {"odometry.tilt_sigma", "detection.ground_z_m", "detection.tag_size_m"}
+    stay = {"odometry.tilt_sigma", "detection.ground_z_m", "detection.tag_size_m", "detection.max_range_m"}
+    stay |= {"objects.height_sigma_m"}
     assert in_metres - derived == stay
 
 
@@ -77,14 +73,14 @@ def test_what_is_estimated_is_what_changed(surveyed):
 
 def _at(config: Config, key: str) -> tuple[object, str]:
     branch, name = key.split(".")
-    return getattr(config, branch), name
+    return getattr(config.calibration, branch), name
 
 
-@pytest.mark.parametrize("key", ["keyframe.distance_m", "odometry.yaw_sigma", "detection.common_sigma_m"])
+@pytest.mark.parametrize("key", ["odometry.yaw_sigma", "detection.common_sigma_m"])
 def test_what_was_set_by_hand_stays(surveyed, key):
     branch, name = key.split(".")
     by_hand = 0.0123
-    found = calibrate(Config.model_validate({branch: {name: by_hand}}), surveyed)
+    found = calibrate(Config.model_validate({"calibration": {branch: {name: by_hand}}}), surveyed)
     assert value_of(found.config, key) == by_hand
     assert key not in found.estimated
     others = calibrate(Config(), surveyed).estimated
@@ -92,8 +88,8 @@ def test_what_was_set_by_hand_stays(surveyed, key):
 
 
 def test_a_setting_by_hand_counts_even_if_it_is_the_default(surveyed):
-    found = calibrate(Config.model_validate({"submap": {"travel_m": 50.0}}), scaled(surveyed, 100.0))
-    assert found.config.submap.travel_m == 50.0
+    given = Config.model_validate({"calibration": {"detection": {"sensor_range_m": 30.0}}})
+    assert calibrate(given, scaled(surveyed, 100.0)).config.sensor_range_m == 30.0
 
 
 @pytest.mark.parametrize("factor", [1e-320, 1e-100, 1e100])
@@ -103,10 +99,9 @@ def test_lengths_beyond_all_numbers_are_refused(surveyed, factor):
 
 
 def test_a_range_that_was_set_by_hand_decides_the_lengths(surveyed):
-    found = calibrate(Config.model_validate({"detection": {"sensor_range_m": 60.0}}), surveyed).config
+    found = calibrate(Config.model_validate({"calibration": {"detection": {"sensor_range_m": 60.0}}}), surveyed).config
     default = Config()
-    assert found.keyframe.distance_m == pytest.approx(2.0 * default.keyframe.distance_m)
-    assert found.detection.sensor_range_m == 60.0
+    assert found.keyframe_distance_m == pytest.approx(2.0 * default.keyframe_distance_m)
 
 
 def test_without_a_survey_everything_stays():
@@ -130,9 +125,15 @@ def test_all_lengths_scale_with_the_log(surveyed, power):
     factor = 2.0**power
     small = calibrate(Config(), scaled(surveyed, 1.0)).estimated
     large = calibrate(Config(), scaled(surveyed, factor)).estimated
-    for key, exponent in LENGTHS.items():
-        assert large[key] == pytest.approx(small[key] * factor**exponent), key
-    for key in ("detection.base_sigma_m", "detection.common_sigma_m", "submap.landmark_sigma_m"):
+    assert large["objects.new_object_density"] == pytest.approx(small["objects.new_object_density"] / factor**3)
+    for key in (
+        "detection.sensor_range_m",
+        "detection.farthest_m",
+        "objects.spacing_m",
+        "detection.base_sigma_m",
+        "detection.common_sigma_m",
+        "objects.landmark_sigma_m",
+    ):
         assert large[key] == pytest.approx(small[key] * factor), key
     assert large["odometry.translation_sigma"] == pytest.approx(small["odometry.translation_sigma"] * factor**0.5)
     assert large["odometry.yaw_sigma"] == pytest.approx(small["odometry.yaw_sigma"] / factor**0.5)
@@ -142,8 +143,8 @@ def test_all_lengths_scale_with_the_log(surveyed, power):
 
 def test_the_noise_is_that_of_the_log(surveyed):
     found = calibrate(Config(), surveyed).config
-    assert 0.1 / 1.5 < found.detection.base_sigma_m < 0.1 * 1.5
-    assert 0.05 / 1.5 < found.odometry.translation_sigma < 0.05 * 1.5
+    assert 0.1 / 1.5 < found.calibration.detection.base_sigma_m < 0.1 * 1.5
+    assert 0.05 / 1.5 < found.calibration.odometry.translation_sigma < 0.05 * 1.5
 
 
 def test_little_data_make_the_noise_large(surveyed):
@@ -157,24 +158,24 @@ def test_little_data_make_the_noise_large(surveyed):
         ),
     )
     sure, unsure = (calibrate(Config(), each).config for each in (surveyed, doubtful))
-    assert unsure.detection.base_sigma_m > 2.0 * sure.detection.base_sigma_m
-    assert unsure.odometry.translation_sigma > 2.0 * sure.odometry.translation_sigma
+    assert unsure.calibration.detection.base_sigma_m > 2.0 * sure.calibration.detection.base_sigma_m
+    assert unsure.calibration.odometry.translation_sigma > 2.0 * sure.calibration.odometry.translation_sigma
 
 
 def test_where_a_log_tells_nothing_of_its_noise_it_is_taken_to_be_large(surveyed):
     told, untold = (calibrate(Config(), each).config for each in (surveyed, replace(surveyed, components=None)))
     range_m = surveyed.range_m
-    assert untold.detection.base_sigma_m == pytest.approx(0.02 * range_m)
-    assert untold.odometry.translation_sigma == pytest.approx(0.05 * np.sqrt(range_m))
-    assert untold.odometry.yaw_sigma == pytest.approx(0.2 / np.sqrt(range_m))
+    assert untold.calibration.detection.base_sigma_m == pytest.approx(0.02 * range_m)
+    assert untold.calibration.odometry.translation_sigma == pytest.approx(0.05 * np.sqrt(range_m))
+    assert untold.calibration.odometry.yaw_sigma == pytest.approx(0.2 / np.sqrt(range_m))
     for name in ("translation_sigma", "yaw_sigma", "yaw_sigma_by_turn"):
-        assert getattr(untold.odometry, name) > getattr(told.odometry, name), name
+        assert getattr(untold.calibration.odometry, name) > getattr(told.calibration.odometry, name), name
 
 
 def test_an_estimate_of_zero_leaves_a_least_heading_noise(surveyed):
     zero = NoiseComponents(**dict.fromkeys(NoiseComponents.__dataclass_fields__, 0.0))
     silent = replace(surveyed, shared_bias_m=0.0, components=ComponentEstimate(zero, zero, 1000))
-    found = calibrate(Config(), silent).config.odometry
+    found = calibrate(Config(), silent).config.calibration.odometry
     assert found.yaw_sigma * np.sqrt(surveyed.range_m) == pytest.approx(LEAST_TURN_RAD)
     assert found.translation_sigma * np.sqrt(surveyed.range_m) == pytest.approx(LEAST_DRIFT * surveyed.range_m)
 
@@ -182,16 +183,16 @@ def test_an_estimate_of_zero_leaves_a_least_heading_noise(surveyed):
 def test_heights_that_vary_in_common_are_not_averaged_out_by_many_objects(surveyed):
     swaying = replace(surveyed, heights=HeightNoise(own=0.0, common=0.04))
     found = calibrate(Config(), swaying).config
-    assert found.detection.height_sigma_m / np.sqrt(surveyed.objects) == pytest.approx(0.2)
-    assert found.loop_closure.base_height_sigma_m == pytest.approx(0.2 * np.sqrt(2.0))
+    assert found.calibration.detection.height_sigma_m / np.sqrt(surveyed.objects) == pytest.approx(0.2)
+    assert found.calibration.objects.landmark_height_sigma_m == pytest.approx(0.2 * np.sqrt(2.0))
     steady = replace(surveyed, heights=HeightNoise(own=1e-6, common=0.0))
-    assert calibrate(Config(), steady).config.detection.height_sigma_m == 0.0, "as the position says"
+    assert calibrate(Config(), steady).config.calibration.detection.height_sigma_m == 0.0, "as the position says"
 
 
 def test_objects_that_are_never_two_of_a_class_cannot_be_confused(surveyed):
     found = calibrate(Config(), replace(surveyed, spacing_m=float("nan"))).config
-    assert found.association.confusion_distance_m > 100.0 * surveyed.range_m
-    assert calibrate(Config(), surveyed).config.association.confusion_distance_m == surveyed.spacing_m
+    assert found.calibration.objects.spacing_m > 100.0 * surveyed.range_m
+    assert calibrate(Config(), surveyed).config.calibration.objects.spacing_m == surveyed.spacing_m
 
 
 @pytest.mark.parametrize("change", [{"travel_m": 0.0}, {"duration_s": 0.0}, {"turn_rad": 0.0}, {"scans": 1}])
@@ -210,8 +211,8 @@ def test_a_robot_that_stands_still_has_finite_settings(surveyed, change):
 def test_a_delay_of_up_to_two_scans_is_one_of_the_odometry(surveyed, delay_s, of_odometry, of_detections):
     late = replace(surveyed, errors=InputErrors(delay_s=delay_s), interval_s=0.1)
     calibration = calibrate(Config(), late)
-    assert calibration.config.odometry.time_offset_s == of_odometry
-    assert calibration.config.detection.time_offset_s == of_detections
+    assert calibration.config.calibration.odometry.time_offset_s == of_odometry
+    assert calibration.config.calibration.detection.time_offset_s == of_detections
     (note,) = (note for note in calibration.notes if "messages seem" in note)
     assert ("older" in note) == ((of_odometry or of_detections) < 0.0)
 
@@ -222,8 +223,8 @@ def test_a_delay_of_up_to_two_scans_is_one_of_the_odometry(surveyed, delay_s, of
 def test_log_times_tell_whose_stamps_are_wrong(surveyed, delays, of_odometry, of_detections):
     late = replace(surveyed, errors=InputErrors(delay_s=-0.1), interval_s=0.1)
     calibration = calibrate(Config(), late, delays)
-    assert calibration.config.odometry.time_offset_s == of_odometry
-    assert calibration.config.detection.time_offset_s == of_detections
+    assert calibration.config.calibration.odometry.time_offset_s == of_odometry
+    assert calibration.config.calibration.detection.time_offset_s == of_detections
 
 
 @pytest.mark.parametrize(("ratio", "factor"), [
@@ -231,7 +232,7 @@ def test_log_times_tell_whose_stamps_are_wrong(surveyed, delays, of_odometry, of
 ])  # fmt: skip
 def test_covariances_that_are_far_off_are_scaled(surveyed, ratio, factor):
     calibration = calibrate(Config(), replace(surveyed, claimed_ratio=ratio))
-    assert calibration.config.detection.claimed_sigma_factor == pytest.approx(factor)
+    assert calibration.config.calibration.detection.claimed_sigma_factor == pytest.approx(factor)
     assert any("scaled" in note for note in calibration.notes) == (factor != 1.0)
 
 
@@ -242,13 +243,21 @@ def test_wrong_turns_lengths_and_sensors_are_corrected_and_told(surveyed):
     for told in (
         "turns seem 20 % too small: corrected",
         "lengths seem 25 % too long: corrected (odometry.length_scale); or the ranges of detections are too short: "
-        "then say --set odometry.length_scale=1 --set detection.range_scale=1.25",
+        "then say --set calibration.odometry.length_scale=1 --set calibration.detection.range_scale=1.25",
         "turned by roll 180, pitch 0, yaw 0 deg",
     ):
         assert told in notes
-    assert (calibration.config.odometry.turn_scale, calibration.config.odometry.length_scale) == (1.25, 0.8)
-    by_hand = calibrate(Config(odometry=OdometryConfig(turn_scale=1.0, length_scale=1.0)), wrong)
-    assert (by_hand.config.odometry.turn_scale, by_hand.config.odometry.length_scale) == (1.0, 1.0)
+    assert (
+        calibration.config.calibration.odometry.turn_scale,
+        calibration.config.calibration.odometry.length_scale,
+    ) == (1.25, 0.8)
+    by_hand = calibrate(
+        Config(calibration=Calibration(odometry=OdometryCalibration(turn_scale=1.0, length_scale=1.0))), wrong
+    )
+    assert (by_hand.config.calibration.odometry.turn_scale, by_hand.config.calibration.odometry.length_scale) == (
+        1.0,
+        1.0,
+    )
     assert "turns" not in " ".join(by_hand.notes)
     right = replace(surveyed, errors=InputErrors(turn_share=0.02, length_share=0.02))
     notes = " ".join(calibrate(Config(), right).notes)
@@ -261,13 +270,13 @@ def test_lengths_that_no_calibration_explains_are_told_and_not_corrected(surveye
     assert "lengths seem 90 % too long, or the ranges of detections too short: not corrected" in " ".join(
         calibration.notes
     )
-    assert calibration.config.odometry.length_scale == 1.0
+    assert calibration.config.calibration.odometry.length_scale == 1.0
 
 
 def test_the_accuracy_of_labels_is_that_of_the_log(surveyed):
     config = calibrate(Config(), replace(surveyed, labels=LabelNoise(0.7))).config
-    assert config.association.label_accuracy == 0.7
-    assert config.association.max_classes == Config().association.max_classes
+    assert config.calibration.objects.label_accuracy == 0.7
+    assert config.calibration.objects.max_classes == Config().calibration.objects.max_classes
 
 
 @pytest.mark.parametrize(
@@ -275,7 +284,7 @@ def test_the_accuracy_of_labels_is_that_of_the_log(surveyed):
 )
 def test_labels_that_say_nothing_are_ignored_and_told(surveyed, labels, told):
     calibration = calibrate(Config(), replace(surveyed, labels=labels))
-    assert calibration.config.association.max_classes == 1
+    assert calibration.config.calibration.objects.max_classes == 1
     assert any(told in note for note in calibration.notes)
 
 
@@ -289,11 +298,13 @@ def test_noise_along_the_line_of_sight_is_told_from_that_across(surveyed):
     )  # fmt: skip
     none = replace(surveyed.components.standard_errors, **dict.fromkeys(found.__dataclass_fields__, 0.0))
     camera = replace(surveyed, components=replace(surveyed.components, variances=found, standard_errors=none))
-    detection = calibrate(Config(), camera).config.detection
+    detection = calibrate(Config(), camera).config.calibration.detection
     assert detection.base_sigma_m == pytest.approx(0.05**0.5)
     assert detection.sigma_per_m == pytest.approx(0.03**0.5 / surveyed.median_range_m)
     assert detection.range_sigma_ratio == pytest.approx(5.0)
-    by_hand = calibrate(Config.model_validate({"detection": {"base_sigma_m": 0.3}}), camera).config.detection
+    by_hand = calibrate(
+        Config.model_validate({"calibration": {"detection": {"base_sigma_m": 0.3}}}), camera
+    ).config.calibration.detection
     assert by_hand.range_sigma_ratio == 1.0
     assert by_hand.sigma_per_m == pytest.approx((0.5 * 1.53) ** 0.5 / surveyed.median_range_m)
 
@@ -309,13 +320,13 @@ def test_errors_that_scans_repeat_average_out_more_slowly(surveyed):
 
 def test_scans_that_are_rarer_than_keyframes_are_counted_by_themselves(surveyed):
     rare = replace(surveyed, scans=2, shared_bias_m=0.0, travel_m=surveyed.median_range_m)
-    assert calibrate(Config(), rare).config.detection.covariance_inflation == pytest.approx(2.0)
+    assert calibrate(Config(), rare).config.calibration.detection.covariance_inflation == pytest.approx(2.0)
 
 
 def test_of_two_sources_of_odometry_one_is_used(surveyed):
-    assert calibrate(Config(), surveyed).config.odometry.sources == 1
+    assert calibrate(Config(), surveyed).config.calibration.odometry.sources == 1
     calibration = calibrate(Config(), replace(surveyed, detour=3.0, sources=2))
-    assert calibration.config.odometry.sources == 2
+    assert calibration.config.calibration.odometry.sources == 2
     assert any("that of the first message is used" in note for note in calibration.notes)
 
 
@@ -332,26 +343,19 @@ def test_scans_so_rare_that_few_errors_average_out_are_told(surveyed, scans_in_r
     assert any("record more scans a second" in note for note in notes) == told
 
 
-@pytest.mark.parametrize(("detected", "fraction"), [(0.95, 0.4), (0.2, 0.1), (float("nan"), 0.4)])
-def test_a_detector_that_misses_much_confirms_landmarks_that_are_seen_more_rarely(surveyed, detected, fraction):
-    told = replace(surveyed, detectability=Detectability(1, detected))
-    assert calibrate(Config(), told).config.landmark.confirm_fraction == pytest.approx(fraction)
-    by_hand = Config(landmark=LandmarkConfig(confirm_fraction=0.4))
-    assert calibrate(by_hand, told).config.landmark.confirm_fraction == 0.4
-
-
-def test_of_sensors_that_take_turns_each_may_miss_a_landmark_as_often(surveyed):
-    alone, in_turn = (
-        calibrate(Config(), replace(surveyed, detectability=Detectability(n, 1.0))).config for n in (1, 3)
-    )
-    assert in_turn.landmark.max_missed_scans == 3 * alone.landmark.max_missed_scans
-    assert in_turn.landmark.confirm_fraction == pytest.approx(1.0 / 6.0)
+@pytest.mark.parametrize(("period", "detected", "probability"), [(1, 0.2, 0.2), (3, 0.9, 0.3), (1, float("nan"), 1.0)])
+def test_how_often_an_object_is_detected_is_that_of_the_log(surveyed, period, detected, probability):
+    objects = calibrate(
+        Config(), replace(surveyed, detectability=Detectability(period, detected))
+    ).config.calibration.objects
+    assert objects.detection_probability == pytest.approx(probability)
+    assert objects.detection_period == period
 
 
 @pytest.mark.parametrize(("name", "of"), [("assume_odometry_frame", "odometry"), ("assume_body_frame", "body")])
 def test_detections_in_another_frame_than_they_say_are_taken_from_it_and_told(surveyed, name, of):
     calibration = calibrate(Config(), replace(surveyed, assumed_frame=name))
-    assert getattr(calibration.config.detection, name) is True
+    assert getattr(calibration.config.calibration.detection, name) is True
     assert f"objects stand still if detections are in the frame of the {of}" in " ".join(calibration.notes)
 
 
@@ -364,12 +368,12 @@ def test_odometry_without_orientations_is_told(surveyed):
 
 
 def test_false_detections_beyond_the_usual_make_new_objects_denser(surveyed):
-    usual = calibrate(Config(), surveyed).config.association.new_object_density
+    usual = calibrate(Config(), surveyed).config.calibration.objects.new_object_density
     few, many = (replace(surveyed, clutter=Clutter(0.3, 5.0, factor * usual)) for factor in (0.5, 20.0))
-    assert calibrate(Config(), few).config.association.new_object_density == usual
-    assert calibrate(Config(), many).config.association.new_object_density == 20.0 * usual
+    assert calibrate(Config(), few).config.calibration.objects.new_object_density == usual
+    assert calibrate(Config(), many).config.calibration.objects.new_object_density == 20.0 * usual
     unknown = replace(many, components=None)
-    assert calibrate(Config(), unknown).config.association.new_object_density == usual
+    assert calibrate(Config(), unknown).config.calibration.objects.new_object_density == usual
 
 
 @pytest.mark.parametrize(("share", "told"), [(0.4, False), (0.7, True)])

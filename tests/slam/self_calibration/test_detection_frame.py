@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from logs.messages import ObjectDetections, Odometry, Record
-from slam.common.config import DetectionConfig
+from slam.common.calibration import DetectionCalibration
 from slam.common.geometry import apply, invert
 from slam.self_calibration.detection_frame import agree, better_frame
 from slam.self_calibration.object_tracks import SurveyScan
@@ -42,7 +42,7 @@ def records(scans: list[SurveyScan], frame: str) -> list[Record]:
 @pytest.mark.parametrize("frame", ["odom", "base_link"])
 def test_the_frame_in_which_objects_stand_still_is_found_whatever_messages_say(drive, is_fixed, frame):
     scans = fixed(drive.scans) if is_fixed else drive.scans
-    found = survey(records(scans, frame), DetectionConfig())
+    found = survey(records(scans, frame), DetectionCalibration())
     right = "odom" if is_fixed else "base_link"
     setting = "assume_odometry_frame" if is_fixed else "assume_body_frame"
     assert found.assumed_frame == (None if frame == right else setting)
@@ -51,7 +51,7 @@ def test_the_frame_in_which_objects_stand_still_is_found_whatever_messages_say(d
 
 
 def test_a_frame_that_was_set_by_hand_is_kept(drive):
-    by_hand = DetectionConfig(assume_body_frame=True)
+    by_hand = DetectionCalibration(assume_body_frame=True)
     found = survey(records(fixed(drive.scans), "base_link"), by_hand)
     assert found.assumed_frame is None
     assert found.max_range_m > 2.0 * drive.range_m
@@ -61,7 +61,7 @@ def test_a_frame_that_was_set_by_hand_is_kept(drive):
 def test_a_sensor_that_looks_backwards_is_on_the_body(drive):
     backwards = np.diag([-1.0, -1.0, 1.0])
     found = survey(records([replace(each, positions=each.positions @ backwards) for each in drive.scans], "base_link"),
-                   DetectionConfig())  # fmt: skip
+                   DetectionCalibration())  # fmt: skip
     assert found.assumed_frame is None
     assert np.abs(found.turned_deg) == pytest.approx([0.0, 0.0, 180.0], abs=1.0)
 
@@ -90,5 +90,5 @@ def test_odometry_without_orientations_is_found_by_the_objects_that_do_not_stand
     scans = [replace(scan, T_odom_body=np.eye(4)) for scan in drive.scans]
     for scan, known in zip(scans, drive.scans, strict=True):
         scan.T_odom_body[:3, 3] = known.T_odom_body[:3, 3]
-    assert survey(records(scans, "base_link"), DetectionConfig()).lacks_heading == turns
-    assert not survey(records(drive.scans, "base_link"), DetectionConfig()).lacks_heading
+    assert survey(records(scans, "base_link"), DetectionCalibration()).lacks_heading == turns
+    assert not survey(records(drive.scans, "base_link"), DetectionCalibration()).lacks_heading

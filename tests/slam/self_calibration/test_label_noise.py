@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam.common.config import Config
+from slam.common.calibration import ObjectCalibration
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.self_calibration.label_noise import LabelNoise, estimate_label_noise
 from slam.self_calibration.object_tracks import SurveyScan
@@ -51,7 +51,7 @@ def renamed(scans: list[SurveyScan], first: int) -> list[SurveyScan]:
 def test_right_labels_are_trusted() -> None:
     found = estimate(drive())
     assert 0.999 < found.accuracy < 1.0
-    Config.model_validate({"association": {"label_accuracy": found.accuracy}})  # it is a setting
+    ObjectCalibration(label_accuracy=found.accuracy)  # it may be given
     assert found.renamed_ns is None
     assert not found.is_useless
 

@@ -9,14 +9,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from logs.messages import ObjectDetections, Odometry, Record, Transform
-from slam.common.config import DetectionConfig
+from slam.common.calibration import DetectionCalibration
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.odometry.scaled_odometry import ScaledOdometry
 from slam.self_calibration import survey as module
 from slam.self_calibration.survey import summarize, survey
 from tests.helpers.surveyed_drives import SurveyedDrive
 
-CONFIG = DetectionConfig()
+CONFIG = DetectionCalibration()
 ROW = np.array([[4.0, 3.0, 0.0], [8.0, 6.0, 0.0], [12.0, 16.0, 0.0]])
 """At ranges of 5 m, 10 m and 20 m."""
 
@@ -75,7 +75,7 @@ def test_ranges_are_horizontal_and_from_the_body():
 
 def test_a_scan_in_a_frame_that_nobody_knows_is_left_out_unless_it_is_taken_for_the_body():
     assert survey(straight(frame="lidar"), CONFIG) is None
-    assert survey(straight(frame="lidar"), DetectionConfig(assume_body_frame=True)).scans == 11
+    assert survey(straight(frame="lidar"), DetectionCalibration(assume_body_frame=True)).scans == 11
 
 
 def test_a_tilted_body_sees_upright():
@@ -90,7 +90,7 @@ def test_a_tilted_body_sees_upright():
 
 def test_detections_below_the_least_score_or_without_a_place_count_nothing():
     scores = np.array([0.9, 0.2, 0.9])
-    found = survey(straight(scores=scores), DetectionConfig(min_score=0.5))
+    found = survey(straight(scores=scores), DetectionCalibration(min_score=0.5))
     assert found.detections == 22
     assert survey(straight(positions=[*ROW[:2], [np.nan, 0.0, 0.0]]), CONFIG).detections == 22
 
@@ -170,7 +170,7 @@ def turned_records(yaw_deg: float) -> list[Record]:
 @pytest.mark.slow
 @pytest.mark.parametrize("yaw_deg", [0.0, 12.0, -25.0, 90.0, 100.0])
 def test_a_sensor_that_is_turned_is_turned_back(yaw_deg):
-    found = survey(turned_records(yaw_deg), DetectionConfig(assume_body_frame=True))
+    found = survey(turned_records(yaw_deg), DetectionCalibration(assume_body_frame=True))
     assert found.turned_deg == pytest.approx((0.0, 0.0, yaw_deg), abs=2.0)
     assert found.errors.yaw_rad == 0.0 or abs(found.errors.yaw_rad) < np.deg2rad(2.0)
 
@@ -184,14 +184,14 @@ def scaled_records(length: float, turn: float) -> list[Record]:
 @pytest.mark.slow
 @pytest.mark.parametrize("length", [1.0, 1.2, 0.8])
 def test_lengths_of_the_odometry_are_corrected(length):
-    found = survey(scaled_records(length, 1.0), DetectionConfig(assume_body_frame=True))
+    found = survey(scaled_records(length, 1.0), DetectionCalibration(assume_body_frame=True))
     assert found.length_scale == pytest.approx(1.0 / length, abs=0.02)
     assert found.turn_scale == 1.0
 
 
 @pytest.mark.slow
 def test_lengths_that_were_set_by_hand_are_kept_and_their_error_is_known():
-    records, config = scaled_records(1.2, 1.0), DetectionConfig(assume_body_frame=True)
+    records, config = scaled_records(1.2, 1.0), DetectionCalibration(assume_body_frame=True)
     found = survey(records, config, given={"length_scale"})
     assert found.length_scale == 1.0
     assert found.errors.length_share == pytest.approx(1.0 / 1.2 - 1.0, abs=0.02)
@@ -217,18 +217,18 @@ def winding_records(turn: float) -> list[Record]:
 @pytest.mark.slow
 @pytest.mark.parametrize("turn", [1.0, 1.1, 0.85])
 def test_turns_of_the_odometry_are_corrected(turn):
-    found = survey(winding_records(turn), DetectionConfig(assume_body_frame=True))
+    found = survey(winding_records(turn), DetectionCalibration(assume_body_frame=True))
     assert found.turn_scale == pytest.approx(1.0 / turn, abs=0.01)
     assert found.length_scale == 1.0
 
 
 def test_lengths_that_are_off_beyond_all_calibration_are_left():
-    found = survey(scaled_records(4.0, 1.0), DetectionConfig(assume_body_frame=True))
+    found = survey(scaled_records(4.0, 1.0), DetectionCalibration(assume_body_frame=True))
     assert found.length_scale == 1.0
 
 
 def test_an_angle_that_was_set_by_hand_is_kept():
-    found = survey(turned_records(25.0), DetectionConfig(assume_body_frame=True, yaw_deg=5.0))
+    found = survey(turned_records(25.0), DetectionCalibration(assume_body_frame=True, yaw_deg=5.0))
     assert found.turned_deg == pytest.approx((0.0, 0.0, 5.0))
 
 

@@ -21,8 +21,8 @@ from slam.backend.factors import (
     observation_factors,
     prior_factor,
 )
+from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
-from slam.common.config import FactorGraphConfig
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
 
 PLAIN = FactorGraphConfig(observation_kernel="none", observed_keyframes=1)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from logs.messages import CameraModel, DepthImage, ImageDetections, Odometry, Transform
-from slam.common.config import Config, DetectionConfig, LabelsConfig
+from slam.common.calibration import DetectionCalibration
+from slam.common.config import Config, LabelsConfig
 from slam.common.errors import InputDataError
 from slam.common.geometry import apply, invert, make_transform
 from slam.frontend.input.image_detections import ImageLifter, place_by_depth, place_on_ground, place_tag, ray
@@ -112,7 +113,7 @@ def boxes(stamp_ns: int = 100, frame: str = "camera") -> ImageDetections:
 def lifter(**settings: float) -> ImageLifter:
     frames = SensorFrames()
     frames.add(Transform(0, "base_link", "camera", T_body_camera))
-    found = ImageLifter(DetectionConfig(**settings), frames)
+    found = ImageLifter(DetectionCalibration(**settings), frames)
     found.body_frame = "base_link"
     return found
 

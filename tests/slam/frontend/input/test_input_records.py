@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from logs.messages import ObjectDetections, Odometry
-from slam.common.config import Config, DetectionConfig, OdometryConfig
+from slam.common.config import Config
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.frontend.input.input_records import InputRecords
 from slam.frontend.input.label_map import LabelMap
@@ -52,7 +52,7 @@ def test_of_two_sources_of_odometry_that_of_the_first_message_is_used() -> None:
     poses = [transform_from_xyz_yaw(np.array([0.1 * row, 5.0 * (row % 2), 0.0]), 0.0) for row in range(20)]
     messages = [Odometry(row, T) for row, T in enumerate(poses)]
     for sources, step in ((1, 1), (2, 2)):
-        config = Config(odometry=OdometryConfig(sources=sources))
+        config = Config().calibrated({"odometry.sources": sources})
         inputs = InputRecords(config, LabelMap(config.labels), SensorFrames())
         assert list(inputs.prepare(messages)) == messages[::step]
 
@@ -60,7 +60,7 @@ def test_of_two_sources_of_odometry_that_of_the_first_message_is_used() -> None:
 def test_lengths_are_scaled_as_the_settings_say() -> None:
     poses = [transform_from_xyz_yaw(np.array([float(row), 0.0, 0.0]), 0.0) for row in range(3)]
     seen = replace(scan(5, ROW), covariances=np.tile(np.eye(3), (2, 1, 1)))
-    config = Config(odometry=OdometryConfig(length_scale=1.5), detection=DetectionConfig(range_scale=0.5))
+    config = Config().calibrated({"odometry.length_scale": 1.5, "detection.range_scale": 0.5})
     inputs = InputRecords(config, LabelMap(config.labels), SensorFrames())
     *moved, found = inputs.prepare([*(Odometry(row, T) for row, T in enumerate(poses)), seen])
     assert [each.T_odom_body[0, 3] for each in moved if isinstance(each, Odometry)] == [0.0, 1.5, 3.0]

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from logs.messages import ObjectDetections
-from slam.common.config import DetectionConfig, LabelsConfig, load_config
+from slam.common.calibration import DetectionCalibration
+from slam.common.config import LabelsConfig, load_config
 from slam.common.config_tree import to_toml
 from slam.common.errors import ConfigurationError
 from slam.frontend.input.label_map import LabelMap
@@ -24,7 +25,7 @@ def detections(labels: tuple[str, ...] = NAMES) -> ObjectDetections:
 
 def test_classes_are_renamed_merged_and_dropped() -> None:
     config = LabelsConfig(rename={"pole_*": "pole"}, merge={"vehicle": ("car", "van")}, drop=("person",))
-    scan = make_scan(LabelMap(config).apply(detections()), np.eye(4), DetectionConfig())
+    scan = make_scan(LabelMap(config).apply(detections()), np.eye(4), DetectionCalibration())
     assert scan.labels == ("vehicle", "vehicle", "pole", "tree")
     assert scan.used.tolist() == [True, True, False, True, True]
     np.testing.assert_array_equal(scan.positions[:, 0], [0.0, 1.0, 3.0, 4.0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from logs.messages import ObjectDetections
-from slam.common.config import DetectionConfig
+from slam.common.calibration import DetectionCalibration
 from slam.common.geometry import apply, make_transform
 from slam.frontend.input.scan import make_scan
 from tests.logs.examples import random_detections, random_transform
@@ -19,8 +19,11 @@ def detections(positions, *, scores=None, covariances=None) -> ObjectDetections:
     return ObjectDetections(5, "lidar", positions, labels, scores, covariances)
 
 
+NO_FLOOR = DetectionCalibration(sensor_range_m=1e-6, max_range_m=1e3)
+
+
 def test_what_is_too_far_or_too_doubtful_is_left_out_and_the_limits_themselves_are_in():
-    config = DetectionConfig(max_range_m=10.0, min_score=0.5)
+    config = DetectionCalibration(max_range_m=10.0, min_score=0.5)
     message = detections([[10, 0, 0], [10.001, 0, 0], [1, 0, 0], [2, 0, 0]], scores=[1.0, 1.0, 0.5, 0.499])
     scan = make_scan(message, np.eye(4), config)
     assert scan.used.tolist() == [True, False, True, False]
@@ -31,14 +34,14 @@ def test_what_is_too_far_or_too_doubtful_is_left_out_and_the_limits_themselves_a
 
 def test_without_covariances_the_noise_grows_with_the_range():
     scan = make_scan(
-        detections([[0, 0, 0], [0, 30, 40]]), np.eye(4), DetectionConfig(base_sigma_m=0.2, sigma_per_m=0.01)
+        detections([[0, 0, 0], [0, 30, 40]]), np.eye(4), DetectionCalibration(base_sigma_m=0.2, sigma_per_m=0.01)
     )
     np.testing.assert_allclose(scan.covariances, [0.2**2 * np.eye(3), 0.7**2 * np.eye(3)])
     assert not scan.has_own_covariance.any()
 
 
 def test_without_covariances_the_noise_is_larger_along_the_line_of_sight():
-    config = DetectionConfig(base_sigma_m=0.5, sigma_per_m=0.0, range_sigma_ratio=4.0)
+    config = DetectionCalibration(base_sigma_m=0.5, sigma_per_m=0.0, range_sigma_ratio=4.0)
     scan = make_scan(detections([[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]]), np.eye(4), config)
     sight, across = np.array([0.6, 0.8, 0.0]), np.array([0.8, -0.6, 0.0])
     np.testing.assert_allclose(scan.covariances[0] @ sight, 2.0**2 * sight, atol=1e-12)
@@ -50,7 +53,7 @@ def test_positions_and_covariances_turn_into_the_body_frame():
     rng = np.random.default_rng(0)
     T_body_sensor = random_transform(rng)
     message = random_detections(rng, 6)
-    scan = make_scan(message, T_body_sensor, DetectionConfig(min_sigma_m=0.0))
+    scan = make_scan(message, T_body_sensor, NO_FLOOR)
     assert scan.has_own_covariance.all()
     np.testing.assert_allclose(scan.positions, apply(T_body_sensor, message.positions))
     for turned, own in zip(scan.covariances, message.covariances, strict=True):
@@ -61,28 +64,28 @@ def test_positions_and_covariances_turn_into_the_body_frame():
 
 def test_the_range_is_counted_from_the_body_wherever_the_frame_of_the_message_is():
     T_body_odom = make_transform(np.eye(3), np.array([-1000.0, 0, 0]))
-    scan = make_scan(detections([[1020, 0, 0], [5, 0, 0]]), T_body_odom, DetectionConfig())
+    scan = make_scan(detections([[1020, 0, 0], [5, 0, 0]]), T_body_odom, DetectionCalibration())
     assert scan.used.tolist() == [True, False]
     np.testing.assert_allclose(
-        scan.covariances, make_scan(detections([[20, 0, 0]]), np.eye(4), DetectionConfig()).covariances
+        scan.covariances, make_scan(detections([[20, 0, 0]]), np.eye(4), DetectionCalibration()).covariances
     )
 
 
 def test_one_unknown_covariance_leaves_the_others_as_they_are():
     own = np.stack([0.3**2 * np.eye(3), np.zeros((3, 3))])
-    scan = make_scan(detections([[10, 0, 0], [10, 0, 0]], covariances=own), np.eye(4), DetectionConfig(min_sigma_m=0.0))
+    scan = make_scan(detections([[10, 0, 0], [10, 0, 0]], covariances=own), np.eye(4), NO_FLOOR)
     assert scan.has_own_covariance.tolist() == [True, False]
     np.testing.assert_allclose(scan.covariances, [0.3**2 * np.eye(3), 0.3**2 * np.eye(3)])
 
 
 def test_no_detector_is_right_to_less_than_the_floor():
-    scan = make_scan(detections([[10, 0, 0]], covariances=1e-18 * np.eye(3)[None]), np.eye(4), DetectionConfig())
-    assert np.sqrt(scan.covariances[0, 0, 0]) == pytest.approx(DetectionConfig().min_sigma_m)
+    scan = make_scan(detections([[10, 0, 0]], covariances=1e-18 * np.eye(3)[None]), np.eye(4), DetectionCalibration())
+    assert np.sqrt(scan.covariances[0, 0, 0]) == pytest.approx(0.01)
 
 
 @pytest.mark.parametrize("covariances", [None, np.zeros((0, 3, 3))])
 def test_an_empty_message_is_an_empty_scan(covariances):
-    scan = make_scan(detections([], covariances=covariances), np.eye(4), DetectionConfig())
+    scan = make_scan(detections([], covariances=covariances), np.eye(4), DetectionCalibration())
     assert scan.positions.shape == (0, 3)
     assert scan.covariances.shape == (0, 3, 3)
     assert scan.labels == ()
@@ -90,7 +93,7 @@ def test_an_empty_message_is_an_empty_scan(covariances):
 
 def test_the_noise_of_heights_is_along_the_vertical_of_a_body_that_leans():
     up_body = np.array([0.0, 0.6, 0.8])
-    config = DetectionConfig(base_sigma_m=0.1, sigma_per_m=0.0, height_sigma_m=2.0)
+    config = DetectionCalibration(base_sigma_m=0.1, sigma_per_m=0.0, height_sigma_m=2.0)
     covariance = make_scan(detections([[10, 0, 0]]), np.eye(4), config, up_body).covariances[0]
     assert up_body @ covariance @ up_body == pytest.approx(0.01 + 4.0)
     across = np.array([0.0, 0.8, -0.6])
@@ -98,6 +101,6 @@ def test_the_noise_of_heights_is_along_the_vertical_of_a_body_that_leans():
 
 
 def test_what_messages_claim_is_scaled_by_how_much_they_understate():
-    config = DetectionConfig(claimed_sigma_factor=3.0, min_sigma_m=0.1)
+    config = DetectionCalibration(claimed_sigma_factor=3.0, sensor_range_m=300.0)
     scan = make_scan(detections([[10, 0, 0]], covariances=0.2**2 * np.eye(3)[None]), np.eye(4), config)
     np.testing.assert_allclose(scan.covariances[0], (0.6**2 + 0.1**2) * np.eye(3))

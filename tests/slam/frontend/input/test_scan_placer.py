@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from logs.messages import ObjectDetections, Odometry, Transform
-from slam.common.config import DetectionConfig
+from slam.common.calibration import DetectionCalibration
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.frontend.input.scan_placer import ScanPlacer
 from slam.frontend.input.sensor_frames import SensorFrames
@@ -25,7 +25,7 @@ def detections(frame_id: str, at: tuple[float, float, float] = (4.0, 0.0, 0.0)) 
 def placer() -> ScanPlacer:
     frames = SensorFrames()
     frames.add(Transform(0, "base_link", "sensor", T_BODY_SENSOR))
-    placer = ScanPlacer(DetectionConfig(), frames)
+    placer = ScanPlacer(DetectionCalibration(), frames)
     placer.follow(Odometry(10, T_ODOM_BODY, frame_id="odom", child_frame_id="base_link"))
     return placer
 
@@ -52,7 +52,7 @@ def test_a_frame_that_nothing_connects_is_named(placer):
 
 
 def test_detections_of_a_tracker_are_taken_from_the_odometry_frame_whatever_they_say():
-    placer = ScanPlacer(DetectionConfig(assume_odometry_frame=True), SensorFrames())
+    placer = ScanPlacer(DetectionCalibration(assume_odometry_frame=True), SensorFrames())
     placer.follow(Odometry(10, T_ODOM_BODY, frame_id="odom", child_frame_id="base_link"))
     at = T_ODOM_BODY @ np.array([4.0, 0.0, 0.0, 1.0])
     for frame in ("base_link", "", "odom", "nowhere"):

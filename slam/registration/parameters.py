@@ -1,0 +1,73 @@
+"""Parameters of the registration of one constellation of objects with another."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from slam.common.config import Config
+from slam.common.config_tree import Branch
+
+HEIGHT_RANGES = 0.01
+"""Noise of heights in sensor ranges, unless it is given."""
+BASELINE_RANGES = 0.1
+"""Least distance in sensor ranges of two objects that propose a heading, and how far a partner is looked for."""
+DISTINCT_RANGES = 1.0 / 15.0
+"""Distance in sensor ranges of two poses that are not the same."""
+
+
+class RegistrationConfig(Branch):
+    """Registration of one constellation of objects with another."""
+
+    method: str = Field(
+        default="vote",
+        pattern="^(vote|ransac)$",
+        description="poses are proposed by all compatible pairs of correspondences (vote) or by pairs drawn (ransac)",
+    )
+    gate_sigma: float = Field(
+        default=3.0, gt=0, description="residuals and differences of lengths beyond that many sigmas are no match"
+    )
+    height_sigma_m: float = Field(
+        default=0.3, ge=0, description="noise of heights beyond that of the position, e.g. of objects seen in part [m]"
+    )
+    tilt_sigma_rad: float = Field(
+        default=0.005, gt=0, description="how well gravity holds roll and pitch of the two frames together [rad]"
+    )
+    min_baseline_m: float = Field(
+        default=3.0, gt=0, description="least horizontal distance of two objects that propose a heading [m]"
+    )
+    min_inliers: int = Field(default=3, ge=2, description="least pairs of objects that support a pose")
+    hypotheses: int = Field(default=64, ge=1, description="poses with most votes that are scored")
+    confidence: float = Field(
+        default=0.9999,
+        gt=0,
+        lt=1,
+        description="voting ends once a pose with more support would have been met with this probability",
+    )
+    max_pairs: int = Field(default=20_000_000, ge=1, description="... or after that many pairs of correspondences")
+    search_radius_m: float = Field(
+        default=3.0, gt=0, description="refinement from an approximate pose looks that far for partners at first [m]"
+    )
+    max_iterations: int = Field(default=8, ge=1, description="rounds of association and least squares")
+    distinct_m: float = Field(
+        default=2.0, gt=0, description="poses nearer to a better one in position, at the centre of the objects, [m] ..."
+    )
+    distinct_deg: float = Field(default=10.0, gt=0, le=180, description="... and in heading are the same pose [deg]")
+    six_dof: bool = Field(
+        default=False, description="estimate roll and pitch, too, instead of taking both frames as level"
+    )
+    estimate_scale: bool = Field(
+        default=False, description="estimate a scale of the query, for ranges that are measured too long or too short"
+    )
+    scale_sigma: float = Field(default=0.05, gt=0, lt=1, description="how far that scale is from 1")
+
+
+def registration_config(config: Config) -> RegistrationConfig:
+    """The parameters by settings and calibration: lengths are fractions of the sensor range."""
+    range_m, height_m = config.sensor_range_m, config.calibration.objects.height_sigma_m
+    return RegistrationConfig(
+        **config.registration.model_dump(),
+        height_sigma_m=HEIGHT_RANGES * range_m if height_m is None else height_m,
+        min_baseline_m=BASELINE_RANGES * range_m,
+        search_radius_m=BASELINE_RANGES * range_m,
+        distinct_m=DISTINCT_RANGES * range_m,
+    )
