@@ -25,7 +25,6 @@ TWO_BLOCKS_ROUND_M, ONE_BLOCK_ROUND_M = 440.0, 280.0
 
 ACCEPT_EVERYTHING = {
     "localization": {"error_probability": 1.0 - 1e-15},
-    "likelihood_ratio": {"detection_probability": 1e-6},
 }
 
 
@@ -85,9 +84,7 @@ def replay_drive(
     """Drive through ``world`` with the default noise, at 5 scans a second, and replay it."""
     simulation = SimulationConfig(drive=DriveConfig(rate_hz=5.0), kidnap=kidnap)
     path = folder / "out.mcap"
-    config = Config.model_validate(
-        {"calibration": {"enabled": calibrated}, "loop_closure": loop_closure, **(branches or {})}
-    )
+    config = Config.model_validate({"calibrate": calibrated, "loop_closure": loop_closure, **(branches or {})})
     return Outcome(path, run(drive(simulation, world=world), path, config))
 
 

@@ -103,7 +103,7 @@ def test_too_many_channels_are_refused(tmp_path):
 
 def test_a_topic_with_an_endless_name_is_refused(tmp_path):
     path = written(tmp_path / "log.mcap", McapFile({}, {1: (0, "x" * 2000, "json")}, [Message(1, 1, b"")]))
-    with pytest.raises(UnreadableLogError, match=r"2000 characters.*limits\.name_length=2000"):
+    with pytest.raises(UnreadableLogError, match=r"2000 characters.*--set memory_mb=128"):
         LogReader(path)
 
 

@@ -373,7 +373,7 @@ def test_a_static_transform_leads_to_it(entries, output):
 
 
 def test_or_the_configuration_says_that_it_is_the_body(entries, output):
-    config = Config.model_validate({"detection": {"assume_body_frame": True}})
+    config = Config.model_validate({"calibration": {"detection": {"assume_body_frame": True}}})
     assert mapped(in_frame(entries, "velodyne"), output, config)["detections_used"] == 80
 
 

@@ -20,7 +20,7 @@ from tests.helpers.ros2_logs import Message, detections3d, header, ros2_messages
 from tests.helpers.short_drives import drive, keep_until
 
 SECONDS = 25.0
-UNCALIBRATED = Config.model_validate({"calibration": {"enabled": False}})
+UNCALIBRATED = Config.model_validate({"calibrate": False})
 
 
 def T_body_mast(stamp_ns: int) -> np.ndarray:

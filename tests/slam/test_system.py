@@ -356,7 +356,7 @@ def test_two_sensors_that_see_at_the_same_time_are_both_used(exact_drive):
                 scores=record.scores[chosen], covariances=None, sizes=None, track_ids=None,
             )  # fmt: skip
             halves.append((topic, stamp_ns, half))
-    both = Config.model_validate({"detection": {"assume_body_frame": True}})
+    both = Config().calibrated({"detection.assume_body_frame": True})
     whole, split = finished(entries, both), finished(halves, both)
     assert split.status.counters["objects_used"] == whole.status.counters["objects_used"]
     assert "detections_duplicated" not in split.status.counters

@@ -34,19 +34,10 @@ PARTS: dict[str, tuple[str, ...]] = {
     "propagation of closures": ("loop_closure.propagation_distance_m=0",),
     "hypotheses": ("localization.max_hypotheses=0",),
     "posterior: first candidate": ("localization.error_probability=0.999999",),
-    "clutter along the street": ("likelihood_ratio.clutter_along_track_m=0.001",),
     "loop closures": ("loop_closure.enabled=false",),
-    "robust kernel of observations": ("factor_graph.observation_kernel=none",),
-    "weight of landmarks": ("detection.covariance_inflation=1000000",),
-    "observations summed over keyframes": ("factor_graph.observed_keyframes=1",),
-    "confirmation of landmarks": (
-        "landmark.confirm_observations=1",
-        "landmark.confirm_fraction=0",
-        "landmark.confirm_age_s=0",
-    ),
-    "exclusion of moving objects": ("landmark.moving_speed_mps=1000",),
-    "labels": ("association.max_classes=1",),
-    "calibration": ("calibration.enabled=false",),
+    "weight of landmarks": ("calibration.detection.covariance_inflation=1000000",),
+    "labels": ("calibration.objects.max_classes=1",),
+    "calibration": ("calibrate=false",),
 }
 """Settings that switch a part off."""
 

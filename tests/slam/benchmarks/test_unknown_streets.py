@@ -9,7 +9,7 @@ from slam.benchmarks.kidnapping.unknown_streets import BESIDE_M, _street, benchm
 from slam.common.config import Config
 from slam.place_recognition.imported_map import ImportedMap, make_imported_map
 
-UNCALIBRATED = Config.model_validate({"calibration": {"enabled": False}})
+UNCALIBRATED = Config.model_validate({"calibrate": False})
 
 
 def rows_of_trees() -> ImportedMap:

@@ -13,6 +13,7 @@ import pytest
 from logs.closures import STAGES
 from slam.common.config import Config, LocalizationConfig
 from slam.localization.localizer import log_odds_of
+from slam.loop_closure import likelihood_ratio, propagation, verification
 from slam.replay import replay
 from slam.simulation.config import KidnapConfig
 from tests.helpers.loop_drives import (
@@ -139,13 +140,20 @@ def test_closures_make_one_landmark_of_each_object(looped, open_ended):
 # What it leaves alone
 
 
+def count_no_misses(monkeypatch):
+    """Objects without a match say nothing against a place."""
+    for module in (likelihood_ratio, verification, propagation):
+        monkeypatch.setattr(module, "DETECTION_PROBABILITY", 1e-6)
+
+
 def test_a_drive_without_revisits_accepts_nothing(straying):
     assert straying.revisits.revisit_count == 0
     assert straying.closures.candidate_count > 100
     assert straying.closures.accepted_count == 0
 
 
-def test_twin_without_a_verdict_a_drive_without_revisits_accepts_much_all_of_it_false(tmp_path):
+def test_twin_without_a_verdict_a_drive_without_revisits_accepts_much_all_of_it_false(tmp_path, monkeypatch):
+    count_no_misses(monkeypatch)
     outcome = replay_drive(tmp_path, winding_street(), calibrated=False, branches=ACCEPT_EVERYTHING)
     assert outcome.accepted_count > 20
     assert outcome.closures.true_count == 0
@@ -158,7 +166,8 @@ def test_two_streets_of_lamps_in_dense_rows_are_not_taken_for_one(tmp_path):
     assert outcome.closures.accepted_count == 0
 
 
-def test_twin_without_a_verdict_two_streets_of_lamps_are_taken_for_one(tmp_path):
+def test_twin_without_a_verdict_two_streets_of_lamps_are_taken_for_one(tmp_path, monkeypatch):
+    count_no_misses(monkeypatch)
     outcome = replay_drive(tmp_path, rows_of_lamps(8.0), branches=ACCEPT_EVERYTHING)
     assert outcome.accepted_count > 20
     assert outcome.closures.true_count == 0
