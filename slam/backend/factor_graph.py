@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from logs.messages import FactorGraphRecord
-from slam.backend.batch_solver import BatchSolver, GtsamCalls, Optimization
-from slam.backend.covariance.current_marginals import CurrentMarginals
-from slam.backend.covariance.marginals import Marginals
-from slam.backend.estimates import Estimates
-from slam.backend.factor_store import FactorStore
-from slam.backend.factors import (
-    PRIOR_SIGMA_RANGES,
-    Edge,
-    Factor,
-    Observation,
-    PosePrior,
-    between_factor,
-)
+from slam.backend.batch_solver import BatchSolver, Optimization
+from slam.backend.condensing.condensed_factors import condensed_factors, relative_covariances, summed_at_estimate
+from slam.backend.covariance.marginals import Marginals, compute_marginals
+from slam.backend.editable_graph import EditableGraph
+from slam.backend.estimates import Estimates, read_estimates
+from slam.backend.factors import Edge, Factor, Observation
 from slam.backend.graph_record import make_graph_record
-from slam.backend.solver_options import FactorGraphConfig
+from slam.backend.incremental_solver import IncrementalSolver
+from slam.backend.segment_joining import moved_estimate, relaxed_breaks, shift_of_segment
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.errors import FactorGraphError
@@ -32,26 +27,14 @@ from slam.common.errors import FactorGraphError
 logger = logging.getLogger(__name__)
 
 
-class FactorGraph:
-    """Incremental estimate while the drive goes on, one batch solution at its end.
-
-    Each factor has a number that never changes. ``sensor_range_m`` is that of the detections, ``prior_sigma_m`` the
-    standard deviation of what is fixed.
-    """
+class FactorGraph(EditableGraph):
+    """Incremental estimate during the drive, one batch solution at its end; ``sensor_range_m``: of the detections."""
 
     def __init__(
         self, config: FactorGraphConfig, *, sensor_range_m: float = DetectionCalibration().sensor_range_m
     ) -> None:
-        self.prior_sigma_m = PRIOR_SIGMA_RANGES * sensor_range_m
-        self._calls = GtsamCalls()
-        self._store = FactorStore(config, self._calls, sensor_range_m=sensor_range_m)
-        self._marginals = CurrentMarginals(config, self._calls)
-        self._keyframes: list[int] = []
-
-    @property
-    def factors(self) -> Mapping[int, Factor]:
-        """The factors that are in force, by their numbers."""
-        return self._store.factors
+        super().__init__(config, sensor_range_m=sensor_range_m)
+        self._marginals: tuple[gtsam.Values, Marginals] | None = None  # with the estimate that they are of
 
     @property
     def solver_seconds(self) -> float:
@@ -59,64 +42,18 @@ class FactorGraph:
         return self._calls.seconds
 
     @property
-    def keyframes(self) -> IntArray:
-        """Ids (K,) of the keyframes, in the order in which they were added."""
-        return np.array(self._keyframes, dtype=np.int64)
-
-    @property
     def keyframe_variables(self) -> IntArray:
         """Ids (V,) of those that are variables: all but those attached to another one."""
-        attached = self._store.attached.anchors
+        attached = self._attached.anchors
         return np.array([keyframe for keyframe in self._keyframes if keyframe not in attached], dtype=np.int64)
 
-    @property
-    def landmarks(self) -> IntArray:
-        """Ids (L,) of the landmarks that are estimated, ascending; a merged one has the id of the landmark
-        it was merged into; those of a fixed map are constants and left out.
-        """
-        return np.array(sorted(self._store.landmarks.variables - self._store.known.fixed_landmarks), dtype=np.int64)
-
-    def add_first_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
-        """Fix the map frame: a prior on the first keyframe."""
-        self._insert_keyframe(keyframe, T_map_body)
-        self._store.add(PosePrior(keyframe, T_map_body, self.prior_sigma_m))
-
-    def add_next_keyframe(self, edge: Edge, T_from_to: FloatArray | None = None) -> None:
-        """Add the keyframe ``edge.to_keyframe``, placed from ``edge.from_keyframe`` by the edge.
-
-        ``T_from_to`` (4, 4) is a better estimate to place it by, where there is one, until the next update.
-        """
-        factor = between_factor(edge)
-        placed_by = edge.T_from_to if T_from_to is None else T_from_to
-        self._insert_keyframe(edge.to_keyframe, self.pose(edge.from_keyframe) @ placed_by)
-        self._store.add(edge, factor)
-
-    def add_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
-        """Add a keyframe at a pose (4, 4), which edges have to tie to the others before the next update."""
-        self._insert_keyframe(keyframe, T_map_body)
-
-    def add_fixed_keyframe(self, keyframe: int, T_map_body: FloatArray, *, is_map_frame: bool = False) -> None:
-        """Add a keyframe that never moves; ``is_map_frame``: it stands for the frame of a map without keyframes."""
-        self._insert_keyframe(keyframe, T_map_body)
-        self._store.add(PosePrior(keyframe, T_map_body, self.prior_sigma_m))
-        self._store.known.add_keyframe(keyframe, T_map_body)
-        if is_map_frame:
-            self._store.known.frame = keyframe
-
-    def add_known_landmarks(self, landmarks: Mapping[int, FloatArray], sigmas_m: FloatArray, *, is_fixed: bool) -> None:
-        """Announce landmarks of a prior map; each enters the graph when something is merged into it.
-
-        Args:
-            landmarks: their positions, (3,) m by id.
-            sigmas_m: (3,) standard deviations of the coordinates.
-            is_fixed: they are constants, and not estimated.
-        """
-        self._store.known.add_landmarks(landmarks, sigmas_m, is_fixed=is_fixed)
-
-    def add_edge(self, edge: Edge) -> int:
-        """Tie two keyframes together; returns the factor's number."""
-        self._check_ends(edge)
-        return self._store.add(edge)
+    def observers(self) -> dict[int, set[int]]:
+        """The keyframes that saw each landmark which has a variable of its own, those merged into it included."""
+        found: dict[int, set[int]] = {}
+        for each in self._factors.values():
+            if isinstance(each, Observation):
+                found.setdefault(self._variable_of(each.landmark), set()).add(each.keyframe)
+        return found
 
     def add_joining_edge(self, edge: Edge, moved: IntArray) -> int:
         """Tie two stretches together that only a break of the odometry tied: the keyframes ``moved`` (K,), with one end
@@ -127,90 +64,53 @@ class FactorGraph:
         """
         self._check_ends(edge)
         self.update()
+        away = set(moved.tolist())
         with self._calls.doing("the joining of two segments"):
-            return self._store.join(edge, set(moved.tolist()), self.keyframe_variables.tolist())
-
-    def _check_ends(self, edge: Edge) -> None:
-        for keyframe in (edge.from_keyframe, edge.to_keyframe):
-            if not self._store.holds_keyframe(keyframe):
-                raise FactorGraphError(
-                    f"edge {edge.from_keyframe} -> {edge.to_keyframe}: keyframe {keyframe} is not in the graph"
-                )
-
-    def add_observations(self, observations: Sequence[Observation]) -> None:
-        """Tie landmarks to the keyframes that saw them.
-
-        A landmark enters the graph with its first observation, which gives it all three coordinates, so none is ever
-        under-constrained.
-        """
-        self._store.add_observations(observations)
+            T_shift = shift_of_segment(edge, self.pose(edge.from_keyframe), self.pose(edge.to_keyframe), away)
+            landmarks = [each for each in self._variables() if self._solver.holds(L(each))]
+            others = [o for o in self._factors.values() if isinstance(o, Observation) and o.keyframe not in away]
+            staying = self._known.keys() | {self._variable_of(each.landmark) for each in others}
+            along = set(landmarks) - staying
+            keyframes = self.keyframe_variables.tolist()
+            values = moved_estimate(self._solver.values(), keyframes, landmarks, away, along, T_shift)
+            number = self._number(self._attached.edge(edge))
+            breaks = relaxed_breaks(self._factors, away, values)
+            self._factors |= breaks
+            changed = {each: self._solver_factor(self._factors[each]) for each in (*breaks, number)}
+            self._solver.restart(values, {**self._solver.factors, **changed})
+        return number
 
     def replace_covariances(self, covariances: Mapping[int, FloatArray]) -> None:
         """Give the edges of these numbers other covariances (6, 6); all is solved in batch from then on."""
-        changed = {
+        changed: dict[int, Factor] = {
             number: replace(edge, covariance=covariances[number])
-            for number, edge in self.factors.items()
+            for number, edge in self._factors.items()
             if number in covariances and isinstance(edge, Edge)
         }
         if changed:
-            self._store.change(changed)
-
-    def observers(self) -> dict[int, set[int]]:
-        """The keyframes that saw each landmark which has a variable of its own, those merged into it included."""
-        return self._store.observers()
-
-    def remove_factor(self, number: int) -> None:
-        """Take a factor out again; a landmark without observations leaves the graph with its last one."""
-        self._store.remove(number)
-
-    def remove_landmark(self, landmark: int) -> None:
-        """Take a landmark, with all that was merged into it, and all observations of it out of the graph.
-
-        Nothing happens if it is not in it.
-        """
-        self._store.remove_landmark(landmark)
-
-    def merge_landmarks(self, kept: int, dropped: int) -> None:
-        """Merge two landmarks: observations of ``dropped``, now or later, are observations of ``kept``.
-
-        What they were merged into before is merged; nothing happens if they are one already.
-        """
-        self._store.merge_landmarks(kept, dropped)
-
-    def undo_merge(self) -> None:
-        """Undo the last merge in force: what was dropped is its own landmark again, with all that it had absorbed.
-
-        Raises:
-            FactorGraphError: no merge is in force.
-        """
-        self._store.undo_merge()
-
-    def update(self) -> None:
-        """Bring the incremental estimate up to date with all that was added and removed."""
-        self._store.solver.update()
+            solver = self.settle()
+            self._factors |= changed
+            factors = {number: self._solver_factor(edge) for number, edge in changed.items()}
+            solver.restart(solver.values(), {**solver.factors, **factors})
 
     def settle(self) -> BatchSolver:
         """End the incremental estimate: from now on all observations are used, and updates are steps in batch."""
-        return self._store.settle()
+        self.update()
+        if isinstance(self._solver, IncrementalSolver):
+            factors, waiting = self._solver.factors, sorted(self._waiting)
+            solver = BatchSolver({n: factors[n] for n in sorted(factors)}, self._solver.values(), self._calls)
+            self._solver = solver
+            observations = [each for number in waiting if isinstance(each := self._factors[number], Observation)]
+            held = [self._waiting.pop(number) for number in waiting]
+            for number, factor, each, position in zip(
+                waiting, held, observations, self._positions_map(observations), strict=True
+            ):
+                self._hold(number, factor, self._variable_of(each.landmark), position)
+        return self._solver
 
     def optimize(self, *, roughly: bool = False) -> Optimization:
         """Solve the whole graph at once, from the incremental estimate; ``roughly``: to a standard deviation."""
         return self.settle().optimize(roughly=roughly)
-
-    def pose(self, keyframe: int) -> FloatArray:
-        """``T_map_body`` (4, 4) of a keyframe."""
-        return self._store.pose(keyframe)
-
-    def poses(self, keyframes: IntArray | None = None) -> FloatArray:
-        """``T_map_body`` (K, 4, 4) of all keyframes, in the order of ``keyframes``, or of some (K,)."""
-        self.update()
-        values, fixed = self._store.solver.estimate(), self._store.known.poses
-
-        def pose(keyframe: int) -> FloatArray:
-            return fixed.get(keyframe, values.atPose3(X(keyframe)).matrix())
-
-        wanted = self._keyframes if keyframes is None else keyframes.tolist()
-        return self._store.attached.poses(wanted, pose)
 
     def condense(self, anchors: Mapping[int, int]) -> None:
         """Attach keyframes to others, as they are at the optimum; the incremental estimate goes on from there.
@@ -218,30 +118,50 @@ class FactorGraph:
         An attached keyframe is no variable any more and moves rigidly with its anchor, which takes over what was
         observed from it.
         """
-        self._store.condense(anchors)
+        solver = self.settle()
+        factors = self._factors.values()
+        covariances = relative_covariances(
+            ((self._variable_of(each.landmark), each) for each in factors if isinstance(each, Observation)),
+            [each for each in factors if isinstance(each, Edge)],
+            anchors,
+            sensor_range_m=self._sensor_range_m,
+        )
+        self._attached.attach(anchors, covariances, self.pose)
+        gone, edges, moved = condensed_factors(self._factors, anchors, self._attached)
+        for edge in edges:
+            self._add(edge)
+        moved = [replace(each, landmark=self._variable_of(each.landmark)) for each in moved]
+        T_map_body = np.array([self.pose(each.keyframe) for each in moved]).reshape(-1, 4, 4)
+        points = np.array([solver.values().atPoint3(L(each.landmark)) for each in moved]).reshape(-1, 3)
+        self.add_observations(summed_at_estimate(moved, T_map_body, points, self._config))
+        self._remove(gone)
+        self._solver = self._incremental_solver()
+        self._waiting = {number: factor for number, factor in solver.factors.items() if self._waits(number)}
+        held = {number: factor for number, factor in solver.factors.items() if number not in self._waiting}
+        self._solver.restart(solver.values(), held)
+
+    def poses(self, keyframes: IntArray | None = None) -> FloatArray:
+        """``T_map_body`` (K, 4, 4) of all keyframes, in the order of ``keyframes``, or of some (K,)."""
+        self.update()
+        values, fixed = self._solver.values(), self._fixed_poses
+
+        def pose(keyframe: int) -> FloatArray:
+            return fixed.get(keyframe, values.atPose3(X(keyframe)).matrix())
+
+        wanted = self._keyframes if keyframes is None else keyframes.tolist()
+        return self._attached.poses(wanted, pose)
 
     def landmark_positions(self, landmarks: IntArray) -> FloatArray:
         """Positions (N, 3) m in the map of landmarks that are in the graph."""
         self._check_landmarks(landmarks)
-        values = self.settle().estimate()
-        return np.array([values.atPoint3(L(int(i))) for i in landmarks]).reshape(-1, 3)
+        values = self.settle().values()
+        return np.array([values.atPoint3(L(landmark)) for landmark in landmarks.tolist()]).reshape(-1, 3)
 
     def estimates(self) -> Estimates:
         """Where everything is as far as it is known now; nothing is solved for it."""
-        estimates, attached = self._store.solver.estimates(), np.array(list(self._store.attached.anchors))
-        return estimates.with_keyframes(attached, self.poses(attached)[:, :3, 3]) if len(attached) else estimates
-
-    def to_record(self, stamp_ns: int, keyframe_stamps_ns: IntArray) -> FactorGraphRecord:
-        """The whole graph at its current estimate, as it goes into a log."""
-        return make_graph_record(
-            stamp_ns,
-            self.keyframes,
-            keyframe_stamps_ns,
-            self.poses(),
-            [*self.factors.values(), *self._store.attached.rigid_edges(self.prior_sigma_m)],
-            self._store.landmarks.variable_of,
-            self._pose_covariances_if_known(),
-        )
+        attached = np.array(list(self._attached.anchors), dtype=np.int64)
+        new = [self._solver.new_values] if isinstance(self._solver, IncrementalSolver) else []
+        return read_estimates(self._solver.values(), *new).with_keyframes(attached, self.poses(attached)[:, :3, 3])
 
     def landmark_covariances(self, landmarks: IntArray) -> FloatArray:
         """Marginal covariances (N, 3, 3) m^2 in the map frame, at the current estimate."""
@@ -257,27 +177,33 @@ class FactorGraph:
         self.update()
         if not self._keyframes:
             return np.zeros((0, 6, 6))
-        attached = self._store.attached
-        anchors = [attached.anchors.get(keyframe, keyframe) for keyframe in self._keyframes]
+        anchors = [self._attached.anchors.get(keyframe, keyframe) for keyframe in self._keyframes]
         of_anchors = self._all_marginals().of_keyframes(np.array(anchors, dtype=np.int64))
-        return attached.covariances(self._keyframes, of_anchors)
+        return self._attached.covariances(self._keyframes, of_anchors)
 
-    def _pose_covariances_if_known(self) -> FloatArray:
+    def to_record(self, stamp_ns: int, keyframe_stamps_ns: IntArray) -> FactorGraphRecord:
+        """The whole graph at its current estimate, as it goes into a log."""
         try:
-            return self.pose_covariances()
+            covariances = self.pose_covariances()
         except FactorGraphError as error:
             logger.warning("the graph is logged without covariances of its poses: %s", error)
-            return np.zeros((0, 6, 6))
+            covariances = np.zeros((0, 6, 6))
+        factors = [*self._factors.values(), *self._attached.rigid_edges(self.prior_sigma_m)]
+        return make_graph_record(
+            stamp_ns, self.keyframes, keyframe_stamps_ns, self.poses(), factors, self._variable_of, covariances
+        )
 
     def _all_marginals(self) -> Marginals:
-        return self._marginals.of(self.settle(), self.factors)
+        solver = self.settle()
+        values = solver.values()
+        if self._marginals is None or self._marginals[0] is not values:
+            with self._calls.doing("the marginal covariances"):
+                records = [self._factors[number] for number in solver.factors]
+                self._marginals = values, compute_marginals(solver.graph, values, records, self._config)
+        return self._marginals[1]
 
     def _check_landmarks(self, landmarks: IntArray) -> None:
-        variables = self._store.landmarks.variables
+        variables = self._variables()
         for landmark in landmarks.tolist():
             if landmark not in variables:
                 raise FactorGraphError(f"landmark {landmark} is not in the graph")
-
-    def _insert_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
-        self._store.insert_keyframe(keyframe, T_map_body)
-        self._keyframes.append(keyframe)

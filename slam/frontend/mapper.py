@@ -207,16 +207,14 @@ class Mapper:
 
     def close_keyframe(self, *, ends_group: bool = True) -> None:
         """Add the observations since the last keyframe to the graph; those of tentative landmarks are held back."""
-        for kept, dropped in self._active.merge_duplicates():
-            self._merge(kept, dropped)
+        duplicates = self._active.merge_duplicates()
+        for kept, dropped in duplicates:
+            self._map.merge(kept, dropped)
+        if duplicates:
+            self._graph.alias_landmarks(self._map.aliases)
         keyframe = self.keyframes[-1]
         T_local_body = self._active.T_local_odom @ keyframe.odometry.T_odom_body
         self._graph.add_observations(self._pending.close(keyframe, T_local_body, ends_group=ends_group))
-
-    def _merge(self, kept: int, dropped: int) -> None:
-        """Make one of two landmarks of the local map."""
-        if self._map.merge(kept, dropped) is not None:
-            self._graph.merge_landmarks(kept, dropped)
 
     def _count_scan(self, sensor: str) -> None:
         """Several sensors share the view: a scan is counted when each has given one."""
@@ -289,14 +287,14 @@ class Mapper:
         """Retire landmarks and remove them from the graph; moving ones are still followed, out of the local map."""
         if not len(rows):
             return
-        self._map.retire(rows, reason)
+        ended = self._map.retire(rows, reason)
         if stays_active:
             self._active.release(rows)
         else:
             self._active.drop(rows)
         for row in rows.tolist():
             self._pending.drop(row)
-            self._graph.remove_landmark(row)
+        self._graph.remove_landmarks(ended)
 
 
 def _odometry_edge(previous: Keyframe, keyframe: Keyframe, config: Config) -> Edge:

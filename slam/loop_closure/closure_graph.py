@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import BoolArray
-from slam.common.union_find import Merge
 from slam.loop_closure.candidate import Candidate
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
@@ -18,15 +17,14 @@ from slam.odometry.segments import SegmentConnectivity
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosedLoop:
-    """A closure with the number of its factor and the merges of landmarks that it made.
-
-    ``earlier_merges``: how many merges, of closures and of the front end, were in force when it was inserted.
+    """A closure with the number of its factor; ``earlier_merges``, ``merges``: how many merges of landmarks, by
+    closures and by the front end, were in force when it was inserted, and how many it made.
     """
 
     candidate: Candidate
     factor: int
-    merges: tuple[Merge, ...]
     earlier_merges: int
+    merges: int
 
 
 class ClosedLoops:
@@ -63,7 +61,8 @@ class ClosedLoops:
         moved = self._segments.connect(candidate.reference, candidate.query)
         edge = candidate.edge()
         factor = self._graph.add_joining_edge(edge, moved) if len(moved) else self._graph.add_edge(edge)
-        self.loops.append(self._merge_all(ClosedLoop(candidate, factor, (), 0)))
+        self.loops.append(self._merge_all(candidate, factor))
+        self._graph.alias_landmarks(self._map.aliases)
 
     def remove(self, loops: Sequence[ClosedLoop]) -> None:
         """Remove closures from the graph and split the landmarks that only they merged."""
@@ -93,48 +92,39 @@ class ClosedLoops:
         A later merge, of a closure or of the front end, may refer to the alias that an earlier one created.
         """
         since = min(loop.earlier_merges for loop in self.loops if loop.factor in gone)
-        undone = self._map.merges[since:]
-        for merge in reversed(undone):
-            self._map.undo_merge(merge)
-            self._graph.undo_merge()
-        loops, position = list[ClosedLoop](), 0
-        for loop in self.loops:
+        undone = self._map.undo_merges(since)
+        loops, position = [loop for loop in self.loops if loop.earlier_merges < since], 0
+        for loop in self.loops[len(loops) :]:
             start = loop.earlier_merges - since
-            if start < 0:
-                loops.append(loop)
-                continue
             self._merge_again(undone[position:start])
-            position = start + len(loop.merges)
+            position = start + loop.merges
             if loop.factor not in gone:
-                loops.append(self._merge_all(loop))
+                loops.append(self._merge_all(loop.candidate, loop.factor))
         self._merge_again(undone[position:])
         self.loops = loops
+        self._graph.alias_landmarks(self._map.aliases)
 
-    def _merge_again(self, merges: Sequence[Merge]) -> None:
-        """Make merges of the front end again: the same landmarks, whatever they are merged into by now."""
-        for merge in merges:
-            self._map.merge(merge.kept_item, merge.dropped_item)
-            self._graph.merge_landmarks(merge.kept_item, merge.dropped_item)
+    def _merge_again(self, merges: Sequence[tuple[int, int]]) -> None:
+        """Make merges of the front end again: the same landmarks, by the present aliases of these."""
+        for kept, dropped in merges:
+            self._map.merge(kept, dropped)
 
-    def _merge_all(self, loop: ClosedLoop) -> ClosedLoop:
-        """The closure with the merges of its matched landmarks, which are made now."""
-        earlier_merges = len(self._map.merges)
-        for query, reference in loop.candidate.pairs.tolist():
-            self._merge(query, reference)
-        return replace(loop, merges=self._map.merges[earlier_merges:], earlier_merges=earlier_merges)
+    def _merge_all(self, candidate: Candidate, factor: int) -> ClosedLoop:
+        """The closure with this factor, once its matched landmarks are merged."""
+        earlier = self._map.merge_count
+        for query, reference in candidate.pairs.tolist():
+            if self._may_merge(query, reference):
+                self._map.merge(reference, query)
+        return ClosedLoop(candidate, factor, earlier, self._map.merge_count - earlier)
 
-    def _merge(self, query: int, reference: int) -> None:
-        """Merge the query landmark into the reference landmark, unless they are merged already or must not be."""
+    def _may_merge(self, query: int, reference: int) -> bool:
+        """Whether the query landmark stands for itself, and neither landmark is of both traversals."""
         kept = self._map.canonical_id(reference)
         if self._map.canonical_id(query) != query or self._map.rows["state"][kept] != LandmarkState.CONFIRMED:
-            return
+            return False
         # Two landmarks of one traversal are two objects; one that stands for two traversals is not merged into a third.
-        if self._in_traversal(query, [kept, *self._map.aliases(kept)]).any():
-            return
-        if not self._in_traversal(query, self._map.aliases(query)).all():
-            return
-        self._map.merge(reference, query)
-        self._graph.merge_landmarks(reference, query)
+        is_of_both = self._in_traversal(query, [kept, *self._map.absorbed(kept)]).any()
+        return not is_of_both and bool(self._in_traversal(query, self._map.absorbed(query)).all())
 
     def _in_traversal(self, landmark: int, others: list[int]) -> BoolArray:
         """Which other landmarks (N,) were last seen on the same traversal as a landmark."""

@@ -85,7 +85,7 @@ def fuse_duplicate_landmarks(
     while pairs := find_duplicate_landmarks(object_map, graph, keyframes, radius_m=radius_m, drives=drives):
         for kept, dropped in pairs:
             object_map.merge(kept, dropped)
-            graph.merge_landmarks(kept, dropped)
+        graph.alias_landmarks(object_map.aliases)
         merged += len(pairs)
     return merged
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from logs.messages import ObjectMapRecord
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.calibration import ObjectCalibration
-from slam.common.union_find import Merge, UnionFind
+from slam.common.union_find import UnionFind
 from slam.object_map.class_beliefs import ClassBeliefs
 
 
@@ -88,6 +88,7 @@ class ObjectMap:
         self._beliefs = ClassBeliefs(config)
         self._size = 0
         self._reasons: dict[int, str] = {}
+        self._merges: list[tuple[int, int]] = []
         self._aliases = UnionFind()
 
     def __len__(self) -> int:
@@ -223,45 +224,58 @@ class ObjectMap:
             (self.rows["state"][rows] != LandmarkState.RETIRED) | np.array(never_confirmed, dtype=np.bool_)
         )
 
-    def retire(self, rows: IntArray, reason: RetirementReason) -> None:
-        """Retire landmarks and all that were merged into them."""
-        ended = {alias for row in rows.tolist() for alias in (row, *self._aliases.absorbed(row))}
-        self.rows["state"][sorted(ended)] = LandmarkState.RETIRED
+    def retire(self, rows: IntArray, reason: RetirementReason) -> list[int]:
+        """Retire landmarks and all that were merged into them; returns the rows of all these, ascending."""
+        ended = sorted({alias for row in rows.tolist() for alias in (row, *self._aliases.absorbed(row))})
+        self.rows["state"][ended] = LandmarkState.RETIRED
         self._reasons.update(dict.fromkeys(ended, reason.value))
+        return ended
 
-    def merge(self, kept: int, dropped: int) -> Merge | None:
+    def merge(self, kept: int, dropped: int) -> bool:
         """Make ``dropped`` an alias of ``kept``: in the map they are one landmark from now on.
 
-        Returns the merge, for ``undo_merge``; None if the two were one already. Data association still uses both rows,
-        because in the odometry frame the two traversals differ by the drift; their observations are added up in the
-        record of the map.
+        Returns whether they were two. Data association still uses both rows, because in the odometry frame the two
+        traversals differ by the drift; their observations are added up in the record of the map.
 
         Args:
             kept: the row itself, not what it was merged into: other merges may be undone, and this one made again.
             dropped: likewise.
         """
-        return self._aliases.merge(kept, dropped)
+        is_new = self._aliases.merge(kept, dropped)
+        if is_new:
+            self._merges.append((kept, dropped))
+        return is_new
 
-    def undo_merge(self, merge: Merge) -> None:
-        """Undo the last merge in force; ValueError if ``merge`` is another one."""
-        self._aliases.undo(merge)
+    def undo_merges(self, since: int) -> tuple[tuple[int, int], ...]:
+        """Undo all merges but the first ``since``; returns those, (kept, dropped), the oldest first."""
+        undone = tuple(self._merges[since:])
+        self._merges, kept = [], self._merges[:since]
+        self._aliases = UnionFind()
+        for merge in kept:
+            self.merge(*merge)
+        return undone
 
     @property
-    def merges(self) -> tuple[Merge, ...]:
-        """All merges in force, the oldest first."""
-        return self._aliases.history
+    def merge_count(self) -> int:
+        """How many merges are in force."""
+        return len(self._merges)
+
+    @property
+    def aliases(self) -> dict[int, int]:
+        """The rows that were merged into another one, with the row that stands for each."""
+        return {row: self.canonical_id(row) for row in self._aliases.dropped}
 
     @property
     def merge_targets(self) -> IntArray:
         """Rows (K,) of landmarks that others were merged into."""
-        return np.array(sorted({self.canonical_id(row) for row in self._aliases.dropped}), dtype=np.int64)
+        return np.array(sorted(set(self.aliases.values())), dtype=np.int64)
 
     def canonical_id(self, row: int) -> int:
         """The row of the landmark that a row was merged into; the row itself if it was not."""
         return self._aliases.find(row)
 
-    def aliases(self, row: int) -> list[int]:
-        """The rows that were merged into this one, directly or not, in the order of the merges."""
+    def absorbed(self, row: int) -> list[int]:
+        """The rows that were merged into this one, directly or not, ascending."""
         return self._aliases.absorbed(row)
 
     def to_record(self, stamp_ns: int) -> ObjectMapRecord:
@@ -270,51 +284,39 @@ class ObjectMap:
             [row for row in range(self._size) if self._reasons.get(row) != RetirementReason.NOT_CONFIRMED],
             dtype=np.int64,
         )
-        landmarks = self.rows[kept]
-        merged_totals = self._with_merged()
+        landmarks, totals, aliases = self.rows[kept], self._with_merged(), self.aliases
+        states = [LandmarkState(state).name.lower() for state in landmarks["state"].tolist()]
+        rows = kept.tolist()
         return ObjectMapRecord(
             stamp_ns=stamp_ns,
             frame_id="map",
             vocabulary=self.vocabulary,
-            ids=tuple(str(row) for row in kept),
+            ids=tuple(map(str, rows)),
             positions=landmarks["position_map"].copy(),
             covariances=landmarks["covariance_map"].copy(),
-            class_probabilities=self._beliefs.beliefs(merged_totals.label_counts[kept]),
-            states=tuple(self._state(int(row)).name.lower() for row in kept),
-            reasons=tuple(self._reason(int(row)) for row in kept),
-            merged_into=tuple(self._merged_into(int(row)) for row in kept) if self._aliases else (),
-            observation_counts=merged_totals.observations[kept],
-            first_seen_ns=merged_totals.first_seen_ns[kept],
-            last_seen_ns=merged_totals.last_seen_ns[kept],
+            class_probabilities=self._beliefs.beliefs(totals.label_counts[kept]),
+            states=tuple("retired" if row in aliases else state for row, state in zip(rows, states, strict=True)),
+            reasons=tuple(
+                f"{RetirementReason.MERGED.value} into {aliases[row]}" if row in aliases else self._reasons.get(row, "")
+                for row in rows
+            ),
+            merged_into=tuple(str(aliases.get(row, "")) for row in rows) if aliases else (),
+            observation_counts=totals.observations[kept],
+            first_seen_ns=totals.first_seen_ns[kept],
+            last_seen_ns=totals.last_seen_ns[kept],
         )
 
     def _with_merged(self) -> _ObservationSums:
         """Sums of the observations of each landmark and of all that were merged into it."""
         landmarks = self.rows
-        merged_totals = _ObservationSums(
-            landmarks["observations"].copy(),
-            landmarks["first_seen_ns"].copy(),
-            landmarks["last_seen_ns"].copy(),
-            self._beliefs.label_counts(slice(self._size)).copy(),
-        )
-        for row in self._aliases.dropped:
-            kept = self.canonical_id(row)
-            merged_totals.observations[kept] += landmarks["observations"][row]
-            merged_totals.first_seen_ns[kept] = min(merged_totals.first_seen_ns[kept], landmarks["first_seen_ns"][row])
-            merged_totals.last_seen_ns[kept] = max(merged_totals.last_seen_ns[kept], landmarks["last_seen_ns"][row])
-            merged_totals.label_counts[kept] += self._beliefs.label_counts(row)
-        return merged_totals
-
-    def _state(self, row: int) -> LandmarkState:
-        return LandmarkState.RETIRED if self._aliases.is_dropped(row) else LandmarkState(self.rows["state"][row])
-
-    def _merged_into(self, row: int) -> str:
-        return str(self.canonical_id(row)) if self._aliases.is_dropped(row) else ""
-
-    def _reason(self, row: int) -> str:
-        if self._aliases.is_dropped(row):
-            return f"{RetirementReason.MERGED.value} into {self.canonical_id(row)}"
-        return self._reasons.get(row, "")
+        counts, first, last = (landmarks[name].copy() for name in ("observations", "first_seen_ns", "last_seen_ns"))
+        labels = self._beliefs.label_counts(slice(self._size)).copy()
+        for row, kept in self.aliases.items():
+            counts[kept] += landmarks["observations"][row]
+            first[kept] = min(first[kept], landmarks["first_seen_ns"][row])
+            last[kept] = max(last[kept], landmarks["last_seen_ns"][row])
+            labels[kept] += self._beliefs.label_counts(row)
+        return _ObservationSums(counts, first, last, labels)
 
     def _reserve(self, size: int) -> None:
         if size <= len(self._rows):

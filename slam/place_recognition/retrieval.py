@@ -90,7 +90,7 @@ class PlaceRetriever:
         indexed = np.zeros(len(self._map), dtype=np.bool_)
         indexed[self._rows] = True
         kept = [self._map.canonical_id(row) for row in new.tolist()]
-        counts = [np.count_nonzero(indexed[[row, *self._map.aliases(row)]]) for row in kept]
+        counts = [np.count_nonzero(indexed[[row, *self._map.absorbed(row)]]) for row in kept]
         return np.array(counts, dtype=np.int64) >= INDEXED_TRAVERSALS
 
     def _enter(self, new: IntArray, segment: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,6 +21,8 @@ from slam.backend.covariance.covariance_estimation import (
 from slam.backend.factors import CLOSURE_KERNEL_WIDTH, Edge, EdgeKind, Factor, LandmarkPrior, Observation
 from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray, IntArray
+
+logger = logging.getLogger(__name__)
 
 KeyArray = NDArray[np.uint64]
 POSE_SIZE, POINT_SIZE = 6, 3
@@ -63,23 +66,23 @@ def compute_marginals(
         config: the kernels of the observations.
 
     Raises:
-        np.linalg.LinAlgError: the graph does not determine all variables.
+        RuntimeError: the graph does not determine all variables.
     """
     # The columns stand in the order of the keys, and the letter of a landmark comes before that of a pose.
     keys = np.array(sorted(values.keys()), dtype=np.uint64)
     points = int(np.searchsorted(keys, np.uint64(X(0))))
     owners = np.repeat(np.arange(len(keys)), np.where(np.arange(len(keys)) < points, POINT_SIZE, POSE_SIZE))
     system = _linearize(graph, values, factors, config, owners)
-    blocks = covariance_blocks(system, variance_factors(system))
+    try:
+        blocks = covariance_blocks(system, variance_factors(system))
+    except np.linalg.LinAlgError as error:
+        logger.info("the marginals come one by one from GTSAM: %s", error)
+        return _marginals_one_by_one(graph, values)
     return Marginals(keys[points:], keys[:points], blocks[points:], blocks[:points, :POINT_SIZE, :POINT_SIZE].copy())
 
 
-def marginals_one_by_one(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Marginals:
-    """Covariances of all variables by elimination with QR, which is slow, but bears a conditioning that others do not.
-
-    Raises:
-        RuntimeError: GTSAM finds that a variable is not determined.
-    """
+def _marginals_one_by_one(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Marginals:
+    """Covariances of all variables by elimination with QR, which is slow, but bears a poor conditioning."""
     parameters = gtsam.ISAM2Params()
     parameters.setFactorization("QR")
     isam, factors = gtsam.ISAM2(parameters), gtsam.NonlinearFactorGraph()

@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from slam.backend.batch_solver import LEAST_DECREASE
+from slam.backend.batch_solver import MIN_DECREASE
 from slam.backend.factors import Edge, EdgeKind, Factor, PosePrior, between_factor, prior_factor
 from slam.backend.pose_graph.robust_optimization import optimize_robustly
 from slam.common.arrays import FloatArray, IntArray
@@ -70,7 +70,7 @@ def reject_outlier_closures(
         values.insert(X(keyframe), gtsam.Pose3(T))
     try:
         tested_at = np.array(list(at.values()), dtype=np.int64)
-        solution = optimize_robustly(graph, values, tested_at, least_decrease=LEAST_DECREASE)
+        solution = optimize_robustly(graph, values, tested_at, min_decrease=MIN_DECREASE)
     except RuntimeError as error:
         raise FactorGraphError(f"the closures could not be tested: {error}") from error
     return OutlierRejection(

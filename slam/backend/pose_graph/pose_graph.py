@@ -60,7 +60,7 @@ class PoseGraph:
         for row in np.flatnonzero(~closures):
             parts.merge(*ends[row])
         for row in np.flatnonzero(closures):
-            closures[row] = parts.merge(*ends[row]) is None
+            closures[row] = not parts.merge(*ends[row])
         return np.asarray(closures)
 
 

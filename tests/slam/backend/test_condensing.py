@@ -223,9 +223,9 @@ def test_closures_to_an_attached_keyframe_pull_at_its_anchor():
 def test_merged_landmarks_can_be_condensed_and_removed():
     graph = driven(3)
     graph.optimize()
-    graph.merge_landmarks(0, 1)
+    graph.alias_landmarks({1: 0})
     graph.condense(anchors_of(graph, settled=3 * ROUND))
-    graph.remove_landmark(0)
+    graph.remove_landmarks([0, 1])
     graph.optimize()
     assert not {0, 1} & set(graph.landmarks.tolist())
 

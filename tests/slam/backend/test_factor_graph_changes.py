@@ -46,7 +46,7 @@ def test_merged_landmarks_are_as_if_all_had_seen_one(covariance_inflation):
     split = [replace(o, landmark=99) if o.landmark == OFTEN_SEEN and o.keyframe % 2 else o for o in observations]
     assert sum(o.landmark == 99 for o in split) > 1
     merged, whole = build(noisy_edges(), split), build(noisy_edges(), observations)
-    merged.merge_landmarks(OFTEN_SEEN, 99)
+    merged.alias_landmarks({99: OFTEN_SEEN})
     merged.optimize()
     whole.optimize()
     assert_same_estimate(merged, whole, atol=1e-4)
@@ -55,9 +55,7 @@ def test_merged_landmarks_are_as_if_all_had_seen_one(covariance_inflation):
 def test_a_removed_landmark_is_as_if_it_had_never_been_seen():
     without = [o for o in sightings() if o.landmark not in (2, 4)]
     graph, reference = build(noisy_edges(), sightings()), build(noisy_edges(), without)
-    graph.remove_landmark(2)
-    graph.remove_landmark(4)
-    graph.remove_landmark(77)
+    graph.remove_landmarks([2, 4, 77])
     graph.optimize()
     reference.optimize()
     assert_same_estimate(graph, reference, atol=1e-4)
@@ -67,7 +65,7 @@ def test_a_removed_landmark_is_as_if_it_had_never_been_seen():
 def test_a_landmark_removed_before_any_update_leaves_nothing_behind():
     graph = build(noisy_edges(), [])
     graph.add_observations([Observation(3, 1, np.array([5.0, 0, 0]), SEEN_COVARIANCE)])
-    graph.remove_landmark(1)
+    graph.remove_landmarks([1])
     graph.update()
     assert graph.landmarks.tolist() == []
     assert graph.optimize().converged
@@ -79,7 +77,7 @@ def test_a_landmark_removed_before_any_update_leaves_nothing_behind():
 )
 def test_a_removed_landmark_may_be_seen_again(update_between):
     graph = build(noisy_edges(), sightings())
-    graph.remove_landmark(4)
+    graph.remove_landmarks([4])
     if update_between:
         graph.update()
     graph.add_observations([o for o in sightings() if o.landmark == 4])

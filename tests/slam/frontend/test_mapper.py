@@ -12,7 +12,6 @@ from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
-from slam.common.union_find import Merge
 from slam.frontend.input.scan import Scan
 from slam.frontend.mapper import Mapper
 from slam.object_map.landmarks import LandmarkState, ObjectMap
@@ -209,7 +208,7 @@ def test_two_objects_half_a_metre_apart_that_are_seen_together_stay_two(young, d
     pair = np.array([[10.0, 4.0, 0.0], [10.5, 4.0, 0.0], [50.0, -25.0, 0.0], [50.0, 25.0, 0.0]])
     for associations in bench.drive(40, objects=pair, labels=("tree",) * 4, sigma_m=0.05):
         assert associations.landmark_ids == ("0", "1", "2", "3")
-    assert bench.map.merges == ()
+    assert bench.map.aliases == {}
 
 
 def drive_past_a_vehicle(speed_mps: float, scans: int, sigma_m: float = 0.2) -> Bench:
@@ -323,16 +322,6 @@ def test_scans_without_detections():
         assert associations.landmark_ids == ()
     assert len(bench.map) == 0
     bench.mapper.close_keyframe()
-
-
-def test_two_landmarks_that_are_one_are_merged_as_themselves_whatever_they_were_merged_into():
-    bench = Bench()
-    bench.drive(10)
-    bench.map.merge(0, 1)
-    bench.graph.merge_landmarks(0, 1)
-    bench.mapper._merge(1, 2)
-    assert bench.map.merges[-1] == Merge(kept_item=1, dropped_item=2, kept=0, dropped=2)
-    assert [bench.map.canonical_id(row) for row in range(3)] == [0, 0, 0]
 
 
 def test_the_pose_in_the_local_map_is_never_much_more_uncertain_than_over_ten_sensor_ranges():

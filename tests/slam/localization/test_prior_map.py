@@ -62,8 +62,7 @@ def see_again(graph: FactorGraph) -> None:
     graph.add_next_keyframe(Edge(2, 3, invert(POSES[2]) @ wrong, LOOSE, "odometry"))
     graph.add_observations(seen_from(NEW_POSE, 3, {4 + row: at + OFFSET for row, at in enumerate(OBJECTS)}))
     graph.update()
-    for row in range(4):
-        graph.merge_landmarks(row, 4 + row)
+    graph.alias_landmarks({4 + row: row for row in range(4)})
     graph.optimize()
 
 
@@ -136,15 +135,13 @@ def test_what_was_merged_into_such_a_map_can_be_taken_apart_again(saved: SavedMa
     _, graph = loaded(saved, fixed=True)
     numbers = set(graph.factors)
     see_again(graph)
-    for _ in range(4):
-        graph.undo_merge()
+    graph.alias_landmarks({})
     graph.update()
     assert graph.landmarks.tolist() == [4, 5, 6, 7]
     left: list[Factor] = [factor for number, factor in graph.factors.items() if number not in numbers]
     assert {type(factor).__name__ for factor in left} == {"Edge", "Observation"}
     graph.optimize()
-    for row in range(4):
-        graph.merge_landmarks(row, 4 + row)
+    graph.alias_landmarks({4 + row: row for row in range(4)})
     graph.optimize()
     assert graph.landmarks.tolist() == []
     np.testing.assert_allclose(graph.pose(3)[:3, 3], NEW_POSE[:3, 3] - OFFSET, atol=0.03)
@@ -164,9 +161,8 @@ def test_a_fixed_map_does_not_move_with_a_segment_that_is_connected_to_it(saved:
 
 def test_removing_a_landmark_removes_what_was_merged_into_it(saved: SavedMap) -> None:
     _, graph = loaded(saved, fixed=False)
-    graph.merge_landmarks(0, 2)
-    graph.merge_landmarks(1, 0)
-    graph.remove_landmark(1)
+    graph.alias_landmarks({0: 1, 2: 1})
+    graph.remove_landmarks([0, 1, 2])
     graph.update()
     assert graph.landmarks.tolist() == [3]
     assert set(graph.to_record(9, np.arange(3)).observation_landmark_ids) == {"3"}
@@ -174,8 +170,8 @@ def test_removing_a_landmark_removes_what_was_merged_into_it(saved: SavedMap) ->
 
 def test_twin_removing_what_was_merged_leaves_what_it_became_part_of(saved: SavedMap) -> None:
     _, graph = loaded(saved, fixed=False)
-    graph.merge_landmarks(0, 2)
-    graph.remove_landmark(2)
+    graph.alias_landmarks({2: 0})
+    graph.remove_landmarks([2])
     graph.update()
     assert graph.landmarks.tolist() == [0, 1, 3]
     seen = graph.to_record(9, np.arange(3)).observation_landmark_ids

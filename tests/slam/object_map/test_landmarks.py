@@ -7,7 +7,6 @@ import pytest
 
 from logs.writer import LogWriter
 from slam.common.calibration import ObjectCalibration
-from slam.common.union_find import Merge
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from slam.object_map.velocities import velocities
 from tests.helpers.short_drives import records_of
@@ -159,10 +158,10 @@ def test_merged_landmarks_are_one_in_the_map_and_two_around_the_robot():
     object_map = new_map(count=3)
     see(object_map, 0, label=1, seconds=1.0)
     see(object_map, 1, label=0, seconds=7.0)
-    assert object_map.merge(0, 1) == Merge(0, 1, kept=0, dropped=1)
+    assert object_map.merge(0, 1)
     assert object_map.rows["observations"].tolist() == [2, 2, 1]
-    assert object_map.merge(2, 1) == Merge(2, 1, kept=2, dropped=0)
-    assert object_map.merge(0, 2) is None
+    assert object_map.merge(2, 1)
+    assert not object_map.merge(0, 2)
     assert [object_map.canonical_id(row) for row in range(3)] == [2, 2, 2]
     assert object_map.in_state(LandmarkState.TENTATIVE).tolist() == [2]
     record = object_map.to_record(0)
@@ -181,9 +180,19 @@ def test_undoing_a_merge_restores_both_landmarks():
     object_map = new_map(count=3)
     see(object_map, 1, label=0, seconds=7.0)
     before = object_map.to_record(0)
-    merge = object_map.merge(0, 1)
-    object_map.undo_merge(merge)
+    assert object_map.merge(0, 1)
+    assert object_map.undo_merges(0) == ((0, 1),)
     assert_same_record(object_map.to_record(0), before)
+
+
+def test_merges_are_of_the_landmarks_given_and_undone_from_the_last_one():
+    object_map = new_map(count=4)
+    for kept, dropped in ((0, 1), (1, 2), (3, 2)):
+        object_map.merge(kept, dropped)
+    assert not object_map.merge(1, 3)
+    assert object_map.aliases == {1: 3, 2: 3, 0: 3}
+    assert object_map.undo_merges(1) == ((1, 2), (3, 2))
+    assert object_map.aliases == {1: 0}
 
 
 def test_a_map_goes_into_a_log_and_comes_back(tmp_path):

@@ -91,7 +91,7 @@ def test_they_are_those_of_gtsam(is_straight: bool, is_seeing: bool) -> None:
     observations = sightings(T, np.random.default_rng(0)) if is_seeing else []
     graph = built(T, edges, observations, PLAIN)
     if is_seeing:
-        graph.remove_landmark(4)  # leaves empty places among GTSAM's factors
+        graph.remove_landmarks([4])  # leaves empty places among GTSAM's factors
         graph.optimize()
     expected = gtsam_marginals(graph)
     poses = np.array([expected.marginalCovariance(X(k)) for k in range(len(T))])
@@ -158,5 +158,5 @@ def test_what_is_not_determined_is_refused() -> None:
     factors.add(between_factor(edges[0]))
     for k in range(2):
         values.insert(X(k), gtsam.Pose3(T[k]))
-    with pytest.raises(np.linalg.LinAlgError):
+    with pytest.raises(RuntimeError):
         compute_marginals(factors, values, [edges[0]], PLAIN)

@@ -9,19 +9,12 @@ import pytest
 from slam.backend.pose_graph.pose_graph import PoseGraph
 from slam.backend.pose_graph.pose_graph_optimization import PoseGraphSolution, optimize_pose_graph
 from slam.backend.pose_graph.robust_optimization import (
-    INFLATION,
-    LEAST_AGREEMENT,
-    LEAST_DECREASE,
-    LEAST_SHARE,
     _could_be_lower,
-    _misfit,
-    _Solver,
     optimize_robustly,
 )
 from slam.common.errors import FactorGraphError
 from slam.common.geometry import invert, transform_from_xyz_yaw
 from tests.helpers.pose_graphs import (
-    CLOSURE_SIGMAS,
     ROUND,
     VERTICES,
     false_closures,
@@ -72,66 +65,10 @@ def test_only_false_closures_leave_the_odometry_as_it_is() -> None:
     graph = with_false(0, 40)
     solved = robust(graph)
     assert solved.solution.converged
-    assert "none of 40 closures" in solved.solution.message
+    assert "none of 40 closures agrees with the rest; all were rejected" in solved.solution.message
     np.testing.assert_array_equal(solved.solution.weights, np.zeros(40))
     np.testing.assert_allclose(solved.graph.T_world_vertex, odometry_only().T_world_vertex, atol=1e-6)
     assert rmse_m(plain(graph).graph) > 5.0
-
-
-def shifted(true_count: int, false_count: int) -> PoseGraph:
-    """Closures that are right but for metres along the street, which the loose odometry would bear."""
-    rng = np.random.default_rng(5)
-    pairs, right = true_closures(true_count, rng)
-    wrong_pairs, wrong = true_closures(false_count, rng)
-    shifts = np.zeros((false_count, 3))
-    shifts[:, 0] = rng.uniform(3.0, 20.0, false_count) * rng.choice([-1.0, 1.0], false_count)
-    wrong = transform_from_xyz_yaw(shifts, np.zeros(false_count)) @ wrong
-    graph = two_rounds(np.concatenate([pairs, wrong_pairs]), np.concatenate([right, wrong]))
-    odometry = ~graph.find_closures()
-    information = graph.information.copy()
-    information[odometry] *= LOOSE**2
-    return replace(graph, information=information)
-
-
-def test_shifted_closures_that_agree_by_chance_are_rejected_as_a_whole() -> None:
-    solved = robust(shifted(0, 60))
-    assert "closures agree with the rest; all were rejected" in solved.solution.message
-    np.testing.assert_array_equal(solved.solution.weights, np.zeros(60))
-    np.testing.assert_allclose(solved.graph.T_world_vertex, odometry_only().T_world_vertex, atol=1e-6)
-
-
-def test_shifted_closures_that_agree_by_chance_would_otherwise_be_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The twin of the test before."""
-    for name in ("LEAST_AGREEMENT", "LEAST_SHARE"):
-        monkeypatch.setattr(f"slam.backend.pose_graph.robust_optimization.{name}", 0.0)
-    assert robust(shifted(0, 60)).solution.kept.any()
-
-
-def test_very_few_of_many_closures_are_no_agreement() -> None:
-    graph = with_false(2, 60)
-    solved = robust(graph)
-    assert "of 62 closures agree with the rest; all were rejected" in solved.solution.message
-    np.testing.assert_array_equal(solved.solution.weights, np.zeros(62))
-
-
-def test_a_third_of_true_closures_stands_out_among_shifted_ones() -> None:
-    solved = robust(shifted(TRUE, 2 * TRUE))
-    assert np.all(solved.solution.kept[:TRUE])
-    assert np.mean(solved.solution.kept[TRUE:]) < 0.1
-
-
-@pytest.mark.parametrize("reverse", [False, True])
-def test_a_small_share_of_true_closures_is_kept_if_the_odometry_rules_the_others_out(reverse: bool) -> None:
-    few = 9
-    graph = with_false(few, 60)
-    assert LEAST_SHARE < few / 69 < LEAST_AGREEMENT
-    if reverse:
-        closures = graph.find_closures()
-        graph.T_from_to[closures] = invert(graph.T_from_to[closures])
-        graph.edges[closures] = graph.edges[closures][:, ::-1]
-    solved = robust(graph)
-    assert np.all(solved.solution.kept[:few])
-    assert not solved.solution.kept[few:].any()
 
 
 def drifted() -> PoseGraph:
@@ -156,12 +93,6 @@ def test_the_majority_wins_even_if_the_odometry_sides_with_the_minority() -> Non
     assert rmse_m(solved.graph) < 0.5
 
 
-def test_a_narrow_kernel_alone_would_side_with_the_odometry(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The twin of the test before."""
-    monkeypatch.setattr("slam.backend.pose_graph.robust_optimization.CLEAR_SHARE", 0.0)
-    assert rmse_m(robust(drifted()).graph) > 1.5
-
-
 def test_a_graph_without_closures_is_solved_as_ever() -> None:
     graph = odometry_only()
     solved = robust(graph)
@@ -175,14 +106,6 @@ def test_the_initial_values_hardly_matter() -> None:
     wrong = replace(graph, T_world_vertex=plain(graph).graph.T_world_vertex)
     assert rmse_m(wrong) > 5.0
     np.testing.assert_allclose(robust(wrong).graph.T_world_vertex, robust(graph).graph.T_world_vertex, atol=0.01)
-
-
-def test_what_the_closures_do_does_not_depend_on_the_initial_values(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From the truth the narrow kernel would side with the true closures here, from the odometry it does not."""
-    monkeypatch.setattr("slam.backend.pose_graph.robust_optimization.CLEAR_SHARE", 0.0)
-    graph = drifted()
-    from_truth = robust(replace(graph, T_world_vertex=true_poses()))
-    np.testing.assert_allclose(from_truth.solution.weights, robust(graph).solution.weights, atol=1e-3)
 
 
 def test_the_same_graph_gives_the_same_bytes() -> None:
@@ -200,7 +123,7 @@ def test_the_error_falls() -> None:
 def test_what_did_not_converge_is_told() -> None:
     solved = robust(with_false(TRUE, 30), max_iterations=1)
     assert not solved.solution.converged
-    assert "round 1 of the rejection took all 1 iterations" in solved.solution.message
+    assert "closures took all 1 iterations" in solved.solution.message
 
 
 # The graph that is given
@@ -268,38 +191,6 @@ def test_planar_poses() -> None:
     assert np.sqrt(np.mean(np.sum(off**2, axis=1))) > 5.0
 
 
-def test_the_misfit_of_a_closure_does_not_depend_on_its_direction() -> None:
-    graph = odometry_only()
-    others, values = factors(graph)
-    marginals = gtsam.Marginals(others, values)
-    noise = gtsam.noiseModel.Diagonal.Sigmas(CLOSURE_SIGMAS)
-    start, end = 70, 100
-    T_start_end = invert(graph.T_world_vertex[start]) @ graph.T_world_vertex[end]
-    for shift_m in np.eye(3):
-        T = transform_from_xyz_yaw(shift_m, 0.0) @ T_start_end
-        forth = gtsam.BetweenFactorPose3(start, end, gtsam.Pose3(T), noise)
-        back = gtsam.BetweenFactorPose3(end, start, gtsam.Pose3(invert(T)), noise)
-        misfits = [_misfit(closure, values, marginals) for closure in (forth, back)]
-        # The noise of the closure itself is at the other end, which matters little.
-        np.testing.assert_allclose(misfits[0], misfits[1], rtol=0.2)
-
-
-def test_the_misfit_grows_with_the_noise_of_the_odometry_in_between() -> None:
-    """Height: what each of ten steps adds, and what its tilt adds by the way to the end; inflated."""
-    graph = odometry_only()
-    others, values = factors(graph)
-    marginals = gtsam.Marginals(others, values)
-    T = invert(graph.T_world_vertex[70]) @ graph.T_world_vertex[80]
-    up = transform_from_xyz_yaw(np.array([0.0, 0.0, 1.0]), 0.0) @ T
-    noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([10.0, 10.0, 10.0, 100.0, 100.0, 0.1]))
-    levers_m = np.linalg.norm(graph.T_world_vertex[71:81, :3, 3] - graph.T_world_vertex[80, :3, 3], axis=1)
-    height_variance = 10.0 * 0.03**2 + np.sum((0.003 * levers_m) ** 2)
-    expected = 1.0 / (INFLATION**2 * height_variance + 0.1**2)
-    for start, end, pose in ((70, 80, up), (80, 70, invert(up))):
-        closure = gtsam.BetweenFactorPose3(start, end, gtsam.Pose3(pose), noise)
-        np.testing.assert_allclose(_misfit(closure, values, marginals), expected, rtol=0.25)
-
-
 def test_a_minimum_could_not_be_lower() -> None:
     graph, values = factors(with_false(TRUE, 0))
     parameters = gtsam.LevenbergMarquardtParams()
@@ -314,14 +205,14 @@ def test_a_minimum_could_not_be_lower() -> None:
 @pytest.mark.parametrize("index", [-1, 10_000])
 def test_an_index_of_no_factor_is_refused(index: int) -> None:
     graph, values = factors(with_false(3, 0))
-    with pytest.raises(FactorGraphError, match=f"factor {index} is no closure"):
+    with pytest.raises(FactorGraphError, match=f"factor {index} is not a closure"):
         optimize_robustly(graph, values, np.array([index]))
 
 
 def test_an_empty_slot_and_a_prior_are_no_closures() -> None:
     graph, values = factors(with_false(3, 0))
     for index in (graph.size() - 1, graph.size() - 2):
-        with pytest.raises(FactorGraphError, match=f"factor {index} is no closure"):
+        with pytest.raises(FactorGraphError, match=f"factor {index} is not a closure"):
             optimize_robustly(graph, values, np.array([index]))
 
 
@@ -343,22 +234,3 @@ def test_the_false_closures_of_these_tests_are_false() -> None:
     assert apart.min() > np.linalg.norm(transforms[:, :3, 3], axis=1).max()
     assert pairs.max() < VERTICES
     assert ROUND // 2 - 10 > 1
-
-
-@pytest.mark.parametrize(("others_m", "is_more_than_chance"), [(2.0, False), (100.0, True)])
-def test_a_small_share_is_more_than_chance_unless_the_others_fit_the_odometry_as_well(others_m, is_more_than_chance):
-    kept, others = 9, 61
-    graph = gtsam.NonlinearFactorGraph()
-    unit = gtsam.noiseModel.Isotropic.Sigma(6, 1.0)
-    exact = gtsam.noiseModel.Isotropic.Sigma(6, 0.1)
-    graph.add(gtsam.PriorFactorPose3(0, gtsam.Pose3(), exact))
-    graph.add(gtsam.BetweenFactorPose3(0, 1, gtsam.Pose3(), unit))
-    offsets_m = [0.0] * kept + [others_m * (-1) ** number for number in range(others)]
-    for off_m in offsets_m:
-        graph.add(gtsam.BetweenFactorPose3(0, 1, gtsam.Pose3(gtsam.Rot3(), np.array([off_m, 0.0, 0.0])), exact))
-    values = gtsam.Values()
-    values.insert(0, gtsam.Pose3())
-    values.insert(1, gtsam.Pose3())
-    solver = _Solver(graph, values, np.arange(2, 2 + len(offsets_m)), 100, LEAST_DECREASE)
-    assert LEAST_SHARE < kept / len(offsets_m) < LEAST_AGREEMENT
-    assert solver.agree(np.arange(len(offsets_m)) < kept, values) is is_more_than_chance

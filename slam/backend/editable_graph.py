@@ -1,0 +1,284 @@
+"""Factors and variables of the graph: added, changed and removed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import L, X
+
+from slam.backend.batch_solver import BatchSolver
+from slam.backend.condensing.attached_keyframes import AttachedKeyframes
+from slam.backend.factors import (
+    PRIOR_SIGMA_RANGES,
+    Edge,
+    Factor,
+    LandmarkPrior,
+    Observation,
+    PosePrior,
+    between_factor,
+    checked_pose,
+    landmark_prior_factor,
+    map_frame_factor,
+    observation_factors,
+    prior_factor,
+)
+from slam.backend.gtsam_calls import GtsamCalls
+from slam.backend.incremental_solver import IncrementalSolver
+from slam.backend.solver_options import FactorGraphConfig
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.errors import FactorGraphError
+
+
+class EditableGraph:
+    """Factors by numbers that never change, each as a record and as a factor of the solver in use.
+
+    Observations that are not summed up over several keyframes are only used by the batch solution, but for those from
+    one keyframe in ``observed_keyframes``: neighbouring keyframes see the same landmarks, to which the local map has
+    fitted them already, and the memory of iSAM2 grows with the keyframes that are tied to many landmarks.
+
+    ``prior_sigma_m``: standard deviation of what is fixed.
+    """
+
+    def __init__(self, config: FactorGraphConfig, *, sensor_range_m: float) -> None:
+        self.prior_sigma_m = PRIOR_SIGMA_RANGES * sensor_range_m
+        self._config = config
+        self._sensor_range_m = sensor_range_m
+        self._calls = GtsamCalls()
+        self._solver: IncrementalSolver | BatchSolver = self._incremental_solver()
+        self._factors: dict[int, Factor] = {}
+        self._next_factor = 0
+        self._waiting: dict[int, gtsam.NonlinearFactor] = {}  # for the batch solution
+        self._keyframes: list[int] = []
+        self._attached = AttachedKeyframes()
+        self._fixed_poses: dict[int, FloatArray] = {}
+        self._map_frame: int | None = None
+        self._observations: dict[int, list[int]] = {}  # numbers of the factors, by the landmark
+        self._aliases: dict[int, int] = {}
+        self._known: dict[int, LandmarkPrior] = {}  # landmarks of a prior map
+        self._fixed_landmarks: set[int] = set()
+        self._priors: dict[int, int] = {}  # numbers of those that are in force, by the landmark
+
+    @property
+    def factors(self) -> Mapping[int, Factor]:
+        """The factors that are in force, by their numbers."""
+        return self._factors
+
+    @property
+    def keyframes(self) -> IntArray:
+        """Ids (K,) of the keyframes, in the order in which they were added."""
+        return np.array(self._keyframes, dtype=np.int64)
+
+    @property
+    def landmarks(self) -> IntArray:
+        """Ids (L,) of the landmarks that are estimated, ascending; those of a fixed map are constants and left out."""
+        return np.array(sorted(self._variables() - self._fixed_landmarks), dtype=np.int64)
+
+    def add_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
+        """Add a keyframe at a pose (4, 4), which edges have to tie to the others before the next update."""
+        pose = checked_pose(T_map_body, f"keyframe {keyframe}")
+        if self._holds_keyframe(keyframe):
+            raise FactorGraphError(f"keyframe {keyframe} is in the graph already")
+        self._solver.insert(X(keyframe), pose)
+        self._keyframes.append(keyframe)
+
+    def add_first_keyframe(self, keyframe: int, T_map_body: FloatArray) -> None:
+        """Fix the map frame: a prior on the first keyframe."""
+        self.add_keyframe(keyframe, T_map_body)
+        self._add(PosePrior(keyframe, T_map_body, self.prior_sigma_m))
+
+    def add_fixed_keyframe(self, keyframe: int, T_map_body: FloatArray, *, is_map_frame: bool = False) -> None:
+        """Add a keyframe that never moves; ``is_map_frame``: it stands for the frame of a map without keyframes."""
+        self.add_first_keyframe(keyframe, T_map_body)
+        self._fixed_poses[keyframe] = T_map_body
+        if is_map_frame:
+            self._map_frame = keyframe
+
+    def add_next_keyframe(self, edge: Edge, T_from_to: FloatArray | None = None) -> None:
+        """Add the keyframe ``edge.to_keyframe``, placed from ``edge.from_keyframe`` by the edge.
+
+        ``T_from_to`` (4, 4) is a better estimate to place it by, where there is one, until the next update.
+        """
+        factor = between_factor(edge)
+        placed_by = edge.T_from_to if T_from_to is None else T_from_to
+        self.add_keyframe(edge.to_keyframe, self.pose(edge.from_keyframe) @ placed_by)
+        self._add(edge, factor)
+
+    def add_known_landmarks(self, landmarks: Mapping[int, FloatArray], sigmas_m: FloatArray, *, is_fixed: bool) -> None:
+        """Announce landmarks of a prior map; each enters the graph when something is merged into it.
+
+        Args:
+            landmarks: their positions, (3,) m by id.
+            sigmas_m: (3,) standard deviations of the coordinates.
+            is_fixed: they are constants, and not estimated.
+        """
+        for landmark, position in landmarks.items():
+            self._known[landmark] = LandmarkPrior(landmark, position, sigmas_m)
+        if is_fixed:
+            self._fixed_landmarks.update(landmarks)
+
+    def add_edge(self, edge: Edge) -> int:
+        """Tie two keyframes together; returns the factor's number."""
+        self._check_ends(edge)
+        return self._add(edge)
+
+    def add_observations(self, observations: Sequence[Observation]) -> None:
+        """Tie landmarks to the keyframes that saw them.
+
+        A landmark enters the graph with its first observation, which gives it all three coordinates, so none is ever
+        under-constrained.
+        """
+        seen = [self._attached.observation(each) for each in observations]
+        factors, positions = self._observation_factors(seen), self._positions_map(seen)
+        self._insert([self._number(each) for each in seen], factors, positions)
+
+    def remove_factor(self, number: int) -> None:
+        """Remove a factor; a landmark leaves the graph with its last observation."""
+        self._remove([number])
+
+    def remove_landmarks(self, landmarks: Iterable[int]) -> None:
+        """Remove all observations of landmarks; those that are not in the graph are ignored."""
+        self._remove([number for each in landmarks for number in self._observations.get(each, ())])
+
+    def alias_landmarks(self, aliases: Mapping[int, int]) -> None:
+        """Say which landmarks stand for others, by the ids of these; all others stand for themselves.
+
+        Observations of a landmark, earlier and later ones, count as those of the one that stands for it.
+        """
+        moved = [
+            number
+            for landmark, numbers in self._observations.items()
+            if aliases.get(landmark, landmark) != self._variable_of(landmark)
+            for number in numbers
+        ]
+        observations = [each for number in moved if isinstance(each := self._factors[number], Observation)]
+        self._aliases = dict(aliases)
+        factors, positions = self._observation_factors(observations), self._positions_map(observations)
+        for number in moved:
+            self._withdraw(number)
+        for landmark in {each.landmark: None for each in observations}:
+            del self._observations[landmark]
+        self._insert(moved, factors, positions)
+        self._remove_unused_priors()
+
+    def update(self) -> None:
+        """Bring the incremental estimate up to date with all that was added and removed."""
+        self._solver.update()
+
+    def pose(self, keyframe: int) -> FloatArray:
+        """``T_map_body`` (4, 4) of a keyframe."""
+        anchor = self._attached.anchors.get(keyframe)
+        if anchor is not None:
+            return self._attached.pose(keyframe, self.pose(anchor))
+        fixed = self._fixed_poses.get(keyframe)
+        return self._solver.pose(keyframe) if fixed is None else fixed
+
+    def _check_ends(self, edge: Edge) -> None:
+        for keyframe in (edge.from_keyframe, edge.to_keyframe):
+            if not self._holds_keyframe(keyframe):
+                raise FactorGraphError(
+                    f"edge {edge.from_keyframe} -> {edge.to_keyframe}: keyframe {keyframe} is not in the graph"
+                )
+
+    def _holds_keyframe(self, keyframe: int) -> bool:
+        return keyframe in self._attached.anchors or self._solver.holds(X(keyframe))
+
+    def _variable_of(self, landmark: int) -> int:
+        """The landmark that stands for this one."""
+        return self._aliases.get(landmark, landmark)
+
+    def _variables(self) -> set[int]:
+        """The landmarks that have a variable of their own."""
+        return {self._variable_of(landmark) for landmark in self._observations}
+
+    def _number(self, record: Factor) -> int:
+        self._next_factor += 1
+        self._factors[self._next_factor - 1] = record
+        return self._next_factor - 1
+
+    def _add(self, record: Factor, factor: gtsam.NonlinearFactor | None = None) -> int:
+        """Add a factor between variables that are there; returns its number."""
+        if isinstance(record, Edge) and self._attached.moves(record):
+            record, factor = self._attached.edge(record), None
+        number = self._number(record)
+        self._solver.add(number, factor if factor is not None else self._solver_factor(record))
+        return number
+
+    def _insert(self, numbers: Sequence[int], factors: Sequence[gtsam.NonlinearFactor], positions: FloatArray) -> None:
+        """Hand observations with these numbers to the solver; ``positions`` (N, 3) of new landmarks."""
+        for number, factor, position in zip(numbers, factors, positions, strict=True):
+            observation = self._factors[number]
+            assert isinstance(observation, Observation)
+            self._observations.setdefault(observation.landmark, []).append(number)
+            variable = self._variable_of(observation.landmark)
+            if variable in self._known and variable not in self._priors:
+                prior = self._known[variable]
+                self._solver.insert(L(variable), prior.position)
+                self._priors[variable] = self._add(prior)
+            if self._waits(number):
+                self._waiting[number] = factor
+            else:
+                self._hold(number, factor, variable, position)
+
+    def _hold(self, number: int, factor: gtsam.NonlinearFactor, variable: int, position: FloatArray) -> None:
+        if not self._solver.holds(L(variable)):
+            self._solver.insert(L(variable), position)
+        self._solver.add(number, factor)
+
+    def _waits(self, number: int) -> bool:
+        """Whether a factor is one for the batch solution only."""
+        factor = self._factors[number]
+        is_skipped = isinstance(factor, Observation) and factor.keyframe % self._config.observed_keyframes != 0
+        return is_skipped and isinstance(self._solver, IncrementalSolver)
+
+    def _withdraw(self, number: int) -> None:
+        if self._waiting.pop(number, None) is None:
+            self._solver.remove(number)
+
+    def _remove(self, numbers: Iterable[int]) -> None:
+        for number in list(numbers):
+            self._withdraw(number)
+            factor = self._factors.pop(number)
+            if isinstance(factor, Observation):
+                remaining = self._observations[factor.landmark]
+                remaining.remove(number)
+                if not remaining:
+                    del self._observations[factor.landmark]
+        self._remove_unused_priors()
+
+    def _remove_unused_priors(self) -> None:
+        """Remove the priors of landmarks of a prior map that nothing observes."""
+        used = self._variables() if self._priors else set()
+        for variable in [each for each in self._priors if each not in used]:
+            number = self._priors.pop(variable)
+            self._solver.remove(number)
+            del self._factors[number]
+
+    def _positions_map(self, observations: Sequence[Observation]) -> FloatArray:
+        """Where observations (N,) put their landmarks, (N, 3) m in the map."""
+        poses = {keyframe: self.pose(keyframe) for keyframe in dict.fromkeys(each.keyframe for each in observations)}
+        T = np.array([poses[each.keyframe] for each in observations]).reshape(-1, 4, 4)
+        positions = np.array([each.position for each in observations]).reshape(-1, 3, 1)
+        return np.asarray((T[:, :3, :3] @ positions)[..., 0] + T[:, :3, 3])
+
+    def _observation_factors(self, observations: Sequence[Observation]) -> list[gtsam.NonlinearFactor]:
+        """The solver's factors of observations, each of the variable of its landmark."""
+        seen = [replace(each, landmark=self._variable_of(each.landmark)) for each in observations]
+        return observation_factors(seen, self._config, sensor_range_m=self._sensor_range_m)
+
+    def _solver_factor(self, record: Factor) -> gtsam.NonlinearFactor:
+        """What the solver is given for a record."""
+        match record:
+            case Edge():
+                return map_frame_factor(record) if record.from_keyframe == self._map_frame else between_factor(record)
+            case Observation():
+                return self._observation_factors([record])[0]
+            case PosePrior():
+                return prior_factor(record)
+            case LandmarkPrior():
+                return landmark_prior_factor(record)
+
+    def _incremental_solver(self) -> IncrementalSolver:
+        return IncrementalSolver(self._config, self._calls, sensor_range_m=self._sensor_range_m)
