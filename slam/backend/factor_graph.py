@@ -20,6 +20,7 @@ from slam.backend.factors import Edge, Factor, Observation
 from slam.backend.graph_record import make_graph_record
 from slam.backend.incremental_solver import IncrementalSolver
 from slam.backend.segment_joining import moved_estimate, relaxed_breaks, shift_of_segment
+from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import DetectionCalibration
 from slam.common.errors import FactorGraphError

@@ -118,12 +118,13 @@ class AcceptedClosures:
         loops = {loop.factor: loop for loop in self._loops.loops if not self._crosses_break(loop.candidate)}
         if not loops:
             return [], ""
-        graph = self._graph
+        graph, keyframes = self._graph, self._graph.keyframe_variables
         rejection = reject_outlier_closures(
             graph.factors,
             list(loops),
-            graph.keyframe_variables,
-            graph.poses(graph.keyframe_variables),
+            keyframes,
+            graph.poses(keyframes),
+            np.array([self._keyframes[keyframe].T_local_body for keyframe in keyframes.tolist()]),
             odometry_inflation=SLIP_INFLATION,
         )
         reasons = {

@@ -30,9 +30,12 @@ def street(*closures: tuple[int, int, float]) -> dict[int, Factor]:
     return factors
 
 
-def rejected(factors: dict[int, Factor], tested: list[int], inflation: float = 1.0) -> list[int]:
+def rejected(
+    factors: dict[int, Factor], tested: list[int], inflation: float = 1.0, local: FloatArray | None = None
+) -> list[int]:
     poses = np.stack([at(STEP_M * number) for number in range(STEPS + 1)])
-    found = reject_outlier_closures(factors, tested, np.arange(STEPS + 1), poses, odometry_inflation=inflation)
+    local = poses if local is None else local
+    found = reject_outlier_closures(factors, tested, np.arange(STEPS + 1), poses, local, odometry_inflation=inflation)
     assert list(found.kept) == list(found.weights) == tested
     return [number for number in tested if not found.kept[number]]
 
@@ -59,3 +62,10 @@ def test_how_far_the_odometry_is_trusted_decides():
     factors = street((0, 20, 6.0), (1, 19, 5.5))
     assert rejected(factors, [100, 101], inflation=10.0) == []
     assert rejected(factors, [100, 101], inflation=0.1) == [100, 101]
+
+
+def test_closures_across_a_slip_that_landmarks_show_are_kept():
+    factors = street((0, 12, 2.0), (3, 15, 2.0))
+    assert rejected(factors, [100, 101]) == [100, 101]
+    corrected = np.stack([at(STEP_M * number + 2.0 * (number > 8)) for number in range(STEPS + 1)])
+    assert rejected(factors, [100, 101], local=corrected) == []
