@@ -184,9 +184,7 @@ def _find_pairs(
             )
         progress(0.8 + 0.15 * finished / len(waiting), f"finding places, {finished} of {len(waiting)} sessions")
     joins = [join for task in tasks for join in _read_joins(task)]
-    landmarks = sum(len(each.objects.ids) for each in maps)
-    places = sum(len(each.graph.keyframe_ids) for each in maps)
-    return judge_pairs(maps, joins, config, search_penalty=float(np.log(max(places, landmarks, 1))))
+    return judge_pairs(maps, joins, config)
 
 
 def join_session(task: JoinTask) -> int:

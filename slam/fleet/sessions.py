@@ -14,7 +14,7 @@ from logs.errors import LogError
 from logs.messages import SceneMarkers
 from slam.common.config import Config
 from slam.common.errors import SlamError
-from slam.map_joining.condensed_map import condense_map
+from slam.map_joining.condensed_map import STRETCHES_A_SUBMAP, condense_map
 from slam.map_joining.session_config import session_config
 from slam.object_map.map_io import SavedMap, load_map, save_map
 from slam.object_map.submap import SUBMAP_RANGES
@@ -22,8 +22,6 @@ from slam.replay import replay
 from slam.sweeps.cells import write_text
 
 MAP_NAME, LEDGER_NAME, SCRATCH = "map.mcap", "session.json", "mapping-"
-STRETCHES_A_SUBMAP = 2.0
-"""Places on the travel of a submap."""
 
 
 @dataclass(frozen=True, slots=True)

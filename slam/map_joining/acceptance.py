@@ -51,8 +51,14 @@ class MapPair:
         return max(self.joins, key=lambda join: (join.llr, -join.query_map, -join.place))
 
 
+def search_penalty(maps: Sequence[SavedMap]) -> float:
+    """Logarithm of how many places of these maps chance could choose from [nats]."""
+    places = sum(len(each.graph.keyframe_ids) for each in maps)
+    return float(np.log(max(places, sum(len(each.objects.ids) for each in maps), 1)))
+
+
 def judge_pairs(
-    maps: Sequence[SavedMap], joins: Sequence[Join], config: Config, *, search_penalty: float
+    maps: Sequence[SavedMap], joins: Sequence[Join], config: Config, *, penalty: float | None = None
 ) -> list[MapPair]:
     """One verdict for each pair of maps of which a place was recognised in the other.
 
@@ -60,15 +66,16 @@ def judge_pairs(
         maps: condensed, by the numbers that the joins name.
         joins: of all of them.
         config: of the estimator.
-        search_penalty: logarithm of how many places chance could choose from [nats].
+        penalty: in place of the ``search_penalty`` of the maps.
     """
     of_pair: dict[tuple[int, int], list[Join]] = {}
     for join in sorted(joins, key=lambda join: (join.query_map, join.place, join.reference_map, -join.llr)):
         of_pair.setdefault(_pair(join), []).append(join)
+    penalty = search_penalty(maps) if penalty is None else penalty
     pairs = len(maps) * (len(maps) - 1) // 2
     least_log_odds = float(np.log(max(pairs, 1))) - log_odds_of(config.localization.error_probability)
     return [
-        _judge(pair, np.array(each, dtype=object), maps, config, search_penalty, least_log_odds)
+        _judge(pair, np.array(each, dtype=object), maps, config, penalty, least_log_odds)
         for pair, each in sorted(of_pair.items())
     ]
 
@@ -78,7 +85,7 @@ def _judge(
     joins: np.ndarray,
     maps: Sequence[SavedMap],
     config: Config,
-    search_penalty: float,
+    penalty: float,
     least_log_odds: float,
 ) -> MapPair:
     agree = _agreement(joins, maps, config)
@@ -88,11 +95,11 @@ def _judge(
     asked = {(join.query_map, join.place) for join in joins[chosen]}
     rivals = ~chosen & np.array([(join.query_map, join.place) in asked for join in joins])
     rival_llr = max((_evidence(joins[agree[row] & rivals]) for row in np.flatnonzero(rivals)), default=0.0)
-    log_odds = float(evidence[best] - search_penalty - np.logaddexp(0.0, rival_llr - search_penalty))
+    log_odds = float(evidence[best] - penalty - np.logaddexp(0.0, rival_llr - penalty))
     accepted = bool(log_odds >= least_log_odds)
     doubt = f"posterior log odds {log_odds:.1f}, less than {least_log_odds:.1f}"
     against = f"; another transform has a log-likelihood ratio of {rival_llr:.1f} against {evidence[best]:.1f}"
-    reason = "" if accepted else doubt + (against if rival_llr > search_penalty else "")
+    reason = "" if accepted else doubt + (against if rival_llr > penalty else "")
     return MapPair(*pair, tuple(joins[chosen].tolist()), log_odds, accepted, reason)
 
 

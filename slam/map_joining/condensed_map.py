@@ -34,6 +34,15 @@ class _Stretches:
     steps: Mapping[int, int]
 
 
+STRETCHES_A_SUBMAP = 2.0
+"""Places on the travel of a submap."""
+
+
+def place_rows(saved: SavedMap, *, stretch_m: float) -> IntArray:
+    """Rows (S,) of the keyframes that :func:`condense_map` makes places."""
+    return _stretches(saved.graph, stretch_m).middles
+
+
 def condense_map(saved: SavedMap, *, stretch_m: float) -> SavedMap:
     """The same landmarks, observed from a place in each stretch of ``stretch_m`` of travel.
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.factor_graph import FactorGraph
@@ -24,7 +25,7 @@ from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
 from slam.map_joining.acceptance import MapPair
 from slam.map_joining.joins import Join
 from slam.object_map.landmarks import ObjectMap
-from slam.object_map.map_io import SavedMap, confirmed
+from slam.object_map.map_io import SavedMap, confirmed, observing
 
 logger = logging.getLogger(__name__)
 
@@ -146,7 +147,7 @@ def _placed(
     edges, transforms, information = [], [], []
     for number in group:
         graph = maps[number].graph
-        edges.append(graph.edge_keyframe_ids + first[number])
+        edges.append(_rows_of(graph, graph.edge_keyframe_ids) + first[number])
         transforms.append(graph.edge_transforms)
         information.append(np.linalg.inv(graph.edge_covariances).reshape(-1, 6, 6))
     tied = np.array(ties, dtype=np.int64)
@@ -179,6 +180,21 @@ def _edge(join: Join, maps: Mapping[int, SavedMap], first: Mapping[int, int]) ->
     return first[join.reference_map] + nearest, first[join.query_map] + join.place, T_from_to
 
 
+def _rows_of(graph: FactorGraphRecord, keyframes: IntArray) -> IntArray:
+    """Rows (...) of keyframes (...) of a graph, by their ids."""
+    order = np.argsort(graph.keyframe_ids)
+    return np.asarray(order[np.searchsorted(graph.keyframe_ids, keyframes, sorter=order)])
+
+
+def _moved(saved: SavedMap, T_joint_place: FloatArray) -> ObjectMapRecord:
+    """The landmarks of a map as they move along with its nearest places, which are at (K, 4, 4) now."""
+    nearest = cKDTree(saved.graph.T_map_body[:, :3, 3]).query(saved.objects.positions)[1]
+    T = (T_joint_place @ invert(saved.graph.T_map_body))[nearest]
+    R = T[:, :3, :3]
+    positions = np.einsum("nij,nj->ni", R, saved.objects.positions) + T[:, :3, 3]
+    return replace(saved.objects, positions=positions, covariances=R @ saved.objects.covariances @ np.swapaxes(R, 1, 2))
+
+
 def _solved(
     members: list[int],
     maps: Mapping[int, SavedMap],
@@ -191,20 +207,20 @@ def _solved(
     first = _first_places(members, maps)
     if not joins:
         T_map_place = maps[members[0]].graph.T_map_body
+    place_maps = np.repeat(members, [len(maps[number].graph.keyframe_ids) for number in members])
     object_map = ObjectMap(config.calibration.objects)
     graph = FactorGraph(FactorGraphConfig(), sensor_range_m=config.sensor_range_m)
     rows_of: dict[int, dict[str, int]] = {}
     edges, observations = list[Edge](), list[Observation]()
     for number in members:
         saved = maps[number]
-        rows = object_map.restore(saved.objects, travel_m=0.0)
+        rows = object_map.restore(_moved(saved, T_map_place[place_maps == number]), travel_m=0.0)
         rows_of[number] = dict(zip(saved.objects.ids, rows.tolist(), strict=True))
-        place_of = {place: place + first[number] for place in saved.graph.keyframe_ids.tolist()}
+        place_of = {place: row + first[number] for row, place in enumerate(saved.graph.keyframe_ids.tolist())}
         edges += edges_of(saved.graph, place_of)
         observations += observations_of(saved.graph, place_of, rows_of[number])
     edges += [Edge(*_edge(join, maps, first), join.covariance, EdgeKind.LOOP_CLOSURE) for join in joins]
     restore_factors(graph, range(len(T_map_place)), T_map_place, edges, observations)
-    place_maps = np.repeat(members, [len(maps[number].graph.keyframe_ids) for number in members])
     radius_m = 2.0 * config.calibration.objects.landmark_sigma_m
     for _ in range(FUSIONS):
         graph.optimize()
@@ -221,6 +237,7 @@ def _solved(
     object_map.rows["covariance_map"][in_graph] = graph.landmark_covariances(in_graph)
     objects = confirmed(object_map.to_record(stamp_ns))
     known = set(objects.ids)
+    record = graph.to_record(stamp_ns, stamps_ns)
     sightings = [
         Sighting(number, name, landmark)
         for number in members
@@ -230,7 +247,7 @@ def _solved(
     return JointMap(
         members=tuple(members),
         objects=objects,
-        graph=graph.to_record(stamp_ns, stamps_ns),
+        graph=observing(record, objects, np.ones(len(stamps_ns), dtype=np.bool_)),
         place_maps=place_maps,
         sightings=tuple(sightings),
         rejected=tuple(rejected),

@@ -54,7 +54,7 @@ def measure(count: int, seed: int) -> list[str]:
     marks.append(time.process_time())
     joins = [join for number, each in enumerate(maps) for join in find_joins(each, number, index, config)]
     landmarks = sum(len(each.objects.ids) for each in maps)
-    pairs = judge_pairs(maps, joins, config, search_penalty=float(np.log(landmarks)))
+    pairs = judge_pairs(maps, joins, config, penalty=float(np.log(landmarks)))
     marks.append(time.process_time())
     parts = join_maps(dict(enumerate(maps)), pairs, config)
     marks.append(time.process_time())

@@ -120,30 +120,24 @@ def _first_imported(maps: list[tuple[Path, PriorMap]]) -> Path:
 
 
 def _merge_driven(maps: list[tuple[Path, SavedMap]]) -> SavedMap:
-    """All in one; a map that shares no place with those before it is tried again with those after it."""
     from slam.common.errors import SavedMapError
-    from slam.loop_closure.map_merging import merge_maps
+    from slam.map_joining.merging import MergedMap, merge_maps
     from tools import console
 
-    (_, whole), *waiting = maps
-    while waiting:
-        for path, other in waiting:
-            with console.progress_bar(f"recognising {path.name}", "optimising everything at once") as progress:
-                merged = merge_maps(whole, other, progress)
-            if merged is not None:
-                break
-        else:
-            raise SavedMapError(
-                f"no place of {', '.join(str(path) for path, _ in waiting)} is recognised in the other maps, and they "
-                "are not all georeferenced, so nothing tells how they lie to each other"
-            )
-        by = f"{merged.recognised} of {len(other.graph.keyframe_ids)} keyframes recognised"
-        console.show(
-            f"{path}: {by if merged.recognised else 'joined by georeference alone'}, "
-            f"{merged.shared} landmarks in both, {len(merged.saved.objects.ids)} in all"
+    merged = merge_maps([known for _, known in maps])
+    if not isinstance(merged, MergedMap):
+        raise SavedMapError(
+            f"no place of {', '.join(str(maps[number][0]) for number in merged)} is recognised in the other maps, and "
+            "they are not all georeferenced, so nothing tells how they lie to each other"
         )
-        whole, waiting = merged.saved, [each for each in waiting if each[1] is not other]
-    return whole
+    for (path, _), recognised in list(zip(maps, merged.recognised, strict=True))[1:]:
+        console.show(f"{path}: {f'{recognised} places recognised' if recognised else 'no place recognised by itself'}")
+    console.show(f"{merged.shared} landmarks in more than one map, {len(merged.saved.objects.ids)} in all")
+    for sha256 in merged.repeated:
+        console.show(
+            f"warning: the drive with the input {sha256[:8]} is in more than one map, and counts more than once"
+        )
+    return merged.saved
 
 
 def _write(output: Path, saved: SavedMap) -> None:

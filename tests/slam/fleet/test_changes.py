@@ -65,7 +65,7 @@ def changes(story: tuple[World, World, int, int, int]) -> tuple[Change, ...]:
     ]
     index = make_place_index(maps, sigma_m=CONFIG.calibration.objects.landmark_sigma_m)
     joins = [join for number, each in enumerate(maps) for join in find_joins(each, number, index, CONFIG)]
-    (joint,) = join_maps(dict(enumerate(maps)), judge_pairs(maps, joins, CONFIG, search_penalty=6.0), CONFIG)
+    (joint,) = join_maps(dict(enumerate(maps)), judge_pairs(maps, joins, CONFIG, penalty=6.0), CONFIG)
     return detect_changes(joint, [month * MONTH_NS for month in range(MONTHS)]).changes
 
 

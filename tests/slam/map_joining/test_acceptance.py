@@ -47,7 +47,7 @@ def join(
 
 
 def judged(maps: list[SavedMap], *joins: Join) -> MapPair:
-    (pair,) = judge_pairs(maps, joins, CONFIG, search_penalty=6.0)
+    (pair,) = judge_pairs(maps, joins, CONFIG, penalty=6.0)
     return pair
 
 

@@ -46,7 +46,7 @@ def joins(maps: list[SavedMap]) -> list[Join]:
 
 @pytest.fixture(scope="module")
 def pairs(maps: list[SavedMap], joins: list[Join]) -> list[MapPair]:
-    return judge_pairs(maps, joins, CONFIG, search_penalty=6.0)
+    return judge_pairs(maps, joins, CONFIG, penalty=6.0)
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ def test_a_single_join_with_the_evidence_of_chance_joins_nothing(maps: list[Save
     """Of four maps there are six pairs: 9.2 nats for an error in 10,000, 1.8 for the pairs, 6 for the search."""
     one = [join for join in joins if (join.query_map, join.reference_map) == (0, 1)][:1]
     for llr, is_accepted in ((16.9, False), (17.1, True)):
-        pair = judge_pairs(maps, [replace(one[0], llr=llr)], CONFIG, search_penalty=6.0)[0]
+        pair = judge_pairs(maps, [replace(one[0], llr=llr)], CONFIG, penalty=6.0)[0]
         assert pair.accepted is is_accepted
         assert ("less than 11.0" in pair.reason) is not is_accepted
 
@@ -106,7 +106,7 @@ def test_two_poses_for_the_same_places_join_nothing(maps: list[SavedMap], joins:
     shift = np.eye(4)
     shift[:2, 3] = 40.0
     wrong = [replace(join, T_reference_place=shift @ join.T_reference_place, llr=join.llr - 1.0) for join in right]
-    pair = judge_pairs(maps, right + wrong, CONFIG, search_penalty=6.0)[0]
+    pair = judge_pairs(maps, right + wrong, CONFIG, penalty=6.0)[0]
     assert not pair.accepted
     assert "another transform" in pair.reason
     assert pair.log_odds < 4.0
@@ -116,7 +116,7 @@ def test_two_headings_at_one_place_are_two_transforms(maps: list[SavedMap], join
     one = replace(next(join for join in joins if (join.query_map, join.reference_map) == (0, 1)), llr=40.0)
     turn = transform_from_xyz_yaw(np.zeros(3), np.pi / 2.0)
     turned = replace(one, T_reference_place=one.T_reference_place @ turn)
-    pair = judge_pairs(maps, [one, turned], CONFIG, search_penalty=6.0)[0]
+    pair = judge_pairs(maps, [one, turned], CONFIG, penalty=6.0)[0]
     assert not pair.accepted
     assert "another transform" in pair.reason
 
@@ -135,7 +135,7 @@ def test_maps_may_be_bent_by_their_drift_between_two_places(maps: list[SavedMap]
             maps[0].graph.T_map_body[far.place][:3, 3], 1.0
         ) + [shift_m, 0.0]
         both = [near, replace(far, T_reference_place=shifted)]
-        assert (len(judge_pairs(maps, both, CONFIG, search_penalty=6.0)[0].joins) == 2) is is_one
+        assert (len(judge_pairs(maps, both, CONFIG, penalty=6.0)[0].joins) == 2) is is_one
 
 
 def test_a_false_pair_is_rejected_by_the_others(maps: list[SavedMap], pairs: list[MapPair]) -> None:
@@ -151,6 +151,6 @@ def test_a_false_pair_is_rejected_by_the_others(maps: list[SavedMap], pairs: lis
 
 
 def test_the_order_of_the_joins_changes_nothing(maps: list[SavedMap], joins: list[Join], joint: list[JointMap]) -> None:
-    shuffled = judge_pairs(maps, joins[::-1], CONFIG, search_penalty=6.0)
+    shuffled = judge_pairs(maps, joins[::-1], CONFIG, penalty=6.0)
     again = join_maps(dict(enumerate(maps)), shuffled[::-1], CONFIG)
     assert again[0].objects.positions.tobytes() == joint[0].objects.positions.tobytes()

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from slam.common.areas import Area, Circle, Polygon
+from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import SavedMapError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.common.georeference import Georeference
 from slam.final_map import FinalMap
 from slam.localization.imported_map_editing import crop_imported_map, merge_imported_maps
-from slam.loop_closure.map_merging import merge_maps, moved
+from slam.map_joining.merging import MergedMap, merge_maps
 from slam.object_map.map_cropping import crop_map
 from slam.object_map.map_io import SavedMap, confirmed, load_map, write_map
 from slam.object_map.map_validation import find_fault
@@ -29,6 +30,17 @@ pytestmark = pytest.mark.slow
 
 T_AWAY = transform_from_xyz_yaw(np.array([400.0, -250.0, 3.0]), 2.0)
 """Where the frame of the second map lies."""
+
+
+def moved(saved: SavedMap, T_new_old: FloatArray) -> SavedMap:
+    """The map in another frame."""
+    R = T_new_old[:3, :3]
+    positions, covariances = apply(T_new_old, saved.objects.positions), R @ saved.objects.covariances @ R.T
+    return replace(
+        saved,
+        objects=replace(saved.objects, positions=positions, covariances=covariances),
+        graph=replace(saved.graph, T_map_body=T_new_old @ saved.graph.T_map_body),
+    )
 
 
 def mapped(seed: int) -> SavedMap:
@@ -72,9 +84,10 @@ def half(saved: SavedMap, low: float, high: float) -> SavedMap:
 
 
 def test_two_maps_of_one_town_become_one(first: SavedMap, second: SavedMap) -> None:
-    merged = merge_maps(first, second)
-    assert merged is not None
-    assert merged.recognised > 0.8 * len(second.graph.keyframe_ids)
+    merged = merge_maps([first, second])
+    assert isinstance(merged, MergedMap)
+    assert merged.recognised[1] > 3
+    assert merged.repeated == ()
     count = len(merged.saved.objects.ids)
     assert merged.shared == len(first.objects.ids) + len(second.objects.ids) - count
     assert count <= 1.05 * max(len(first.objects.ids), len(second.objects.ids))
@@ -85,8 +98,8 @@ def test_two_maps_of_one_town_become_one(first: SavedMap, second: SavedMap) -> N
 
 
 def test_each_landmark_counts_the_observations_of_both(first: SavedMap, second: SavedMap) -> None:
-    merged = merge_maps(first, second)
-    assert merged is not None
+    merged = merge_maps([first, second])
+    assert isinstance(merged, MergedMap)
     counts = [saved.objects.observation_counts.sum() for saved in (first, second, merged.saved)]
     assert counts[2] == counts[0] + counts[1]
     assert np.median(np.trace(merged.saved.objects.covariances, axis1=1, axis2=2)) < np.median(
@@ -96,8 +109,8 @@ def test_each_landmark_counts_the_observations_of_both(first: SavedMap, second: 
 
 def test_parts_that_overlap_become_the_whole_again(first: SavedMap, second: SavedMap) -> None:
     left, right = half(first, 0.0, 0.6), moved(half(moved(second, invert(T_AWAY)), 0.4, 1.0), T_AWAY)
-    merged = merge_maps(left, right)
-    assert merged is not None
+    merged = merge_maps([left, right])
+    assert isinstance(merged, MergedMap)
     assert len(merged.saved.objects.ids) == pytest.approx(len(first.objects.ids), rel=0.1)
     assert errors_m(merged.saved).max() < 2.0
 
@@ -117,7 +130,7 @@ def test_maps_of_two_towns_are_not_joined(first: SavedMap) -> None:
         ]
     )
     other = SavedMap(elsewhere, replace(first.graph, observation_positions=positions), first.metadata, first.drives)
-    assert merge_maps(first, other) is None
+    assert merge_maps([first, other]) == [1]
 
 
 def georeferenced(saved: SavedMap, georeference: Georeference) -> SavedMap:
@@ -127,13 +140,13 @@ def georeferenced(saved: SavedMap, georeference: Georeference) -> SavedMap:
 def test_georeferences_join_maps_that_share_no_place(first: SavedMap, second: SavedMap) -> None:
     """Two ends of the town; each lies where it does on earth."""
     left, right = half(first, 0.0, 0.3), half(moved(second, invert(T_AWAY)), 0.7, 1.0)
-    assert merge_maps(left, right) is None
+    assert merge_maps([left, right]) == [1]
     here = Georeference(60.17, 24.94, 12.0, 0.3)
     origin = here.to_geodetic(invert(T_AWAY)[None, :3, 3])[0]
     there = Georeference(*origin.tolist(), yaw_rad=0.3 - 2.0)
-    merged = merge_maps(georeferenced(left, here), georeferenced(moved(right, T_AWAY), there))
-    assert merged is not None
-    assert merged.recognised == 0
+    merged = merge_maps([georeferenced(left, here), georeferenced(moved(right, T_AWAY), there)])
+    assert isinstance(merged, MergedMap)
+    assert merged.recognised == (0, 0)
     assert len(merged.saved.objects.ids) == len(left.objects.ids) + len(right.objects.ids)
     assert errors_m(merged.saved).max() < 2.0
     assert merged.saved.georeference == here
@@ -229,3 +242,9 @@ def test_a_part_of_an_imported_map() -> None:
     assert part.georeference == whole.georeference
     with pytest.raises(SavedMapError, match="0 of 100 objects"):
         crop_imported_map(whole, Circle(1e4, 0.0, 10.0))
+
+
+def test_a_drive_that_is_in_two_maps_is_told(first: SavedMap) -> None:
+    merged = merge_maps([first, half(first, 0.0, 0.6)])
+    assert isinstance(merged, MergedMap)
+    assert merged.repeated == ("drive 1",)
