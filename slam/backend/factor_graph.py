@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import gtsam
@@ -80,6 +80,19 @@ class FactorGraph(EditableGraph):
             changed = {each: self._solver_factor(self._factors[each]) for each in (*breaks, number)}
             self._solver.restart(values, {**self._solver.factors, **changed})
         return number
+
+    def restore(self, T_map_body: FloatArray, edges: Sequence[Edge], observations: Sequence[Observation]) -> None:
+        """Restore an optimised graph in an empty one: keyframes 0 to K - 1 at (K, 4, 4), the first one held.
+
+        ``edges`` tie all keyframes together; ``observations`` are of landmarks from these.
+        """
+        self.add_first_keyframe(0, T_map_body[0])
+        for number, T in enumerate(T_map_body[1:], start=1):
+            self.add_keyframe(number, T)
+        for edge in edges:
+            self.add_edge(edge)
+        self.add_observations(observations)
+        self.update()
 
     def replace_covariances(self, covariances: Mapping[int, FloatArray]) -> None:
         """Give the edges of these numbers other covariances (6, 6); all is solved in batch from then on."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +10,8 @@ import numpy as np
 from logs.messages import LoopClosureRecord, RelocalizationRecord
 from logs.reader import LogReader
 from slam.backend.factor_graph import FactorGraph
-from slam.backend.factors import Edge
 from slam.backend.graph_record import edges_of, observations_of
-from slam.backend.map_restoration import add_fixed_map, add_map_frame, restore_factors
+from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.map_io import METADATA, SavedMap, load_map
@@ -40,17 +39,6 @@ def load_prior_map(path: Path) -> PriorMap:
     return load_imported_map(path) if is_imported else load_map(path)
 
 
-def restore_map_frame(graph: FactorGraph) -> Keyframe:
-    """Put the frame of an imported map into an empty graph, as its first keyframe; landmarks follow as they are needed.
-
-    It stands where the map frame has its origin, and never moves.
-    """
-    T_map_body = np.eye(4)
-    add_map_frame(graph, 0)
-    pose = OdometryPose(STAMP_NS, T_map_body, TRAVEL_M, SEGMENT, np.inf)
-    return Keyframe(0, pose, T_map_body, is_prior=True, is_map_frame=True)
-
-
 def with_heights_of(config: Config, prior_map: PriorMap | None) -> Config:
     """The configuration by which a drive is registered with a map: one without heights tells nothing of these."""
     if not isinstance(prior_map, ImportedMap) or not is_flat(prior_map):
@@ -68,7 +56,11 @@ def restore_prior_map(
     if prior_map is None:
         return [], None
     if isinstance(prior_map, ImportedMap):
-        return [restore_map_frame(graph)], ImportedPlaces(prior_map, object_map, graph, is_fixed=fixed)
+        # The frame of the map stands where it has its origin and never moves; landmarks follow as they are needed.
+        graph.add_fixed_keyframe(0, np.eye(4), is_map_frame=True)
+        graph.update()
+        frame = Keyframe(0, _prior_pose(np.eye(4)), np.eye(4), is_prior=True, is_map_frame=True)
+        return [frame], ImportedPlaces(prior_map, object_map, graph, is_fixed=fixed)
     return restore(prior_map, object_map, graph, fixed=fixed), None
 
 
@@ -81,41 +73,31 @@ def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed
         graph: empty.
         fixed: keep the map as it is: its keyframes and landmarks are constants, and its factors are not restored.
     """
-    rows = object_map.restore(saved.objects, travel_m=TRAVEL_M)
-    keyframes = [
-        Keyframe(number, OdometryPose(STAMP_NS, T_map_body, TRAVEL_M, SEGMENT, np.inf), T_map_body, is_prior=True)
-        for number, T_map_body in enumerate(saved.graph.T_map_body)
-    ]
+    objects, record = saved.objects, saved.graph
+    rows = object_map.restore(objects, travel_m=TRAVEL_M)
     if fixed:
-        positions = dict(zip(rows.tolist(), saved.objects.positions, strict=True))
-        add_fixed_map(graph, range(len(keyframes)), saved.graph.T_map_body, positions)
-        return keyframes
-    landmarks = dict(zip(saved.objects.ids, rows.tolist(), strict=True))
-    restore_graph(saved, graph, range(len(keyframes)), landmarks)
-    return keyframes
+        for number, T_map_body in enumerate(record.T_map_body):
+            graph.add_fixed_keyframe(number, T_map_body)
+        positions = dict(zip(rows.tolist(), objects.positions, strict=True))
+        graph.add_known_landmarks(positions, np.full(3, graph.prior_sigma_m), is_fixed=True)
+    else:
+        landmarks = dict(zip(objects.ids, rows.tolist(), strict=True))
+        observed = set(record.observation_landmark_ids)
+        for name, position, covariance in zip(objects.ids, objects.positions, objects.covariances, strict=True):
+            if name not in observed:  # only keyframes that are not in the map saw it
+                graph.add_known_landmarks({landmarks[name]: position}, np.sqrt(np.diag(covariance)), is_fixed=False)
+        number_of = {keyframe: number for number, keyframe in enumerate(record.keyframe_ids.tolist())}
+        edges, observations = edges_of(record, number_of), observations_of(record, number_of, landmarks)
+        graph.restore(record.T_map_body, edges, observations)
+    graph.update()
+    return [
+        Keyframe(number, _prior_pose(T_map_body), T_map_body, is_prior=True)
+        for number, T_map_body in enumerate(record.T_map_body)
+    ]
 
 
-def restore_graph(
-    saved: SavedMap, graph: FactorGraph, numbers: Sequence[int], landmarks: Mapping[str, int], tie: Edge | None = None
-) -> None:
-    """Put the graph of a map into ``graph``.
-
-    Args:
-        saved: the map.
-        graph: empty, or the ``tie`` leads from a keyframe that it has to one of these.
-        numbers: (K,) its keyframes there.
-        landmarks: its landmarks there, by their ids.
-        tie: see ``graph``.
-    """
-    record = saved.graph
-    number_of = dict(zip(record.keyframe_ids.tolist(), numbers, strict=True))
-    edges, observations = edges_of(record, number_of), observations_of(record, number_of, landmarks)
-    observed = set(record.observation_landmark_ids)
-    objects = saved.objects
-    for name, position, covariance in zip(objects.ids, objects.positions, objects.covariances, strict=True):
-        if name not in observed:  # only keyframes that are not in the map saw it
-            graph.add_known_landmarks({landmarks[name]: position}, np.sqrt(np.diag(covariance)), is_fixed=False)
-    restore_factors(graph, numbers, record.T_map_body, edges, observations, tie=tie)
+def _prior_pose(T_map_body: FloatArray) -> OdometryPose:
+    return OdometryPose(STAMP_NS, T_map_body, TRAVEL_M, SEGMENT, np.inf)
 
 
 def relocalizations(

@@ -13,7 +13,6 @@ from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
 from slam.backend.graph_record import edges_of, observations_of
-from slam.backend.map_restoration import restore_factors
 from slam.backend.pose_graph.pose_graph import PoseGraph
 from slam.backend.pose_graph.pose_graph_optimization import optimize_pose_graph
 from slam.backend.solver_options import FactorGraphConfig
@@ -220,7 +219,7 @@ def _solved(
         edges += edges_of(saved.graph, place_of)
         observations += observations_of(saved.graph, place_of, rows_of[number])
     edges += [Edge(*_edge(join, maps, first), join.covariance, EdgeKind.LOOP_CLOSURE) for join in joins]
-    restore_factors(graph, range(len(T_map_place)), T_map_place, edges, observations)
+    graph.restore(T_map_place, edges, observations)
     radius_m = 2.0 * config.calibration.objects.landmark_sigma_m
     for _ in range(FUSIONS):
         graph.optimize()

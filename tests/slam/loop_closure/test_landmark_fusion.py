@@ -7,7 +7,6 @@ import pytest
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, Observation
-from slam.backend.map_restoration import add_fixed_map
 from slam.backend.solver_options import FactorGraphConfig
 from slam.common.calibration import ObjectCalibration
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
@@ -132,9 +131,10 @@ def test_three_passes_make_one_landmark_and_what_stands_alone_stays() -> None:
 def test_what_stays_as_it_is_is_not_merged_among_itself() -> None:
     object_map, _ = mapped([FIRST, ("tree", (5.3, 3.8, 0.2), (3, 4))])
     graph = FactorGraph(FactorGraphConfig(observed_keyframes=1))
-    T = np.tile(np.eye(4), (2, 1, 1))
-    add_fixed_map(graph, [0, 1], T, {0: np.array([5.0, 4, 0]), 1: np.array([5.3, 3.8, 0.2])})
+    known = {0: np.array([5.0, 4, 0]), 1: np.array([5.3, 3.8, 0.2])}
+    graph.add_known_landmarks(known, np.full(3, 1e-3), is_fixed=True)
     for row in (0, 1):
+        graph.add_fixed_keyframe(row, np.eye(4))
         graph.add_observations([Observation(row, row, np.array([5.0, 4.0, 0.0]), SEEN)])
     graph.update()
     assert find_duplicate_landmarks(object_map, graph, range(2), radius_m=0.7) == []
