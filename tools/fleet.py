@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from slam.fleet.logs import FleetLog
 
 REPORT_NAME = "report.json"
+NOT_MAPPED = 1
+"""Exit code if a log could not be mapped."""
 
 
 def fleet(
@@ -32,6 +34,7 @@ def fleet(
     address: Annotated[
         str | None, typer.Option(metavar="HOST:PORT", help="A Ray cluster that runs already.", show_default=False)
     ] = None,
+    only: Annotated[bool, typer.Option("--only", help="Forget the logs of earlier runs that are not named.")] = False,
     origin: Annotated[
         str | None, typer.Option(metavar="LAT,LON", help="Where on earth the first log began.", show_default=False)
     ] = None,
@@ -41,15 +44,16 @@ def fleet(
 ) -> None:
     """Map many logs of one city, find them in one another, and make one map of them.
 
-    Each log is mapped by itself; report.json says which joined where and which did not and why, changes.geojson what
-    appeared, went or moved. If it is killed, the same command goes on where it was.
+    Logs are added to those of earlier runs in the same folder. Each log is mapped by itself; report.json says which
+    joined where and which did not and why, changes.geojson what appeared, disappeared or moved. After an interruption
+    the same command continues. The exit code is 1 if a log could not be mapped.
 
     Example: dslam fleet monday.mcap tuesday.mcap wednesday.mcap -o city
     """
     from slam.common.config import load_config
     from slam.fleet.engine import open_engine
     from slam.fleet.fleet import map_fleet
-    from slam.fleet.logs import find_logs
+    from slam.fleet.logs import add_logs, find_logs
     from slam.fleet.report import fleet_report, write_report
     from tools import console
     from tools.importers.maps import parse_origin
@@ -57,13 +61,13 @@ def fleet(
     config = load_config(config_file, settings or ())
     georeference = parse_origin(origin)
     folder.mkdir(parents=True, exist_ok=True)
-    found: list[FleetLog] = find_logs(logs or [], manifest, folder / "logs")
+    members: list[FleetLog] = add_logs(folder, find_logs(logs or [], manifest, folder / "logs"), only=only)
     with (
         open_engine(workers or os.cpu_count() or 1, address=address) as engine,
         console.progress_line("fleet") as progress,
     ):
         result = map_fleet(
-            found, folder, config, engine, georeference=georeference, **({"progress": progress} if progress else {})
+            members, folder, config, engine, georeference=georeference, progress=progress or _print_progress
         )
     write_report(folder / REPORT_NAME, result)
     report = fleet_report(result)
@@ -71,6 +75,12 @@ def fleet(
         console.show_json(report)
     else:
         _show(folder, report)
+    if any(log["status"] == "not mapped" for log in report["logs"]):
+        raise typer.Exit(NOT_MAPPED)
+
+
+def _print_progress(_done: float, doing: str) -> None:
+    typer.echo(doing, err=True)
 
 
 def _show(folder: Path, report: dict[str, Any]) -> None:

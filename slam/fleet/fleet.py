@@ -94,7 +94,7 @@ def map_fleet(
         FleetError: no log could be mapped.
         LogError: a log that cannot be read, or a file that cannot be written.
     """
-    digests = {log.name: file_sha256(log.path) for log in logs}
+    digests = {log.name: log.sha256 or file_sha256(log.path) for log in logs}
     sessions, folders = _map_sessions(logs, digests, folder, config, engine, progress)
     order = _ordered(sessions)
     if not order:
@@ -131,13 +131,16 @@ def _map_sessions(
         done = read_session(folders[digest])
         if done is not None:
             sessions[digest] = done
+        elif not log.path.exists():
+            raise FleetError(f"{log.name} has to be mapped, and is not at {log.path} any more; leave it out by --only")
         elif all(task.sha256 != digest for task in tasks):
             tasks.append(SessionTask(log.path, digest, config, folders[digest]))
     for finished, (task, outcome) in enumerate(engine.compute(map_session, tasks), start=1):
         if isinstance(outcome, Death):
             outcome = Session(task.sha256, "the process that mapped it died each time, perhaps for want of memory")
         sessions[task.sha256] = outcome
-        progress(0.8 * finished / len(tasks), f"mapping, {finished} of {len(tasks)} logs")
+        told = f"{len(outcome.notes)} warnings" if outcome.is_mapped else f"not mapped: {outcome.reason}"
+        progress(0.8 * finished / len(tasks), f"{finished}/{len(tasks)} {task.path.name}: {told}")
     for each in folders.values():
         remove_scratch(each)
     return sessions, folders

@@ -4,25 +4,31 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import json
 import os
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from logs.container.json_text import parse_json
+from logs.digest import file_sha256
 from logs.storage.regular_file import read_regular
 from logs.writer import partial_path
 from slam.common.errors import FleetError
+from slam.sweeps.cells import write_text
 
+MEMBERS_NAME = "logs.json"
 _REMOTE = "://"
 
 
 @dataclass(frozen=True, slots=True)
 class FleetLog:
-    """A log by the name that people know, and where it is."""
+    """A log by the name that people know, and where it is; ``sha256``: of its content, empty until it is computed."""
 
     name: str
     path: Path
+    sha256: str = ""
 
 
 def find_logs(sources: Sequence[str], manifest: Path | None, cache: Path) -> list[FleetLog]:
@@ -34,12 +40,51 @@ def find_logs(sources: Sequence[str], manifest: Path | None, cache: Path) -> lis
         cache: folder for what is fetched.
 
     Raises:
-        FleetError: no log at all, a manifest that cannot be read, a log that is not there, or a URL without fsspec.
+        FleetError: a manifest that cannot be read, a log that is not there, or a URL without fsspec.
     """
     named = dict.fromkeys([*sources, *(_listed(manifest) if manifest is not None else ())])
-    if not named:
-        raise FleetError("no log was given; name one at least")
     return [FleetLog(name, _fetched(name, cache) if _REMOTE in name else _checked(Path(name))) for name in named]
+
+
+def add_logs(folder: Path, named: Sequence[FleetLog], *, only: bool = False) -> list[FleetLog]:
+    """The logs of the fleet in a folder, which keeps the list of them: those of earlier runs, then the ``named`` ones.
+
+    Logs are told apart by their content: another content by a name that is there gets a name of its own. A log of an
+    earlier run need not be there any more, as long as its session is kept.
+
+    Args:
+        folder: of the fleet.
+        named: logs of this run.
+        only: leave out those of earlier runs that are not named.
+
+    Raises:
+        FleetError: no log at all, or a list that cannot be read.
+        LogError: the list cannot be written.
+    """
+    named = [replace(log, sha256=file_sha256(log.path)) for log in named]
+    earlier = _read_members(folder / MEMBERS_NAME)
+    contents = {log.sha256 for log in named}
+    members = [log for log in earlier if log.sha256 in contents or not only]
+    for log in named:
+        if (log.name, log.sha256) not in {(each.name, each.sha256) for each in members}:
+            is_taken = any(each.name == log.name for each in members)
+            members.append(replace(log, name=f"{log.name}@{log.sha256[:8]}") if is_taken else log)
+    members = list({(each.name, each.sha256): each for each in members}.values())
+    if not members:
+        raise FleetError("no log was given; name one at least")
+    entries = [{"name": log.name, "path": os.fspath(log.path.absolute()), "sha256": log.sha256} for log in members]
+    write_text(folder / MEMBERS_NAME, json.dumps(entries, indent=1) + "\n")
+    return members
+
+
+def _read_members(path: Path) -> list[FleetLog]:
+    if not path.exists():
+        return []
+    try:
+        entries = parse_json(path.read_text(encoding="utf-8"))
+        return [FleetLog(str(each["name"]), Path(each["path"]), str(each["sha256"])) for each in entries]
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise FleetError(f"the list of logs {path} cannot be read ({error}); remove it and name all logs") from error
 
 
 def _listed(manifest: Path) -> list[str]:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from slam.common.errors import FleetError
-from slam.fleet.logs import find_logs
+from slam.fleet.logs import MEMBERS_NAME, FleetLog, add_logs, find_logs
 
 
 def test_a_manifest_is_relative_to_itself_and_names_each_log_once(tmp_path: Path) -> None:
@@ -37,7 +37,34 @@ def test_a_manifest_that_is_no_text_is_told(tmp_path: Path) -> None:
         find_logs([], tmp_path / "list.txt", tmp_path / "cache")
 
 
-def test_an_empty_manifest_names_no_log(tmp_path: Path) -> None:
+def make_logs(folder: Path, **contents: str) -> list[FleetLog]:
+    for name, content in contents.items():
+        (folder / name).write_text(content)
+    return [FleetLog(name, folder / name) for name in contents]
+
+
+def test_no_log_at_all_is_refused(tmp_path: Path) -> None:
     (tmp_path / "list.txt").write_text("# none\n")
     with pytest.raises(FleetError, match="no log was given"):
-        find_logs([], tmp_path / "list.txt", tmp_path / "cache")
+        add_logs(tmp_path, find_logs([], tmp_path / "list.txt", tmp_path / "cache"))
+
+
+def test_logs_of_earlier_nights_stay(tmp_path: Path) -> None:
+    add_logs(tmp_path, make_logs(tmp_path, monday="a", tuesday="b"))
+    (tmp_path / "monday").unlink()
+    members = add_logs(tmp_path, make_logs(tmp_path, tuesday="b", wednesday="c"))
+    assert [log.name for log in members] == ["monday", "tuesday", "wednesday"]
+    assert [log.name for log in add_logs(tmp_path, [])] == ["monday", "tuesday", "wednesday"]
+    assert [log.name for log in add_logs(tmp_path, [members[1]], only=True)] == ["tuesday"]
+
+
+def test_another_content_by_the_same_name_is_another_log(tmp_path: Path) -> None:
+    add_logs(tmp_path, make_logs(tmp_path, tonight="a"))
+    members = add_logs(tmp_path, make_logs(tmp_path, tonight="b"))
+    assert [log.name for log in members] == ["tonight", f"tonight@{members[1].sha256[:8]}"]
+
+
+def test_a_damaged_list_of_logs_is_refused_with_the_remedy(tmp_path: Path) -> None:
+    (tmp_path / MEMBERS_NAME).write_text("[{]")
+    with pytest.raises(FleetError, match="remove it and name all logs"):
+        add_logs(tmp_path, make_logs(tmp_path, monday="a"))
