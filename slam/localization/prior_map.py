@@ -56,12 +56,18 @@ def restore_prior_map(
     if prior_map is None:
         return [], None
     if isinstance(prior_map, ImportedMap):
-        # The frame of the map stands where it has its origin and never moves; landmarks follow as they are needed.
-        graph.add_fixed_keyframe(0, np.eye(4), is_map_frame=True)
-        graph.update()
-        frame = Keyframe(0, _prior_pose(np.eye(4)), np.eye(4), is_prior=True, is_map_frame=True)
-        return [frame], ImportedPlaces(prior_map, object_map, graph, is_fixed=fixed)
+        return [restore_map_frame(graph)], ImportedPlaces(prior_map, object_map, graph, is_fixed=fixed)
     return restore(prior_map, object_map, graph, fixed=fixed), None
+
+
+def restore_map_frame(graph: FactorGraph) -> Keyframe:
+    """Put the frame of an imported map into an empty graph, as its first keyframe; landmarks follow as they are needed.
+
+    It stands where the map has its origin, and never moves.
+    """
+    graph.add_fixed_keyframe(0, np.eye(4), is_map_frame=True)
+    graph.update()
+    return Keyframe(0, _prior_pose(np.eye(4)), np.eye(4), is_prior=True, is_map_frame=True)
 
 
 def restore(saved: SavedMap, object_map: ObjectMap, graph: FactorGraph, *, fixed: bool) -> list[Keyframe]:

@@ -16,9 +16,8 @@ import numpy as np
 
 from slam.common.config import Config
 from slam.fleet.changes import detect_changes
-from slam.fleet.sessions import STRETCHES_A_SUBMAP
 from slam.map_joining.acceptance import judge_pairs
-from slam.map_joining.condensed_map import condense_map
+from slam.map_joining.condensed_map import STRETCHES_A_SUBMAP, condense_map
 from slam.map_joining.joins import find_joins
 from slam.map_joining.joint_map import join_maps
 from slam.map_joining.place_index import make_place_index
