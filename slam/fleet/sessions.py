@@ -14,10 +14,9 @@ from logs.errors import LogError
 from logs.messages import SceneMarkers
 from slam.common.config import Config
 from slam.common.errors import SlamError
-from slam.map_joining.condensed_map import STRETCHES_A_SUBMAP, condense_map
+from slam.map_joining.condensed_map import condense_map, stretch_length_m
 from slam.map_joining.session_config import session_config
 from slam.object_map.map_io import SavedMap, load_map, save_map
-from slam.object_map.submap import SUBMAP_RANGES
 from slam.replay import replay
 from slam.sweeps.cells import write_text
 
@@ -92,7 +91,7 @@ def _mapped(task: SessionTask, scratch: Path) -> Session:
     summary = replay(task.path, scratch / "replay.mcap", task.config, map_path=whole)
     saved = load_map(whole)
     config = session_config(saved.metadata)
-    condensed = condense_map(saved, stretch_m=SUBMAP_RANGES * config.sensor_range_m / STRETCHES_A_SUBMAP)
+    condensed = condense_map(saved, stretch_m=stretch_length_m(config))
     _save(task.folder / MAP_NAME, condensed, dict(saved.metadata))
     stamps_ns = saved.graph.keyframe_stamps_ns
     return Session(

@@ -15,9 +15,10 @@ import numpy as np
 from logs.messages import FactorGraphRecord
 from slam.backend.factors import EdgeKind
 from slam.common.arrays import FloatArray, IntArray
+from slam.common.config import Config
 from slam.common.geometry import adjoint, apply, covariance_in_axes, invert
 from slam.object_map.map_io import SavedMap, are_of_kind
-from slam.object_map.submap import gravity_frame
+from slam.object_map.submap import SUBMAP_RANGES, gravity_frame
 
 LEAST_DISTANCE_SHARE = 0.02
 """A landmark nearer to a place, in lengths of a stretch, has no bearing there; the places beside it observe it."""
@@ -36,6 +37,11 @@ class _Stretches:
 
 STRETCHES_A_SUBMAP = 2.0
 """Places on the travel of a submap."""
+
+
+def stretch_length_m(config: Config) -> float:
+    """Travel [m] between two places."""
+    return SUBMAP_RANGES * config.sensor_range_m / STRETCHES_A_SUBMAP
 
 
 def place_rows(saved: SavedMap, *, stretch_m: float) -> IntArray:

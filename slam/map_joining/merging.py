@@ -15,7 +15,7 @@ from slam.common.errors import SavedMapError
 from slam.common.geometry import covariance_in_axes, invert
 from slam.common.union_find import UnionFind
 from slam.map_joining.acceptance import MapPair, judge_pairs
-from slam.map_joining.condensed_map import STRETCHES_A_SUBMAP, condense_map, place_rows
+from slam.map_joining.condensed_map import condense_map, place_rows, stretch_length_m
 from slam.map_joining.joins import Join, find_joins
 from slam.map_joining.joint_map import join_maps
 from slam.map_joining.place_index import make_place_index
@@ -78,10 +78,10 @@ def _configuration(maps: Sequence[SavedMap]) -> Config:
 
 def _recognised_pairs(maps: Sequence[SavedMap], config: Config) -> list[MapPair]:
     """The pairs of maps that share places, with joins between keyframes."""
-    stretch_m = config.submap.travel_m / STRETCHES_A_SUBMAP
+    stretch_m = stretch_length_m(config)
     condensed = [condense_map(each, stretch_m=stretch_m) for each in maps]
     rows = [place_rows(each, stretch_m=stretch_m).tolist() for each in maps]
-    index = make_place_index(condensed, sigma_m=config.submap.landmark_sigma_m)
+    index = make_place_index(condensed, sigma_m=config.calibration.objects.landmark_sigma_m)
     joins = [join for number, each in enumerate(condensed) for join in find_joins(each, number, index, config)]
 
     def at_keyframe(join: Join) -> Join:
@@ -107,7 +107,7 @@ def _georeferenced_pairs(maps: Sequence[SavedMap], recognised: Sequence[MapPair]
     related, found = UnionFind(), list[MapPair]()
     for pair in recognised:
         related.merge(pair.first, pair.second)
-    sigmas = np.repeat([BREAK_SIGMA_RAD, BREAK_SIGMA_RANGES * config.detection.sensor_range_m], 3)
+    sigmas = np.repeat([BREAK_SIGMA_RAD, BREAK_SIGMA_RANGES * config.sensor_range_m], 3)
     for first, second in combinations(range(len(maps)), 2):
         here, there = maps[first].georeference, maps[second].georeference
         if here is None or there is None or not related.merge(first, second):

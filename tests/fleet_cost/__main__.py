@@ -17,12 +17,11 @@ import numpy as np
 from slam.common.config import Config
 from slam.fleet.changes import detect_changes
 from slam.map_joining.acceptance import judge_pairs
-from slam.map_joining.condensed_map import STRETCHES_A_SUBMAP, condense_map
+from slam.map_joining.condensed_map import condense_map, stretch_length_m
 from slam.map_joining.joins import find_joins
 from slam.map_joining.joint_map import join_maps
 from slam.map_joining.place_index import make_place_index
 from slam.object_map.map_io import SavedMap
-from slam.object_map.submap import SUBMAP_RANGES
 from tests.helpers.driven_maps import driven_map, town
 
 LENGTH_M = 250.0
@@ -47,7 +46,7 @@ def main() -> int:
 def measure(count: int, seed: int) -> list[str]:
     """One row of the table."""
     config = Config()
-    maps = sessions(count, seed=seed, stretch_m=SUBMAP_RANGES * config.sensor_range_m / STRETCHES_A_SUBMAP)
+    maps = sessions(count, seed=seed, stretch_m=stretch_length_m(config))
     marks = [time.process_time()]
     index = make_place_index(maps, sigma_m=config.calibration.objects.landmark_sigma_m)
     marks.append(time.process_time())
