@@ -144,14 +144,13 @@ class FinalRecords:
         own = landmarks["segment"] >= self._first_segment
         T_map_local = self._T_map_local_at(landmarks["last_seen_ns"][own])
         R = T_map_local[:, :3, :3]
-        landmarks["position_map"][own] = (
-            np.einsum("nij,nj->ni", R, landmarks["position_local"][own]) + T_map_local[:, :3, 3]
-        )
-        landmarks["covariance_map"][own] = R @ landmarks["covariance_local"][own] @ np.swapaxes(R, 1, 2)
+        positions = np.einsum("nij,nj->ni", R, landmarks["position_local"][own]) + T_map_local[:, :3, 3]
+        covariances = R @ landmarks["covariance_local"][own] @ np.swapaxes(R, 1, 2)
+        self._map.assign(np.flatnonzero(own), position_map=positions, covariance_map=covariances)
         in_graph = self._graph.landmarks
-        landmarks["position_map"][in_graph] = self._graph.landmark_positions(in_graph)
+        self._map.assign(in_graph, position_map=self._graph.landmark_positions(in_graph))
         try:
-            landmarks["covariance_map"][in_graph] = self._graph.landmark_covariances(in_graph)
+            self._map.assign(in_graph, covariance_map=self._graph.landmark_covariances(in_graph))
         except FactorGraphError as error:
             # The map is worth having without them; what stands there then is the covariance relative to the robot.
             logger.warning("the map has local covariances only: %s", error)

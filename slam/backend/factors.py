@@ -136,7 +136,9 @@ def observation_factors(
         raise FactorGraphError(f"{what}: the position {positions[not_finite[0]]} is not finite")
     inflations = np.array([observation.covariance_inflation for observation in observations])
     noises = inflations[:, None, None] * (CAMERA_AXES @ covariances @ CAMERA_AXES.T)
-    kernels = {inflation: _robust_kernel(config, inflation) for inflation in set(inflations.tolist())}
+    # The width of the kernel is in standard deviations of one observation, before the inflation.
+    widths = config.observation_kernel_width / np.sqrt(inflations)
+    kernels = {width: gtsam.noiseModel.mEstimator.Cauchy.Create(width) for width in dict.fromkeys(widths.tolist())}
     distance_m = CAMERA_RANGES * sensor_range_m
     camera = gtsam.Cal3_S2Stereo(distance_m, distance_m, 0.0, 0.0, 0.0, distance_m)
     T_body_camera = gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, -distance_m]))
@@ -144,13 +146,10 @@ def observation_factors(
     lefts, ups = scales * positions[:, 0], scales * positions[:, 1]
     rights = lefts - scales * distance_m
     factors: list[gtsam.NonlinearFactor] = []
-    for observation, left, right, up, covariance in zip(
-        observations, lefts.tolist(), rights.tolist(), ups.tolist(), noises, strict=True
+    for observation, left, right, up, covariance, width in zip(
+        observations, lefts.tolist(), rights.tolist(), ups.tolist(), noises, widths.tolist(), strict=True
     ):
-        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(covariance)
-        kernel = kernels[observation.covariance_inflation]
-        if kernel is not None:
-            noise = gtsam.noiseModel.Robust.Create(kernel, noise)
+        noise = gtsam.noiseModel.Robust.Create(kernels[width], gtsam.noiseModel.Gaussian.Covariance(covariance))
         keys = X(observation.keyframe), L(observation.landmark)
         seen = gtsam.StereoPoint2(left, right, up)
         factors.append(gtsam.GenericStereoFactor3D(seen, noise, *keys, camera, T_body_camera))
@@ -188,26 +187,3 @@ def _checked_covariances(observations: Sequence[Observation]) -> FloatArray:
 
 def _name(observation: Observation) -> str:
     return f"observation of landmark {observation.landmark} from keyframe {observation.keyframe}"
-
-
-def _robust_kernel(config: FactorGraphConfig, inflation: float) -> gtsam.noiseModel.mEstimator.Base | None:
-    """The kernel of observations; its width is in sigmas of one observation, before the inflation."""
-    width = config.observation_kernel_width / np.sqrt(inflation)
-    match config.observation_kernel:
-        case "cauchy":
-            return gtsam.noiseModel.mEstimator.Cauchy.Create(width)
-        case "huber":
-            return gtsam.noiseModel.mEstimator.Huber.Create(width)
-        case _:
-            return None
-
-
-def kernel_weights(squares: FloatArray, kernel: str) -> FloatArray:
-    """Weights (N,) that a robust kernel gives squared residuals (N,), in squares of its width."""
-    match kernel:
-        case "cauchy":
-            return 1.0 / (1.0 + squares)
-        case "huber":
-            return 1.0 / np.sqrt(np.maximum(squares, 1.0))
-        case _:
-            return np.ones(len(squares))

@@ -106,9 +106,8 @@ class ActiveLandmarks:
             rows = self.rows[self._slots < 0]
             landmarks = self._map.rows
             offsets = landmarks["position_local"][rows] - self.T_local_body[:3, 3]
-            landmarks["covariance_local"][rows] = predict_covariances(
-                landmarks["covariance_local"][rows], offsets, variances
-            )
+            covariances = predict_covariances(landmarks["covariance_local"][rows], offsets, variances)
+            self._map.assign(rows, covariance_local=covariances)
         return self.T_local_body
 
     def anchor(self) -> None:
@@ -157,7 +156,6 @@ class ActiveLandmarks:
             covariances: (K, 3, 3) m^2 with which they correct the robot's pose and confirmed landmarks.
         """
         rows = self.rows[indices]
-        landmarks = self._map.rows
         positions, filtered = update_positions(
             predicted.positions[indices], predicted.covariances[indices], seen.positions, seen.covariances
         )
@@ -165,13 +163,13 @@ class ActiveLandmarks:
         held = np.flatnonzero(slots >= 0)
         offsets = seen.positions[held, :2] - self.T_local_body[:2, 3]
         self._local.update(slots[held], offsets, covariances[held, :2, :2])
-        landmarks["position_local"][rows], landmarks["covariance_local"][rows] = positions, filtered
-        landmarks["position_local"][self._local.ids, :2] = self._local.positions()
+        self._map.assign(rows, position_local=positions, covariance_local=filtered)
+        self._place_confirmed()
         if len(held):
             block = np.zeros((len(held), 3, 3))
             block[:, :2, :2] = self._local.predict(slots[held])[1]
             block[:, 2, 2] = filtered[held, 2, 2]
-            landmarks["covariance_local"][rows[held]] = block
+            self._map.assign(rows[held], covariance_local=block)
 
     def add(self, rows: IntArray) -> None:
         """Make landmarks active; they are tentative until they are confirmed."""
@@ -220,6 +218,12 @@ class ActiveLandmarks:
             uncertain[held[oldest]] = True
         return uncertain
 
+    def _place_confirmed(self) -> None:
+        """Put the confirmed landmarks where the local map has them; their heights stay."""
+        positions = self._map.rows["position_local"][self._local.ids]
+        positions[:, :2] = self._local.positions()
+        self._map.assign(self._local.ids, position_local=positions)
+
     def merge_duplicates(self) -> list[tuple[int, int]]:
         """Merge confirmed landmarks that are one object; returns rows (kept, dropped).
 
@@ -231,7 +235,7 @@ class ActiveLandmarks:
             kept, dropped = pair
             self._local.merge(kept, dropped, self._view_variance)
             self.rows = self.rows[self.rows != dropped]
-            self._map.rows["position_local"][self._local.ids, :2] = self._local.positions()
+            self._place_confirmed()
             merged.append(pair)
         return merged
 

@@ -135,7 +135,8 @@ class Mapper:
             scan=self._scan_count,
             travel_m=pose.travel_m,
         )
-        self._map.rows["log_likelihood_ratio"][rows[known]] += assignment.log_likelihood_ratios[known]
+        ratios = self._map.rows["log_likelihood_ratio"][rows[known]] + assignment.log_likelihood_ratios[known]
+        self._map.assign(rows[known], log_likelihood_ratio=ratios)
         if new.any():
             corrected = scan.seen_from(self._active.T_local_body)
             rows[new] = self._map.add(
@@ -192,7 +193,7 @@ class Mapper:
 
     def retire_gone(self, rows: IntArray) -> None:
         """Retire landmarks that no longer exist; a landmark that others were merged into was observed again."""
-        rows = rows[~np.isin(rows, self._map.merge_targets)]
+        rows = rows[~np.isin(rows, list(self._map.aliases.values()))]
         self._retire(rows, RetirementReason.GONE)
 
     def retire_since(self, keyframe: Keyframe) -> None:
@@ -243,7 +244,7 @@ class Mapper:
         exists = which_exist(landmarks, seen, self._scan_count)
         moving = too_fast & far & (observations >= MOVING_OBSERVATIONS) & exists
         followed = too_fast & (states != LandmarkState.CONFIRMED.value) & (observations >= 3)
-        landmarks["velocity_local"][seen] = np.where((followed | moving)[:, None], velocities_mps, 0.0)
+        self._map.assign(seen, velocity_local=np.where((followed | moving)[:, None], velocities_mps, 0.0))
         stopped = (states == LandmarkState.RETIRED.value) & ~too_fast
         self._active.drop(seen[stopped])
         self._retire(seen[moving], RetirementReason.MOVING, stays_active=True)

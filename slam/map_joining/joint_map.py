@@ -232,8 +232,11 @@ def _solved(
     stamps_ns = np.concatenate([maps[number].graph.keyframe_stamps_ns for number in members])
     stamp_ns = int(stamps_ns.max())
     in_graph = graph.landmarks
-    object_map.rows["position_map"][in_graph] = graph.landmark_positions(in_graph)
-    object_map.rows["covariance_map"][in_graph] = graph.landmark_covariances(in_graph)
+    object_map.assign(
+        in_graph,
+        position_map=graph.landmark_positions(in_graph),
+        covariance_map=graph.landmark_covariances(in_graph),
+    )
     objects = confirmed(object_map.to_record(stamp_ns))
     known = set(objects.ids)
     record = graph.to_record(stamp_ns, stamps_ns)

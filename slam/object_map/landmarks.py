@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from logs.messages import ObjectMapRecord
 from slam.common.arrays import BoolArray, FloatArray, IntArray
@@ -96,8 +96,15 @@ class ObjectMap:
 
     @property
     def rows(self) -> NDArray[np.void]:
-        """(L,) structured array of ``LANDMARK``: a view, so that assigning to a field of it changes the map."""
-        return self._rows[: self._size]
+        """(L,) structured array of ``LANDMARK``: a view that cannot be written to."""
+        view = self._rows[: self._size]
+        view.flags.writeable = False
+        return view
+
+    def assign(self, rows: IntArray | slice, **fields: ArrayLike) -> None:
+        """Set fields of ``LANDMARK`` of landmarks (N,), each to values (N, ...) or to one for all."""
+        for name, values in fields.items():
+            self._rows[: self._size][name][rows] = values
 
     @property
     def vocabulary(self) -> tuple[str, ...]:
@@ -142,7 +149,7 @@ class ObjectMap:
         new = np.arange(self._size, self._size + len(positions_local))
         self._reserve(self._size + len(positions_local))
         self._size += len(positions_local)
-        landmarks = self.rows
+        landmarks = self._rows
         landmarks["state"][new] = LandmarkState.TENTATIVE
         landmarks["observations"][new] = 1
         for when, value in (("scan", scan), ("seen_ns", stamp_ns), ("seen_travel_m", travel_m)):
@@ -174,7 +181,7 @@ class ObjectMap:
             scan=0,
             travel_m=travel_m,
         )
-        landmarks = self.rows
+        landmarks = self._rows
         landmarks["state"][rows] = LandmarkState.CONFIRMED
         landmarks["observations"][rows] = saved.observation_counts
         landmarks["first_seen_ns"][rows] = saved.first_seen_ns
@@ -198,7 +205,7 @@ class ObjectMap:
         """Count one more measurement of each of ``rows`` (N,), at ``measured_local`` (N, 3) m with ``covariances``
         (N, 3, 3) m^2, with its label (N,).
         """
-        landmarks = self.rows
+        landmarks = self._rows
         seconds = (stamp_ns - landmarks["first_seen_ns"][rows]) * 1e-9
         offset = measured_local - landmarks["first_position_local"][rows]
         landmarks["observations"][rows] += 1
@@ -215,7 +222,7 @@ class ObjectMap:
 
     def confirm(self, rows: IntArray) -> None:
         """Make tentative landmarks confirmed ones."""
-        self.rows["state"][rows] = LandmarkState.CONFIRMED
+        self._rows["state"][rows] = LandmarkState.CONFIRMED
 
     def may_exist(self, rows: IntArray) -> BoolArray:
         """Which of the landmarks (N,) may be static objects: all but those retired as something else."""
@@ -227,7 +234,7 @@ class ObjectMap:
     def retire(self, rows: IntArray, reason: RetirementReason) -> list[int]:
         """Retire landmarks and all that were merged into them; returns the rows of all these, ascending."""
         ended = sorted({alias for row in rows.tolist() for alias in (row, *self._aliases.absorbed(row))})
-        self.rows["state"][ended] = LandmarkState.RETIRED
+        self._rows["state"][ended] = LandmarkState.RETIRED
         self._reasons.update(dict.fromkeys(ended, reason.value))
         return ended
 
@@ -264,11 +271,6 @@ class ObjectMap:
     def aliases(self) -> dict[int, int]:
         """The rows that were merged into another one, with the row that stands for each."""
         return {row: self.canonical_id(row) for row in self._aliases.dropped}
-
-    @property
-    def merge_targets(self) -> IntArray:
-        """Rows (K,) of landmarks that others were merged into."""
-        return np.array(sorted(set(self.aliases.values())), dtype=np.int64)
 
     def canonical_id(self, row: int) -> int:
         """The row of the landmark that a row was merged into; the row itself if it was not."""

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from slam.backend.condensing.attached_keyframes import AttachedKeyframes
-from slam.backend.factors import Edge, EdgeKind, Factor, Observation, kernel_weights
+from slam.backend.factors import Edge, EdgeKind, Factor, Observation
 from slam.backend.observation_sums import sum_observations
 from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
@@ -133,7 +133,7 @@ def summed_at_estimate(
     positions = np.array([each.position for each in observations])
     residuals = positions - np.einsum("nji,nj->ni", T_map_body[:, :3, :3], points_map - T_map_body[:, :3, 3])
     squares = np.einsum("ni,nij,nj->n", residuals, np.linalg.inv(covariances), residuals)
-    weights = kernel_weights(squares / config.observation_kernel_width**2, config.observation_kernel)
+    weights = 1.0 / (1.0 + squares / config.observation_kernel_width**2)
     return sum_observations(
         np.array([each.keyframe for each in observations]),
         np.array([each.landmark for each in observations]),

@@ -143,34 +143,19 @@ def _undo_kernels(
     is_observation = np.array([isinstance(each, Observation) for each in factors])
     inflations = np.array([each.covariance_inflation for each in factors if isinstance(each, Observation)])
     is_closure = np.array([isinstance(each, Edge) and each.kind == EdgeKind.LOOP_CLOSURE for each in factors])
-    for chosen, kernel, width, own, size in (
-        (is_observation, config.observation_kernel, config.observation_kernel_width, inflations, POINT_SIZE),
-        (is_closure, "cauchy", CLOSURE_KERNEL_WIDTH, 1.0, POSE_SIZE),
+    for chosen, width, own, size in (
+        (is_observation, config.observation_kernel_width, inflations, POINT_SIZE),
+        (is_closure, CLOSURE_KERNEL_WIDTH, 1.0, POSE_SIZE),
     ):
         if chosen.any():
-            weights, slopes = _kernel(kernel, squares[chosen] * own / width**2, size)
+            # GTSAM multiplies rows by the root of the weight w = 1 / (1 + r^2), so w r^2 = 1 - w. The slope of w r is
+            # w - 2 w (1 - w) along r and w across it; ``slopes`` are the mean over all directions.
+            weights = np.maximum(1.0 - squares[chosen] * own / width**2, 1e-12)
+            slopes = weights - 2.0 * weights * (1.0 - weights) / size
             is_outlier = squares[chosen] * own / weights > outlier_limit(size)
             scale[chosen] = np.where(is_outlier, 1.0, 1.0 / np.sqrt(weights))
             kernel_weight[chosen] = slopes.mean()
     return scale, kernel_weight
-
-
-def _kernel(kernel: str, squares: FloatArray, size: int) -> tuple[FloatArray, FloatArray]:
-    """Weights w (N,) of residuals r, and the slope of w r in the mean over all directions of ``size`` dimensions.
-
-    ``squares`` (N,) are w r^2, with r in widths of the kernel, since GTSAM multiplies rows by the root of w. Cauchy:
-    w = 1 / (1 + r^2), so w r^2 = 1 - w, and the slope along r is w - 2 w (1 - w). Huber: w = min(1, 1 / r), so
-    w r^2 = r beyond 1, and the slope along r is 0 there.
-    """
-    match kernel:
-        case "cauchy":
-            weights = np.maximum(1.0 - squares, 1e-12)
-            return weights, weights - 2.0 * weights * (1.0 - weights) / size
-        case "huber":
-            weights = 1.0 / np.maximum(squares, 1.0)
-            return weights, np.where(squares > 1.0, weights * (size - 1) / size, 1.0)
-        case _:
-            return np.ones(len(squares)), np.ones(len(squares))
 
 
 def _keys(first: int, numbers: IntArray) -> KeyArray:

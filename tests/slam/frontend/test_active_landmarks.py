@@ -203,7 +203,7 @@ def test_heights_are_as_uncertain_as_the_travel_since_makes_them():
 def test_what_moves_is_expected_where_it_goes_on_to():
     bench = Bench()
     bench.add([[20.0, 3.0, 0.0], [20.0, -3.0, 0.0]], confirmed=False)
-    bench.map.rows["velocity_local"][0] = [2.0, 0.0, 0.0]
+    bench.map.assign(np.array([0]), velocity_local=[2.0, 0.0, 0.0])
     prediction = bench.active.predict(round(1.5e9))
     np.testing.assert_allclose(prediction.positions, [[23.0, 3.0, 0.0], [20.0, -3.0, 0.0]])
     assert prediction.covariances[0, 0, 0] > prediction.covariances[1, 0, 0]

@@ -17,7 +17,7 @@ from slam.localization.prior_map import restore
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from slam.object_map.map_io import SavedMap, confirmed
 
-CONFIG = FactorGraphConfig(observation_kernel="none", observed_keyframes=1)
+CONFIG = FactorGraphConfig(observation_kernel_width=1e6, observed_keyframes=1)
 SURE = np.diag(np.repeat([1e-4, 1e-4], 3))
 LOOSE = np.diag(np.repeat([0.1, 4.0], 3))
 SEEN = 0.05**2 * np.eye(3)
@@ -45,8 +45,9 @@ def saved() -> SavedMap:
     for k, T in enumerate(POSES):
         graph.add_observations(seen_from(T, k, dict(enumerate(OBJECTS))))
     graph.optimize()
-    object_map.rows["position_map"] = graph.landmark_positions(rows)
-    object_map.rows["covariance_map"] = graph.landmark_covariances(rows)
+    object_map.assign(
+        rows, position_map=graph.landmark_positions(rows), covariance_map=graph.landmark_covariances(rows)
+    )
     return SavedMap(confirmed(object_map.to_record(9)), graph.to_record(9, np.arange(3)))
 
 
@@ -78,7 +79,7 @@ def test_a_map_comes_back_as_the_graph_that_it_was(saved: SavedMap) -> None:
 
 def test_observations_that_share_their_errors_come_back_as_robust_as_they_were() -> None:
     """An object seen far beside where others see it: the kernel, narrowed by covariance_inflation, shuts it out."""
-    config = FactorGraphConfig(observation_kernel="cauchy", observed_keyframes=1)
+    config = FactorGraphConfig(observed_keyframes=1)
     graph = FactorGraph(config)
     graph.add_first_keyframe(0, POSES[0])
     for k in (1, 2):
@@ -93,7 +94,7 @@ def test_observations_that_share_their_errors_come_back_as_robust_as_they_were()
         before, np.tile(SEEN, (4, 1, 1)), objects.label_indices(("tree",) * 4), stamp_ns=5, scan=0, travel_m=0.0
     )
     objects.confirm(rows)
-    objects.rows["position_map"] = before
+    objects.assign(rows, position_map=before)
     again = FactorGraph(config)
     restore(
         SavedMap(objects.to_record(9), graph.to_record(9, np.arange(3))),
@@ -204,7 +205,7 @@ def test_factors_made_at_once_are_those_made_one_by_one() -> None:
         observations.append(
             Observation(0, row, rng.uniform(1.0, 20.0, 3), A @ A.T + 0.01 * np.eye(3), float(rng.choice([1.0, 500.0])))
         )
-    config = FactorGraphConfig(observation_kernel="cauchy", observed_keyframes=1)
+    config = FactorGraphConfig(observed_keyframes=1)
     together = observation_factors(observations, config, sensor_range_m=30.0)
     for observation, factor in zip(observations, together, strict=True):
         assert factor.equals(observation_factors([observation], config, sensor_range_m=30.0)[0], 1e-12)

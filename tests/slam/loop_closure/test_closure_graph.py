@@ -42,7 +42,7 @@ class Street:
     def __init__(self, *, pass_m: float = PASS_M, min_travel_m: float = 100.0) -> None:
         self.pass_m = pass_m
         self.map = ObjectMap(ObjectCalibration())
-        self.graph = FactorGraph(FactorGraphConfig(observation_kernel="none", observed_keyframes=1))
+        self.graph = FactorGraph(FactorGraphConfig(observation_kernel_width=1e6, observed_keyframes=1))
         self.keyframes: list[Keyframe] = []
         self.loops = ClosedLoops(self.map, self.graph, self.keyframes, min_travel_m=min_travel_m)
         self.graph.add_first_keyframe(0, pose(0.0))
@@ -183,7 +183,7 @@ def test_landmarks_are_not_merged_by_a_shorter_loop_than_may_be_closed():
 
 
 def test_a_retired_landmark_is_merged_with_nothing(street):
-    street.map.rows["state"][2] = LandmarkState.RETIRED
+    street.map.assign(np.array([2]), state=LandmarkState.RETIRED)
     street.close(7, 2, [(7, 2)])
     assert street.names() == list(range(PASSES * STATIONS))
 

@@ -24,7 +24,7 @@ def mapped(landmarks: list[Seen], tentative: tuple[int, ...] = ()) -> tuple[Obje
     """A map of those landmarks, seen without noise along a straight street."""
     object_map, graph = (
         ObjectMap(ObjectCalibration()),
-        FactorGraph(FactorGraphConfig(observation_kernel="none", observed_keyframes=1)),
+        FactorGraph(FactorGraphConfig(observation_kernel_width=1e6, observed_keyframes=1)),
     )
     T = transform_from_xyz_yaw(np.arange(KEYFRAMES)[:, None] * [2.0, 0.0, 0.0], np.zeros(KEYFRAMES))
     graph.add_first_keyframe(0, T[0])

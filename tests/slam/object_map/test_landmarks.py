@@ -199,8 +199,8 @@ def test_a_map_goes_into_a_log_and_comes_back(tmp_path):
     object_map = new_map(count=3, positions=[[1, 2, 3], [4, 5, 6], [7, 8, 9]])
     see(object_map, 0, label=2, seconds=1.0)
     object_map.confirm(np.array([0]))
-    object_map.rows["position_map"] = [[1.5, 2, 3], [4, 5, 6.25], [0, 0, 0]]
-    object_map.rows["covariance_map"] = np.diag([0.1, 0.2, 0.3])
+    positions = [[1.5, 2, 3], [4, 5, 6.25], [0, 0, 0]]
+    object_map.assign(slice(None), position_map=positions, covariance_map=np.diag([0.1, 0.2, 0.3]))
     record = object_map.to_record(4)
     assert record.labels == ("a", "a", "a")
     np.testing.assert_array_equal(record.positions[0], [1.5, 2, 3])
@@ -220,7 +220,7 @@ def test_an_empty_map_is_a_record_too():
 def test_the_record_does_not_change_with_the_map():
     object_map = new_map()
     record = object_map.to_record(0)
-    object_map.rows["position_map"] = 9.0
+    object_map.assign(slice(None), position_map=9.0)
     see(object_map, 0)
     assert record.positions.tolist() == [[0.0, 0.0, 0.0]]
     assert record.observation_counts.tolist() == [1]

@@ -244,7 +244,7 @@ def test_a_landmark_that_ended_after_others_became_part_of_it_leaves_a_map_that_
     slam = Slam(Config(), known)
     for _, _, record in second[: len(second) // 2]:
         slam.process(record)
-    ended = slam._object_map.merge_targets[:1]
+    ended = np.array(sorted(slam._object_map.aliases.values()))[:1]
     assert len(ended) == 1
     slam._mapper._retire(ended, RetirementReason.CONTRADICTED)
     final = slam.finish()

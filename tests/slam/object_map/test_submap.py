@@ -59,7 +59,7 @@ def test_a_landmark_is_the_less_exact_the_farther_away(x_m):
 
 def test_unconfirmed_landmarks_exist_with_the_share_of_those_seen_as_often_that_were_confirmed():
     known = objects(*((x, 99, 0, x < 3) for x in range(8)))
-    known.rows["observations"] = [9, 4, 3, 3, 2, 1, 3, 2]
+    known.assign(slice(None), observations=[9, 4, 3, 3, 2, 1, 3, 2])
     known.retire(np.array([4]), RetirementReason.NOT_CONFIRMED)
     known.retire(np.array([6]), RetirementReason.MOVING)
     found = recent_submap_with_unconfirmed(known, keyframe(np.eye(4)), CONFIG)
@@ -71,7 +71,7 @@ def test_unconfirmed_landmarks_exist_with_the_share_of_those_seen_as_often_that_
 
 def test_unconfirmed_landmarks_of_another_segment_say_nothing():
     known = objects((1, 99, 0, False), (2, 99, 1, True), (3, 99, 1, True))
-    known.rows["observations"] = [2, 5, 5]
+    known.assign(slice(None), observations=[2, 5, 5])
     found = recent_submap_with_unconfirmed(known, keyframe(np.eye(4)), CONFIG)
     assert found.rows.tolist() == [0]
     np.testing.assert_allclose(found.existence, 0.5)

@@ -25,7 +25,7 @@ from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
 
-PLAIN = FactorGraphConfig(observation_kernel="none", observed_keyframes=1)
+PLAIN = FactorGraphConfig(observation_kernel_width=1e6, observed_keyframes=1)
 EDGE_COVARIANCE = np.diag([0.01, 0.02, 0.03, 0.2, 0.1, 0.05]) ** 2
 SEEN_COVARIANCE = 0.01 * np.eye(3)
 
@@ -119,14 +119,14 @@ def test_the_record_holds_them_and_they_follow_the_graph() -> None:
     assert FactorGraph(PLAIN).pose_covariances().shape == (0, 6, 6)
 
 
-@pytest.mark.parametrize("kernel", ["none", "huber", "cauchy"])
+@pytest.mark.parametrize("width", [1.5, 1e6])
 @pytest.mark.parametrize("covariance_inflation", [1.0, 50.0])
 def test_a_landmark_seen_often_has_the_covariance_that_it_is_told_to_have(
-    kernel: str, covariance_inflation: float
+    width: float, covariance_inflation: float
 ) -> None:
     """By the kernels' own weights it would be told twice too large."""
     rng = np.random.default_rng(5)
-    config = FactorGraphConfig(observed_keyframes=1, observation_kernel=kernel)
+    config = FactorGraphConfig(observed_keyframes=1, observation_kernel_width=width)
     place, squares = np.array([8.0, 3.0, 1.0]), list[float]()
     for _ in range(80):
         graph = FactorGraph(config)
