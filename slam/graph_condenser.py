@@ -21,11 +21,11 @@ from slam.odometry.keyframe import Keyframe
 
 logger = logging.getLogger(__name__)
 
-SMALL_GRAPH = 3000
+MIN_KEYFRAMES = 3000
 """A graph of so few keyframes, some 200 MB, is never condensed."""
 GROWTH = 2.0
 """The graph is condensed again once it has that many times the keyframes that it had afterwards."""
-LEAST_SHARE = 0.25
+MIN_SHARE = 0.25
 """Of the keyframes that must go, so that it is worth a solution of the whole graph."""
 
 
@@ -50,7 +50,7 @@ class GraphCondenser:
         self._keyframes = keyframes
         self._closures = closures
         self._counters = counters
-        self._due_at = SMALL_GRAPH
+        self._due_at = MIN_KEYFRAMES
         self._variables = 0
         self._counted = 0
 
@@ -58,13 +58,13 @@ class GraphCondenser:
         """Condense the graph if it is due; returns records of closures that are rejected as outliers then."""
         self._variables += len(self._keyframes) - self._counted
         self._counted = len(self._keyframes)
-        # Keyframes of a map that nobody drove are tied to its frame, not to one another.
+        # Keyframes in a map without a trajectory are tied to its frame, not to one another.
         if self._variables < self._due_at or self._keyframes[0].is_map_frame:
             return []
         removed = list[LoopClosureRecord]()
-        if len(self._anchors()) >= LEAST_SHARE * self._variables:
+        if len(self._anchors()) >= MIN_SHARE * self._variables:
             removed = self._condense()
-        self._due_at = max(SMALL_GRAPH, round(GROWTH * self._variables))
+        self._due_at = max(MIN_KEYFRAMES, round(GROWTH * self._variables))
         return removed
 
     def fuse_landmarks(self) -> None:

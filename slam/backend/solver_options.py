@@ -22,4 +22,4 @@ class FactorGraphConfig:
 
 
 UPDATE_KEYFRAMES = 5
-"""Keyframes between two updates of iSAM2; in between the local map goes on."""
+"""Keyframes between two updates of iSAM2; in between only the local map follows."""

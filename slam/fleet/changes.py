@@ -19,7 +19,7 @@ from slam.map_joining.joint_map import JointMap
 from slam.sweeps.cells import write_text
 
 REPORTED = 0.5
-"""Changes of at least that probability are told."""
+"""Changes of at least that probability are reported."""
 
 
 @dataclass(frozen=True, slots=True)

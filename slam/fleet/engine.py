@@ -1,7 +1,7 @@
 """Where tasks are computed: by Ray, on this machine or a cluster, or by processes of this machine without it.
 
 A task is a function of a module and an argument that can be pickled; what it makes it writes to files, so that a task
-that is done is done whatever happens to the program.
+that is finished stays finished if the program dies.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class RayEngine:
                 raise  # the function raised it
             except errors.RayError as error:
                 reason = (str(error) or type(error).__name__).splitlines()[0]
-                raise FleetError(f"Ray failed: {reason} The same command goes on from here.") from error
+                raise FleetError(f"Ray failed: {reason} The same command continues from here.") from error
             yield task, outcome
 
 

@@ -49,7 +49,7 @@ def find_logs(sources: Sequence[str], manifest: Path | None, cache: Path) -> lis
 def add_logs(folder: Path, named: Sequence[FleetLog], *, only: bool = False) -> list[FleetLog]:
     """The logs of the fleet in a folder, which keeps the list of them: those of earlier runs, then the ``named`` ones.
 
-    Logs are told apart by their content: another content by a name that is there gets a name of its own. A log of an
+    Logs are distinguished by their content: another content under a known name gets a name of its own. A log of an
     earlier run need not be there any more, as long as its session is kept.
 
     Args:

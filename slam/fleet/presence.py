@@ -28,9 +28,9 @@ CELLS = 12
 DETECTABILITIES = 0.5 ** np.arange(7)
 """Down to one sighting in 64 passes; what is seen more rarely says nothing."""
 PRIOR_PASSED, PRIOR_SEEN = 2.0, 1.0
-"""What is assumed of a cell before anything was seen there."""
+"""Passes and sightings that a cell is assumed to have had before."""
 ITERATIONS = 12
-LEAST_DAYS = 1.0
+MIN_DAYS = 1.0
 """Sessions of one day are taken to be that far apart."""
 FIRST_CHANGES = 0.1
 """Changes of a landmark over the time of the fleet that the estimate of the hazard begins with."""
@@ -91,7 +91,7 @@ def seen_probabilities(seen: BoolArray, in_view_m: FloatArray) -> FloatArray:
     opportunities = np.bincount(cells[certain], minlength=CELLS) + PRIOR_PASSED
     met = np.bincount(cells[certain & seen], minlength=CELLS) + PRIOR_SEEN
     probabilities = np.where(passed, (met / opportunities)[cells], 0.0)
-    # What was seen was in view, however far.
+    # A landmark that was seen was in view.
     return np.where(seen, np.maximum(probabilities, PRIOR_SEEN / PRIOR_PASSED), probabilities)
 
 
@@ -104,7 +104,7 @@ def estimate_presence(seen: BoolArray, probabilities: FloatArray, stamps_ns: Int
         stamps_ns: (M,) of the sessions, ascending.
     """
     days = np.diff(stamps_ns) / 86_400e9
-    span = max(float(days.sum()), LEAST_DAYS)
+    span = max(float(days.sum()), MIN_DAYS)
     hazard = FIRST_CHANGES / span
     weights = np.full(len(DETECTABILITIES), 1.0 / len(DETECTABILITIES))
     for _ in range(ITERATIONS):
@@ -146,7 +146,7 @@ def _average(
 def _smooth(likelihoods: FloatArray, days: FloatArray, hazard: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Posterior of the states (L, M, 3), of the changes between two sessions (L, M - 1, 2), and log evidence (L,)."""
     count, sessions, _ = likelihoods.shape
-    # What is to appear does so at any time: by the last session all that the map has stood there once.
+    # A landmark that appears does so at any time: by the last session each has been present once.
     left = np.cumsum(days[::-1])[::-1]
     steps = [
         _transition(each / max(rest, 1e-12), -np.expm1(-hazard * each))

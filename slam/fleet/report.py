@@ -1,4 +1,4 @@
-"""What became of each log of a fleet: where it joined, which did not and why; the same bytes for the same fleet."""
+"""The report of a fleet: where each log joined, or why it did not; the same bytes for the same fleet."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ class SessionTask:
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """What became of a log. ``reason``: why it has no map; ``first_ns``, ``last_ns``: stamps of its keyframes;
+    """The result of mapping a log. ``reason``: why it has no map; ``first_ns``, ``last_ns``: stamps of its keyframes;
     ``notes``: what a replay would warn of. Nothing in it depends on when or where it was mapped.
     """
 

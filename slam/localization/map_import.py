@@ -12,7 +12,7 @@ from slam.common.errors import SavedMapError
 from slam.common.georeference import Georeference
 from slam.place_recognition.imported_map import ImportedMap, make_imported_map
 
-FARTHEST_M = 200_000.0
+MAX_DISTANCE_M = 200_000.0
 """Of the nearest object from the origin: farther ones count from elsewhere, as those of national grids do."""
 
 
@@ -52,7 +52,7 @@ def import_map(objects: MapObjects, *, sigma_m: float, origin: Georeference | No
 
 def _check_origin(source: str, positions: FloatArray, origin: Georeference) -> None:
     nearest_m = float(np.linalg.norm(positions[:, :2], axis=1).min(initial=np.inf))
-    if FARTHEST_M < nearest_m < np.inf:
+    if MAX_DISTANCE_M < nearest_m < np.inf:
         raise SavedMapError(
             f"{source}: the nearest object is {nearest_m / 1000.0:.0f} km from the origin at latitude "
             f"{origin.latitude_deg:g}, longitude {origin.longitude_deg:g}; give the place from which the coordinates "

@@ -21,7 +21,7 @@ from slam.place_recognition.imported_map import KIND, ImportedMap, load_imported
 from slam.place_recognition.imported_places import HEIGHT_SIGMA_M, SEGMENT, TRAVEL_M, ImportedPlaces, is_flat
 
 PriorMap = SavedMap | ImportedMap
-"""A map that drives made, or one that nobody drove."""
+"""A map that drives made, or a landmark-only map without a trajectory."""
 
 STAMP_NS = -1
 """The clocks of the drives are unrelated."""
@@ -51,7 +51,7 @@ def restore_prior_map(
 ) -> tuple[list[Keyframe], ImportedPlaces | None]:
     """Put a map of either kind into an empty object map and an empty graph.
 
-    Returns its keyframes, and the places of one that nobody drove; of no map none.
+    Returns its keyframes, and the places of one without a trajectory; without a map none.
     """
     if prior_map is None:
         return [], None

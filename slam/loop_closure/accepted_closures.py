@@ -55,7 +55,7 @@ class AcceptedClosures:
 
     def keyframes_nearby(self) -> set[int]:
         """Localized keyframes within ``propagation_distance_m`` of a closure, or of a place that was recognised by
-        landmarks never let go: their positions can be compared.
+        landmarks still associated: their positions can be compared.
         """
         ends = np.unique(np.array([*self._closed.items(), *self._tracked.items()], dtype=np.int64))
         segments = np.array([keyframe.odometry.segment for keyframe in self._keyframes])
@@ -82,7 +82,7 @@ class AcceptedClosures:
         return candidate.record(Stage.ACCEPTED, reason, inserted=is_new, represented_by=represented_by)
 
     def add_tracked(self, candidate: Candidate) -> None:
-        """Remember a place that was recognised by landmarks never let go: there is no loop to close."""
+        """Remember a place that was recognised by landmarks still associated: there is no loop to close."""
         self._tracked[candidate.query] = candidate.reference
 
     def revoke_since(self, keyframe: Keyframe, since: int) -> tuple[list[LoopClosureRecord], bool]:

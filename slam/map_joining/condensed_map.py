@@ -20,7 +20,7 @@ from slam.common.geometry import adjoint, apply, covariance_in_axes, invert
 from slam.object_map.map_io import SavedMap, are_of_kind
 from slam.object_map.submap import SUBMAP_RANGES, gravity_frame
 
-LEAST_DISTANCE_SHARE = 0.02
+MIN_DISTANCE_SHARE = 0.02
 """A landmark nearer to a place, in lengths of a stretch, has no bearing there; the places beside it observe it."""
 
 
@@ -60,7 +60,7 @@ def condense_map(saved: SavedMap, *, stretch_m: float) -> SavedMap:
     T_map_place = gravity_frame(graph.T_map_body[stretches.middles])
     edges, transforms, covariances, kinds = _edges(graph, stretches, T_map_place)
     places, names, positions, noises = _observations(saved, stretches, T_map_place)
-    is_far = np.linalg.norm(positions, axis=1) > LEAST_DISTANCE_SHARE * stretch_m
+    is_far = np.linalg.norm(positions, axis=1) > MIN_DISTANCE_SHARE * stretch_m
     condensed = FactorGraphRecord(
         stamp_ns=graph.stamp_ns,
         keyframe_ids=np.arange(len(T_map_place)),

@@ -18,7 +18,7 @@ from slam.object_map.submap import Submap
 from slam.registration.parameters import registration_config
 from slam.registration.registration import refine
 
-LEAST_LLR = 10.0
+MIN_LLR = 10.0
 """What chance rarely reaches at one place [nats]."""
 MAPS_PER_PLACE = 8
 """Poses of a place that are verified: where many maps overlap, a few of them suffice to join it to all."""
@@ -44,7 +44,7 @@ class Join:
 def find_joins(query: SavedMap, number: int, index: PlaceIndex, config: Config) -> list[Join]:
     """Where places of a condensed map, which has a ``number`` in the index, are in the other maps.
 
-    Only those with a log-likelihood ratio of ``LEAST_LLR`` are returned; whether they are right is
+    Only those with a log-likelihood ratio of ``MIN_LLR`` are returned; whether they are right is
     decided by all of them together (:mod:`slam.map_joining.acceptance`).
     """
     joins = []
@@ -82,7 +82,7 @@ def find_joins(query: SavedMap, number: int, index: PlaceIndex, config: Config) 
                 ratio.total,
                 ratio.matched_count,
             )
-            if ratio.total >= LEAST_LLR and not _is_known(join, known, config):
+            if ratio.total >= MIN_LLR and not _is_known(join, known, config):
                 known.append(join)
         joins += known
     return joins
@@ -98,7 +98,7 @@ def _is_known(join: Join, known: list[Join], config: Config) -> bool:
 
 
 def _query_submap(query: SavedMap, place: int, index: PlaceIndex, config: Config) -> Submap:
-    """What was observed around a place, in its frame; only classes that the index has."""
+    """The landmarks around a place, in its frame; only classes that the index has."""
     objects = config.calibration.objects
     rows = place_submap_rows(query, place)
     positions = positions_from(query, place, rows)

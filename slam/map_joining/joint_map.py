@@ -47,8 +47,8 @@ class Sighting:
 class JointMap:
     """``objects`` and ``graph`` of all maps that are joined, whose numbers are ``members``.
 
-    ``place_maps`` (K,): the map of each place (keyframe) of the graph; ``sightings``: what became of the landmarks of
-    the maps; ``rejected``: joins that contradict the others.
+    ``place_maps`` (K,): the map of each place (keyframe) of the graph; ``sightings``: the landmarks that those of
+    the maps became; ``rejected``: joins that contradict the others.
     """
 
     members: tuple[int, ...]

@@ -32,7 +32,7 @@ METADATA = "dslam_map"
 OBJECTS_TOPIC, GRAPH_TOPIC, MARKERS_TOPIC = "/map/objects", "/map/graph", "/map/landmarks"
 GRAVITY = "z of the frame map points up"
 IMPORTED = "imported"
-"""``kind`` in the metadata of a map that nobody drove."""
+"""``kind`` in the metadata of a map without a trajectory."""
 _OF_THE_FILE = ("format_version", "gravity", "drives")
 MAKE_IT = "make it again by 'dslam replay LOG -o OUT.mcap --save-map MAP.mcap'"
 
@@ -56,13 +56,13 @@ class SavedMap:
         """Where on earth the map lies, if that is known.
 
         Raises:
-            GeometryError: what stands there is none.
+            GeometryError: the metadata have an invalid one.
         """
         text = self.metadata.get("georeference")
         return None if text is None else Georeference.from_json(text)
 
     def positions_around(self, path: FloatArray) -> FloatArray:
-        """Positions (K, 3) m of the landmarks, all of them, whatever the ``path`` (N, 3)."""
+        """Positions (K, 3) m of all landmarks; the ``path`` (N, 3) is ignored."""
         return self.objects.positions
 
 
@@ -230,7 +230,7 @@ def observing(graph: FactorGraphRecord, objects: ObjectMapRecord, kept: NDArray[
         observation_positions=graph.observation_positions[observations],
         observation_covariances=graph.observation_covariances[observations],
         observation_redundancies=_covariance_inflations(graph)[observations],
-        # Nobody who goes on from a map needs to know how sure its poses were.
+        # A drive that extends the map needs no covariances of its poses.
         pose_covariances=np.zeros((0, 6, 6)),
     )
 

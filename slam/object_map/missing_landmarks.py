@@ -8,7 +8,7 @@ import numpy as np
 
 from slam.common.arrays import IntArray
 
-LEAST_CLOSURES = 6
+MIN_CLOSURES = 6
 """A landmark that was passed at that many closures and matched at none is missing."""
 
 
@@ -26,5 +26,5 @@ class MissingLandmarks:
 
     def rows(self) -> IntArray:
         """Rows (K,) of the missing landmarks."""
-        missing = [row for row, count in self._passed.items() if count >= LEAST_CLOSURES and row not in self._matched]
+        missing = [row for row, count in self._passed.items() if count >= MIN_CLOSURES and row not in self._matched]
         return np.array(sorted(missing), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""A map that nobody drove: objects of a city's open data, in a file that is mapped into memory and not read.
+"""A map without a trajectory: objects of a city's open data, in a file that is mapped into memory and not read.
 
 The objects are sorted by tiles of a grid, so that those around a place are a few stretches of the file.
 """
@@ -30,9 +30,9 @@ KIND = IMPORTED
 MAKE_IT = "import it again by 'dslam import'"
 TILE_SPACINGS = 10.0
 """Edge of a tile, in median distances of an object to its nearest neighbour."""
-LEAST_SPACING_M = 0.01
+MIN_SPACING_M = 0.01
 """Median distance to the nearest neighbour below which positions cannot be metres."""
-LONGEST_M = 1e6
+MAX_EXTENT_M = 1e6
 """Extent above which they cannot be either, nor the plane of one map."""
 _CHECKED = ("positions", "classes", "ids", "tiles", "tile_starts")
 _LAYOUT = {"positions": ("f", 2), "classes": ("u", 1), "ids": ("S", 1), "tiles": ("iu", 1), "tile_starts": ("iu", 1),
@@ -234,12 +234,12 @@ def _checked_spacing(positions: FloatArray) -> float:
     plane = positions[:, :2]
     extent_m = float(np.ptp(plane, axis=0).max())
     spacing_m = float(np.median(np.asarray(cKDTree(plane).query(plane, k=2)[0])[:, 1]))
-    if extent_m > LONGEST_M:
+    if extent_m > MAX_EXTENT_M:
         raise SavedMapError(
             f"the objects extend over {extent_m / 1000.0:.0f} km, which is no plane; cut the map to a region"
         )
-    if spacing_m < LEAST_SPACING_M and np.abs(plane).max() <= 180.0:
+    if spacing_m < MIN_SPACING_M and np.abs(plane).max() <= 180.0:
         raise SavedMapError(
             f"the objects are {spacing_m:.2g} m apart, so these are degrees and no metres; call the columns lat and lon"
         )
-    return max(spacing_m, LEAST_SPACING_M)
+    return max(spacing_m, MIN_SPACING_M)

@@ -1,4 +1,4 @@
-"""Places of a query in an imported map, whose landmarks are taken in only around these.
+"""Places of a query in an imported map, whose landmarks are loaded only around these.
 
 Quads of the query propose poses by votes; the landmarks of the map around a pose, where it is verified and while the
 robot is tracked there, become landmarks of the object map, tile by tile.
@@ -28,12 +28,12 @@ HEIGHT_SIGMA_M = 1e3
 
 
 class ImportedPlaces:
-    """Retrieves places from an imported map, and takes in its landmarks.
+    """Retrieves places from an imported map, and loads its landmarks.
 
     Args:
         imported: the map.
-        object_map: takes in landmarks of the map as segment 0; its vocabulary begins with that of the map.
-        graph: takes in their positions.
+        object_map: gets landmarks of the map as segment 0; its vocabulary begins with that of the map.
+        graph: gets their positions.
         is_fixed: whether the landmarks stay where they are.
         prior: where the robot may be, if that is known.
     """

@@ -29,7 +29,7 @@ def whole(rounds, tmp_path_factory) -> Outcome:
 @pytest.fixture(scope="module")
 def condensed(rounds, tmp_path_factory) -> Outcome:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(graph_condenser, "SMALL_GRAPH", 200)
+        patch.setattr(graph_condenser, "MIN_KEYFRAMES", 200)
         return replay_drive(tmp_path_factory.mktemp("condensed"), rounds)
 
 
@@ -82,6 +82,6 @@ def test_a_saved_map_is_without_the_condensed_keyframes(condensed, tmp_path):
 
 
 def test_new_streets_are_not_condensed(tmp_path, monkeypatch):
-    monkeypatch.setattr(graph_condenser, "SMALL_GRAPH", 60)
+    monkeypatch.setattr(graph_condenser, "MIN_KEYFRAMES", 60)
     outcome = replay_drive(tmp_path, furnished([(0, 0), (300, 0), (300, 100), (0, 100)], seed=5))
     assert count_condensed(outcome) == 0

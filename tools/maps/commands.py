@@ -25,7 +25,7 @@ Output = Annotated[Path, typer.Option("-o", "--output", metavar="NEW.mcap", help
 
 @app.command()
 def info(map_log: SavedMapFile, json: Json = False) -> None:
-    """Tell what a map holds, and what a drive could do with it.
+    """Show the contents of a map, and what a drive could do with it.
 
     Example: dslam map info town.mcap
     """

@@ -2,7 +2,7 @@
 
 As in reduced pose graphs (Johannsson et al., ICRA 2013), a place that was passed often gets no new variables; here the
 observations from there go to the keyframe of the second traversal, and landmarks stay variables. The first traversal
-is left as it is: its keyframes hold the shape of the map, and whatever is attached to one claims to know its pose.
+stays as it is: its keyframes hold the shape of the map, and a keyframe attached to one counts as known relative to it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from scipy import sparse
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 
-LEAST_COMMON = 3
+MIN_COMMON = 3
 """Landmarks that determine the relative pose of two keyframes."""
 COMMON_SHARE = 0.5
 """Two keyframes are of one place if one observed at least that share of the landmarks of the other."""
@@ -58,7 +58,7 @@ def find_anchors(
         of_row = slice(common.indptr[row], common.indptr[row + 1])
         others, counts = common.indices[of_row], common.data[of_row]
         of_place = is_variable[others] & (travel_m[others] < travel_m[row] - min_travel_m)
-        of_place &= counts >= max(LEAST_COMMON, COMMON_SHARE * totals[row])
+        of_place &= counts >= max(MIN_COMMON, COMMON_SHARE * totals[row])
         usable = of_place & is_anchor[others]
         if not is_settled[row] or not usable.any():
             is_variable[row] = True

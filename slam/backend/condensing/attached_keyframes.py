@@ -33,7 +33,7 @@ class AttachedKeyframes:
     ) -> None:
         """Attach keyframes to their anchors, as their poses (4, 4) in the map are now, known to ``covariances`` (6, 6).
 
-        What was attached to one of them is attached to its anchor.
+        Keyframes that are attached to one of them are attached to its anchor.
         """
         joined = {keyframe: anchors[anchor] for keyframe, anchor in self._anchors.items() if anchor in anchors}
         for keyframe in joined:

@@ -85,7 +85,7 @@ def _relative_information(seen: Mapping[int, Observation], by_anchor: Mapping[in
 def condensed_factors(
     factors: Mapping[int, Factor], anchors: Mapping[int, int], attached: AttachedKeyframes
 ) -> tuple[list[int], list[Edge], list[Observation]]:
-    """What becomes of the factors once keyframes are attached.
+    """The factors that replace those of newly attached keyframes.
 
     Observations from them become observations from their anchors. Of their edges those to keyframes that stay remain,
     but for closures that found them: the anchor stands for what these found.

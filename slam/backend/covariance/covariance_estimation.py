@@ -30,12 +30,12 @@ from slam.common.arrays import BoolArray, FloatArray, IntArray
 OUTLIER_PROBABILITY = 0.001
 STRETCH_STEPS = 50
 """Steps of the odometry over which its error is looked at: 100 m of keyframes every 2 m."""
-LEAST_SAMPLES, MOST_SAMPLES = 5, 20
+MIN_SAMPLES, MAX_SAMPLES = 5, 20
 """Of stretches or closures: fewer are not significant, more would cost time and add little."""
 ROUNDS = 10
 """Of expectation and maximisation. They begin with the configured noise, and near none at all they are slow."""
 FACTOR_LIMITS = (1e-3, 1e2)
-LEAST_INFORMATION = 0.01
+MIN_INFORMATION = 0.01
 TEST_PROBABILITY = 0.05
 COMPLEX_STEP = 1e-12
 SIZE = 6
@@ -67,7 +67,7 @@ def outlier_limit(dimension: int) -> float:
 
 
 def variance_factors(system: LinearSystem) -> FloatArray:
-    """By what (N,) the variance of each row is larger than was said.
+    """Variance factors (N,) of the rows, relative to the assumed variances.
 
     It is 1 but for the odometry and the closures, which have one factor for each of their six axes; and 1 also where a
     drive has too little of them to tell, or where chance may explain the difference: the global test of geodesy, by the
@@ -75,7 +75,7 @@ def variance_factors(system: LinearSystem) -> FloatArray:
     Vision, 2016, section 4.6.8).
 
     The error of the odometry over a stretch, or of a closure, is known from its residual r, and as well as the
-    optimised graph knows it, with the variance p. Its variance s over all of them is had by expectation and
+    optimised graph knows it, with the variance p. Its variance s over all of them is estimated by expectation and
     maximisation (Dempster et al. 1977), each axis by itself.
 
     Raises:
@@ -90,7 +90,7 @@ def variance_factors(system: LinearSystem) -> FloatArray:
             (system.odometry_rows, full_stretches),
             (system.closure_rows, system.closure_rows[:, None]),
         )
-        if len(samples) >= LEAST_SAMPLES
+        if len(samples) >= MIN_SAMPLES
     ]
     if not groups:
         return factors
@@ -102,7 +102,7 @@ def variance_factors(system: LinearSystem) -> FloatArray:
         part = slice(start, start + len(samples))
         # Their information beside that of the row itself; what is next to nothing is nothing.
         measured = 1.0 / posterior[part] - system.kernel_weight[rows[0, 0]]
-        measured = np.where(measured < LEAST_INFORMATION, 0.0, measured)
+        measured = np.where(measured < MIN_INFORMATION, 0.0, measured)
         found = _maximize(residuals[part], posterior[part], measured)
         factors[rows] = np.where(_differs(residuals[part], posterior[part], measured), found, 1.0)
         start += len(samples)
@@ -110,9 +110,9 @@ def variance_factors(system: LinearSystem) -> FloatArray:
 
 
 def _spread_out(samples: IntArray) -> IntArray:
-    """At most ``MOST_SAMPLES`` of them, spread evenly."""
+    """At most ``MAX_SAMPLES`` of them, spread evenly."""
     last = len(samples) - 1
-    return samples[np.unique(np.linspace(0, last, min(last + 1, MOST_SAMPLES)).round().astype(np.int64))]
+    return samples[np.unique(np.linspace(0, last, min(last + 1, MAX_SAMPLES)).round().astype(np.int64))]
 
 
 def _adding(samples: IntArray, row_count: int) -> sparse.csr_array:
