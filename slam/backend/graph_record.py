@@ -17,7 +17,7 @@ def make_graph_record(
     keyframe_stamps_ns: IntArray,
     T_map_body: FloatArray,
     factors: Iterable[Factor],
-    variable_of: Callable[[int], int],
+    name_of: Callable[[int], int | str],
     pose_covariances: FloatArray,
 ) -> FactorGraphRecord:
     """The record of a graph; priors are left out of it.
@@ -28,7 +28,7 @@ def make_graph_record(
         keyframe_stamps_ns: (K,).
         T_map_body: (K, 4, 4), their estimates.
         factors: all that are in force.
-        variable_of: the landmark that stands for a landmark.
+        name_of: the id of a landmark in the record: that of the landmark that stands for it.
         pose_covariances: (K, 6, 6), or (0, 6, 6) where they are not known.
     """
     factors = tuple(factors)
@@ -44,7 +44,7 @@ def make_graph_record(
         edge_covariances=np.array([e.covariance for e in edges]).reshape(-1, 6, 6),
         edge_kinds=tuple(str(e.kind) for e in edges),
         observation_keyframe_ids=np.array([o.keyframe for o in observations], dtype=np.int64),
-        observation_landmark_ids=tuple(str(variable_of(o.landmark)) for o in observations),
+        observation_landmark_ids=tuple(str(name_of(o.landmark)) for o in observations),
         observation_positions=np.array([o.position for o in observations]).reshape(-1, 3),
         observation_covariances=np.array([o.covariance_inflation * o.covariance for o in observations]).reshape(
             -1, 3, 3

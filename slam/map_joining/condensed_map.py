@@ -13,7 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from logs.messages import FactorGraphRecord
-from slam.backend.factors import EdgeKind
+from slam.backend.factors import Edge, EdgeKind, Observation
+from slam.backend.graph_record import make_graph_record
+from slam.backend.observation_sums import sum_observations
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import adjoint, apply, covariance_in_axes, invert
@@ -58,22 +60,14 @@ def condense_map(saved: SavedMap, *, stretch_m: float) -> SavedMap:
     graph = saved.graph
     stretches = _stretches(graph, stretch_m)
     T_map_place = gravity_frame(graph.T_map_body[stretches.middles])
-    edges, transforms, covariances, kinds = _edges(graph, stretches, T_map_place)
-    places, names, positions, noises = _observations(saved, stretches, T_map_place)
-    is_far = np.linalg.norm(positions, axis=1) > MIN_DISTANCE_SHARE * stretch_m
-    condensed = FactorGraphRecord(
-        stamp_ns=graph.stamp_ns,
-        keyframe_ids=np.arange(len(T_map_place)),
-        keyframe_stamps_ns=graph.keyframe_stamps_ns[stretches.middles],
-        T_map_body=T_map_place,
-        edge_keyframe_ids=edges,
-        edge_transforms=transforms,
-        edge_covariances=covariances,
-        edge_kinds=kinds,
-        observation_keyframe_ids=places[is_far],
-        observation_landmark_ids=tuple(np.array(names, dtype=object)[is_far].tolist()),
-        observation_positions=positions[is_far],
-        observation_covariances=noises[is_far],
+    condensed = make_graph_record(
+        graph.stamp_ns,
+        np.arange(len(T_map_place)),
+        graph.keyframe_stamps_ns[stretches.middles],
+        T_map_place,
+        [*_edges(graph, stretches, T_map_place), *_observations(saved, stretches, T_map_place, stretch_m)],
+        saved.objects.ids.__getitem__,
+        np.zeros((0, 6, 6)),
     )
     return replace(saved, graph=condensed)
 
@@ -104,25 +98,22 @@ def _stretches(graph: FactorGraphRecord, stretch_m: float) -> _Stretches:
     return _Stretches(of, np.array(middles, dtype=np.int64), steps)
 
 
-def _edges(
-    graph: FactorGraphRecord, stretches: _Stretches, T_map_place: FloatArray
-) -> tuple[IntArray, FloatArray, FloatArray, tuple[str, ...]]:
-    """Edges (E, 2) between places, T_from_to (E, 4, 4), covariances (E, 6, 6) and kinds (E,)."""
+def _edges(graph: FactorGraphRecord, stretches: _Stretches, T_map_place: FloatArray) -> list[Edge]:
+    """Edges between places, numbered from 0: those of the odometry, and one for each two that closures relate."""
     found: dict[tuple[int, int], tuple[FloatArray, EdgeKind]] = {}
     for place, (first, last) in enumerate(zip(stretches.middles[:-1], stretches.middles[1:], strict=True)):
         steps = [stretches.steps.get(row, -1) for row in range(first, last)]
         if min(steps, default=-1) >= 0:
             found[place, place + 1] = _composed(graph, steps, last), EdgeKind.ODOMETRY
-    row_of = {keyframe: row for row, keyframe in enumerate(graph.keyframe_ids.tolist())}
+    place_of = dict(zip(graph.keyframe_ids.tolist(), stretches.of.tolist(), strict=True))
     for edge in np.flatnonzero(are_of_kind(graph, EdgeKind.LOOP_CLOSURE)).tolist():
-        ends = [row_of[keyframe] for keyframe in graph.edge_keyframe_ids[edge].tolist()]
-        first, second = (int(stretches.of[row]) for row in ends)
+        first, second = (place_of[keyframe] for keyframe in graph.edge_keyframe_ids[edge].tolist())
         if first != second:
             found.setdefault((first, second), (graph.edge_covariances[edge], EdgeKind.LOOP_CLOSURE))
-    pairs = np.array(list(found), dtype=np.int64).reshape(-1, 2)
-    transforms = invert(T_map_place[pairs[:, 0]]) @ T_map_place[pairs[:, 1]]
-    covariances = np.array([covariance for covariance, _ in found.values()]).reshape(-1, 6, 6)
-    return pairs, transforms, covariances, tuple(str(kind) for _, kind in found.values())
+    return [
+        Edge(first, second, invert(T_map_place[first]) @ T_map_place[second], covariance, kind)
+        for (first, second), (covariance, kind) in found.items()
+    ]
 
 
 def _composed(graph: FactorGraphRecord, steps: list[int], last: int) -> FloatArray:
@@ -136,30 +127,31 @@ def _composed(graph: FactorGraphRecord, steps: list[int], last: int) -> FloatArr
 
 
 def _observations(
-    saved: SavedMap, stretches: _Stretches, T_map_place: FloatArray
-) -> tuple[IntArray, list[str], FloatArray, FloatArray]:
-    """Places (O,), ids of landmarks, positions (O, 3) and covariances (O, 3, 3) in the frame of the place."""
+    saved: SavedMap, stretches: _Stretches, T_map_place: FloatArray, stretch_m: float
+) -> list[Observation]:
+    """One observation of each landmark from each place of which a keyframe saw it; landmarks by their rows."""
     graph, objects = saved.graph, saved.objects
     row_of = {keyframe: row for row, keyframe in enumerate(graph.keyframe_ids.tolist())}
     landmark_of = {name: row for row, name in enumerate(objects.ids)}
     rows = np.array([row_of[keyframe] for keyframe in graph.observation_keyframe_ids.tolist()], dtype=np.int64)
     landmarks = np.array([landmark_of[name] for name in graph.observation_landmark_ids], dtype=np.int64)
-    key, inverse = np.unique(stretches.of[rows] * len(objects.ids) + landmarks, return_inverse=True)
-    places, seen = key // len(objects.ids), key % len(objects.ids)
-    R_map_body = graph.T_map_body[rows, :3, :3]
-    information = R_map_body @ np.linalg.inv(graph.observation_covariances) @ np.swapaxes(R_map_body, 1, 2)
-    total = np.zeros((len(key), 3, 3))
-    np.add.at(total, inverse, information)
-    R_place_map = np.swapaxes(T_map_place[places, :3, :3], 1, 2)
-    covariances = R_place_map @ np.linalg.inv(total) @ np.swapaxes(R_place_map, 1, 2)
+    places = stretches.of[rows]
     T_place_map = invert(T_map_place[places])
-    positions = np.einsum("nij,nj->ni", T_place_map[:, :3, :3], objects.positions[seen]) + T_place_map[:, :3, 3]
-    return (
-        places,
-        [objects.ids[row] for row in seen.tolist()],
-        positions,
-        0.5 * (covariances + np.swapaxes(covariances, 1, 2)),
+    R_place_body = T_place_map[:, :3, :3] @ graph.T_map_body[rows, :3, :3]
+    positions = np.einsum("nij,nj->ni", T_place_map[:, :3, :3], objects.positions[landmarks]) + T_place_map[:, :3, 3]
+    is_far = np.linalg.norm(positions, axis=1) > MIN_DISTANCE_SHARE * stretch_m
+    summed = sum_observations(
+        places[is_far],
+        landmarks[is_far],
+        positions[is_far],
+        (R_place_body @ graph.observation_covariances @ np.swapaxes(R_place_body, 1, 2))[is_far],
+        np.ones(np.count_nonzero(is_far)),
     )
+    # Between two drives the kernel is as wide as that of one observation.
+    return [
+        replace(each, covariance=each.covariance_inflation * each.covariance, covariance_inflation=1.0)
+        for each in summed
+    ]
 
 
 def place_submap_rows(condensed: SavedMap, place: int) -> IntArray:
