@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from slam.common.arrays import IntArray
 
@@ -57,7 +55,7 @@ class UnionFind:
 
 def find_components(count: int, pairs: IntArray) -> IntArray:
     """The least item (N,) of the connected component of each of N = ``count`` items that pairs (K, 2) connect."""
-    adjacency = sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    labels = connected_components(adjacency, directed=False)[1]
-    least = np.unique(labels, return_index=True)[1]
-    return np.asarray(least[labels], dtype=np.int64)
+    sets = UnionFind()
+    for first, second in pairs.tolist():
+        sets.merge(*sorted((sets.find(first), sets.find(second))))
+    return np.array([sets.find(item) for item in range(count)], dtype=np.int64)

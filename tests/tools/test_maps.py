@@ -175,7 +175,7 @@ class TestMap:
         merged, part = tmp_path / "merged.mcap", tmp_path / "part.mcap"
         result = dslam("map", "merge", monday, tuesday, "-o", merged)
         assert result.code == 0
-        assert re.search(r"\d+ of \d+ keyframes recognised, \d+ landmarks in both", " ".join(result.out.split()))
+        assert re.search(r"\d+ places recognised \d+ landmarks in more than one map", " ".join(result.out.split()))
         told = json.loads(dslam("map", "info", merged, "--json").out)
         assert len(told["drives"]) == 2
         assert told["landmark_count"] <= 1.05 * json.loads(dslam("map", "info", monday, "--json").out)["landmark_count"]
