@@ -25,7 +25,7 @@ from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import read_records
 from slam.replay import replay
-from slam.simulation.degraded_log import write_degraded
+from slam.simulation.faults.faulty_log import write_faulty
 from slam.sweeps.degradations import Degradation
 
 _KEY_DIGITS = 16
@@ -67,7 +67,7 @@ class Cell:
         content = {
             "input_sha256": self.drive.sha256,
             "topics": sorted(self.drive.topics),
-            "degradation": self.degradation.config.model_dump(mode="json"),
+            "degradation": self.degradation.name,
             "seed": self.seed,
             "configuration": self.drive.config.model_dump(mode="json"),
             "version": self.drive.version,
@@ -120,7 +120,7 @@ def _compute(cell: Cell, folder: Path, times: dict[str, float]) -> dict[str, Any
     started, began_s = time.perf_counter(), time.process_time()
     if not cell.degradation.is_undegraded:
         source = folder / "degraded.mcap"
-        write_degraded(drive.path, source, cell.degradation.config, seed=cell.seed, topics=topics)
+        write_faulty(drive.path, source, cell.degradation.cases, seed=cell.seed, topics=topics)
     degraded = time.perf_counter()
     summary = replay(source, mapped, drive.config, topics=topics)
     replayed = time.perf_counter()
@@ -191,7 +191,7 @@ class CellFolder:
         """
         stored = {
             "key": cell.key,
-            "degradation": cell.degradation.config.in_effect(),
+            "degradation": cell.degradation.name,
             "seed": cell.seed,
             "input_sha256": cell.drive.sha256,
             "version": cell.drive.version,

@@ -176,7 +176,7 @@ def _cells(drive: Drive, degradations: Sequence[Degradation], seeds: int) -> lis
         Cell(drive, degradation, seed)
         for seed in range(seeds)
         for degradation in degradations
-        if seed == 0 or degradation.config.is_random
+        if seed == 0 or degradation.is_random
     ]
 
 
@@ -199,7 +199,7 @@ def _row_dict(row: SweepRow) -> dict[str, Any]:
     return {
         "name": row.degradation.name,
         "variant": row.variant,
-        "options": row.degradation.config.in_effect(),
+        "options": {case.fault.name: list(case.values) for case in row.degradation.cases},
         "strength": None if strength is None else {"option": strength[0], "value": strength[1]},
         "figures": {key: asdict(spread) for key, spread in row.spreads.items()},
         "cells": [

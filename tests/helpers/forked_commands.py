@@ -15,7 +15,7 @@ _IMPORTED = ("slam.replay", "slam.evaluation.evaluate", "slam.evaluation.html_re
              "matplotlib.pyplot", "slam.object_map.map_io", "slam.formats.g2o", "tools.console",
              "plotly.graph_objects", "descriptors.learned.network_descriptor",
              "descriptors.descriptellation_lr.training", "slam.simulation.faults.registry",
-             "slam.simulation.degraded_log", "logs.importers.text_log", "logs.importers.detection_tables", "osmium",
+             "slam.simulation.faults.faulty_log", "logs.importers.text_log", "logs.importers.detection_tables", "osmium",
              "logs.importers.maps.osm", "slam.map_joining.joint_map", "slam.evaluation.comparison",
              "slam.sweeps.sweep", "slam.localization.imported_map_editing", "slam.evaluation.report.text",
              "tools.evaluation.evaluate", "tools.evaluation.compare", "logs.clouds.map_of_cloud",

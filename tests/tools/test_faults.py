@@ -39,7 +39,6 @@ class TestDegrade:
         assert (result.code, result.err) == (0, "")
         told = json.loads(result.out)
         assert told["faults"] == ["heading_jump=30:0.5", "labels_unique"]
-        assert told["options"] == {}
         assert told["message_counts"]["/odom"] > 0
         assert metadata_of(output)["faults"]["faults"] == "heading_jump=30:0.5 labels_unique"
         assert metadata_of(output)["faults"]["seed"] == "3"
@@ -48,16 +47,13 @@ class TestDegrade:
         output = tmp_path / "out.mcap"
         result = dslam("degrade", tiny, "-o", output, "--dropout", 0.5, "--fault", "labels_one_class", "--json")
         told = json.loads(result.out)
-        assert told["dropped_out"] > 0
-        assert told["faults"] == ["labels_one_class"]
-        assert {"degradation", "faults"} <= set(metadata_of(output))
+        assert told["faults"] == ["dropout=0.5", "labels_one_class"]
         assert [path.name for path in tmp_path.iterdir()] == ["out.mcap"]
 
     def test_a_summary_for_people(self, dslam: Run, tiny: Path, tmp_path: Path) -> None:
         result = dslam("degrade", tiny, "-o", tmp_path / "out.mcap", "--fault", "labels_one_class")
         assert result.code == 0
         assert f"labels_one_class: {FAULTS['labels_one_class'].meaning}" in result.out
-        assert "kept" not in result.out
 
     def test_refusals(self, dslam: Run, tmp_path: Path) -> None:
         degrade = ("degrade", SAMPLE, "-o", tmp_path / "out.mcap", "--fault")

@@ -37,7 +37,7 @@ def faults(
     The faults are those of 'dslam degrade --list-faults'. Each is mapped in a process of its own, and so is the drive
     as it is. Progress goes to standard error, a line for each fault.
 
-    Example: dslam benchmark faults drive.mcap --only heading_jump --only detections_late=0.5 -o faults.md
+    Example: dslam benchmark faults drive.mcap --only heading_jump --only time_offset=0.5 -o faults.md
     """
     chosen = parse_topics(topics)
     check_outputs([output], [log, config_file])

@@ -17,8 +17,9 @@ from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import EvaluationRecords, read_records
 from slam.evaluation.result import Evaluation
 from slam.replay import ReplaySummary, replay
+from slam.simulation.faults.fault import FaultCase
 from slam.simulation.faults.faulty_log import write_faulty
-from slam.simulation.faults.registry import FaultCase, parse_fault
+from slam.simulation.faults.registry import parse_fault
 from slam.sweeps.workers import Death, compute_all
 
 CLEAN = "none"

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 
 from logs.messages import DetectionTruth, ObjectDetections, Odometry
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, invert
+from slam.simulation.faults.fault import DETECTIONS, ODOMETRY, SCANS, TRANSFORMS, Duration, Hertz, Range, Seconds, fault
 from slam.simulation.faults.stream import (
     HALF,
     Entry,
@@ -27,26 +29,25 @@ from slam.simulation.faults.stream import (
 )
 
 _NS_PER_US = 1000
+_Ppm = Annotated[float, Range("ppm", min=-1e6, max=1e6)]
 
 
-def stamp_late(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:
-    """Detections are stamped later than they were made."""
+@fault(SCANS, neutral=0.0, cases=("0.05", "0.1", "0.5", "2", "-0.1", "-0.5"))
+def time_offset(stream: Stream, seconds: Seconds = 0.1) -> list[Entry]:
+    """Detections are stamped S too late; negative: too early."""
     return restamp_scans(stream, lambda stamp_ns: stamp_ns + seconds_ns(seconds))
 
 
-def stamp_early(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:
-    """Detections are stamped earlier than they were made."""
-    return restamp_scans(stream, lambda stamp_ns: stamp_ns - seconds_ns(seconds))
-
-
-def set_clock_back(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:
-    """From the half on, the clock of the detections is behind."""
+@fault(SCANS)
+def detections_clock_back(stream: Stream, seconds: Duration = 30.0) -> list[Entry]:
+    """The clock of the detections is S behind from half time on."""
     begin_ns = stamp_at(stream, HALF)
     return restamp_scans(stream, lambda stamp_ns: stamp_ns - seconds_ns(seconds) * (stamp_ns >= begin_ns))
 
 
-def set_odometry_clock_back(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:
-    """From the half on, the clock of the odometry is behind."""
+@fault(ODOMETRY)
+def odometry_clock_back(stream: Stream, seconds: Duration = 30.0) -> list[Entry]:
+    """The clock of the odometry is S behind from half time on."""
     begin_ns = stamp_at(stream, HALF)
     return [
         e.having(replace(e.content, stamp_ns=e.content.stamp_ns - seconds_ns(seconds)))
@@ -56,32 +57,35 @@ def set_odometry_clock_back(stream: Stream, rng: np.random.Generator, seconds: f
     ]
 
 
-def run_slow(stream: Stream, rng: np.random.Generator, parts_per_million: float) -> list[Entry]:
-    """The clock of the detections runs too slowly from the beginning on."""
+@fault(SCANS)
+def detections_clock_slow(stream: Stream, parts_per_million: _Ppm = 200.0) -> list[Entry]:
+    """The clock of the detections is slow by so many parts in a million."""
     first_ns = stamp_at(stream, 0.0)
     return restamp_scans(stream, lambda stamp_ns: stamp_ns - round((stamp_ns - first_ns) * parts_per_million * 1e-6))
 
 
-def stamp_coarsely(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:
-    """The stamps of detections are cut to whole multiples of an interval."""
+@fault(SCANS)
+def stamps_coarse(stream: Stream, seconds: Duration = 1.0) -> list[Entry]:
+    """Stamps of detections are cut to multiples of S."""
     unit_ns = max(seconds_ns(seconds), 1)
     return restamp_scans(stream, lambda stamp_ns: stamp_ns // unit_ns * unit_ns)
 
 
-def stamp_in_microseconds(stream: Stream, rng: np.random.Generator) -> list[Entry]:
-    """The stamps of detections count microseconds where nanoseconds are meant."""
+@fault(SCANS)
+def stamps_in_microseconds(stream: Stream) -> list[Entry]:
+    """Stamps of detections are in microseconds instead of nanoseconds."""
     return restamp_scans(stream, lambda stamp_ns: stamp_ns // _NS_PER_US)
 
 
-def thin_scans(stream: Stream, rng: np.random.Generator, rate_hz: float) -> list[Entry]:
-    """Detections come no more often than at a rate; the odometry as before."""
-    stamps_ns = np.unique([s.detections.stamp_ns for s in scans_of(stream)])
-    kept = set(_thinned(stamps_ns, rate_hz).tolist())
-    return keep_scans(stream, lambda stamp_ns: stamp_ns in kept)
+@fault(SCANS, cases=("1", "0.5"))
+def scan_rate(stream: Stream, rate_hz: Hertz = 1.0) -> list[Entry]:
+    """Detections come at HZ at most."""
+    return _thinned_scans(stream, rate_hz)
 
 
-def change_rate(stream: Stream, rng: np.random.Generator, rate_hz: float) -> list[Entry]:
-    """Odometry and detections come at a rate: thinned, or filled in.
+@fault((*ODOMETRY, *SCANS), reads=TRANSFORMS, cases=("1", "100"))
+def frame_rate(stream: Stream, rate_hz: Hertz = 1.0) -> list[Entry]:
+    """Odometry and detections come at HZ, thinned or filled in.
 
     Filled-in odometry is interpolated. Filled-in scans repeat the objects of the scan before as they would be seen from
     where the odometry is by then, errors and all.
@@ -91,31 +95,35 @@ def change_rate(stream: Stream, rng: np.random.Generator, rate_hz: float) -> lis
         return _filled(stream, rate_hz)
     kept_odometry = set(_thinned(np.unique(odometry_of(stream)[0]), rate_hz).tolist())
     thinned = [e for e in stream if not isinstance(e.content, Odometry) or e.content.stamp_ns in kept_odometry]
-    return thin_scans(thinned, rng, rate_hz)
+    return _thinned_scans(thinned, rate_hz)
 
 
-def pause_odometry(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:
-    """From the half on, no odometry comes for a while."""
+@fault(ODOMETRY)
+def odometry_pause(stream: Stream, seconds: Duration = 10.0) -> list[Entry]:
+    """No odometry comes for S from half time on."""
     begin_ns = stamp_at(stream, HALF)
     end_ns = begin_ns + seconds_ns(seconds)
     return [e for e in stream if not (isinstance(e.content, Odometry) and begin_ns <= e.content.stamp_ns < end_ns)]
 
 
-def pause_all(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:
-    """From the half on, neither odometry nor detections come for a while."""
+@fault((*ODOMETRY, *SCANS))
+def log_gap(stream: Stream, seconds: Duration = 10.0) -> list[Entry]:
+    """Neither odometry nor detections come for S from half time on."""
     begin_ns = stamp_at(stream, HALF)
     end_ns = begin_ns + seconds_ns(seconds)
-    return keep_scans(pause_odometry(stream, rng, seconds), lambda stamp_ns: not begin_ns <= stamp_ns < end_ns)
+    return keep_scans(odometry_pause.function(stream, seconds), lambda stamp_ns: not begin_ns <= stamp_ns < end_ns)
 
 
-def send_twice(stream: Stream, rng: np.random.Generator) -> list[Entry]:
+@fault((*ODOMETRY, *DETECTIONS))
+def messages_twice(stream: Stream) -> list[Entry]:
     """Each message of odometry and of detections comes twice."""
     twice = (Odometry, ObjectDetections)
     return [each for entry in stream for each in ([entry, entry] if isinstance(entry.content, twice) else [entry])]
 
 
-def run_backwards(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:
-    """From the half on, the stamps of the odometry fall instead of rising, for a while."""
+@fault(ODOMETRY)
+def odometry_backwards(stream: Stream, seconds: Duration = 10.0) -> list[Entry]:
+    """Stamps of the odometry fall instead of rising for S from half time on."""
     begin_ns = stamp_at(stream, HALF)
     end_ns = begin_ns + seconds_ns(seconds)
     return [
@@ -124,6 +132,12 @@ def run_backwards(stream: Stream, rng: np.random.Generator, seconds: float) -> l
         else e
         for e in stream
     ]
+
+
+def _thinned_scans(stream: Stream, rate_hz: float) -> list[Entry]:
+    stamps_ns = np.unique([s.detections.stamp_ns for s in scans_of(stream)])
+    kept = set(_thinned(stamps_ns, rate_hz).tolist())
+    return keep_scans(stream, lambda stamp_ns: stamp_ns in kept)
 
 
 def _thinned(stamps_ns: IntArray, rate_hz: float) -> IntArray:

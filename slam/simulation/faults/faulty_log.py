@@ -1,10 +1,11 @@
-"""A log with faults put into it."""
+"""A log with faults: read, changed, and written as another log."""
 
 from __future__ import annotations
 
+import heapq
 import zlib
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -12,12 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from logs.errors import UnwritableLogError
+from logs.messages import ObjectDetections
 from logs.reader import LogReader
 from logs.selection import Selection, select_topics
 from logs.topics import RawMessage, RecordKind
 from logs.writer import LogWriter, partial_path
 from slam.common.errors import SimulationError
-from slam.simulation.faults.registry import FaultCase
+from slam.simulation.faults.fault import FaultCase
 from slam.simulation.faults.stream import Entry
 
 _NEEDED = (RecordKind.ODOMETRY, RecordKind.DETECTIONS)
@@ -26,9 +28,11 @@ _READING = 0.5  # part of the progress
 
 @dataclass(frozen=True, slots=True)
 class FaultSummary:
-    """Messages of the output by topic, and what the input had lost already, by reason."""
+    """Messages of the output by topic, detections in the input and in the output, and what was left out, by reason."""
 
     message_counts: dict[str, int]
+    detections_before: int
+    detections: int
     left_out: dict[str, int]
 
 
@@ -53,7 +57,7 @@ def apply_faults(stream: Sequence[Entry], cases: Sequence[FaultCase], *, seed: i
         rng = np.random.default_rng([seed, zlib.crc32(name.encode()), times[name]])
         times[name] += 1
         try:
-            result = case.fault.function(result, rng, *case.values)
+            result = case.fault.function(result, *case.values, **({"rng": rng} if case.fault.is_random else {}))
         except SimulationError as error:
             raise SimulationError(f"fault {case.name}: {error}") from error
     return result
@@ -70,13 +74,13 @@ def write_faulty(
 ) -> FaultSummary:
     """Write the log ``source`` with faults as the log ``output``, with the metadata "faults".
 
-    The whole log is held in memory. Topics that no fault changes are copied as they are, but that several transforms of
-    one message become messages of their own where a fault looks at them; those that are changed are written as records.
+    The topics that a fault reads are held in memory. Topics that no fault changes are copied as they are, but that
+    several transforms of one message become messages of their own where a fault reads them.
 
     Args:
         source: a log with odometry and detections.
         output: replaced if it is there; written as NAME.part and renamed when finished.
-        cases: what to do, in this order.
+        cases: what to do, in this order; those that change nothing are passed over.
         seed: the same seed, faults and input give the same bytes.
         topics: kind -> topic, where the log leaves a choice.
         progress: called with the fraction done, in [0, 1].
@@ -85,26 +89,44 @@ def write_faulty(
         LogError: the input cannot be read or the output cannot be written.
         SimulationError: the log has not what a fault needs, or the seed is negative.
     """
+    cases = [case for case in cases if not case.is_neutral]
     with LogReader(source) as reader:
         for path in (output, partial_path(output)):
             if path.exists() and path.samefile(source):
                 raise UnwritableLogError(f"writing {output} would overwrite the input {source}; give another output")
         selection = _selection(reader, cases, topics)
-        result = apply_faults(_read(reader, selection, progress), cases, seed=seed)
+        stream = list(_read(reader, selection, progress))
+        result = apply_faults(stream, cases, seed=seed)
+        others = [info.topic for info in reader.topics() if info.topic not in selection.kinds]
+        keeps_others = all(case.fault.keeps_others for case in cases)
+        copied = _copied(reader, others if keeps_others else ())
         written: Counter[str] = Counter()
         with LogWriter(output) as writer:
             _write_metadata(reader, writer, cases, seed)
-            rewritten = {entry.topic for entry in result if _is_new(entry)}
-            for done, entry in enumerate(result, start=1):
-                raw = entry.content if isinstance(entry.content, RawMessage) else entry.raw
-                if raw is not None and (entry.topic not in rewritten or isinstance(entry.content, RawMessage)):
-                    writer.write_raw(raw)
-                elif not isinstance(entry.content, RawMessage):
+            rewritten = {entry.topic for entry in result if entry.raw is None}
+            for entry in heapq.merge(result, copied, key=lambda entry: (entry.log_time_ns, entry.number)):
+                if isinstance(entry.content, RawMessage):
+                    writer.write_raw(entry.content)
+                elif entry.raw is not None and entry.topic not in rewritten:
+                    writer.write_raw(entry.raw)
+                else:
                     writer.write(entry.topic, entry.content, entry.log_time_ns)
                 written[entry.topic] += 1
                 if progress is not None:
-                    progress(_READING + (1.0 - _READING) * done / len(result))
-    return FaultSummary(dict(sorted(written.items())), reader.counters)
+                    progress(_READING + (1.0 - _READING) * min(written.total() / max(len(result), 1), 1.0))
+        left_out = Counter(reader.counters)
+        if not keeps_others:
+            left_out["irreversible_messages"] += sum(i.message_count for i in reader.topics() if i.topic in others)
+    return FaultSummary(
+        dict(sorted(written.items())),
+        _detection_count(stream),
+        _detection_count(result),
+        dict(sorted((+left_out).items())),
+    )
+
+
+def _detection_count(stream: Sequence[Entry]) -> int:
+    return sum(len(entry.content.labels) for entry in stream if isinstance(entry.content, ObjectDetections))
 
 
 def _selection(reader: LogReader, cases: Sequence[FaultCase], topics: Mapping[str, str] | None) -> Selection:
@@ -124,25 +146,30 @@ def _selection(reader: LogReader, cases: Sequence[FaultCase], topics: Mapping[st
     return Selection({topic: kinds for topic, kinds in selection.kinds.items() if used & set(kinds)})
 
 
-def _read(reader: LogReader, selection: Selection, progress: Callable[[float], None] | None) -> list[Entry]:
+def _read(reader: LogReader, selection: Selection, progress: Callable[[float], None] | None) -> Iterator[Entry]:
+    """The messages of the selected topics; one that no record is made of stays as it is."""
+    topics = {info.topic for info in reader.topics()}
     total = max(sum(info.message_count for info in reader.topics()), 1)
-    entries: list[Entry] = []
-    items = reader.items(selection, copy=[info.topic for info in reader.topics()])
-    for done, item in enumerate(items, start=1):
+    items = reader.items(selection, copy=list(selection.kinds), times_of=topics - set(selection.kinds))
+    for number, item in enumerate(items):
         raw = item.raw
-        if not item.records:
-            entries.append(Entry(raw.topic, raw.log_time_ns, raw))
-        elif len(item.records) == 1:
-            entries.append(Entry(raw.topic, raw.log_time_ns, item.records[0], raw))
-        else:  # several transforms in one message
-            entries += [Entry(raw.topic, raw.log_time_ns, record) for record in item.records]
         if progress is not None:
-            progress(min(_READING * done / total, _READING))
-    return entries
+            progress(min(_READING * number / total, _READING))
+        if raw.topic not in selection.kinds:
+            continue
+        if not item.records:
+            yield Entry(raw.topic, raw.log_time_ns, raw, number=number)
+        elif len(item.records) == 1:
+            yield Entry(raw.topic, raw.log_time_ns, item.records[0], raw, number)
+        else:  # several transforms in one message
+            yield from (Entry(raw.topic, raw.log_time_ns, record, number=number) for record in item.records)
 
 
-def _is_new(entry: Entry) -> bool:
-    return entry.raw is None and not isinstance(entry.content, RawMessage)
+def _copied(reader: LogReader, topics: Collection[str]) -> Iterator[Entry]:
+    """The messages of the topics that no fault reads."""
+    for number, raw in enumerate(reader.messages() if topics else ()):
+        if raw.topic in topics:
+            yield Entry(raw.topic, raw.log_time_ns, raw, number=number)
 
 
 def _write_metadata(reader: LogReader, writer: LogWriter, cases: Sequence[FaultCase], seed: int) -> None:

@@ -9,11 +9,13 @@ from itertools import count
 import numpy as np
 
 from logs.messages import ObjectDetections
+from slam.simulation.faults.fault import DETECTIONS, ODOMETRY, fault
 from slam.simulation.faults.stream import HALF, Entry, Stream, alter_detections, labels_of, stamp_at
 
 
-def draw_labels(stream: Stream, rng: np.random.Generator) -> list[Entry]:
-    """Each detection has one of the log's labels, taken at random."""
+@fault(DETECTIONS)
+def labels_random(stream: Stream, *, rng: np.random.Generator) -> list[Entry]:
+    """Each detection has a label of the log drawn at random."""
     labels = labels_of(stream)
 
     def alter(detections: ObjectDetections) -> ObjectDetections:
@@ -23,7 +25,8 @@ def draw_labels(stream: Stream, rng: np.random.Generator) -> list[Entry]:
     return alter_detections(stream, alter)
 
 
-def number_labels(stream: Stream, rng: np.random.Generator) -> list[Entry]:
+@fault(DETECTIONS)
+def labels_unique(stream: Stream) -> list[Entry]:
     """Each detection has a label of its own."""
     number = count()
     return alter_detections(
@@ -32,18 +35,21 @@ def number_labels(stream: Stream, rng: np.random.Generator) -> list[Entry]:
     )
 
 
-def use_one_label(stream: Stream, rng: np.random.Generator) -> list[Entry]:
-    """All detections have the same label."""
+@fault(DETECTIONS)
+def labels_one_class(stream: Stream) -> list[Entry]:
+    """All detections have one label."""
     return _relabelled(stream, lambda label: "object", from_ns=0)
 
 
-def change_case(stream: Stream, rng: np.random.Generator) -> list[Entry]:
-    """From the half on, labels are written in capitals."""
+@fault(DETECTIONS, reads=ODOMETRY)
+def labels_case(stream: Stream) -> list[Entry]:
+    """Labels are in capitals from half time on."""
     return _relabelled(stream, str.upper, from_ns=stamp_at(stream, HALF))
 
 
-def permute_labels(stream: Stream, rng: np.random.Generator) -> list[Entry]:
-    """From the half on, each label stands for another one's objects."""
+@fault(DETECTIONS, reads=ODOMETRY)
+def labels_permuted(stream: Stream, *, rng: np.random.Generator) -> list[Entry]:
+    """From half time on each label stands for objects of another one."""
     labels = labels_of(stream)
     order = rng.permutation(len(labels)).tolist()
     # Along a cycle through all of them no label keeps its meaning.

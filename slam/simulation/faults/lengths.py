@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
 from logs.messages import GroundTruthPose, ObjectDetections, ObjectMapRecord, Odometry, Transform
 from slam.common.arrays import FloatArray
+from slam.simulation.faults.fault import EVERYTHING, Range, fault
 from slam.simulation.faults.stream import Entry, Stream
 
+_Factor = Annotated[float, Range("factor", min=1e-6, max=1e6)]
 
-def scale_lengths(stream: Stream, rng: np.random.Generator, factor: float) -> list[Entry]:
-    """Odometry, detections, transforms and truth are multiplied: another robot in a world of another size."""
+
+@fault(EVERYTHING, cases=("0.05", "20"))
+def lengths_scaled(stream: Stream, factor: _Factor = 0.05) -> list[Entry]:
+    """All lengths of the log and of its truth are multiplied."""
     return [_scaled(entry, factor) for entry in stream]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
@@ -11,35 +12,51 @@ from logs.messages import ObjectDetections
 from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert
-from slam.simulation.degradation import join_detections, select_detections
+from slam.simulation.faults.fault import (
+    DETECTIONS,
+    ODOMETRY,
+    SCANS,
+    TRANSFORMS,
+    Duration,
+    Number,
+    Part,
+    Range,
+    Share,
+    fault,
+)
 from slam.simulation.faults.stream import (
     HALF,
     Entry,
     Scan,
     Stream,
     body_frames_of,
+    join_detections,
     keep_scans,
     labels_of,
     odometry_at,
     replace_scans,
     scans_of,
     seconds_ns,
+    select_detections,
     stamp_at,
 )
 
 _BURST_RADIUS_M = 60.0
+_Speed = Annotated[float, Range("m/s", max=1e3)]
 _IN_VIEW_AGAIN_NS = 10_000_000_000
 """An object that was not seen for so long has gone elsewhere when it comes back."""
 
 
-def stop_detecting(stream: Stream, rng: np.random.Generator, fraction: float) -> list[Entry]:
-    """From a part of the drive on, no detections come."""
+@fault(SCANS, reads=ODOMETRY)
+def detections_stop(stream: Stream, fraction: Part = 0.5) -> list[Entry]:
+    """No detections come from a part of the drive on."""
     begin_ns = stamp_at(stream, fraction)
     return keep_scans(stream, lambda stamp_ns: stamp_ns < begin_ns)
 
 
-def repeat_scan(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:
-    """From the half on, each scan repeats the objects of the last one before, for a while."""
+@fault(SCANS, reads=ODOMETRY)
+def scan_repeated(stream: Stream, seconds: Duration = 10.0) -> list[Entry]:
+    """The last scan before half time is repeated for S."""
     begin_ns = stamp_at(stream, HALF)
     end_ns = begin_ns + seconds_ns(seconds)
     changed: list[Scan] = []
@@ -55,8 +72,11 @@ def repeat_scan(stream: Stream, rng: np.random.Generator, seconds: float) -> lis
     return replace_scans(stream, changed)
 
 
-def burst(stream: Stream, rng: np.random.Generator, count: float, seconds: float) -> list[Entry]:
-    """For a while from the half on, so many more objects stand around, of the log's classes, each in every scan."""
+@fault(SCANS, reads=(*ODOMETRY, *TRANSFORMS))
+def objects_burst(
+    stream: Stream, count: Number = 5000.0, seconds: Duration = 3.0, *, rng: np.random.Generator
+) -> list[Entry]:
+    """NUMBER more objects of the classes of the log stand around for S from half time on."""
     begin_ns = stamp_at(stream, HALF)
     end_ns = begin_ns + seconds_ns(seconds)
     labels, frame = labels_of(stream) or ["object"], body_frames_of(stream)
@@ -79,8 +99,9 @@ def burst(stream: Stream, rng: np.random.Generator, count: float, seconds: float
     return replace_scans(stream, changed)
 
 
-def keep_objects(stream: Stream, rng: np.random.Generator, count: float) -> list[Entry]:
-    """All but the objects that are seen most often are missing; other scans are empty."""
+@fault(SCANS)
+def objects_few(stream: Stream, count: Number = 2.0) -> list[Entry]:
+    """Only the NUMBER objects that are seen most often are there."""
     scans = _scans_with_ids(stream)
     seen = Counter(i for scan in scans for i in scan.object_ids or () if i)
     kept = {i for i, _ in sorted(seen.items(), key=lambda item: (-item[1], item[0]))[: int(count)]}
@@ -93,8 +114,14 @@ def keep_objects(stream: Stream, rng: np.random.Generator, count: float) -> list
     return replace_scans(stream, changed)
 
 
-def move_objects(stream: Stream, rng: np.random.Generator, share: float, speed_m_s: float) -> list[Entry]:
-    """A share of the objects moves: each time it comes into view, straight on in a direction taken at random."""
+@fault(DETECTIONS, reads=(*ODOMETRY, *SCANS, *TRANSFORMS))
+def objects_moving(
+    stream: Stream, share: Share = 0.5, speed_m_s: _Speed = 2.0, *, rng: np.random.Generator
+) -> list[Entry]:
+    """A share of the objects moves by M/S.
+
+    Each time an object comes into view it moves straight on in a direction drawn at random.
+    """
     scans = sorted(_scans_with_ids(stream), key=lambda scan: scan.detections.stamp_ns)
     objects = sorted({i for scan in scans for i in scan.object_ids or () if i})
     drawn = rng.random(len(objects))
@@ -115,7 +142,7 @@ def move_objects(stream: Stream, rng: np.random.Generator, share: float, speed_m
                 came_ns, direction = stamp_ns, np.array([np.cos(angle_rad), np.sin(angle_rad), 0.0])
             passes[name] = (came_ns, stamp_ns, direction)
             positions[row] += R_sensor_odom @ direction * speed_m_s * (stamp_ns - came_ns) * 1e-9
-        changed.append(scan._replace(detections=replace(scan.detections, positions=positions), truth_row=None))
+        changed.append(scan._replace(detections=replace(scan.detections, positions=positions)))
     return replace_scans(stream, changed)
 
 

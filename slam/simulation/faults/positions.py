@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,6 +12,20 @@ from logs.messages import ObjectDetections, ObjectMapRecord
 from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert
+from slam.simulation.faults.fault import (
+    DETECTIONS,
+    ODOMETRY,
+    SCANS,
+    TRANSFORMS,
+    TRUTH,
+    Degrees,
+    Duration,
+    Factor,
+    Metres,
+    Range,
+    Sigma,
+    fault,
+)
 from slam.simulation.faults.stream import (
     HALF,
     Entry,
@@ -27,10 +42,12 @@ from slam.simulation.faults.stream import (
 
 # In the axes of an optical frame (x right, y down, z forward), what is told in those of a body.
 _R_OPTICAL_BODY = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+_Claimed = Annotated[float, Range("m", min=1e-9, max=1e3)]
 
 
-def add_noise(stream: Stream, rng: np.random.Generator, sigma_m: float) -> list[Entry]:
-    """Positions have more noise, on each axis, than their covariances say."""
+@fault(DETECTIONS)
+def unreported_noise(stream: Stream, sigma_m: Sigma = 1.0, *, rng: np.random.Generator) -> list[Entry]:
+    """Positions have M of noise on each axis that no covariance contains."""
 
     def alter(detections: ObjectDetections) -> ObjectDetections:
         noise = sigma_m * rng.standard_normal(detections.positions.shape)
@@ -39,8 +56,9 @@ def add_noise(stream: Stream, rng: np.random.Generator, sigma_m: float) -> list[
     return alter_detections(stream, alter)
 
 
-def claim_sigma(stream: Stream, rng: np.random.Generator, sigma_m: float) -> list[Entry]:
-    """All covariances say the same standard deviation on each axis."""
+@fault(DETECTIONS)
+def claimed_sigma(stream: Stream, sigma_m: _Claimed = 1e-3) -> list[Entry]:
+    """All covariances claim M on each axis."""
 
     def alter(detections: ObjectDetections) -> ObjectDetections:
         return replace(detections, covariances=np.tile(sigma_m**2 * np.eye(3), (len(detections.labels), 1, 1)))
@@ -48,8 +66,9 @@ def claim_sigma(stream: Stream, rng: np.random.Generator, sigma_m: float) -> lis
     return alter_detections(stream, alter)
 
 
-def see_at_one_point(stream: Stream, rng: np.random.Generator, distance_m: float) -> list[Entry]:
-    """All objects are seen at one point ahead of the sensor."""
+@fault(DETECTIONS)
+def one_point(stream: Stream, distance_m: Metres = 5.0) -> list[Entry]:
+    """All objects are seen M ahead of the sensor."""
 
     def alter(detections: ObjectDetections) -> ObjectDetections:
         return replace(detections, positions=np.tile([distance_m, 0.0, 0.0], (len(detections.labels), 1)))
@@ -57,8 +76,9 @@ def see_at_one_point(stream: Stream, rng: np.random.Generator, distance_m: float
     return alter_detections(stream, alter)
 
 
-def shift_heights(stream: Stream, rng: np.random.Generator, height_m: float) -> list[Entry]:
-    """All objects are seen too high, in the axes of the body."""
+@fault(DETECTIONS, reads=(*ODOMETRY, *TRANSFORMS))
+def height_offset(stream: Stream, height_m: Metres = 2.0) -> list[Entry]:
+    """All objects are seen M too high, in the axes of the body."""
     frame = body_frames_of(stream)
 
     def alter(detections: ObjectDetections) -> ObjectDetections:
@@ -68,8 +88,9 @@ def shift_heights(stream: Stream, rng: np.random.Generator, height_m: float) -> 
     return alter_detections(stream, alter)
 
 
-def place_in_odometry_frame(stream: Stream, rng: np.random.Generator) -> list[Entry]:
-    """Positions are those in the frame of the odometry, as a tracker has them, and are told to be in the sensor's."""
+@fault(DETECTIONS, reads=(*ODOMETRY, *TRANSFORMS))
+def odometry_frame(stream: Stream) -> list[Entry]:
+    """Positions are in the frame of the odometry; messages name that of the sensor."""
     frame = body_frames_of(stream)
     stamps_ns = np.array(
         [e.content.stamp_ns for e in stream if isinstance(e.content, ObjectDetections)], dtype=np.int64
@@ -88,23 +109,27 @@ def place_in_odometry_frame(stream: Stream, rng: np.random.Generator) -> list[En
     return alter_detections(stream, alter)
 
 
-def turn_upside_down(stream: Stream, rng: np.random.Generator) -> list[Entry]:
-    """The sensor hangs upside down, turned about its x axis, and no transform tells."""
+@fault(DETECTIONS)
+def sensor_upside_down(stream: Stream) -> list[Entry]:
+    """The sensor hangs upside down, turned about its x axis, without a transform."""
     return _turned(stream, np.diag([1.0, -1.0, -1.0]))
 
 
-def turn_sensor(stream: Stream, rng: np.random.Generator, angle_deg: float) -> list[Entry]:
-    """The sensor is turned about its z axis, and no transform tells."""
+@fault(DETECTIONS, cases=("10", "90"))
+def sensor_yaw(stream: Stream, angle_deg: Degrees = 10.0) -> list[Entry]:
+    """The sensor is turned by DEG about its z axis, without a transform."""
     return _turned(stream, Rotation.from_euler("z", -angle_deg, degrees=True).as_matrix())
 
 
-def scale_ranges(stream: Stream, rng: np.random.Generator, factor: float) -> list[Entry]:
-    """All objects are seen too far off, or too near, by a factor."""
+@fault(DETECTIONS)
+def ranges_scaled(stream: Stream, factor: Factor = 1.1) -> list[Entry]:
+    """All objects are seen farther away by a factor."""
     return alter_detections(stream, lambda detections: replace(detections, positions=factor * detections.positions))
 
 
-def mirror(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Entry]:
-    """From the half on, left and right of the sensor are exchanged for a while."""
+@fault(DETECTIONS, reads=ODOMETRY)
+def sensor_mirrored(stream: Stream, seconds: Duration = 20.0) -> list[Entry]:
+    """Left and right of the sensor are exchanged for S from half time on."""
     begin_ns = stamp_at(stream, HALF)
     end_ns = begin_ns + seconds_ns(seconds)
 
@@ -116,13 +141,15 @@ def mirror(stream: Stream, rng: np.random.Generator, seconds: float) -> list[Ent
     return alter_detections(stream, alter)
 
 
-def see_in_optical_axes(stream: Stream, rng: np.random.Generator) -> list[Entry]:
-    """Positions are those of an optical frame, and are told to be in the frame as it was."""
+@fault(DETECTIONS)
+def sensor_optical(stream: Stream) -> list[Entry]:
+    """Positions are in optical axes (x right, y down, z forward); messages name other ones."""
     return _turned(stream, _R_OPTICAL_BODY)
 
 
-def scale_detection_noise(stream: Stream, rng: np.random.Generator, factor: float) -> list[Entry]:
-    """The error of each position against the truth is multiplied by a factor; covariances stay as they are."""
+@fault(DETECTIONS, reads=(*ODOMETRY, *SCANS, *TRUTH, *TRANSFORMS), cases=("0.5", "3"))
+def detection_noise(stream: Stream, factor: Factor = 3.0) -> list[Entry]:
+    """Errors of positions against the truth are multiplied; covariances stay as they are."""
     objects = _true_positions(stream)
     scans = [s for s in scans_of(stream) if s.object_ids is not None]
     if not scans:
@@ -137,7 +164,7 @@ def scale_detection_noise(stream: Stream, rng: np.random.Generator, factor: floa
         true = apply(invert(T @ frame(scan.detections.frame_id)), world)
         positions = np.where(known[:, None], true + factor * (seen - true), seen)
         changed.append(scan._replace(detections=replace(scan.detections, positions=positions)))
-    return replace_scans(stream, [scan._replace(truth_row=None) for scan in changed])
+    return replace_scans(stream, changed)
 
 
 def _true_positions(stream: Stream) -> dict[str, FloatArray]:

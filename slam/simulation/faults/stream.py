@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, Odometry, Record, Transform
 from logs.topics import RawMessage
@@ -27,17 +28,19 @@ HALF = 0.5
 class Entry(NamedTuple):
     """One message: a record, or as it was read where it is of a topic that no fault looks at.
 
-    ``raw``: the message that ``content`` was decoded from; None where it differs from that.
+    ``raw``: the message that ``content`` was decoded from; None where it differs from that. ``number``: of the message
+    in the log, which orders those of equal log time.
     """
 
     topic: str
     log_time_ns: int
     content: Record | RawMessage
     raw: RawMessage | None = None
+    number: int = 0
 
     def having(self, content: Record, log_time_ns: int | None = None) -> Entry:
         """The message with another content."""
-        return Entry(self.topic, self.log_time_ns if log_time_ns is None else log_time_ns, content)
+        return Entry(self.topic, self.log_time_ns if log_time_ns is None else log_time_ns, content, number=self.number)
 
 
 Stream = Sequence[Entry]
@@ -124,6 +127,22 @@ def body_frames_of(stream: Stream) -> Callable[[str], FloatArray]:
     return T_body_sensor
 
 
+def bearing_frames_of(stream: Stream) -> Callable[[str], FloatArray]:
+    """As :func:`body_frames_of`, where it matters from which place an object was seen.
+
+    Raises:
+        SimulationError: detections are in the frame of the odometry.
+    """
+    odometry = next((e.content for e in stream if isinstance(e.content, Odometry)), None)
+    frames = {e.content.frame_id for e in stream if isinstance(e.content, ObjectDetections)}
+    if odometry is not None and odometry.frame_id in frames - {"", odometry.child_frame_id}:
+        raise SimulationError(
+            f"detections are in {odometry.frame_id!r}, the frame of the odometry, which gives neither their range nor "
+            "their bearing: record them in a sensor's frame"
+        )
+    return body_frames_of(stream)
+
+
 def alter_detections(stream: Stream, alter: Callable[[ObjectDetections], ObjectDetections]) -> list[Entry]:
     """The stream with each message of detections altered, which keeps their number and their stamp."""
     return [e.having(alter(e.content)) if isinstance(e.content, ObjectDetections) else e for e in stream]
@@ -178,14 +197,60 @@ def scans_of(stream: Stream) -> list[Scan]:
 
 
 def replace_scans(stream: Stream, changed: Iterable[Scan]) -> list[Entry]:
-    """The stream with the detections and true ids of ``changed`` at their rows."""
-    result = list(stream)
+    """The stream with the detections and true ids of ``changed`` at their rows.
+
+    True ids that did not fit their detections before are left out.
+    """
+    result: list[Entry | None] = list(stream)
     for scan in changed:
-        result[scan.row] = result[scan.row].having(scan.detections)
-        if scan.truth_row is not None and scan.object_ids is not None:
-            truth = DetectionTruth(scan.detections.stamp_ns, scan.object_ids)
-            result[scan.truth_row] = result[scan.truth_row].having(truth)
-    return result
+        result[scan.row] = stream[scan.row].having(scan.detections)
+        if scan.truth_row is None:
+            continue
+        truth = None if scan.object_ids is None else DetectionTruth(scan.detections.stamp_ns, scan.object_ids)
+        if truth is None:
+            result[scan.truth_row] = None
+        elif truth != stream[scan.truth_row].content:
+            result[scan.truth_row] = stream[scan.truth_row].having(truth)
+    return [entry for entry in result if entry is not None]
+
+
+def select_detections(detections: ObjectDetections, rows: NDArray[np.bool_] | IntArray) -> ObjectDetections:
+    """The detections ``rows``, a mask (N,) or row numbers (M,)."""
+    numbers = np.arange(len(detections.labels))[rows]
+    ids = detections.track_ids
+    return replace(
+        detections,
+        positions=detections.positions[numbers],
+        labels=tuple(detections.labels[i] for i in numbers),
+        scores=detections.scores[numbers],
+        covariances=None if detections.covariances is None else detections.covariances[numbers],
+        sizes=None if detections.sizes is None else detections.sizes[numbers],
+        track_ids=None if ids is None else tuple(ids[i] for i in numbers),
+    )
+
+
+def join_detections(first: ObjectDetections, *more: ObjectDetections) -> ObjectDetections:
+    """All detections in one message like ``first``; covariances and sizes that only some have are zero for the others,
+    and track ids "".
+    """
+    parts = [part for part in (first, *more) if part.labels] or [first]
+
+    def stack(arrays: list[FloatArray | None], shape: tuple[int, ...]) -> FloatArray | None:
+        if all(array is None for array in arrays):
+            return None
+        zeros = [np.zeros((len(part.labels), *shape)) for part in parts]
+        return np.concatenate([zero if array is None else array for array, zero in zip(arrays, zeros, strict=True)])
+
+    has_ids = any(part.track_ids is not None for part in parts)
+    return replace(
+        first,
+        positions=np.concatenate([part.positions for part in parts]),
+        labels=tuple(label for part in parts for label in part.labels),
+        scores=np.concatenate([part.scores for part in parts]),
+        covariances=stack([part.covariances for part in parts], (3, 3)),
+        sizes=stack([part.sizes for part in parts], (3,)),
+        track_ids=tuple(i for part in parts for i in part.track_ids or ("",) * len(part.labels)) if has_ids else None,
+    )
 
 
 def by_log_time(entries: Iterable[Entry]) -> list[Entry]:

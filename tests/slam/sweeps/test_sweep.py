@@ -21,7 +21,7 @@ from slam.common.errors import EvaluationError
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import read_records
 from slam.replay import replay
-from slam.simulation.degraded_log import write_degraded
+from slam.simulation.faults.faulty_log import write_faulty
 from slam.sweeps.cells import CellFolder, CellTask, compute_cell
 from slam.sweeps.degradations import parse_degradations
 from slam.sweeps.outputs import write_outputs
@@ -68,14 +68,14 @@ def test_a_cell_is_what_the_three_commands_make(log: Path, finished: tuple[Path,
     row = finished[1].rows[1]
     assert [cell.seed for cell, _ in row.results] == [0, 1]
     degradation = parse_degradations(SPECIFICATIONS)[1]
-    write_degraded(log, tmp_path / "degraded.mcap", degradation.config, seed=1)
+    write_faulty(log, tmp_path / "degraded.mcap", degradation.cases, seed=1)
     replay(tmp_path / "degraded.mcap", tmp_path / "map.mcap", Config())
     expected = evaluate(read_records(tmp_path / "map.mcap")).to_json_dict()
     cell, result = row.results[1]
     assert json.loads(json.dumps(result.evaluation)) == json.loads(json.dumps(expected))
     told = json.loads((finished[0] / "cells" / cell.file_name).read_text())
     assert told["evaluation"] == json.loads(json.dumps(expected))
-    assert (told["degradation"], told["seed"]) == ({"dropout": 0.3}, 1)
+    assert (told["degradation"], told["seed"]) == ("dropout=0.3", 1)
 
 
 def test_seeds_differ_and_are_not_repeated_where_nothing_is_random(finished: tuple[Path, Sweep]) -> None:

@@ -48,7 +48,7 @@ def test_the_drive_as_it_is_and_each_fault(log: Path) -> None:
 
 
 def test_a_run_is_the_same_again_but_for_its_time(log: Path, tmp_path: Path) -> None:
-    first, second = (run_fault(task(log, "position_noise=0.5", tmp_path)) for _ in range(2))
+    first, second = (run_fault(task(log, "unreported_noise=0.5", tmp_path)) for _ in range(2))
     assert replace(first, seconds=None) == replace(second, seconds=None)
     assert not list(tmp_path.iterdir())
 

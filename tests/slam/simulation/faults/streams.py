@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
 from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, ObjectMapRecord, Odometry, Transform
+from logs.reader import LogReader
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.simulation.faults.faulty_log import apply_faults
@@ -97,6 +99,11 @@ def changed_topics(before: Sequence[Entry], after: Sequence[Entry]) -> set[str]:
         same = len(old) == len(new) and all(a[0] == b[0] and a[1] is b[1] for a, b in zip(old, new, strict=True))
         found |= set() if same else {topic}
     return found
+
+
+def raw_messages(path: Path, *topics: str) -> list[tuple[str, int, bytes]]:
+    with LogReader(path) as reader:
+        return [(raw.topic, raw.log_time_ns, raw.data) for raw in reader.messages(topics or None)]
 
 
 def _objects() -> ObjectMapRecord:

@@ -22,9 +22,7 @@ from tests.slam.simulation.faults.streams import (
 )
 
 
-@pytest.mark.parametrize(
-    ("fault", "shift_ns"), [("detections_late=0.25", 250_000_000), ("detections_early=2", -2_000_000_000)]
-)
+@pytest.mark.parametrize(("fault", "shift_ns"), [("time_offset=0.25", 250_000_000), ("time_offset=-2", -2_000_000_000)])
 def test_stamps_of_scans_and_their_true_ids_are_shifted(fault: str, shift_ns: int) -> None:
     changed = faulty(fault)
     assert np.array_equal(stamps(changed, ObjectDetections), STAMPS_NS + shift_ns)
@@ -34,7 +32,7 @@ def test_stamps_of_scans_and_their_true_ids_are_shifted(fault: str, shift_ns: in
 
 
 def test_a_stamp_before_zero_cannot_be() -> None:
-    assert len(records(faulty("detections_early=55"), ObjectDetections)) == COUNT - 50
+    assert len(records(faulty("time_offset=-55"), ObjectDetections)) == COUNT - 50
 
 
 def test_the_clock_goes_back_at_half_time() -> None:

@@ -5,14 +5,13 @@ from pathlib import Path
 import pytest
 
 from logs.errors import UnwritableLogError
-from logs.messages import Transform
+from logs.messages import StatusRecord, Transform
 from logs.reader import LogReader
 from logs.writer import LogWriter
 from slam.common.errors import SimulationError
 from slam.simulation.faults.faulty_log import write_faulty
 from slam.simulation.faults.registry import parse_faults
-from tests.slam.simulation.degraded import raw_messages
-from tests.slam.simulation.faults.streams import START_NS, T_BODY_SENSOR, drive
+from tests.slam.simulation.faults.streams import START_NS, T_BODY_SENSOR, drive, raw_messages
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +34,24 @@ def test_topics_that_no_fault_changes_keep_their_bytes(log: Path, tmp_path: Path
     assert raw_messages(output, "/odom") != raw_messages(log, "/odom")
 
 
+def test_faults_that_change_nothing_copy_the_log(log: Path, tmp_path: Path) -> None:
+    output = tmp_path / "out.mcap"
+    summary = write_faulty(log, output, parse_faults(["dropout=0", "field_of_view=360"]), seed=0)
+    assert raw_messages(output) == raw_messages(log)
+    assert summary.detections == summary.detections_before > 0
+
+
+def test_topics_that_cannot_be_reversed_are_left_out(log: Path, tmp_path: Path) -> None:
+    source = tmp_path / "log.mcap"
+    with LogReader(log) as reader, LogWriter(source) as writer:
+        for raw in reader.messages():
+            writer.write_raw(raw)
+        writer.write("/status", StatusRecord(START_NS, "mapping", "info", "running"))
+    summary = write_faulty(source, tmp_path / "out.mcap", parse_faults(["reversed"]), seed=0)
+    assert summary.left_out == {"irreversible_messages": 1}
+    assert "/status" in write_faulty(source, tmp_path / "kept.mcap", parse_faults(["dropout"]), seed=0).message_counts
+
+
 def test_the_same_input_gives_the_same_bytes(log: Path, tmp_path: Path) -> None:
     first, second, other = (tmp_path / f"{name}.mcap" for name in "abc")
     for output, seed in ((first, 1), (second, 1), (other, 2)):
@@ -44,12 +61,12 @@ def test_the_same_input_gives_the_same_bytes(log: Path, tmp_path: Path) -> None:
 
 def test_what_was_done_stands_in_the_log(log: Path, tmp_path: Path) -> None:
     once, twice = tmp_path / "once.mcap", tmp_path / "twice.mcap"
-    write_faulty(log, once, parse_faults(["detections_late", "gyro_bias=30:1"]), seed=4)
+    write_faulty(log, once, parse_faults(["time_offset", "gyro_bias=30:1"]), seed=4)
     write_faulty(once, twice, parse_faults(["labels_unique"]), seed=5)
     with LogReader(twice) as reader:
         told = reader.metadata()
     assert told["source"] == {"dataset": "made up"}
-    assert (told["faults"]["faults"], told["faults"]["seed"]) == ("detections_late=0.1 gyro_bias=30:1", "4")
+    assert (told["faults"]["faults"], told["faults"]["seed"]) == ("time_offset=0.1 gyro_bias=30:1", "4")
     assert (told["faults_2"]["faults"], told["faults_2"]["seed"]) == ("labels_unique", "5")
 
 

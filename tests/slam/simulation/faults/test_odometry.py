@@ -108,11 +108,16 @@ def test_the_gyroscope_is_biased_for_a_while() -> None:
     assert errors.sum() == pytest.approx(np.deg2rad(6.0))
 
 
-def test_the_heading_drifts_with_the_path() -> None:
-    sums = [yaw_rad(invert(steps(drive())) @ steps(faulty("heading_drift=10", seed=s))).sum() for s in range(40)]
-    metres = travelled_m(poses(drive()))[-1]
-    expected = np.deg2rad(10.0) * np.sqrt(metres / 100.0)
-    assert np.sqrt(np.mean(np.square(sums))) == pytest.approx(expected, rel=0.4)
+@pytest.mark.parametrize("fault", ["odometry_translation_noise", "odometry_yaw_noise"])
+def test_odometry_noise_grows_with_the_root_of_the_travel(fault: str) -> None:
+    root_m = np.sqrt(np.linalg.norm(steps(drive())[:, :3, 3], axis=1))
+    found = []
+    for seed in range(10):
+        errors = invert(steps(drive())) @ steps(faulty(f"{fault}=0.02", seed=seed))
+        size = yaw_rad(errors) if fault == "odometry_yaw_noise" else errors[:, 1, 3]
+        found.append(size / root_m)
+    assert np.std(found) == pytest.approx(0.02, rel=4.0 / np.sqrt(2.0 * 10 * (COUNT - 1)))
+    assert np.array_equal(poses(faulty(f"{fault}=0.02"))[0], poses(drive())[0])
 
 
 def test_z_down_turns_the_other_way_and_up_is_down() -> None:

@@ -22,8 +22,8 @@ from tests.slam.simulation.faults.streams import (
 )
 
 
-def test_noise_that_no_covariance_tells() -> None:
-    changed = faulty("position_noise=2")
+def test_unreported_noise_leaves_covariances() -> None:
+    changed = faulty("unreported_noise=2")
     noise = positions(changed) - positions(drive())
     assert noise.std() == pytest.approx(2.0, rel=0.1)
     assert noise.mean(axis=(0, 1)) == pytest.approx(np.zeros(3), abs=0.5)

@@ -6,7 +6,7 @@ import pytest
 from logs.topics import RecordKind
 from slam.common.errors import ConfigurationError, SimulationError
 from slam.simulation.faults.faulty_log import apply_faults
-from slam.simulation.faults.registry import FAULTS, all_cases, parse_fault, parse_faults
+from slam.simulation.faults.registry import DEGRADATIONS, FAULTS, all_cases, parse_fault, parse_faults
 from slam.simulation.faults.stream import Entry
 from tests.slam.simulation.faults.streams import changed_topics, drive, faulty, positions
 
@@ -22,7 +22,7 @@ TOPICS = {
 }
 
 
-QUICK = {"objects_burst": "objects_burst=20:3"}
+QUICK = {"objects_burst": "objects_burst=20:3", "keep_label": "keep_label=tree", "drop_label": "drop_label=tree"}
 
 
 def contents(stream: list[Entry]) -> list[str]:
@@ -38,7 +38,7 @@ class TestEach:
         said = {TOPICS[kind] for kind in FAULTS[name].changes}
         assert changed
         assert changed <= said
-        assert {"/ground_truth", "/ground_truth/objects"}.isdisjoint(changed) or name == "lengths_scaled"
+        assert {"/ground_truth", "/ground_truth/objects"}.isdisjoint(changed) or name in ("lengths_scaled", "reversed")
 
     def test_the_input_stays_as_it_is(self, name: str) -> None:
         before = drive()
@@ -54,23 +54,25 @@ class TestEach:
         fault = FAULTS[name]
         assert fault.name == name
         assert fault.meaning
-        assert parse_fault(fault.usage) == parse_fault(name)
-        assert all(case.fault is fault and parse_fault(case.name) == case for case in all_cases([name]))
+        assert fault.takes_labels or parse_fault(fault.usage) == parse_fault(name)
+        assert all(
+            case.fault is fault and parse_fault(case.name) == case for case in all_cases([QUICK.get(name, name)])
+        )
 
 
-@pytest.mark.parametrize("name", ["odometry_jumps", "heading_drift", "position_noise", "labels_random"])
+@pytest.mark.parametrize("name", ["odometry_jumps", "odometry_yaw_noise", "unreported_noise", "labels_random"])
 def test_another_seed_gives_others(name: str) -> None:
     assert contents(faulty(name, seed=0)) != contents(faulty(name, seed=1))
 
 
 def test_random_numbers_do_not_depend_on_the_faults_before() -> None:
-    both, alone = faulty("odometry_jumps", "position_noise"), faulty("position_noise")
+    both, alone = faulty("odometry_jumps", "unreported_noise"), faulty("unreported_noise")
     told = [[repr(e) for e in stream if e.topic == "/detections"] for stream in (both, alone)]
     assert told[0] == told[1]
 
 
 def test_a_fault_that_comes_twice_draws_anew() -> None:
-    once, twice = (positions(faulty(*["position_noise"] * times)) - positions(drive()) for times in (1, 2))
+    once, twice = (positions(faulty(*["unreported_noise"] * times)) - positions(drive()) for times in (1, 2))
     assert twice.std() == pytest.approx(np.sqrt(2.0) * once.std(), rel=0.1)
 
 
@@ -92,6 +94,9 @@ def test_names_and_values() -> None:
         ("heading_jump=30:2", ">= 0 and <= 1"),
         ("gyro_bias=3:10:5", "write gyro_bias=3:10"),
         ("labels_unique=1", "takes no value"),
+        ("keep_label", "needs a label"),
+        ("dropout=1.1", ">= 0 and <= 1"),
+        ("field_of_view=0", "not allowed as deg"),
         ("odometry_jumps=2.5", "a whole number"),
         ("odometry_pause=-1", ">= 0"),
         ("odometry_pause=inf", "not allowed"),
@@ -107,7 +112,7 @@ def test_refusals(text: str, told: str) -> None:
 def test_what_is_measured() -> None:
     names = [case.name for case in all_cases()]
     assert len(set(names)) == len(names)
-    assert {parse_fault(name).fault.name for name in names} == set(FAULTS)
+    assert set(FAULTS) - {parse_fault(name).fault.name for name in names} < set(DEGRADATIONS)
     assert [case.name for case in all_cases(["heading_jump=7", "scan_rate"])] == [
         "heading_jump=7:0.5",
         "scan_rate=1",
