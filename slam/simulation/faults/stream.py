@@ -206,11 +206,11 @@ def replace_scans(stream: Stream, changed: Iterable[Scan]) -> list[Entry]:
         result[scan.row] = stream[scan.row].having(scan.detections)
         if scan.truth_row is None:
             continue
-        truth = None if scan.object_ids is None else DetectionTruth(scan.detections.stamp_ns, scan.object_ids)
-        if truth is None:
+        before = stream[scan.truth_row]
+        if scan.object_ids is None:
             result[scan.truth_row] = None
-        elif truth != stream[scan.truth_row].content:
-            result[scan.truth_row] = stream[scan.truth_row].having(truth)
+        elif isinstance(before.content, DetectionTruth) and scan.object_ids != before.content.object_ids:
+            result[scan.truth_row] = before.having(DetectionTruth(scan.detections.stamp_ns, scan.object_ids))
     return [entry for entry in result if entry is not None]
 
 
