@@ -1,44 +1,100 @@
-"""A mutant: a source file with one rule changed, and the tests that are to fail with it."""
+"""Mutants of the estimator's sources, made by the operators of cosmic-ray."""
 
 from __future__ import annotations
 
-import tomllib
+import ast
+import random
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from cosmic_ray.ast import ast_nodes, get_ast_from_path
+from cosmic_ray.mutating import mutate_code
+from cosmic_ray.plugins import get_operator, operator_names
+
 ROOT = Path(__file__).parents[2]
+FOLDERS = ("frontend", "tracking", "localization", "loop_closure", "registration", "odometry", "calibration",
+           "self_calibration")  # fmt: skip
+"""Below slam/, as far as they are there."""
+LEFT_OUT = re.compile(
+    "RemoveDecorator|Binary.*_(BitAnd|BitOr|BitXor|LShift|RShift|Mod|FloorDiv|Pow)$|(LtE_Lt|Lt_LtE|GtE_Gt|Gt_GtE)$"
+)
+"""Operators whose mutants cannot be imported, raise an error at the first call, or differ only for equal numbers."""
 
 
 @dataclass(frozen=True)
 class Mutant:
-    """``original`` stands once in ``file`` and becomes ``mutated``; ``rule``: what that turns off or round.
-
-    ``equivalent``: why no test can tell the two apart, empty where one can.
-    """
+    """``file``, relative to the repository, with an operator of cosmic-ray applied at its ``occurrence``-th place."""
 
     file: str
-    tests: tuple[str, ...]
-    rule: str
-    original: str
-    mutated: str
-    equivalent: str = ""
+    operator: str
+    occurrence: int
 
     @property
     def module(self) -> str:
         return self.file.removesuffix(".py").replace("/", ".")
 
+    @property
+    def name(self) -> str:
+        return f"{self.file}: {self.operator.removeprefix('core/')} {self.occurrence}"
+
+    @property
+    def tests(self) -> tuple[str, ...]:
+        """The test file of the module first, then all of its folder."""
+        path = Path("tests") / self.file
+        candidates = (path.with_name(f"test_{path.name}"), path.parent)
+        return tuple(str(each) for each in candidates if (ROOT / each).exists())
+
     def source(self) -> str:
-        """The text of the file with the change; ValueError if there is not one place for it."""
+        """The text of the file with the change."""
         text = (ROOT / self.file).read_text(encoding="utf-8")
-        if text.count(self.original) != 1:
-            raise ValueError(f"{self.file} has {text.count(self.original)} times, not once: {self.original}")
-        return text.replace(self.original, self.mutated)
+        return str(mutate_code(text, get_operator(self.operator)(), self.occurrence) or text)
+
+    @property
+    def is_equivalent(self) -> bool:
+        """Whether it changes nothing but annotations, docstrings or layout."""
+        return _meaning(self.source()) == _meaning((ROOT / self.file).read_text(encoding="utf-8"))
 
 
-def read_mutants() -> list[Mutant]:
-    """All mutants of the tables beside this file: for each source file its tests and [rule, original, mutated]."""
-    found = []
-    for table in sorted(Path(__file__).parent.glob("*.toml")):
-        for file, entry in tomllib.loads(table.read_text(encoding="utf-8")).items():
-            found += [Mutant(file, tuple(entry["tests"]), *twin) for twin in entry["twins"]]
-    return found
+def sample_mutants(count: int, *, seed: int, folders: Sequence[str] = FOLDERS) -> list[Mutant]:
+    """``count`` different mutants of all that are possible, in a random order: first a file, then a place in it."""
+    rng = random.Random(seed)
+    places = {file: list(_places(file)) for folder in folders for file in _sources(folder)}
+    weights = [len(each) for each in places.values()]
+    found: dict[Mutant, None] = {}
+    for _ in range(100 * count):
+        if len(found) == count:
+            break
+        (file,) = rng.choices(list(places), weights)
+        mutant = Mutant(file, *rng.choice(places[file]))
+        if mutant not in found and not mutant.is_equivalent:
+            found[mutant] = None
+    return list(found)
+
+
+def _sources(folder: str) -> Iterator[str]:
+    for path in sorted((ROOT / "slam" / folder).rglob("*.py")):
+        if path.name != "__init__.py":
+            yield path.relative_to(ROOT).as_posix()
+
+
+def _places(file: str) -> Iterator[tuple[str, int]]:
+    """Operator and occurrence of each possible change."""
+    nodes = list(ast_nodes(get_ast_from_path(ROOT / file)))
+    for name in operator_names():
+        operator = get_operator(name)
+        if not operator.arguments() and not LEFT_OUT.search(name):
+            count = sum(1 for node in nodes for _ in operator().mutation_positions(node))
+            yield from ((name, occurrence) for occurrence in range(count))
+
+
+def _meaning(text: str) -> str:
+    """The syntax tree without what does not run."""
+    tree = ast.parse(text)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.arg | ast.AnnAssign):
+            node.annotation = ast.Constant(None)
+        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            node.returns = None
+    return ast.dump(tree)

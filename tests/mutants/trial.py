@@ -36,7 +36,7 @@ def import_libraries() -> None:
 
 
 def run_tests(tests: Sequence[str], mutant: Mutant | None = None) -> Verdict:
-    """Run tests that are not slow, and need no fixtures of others, up to the first that fails.
+    """Run tests that are not slow, up to the first that fails.
 
     One that takes too long or too much memory fails.
     """
@@ -63,7 +63,7 @@ def _be_the_child(tests: Sequence[str], mutant: Mutant | None) -> NoReturn:
         os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
         import pytest
 
-        code = int(pytest.main(["-q", "-x", "-p", "no:cacheprovider", "--noconftest", "-m", "not slow", *tests]))
+        code = int(pytest.main(["-q", "-x", "-p", "no:cacheprovider", "-m", "not slow", *tests]))
     os._exit(code)
 
 
