@@ -93,7 +93,6 @@ LAYERS = (
     {"simulation", "evaluation"},
     {"sweeps", "library"},
     {"fleet"},
-    {"benchmarks"},
 )
 """The stages of the method: each imports only from the rows above its own."""
 
@@ -112,6 +111,10 @@ def test_stages_import_only_from_the_layers_before(row: int) -> None:
         for path in sources(f"slam/{stage}") if folder.is_dir() else [folder.with_suffix(".py")]:
             used = {name.split(".")[1] for name in imports(path) if name.startswith("slam.")}
             assert used <= allowed | {stage}, path
+
+
+def test_nothing_imports_the_lab() -> None:
+    assert {path for path in importers_of("tools.lab", *OURS) if not path.startswith("tools/lab/")} == set()
 
 
 def test_no_folder_holds_more_files_than_a_reader_takes_in() -> None:
@@ -154,7 +157,7 @@ def test_the_command_line_starts_light() -> None:
 
 
 def test_looking_into_a_log_loads_only_what_reads_it() -> None:
-    heavy = ("torch", "matplotlib", "plotly", "scipy", "gtsam", "rosbags", "numpy.ma", "slam", "tools.train")
+    heavy = ("torch", "matplotlib", "plotly", "scipy", "gtsam", "rosbags", "numpy.ma", "slam", "tools.train", "tools.lab")
     code = (
         "import sys; from tools.cli import run; run(['info', 'logs/samples/short_drive.mcap']); "
         f"print([m for m in {heavy!r} if m in sys.modules])"

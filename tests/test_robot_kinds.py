@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from logs.importers.text_log import import_text_log
-from slam.benchmarks.robots.drives import find_drives
+from tools.lab.drives.robot_drives import find_drives
 
 KINDS = runpy.run_path(str(Path(__file__).resolve().parents[1] / "docs" / "robot_kinds.py"))
 

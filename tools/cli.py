@@ -42,7 +42,7 @@ _COMMANDS = {
     "optimize": "optimize:optimize",
     "config": "config:config",
     "train": "train:train",
-    "benchmark": "benchmarks.commands:app",
+    "benchmark": "lab.commands.app:app",
 }
 """Module of this package and function, or group of commands, of each command, in the order of the help."""
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from logs.messages import ObjectDetections, ObjectMapRecord
-from slam.benchmarks.descriptors import localizer_config
-from slam.benchmarks.localization_queries import SCENARIOS, LabelledMap, LocalQuery, draw_queries, labelled_map
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.common.geometry import invert, yaw_rad
 from slam.scan_localization import ScanLocalization, ScanLocalizer
 from slam.simulation.street import generate_street
+from tools.lab.descriptors.experiment import localizer_config
+from tools.lab.descriptors.queries import SCENARIOS, LabelledMap, LocalQuery, draw_queries, labelled_map
 
 SELF, FEWER, NOISY = SCENARIOS
 EXACT = localizer_config("ring_likelihood", 6)

@@ -1,6 +1,6 @@
 """Batch optimisation of a graph in which some factors are loop closures, and some of these are false.
 
-:mod:`slam.benchmarks.closures` measures how well it does so.
+``dslam benchmark closures`` measures how well it does so.
 """
 
 from __future__ import annotations

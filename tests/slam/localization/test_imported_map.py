@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from logs.messages import GeodeticFix, GroundTruthPose, ObjectDetections, Odometry, SlamPose, Transform
-from slam.benchmarks.known_map import truth_of
 from slam.common.config import Config
 from slam.common.georeference import Georeference
 from slam.final_map import FinalMap
@@ -25,6 +24,7 @@ from slam.simulation.simulation import simulate, write_simulation
 from slam.simulation.street_grid import generate_street_grid
 from slam.simulation.world import World
 from slam.system import Slam
+from tools.lab.relocalization.known_map import truth_of
 
 LENGTH_M = 60.0
 FAR_M = 30_000.0

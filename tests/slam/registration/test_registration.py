@@ -11,7 +11,14 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares as scipy_least_squares
 from scipy.spatial.transform import Rotation
 
-from slam.benchmarks.registration import (
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.errors import GeometryError
+from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
+from slam.registration.parameters import RegistrationConfig
+from slam.registration.pose_sampling import sample
+from slam.registration.refinement import least_squares, make_columns
+from slam.registration.registration import Registration, refine, refine_many, register
+from tools.lab.descriptors.registration import (
     FALSE_SHARES,
     METHODS,
     Problem,
@@ -20,13 +27,6 @@ from slam.benchmarks.registration import (
     measure_method,
     street_objects,
 )
-from slam.common.arrays import FloatArray, IntArray
-from slam.common.errors import GeometryError
-from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
-from slam.registration.parameters import RegistrationConfig
-from slam.registration.pose_sampling import sample
-from slam.registration.refinement import least_squares, make_columns
-from slam.registration.registration import Registration, refine, refine_many, register
 
 SIGMA_M = 0.2
 CONFIG = RegistrationConfig(height_sigma_m=0.05)

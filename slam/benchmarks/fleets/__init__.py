@@ -1,1 +1,0 @@
-"""Fleets that never drove, and how right their maps are."""

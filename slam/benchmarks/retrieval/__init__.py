@@ -1,1 +1,0 @@
-"""Descriptors asked for the place at the revisits of drives."""

@@ -1,1 +1,0 @@
-"""Whole drives of several robots: what mapping makes of each."""

@@ -1,0 +1,60 @@
+"""dslam benchmark ablation."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from slam.common.config import Config, load_config
+from tests.logs.importers.text_drives import TextDrive
+from tests.tools.runs import Run, assert_refused
+from tools.lab.commands.ablation import BEGIN, DEFAULT, END, PARTS
+from tools.lab.drives import ablation_drives
+
+
+@pytest.mark.parametrize("part", [part for part in PARTS if part != DEFAULT])
+def test_settings_of_each_part_exist_and_change_something(part: str) -> None:
+    assert load_config(None, PARTS[part]) != Config()
+
+
+@pytest.fixture
+def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """One drive, of a few poses."""
+    (tmp_path / "robots" / "tiny").mkdir(parents=True)
+    files = TextDrive.make(tmp_path / "robots" / "tiny").files()
+    files["odometry"].rename(files["odometry"].with_name("odometry.tum"))
+    files["ground_truth"].rename(files["ground_truth"].with_name("groundtruth.tum"))
+    monkeypatch.setattr(ablation_drives, "DRIVES", {
+        "tiny": lambda log, data: ablation_drives._write_robot(log, data, name="tiny")
+    })  # fmt: skip
+    return tmp_path
+
+
+@pytest.mark.slow
+def test_page_keeps_its_text_and_gets_a_row_for_each_part(dslam: Run, data: Path) -> None:
+    page = data / "page.md"
+    page.write_text(f"before\n{BEGIN}old\n{END}after\n", encoding="utf-8")
+    arguments = ("benchmark", "ablation", data, "-o", data / "out", "--copies", 2, "--jobs", 1, "--page", page)
+    assert dslam(*arguments, "--part", "calibration").code == 0
+    text = page.read_text(encoding="utf-8")
+    assert text.startswith(f"before\n{BEGIN}Version ")
+    assert text.endswith(f"{END}after\n")
+    assert "old" not in text
+    rows = [line.split(" | ")[:3] for line in text.splitlines() if line.startswith("| tiny")]
+    assert [row[:2] for row in rows] == [["| tiny", DEFAULT], ["| tiny", "calibration"]]
+
+
+@pytest.mark.slow
+def test_finished_cells_are_kept(dslam: Run, data: Path) -> None:
+    arguments = ("benchmark", "ablation", data, "-o", data / "out", "--copies", 1, "--jobs", 1, "--json")
+    part = ("--part", "loop closures")
+    assert json.loads(dslam(*arguments, *part).out)["tiny"]["times"]["computed"] == 2
+    assert json.loads(dslam(*arguments, *part).out)["tiny"]["times"]["computed"] == 0
+
+
+def test_unknown_names_are_refused(dslam: Run, tmp_path: Path) -> None:
+    command = ("benchmark", "ablation", tmp_path, "-o", tmp_path / "out")
+    assert_refused(dslam(*command, "--drive", "nowhere"), "no 'nowhere'", "kitti00")
+    assert_refused(dslam(*command, "--part", "wheels"), "no 'wheels'", "calibration")

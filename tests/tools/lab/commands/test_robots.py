@@ -1,0 +1,92 @@
+"""dslam benchmark robots, as it is typed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from slam.common.config import Config
+from tests.tools.runs import Run, assert_refused
+from tools.lab.drives import robot_runs as robots_run
+from tools.lab.drives.robot_runs import RobotFigures, RobotRun
+
+COUNTERS = {"odometry_used": 5, "landmarks_confirmed": 37, "odometry_breaks": 2, "closures_accepted": 3}
+
+
+def figures(**changed: object) -> RobotFigures:
+    values = {
+        "odometry_ate_m": 1.3371, "ate_m": 0.0312, "landmarks_confirmed": 37, "object_count": 17,
+        "associations_precision": 0.6175, "closures_accepted": 3, "closures_precision": 1.0,
+        "discoveries_independent": 3, "discoveries_false_share": 0.632, "revisit_recall": None,
+        "revisits_recognised": None,
+        "log_s": 100.0, "wall_s": 4.0, "peak_memory_bytes": 250_000_000, "counters": COUNTERS,
+        "final_status": "optimised", **changed,
+    }  # fmt: skip
+    return RobotFigures(**values)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two drives, the second of which fails; nothing is mapped."""
+    for name in ("good", "bad/one"):
+        (tmp_path / "data" / name).mkdir(parents=True)
+        (tmp_path / "data" / name / "odometry.tum").touch()
+
+    def run_drives(drives: Sequence[object], config: Config) -> list[RobotRun]:
+        return [RobotRun("bad/one", None, "line 1 | broken"), RobotRun("good", figures())][-len(drives) :]
+
+    monkeypatch.setattr(robots_run, "run_drives", run_drives)
+    return tmp_path / "data"
+
+
+def test_the_table_tells_figures_warnings_and_failures(dslam: Run, data: Path) -> None:
+    result = dslam("benchmark", "robots", data)
+    assert result.code == 0
+    assert result.err.splitlines() == ["1 of 2: bad/one, failed: line 1 | broken", "2 of 2: good, 4 s"]
+    rows = {line.split()[0]: line.split() for line in result.out.splitlines() if line}
+    assert rows["bad/one"] == ["bad/one", "failed"]
+    assert rows["good"] == [
+        "good",
+        *["1.337", "0.031", "37", "17", "61.8", "3", "100.0", "3:", "63", "–", "–", "25.0", "0.25"],
+    ]
+    assert "good: odometry breaks 2" in result.out
+    assert "bad/one: line 1 | broken" in result.out
+    assert all(len(line) <= 120 for line in result.out.splitlines())
+
+
+def test_markdown_tells_how_it_was_made(dslam: Run, data: Path, tmp_path: Path) -> None:
+    path = tmp_path / "robots.md"
+    settings = ("--set", "keyframe.distance_m=1.5", "--drive", "good")
+    assert dslam("benchmark", "robots", data, "-o", path, *settings).code == 0
+    text = path.read_text(encoding="utf-8")
+    assert "dslam benchmark robots data --drive good --set keyframe.distance_m=1.5" in text
+    assert "`keyframe.distance_m=1.5`" in text
+    assert (
+        "| good | 1.337 | 0.031 | 37 | 17 | 61.8 | 3 | 100.0 | 3: 63 | – | – | 25.0 | 0.25 | odometry breaks 2 |"
+        in text
+    )
+    assert "has no seed" in text
+    assert str(tmp_path) not in text
+    assert dslam("benchmark", "robots", data, "-o", path).code == 0
+    text = path.read_text(encoding="utf-8")
+    assert "all default" in text
+    assert r"line 1 \| broken |" in text
+
+
+def test_json_has_every_figure(dslam: Run, data: Path) -> None:
+    told = json.loads(dslam("benchmark", "robots", data, "--json", "--set", "keyframe.distance_m=1.5").out)
+    assert told["settings"] == {"keyframe.distance_m": 1.5}
+    bad, good = told["drives"]
+    assert (bad["figures"], bad["failure"], bad["notes"]) == (None, "line 1 | broken", ["line 1 | broken"])
+    assert good["notes"] == ["odometry breaks 2"]
+    assert good["figures"]["associations_precision"] == 0.6175
+
+
+def test_what_cannot_be_is_refused(dslam: Run, data: Path, tmp_path: Path) -> None:
+    assert_refused(dslam("benchmark", "robots", tmp_path / "nowhere"), "no drive in it")
+    assert_refused(dslam("benchmark", "robots", data, "--drive", "goo"), "no drive 'goo'", "bad/one, good")
+    assert_refused(dslam("benchmark", "robots", data, "-o", tmp_path / "no" / "robots.md"), "there is no folder")
+    assert_refused(dslam("benchmark", "robots", data, "--set", "keyframe.distance=1"), "distance_m")

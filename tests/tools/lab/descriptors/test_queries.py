@@ -1,0 +1,291 @@
+"""Queries of global localization: what is hidden is not seen, and the noise is the paper's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from slam.common.arrays import FloatArray
+from slam.common.errors import SimulationError
+from slam.common.geometry import apply, yaw_rad
+from slam.simulation.street import generate_street
+from tests.slam.simulation.worlds import straight_street
+from tools.lab.descriptors.queries import SCENARIOS, LabelledMap, Scenario, draw_queries, labelled_map, visible
+
+SELF, FEWER, NOISY = SCENARIOS
+RING_M = 20.0
+
+
+@pytest.fixture(scope="module")
+def street() -> tuple[LabelledMap, FloatArray]:
+    world = generate_street(rng=np.random.default_rng(0))
+    return labelled_map(world), world.tour
+
+
+def ring(count: int = 40, classes: int = 8, height_m: float = 0.0) -> tuple[LabelledMap, FloatArray]:
+    """Objects all around a tour of a millimetre, which sees them all at the same range."""
+    angles = 2.0 * np.pi * np.arange(count) / count
+    positions = np.column_stack([RING_M * np.cos(angles), RING_M * np.sin(angles), np.full(count, height_m)])
+    names = tuple(f"class {number}" for number in range(classes))
+    return LabelledMap(positions, np.arange(count) % classes, names), np.array([[0.0, 0.0], [0.001, 0.0]])
+
+
+# What is hidden.
+
+
+def polar(ranges_m: list[float], bearings_deg: list[float]) -> FloatArray:
+    bearings = np.deg2rad(bearings_deg)
+    return np.array(ranges_m)[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])
+
+
+@pytest.mark.parametrize("bearing_deg", [0.0, 37.0, 120.0, -95.0])
+def test_what_is_right_behind_another_object_is_hidden(bearing_deg):
+    offsets = polar([5.0, 20.0, 8.0, 8.0, 8.0], [bearing_deg, bearing_deg, 90.0, 210.0, 330.0])
+    assert visible(offsets).tolist() == [True, False, True, True, True]
+    assert visible(offsets[::-1]).tolist() == [True, True, True, False, True]
+
+
+def test_a_wall_hides_what_is_behind_it_and_nothing_else():
+    wall = np.column_stack([np.full(41, 5.0), np.linspace(-10.0, 10.0, 41)])
+    behind = polar([15.0, 25.0], [3.0, -20.0])
+    beside = polar([10.0, 12.0, 14.0], [100.0, 180.0, -110.0])
+    shown = visible(np.vstack([wall, behind, beside]))
+    assert shown.tolist() == [True] * 41 + [False] * 2 + [True] * 3
+
+
+@pytest.mark.parametrize("count", [3, 7, 60])
+def test_all_of_a_circle_is_visible(count):
+    assert visible(polar([12.0] * count, list(np.linspace(0.0, 360.0, count, endpoint=False)))).all()
+
+
+def test_objects_in_bearings_of_their_own_are_visible_at_any_range():
+    ranges_m = np.random.default_rng(0).uniform(3.0, 30.0, 12)
+    assert visible(polar(list(ranges_m), list(np.arange(12) * 30.0))).all()
+
+
+def test_turning_and_the_order_hide_nothing_else():
+    rng = np.random.default_rng(1)
+    offsets = rng.uniform(-30.0, 30.0, (200, 2))
+    shown = visible(offsets)
+    assert 20 < shown.sum() < 190
+    order = rng.permutation(200)
+    turn = np.array([[np.cos(1.0), -np.sin(1.0)], [np.sin(1.0), np.cos(1.0)]])
+    assert visible(offsets[order] @ turn.T).tolist() == shown[order].tolist()
+    assert np.hypot(*offsets[shown].T).mean() < np.hypot(*offsets[~shown].T).mean()
+
+
+@pytest.mark.parametrize(
+    "offsets",
+    [[], [[3.0, 4.0]], [[3.0, 4.0], [6.0, 8.0]], [[0.0, 0.0], [5.0, 1.0], [9.0, 2.0], [1.0, 7.0]]],
+    ids=["none", "one", "two", "one at the viewpoint"],
+)
+def test_where_nothing_can_be_told_everything_is_visible(offsets):
+    shown = visible(np.array(offsets).reshape(-1, 2))
+    assert shown.shape == (len(offsets),)
+    assert shown.all()
+
+
+# Queries without noise.
+
+
+@pytest.mark.parametrize("scenario", [SELF, FEWER], ids=lambda scenario: scenario.name)
+def test_without_noise_the_true_pose_puts_every_object_onto_its_own(street, scenario):
+    objects, tour = street
+    for query in draw_queries(objects, tour, scenario, count=30, rng=np.random.default_rng(1)):
+        assert len(query) == len(query.positions) == len(query.objects) > 5
+        assert len(np.unique(query.objects)) == len(query)
+        np.testing.assert_allclose(
+            apply(query.T_map_query_gt, query.positions), objects.positions[query.objects], atol=1e-9
+        )
+        np.testing.assert_array_equal(query.labels, objects.labels[query.objects])
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS[:2], ids=lambda scenario: scenario.name)
+def test_nothing_beyond_the_radius_is_seen_and_nothing_near_is_left_out_but_for_what_is_hidden(street, scenario):
+    objects, tour = street
+    hidden = 0
+    for query in draw_queries(objects, tour, scenario, count=30, rng=np.random.default_rng(2)):
+        offsets = objects.positions[:, :2] - query.T_map_query_gt[:2, 3]
+        near = np.flatnonzero(np.hypot(*offsets.T) < scenario.radius_m)
+        assert set(query.objects) == set(near[visible(offsets[near])])
+        hidden += len(near) - len(query)
+    assert hidden > 0
+
+
+def test_the_paper_s_radii():
+    assert (SELF.radius_m, FEWER.radius_m, NOISY.radius_m) == (30.0, 20.0, 30.0)
+    assert (SELF.noisy, FEWER.noisy, NOISY.noisy) == (False, False, True)
+
+
+def test_queries_are_spread_along_the_tour_by_length_with_any_yaw():
+    world = straight_street(length_m=200.0)
+    tour = np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.0], [200.0, 0.0]])  # by points, most would be at the start
+    queries = draw_queries(labelled_map(world), tour, SELF, count=500, rng=np.random.default_rng(3))
+    places = np.array([query.T_map_query_gt[:3, 3] for query in queries])
+    yaws = np.array([yaw_rad(query.T_map_query_gt) for query in queries])
+    assert np.abs(places[:, 1:]).max() == 0.0
+    assert stats.kstest(places[:, 0], "uniform", args=(0.0, 200.0)).pvalue > 1e-3
+    assert stats.kstest(yaws, "uniform", args=(-np.pi, 2.0 * np.pi)).pvalue > 1e-3
+
+
+def test_the_same_generator_gives_the_same_queries(street):
+    objects, tour = street
+    first, again, other = (
+        draw_queries(objects, tour, NOISY, count=5, rng=np.random.default_rng(seed)) for seed in (4, 4, 5)
+    )
+    for a, b in zip(first, again, strict=True):
+        for field in ("positions", "labels", "objects", "T_map_query_gt"):
+            np.testing.assert_array_equal(getattr(a, field), getattr(b, field))
+    assert not np.array_equal(first[0].T_map_query_gt, other[0].T_map_query_gt)
+
+
+# The noise.
+
+
+def truth_in_sensor_frame(objects: LabelledMap, T_map_query: FloatArray, which: FloatArray) -> FloatArray:
+    R, t = T_map_query[:3, :3], T_map_query[:3, 3]
+    return np.asarray((objects.positions[which] - t) @ R)
+
+
+def test_one_object_in_ten_is_missed_whatever_its_range(street):
+    objects, tour = street
+    noisy = draw_queries(objects, tour, NOISY, count=150, rng=np.random.default_rng(6))
+    kept_m, missed_m = [], []
+    for query in noisy:
+        offsets = objects.positions[:, :2] - query.T_map_query_gt[:2, 3]
+        near = np.flatnonzero(np.hypot(*offsets.T) < NOISY.radius_m)
+        shown = near[visible(offsets[near])]
+        is_kept = np.isin(shown, query.objects)
+        assert set(query.objects) <= set(shown)
+        kept_m += list(np.hypot(*offsets[shown[is_kept]].T))
+        missed_m += list(np.hypot(*offsets[shown[~is_kept]].T))
+    total = len(kept_m) + len(missed_m)
+    assert abs(len(missed_m) - 0.1 * total) < 4.0 * np.sqrt(0.09 * total)
+    assert stats.ks_2samp(kept_m, missed_m).pvalue > 1e-3
+
+
+def test_a_wrong_class_is_any_other_one_and_twice_as_frequent_at_twice_the_range(street):
+    objects, tour = street
+    classes = len(objects.vocabulary)
+    shares, wrong, steps = [], [], []
+    for query in draw_queries(objects, tour, NOISY, count=400, rng=np.random.default_rng(7)):
+        ranges_m = np.linalg.norm(truth_in_sensor_frame(objects, query.T_map_query_gt, query.objects), axis=1)
+        confused = query.labels != objects.labels[query.objects]
+        shares.append(ranges_m / ranges_m.max())
+        wrong.append(confused)
+        steps.append((query.labels - objects.labels[query.objects])[confused] % classes)
+        assert query.labels.min() >= 0
+        assert query.labels.max() < classes
+    share, is_wrong, step = np.concatenate(shares), np.concatenate(wrong), np.concatenate(steps)
+    for low, high in ((0.0, 0.4), (0.4, 0.6), (0.6, 0.8), (0.8, 0.95), (0.95, 1.01)):
+        inside = (share >= low) & (share < high)
+        expected = 0.2 * share[inside]
+        deviation = np.sqrt(np.sum(expected * (1.0 - expected)))
+        assert abs(is_wrong[inside].sum() - expected.sum()) < 4.0 * deviation
+    # A draw that could hit the right class would come out a twenty-fifth short.
+    assert set(step) == set(range(1, classes))
+    assert stats.chisquare(np.bincount(step, minlength=classes)[1:]).pvalue > 1e-3
+
+
+def test_with_two_classes_a_wrong_one_is_the_other_one():
+    objects, tour = ring(count=400, classes=2)
+    query, *_ = draw_queries(objects, tour, NOISY, count=1, rng=np.random.default_rng(8))
+    # All as far as the farthest, so that every class is wrong with probability 0.2.
+    wrong = np.count_nonzero(query.labels != objects.labels[query.objects])
+    assert abs(wrong - 0.2 * len(query)) < 4.0 * np.sqrt(0.16 * len(query))
+
+
+def test_how_high_the_map_lies_changes_nothing():
+    objects, tour = ring(count=60)
+    high = LabelledMap(objects.positions + np.array([0.0, 0.0, 250.0]), objects.labels, objects.vocabulary)
+    queries = [draw_queries(each, tour, NOISY, count=5, rng=np.random.default_rng(2)) for each in (objects, high)]
+    for low_query, high_query in zip(*queries, strict=True):
+        np.testing.assert_allclose(low_query.positions, high_query.positions, atol=1e-9)
+
+
+def test_errors_grow_with_the_distance_in_three_dimensions():
+    objects, tour = ring(count=120, height_m=15.0)
+    objects.positions[:80, 2] = 0.0  # the sensor is at the median height, so the others stand 15 m above it
+    range_m = np.hypot(RING_M, 15.0)
+    errors, scales = [], []
+    for query in draw_queries(objects, tour, NOISY, count=300, rng=np.random.default_rng(9)):
+        # About a hundred errors of 0 to 0.1 of the range, so that their mean is known and the scale with it.
+        heights_m = query.positions[query.objects >= 80, 2]
+        scales.append(np.mean(heights_m) / (15.0 + 0.05 * range_m))
+        errors.append((heights_m / scales[-1] - 15.0) / range_m)
+    assert stats.kstest(scales, "uniform", args=(0.9, 0.2)).pvalue > 1e-3
+    assert np.concatenate(errors).std() == pytest.approx(0.1 / np.sqrt(12.0), rel=0.05)
+
+
+def test_displacements_are_uniform_along_each_axis_and_scales_are_uniform_and_common():
+    objects, tour = ring(count=60)
+    errors, scales = [], []
+    for query in draw_queries(objects, tour, NOISY, count=300, rng=np.random.default_rng(10)):
+        truth = truth_in_sensor_frame(objects, query.T_map_query_gt, query.objects)
+        scale = _scale_of(query.positions, truth)
+        scales.append(scale)
+        errors.append((query.positions / scale - truth) / RING_M)
+    pooled = np.concatenate(errors)
+    assert np.mean(scales) == pytest.approx(1.0, abs=0.02)
+    assert stats.kstest(scales, "uniform", args=(0.9, 0.2)).pvalue > 1e-3
+    assert pooled.min() > -0.02
+    assert pooled.max() < 0.12
+    for axis in range(3):
+        assert pooled[:, axis].mean() == pytest.approx(0.05, abs=0.002)
+        assert pooled[:, axis].std() == pytest.approx(0.1 / np.sqrt(12.0), rel=0.05)
+    correlations = np.corrcoef(pooled.T)
+    assert np.abs(correlations[np.triu_indices(3, 1)]).max() < 0.05
+
+
+def _scale_of(positions: FloatArray, truth: FloatArray) -> float:
+    """The slope of the regression of the positions on the truth, whose mean error is the constant."""
+    seen, true = positions[:, :2] - positions[:, :2].mean(axis=0), truth[:, :2] - truth[:, :2].mean(axis=0)
+    return float(np.sum(seen * true) / np.sum(true * true))
+
+
+# What cannot be.
+
+
+@pytest.mark.parametrize("tour", [[[1.0, 2.0], [1.0, 2.0]], [[1.0, 2.0]]], ids=["standing still", "one point"])
+def test_a_tour_without_length_is_refused(tour):
+    objects, _ = ring()
+    with pytest.raises(SimulationError, match="no length"):
+        draw_queries(objects, np.array(tour), SELF, count=3, rng=np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.name)
+def test_a_tour_with_nothing_in_sight_is_refused_with_the_radius(scenario):
+    objects, tour = ring()
+    with pytest.raises(SimulationError, match=rf"no object .*{scenario.radius_m:g} m"):
+        draw_queries(objects, tour + 500.0, scenario, count=3, rng=np.random.default_rng(0))
+
+
+def test_a_stretch_with_nothing_in_sight_gives_empty_queries():
+    objects, _ = ring()
+    tour = np.array([[0.0, 0.0], [500.0, 0.0]])
+    queries = draw_queries(objects, tour, NOISY, count=40, rng=np.random.default_rng(0))
+    sizes = np.array([len(query) for query in queries])
+    assert (sizes == 0).any()
+    assert (sizes > 0).any()
+    empty = queries[int(np.argmin(sizes))]
+    assert (empty.positions.shape, empty.labels.shape, empty.objects.shape) == ((0, 3), (0,), (0,))
+
+
+def test_a_map_numbers_its_classes_by_their_sorted_names():
+    world = straight_street()
+    objects = labelled_map(world)
+    assert objects.vocabulary == ("bench", "lamp", "tree")
+    assert len(objects) == len(world.labels)
+    assert tuple(objects.vocabulary[label] for label in objects.labels) == world.labels
+    shuffled = labelled_map(replace(world, labels=world.labels[::-1]))
+    np.testing.assert_array_equal(shuffled.labels, objects.labels[::-1])
+
+
+def test_another_scenario_has_its_own_radius(street):
+    objects, tour = street
+    near = Scenario("near", radius_m=8.0)
+    for query in draw_queries(objects, tour, near, count=10, rng=np.random.default_rng(11)):
+        assert np.hypot(*query.positions[:, :2].T).max(initial=0.0) < 8.0

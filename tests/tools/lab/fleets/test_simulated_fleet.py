@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from logs.reader import LogReader
+from tests.helpers.driven_maps import town
+from tools.lab.fleets.simulated_fleet import FleetPlan, SimulatedFleet, simulate_fleet
+
+PLAN = FleetPlan(drives=8, length_m=20.0, area_m=60.0, months=4, bad=0.3)
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> SimulatedFleet:
+    world = town()
+    near = np.flatnonzero(np.hypot(*(world.positions[:, :2] - world.tour[0]).T) < 80.0)
+    small = replace(
+        world,
+        object_ids=tuple(world.object_ids[row] for row in near),
+        positions=world.positions[near],
+        labels=tuple(world.labels[row] for row in near),
+    )
+    return simulate_fleet(tmp_path_factory.mktemp("fleet"), [small], PLAN, seed=3)
+
+
+def test_a_tenth_of_the_objects_changes_each_month(fleet: SimulatedFleet) -> None:
+    for earlier, later in zip(fleet.worlds[0][:-1], fleet.worlds[0][1:], strict=True):
+        went = set(earlier.object_ids) - set(later.object_ids)
+        assert len(later.object_ids) == len(earlier.object_ids)
+        # A third of what changes goes, a third moves, which ends the old object, and a third comes.
+        assert len(went) == 2 * round(PLAN.changed * len(earlier.object_ids) / 3.0) > 0
+
+
+def test_events_are_what_makes_one_month_of_the_other(fleet: SimulatedFleet) -> None:
+    for month in range(1, PLAN.months):
+        earlier, later = (set(world.object_ids) for world in fleet.worlds[0][month - 1 : month + 1])
+        events = [event for event in fleet.events[0] if event.month == month]
+        assert {event.object_id for event in events if event.kind == "gone"} == earlier - later
+        assert {event.object_id for event in events if event.kind == "appeared"} == later - earlier
+
+
+def test_logs_begin_in_their_month_and_bad_ones_are_known(fleet: SimulatedFleet) -> None:
+    assert len(fleet.logs) == PLAN.drives
+    assert 0 < sum(drive.city < 0 for drive in fleet.drives.values()) < PLAN.drives
+    first, last = (log for log in (fleet.logs[0], fleet.logs[-1]))
+    days = []
+    for log in (first, last):
+        with LogReader(Path(log.path)) as reader:
+            stamps = [info.first_log_time_ns for info in reader.topics() if info.first_log_time_ns is not None]
+        if stamps:
+            days.append(min(stamps) // (86_400 * 10**9))
+    assert days == sorted(days)
+    assert len(days) < 2 or days[1] - days[0] >= 90

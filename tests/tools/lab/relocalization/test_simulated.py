@@ -1,0 +1,471 @@
+"""Kidnapped robots: the verdicts are what the truth says, and a map of somewhere else finds nobody."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from logs.messages import Record, SlamPose
+from slam.common.arrays import FloatArray
+from slam.common.config import Config, LoopClosureConfig
+from slam.common.errors import SimulationError
+from slam.common.geometry import transform_from_xyz_yaw
+from slam.localization.state import State
+from slam.place_recognition.retrieval import PlaceRetriever
+from slam.simulation.config import DriveConfig, SensorConfig, SimulationConfig
+from slam.simulation.world import World
+from slam.system import Slam
+from tests.helpers.loop_drives import one_block, winding_street
+from tools.lab.relocalization.figures import (
+    RECOVERED_WITHIN_M,
+    Outcome,
+    RelocalizationBenchmark,
+    Verdict,
+    deviation,
+    figures,
+    judge,
+    sum_up,
+)
+from tools.lab.relocalization.kidnaps import BESIDE_M, Kidnap, change_world, draw_kidnaps, worsen
+from tools.lab.relocalization.known_map import KnownMap
+from tools.lab.relocalization.simulated import (
+    TOLERANCE,
+    Search,
+    benchmark_relocalization,
+    map_tour,
+    relocalize,
+    search_all,
+)
+
+pytestmark = pytest.mark.slow
+
+SLOW = SimulationConfig(drive=DriveConfig(rate_hz=5.0))
+TIMES = {"load_s", "query_ms"}
+
+
+@pytest.fixture(scope="module")
+def block() -> World:
+    return one_block().shortened(200.0)
+
+
+@pytest.fixture(scope="module")
+def known(block: World) -> KnownMap:
+    return map_tour(block, Config(), SLOW, seed=0)
+
+
+@pytest.fixture(scope="module")
+def search(block: World, known: KnownMap) -> Search:
+    return Search(known, block, Config(), SLOW, first_seed=1)
+
+
+@pytest.fixture(scope="module")
+def kidnaps(block: World) -> list[Kidnap]:
+    return draw_kidnaps(block.tour, count=3, length_m=30.0, rng=np.random.default_rng(2))
+
+
+@pytest.fixture(scope="module")
+def outcomes(search: Search, kidnaps: list[Kidnap]) -> list[Outcome]:
+    return list(search_all(search, kidnaps, jobs=1))
+
+
+def without_times(outcome: Outcome) -> dict[str, object]:
+    return {key: value for key, value in asdict(outcome).items() if key not in TIMES}
+
+
+# The search.
+
+
+def test_on_a_furnished_block_everybody_is_found(outcomes: list[Outcome], kidnaps: list[Kidnap], known: KnownMap):
+    assert known.ate_m < 1.0
+    assert [each.verdict for each in outcomes] == [Verdict.RECOVERED] * 3
+    for outcome, kidnap in zip(outcomes, kidnaps, strict=True):
+        assert (outcome.number, outcome.start_m, outcome.is_along) == (kidnap.number, kidnap.start_m, kidnap.is_along)
+        assert outcome.error_m is not None
+        assert outcome.error_deg is not None
+        assert 0.0 < outcome.error_m <= TOLERANCE.metres
+        assert outcome.error_deg <= TOLERANCE.degrees
+        assert outcome.later_right
+        assert outcome.local_error_m is not None
+        assert outcome.local_error_m <= outcome.error_m + known.ate_m + 0.5
+        assert outcome.distance_m is not None
+        assert 0.0 < outcome.distance_m <= RECOVERED_WITHIN_M
+        # Cruising speed is 8 m/s, and no drive is faster.
+        assert outcome.seconds is not None
+        assert outcome.seconds >= outcome.distance_m / 8.0 - 0.2
+        assert outcome.load_s > 0.0
+        *_, (log_odds, is_right) = outcome.places
+        assert log_odds > 9.0
+        assert is_right
+
+
+@pytest.mark.parametrize("descriptor", ["descriptellation_lr", "ring_likelihood"])
+def test_a_descriptor_alone_finds_everybody(search: Search, kidnaps: list[Kidnap], descriptor: str):
+    """Without triangles and without the exhaustive search."""
+    closing = LoopClosureConfig(descriptor=descriptor, max_candidates_when_lost=0, max_candidates_by_triangles=0)
+    alone = replace(search, config=Config(loop_closure=closing))
+    assert [each.verdict for each in search_all(alone, kidnaps, jobs=1)] == [Verdict.RECOVERED] * 3
+
+
+def test_objects_are_counted_around_the_place_where_it_begins(
+    outcomes: list[Outcome], kidnaps: list[Kidnap], block: World
+):
+    for outcome, kidnap in zip(outcomes, kidnaps, strict=True):
+        count = sum(np.hypot(*(position[:2] - kidnap.tour[0])) <= 30.0 for position in block.positions)
+        assert outcome.objects == count > 0
+
+
+def test_in_the_map_of_another_town_nobody_is_found(search: Search, kidnaps: list[Kidnap], outcomes: list[Outcome]):
+    elsewhere = replace(search, known=map_tour(winding_street().shortened(200.0), Config(), SLOW, seed=0))
+    for kidnap, found in zip(kidnaps, outcomes, strict=True):
+        lost = relocalize(elsewhere, kidnap)
+        assert (lost.verdict, lost.distance_m, lost.later_right) == (Verdict.NOT_FOUND, None, None)
+        assert (lost.seconds, lost.error_m, lost.error_deg) == (None, None, None)
+        assert lost.objects == found.objects
+        assert sum(lost.refusals.values()) >= len(lost.query_ms)
+        assert lost.best_refusal
+
+
+@pytest.mark.parametrize(
+    "T_false", [transform_from_xyz_yaw(np.array([0.0, 2.5, 0.0]), 0.0), transform_from_xyz_yaw(np.zeros(3), 0.1)]
+)
+def test_a_fix_away_from_the_truth_is_wrong_and_was_not_taken_back(
+    search: Search, kidnaps: list[Kidnap], T_false: FloatArray
+):
+    shifted = replace(search.known, T_world_map=T_false @ search.known.T_world_map)
+    outcome, plain = relocalize(replace(search, known=shifted), kidnaps[0]), relocalize(search, kidnaps[0])
+    assert (outcome.verdict, outcome.later_right) == (Verdict.WRONG, False)
+    # Next to where the map's own drive was, it is what it was.
+    assert (outcome.local_error_m, outcome.local_error_deg) == (plain.local_error_m, plain.local_error_deg)
+    assert outcome.places == plain.places
+    assert figures([outcome]).misplaced_rate == 0.0
+
+
+def test_places_are_judged_where_the_map_is(search: Search, kidnaps: list[Kidnap]):
+    turned = transform_from_xyz_yaw(np.array([0.0, 2.5, 0.0]), 0.0)
+    shifted = replace(search.known, T_world_body_gt=turned @ search.known.T_world_body_gt)
+    right, wrong = relocalize(search, kidnaps[0]).places, relocalize(replace(search, known=shifted), kidnaps[0]).places
+    assert [odds for odds, _ in right] == [odds for odds, _ in wrong]
+    assert any(is_right for _, is_right in right)
+    assert not any(is_right for _, is_right in wrong)
+
+
+def test_reliability_is_that_of_all_places():
+    outcomes = [made_up(Verdict.NOT_FOUND, None, None, places=((5.0, True), (9.0, False))), *MADE_UP]
+    found = sum_up(outcomes, world="made up", tour_m=1.0, landmarks=1, map_ate_m=0.0).reliability
+    assert (found.sure_count, found.sure_right) == (2, 1)
+
+
+def test_a_fix_in_a_bent_map_is_at_its_place_and_one_elsewhere_is_not(search: Search, kidnaps: list[Kidnap]):
+    aside = transform_from_xyz_yaw(np.array([0.0, 4.0, 0.0]), 0.0)
+    bent = replace(search.known, T_world_body_gt=aside @ search.known.T_world_body_gt)
+    outcome = relocalize(replace(search, known=bent), kidnaps[0])
+    assert outcome.verdict == Verdict.RECOVERED
+    assert outcome.local_error_m == pytest.approx(4.0, abs=1.0)
+    assert figures([outcome]).misplaced_rate == 1.0
+
+
+class GivesUp(Slam):
+    """Takes back where it is once it has known it for a while."""
+
+    known = 0
+
+    @property
+    def state(self) -> State:
+        return State.LOST if self.known > 3 else super().state
+
+    def process(self, record: Record) -> list[Record]:
+        updates = super().process(record)
+        self.known += any(isinstance(each, SlamPose) for each in updates)
+        return [each for each in updates if self.known <= 3 or not isinstance(each, SlamPose)]
+
+
+class Strays(GivesUp):
+    """Goes on to believe that it is elsewhere."""
+
+    @property
+    def state(self) -> State:
+        return State.TRACKING if self.known > 3 else Slam.state.fget(self)  # type: ignore[attr-defined]
+
+    def process(self, record: Record) -> list[Record]:
+        aside = transform_from_xyz_yaw(np.array([0.0, 3.0, 0.0]), 0.0)
+        updates = Slam.process(self, record)
+        self.known += any(isinstance(each, SlamPose) for each in updates)
+        return [
+            replace(each, T_map_body=aside @ each.T_map_body) if isinstance(each, SlamPose) and self.known > 3 else each
+            for each in updates
+        ]
+
+
+@pytest.mark.parametrize(("kind", "later_right"), [(GivesUp, None), (Strays, False)])
+def test_what_is_believed_after_the_fix_is_told_apart_from_it(
+    search: Search,
+    kidnaps: list[Kidnap],
+    kind: type[Slam],
+    later_right: bool | None,
+    monkeypatch: pytest.MonkeyPatch,
+):
+    plain = relocalize(search, kidnaps[0])
+    monkeypatch.setattr("tools.lab.relocalization.trial.Slam", kind)
+    outcome = relocalize(search, kidnaps[0])
+    assert outcome.later_right is later_right
+    assert plain.later_right is True
+    assert (outcome.verdict, outcome.error_m) == (plain.verdict, plain.error_m)
+
+
+@pytest.mark.parametrize(("max_candidates_when_lost", "verdict"), [(5, Verdict.RECOVERED), (0, Verdict.NOT_FOUND)])
+def test_who_is_lost_is_found_without_descriptors(
+    search: Search,
+    kidnaps: list[Kidnap],
+    max_candidates_when_lost: int,
+    verdict: Verdict,
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """Where descriptors propose nothing all places are tried, if that is wanted."""
+    monkeypatch.setattr(PlaceRetriever, "retrieve", lambda *_, **__: [])
+    closing = LoopClosureConfig(max_candidates_when_lost=max_candidates_when_lost)
+    outcome = relocalize(replace(search, config=Config(loop_closure=closing)), kidnaps[0])
+    assert outcome.verdict == verdict
+
+
+def test_each_drive_has_noise_of_its_own(search: Search, kidnaps: list[Kidnap]):
+    other = relocalize(search, replace(kidnaps[0], number=9))
+    assert other.error_m != relocalize(search, kidnaps[0]).error_m
+
+
+def test_a_robot_that_sees_nothing_is_not_found(search: Search, kidnaps: list[Kidnap]):
+    blind = SLOW.model_copy(update={"sensor": SensorConfig(dropout=1.0, false_positives_per_scan=0.0)})
+    outcome = relocalize(replace(search, simulation=blind), kidnaps[0])
+    assert outcome.verdict == Verdict.NOT_FOUND
+    assert set(outcome.refusals) == {"retrieval"}
+
+
+# The whole.
+
+
+@pytest.fixture(scope="module")
+def measured(block: World) -> tuple[RelocalizationBenchmark, list[float]]:
+    told: list[float] = []
+    return run(block, on_progress=told.append), told
+
+
+def run(world: World, **arguments: object) -> RelocalizationBenchmark:
+    given = {"kidnaps": 2, "seed": 3, "noise": 1.5, "changed": 0.2, "max_travel_m": 20.0, **arguments}
+    return benchmark_relocalization(world.shortened(100.0), Config(), **given)  # type: ignore[arg-type]
+
+
+def test_the_result_has_everything_and_goes_into_json(measured: tuple[RelocalizationBenchmark, list[float]]):
+    result, told = measured
+    assert told == [0.5, 1.0]
+    assert sum(each["count"] for each in result.to_json_dict()["reliability"]["bins"]) > 0
+    json.dumps(result.to_json_dict(), allow_nan=False)
+    assert (result.world, result.tour_m) == ("town", pytest.approx(100.0))
+    assert result.landmarks > 10
+    assert 0.0 < result.map_ate_m < 2.0
+    assert result.load_s > 0.0
+    assert list(result.groups) == [
+        *("same direction", "opposite direction"),
+        *("0-4 objects", "5-9 objects", "10-19 objects", "20+ objects"),
+    ]
+    assert result.total.kidnaps == len(result.outcomes) == 2
+
+
+def test_again_and_in_several_processes_it_gives_the_same(
+    block: World, measured: tuple[RelocalizationBenchmark, list[float]]
+):
+    first, again = measured[0], run(block, jobs=2)
+    assert [without_times(each) for each in again.outcomes] == [without_times(each) for each in first.outcomes]
+    assert (again.total, again.groups, again.map_ate_m) == (first.total, first.groups, first.map_ate_m)
+
+
+def test_another_seed_is_another_map_and_other_places(
+    block: World, measured: tuple[RelocalizationBenchmark, list[float]]
+):
+    other = run(block, seed=4, kidnaps=1, max_travel_m=5.0)
+    assert other.map_ate_m != measured[0].map_ate_m
+    assert other.outcomes[0].start_m != measured[0].outcomes[0].start_m
+
+
+# Verdicts and figures.
+
+
+def test_deviation_is_in_the_plane_and_the_shorter_way_round():
+    a = transform_from_xyz_yaw(np.array([1.0, 2.0, 9.0]), np.deg2rad(179.0))
+    b = transform_from_xyz_yaw(np.array([4.0, -2.0, 0.0]), np.deg2rad(-178.0))
+    assert deviation(a, b) == deviation(b, a) == pytest.approx((5.0, 3.0))
+
+
+def test_verdicts_at_their_limits():
+    metres, degrees = TOLERANCE.metres, TOLERANCE.degrees
+    assert judge(RECOVERED_WITHIN_M, (metres, degrees), TOLERANCE) == Verdict.RECOVERED
+    assert judge(RECOVERED_WITHIN_M + 0.1, (metres, degrees), TOLERANCE) == Verdict.LATE
+    assert judge(1.0, (metres + 0.1, 0.0), TOLERANCE) == Verdict.WRONG
+    assert judge(1.0, (0.0, degrees + 0.1), TOLERANCE) == Verdict.WRONG
+
+
+def made_up(verdict: Verdict, distance_m: float | None, later_right: bool | None, **more: object) -> Outcome:
+    error_m = None if distance_m is None else 7.0 if verdict == Verdict.WRONG else 0.01 * distance_m
+    seconds = None if distance_m is None else distance_m / 8.0
+    known = {"objects": 7, "is_along": True, "start_m": 0.0, "load_s": 0.1, "query_ms": (2.0,), **more}
+    return Outcome(
+        number=0,
+        verdict=verdict,
+        distance_m=distance_m,
+        seconds=seconds,
+        error_m=error_m,
+        error_deg=error_m,
+        local_error_m=error_m if verdict == Verdict.WRONG and distance_m == 2.0 else distance_m and 0.1,
+        local_error_deg=distance_m and 0.1,
+        is_misplaced=None if distance_m is None else verdict == Verdict.WRONG and distance_m == 2.0,
+        later_right=later_right,
+        refusals={},
+        best_refusal="",
+        **known,  # type: ignore[arg-type]
+    )
+
+
+MADE_UP = [
+    made_up(Verdict.RECOVERED, 8.0, True, objects=4),
+    made_up(Verdict.RECOVERED, 10.0, True, objects=5, is_along=False),
+    made_up(Verdict.RECOVERED, 30.0, False, objects=9),
+    made_up(Verdict.LATE, 50.0, None, objects=10),
+    made_up(Verdict.WRONG, 1.0, False, objects=19),
+    made_up(Verdict.WRONG, 2.0, None, objects=20, query_ms=(8.0, 9.0)),
+    made_up(Verdict.WRONG, 3.0, True, objects=400),
+    made_up(Verdict.NOT_FOUND, None, None, objects=0, query_ms=()),
+]
+
+
+def test_figures_of_outcomes_by_hand():
+    told = figures(MADE_UP)
+    rates = (told.success_rate, told.late_rate, told.false_relocalization_rate, told.not_found_rate)
+    assert rates == (3 / 8, 1 / 8, 3 / 8, 1 / 8)
+    assert (told.kidnaps, told.median_distance_m, told.median_seconds) == (8, 20.0, 2.5)
+    assert told.p95_distance_m == pytest.approx(47.0)
+    assert (told.median_error_m, told.median_error_deg) == (0.5, 0.5)
+    assert told.p95_error_m == told.p95_error_deg == 7.0
+    assert told.misplaced_rate == 1 / 8
+    assert told.success_in_map_rate == 5 / 8, "three right ones, and two that only a bent map made wrong"
+    assert told.kept_rate == 2 / 4
+    assert told.revoked_rate == pytest.approx(2 / 3)
+
+
+def test_figures_of_nothing_are_none():
+    empty = asdict(figures([]))
+    assert empty.pop("kidnaps") == 0
+    assert set(empty.values()) == {None}
+    lost = asdict(figures([MADE_UP[-1]]))
+    assert (lost["success_rate"], lost["not_found_rate"]) == (0.0, 1.0)
+    assert lost["median_distance_m"] is lost["median_error_m"] is lost["kept_rate"] is None
+
+
+def test_groups_are_by_direction_and_by_objects_in_range():
+    result = sum_up(MADE_UP, world="w", tour_m=1.0, landmarks=2, map_ate_m=0.3)
+    assert [group.kidnaps for group in result.groups.values()] == [7, 1, 2, 2, 2, 2]
+    assert (result.load_s, result.query_ms) == (0.1, 2.0)
+    assert sum_up([MADE_UP[-1]], world="w", tour_m=1.0, landmarks=2, map_ate_m=0.3).query_ms is None
+
+
+# Where the robot is put down.
+
+
+def lengths(tour: FloatArray) -> float:
+    return float(np.sum(np.linalg.norm(np.diff(tour, axis=0), axis=1)))
+
+
+def on_segments(point: FloatArray, tour: FloatArray) -> Iterator[float]:
+    """Where along the tour (M, 2) a point of it is: several times if the tour comes by again."""
+    begun_m = 0.0
+    for start, end in pairwise(tour):
+        length_m = float(np.linalg.norm(end - start))
+        along_m = float((point - start) @ (end - start)) / length_m
+        beside_m = np.linalg.norm(start + along_m * (end - start) / length_m - point)
+        if -1e-6 <= along_m <= length_m + 1e-6 and beside_m < 1e-6:
+            yield begun_m + along_m
+        begun_m += length_m
+
+
+def test_pieces_lie_on_the_tour_and_run_either_way(block: World):
+    drawn = draw_kidnaps(block.tour, count=200, length_m=50.0, rng=np.random.default_rng(5))
+    assert [each.number for each in drawn] == list(range(200))
+    assert 60 < sum(each.is_along for each in drawn) < 140
+    for each in drawn:
+        assert lengths(each.tour) == pytest.approx(50.0)
+        end_m = each.start_m + (50.0 if each.is_along else -50.0)
+        for point, along_m in ((each.tour[0], each.start_m), (each.tour[-1], end_m)):
+            assert min(abs(found - along_m) for found in on_segments(point, block.tour)) < 1e-6
+        corners = {tuple(corner) for corner in block.tour.tolist()}
+        assert all(tuple(point) in corners for point in each.tour[1:-1].tolist())
+    starts_m = np.array([each.start_m for each in drawn])
+    assert starts_m.min() < 20.0
+    assert starts_m.max() > lengths(block.tour) - 20.0
+
+
+def test_a_tour_that_is_shorter_is_driven_from_end_to_end():
+    tour = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 5.0]])
+    for each in draw_kidnaps(tour, count=20, length_m=50.0, rng=np.random.default_rng(0)):
+        np.testing.assert_allclose(each.tour, tour if each.is_along else tour[::-1])
+        assert each.start_m == (0.0 if each.is_along else 15.0)
+
+
+def test_places_that_cannot_be_are_refused(block: World):
+    rng = np.random.default_rng(0)
+    for count, length_m, tour in ((0, 50.0, block.tour), (3, 0.0, block.tour), (3, 50.0, np.zeros((4, 2)))):
+        with pytest.raises(SimulationError, match="above 0"):
+            draw_kidnaps(tour, count=count, length_m=length_m, rng=rng)
+
+
+# What changed in the meantime.
+
+
+def test_that_share_of_the_objects_is_replaced_and_the_others_stay():
+    block = one_block()
+    far = replace(
+        block,
+        object_ids=(*block.object_ids, "far"),
+        positions=np.vstack([block.positions, [900.0, 900.0, 0.0]]),
+        labels=(*block.labels, "tower"),
+    )
+    changed = change_world(far, 0.25, reach_m=30.0, rng=np.random.default_rng(1))
+    new = set(changed.object_ids) - set(far.object_ids)
+    assert len(new) == round(0.25 * len(block.object_ids)) == len(set(far.object_ids) - set(changed.object_ids))
+    assert "far" in changed.object_ids
+    where = dict(zip(far.object_ids, zip(far.labels, far.positions.tolist(), strict=True), strict=True))
+    for name, label, position in zip(changed.object_ids, changed.labels, changed.positions.tolist(), strict=True):
+        assert name in new or where[name] == (label, position)
+    np.testing.assert_array_equal(changed.tour, far.tour)
+
+
+def test_new_objects_stand_beside_the_tour_with_classes_of_the_world(block: World):
+    street = replace(block, tour=np.array([[0.0, 0.0], [100.0, 0.0]]))
+    changed = change_world(street, 1.0, reach_m=100.0, rng=np.random.default_rng(1))
+    new = np.array([name.startswith("new") for name in changed.object_ids])
+    off_m = changed.positions[new, 1]
+    assert np.all((np.abs(off_m) >= BESIDE_M[0]) & (np.abs(off_m) <= BESIDE_M[1]))
+    assert np.any(off_m > 0.0)
+    assert np.any(off_m < 0.0)
+    assert np.ptp(changed.positions[new, 0]) > 70.0
+    assert set(changed.labels) <= set(street.labels)
+    assert len(set(changed.labels)) > 3
+
+
+def test_nothing_changes_without_a_share_and_shares_are_shares(block: World):
+    rng = np.random.default_rng(0)
+    assert change_world(block, 0.0, reach_m=30.0, rng=rng).sha256() == block.sha256()
+    for share in (-0.1, 1.1, np.nan):
+        with pytest.raises(SimulationError, match="0 to 1"):
+            change_world(block, share, reach_m=30.0, rng=rng)
+
+
+def test_a_worse_sensor_is_that_much_worse_and_probabilities_stay_below_one():
+    sensor = SensorConfig()
+    assert worsen(sensor, 1.0) == sensor
+    twice, far_worse = worsen(sensor, 2.0), worsen(sensor, 50.0)
+    errors = ("noise_base_m", "noise_per_m", "dropout", "false_positives_per_scan", "misclassification")
+    assert [getattr(twice, name) for name in errors] == [2.0 * getattr(sensor, name) for name in errors]
+    assert (far_worse.dropout, far_worse.misclassification) == (1.0, 1.0)
+    assert twice.max_range_m == sensor.max_range_m

@@ -1,0 +1,1 @@
+"""False closures, and what they do to a trajectory."""

@@ -1,0 +1,68 @@
+"""dslam benchmark fleet."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tools.arguments import Json
+
+
+def fleet(
+    folder: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Where logs and maps go.")],
+    city: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="DIR", help="Folder with objects.csv and trajectory.csv. Repeatable.", show_default=False),
+    ] = None,
+    drives: Annotated[int, typer.Option(min=1, help="In each city and in the generated town.")] = 8,
+    length: Annotated[float, typer.Option(min=50.0, help="Of a drive [m].")] = 250.0,
+    months: Annotated[int, typer.Option(min=1, help="Over which they are spread.")] = 4,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Tasks at a time. \\[default: one a core]", show_default=False)
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the simulation.")] = 0,
+    json: Json = False,
+) -> None:
+    """Simulate a fleet in cities that change from month to month, map it, and compare the map with the truth.
+
+    Ten robots have noise of their own, a tenth of the objects changes each month, and a tenth of the logs is damaged or
+    of another town.
+
+    Example: dslam benchmark fleet -o out/fleet --drives 8 --city helsinki --city hamburg
+    """
+    from dataclasses import asdict
+
+    from slam.fleet.engine import open_engine
+    from tools import console
+    from tools.lab.fleets.run import benchmark_fleet
+    from tools.lab.fleets.simulated_fleet import FleetPlan
+
+    plan = FleetPlan(drives=drives, length_m=length, area_m=1.4 * length, months=months)
+    with (
+        open_engine(workers or os.cpu_count() or 1) as engine,
+        console.progress_line("fleet") as progress,
+    ):
+        score, cost = benchmark_fleet(
+            folder, city or [], plan, engine, seed=seed, **({"progress": progress} if progress else {})
+        )
+    if json:
+        console.show_json({**asdict(score), **asdict(cost)})
+        return
+    console.show(
+        console.pairs(
+            {
+                "logs": f"{score.logs}, {score.unusable} of them damaged or of another town",
+                "joined": f"{score.joined} in {score.parts} maps, {score.unjoined} not; {score.false_joins} false",
+                "landmarks": f"{score.landmarks}, RMSE {score.rmse_m:.3f} m, median {score.median_m:.3f} m; in maps of "
+                f"single drives RMSE {score.single_rmse_m:.3f} m, median {score.single_median_m:.3f} m",
+                "duplicates": f"{100 * score.duplicates:.2f} %",
+                "changes": f"{score.changes_told} told, precision {score.change_precision:.3f}; {score.changes_true} "
+                f"that two drives before and after could show, recall {score.change_recall:.3f}",
+                "cost": f"{cost.wall_s:.0f} s; mapping {cost.mapping_s:.0f} s, finding places {cost.finding_s:.0f} s, "
+                f"joining {cost.joining_s:.0f} s of the processor; {cost.session_mb:.2f} MB a session",
+            }
+        )
+    )

@@ -1,0 +1,1 @@
+"""Descriptors and registration, measured on single queries."""

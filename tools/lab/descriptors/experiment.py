@@ -1,0 +1,270 @@
+"""Localization of single scans with each descriptor, by the experiment of the Descriptellation paper (Section IV).
+
+Verification and acceptance are those of :class:`slam.scan_localization.ScanLocalizer`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from descriptors.constellation import Constellations, gather_constellations
+from descriptors.index import ConstellationIndex
+from descriptors.registry import make_index
+from logs.messages import ObjectDetections
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.config import Config
+from slam.common.errors import SimulationError
+from slam.loop_closure.candidate import Candidate, Query
+from slam.scan_localization import ScanLocalizer
+from tools.lab.descriptors.queries import SCENARIOS, LabelledMap, LocalQuery, Scenario, draw_queries
+
+EXHAUSTIVE = "exhaustive search"
+AS_SHIPPED = "as shipped"
+"""Triangles, the default descriptor and the exhaustive search together."""
+
+SUCCESS_M = 1.0
+MISPLACED_M = 10.0
+TOP = 5
+MAP_SIGMA_M = 0.05
+NOISE_PER_M = 0.08
+"""Of a noisy query's positions by range, along any axis: 0.1 / sqrt(3) from its error, and as much from the scale."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One method in one scenario.
+
+    ``success`` and ``deviation`` over the seeds: shares of the queries that are accepted within 1 m. ``of_ceiling``:
+    that success by the one with true correspondences, None if that is 0. ``misplaced``: share that is accepted farther
+    than 10 m off. ``likeliest``: share whose likeliest candidate is within 1 m, accepted or not. ``top_5``: share of
+    the objects seen whose counterpart is among their 5 nearest descriptors, None without a descriptor. ``query_ms`` is
+    a median.
+    """
+
+    method: str
+    scenario: str
+    success: float
+    deviation: float
+    ceiling: float
+    of_ceiling: float | None
+    misplaced: float
+    likeliest: float
+    top_5: float | None
+    query_ms: float
+
+
+@dataclass(frozen=True, slots=True)
+class DescriptorBenchmark:
+    """All cells of a map of ``objects`` objects, and how long each method took to take in the map."""
+
+    objects: int
+    classes: int
+    queries: int
+    seeds: int
+    neighbours: int
+    cells: tuple[Cell, ...]
+    build_s: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """What a method found for a query: the accepted pose ``T_map_query`` and that of the likeliest candidate, (4, 4) or
+    None; and the time that it took, in seconds.
+    """
+
+    T_map_query: FloatArray | None
+    T_map_likeliest: FloatArray | None
+    seconds: float
+
+
+Localizer = Callable[[LocalQuery, Scenario], Answer]
+"""Finds a query, whose noise is that of the scenario."""
+
+
+def benchmark_descriptors(
+    objects: LabelledMap,
+    tour: FloatArray,
+    methods: Sequence[str],
+    *,
+    neighbours: int,
+    queries: int,
+    seeds: int,
+    registration: str = "vote",
+    on_progress: Callable[[str], None] = lambda line: None,
+) -> DescriptorBenchmark:
+    """Every method on the same queries, on one thread.
+
+    Args:
+        objects: the map.
+        tour: (M, 2) m, where queries are drawn.
+        methods: names of descriptors, :data:`EXHAUSTIVE` or :data:`AS_SHIPPED`.
+        neighbours: nearest descriptors of each object that retrieval takes.
+        queries: for each scenario and seed.
+        seeds: 0 to ``seeds`` - 1.
+        registration: how matches propose poses, as in ``registration.method``.
+        on_progress: called with what was measured.
+
+    Raises:
+        DescriptorError: a descriptor that does not exist, or that the map's classes are too many for.
+        SimulationError: nothing to measure, a tour without length, or without an object in sight.
+    """
+    if queries < 1 or seeds < 1:
+        raise SimulationError(f"{queries} queries and {seeds} seeds; give at least one of each")
+    for method in methods:  # what cannot be made is refused before anything is measured
+        if method not in (EXHAUSTIVE, AS_SHIPPED):
+            make_index(method)
+    drawn = {
+        scenario.name: [
+            draw_queries(objects, tour, scenario, count=queries, rng=np.random.default_rng((seed, number)))
+            for seed in range(seeds)
+        ]
+        for number, scenario in enumerate(SCENARIOS)
+    }
+    cells: list[Cell] = []
+    build_s: dict[str, float] = {}
+    with threadpool_limits(limits=1):
+        for method in methods:
+            started = time.perf_counter()
+            localize = make_localizer(method, objects, neighbours, registration)
+            build_s[method] = time.perf_counter() - started
+            for scenario in SCENARIOS:
+                cell = _measure(method, localize, objects, scenario, drawn[scenario.name])
+                cells.append(cell)
+                on_progress(f"{method}, {scenario.name}: {100 * cell.success:.1f} %")
+    return DescriptorBenchmark(len(objects), len(objects.vocabulary), queries, seeds, neighbours, tuple(cells), build_s)
+
+
+def make_localizer(method: str, objects: LabelledMap, neighbours: int, registration: str = "vote") -> Localizer:
+    """Take in a map for one method: a descriptor's name, :data:`EXHAUSTIVE` or :data:`AS_SHIPPED`."""
+    record = objects.to_record()
+    localizers = {
+        noisy: ScanLocalizer(record, localizer_config(method, neighbours, registration, noisy=noisy))
+        for noisy in (False, True)
+    }
+
+    def localize(query: LocalQuery, scenario: Scenario) -> Answer:
+        localizer = localizers[scenario.noisy]
+        scan = ObjectDetections(0, "scan", query.positions, objects.names(query.labels), np.ones(len(query)))
+        return _answer(localizer, localizer.query(scan), method)
+
+    return localize
+
+
+def _answer(localizer: ScanLocalizer, query: Query, method: str) -> Answer:
+    started = time.perf_counter()
+    if not localizer.has_enough_objects(query):
+        return Answer(None, None, time.perf_counter() - started)
+    propose = {AS_SHIPPED: localizer.propose, EXHAUSTIVE: localizer.search_exhaustively}.get(method, localizer.retrieve)
+    verified = propose(query)
+    accepted = localizer.decide(query, verified).accepted
+    seconds = time.perf_counter() - started
+    candidates = [each for each in verified if isinstance(each, Candidate)]
+    return Answer(_pose(accepted), _pose(max(candidates, key=lambda each: each.score, default=None)), seconds)
+
+
+def _pose(candidate: Candidate | None) -> FloatArray | None:
+    return None if candidate is None else candidate.T_local_query
+
+
+def localizer_config(method: str, neighbours: int, registration: str = "vote", *, noisy: bool = False) -> Config:
+    """What ships, but the noise of the queries is known, and a descriptor alone retrieves.
+
+    The map is exact. The noise that grows with the range is halved between the two submaps that are compared.
+    """
+    config = Config()
+    of_descriptor = {"descriptor": method, "top_k": neighbours, "max_candidates_by_triangles": 0}
+    retrieval = {} if method in (EXHAUSTIVE, AS_SHIPPED) else of_descriptor
+    per_m = NOISE_PER_M / np.sqrt(2.0) if noisy else 0.0
+    config = config.calibrated({"objects.landmark_sigma_m": MAP_SIGMA_M, "objects.landmark_sigma_per_m": per_m})
+    return config.model_copy(
+        update={
+            "loop_closure": config.loop_closure.model_copy(update=retrieval),
+            "registration": config.registration.model_copy(update={"method": registration, "estimate_scale": noisy}),
+        }
+    )
+
+
+def query_sigmas(query: LocalQuery, scenario: Scenario) -> FloatArray:
+    """Noise (N,) m of the positions of a query, which grows with the range."""
+    ranges = np.linalg.norm(query.positions, axis=1)
+    return np.asarray(MAP_SIGMA_M + (NOISE_PER_M * ranges if scenario.noisy else 0.0 * ranges))
+
+
+def _measure(
+    method: str, localize: Localizer, objects: LabelledMap, scenario: Scenario, drawn: list[list[LocalQuery]]
+) -> Cell:
+    answers = [[localize(query, scenario) for query in queries] for queries in drawn]
+    success = [
+        np.mean([hits(a.T_map_query, q) for a, q in zip(each, queries, strict=True)])
+        for each, queries in zip(answers, drawn, strict=True)
+    ]
+    asked = [query for queries in drawn for query in queries]
+    ceiling = np.mean([hits(fit_truth(objects, query, scenario), query) for query in asked])
+    flat = [answer for each in answers for answer in each]
+    accepted = [(a.T_map_query, q) for a, q in zip(flat, asked, strict=True) if a.T_map_query is not None]
+    return Cell(
+        method=method,
+        scenario=scenario.name,
+        success=float(np.mean(success)),
+        deviation=float(np.std(success)),
+        ceiling=float(ceiling),
+        of_ceiling=float(np.mean(success) / ceiling) if ceiling else None,
+        misplaced=sum(not hits(T, q, within_m=MISPLACED_M) for T, q in accepted) / len(asked),
+        likeliest=float(np.mean([hits(a.T_map_likeliest, q) for a, q in zip(flat, asked, strict=True)])),
+        top_5=None if method in (EXHAUSTIVE, AS_SHIPPED) else top_share(method, objects, asked, TOP),
+        query_ms=1e3 * float(np.median([a.seconds for a in flat])),
+    )
+
+
+def hits(T_map_query: FloatArray | None, query: LocalQuery, *, within_m: float = SUCCESS_M) -> bool:
+    """Whether a pose (4, 4) is that near to the query's."""
+    if T_map_query is None:
+        return False
+    return bool(np.linalg.norm((T_map_query - query.T_map_query_gt)[:2, 3]) < within_m)
+
+
+def top_share(method: str, objects: LabelledMap, queries: Sequence[LocalQuery], count: int) -> float | None:
+    """Share of the objects of a query whose counterpart is among their ``count`` nearest, its mean over the queries."""
+    index = make_index(method)
+    index.add(_constellations(objects.positions, objects.labels, objects, index))
+    everywhere = np.ones(len(objects), dtype=np.bool_)
+    shares = []
+    for query in queries:
+        if len(query):
+            matches = index.search(_constellations(query.positions, query.labels, objects, index), count, everywhere)
+            shares.append(np.count_nonzero(query.objects[matches.queries] == matches.entries) / len(query))
+    return float(np.mean(shares)) if shares else None
+
+
+def _constellations(
+    positions: FloatArray, labels: IntArray, objects: LabelledMap, index: ConstellationIndex
+) -> Constellations:
+    return gather_constellations(positions, labels, objects.vocabulary, radius_m=index.radius_m)
+
+
+def fit_truth(objects: LabelledMap, query: LocalQuery, scenario: Scenario) -> FloatArray | None:
+    """The pose (4, 4) by least squares over the true correspondences: the ceiling of every matcher.
+
+    Weighted by the inverse square of the noise, with a scale where a query has one. None for fewer than two objects.
+    """
+    if len(query) < 2:
+        return None
+    seen = query.positions[:, 0] + 1j * query.positions[:, 1]
+    known = objects.positions[query.objects, 0] + 1j * objects.positions[query.objects, 1]
+    weights = 1.0 / query_sigmas(query, scenario) ** 2
+    weights /= weights.sum()
+    seen_middle, known_middle = weights @ seen, weights @ known
+    product = np.sum(weights * np.conj(seen - seen_middle) * (known - known_middle))
+    spread = np.sum(weights * np.abs(seen - seen_middle) ** 2)
+    if not (abs(product) > 0.0 and spread > 0.0):
+        return None
+    turn = product / spread if scenario.noisy else product / abs(product)
+    place = known_middle - turn * seen_middle
+    T_map_query = query.T_map_query_gt.copy()
+    T_map_query[:2, 3] = place.real, place.imag
+    return T_map_query

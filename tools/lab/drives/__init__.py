@@ -1,0 +1,1 @@
+"""Whole drives: mapped in processes of their own, and evaluated."""

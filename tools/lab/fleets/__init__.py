@@ -1,0 +1,1 @@
+"""Simulated fleets, and how right their maps are."""
