@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tools.arguments import ConfigFile, InputLog, Json, Settings, Topics, check_outputs, parse_topics
+from tools.lab.tables import number, show, to_markdown
 from tools.replay import noted_counters, rejected_by_odometry_note
 
 if TYPE_CHECKING:
-    from tools.lab.drives.fault_runs import FaultRun
+    from tools.lab.drives.mapped_drive import MappedDrive
+
+CLEAN = "none"
 
 
 def faults(
@@ -41,64 +45,77 @@ def faults(
     """
     chosen = parse_topics(topics)
     check_outputs([output], [log, config_file])
-    from dataclasses import asdict
+    from tempfile import TemporaryDirectory
 
     from slam.common.config import load_config
+    from slam.common.errors import EvaluationError
+    from slam.evaluation.inputs.records import read_records
     from slam.simulation.faults.registry import all_cases
+    from slam.sweeps.cells import write_text
     from tools import console
-    from tools.lab.drives.fault_runs import CLEAN, benchmark_faults
+    from tools.lab.drives.mapped_drive import DriveTask, map_drives
 
     config = load_config(config_file, settings or ())
-    cases = all_cases(only or ())
-    order = [CLEAN, *(case.name for case in cases)]
-    runs: dict[str, FaultRun] = {}
-    for run in benchmark_faults(log, cases, config, seed=seed, jobs=jobs, topics=chosen):
-        runs[run.fault] = run
-        _print_progress(run, len(runs), len(order))
-        finished = [runs[name] for name in order if name in runs]
-        if output is not None:
-            _write(output, log, seed, finished)
+    names = [CLEAN, *(case.name for case in all_cases(only or ()))]
+    if not read_records(log, topics=chosen).true_poses:
+        raise EvaluationError(
+            f"{log} holds no true poses (/ground_truth), so no error can be measured; give one that does"
+        )
+    runs: dict[str, MappedDrive] = {}
+    with TemporaryDirectory() as folder:
+        tasks = [
+            DriveTask(name, log, config, Path(folder), chosen, () if name == CLEAN else (name,), seed) for name in names
+        ]
+        for run in map_drives(tasks, jobs=jobs):
+            runs[run.name] = run
+            _print_progress(run, len(runs), len(names))
+            rows = [table_row(runs[name]) for name in names if name in runs]
+            if output is not None:  # so that one that is interrupted is not lost
+                title = f"# Faults of the input of {log.name}, seed {seed}"
+                write_text(output, f"{title}\n\n{to_markdown(rows, texts=['reported'])}\n")
     if json:
-        rows = [{**asdict(run), "reported": report_of(run)} for run in finished]
-        console.show_json({"log": str(log), "seed": seed, "runs": rows})
+        results = [
+            {**asdict(runs[name]), "fault": name, "ate_m": runs[name].figure("trajectory.ate_m"),
+             "reported": report_of(runs[name])}
+            for name in names
+        ]  # fmt: skip
+        console.show_json({"log": str(log), "seed": seed, "runs": results})
     else:
-        _show(finished, output)
+        show(rows, *([f"written {output}"] if output is not None else []), texts=["reported"])
 
 
-def report_of(run: FaultRun) -> str:
-    """What 'dslam replay' prints of the run beside its numbers: final status, warnings, closures taken out, doubts."""
-    warnings = ", ".join(noted_counters(run.counters)) or "none"
-    doubted = rejected_by_odometry_note(run.counters.get("closures_rejected_by_odometry", 0)).removeprefix("; ")
-    withdrawn = run.counters.get("closures_removed", 0)
-    said = [f"status: {run.final_status}", f"warnings: {warnings}"]
-    said += [f"{withdrawn} closures removed as outliers"] if withdrawn else []
-    said += [doubted] if doubted else []
-    said += [f"of the log: {note}" for note in run.notes]
-    return "; ".join([*said, *(f"on the way: {text}" for text in run.warnings if text != run.final_status)])
+def table_row(run: MappedDrive) -> dict[str, str]:
+    """The cells of a drive with a fault by their headings."""
+    return {
+        "fault": run.name,
+        "ATE m": number(run.figure("trajectory.ate_m"), 3),
+        "odometry ATE m": number(run.figure("trajectory.odometry_ate_m"), 3),
+        "closures accepted": number(run.figure("closures.accepted_count"), 0),
+        "precision": number(run.figure("closures.precision"), 3),
+        "false": number(run.figure("closures.false_count"), 0),
+        "landmarks": number(run.summary.counters.get("landmarks_confirmed", 0) if run.summary else None, 0),
+        "reported": report_of(run),
+        "s": number(run.seconds, 0),
+    }
 
 
-def _print_progress(run: FaultRun, done: int, total: int) -> None:
-    from tools.lab.drives.fault_table import HEADINGS, table_row
+def report_of(run: MappedDrive) -> str:
+    """What 'dslam replay' prints of the run beside its numbers: final status, warnings, closures removed, doubts."""
+    if run.summary is None:
+        return f"error: {run.error}"
+    counters = run.summary.counters
+    warnings = ", ".join(noted_counters(counters)) or "none"
+    doubted = rejected_by_odometry_note(counters.get("closures_rejected_by_odometry", 0)).removeprefix("; ")
+    removed = counters.get("closures_removed", 0)
+    parts = [f"status: {run.summary.final_status}", f"warnings: {warnings}"]
+    parts += [f"{removed} closures removed as outliers"] if removed else []
+    parts += [doubted] if doubted else []
+    parts += [f"of the log: {note}" for note in run.summary.notes]
+    return "; ".join([*parts, *(f"on the way: {text}" for text in run.warnings if text != run.summary.final_status)])
 
-    cells = dict(zip(HEADINGS, table_row(run, ""), strict=True))
-    measured = f"ATE {cells['ATE m']} m, {cells['closures accepted']} closures, {cells['s']} s"
+
+def _print_progress(run: MappedDrive, done: int, total: int) -> None:
+    row = table_row(run)
+    measured = f"ATE {row['ATE m']} m, {row['closures accepted']} closures, {row['s']} s"
     what = f"error: {run.error}" if run.error else measured
-    print(f"[{done}/{total}] {run.fault}: {what}", file=sys.stderr, flush=True)
-
-
-def _write(output: Path, log: Path, seed: int, runs: list[FaultRun]) -> None:
-    """The table so far, so that one that is interrupted is not lost."""
-    from slam.sweeps.cells import write_text
-    from tools.lab.drives.fault_table import render_markdown, table_row
-
-    write_text(output, render_markdown(log, seed, [table_row(run, report_of(run)) for run in runs]))
-
-
-def _show(runs: list[FaultRun], output: Path | None) -> None:
-    from tools import console
-    from tools.lab.drives.fault_table import HEADINGS, table_row
-
-    table = console.grid({heading: heading not in ("fault", "reported") for heading in HEADINGS})
-    for run in runs:
-        table.add_row(*table_row(run, report_of(run)))
-    console.show(table, *([f"written {output}"] if output is not None else []))
+    print(f"[{done}/{total}] {run.name}: {what}", file=sys.stderr, flush=True)

@@ -10,26 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings, check_outputs
+from tools.lab.tables import number, percent, show, to_markdown
 from tools.replay import noted_counters
 
 if TYPE_CHECKING:
-    from tools.lab.drives.robot_runs import RobotRun
-
-HEADINGS = {
-    "odom. m": "odometry ATE m",
-    "ATE m": "ATE m",
-    "landmarks": "landmarks",
-    "objects": "true objects",
-    "right %": "associations right %",
-    "closures": "closures",
-    "precise %": "precision %",
-    "indep.": "independent discoveries: false at most %",
-    "recall %": "revisit recall %",
-    "known %": "recognised %",
-    "x real": "x real time",
-    "GB": "peak GB",
-}
-"""Short headings, for a terminal, and full ones."""
+    from slam.common.config import Config
+    from tools.lab.drives.mapped_drive import MappedDrive
+    from tools.lab.drives.robot_drives import RobotDrive
 
 EXPLANATION = """\
 ATE: root mean square error of the positions, aligned by SE(3), of the odometry and of the final trajectory.
@@ -65,85 +52,117 @@ def robots(
 
     Example: dslam benchmark robots data/robots -o robots.md --drive evo --set keyframe.distance_m=1.5
     """
-    from dataclasses import asdict
     from importlib.metadata import version
 
     from slam.common.config import Config, load_config
     from slam.sweeps.cells import write_text
     from tools import console
     from tools.lab.drives.robot_drives import find_drives
-    from tools.lab.drives.robot_runs import run_drives
 
     check_outputs([output], [config_file])
     config = load_config(config_file, settings or ())
     changed = dict(_differences(config.model_dump(mode="json"), Config().model_dump(mode="json")))
     drives = find_drives(data, drive or ())
     command = _command(data, drive or (), config_file, settings or ())
-    runs: list[RobotRun] = []
-    for number, run in enumerate(run_drives(drives, config), start=1):
+    runs: list[MappedDrive] = []
+    for done, run in enumerate((map_robot(each, config) for each in drives), start=1):
         runs.append(run)
-        how = f"{run.figures.wall_s:.0f} s" if run.figures else f"failed: {run.failure}"
-        typer.echo(f"{number} of {len(drives)}: {run.drive}, {how}", err=True)
+        how = f"failed: {run.error}" if run.error else f"{run.seconds:.0f} s"
+        typer.echo(f"{done} of {len(drives)}: {run.name}, {how}", err=True)
         if output is not None:  # after each drive, for they may take hours
-            write_text(output, _markdown(runs, command, changed))
+            write_text(output, _page(runs, command, changed))
     if json:
-        results = [{**asdict(run), "notes": _notes(run)} for run in runs]
+        results = [
+            {"drive": run.name, "figures": figures_of(run) or None, "failure": run.error, "notes": _notes(run)}
+            for run in runs
+        ]
         console.show_json({"version": version("descriptellation-slam"), "settings": changed, "drives": results})
     else:
-        _show(runs)
+        show([_row(run) for run in runs], *(f"{run.name}: {note}" for run in runs for note in _notes(run)))
 
 
-def _show(runs: Sequence[RobotRun]) -> None:
-    from tools import console
+def map_robot(drive: RobotDrive, config: Config) -> MappedDrive:
+    """Import a drive, map it in a process of its own and evaluate it."""
+    from tempfile import TemporaryDirectory
 
-    table = console.grid({"drive": False, **dict.fromkeys(HEADINGS, True)})
-    for run in runs:
-        table.add_row(run.drive, *_cells(run))
-    notes = [f"{run.drive}: {note}" for run in runs for note in _notes(run)]
-    console.show(table, *notes)
+    from logs.errors import LogError
+    from slam.common.errors import SlamError
+    from tools.lab.drives.mapped_drive import DriveTask, MappedDrive, map_drives
+    from tools.lab.drives.robot_drives import import_drive
 
-
-def _cells(run: RobotRun) -> list[str]:
-    from slam.evaluation.metrics.statistics import UNDEFINED
-
-    f = run.figures
-    if f is None:
-        return ["failed", *[""] * (len(HEADINGS) - 1)]
-    cells = (
-        None if f.odometry_ate_m is None else f"{f.odometry_ate_m:.3f}",
-        None if f.ate_m is None else f"{f.ate_m:.3f}",
-        str(f.landmarks_confirmed),
-        None if f.object_count is None else str(f.object_count),
-        _percent(f.associations_precision),
-        None if f.closures_accepted is None else str(f.closures_accepted),
-        _percent(f.closures_precision),
-        _discoveries(f.discoveries_independent, f.discoveries_false_share),
-        _percent(f.revisit_recall),
-        _percent(f.revisits_recognised),
-        f"{f.real_time_factor:.1f}",
-        f"{f.peak_memory_bytes / 1e9:.2f}",
-    )
-    return [UNDEFINED if cell is None else cell for cell in cells]
+    with TemporaryDirectory() as folder:
+        log = Path(folder) / "drive.mcap"
+        try:
+            import_drive(drive, log)
+        except (LogError, SlamError) as error:
+            return MappedDrive(drive.name, error=str(error))
+        (run,) = map_drives([DriveTask(drive.name, log, config, Path(folder))])
+    return run
 
 
-def _discoveries(independent: int | None, false_share: float | None) -> str | None:
-    if independent is None or false_share is None:
-        return None if independent is None else str(independent)
-    return f"{independent}: {100.0 * false_share:.0f}"
+def figures_of(run: MappedDrive) -> dict[str, Any]:
+    """The figures of a drive by name, None where the drive or its truth leaves one undefined; none of a failure."""
+    if run.summary is None:
+        return {}
+    has_closures = run.evaluation.get("closures") is not None
+    return {
+        "odometry_ate_m": run.figure("trajectory.odometry_ate_m"),
+        "ate_m": run.figure("trajectory.ate_m"),
+        "landmarks_confirmed": run.summary.counters.get("landmarks_confirmed", 0),
+        "object_count": run.object_count,
+        "associations_precision": run.figure("associations.precision"),
+        "closures_accepted": run.figure("closures.accepted_count") if has_closures else None,
+        "closures_precision": run.figure("closures.precision"),
+        "discoveries_independent": run.figure("closures.independent_count"),
+        "discoveries_false_share": run.figure("closures.largest_false_share"),
+        "revisit_recall": run.figure("closures.recall"),
+        "revisits_recognised": run.figure("closures.recognised"),
+        "log_s": run.summary.log_s,
+        "wall_s": run.seconds,
+        "peak_memory_bytes": run.peak_memory_bytes,
+        "counters": dict(run.summary.counters),
+        "final_status": run.summary.final_status,
+    }
 
 
-def _percent(share: float | None) -> str | None:
-    return None if share is None else f"{100.0 * share:.1f}"
+def _row(run: MappedDrive, *, in_full: bool = False) -> dict[str, str]:
+    cells = _cells(figures_of(run), in_full=in_full)
+    if run.summary is None:
+        cells = dict.fromkeys(cells, "") | {next(iter(cells)): "failed"}
+    return {"drive": run.name, **cells}
 
 
-def _notes(run: RobotRun) -> list[str]:
-    """What went wrong: the reason of a failure, what was counted, and a status other than that all is well."""
-    if run.figures is None:
-        return [run.failure]
-    counted = noted_counters(run.figures.counters)
-    doubts = run.figures.final_status.removeprefix("optimised").removeprefix("; ")
-    status = [doubts] if doubts else []
-    return [", ".join(counted + status)] if counted or status else []
+def _cells(figures: Mapping[str, Any], *, in_full: bool) -> dict[str, str]:
+    """Figures by their headings, short ones for a terminal."""
+    get = figures.get
+    independent, false_share = get("discoveries_independent"), get("discoveries_false_share")
+    discoveries = number(independent, 0) + ("" if false_share is None else f": {100.0 * false_share:.0f}")
+    speed = figures["log_s"] / figures["wall_s"] if figures else None
+    cells = {
+        ("odom. m", "odometry ATE m"): number(get("odometry_ate_m"), 3),
+        ("ATE m", "ATE m"): number(get("ate_m"), 3),
+        ("landmarks", "landmarks"): number(get("landmarks_confirmed"), 0),
+        ("objects", "true objects"): number(get("object_count"), 0),
+        ("right %", "associations right %"): percent(get("associations_precision")),
+        ("closures", "closures"): number(get("closures_accepted"), 0),
+        ("precise %", "precision %"): percent(get("closures_precision")),
+        ("indep.", "independent discoveries: false at most %"): discoveries,
+        ("recall %", "revisit recall %"): percent(get("revisit_recall")),
+        ("known %", "recognised %"): percent(get("revisits_recognised")),
+        ("x real", "x real time"): number(speed, 1),
+        ("GB", "peak GB"): number(get("peak_memory_bytes"), 2, 1e-9),
+    }
+    return {heading[in_full]: cell for heading, cell in cells.items()}
+
+
+def _notes(run: MappedDrive) -> list[str]:
+    """The reason of a failure, what was counted, and a final status other than that all is well."""
+    if run.summary is None:
+        return [run.error]
+    counted = noted_counters(run.summary.counters)
+    doubts = run.summary.final_status.removeprefix("optimised").removeprefix("; ")
+    notes = [*counted, *([doubts] if doubts else [])]
+    return [", ".join(notes)] if notes else []
 
 
 def _command(data: Path, names: Sequence[str], config_file: Path | None, settings: Sequence[str]) -> str:
@@ -163,26 +182,10 @@ def _differences(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> Iter
             yield name, value
 
 
-def _markdown(runs: Sequence[RobotRun], command: str, changed: Mapping[str, Any]) -> str:
+def _page(runs: Sequence[MappedDrive], command: str, changed: Mapping[str, Any]) -> str:
     from importlib.metadata import version
 
-    headings = ("drive", *HEADINGS.values(), "warnings")
     settings = ", ".join(f"`{name}={value}`" for name, value in changed.items()) or "all default"
-    lines = [
-        "# Drives of several robots",
-        "",
-        f"Version {version('descriptellation-slam')}; settings: {settings}.",
-        "",
-        f"```\n{command}\n```",
-        "",
-        _line(headings),
-        _line(["---", *["---:"] * len(HEADINGS), "---"]),
-        *(_line([run.drive, *_cells(run), "; ".join(_notes(run)) or "none"]) for run in runs),
-        "",
-        EXPLANATION,
-    ]
-    return "\n".join(lines)
-
-
-def _line(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+    rows = [{**_row(run, in_full=True), "warnings": "; ".join(_notes(run)) or "none"} for run in runs]
+    head = f"Version {version('descriptellation-slam')}; settings: {settings}.\n\n```\n{command}\n```"
+    return "\n\n".join(["# Drives of several robots", head, to_markdown(rows, texts=["warnings"]), EXPLANATION])

@@ -9,13 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from logs.importers.kitti_objects import import_kitti_objects
-from logs.importers.text_log import import_text_log
-from slam.common.errors import InputDataError
 from slam.simulation.config import load_simulation_config
 from slam.simulation.simulation import write_simulation
 from slam.simulation.street_grid import generate_street_grid
 from slam.simulation.world import load_world
-from tools.lab.drives.robot_drives import find_drives
+from tools.lab.drives.robot_drives import find_drives, import_drive
 from tools.lab.relocalization.kidnaps import thin_world
 
 SEED = 1
@@ -48,9 +46,7 @@ def _write_kitti(log: Path, data: Path) -> None:
 
 def _write_robot(log: Path, data: Path, *, name: str) -> None:
     (drive,) = find_drives(data / "robots", [name])
-    if drive.detections is None:
-        raise InputDataError(f"{drive.odometry.parent}: no file detections.*, so there is nothing to map")
-    import_text_log(log, odometry=drive.odometry, detections=drive.detections, ground_truth=drive.ground_truth)
+    import_drive(drive, log)
 
 
 ROBOTS = ("evo", "wild03", "lost_in_the_woods", "mrclam6/robot1", "tags", "cones")

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from logs.importers.text_log import import_text_log
 from slam.common.errors import InputDataError
 
 
@@ -41,6 +42,18 @@ def find_drives(folder: Path, names: Sequence[str] = ()) -> list[RobotDrive]:
             there = ", ".join(drive.name for drive in drives)
             raise InputDataError(f"{folder}: no drive {name!r} in it; there are {there}")
     return [drive for drive in drives if not names or any(_is_in(drive, name) for name in names)]
+
+
+def import_drive(drive: RobotDrive, log: Path) -> None:
+    """Write the drive as a log.
+
+    Raises:
+        LogError: a file that cannot be read, or the log cannot be written.
+        InputDataError: there are no detections.
+    """
+    if drive.detections is None:
+        raise InputDataError(f"{drive.odometry.parent}: no file detections.*, so there is nothing to map")
+    import_text_log(log, odometry=drive.odometry, detections=drive.detections, ground_truth=drive.ground_truth)
 
 
 def _is_in(drive: RobotDrive, name: str) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -12,7 +13,7 @@ from slam.simulation.faults.registry import FAULTS
 from tests.helpers.short_drives import Entry, keep_until, write_log
 from tests.tools.runs import SAMPLE, Run, assert_refused
 from tools.lab.commands.faults import report_of
-from tools.lab.drives.fault_runs import FaultRun
+from tools.lab.drives.mapped_drive import MappedDrive
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +100,8 @@ class TestBenchmark:
 
     def test_what_the_user_is_told(self) -> None:
         counters = {"closures_removed": 3, "closures_rejected_by_odometry": 2, "odometry_breaks": 1, "keyframes": 9}
-        told = report_of(FaultRun("odometry_wild", final_status="optimised", counters=counters, warnings=("lost",)))
+        summary = SimpleNamespace(final_status="optimised", counters=counters, notes=())
+        told = report_of(MappedDrive("odometry_wild", summary, warnings=("lost",)))
         assert told.startswith(
             "status: optimised; warnings: odometry breaks 1; 3 closures removed as outliers; 2 more rejected"
         )

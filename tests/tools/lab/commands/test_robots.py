@@ -3,42 +3,35 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from slam.common.config import Config
 from tests.tools.runs import Run, assert_refused
-from tools.lab.drives import robot_runs as robots_run
-from tools.lab.drives.robot_runs import RobotFigures, RobotRun
+from tools.lab.commands import robots
+from tools.lab.drives.mapped_drive import MappedDrive
 
 COUNTERS = {"odometry_used": 5, "landmarks_confirmed": 37, "odometry_breaks": 2, "closures_accepted": 3}
-
-
-def figures(**changed: object) -> RobotFigures:
-    values = {
-        "odometry_ate_m": 1.3371, "ate_m": 0.0312, "landmarks_confirmed": 37, "object_count": 17,
-        "associations_precision": 0.6175, "closures_accepted": 3, "closures_precision": 1.0,
-        "discoveries_independent": 3, "discoveries_false_share": 0.632, "revisit_recall": None,
-        "revisits_recognised": None,
-        "log_s": 100.0, "wall_s": 4.0, "peak_memory_bytes": 250_000_000, "counters": COUNTERS,
-        "final_status": "optimised", **changed,
-    }  # fmt: skip
-    return RobotFigures(**values)  # type: ignore[arg-type]
+EVALUATION = {
+    "trajectory": {"odometry_ate_m": 1.3371, "ate_m": 0.0312},
+    "associations": {"precision": 0.6175},
+    "closures": {"accepted_count": 3, "precision": 1.0, "independent_count": 3, "largest_false_share": 0.632},
+}
 
 
 @pytest.fixture
 def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Two drives, the second of which fails; nothing is mapped."""
+    """Two drives, of which the first fails; nothing is mapped."""
     for name in ("good", "bad/one"):
         (tmp_path / "data" / name).mkdir(parents=True)
         (tmp_path / "data" / name / "odometry.tum").touch()
-
-    def run_drives(drives: Sequence[object], config: Config) -> list[RobotRun]:
-        return [RobotRun("bad/one", None, "line 1 | broken"), RobotRun("good", figures())][-len(drives) :]
-
-    monkeypatch.setattr(robots_run, "run_drives", run_drives)
+    summary = SimpleNamespace(counters=COUNTERS, log_s=100.0, final_status="optimised")
+    runs = {
+        "bad/one": MappedDrive("bad/one", error="line 1 | broken"),
+        "good": MappedDrive("good", summary, EVALUATION, (), 250_000_000, 17, 4.0),
+    }
+    monkeypatch.setattr(robots, "map_robot", lambda drive, config: runs[drive.name])
     return tmp_path / "data"
 
 

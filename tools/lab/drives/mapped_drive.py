@@ -1,0 +1,122 @@
+"""A drive mapped in a process of its own, and evaluated: what all benchmarks of whole drives have in common."""
+
+from __future__ import annotations
+
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from logs.errors import LogError
+from slam.common.config import Config
+from slam.common.errors import SlamError
+from slam.evaluation.evaluate import evaluate
+from slam.evaluation.inputs.records import read_records
+from slam.replay import ReplaySummary, replay
+from slam.simulation.faults.faulty_log import write_faulty
+from slam.simulation.faults.registry import parse_faults
+from slam.sweeps.workers import Death, compute_all
+
+
+@dataclass(frozen=True, slots=True)
+class DriveTask:
+    """A log, the faults that it gets first with a seed, and how it is mapped.
+
+    ``scratch``: folder in which a process that is killed may leave logs behind.
+    """
+
+    name: str
+    log: Path
+    config: Config
+    scratch: Path
+    topics: Mapping[str, str] = field(default_factory=dict)
+    faults: tuple[str, ...] = ()
+    seed: int = 0
+    is_evaluated: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class MappedDrive:
+    """What the replay reported and, as ``evaluation``, the JSON of 'dslam evaluate'; or why there is none.
+
+    ``warnings``: messages of the log at the level of a warning or an error, each once. ``peak_memory_bytes``: most
+    memory of the process until the end of the replay; ``object_count``: true objects that were detected.
+    """
+
+    name: str
+    summary: ReplaySummary | None = None
+    evaluation: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    peak_memory_bytes: int = 0
+    object_count: int | None = None
+    seconds: float = 0.0
+    error: str = ""
+
+    def figure(self, key: str) -> float | None:
+        """A number of the evaluation by its dotted key; None where it is undefined."""
+        value: Any = self.evaluation
+        for part in key.split("."):
+            value = value.get(part) if isinstance(value, Mapping) else None
+        return value if isinstance(value, int | float) else None
+
+
+def map_drives(tasks: Sequence[DriveTask], *, jobs: int = 1) -> Iterator[MappedDrive]:
+    """Each drive, as they finish, in a process of its own; one that fails or dies does not end the others."""
+    for task, outcome in compute_all(map_drive, tasks, jobs=jobs, fresh=True):
+        if isinstance(outcome, Death):
+            error = f"the process ended without a result (exit code {outcome.exit_code}); was the memory enough?"
+            yield MappedDrive(task.name, error=error)
+        else:
+            yield outcome
+
+
+def map_drive(task: DriveTask) -> MappedDrive:
+    """Degrade, map and evaluate; raises nothing."""
+    try:
+        with tempfile.TemporaryDirectory(dir=task.scratch) as folder:
+            return _map(task, Path(folder))
+    except (LogError, SlamError, OSError) as error:
+        return MappedDrive(task.name, error=str(error))
+    except Exception as error:
+        return MappedDrive(task.name, error=f"this should not happen: {type(error).__name__}: {error}")
+
+
+def _map(task: DriveTask, folder: Path) -> MappedDrive:
+    source, mapped = task.log, folder / "map.mcap"
+    if task.faults:
+        source = folder / "faulty.mcap"
+        write_faulty(task.log, source, parse_faults(task.faults), seed=task.seed, topics=task.topics)
+    started = time.perf_counter()
+    summary = replay(source, mapped, task.config, topics=task.topics)
+    seconds, peak = time.perf_counter() - started, _peak_memory_bytes()
+    if not task.is_evaluated:
+        return MappedDrive(task.name, summary, peak_memory_bytes=peak, seconds=seconds)
+    # The replay copies the truth, so that the truth of a scaled log is the scaled one.
+    records = read_records(mapped)
+    warnings = dict.fromkeys(status.message for status in records.statuses if status.level != "info")
+    evaluation = evaluate(records)
+    objects = evaluation.associations.object_detection_counts if evaluation.associations else None
+    return MappedDrive(
+        task.name,
+        summary,
+        evaluation.to_json_dict(),
+        tuple(warnings),
+        peak,
+        None if objects is None else len(objects),
+        seconds,
+    )
+
+
+def _peak_memory_bytes() -> int:
+    """Most memory that this process held. Linux's rusage would count what the parent held when it was started."""
+    try:
+        status = Path("/proc/self/status").read_text(encoding="ascii")
+    except OSError:
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return peak if sys.platform == "darwin" else peak * 1024
+    line = next(line for line in status.splitlines() if line.startswith("VmHWM:"))
+    return int(line.split()[1]) * 1024
