@@ -11,6 +11,7 @@ from tools.lab.commands import (
     faults,
     fleet,
     kidnapping,
+    map_size,
     recall,
     registration,
     relocalization,
@@ -26,7 +27,7 @@ app.command()(faults.faults)
 app.command()(fleet.fleet)
 app.command()(kidnapping.kidnapping)
 app.command()(ablation.ablation)
-app.command("map-size")(descriptors.map_size)
+app.command("map-size")(map_size.map_size)
 app.command()(recall.recall)
 app.command()(registration.registration)
 app.command()(relocalization.relocalization)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tools.arguments import Json, SlamLog
+from tools.lab.tables import number, percent, show
 
 if TYPE_CHECKING:
     from tools.lab.closures.measurement import ClosureRun
@@ -53,33 +55,32 @@ def closures(
     if json:
         console.show_json({"log": str(log), "false_share": false_share, "runs": [asdict(run) for run in runs]})
     else:
-        _show(runs, false_share)
+        show(_rows(runs, false_share))
 
 
-def _show(runs: list[ClosureRun], false_share: float) -> None:
+def _rows(runs: list[ClosureRun], false_share: float) -> list[dict[str, str]]:
     from statistics import median
-
-    from tools import console
 
     cases: dict[tuple[str, bool], list[ClosureRun]] = {}
     for run in runs:
         cases.setdefault((run.case, run.all_false), []).append(run)
-    headings = ("closures", "ATE m", "worst", "true kept", "false kept", "s", "converged")
-    table = console.grid({"closures": False, **dict.fromkeys(headings[1:], True)})
+    rows = []
     for (case, all_false), group in cases.items():
         share = "" if case in ("odometry", "clean") else ", all" if all_false else f", {100 * false_share:.0f} %"
-        table.add_row(
-            {"odometry": "none", "clean": "true ones only"}.get(case, f"{case}{share} false"),
-            f"{median(run.ate_m for run in group):.2f}",
-            f"{max(run.ate_m for run in group):.2f}",
-            _mean_percent([run.true_kept_share for run in group]),
-            _mean_percent([run.false_kept_share for run in group]),
-            f"{median(run.seconds for run in group):.2f}",
-            f"{sum(run.converged for run in group)} of {len(group)}",
+        rows.append(
+            {
+                "closures": {"odometry": "none", "clean": "true ones only"}.get(case, f"{case}{share} false"),
+                "ATE m": number(median(run.ate_m for run in group), 2),
+                "worst": number(max(run.ate_m for run in group), 2),
+                "true kept %": percent(_mean(run.true_kept_share for run in group)),
+                "false kept %": percent(_mean(run.false_kept_share for run in group)),
+                "s": number(median(run.seconds for run in group), 2),
+                "converged": f"{sum(run.converged for run in group)} of {len(group)}",
+            }
         )
-    console.show(table)
+    return rows
 
 
-def _mean_percent(shares: list[float | None]) -> str:
+def _mean(shares: Iterable[float | None]) -> float | None:
     known = [share for share in shares if share is not None]
-    return f"{100 * sum(known) / len(known):.1f} %" if known else "-"
+    return sum(known) / len(known) if known else None

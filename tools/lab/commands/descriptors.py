@@ -1,23 +1,20 @@
-"""dslam benchmark descriptors, and map-size."""
+"""dslam benchmark descriptors."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools.arguments import Json, check_outputs
-from tools.lab.commands.map_tiles import measure_tiles
+from tools.arguments import Json
+from tools.lab.tables import number, percent, show, to_markdown
 
 if TYPE_CHECKING:
     from slam.simulation.world import World
-    from tools.lab.descriptors.experiment import Cell, DescriptorBenchmark
-    from tools.lab.descriptors.map_size import SizeCell
-
-HEADINGS = ("success %", "of ceiling %", "ceiling %", "misplaced %", "likeliest %", "top 5 %", "ms")
+    from tools.lab.descriptors.experiment import Cell
 
 
 Objects = Annotated[
@@ -84,10 +81,17 @@ def descriptors(
         )
     if json:
         console.show_json({"map": world.name, **asdict(result)})
-    elif markdown:
-        console.show(*_markdown(world.name, result))
-    else:
-        _show(world.name, result)
+        return
+    rows = [_row(cell) for cell in result.cells]
+    title = (
+        f"{world.name}: {result.objects} objects, {result.classes} classes; {queries} queries x {seeds} seeds, "
+        f"{neighbours} nearest descriptors"
+    )
+    if markdown:
+        console.show(title, "", to_markdown(rows, texts=["scenario"]))
+        return
+    built = ", ".join(f"{method} {seconds:.2f} s" for method, seconds in result.build_s.items())
+    show(rows, f"time to index the map: {built}", title=title, texts=["scenario"])
 
 
 def _world(objects: Path | None, trajectory: Path | None) -> World:
@@ -115,124 +119,15 @@ def _counted(move: Callable[[float], None] | None, total: int) -> Callable[[obje
     return step
 
 
-def map_size(
-    objects: Annotated[Path, typer.Option(metavar="CSV", help="Objects of a map: x_m,y_m,z_m,class,id.")],
-    trajectory: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="CSV", help="Its first 500 m are driven: x_m,y_m. Without it, maps of tiles.", show_default=False
-        ),
-    ] = None,
-    descriptor: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--descriptor", metavar="NAME", help="These instead of the default and exhaustive search. Repeatable."
-        ),
-    ] = None,
-    size: Annotated[
-        list[int] | None, typer.Option("--size", metavar="N", min=1, help="Objects in the map. Repeatable.")
-    ] = None,
-    neighbours: Neighbours = 6,
-    queries: Annotated[int, typer.Option(min=1, help="For each scenario.")] = 100,
-    picture: Annotated[
-        Path | None, typer.Option("--picture", metavar="PNG", help="Draw success and time over size.")
-    ] = None,
-    json: Json = False,
-) -> None:
-    """Localize the same queries in ever larger maps, with a descriptor and by exhaustive search.
-
-    Maps larger than the one given add altered copies of it. Sizes are 500 to 50,000 objects if none is said.
-
-    Without a trajectory a kidnapped robot drives 50 m anywhere, and is to be found in maps of tiles of the nearest
-    10,000 and of all objects; what these take to make and to open is measured as well.
-
-    Example: dslam benchmark map-size --objects objects.csv --trajectory trajectory.csv --size 500 --size 2000
-    """
-    from dataclasses import asdict
-
-    from slam.common.config import LoopClosureConfig
-    from slam.simulation.world import load_world
-    from tools import console
-    from tools.lab.descriptors.experiment import EXHAUSTIVE
-    from tools.lab.descriptors.map_size import SIZES, benchmark_map_size
-    from tools.lab.descriptors.map_size_picture import draw_map_size
-
-    check_outputs([picture], [objects, trajectory])
-    if trajectory is None:
-        if descriptor or picture is not None:
-            raise typer.BadParameter("--descriptor and --picture need --trajectory.", param_hint="--trajectory")
-        measure_tiles(objects, size or (), queries=queries, json=json)
-        return
-    methods = descriptor or [LoopClosureConfig().descriptor, EXHAUSTIVE]
-    sizes = sorted(size or SIZES)
-    with console.progress_bar("localizing", "localizing") as move:
-        cells = benchmark_map_size(
-            load_world(objects, trajectory),
-            methods,
-            sizes=sizes,
-            queries=queries,
-            neighbours=neighbours,
-            on_progress=_counted(move, 3 * len(methods) * len(sizes)),
-        )
-    if picture is not None:
-        draw_map_size(picture, cells)
-    if json:
-        console.show_json({"cells": [asdict(cell) for cell in cells]})
-    else:
-        _show_sizes(cells)
-
-
-def _show_sizes(cells: Sequence[SizeCell]) -> None:
-    from tools import console
-
-    headings = ("objects", "within 1 m %", "median ms", "p95 ms", "map s")
-    table = console.grid({"descriptor": False, "scenario": False, **dict.fromkeys(headings, True)})
-    for cell in cells:
-        table.add_row(
-            cell.method,
-            cell.scenario,
-            str(cell.objects),
-            f"{100 * cell.success:.0f}",
-            f"{cell.median_ms:.1f}",
-            f"{cell.p95_ms:.1f}",
-            f"{cell.build_s:.2f}",
-        )
-    console.show(table)
-
-
-def _row(cell: Cell) -> list[str]:
-    return [
-        f"{100 * cell.success:.1f} ± {100 * cell.deviation:.1f}",
-        "-" if cell.of_ceiling is None else f"{100 * cell.of_ceiling:.1f}",
-        f"{100 * cell.ceiling:.1f}",
-        f"{100 * cell.misplaced:.1f}",
-        f"{100 * cell.likeliest:.1f}",
-        "-" if cell.top_5 is None else f"{100 * cell.top_5:.1f}",
-        f"{cell.query_ms:.1f}",
-    ]
-
-
-def _title(name: str, result: DescriptorBenchmark) -> str:
-    return (
-        f"{name}: {result.objects} objects, {result.classes} classes; {result.queries} queries x {result.seeds} seeds, "
-        f"{result.neighbours} nearest descriptors"
-    )
-
-
-def _show(name: str, result: DescriptorBenchmark) -> None:
-    from tools import console
-
-    table = console.grid(
-        {"descriptor": False, "scenario": False, **dict.fromkeys(HEADINGS, True)}, title=_title(name, result)
-    )
-    for cell in result.cells:
-        table.add_row(cell.method, cell.scenario, *_row(cell))
-    built = ", ".join(f"{method} {seconds:.2f} s" for method, seconds in result.build_s.items())
-    console.show(table, f"taking in the map: {built}")
-
-
-def _markdown(name: str, result: DescriptorBenchmark) -> list[str]:
-    rows = [[cell.method, cell.scenario, *_row(cell)] for cell in result.cells]
-    headings = ["descriptor", "scenario", *HEADINGS]
-    lines = [headings, ["---"] * len(headings), *rows]
-    return [_title(name, result), "", *("| " + " | ".join(line) + " |" for line in lines)]
+def _row(cell: Cell) -> dict[str, str]:
+    return {
+        "descriptor": cell.method,
+        "scenario": cell.scenario,
+        "success %": f"{percent(cell.success)} ± {percent(cell.deviation)}",
+        "of ceiling %": percent(cell.of_ceiling),
+        "ceiling %": percent(cell.ceiling),
+        "misplaced %": percent(cell.misplaced),
+        "likeliest %": percent(cell.likeliest),
+        "top 5 %": percent(cell.top_5),
+        "ms": number(cell.query_ms, 1),
+    }

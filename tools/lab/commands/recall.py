@@ -8,22 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tools.arguments import Json
+from tools.lab.tables import number, percent, show, to_markdown
 
 if TYPE_CHECKING:
     from tools.lab.retrieval.object_maps import MapRecall
-
-HEADINGS = (
-    "objects",
-    "neighbours",
-    "classes",
-    "queries",
-    "places @1 %",
-    "@5 %",
-    "@25 %",
-    "map s",
-    "match ms",
-    "verify ms",
-)
 
 
 def recall(
@@ -84,24 +72,20 @@ def recall(
     if json:
         console.show_json({"figures": [asdict(each) for each in figures]})
     elif markdown:
-        lines = [["descriptor", *HEADINGS], ["---"] * (len(HEADINGS) + 1), *(_row(each) for each in figures)]
-        console.show(*("| " + " | ".join(line) + " |" for line in lines))
+        console.show(to_markdown([_row(each) for each in figures]))
     else:
-        table = console.grid({"descriptor": False, **dict.fromkeys(HEADINGS, True)})
-        for each in figures:
-            table.add_row(*_row(each))
-        console.show(table)
+        show([_row(each) for each in figures])
 
 
-def _row(figures: MapRecall) -> list[str]:
-    return [
-        figures.descriptor,
-        str(figures.objects),
-        f"{figures.neighbours:.1f}",
-        str(figures.classes),
-        str(figures.queries),
-        *(f"{100.0 * share:.1f}" for share in figures.places.values()),
-        f"{figures.index_s:.1f}",
-        f"{figures.match_ms:.1f}",
-        f"{figures.verify_ms:.1f}",
-    ]
+def _row(figures: MapRecall) -> dict[str, str]:
+    return {
+        "descriptor": figures.descriptor,
+        "objects": str(figures.objects),
+        "neighbours": number(figures.neighbours, 1),
+        "classes": str(figures.classes),
+        "queries": str(figures.queries),
+        **{f"places @{k} %": percent(share) for k, share in figures.places.items()},
+        "map s": number(figures.index_s, 1),
+        "match ms": number(figures.match_ms, 1),
+        "verify ms": number(figures.verify_ms, 1),
+    }

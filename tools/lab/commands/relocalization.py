@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings, Topics, parse_topics
+from tools.lab.tables import number, percent, show
 
 if TYPE_CHECKING:
     from slam.common.config import Config
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from tools.lab.relocalization.logged import LoggedRelocalization
 
 RIGHT = (4.0, 10.0)
-HEADINGS = ("drives", "found", "in map", "late", "wrong", "lost", "m", "95 %", "s", "off m", "95 % off", "deg", "kept")
 
 
 Objects = Annotated[
@@ -252,48 +252,39 @@ def _show_elsewhere(result: LoggedRelocalization) -> None:
 
 def _show(result: RelocalizationBenchmark, conditions: str) -> None:
     from slam.evaluation.place_recognition.reliability import SURE
-    from tools import console
 
     title = (
         f"{result.world}: {result.tour_m:.0f} m, {result.landmarks} landmarks, map ATE {result.map_ate_m:.2f} m; "
         f"{conditions}"
     )
-    table = console.grid({"where": False, **dict.fromkeys(HEADINGS, True)}, title=title)
-    for name, figures in {"everywhere": result.total, **result.groups}.items():
-        table.add_row(name, *_row(figures))
-    console.show(
-        table,
+    show(
+        [_row(name, figures) for name, figures in {"everywhere": result.total, **result.groups}.items()],
         "found, in map, late, wrong, lost and kept in per cent of the drives, kept of the right fixes",
-        f"fixes at another place than in the map: {_number(result.total.misplaced_rate, 1, 100.0)} %; the others that "
+        f"fixes at another place than in the map: {percent(result.total.misplaced_rate)} %; the others that "
         "are wrong are so because the map is",
-        f"wrong fixes put right within 10 m, in per cent: {_number(result.total.revoked_rate, 0, 100.0)}",
+        f"wrong fixes corrected within 10 m, in per cent: {percent(result.total.revoked_rate, 0)}",
         f"places with a posterior probability of {SURE:g} or more: {result.reliability.sure_count}, of which right in "
         f"the map: {result.reliability.sure_right}",
         *([] if result.oracle_rate is None else [f"could be found: {100 * result.oracle_rate:.1f} %"]),
-        f"taking in the map: {1e3 * result.load_s:.0f} ms; a search: {_number(result.query_ms, 1)} ms",
+        f"loading the map: {1e3 * result.load_s:.0f} ms; a search: {number(result.query_ms, 1)} ms",
+        title=title,
     )
 
 
-def _row(figures: Figures) -> list[str]:
-    rates = (
-        figures.success_rate,
-        figures.success_in_map_rate,
-        figures.late_rate,
-        figures.false_relocalization_rate,
-        figures.not_found_rate,
-    )
-    return [
-        str(figures.kidnaps),
-        *(_number(rate, 1, 100.0) for rate in rates),
-        _number(figures.median_distance_m, 1),
-        _number(figures.p95_distance_m, 1),
-        _number(figures.median_seconds, 1),
-        _number(figures.median_error_m, 2),
-        _number(figures.p95_error_m, 2),
-        _number(figures.median_error_deg, 2),
-        _number(figures.kept_rate, 0, 100.0),
-    ]
-
-
-def _number(value: float | None, digits: int, factor: float = 1.0) -> str:
-    return "-" if value is None else f"{factor * value:.{digits}f}"
+def _row(where: str, figures: Figures) -> dict[str, str]:
+    return {
+        "where": where,
+        "drives": str(figures.kidnaps),
+        "found": percent(figures.success_rate),
+        "in map": percent(figures.success_in_map_rate),
+        "late": percent(figures.late_rate),
+        "wrong": percent(figures.false_relocalization_rate),
+        "lost": percent(figures.not_found_rate),
+        "m": number(figures.median_distance_m, 1),
+        "95 %": number(figures.p95_distance_m, 1),
+        "s": number(figures.median_seconds, 1),
+        "off m": number(figures.median_error_m, 2),
+        "95 % off": number(figures.p95_error_m, 2),
+        "deg": number(figures.median_error_deg, 2),
+        "kept": percent(figures.kept_rate, 0),
+    }

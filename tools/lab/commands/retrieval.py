@@ -8,22 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings, Topics, parse_topics
+from tools.lab.tables import number, percent, show, to_markdown
 
 if TYPE_CHECKING:
     from tools.lab.retrieval.measurement import RetrievalFigures
-
-HEADINGS = (
-    "queries",
-    "places @1 %",
-    "@5 %",
-    "@25 %",
-    "objects @1 %",
-    "@5 %",
-    "@25 %",
-    "match ms",
-    "verify ms",
-    "map s",
-)
 
 
 def retrieval(
@@ -76,19 +64,19 @@ def retrieval(
     if json:
         console.show_json({"figures": [asdict(each) for each in figures]})
     elif markdown:
-        headings = ["drive", "descriptor", *HEADINGS]
-        lines = [headings, ["---"] * len(headings), *([each.drive, each.descriptor, *_row(each)] for each in figures)]
-        console.show(*("| " + " | ".join(line) + " |" for line in lines))
+        console.show(to_markdown([_row(each) for each in figures], texts=["descriptor"]))
     else:
-        table = console.grid({"drive": False, "descriptor": False})
-        for heading in HEADINGS:
-            table.add_column(heading, justify="right")
-        for each in figures:
-            table.add_row(each.drive, each.descriptor, *_row(each))
-        console.show(table)
+        show([_row(each) for each in figures], texts=["descriptor"])
 
 
-def _row(figures: RetrievalFigures) -> list[str]:
-    shares = [*figures.places.values(), *figures.objects.values()]
-    times = [f"{figures.match_ms:.1f}", f"{figures.verify_ms:.1f}", f"{figures.index_s:.2f}"]
-    return [str(figures.queries), *(f"{100.0 * share:.1f}" for share in shares), *times]
+def _row(figures: RetrievalFigures) -> dict[str, str]:
+    return {
+        "drive": figures.drive,
+        "descriptor": figures.descriptor,
+        "queries": str(figures.queries),
+        **{f"places @{k} %": percent(share) for k, share in figures.places.items()},
+        **{f"objects @{k} %": percent(share) for k, share in figures.objects.items()},
+        "match ms": number(figures.match_ms, 1),
+        "verify ms": number(figures.verify_ms, 1),
+        "map s": number(figures.index_s, 2),
+    }

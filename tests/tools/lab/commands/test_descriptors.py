@@ -57,7 +57,7 @@ def test_a_table_for_people(dslam: Run) -> None:
     assert "of ceiling %" in result.out
     lines = [line for line in result.out.splitlines() if line.startswith("onion")]
     assert [scenario in line for scenario, line in zip(SCENARIOS, lines, strict=True)] == [True] * 3
-    assert "taking in the map: onion" in result.out
+    assert "time to index the map: onion" in result.out
 
 
 @pytest.mark.slow

@@ -81,9 +81,9 @@ def test_a_table_for_people_and_settings_of_the_estimator(dslam: Run, files: tup
     assert (result.code, result.err) == (0, "")
     everywhere = next(line.split() for line in result.out.splitlines() if line.startswith("everywhere"))
     # Whoever does not look for loops is lost for good.
-    assert everywhere == ["everywhere", "1", "0.0", "0.0", "0.0", "0.0", "100.0", *["-"] * 7]
+    assert everywhere == ["everywhere", "1", "0.0", "0.0", "0.0", "0.0", "100.0", *["–"] * 7]
     assert "opposite direction" in result.out
-    assert "taking in the map" in result.out
+    assert "loading the map" in result.out
     assert all(len(line) <= 120 for line in result.out.splitlines())
 
 
