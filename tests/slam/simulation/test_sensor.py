@@ -39,12 +39,6 @@ def test_perfect_sensor_sees_everything_as_it_is_in_the_order_of_bearing() -> No
     np.testing.assert_array_equal(scan.class_indices, scan.sources)
 
 
-def test_no_object_gives_an_empty_scan() -> None:
-    scan = _scan(np.zeros((0, 3)), PERFECT)
-    assert scan.positions.shape == (0, 3)
-    assert scan.class_indices.shape == scan.scores.shape == scan.sigmas_m.shape == scan.sources.shape == (0,)
-
-
 def test_range_limits_the_view() -> None:
     positions = np.array([[29.99, 0.0, 0.0], [30.01, 0.0, 0.0], [0.0, -29.99, 0.0], [0.0, 29.0, 10.0]])
     np.testing.assert_array_equal(in_view(positions, SensorConfig()), [True, False, True, False])
@@ -113,13 +107,6 @@ def test_wrong_labels_grow_linearly_with_the_range_and_are_spread_over_the_other
         np.testing.assert_allclose(share, [0.0, 1 / 3, 1 / 3, 1 / 3], atol=0.1)
 
 
-def test_a_single_class_cannot_be_mistaken() -> None:
-    positions = _ring(29.0)
-    classes = np.zeros(len(positions), dtype=np.int64)
-    scan = scan_objects(positions, classes, np.zeros(len(positions)), 1, _with(misclassification=1.0), _streams())
-    assert not scan.class_indices.any()
-
-
 def test_false_positives_are_poisson_and_even_over_the_view() -> None:
     config = _with(false_positives_per_scan=2.0, field_of_view_deg=120.0)
     streams = _streams()
@@ -138,17 +125,6 @@ def test_false_positives_are_poisson_and_even_over_the_view() -> None:
     assert np.mean(bearing < 0.0) == pytest.approx(0.5, abs=0.04)
     classes = np.concatenate([scan.class_indices for scan in scans])
     np.testing.assert_allclose(np.bincount(classes, minlength=CLASS_COUNT) / len(classes), 0.25, atol=0.03)
-
-
-def test_scores_are_probabilities_and_higher_for_what_is_true() -> None:
-    streams = _streams()
-    config = _with(false_positives_per_scan=500.0, misclassification=0.5)
-    scan = _scan(_ring(15.0), config, streams)
-    assert scan.scores.min() >= 0.05
-    assert scan.scores.max() <= 1.0
-    true = scan.sources >= 0
-    wrong = true & (scan.class_indices != scan.sources % CLASS_COUNT)
-    assert scan.scores[true & ~wrong].mean() > scan.scores[wrong].mean() > scan.scores[~true].mean()
 
 
 @pytest.mark.parametrize(

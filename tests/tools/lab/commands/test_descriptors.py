@@ -37,7 +37,7 @@ def test_json_has_every_measure_of_every_scenario(dslam: Run) -> None:
     result = benchmark(dslam, "--descriptor", "ring_likelihood", "--descriptor", "exhaustive search", "--json")
     assert (result.code, result.err) == (0, "")
     told = json.loads(result.out)
-    assert (told["map"], told["objects"], told["classes"]) == ("street", 795, 25)
+    assert (told["map"], told["objects"], told["classes"]) == ("street-grid", 699, 16)
     assert (told["queries"], told["seeds"], told["neighbours"]) == (5, 1, 6)
     assert set(told["build_s"]) == {"ring_likelihood", "exhaustive search"}
     cells = {(cell["method"], cell["scenario"]): cell for cell in told["cells"]}
@@ -53,7 +53,7 @@ def test_json_has_every_measure_of_every_scenario(dslam: Run) -> None:
 def test_a_table_for_people(dslam: Run) -> None:
     result = benchmark(dslam, "--descriptor", "onion")
     assert (result.code, result.err) == (0, "")
-    assert "795 objects, 25 classes; 5 queries x 1 seeds, 6 nearest descriptors" in result.out
+    assert "699 objects, 16 classes; 5 queries x 1 seeds, 6 nearest descriptors" in result.out
     assert "of ceiling %" in result.out
     lines = [line for line in result.out.splitlines() if line.startswith("onion")]
     assert [scenario in line for scenario, line in zip(SCENARIOS, lines, strict=True)] == [True] * 3

@@ -16,7 +16,6 @@ from slam.common.config import Config, LoopClosureConfig
 from slam.common.errors import SimulationError
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.localization.state import State
-from slam.place_recognition.retrieval import PlaceRetriever
 from slam.simulation.config import DriveConfig, SensorConfig, SimulationConfig
 from slam.simulation.world import World
 from slam.system import Slam
@@ -103,20 +102,11 @@ def test_on_a_furnished_block_everybody_is_found(outcomes: list[Outcome], kidnap
         assert is_right
 
 
-@pytest.mark.parametrize("descriptor", ["descriptellation_lr", "ring_likelihood"])
-def test_a_descriptor_alone_finds_everybody(search: Search, kidnaps: list[Kidnap], descriptor: str):
+def test_descriptor_alone_finds_everybody(search: Search, kidnaps: list[Kidnap]):
     """Without triangles and without the exhaustive search."""
-    closing = LoopClosureConfig(descriptor=descriptor, max_candidates_when_lost=0, max_candidates_by_triangles=0)
+    closing = LoopClosureConfig(max_candidates_when_lost=0, max_candidates_by_triangles=0)
     alone = replace(search, config=Config(loop_closure=closing))
     assert [each.verdict for each in search_all(alone, kidnaps, jobs=1)] == [Verdict.RECOVERED] * 3
-
-
-def test_objects_are_counted_around_the_place_where_it_begins(
-    outcomes: list[Outcome], kidnaps: list[Kidnap], block: World
-):
-    for outcome, kidnap in zip(outcomes, kidnaps, strict=True):
-        count = sum(np.hypot(*(position[:2] - kidnap.tour[0])) <= 30.0 for position in block.positions)
-        assert outcome.objects == count > 0
 
 
 def test_in_the_map_of_another_town_nobody_is_found(search: Search, kidnaps: list[Kidnap], outcomes: list[Outcome]):
@@ -143,15 +133,6 @@ def test_a_fix_away_from_the_truth_is_wrong_and_was_not_taken_back(
     assert (outcome.local_error_m, outcome.local_error_deg) == (plain.local_error_m, plain.local_error_deg)
     assert outcome.places == plain.places
     assert figures([outcome]).misplaced_rate == 0.0
-
-
-def test_places_are_judged_where_the_map_is(search: Search, kidnaps: list[Kidnap]):
-    turned = transform_from_xyz_yaw(np.array([0.0, 2.5, 0.0]), 0.0)
-    shifted = replace(search.known, T_world_body_gt=turned @ search.known.T_world_body_gt)
-    right, wrong = relocalize(search, kidnaps[0]).places, relocalize(replace(search, known=shifted), kidnaps[0]).places
-    assert [odds for odds, _ in right] == [odds for odds, _ in wrong]
-    assert any(is_right for _, is_right in right)
-    assert not any(is_right for _, is_right in wrong)
 
 
 def test_reliability_is_that_of_all_places():
@@ -184,57 +165,14 @@ class GivesUp(Slam):
         return [each for each in updates if self.known <= 3 or not isinstance(each, SlamPose)]
 
 
-class Strays(GivesUp):
-    """Goes on to believe that it is elsewhere."""
-
-    @property
-    def state(self) -> State:
-        return State.TRACKING if self.known > 3 else Slam.state.fget(self)  # type: ignore[attr-defined]
-
-    def process(self, record: Record) -> list[Record]:
-        aside = transform_from_xyz_yaw(np.array([0.0, 3.0, 0.0]), 0.0)
-        updates = Slam.process(self, record)
-        self.known += any(isinstance(each, SlamPose) for each in updates)
-        return [
-            replace(each, T_map_body=aside @ each.T_map_body) if isinstance(each, SlamPose) and self.known > 3 else each
-            for each in updates
-        ]
-
-
-@pytest.mark.parametrize(("kind", "later_right"), [(GivesUp, None), (Strays, False)])
-def test_what_is_believed_after_the_fix_is_told_apart_from_it(
-    search: Search,
-    kidnaps: list[Kidnap],
-    kind: type[Slam],
-    later_right: bool | None,
-    monkeypatch: pytest.MonkeyPatch,
+def test_fix_that_is_taken_back_is_no_later_right_one(
+    search: Search, kidnaps: list[Kidnap], monkeypatch: pytest.MonkeyPatch
 ):
     plain = relocalize(search, kidnaps[0])
-    monkeypatch.setattr("tools.lab.relocalization.trial.Slam", kind)
+    monkeypatch.setattr("tools.lab.relocalization.trial.Slam", GivesUp)
     outcome = relocalize(search, kidnaps[0])
-    assert outcome.later_right is later_right
-    assert plain.later_right is True
+    assert (outcome.later_right, plain.later_right) == (None, True)
     assert (outcome.verdict, outcome.error_m) == (plain.verdict, plain.error_m)
-
-
-@pytest.mark.parametrize(("max_candidates_when_lost", "verdict"), [(5, Verdict.RECOVERED), (0, Verdict.NOT_FOUND)])
-def test_who_is_lost_is_found_without_descriptors(
-    search: Search,
-    kidnaps: list[Kidnap],
-    max_candidates_when_lost: int,
-    verdict: Verdict,
-    monkeypatch: pytest.MonkeyPatch,
-):
-    """Where descriptors propose nothing all places are tried, if that is wanted."""
-    monkeypatch.setattr(PlaceRetriever, "retrieve", lambda *_, **__: [])
-    closing = LoopClosureConfig(max_candidates_when_lost=max_candidates_when_lost)
-    outcome = relocalize(replace(search, config=Config(loop_closure=closing)), kidnaps[0])
-    assert outcome.verdict == verdict
-
-
-def test_each_drive_has_noise_of_its_own(search: Search, kidnaps: list[Kidnap]):
-    other = relocalize(search, replace(kidnaps[0], number=9))
-    assert other.error_m != relocalize(search, kidnaps[0]).error_m
 
 
 def test_a_robot_that_sees_nothing_is_not_found(search: Search, kidnaps: list[Kidnap]):
@@ -280,14 +218,6 @@ def test_again_and_in_several_processes_it_gives_the_same(
     first, again = measured[0], run(block, jobs=2)
     assert [without_times(each) for each in again.outcomes] == [without_times(each) for each in first.outcomes]
     assert (again.total, again.groups, again.map_ate_m) == (first.total, first.groups, first.map_ate_m)
-
-
-def test_another_seed_is_another_map_and_other_places(
-    block: World, measured: tuple[RelocalizationBenchmark, list[float]]
-):
-    other = run(block, seed=4, kidnaps=1, max_travel_m=5.0)
-    assert other.map_ate_m != measured[0].map_ate_m
-    assert other.outcomes[0].start_m != measured[0].outcomes[0].start_m
 
 
 # Verdicts and figures.
@@ -403,13 +333,6 @@ def test_pieces_lie_on_the_tour_and_run_either_way(block: World):
     starts_m = np.array([each.start_m for each in drawn])
     assert starts_m.min() < 20.0
     assert starts_m.max() > lengths(block.tour) - 20.0
-
-
-def test_a_tour_that_is_shorter_is_driven_from_end_to_end():
-    tour = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 5.0]])
-    for each in draw_kidnaps(tour, count=20, length_m=50.0, rng=np.random.default_rng(0)):
-        np.testing.assert_allclose(each.tour, tour if each.is_along else tour[::-1])
-        assert each.start_m == (0.0 if each.is_along else 15.0)
 
 
 def test_places_that_cannot_be_are_refused(block: World):
