@@ -13,7 +13,7 @@ from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.common.geometry import invert, yaw_rad
 from slam.scan_localization import ScanLocalization, ScanLocalizer
-from slam.simulation.street_grid import generate_street_grid
+from tests.helpers.long_street import generate_street
 from tools.lab.descriptors.experiment import localizer_config
 from tools.lab.descriptors.queries import SCENARIOS, LabelledMap, LocalQuery, draw_queries, labelled_map
 
@@ -23,9 +23,9 @@ EXACT = localizer_config("ring_likelihood", 6)
 
 @pytest.fixture(scope="module")
 def street() -> tuple[LabelledMap, FloatArray]:
-    """The first street of the town."""
-    world = generate_street_grid(rng=np.random.default_rng(0))
-    objects, tour = labelled_map(world), world.shortened(200.0).tour
+    """The first part of the street."""
+    world = generate_street(rng=np.random.default_rng(0))
+    objects, tour = labelled_map(world), world.tour[:200]
     near = np.flatnonzero(np.min([np.hypot(*(objects.positions[:, :2] - p).T) for p in tour], axis=0) < 30.0)
     return LabelledMap(objects.positions[near], objects.labels[near], objects.vocabulary), tour
 

@@ -88,7 +88,7 @@ def descriptors(
         f"{neighbours} nearest descriptors"
     )
     if markdown:
-        console.show(title, "", to_markdown(rows, texts=["scenario"]))
+        typer.echo(f"{title}\n\n{to_markdown(rows, texts=['scenario'])}")
         return
     built = ", ".join(f"{method} {seconds:.2f} s" for method, seconds in result.build_s.items())
     show(rows, f"time to index the map: {built}", title=title, texts=["scenario"])

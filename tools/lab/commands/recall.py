@@ -72,7 +72,7 @@ def recall(
     if json:
         console.show_json({"figures": [asdict(each) for each in figures]})
     elif markdown:
-        console.show(to_markdown([_row(each) for each in figures]))
+        typer.echo(to_markdown([_row(each) for each in figures]))
     else:
         show([_row(each) for each in figures])
 

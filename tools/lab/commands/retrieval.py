@@ -64,7 +64,7 @@ def retrieval(
     if json:
         console.show_json({"figures": [asdict(each) for each in figures]})
     elif markdown:
-        console.show(to_markdown([_row(each) for each in figures], texts=["descriptor"]))
+        typer.echo(to_markdown([_row(each) for each in figures], texts=["descriptor"]))
     else:
         show([_row(each) for each in figures], texts=["descriptor"])
 

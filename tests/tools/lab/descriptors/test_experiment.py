@@ -13,7 +13,7 @@ from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
-from slam.simulation.street_grid import generate_street_grid
+from tests.helpers.long_street import generate_street
 from tools.lab.descriptors.experiment import (
     AS_SHIPPED,
     EXHAUSTIVE,
@@ -36,9 +36,9 @@ METHODS = ("ring_likelihood", "onion", EXHAUSTIVE, "random", AS_SHIPPED)
 
 @pytest.fixture(scope="module")
 def street() -> tuple[LabelledMap, FloatArray]:
-    """The first streets of the town."""
-    world = generate_street_grid(rng=np.random.default_rng(0))
-    objects, tour = labelled_map(world), world.shortened(350.0).tour
+    """The first third of the street."""
+    world = generate_street(rng=np.random.default_rng(0))
+    objects, tour = labelled_map(world), world.tour[:350]
     near = np.flatnonzero(np.min([np.hypot(*(objects.positions[:, :2] - p).T) for p in tour], axis=0) < 30.0)
     return LabelledMap(objects.positions[near], objects.labels[near], objects.vocabulary), tour
 

@@ -11,7 +11,7 @@ from scipy import stats
 from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, yaw_rad
-from slam.simulation.street_grid import generate_street_grid
+from tests.helpers.long_street import generate_street
 from tests.slam.simulation.worlds import straight_street
 from tools.lab.descriptors.queries import SCENARIOS, LabelledMap, draw_queries, labelled_map, visible
 
@@ -21,7 +21,7 @@ RING_M = 20.0
 
 @pytest.fixture(scope="module")
 def street() -> tuple[LabelledMap, FloatArray]:
-    world = generate_street_grid(rng=np.random.default_rng(0))
+    world = generate_street(rng=np.random.default_rng(0))
     return labelled_map(world), world.tour
 
 
