@@ -17,20 +17,25 @@ DEFAULT_SPECIFICATIONS = (
     "false_positives=10",
     "odometry_yaw_noise=0.005",
 )
+UNDEGRADED = "undegraded"
 _ORDER = {name: number for number, name in enumerate(DEGRADATIONS)}
 
 
 @dataclass(frozen=True, slots=True)
 class Degradation:
-    """Faults of a log, in the order in which they are applied; ``name`` is the same for two that do the same."""
+    """Faults of a log, by a ``name`` that is the same for two that do the same."""
 
     name: str
-    cases: tuple[FaultCase, ...]
+
+    @property
+    def cases(self) -> tuple[FaultCase, ...]:
+        """The faults in the order in which they are applied."""
+        return () if self.is_undegraded else tuple(parse_fault(part) for part in self.name.split(","))
 
     @property
     def is_undegraded(self) -> bool:
         """Whether the log stays as it is."""
-        return not self.cases
+        return self.name == UNDEGRADED
 
     @property
     def is_random(self) -> bool:
@@ -40,10 +45,11 @@ class Degradation:
     @property
     def strength(self) -> tuple[str, float] | None:
         """The fault and its value, where there is one fault with one number."""
-        if len(self.cases) != 1 or len(self.cases[0].values) != 1:
+        values = [(case.fault.name, value) for case in self.cases for value in case.values]
+        if len(self.cases) != 1 or len(values) != 1:
             return None
-        value = self.cases[0].values[0]
-        return None if isinstance(value, str) else (self.cases[0].fault.name, value)
+        name, value = values[0]
+        return None if isinstance(value, str) else (name, value)
 
 
 def parse_degradations(specifications: Sequence[str]) -> list[Degradation]:
@@ -52,7 +58,7 @@ def parse_degradations(specifications: Sequence[str]) -> list[Degradation]:
     Raises:
         ConfigurationError: a fault that does not exist, or a value that is not allowed.
     """
-    found = [Degradation("undegraded", ()), *(_parse(text) for text in specifications or DEFAULT_SPECIFICATIONS)]
+    found = [Degradation(UNDEGRADED), *(_parse(text) for text in specifications or DEFAULT_SPECIFICATIONS)]
     return list({degradation.name: degradation for degradation in found}.values())
 
 
@@ -64,7 +70,8 @@ def undegraded_strength(name: str) -> float | None:
 
 def describe_option(name: str) -> str:
     """A fault with one number in words, with its unit: "position noise [m]"."""
-    return f"{name.replace('_', ' ')} [{FAULTS[name].parameters[0].range.unit}]"
+    words, unit = name.replace("_", " "), FAULTS[name].parameters[0].range.unit
+    return words if unit == "share" else f"{words} [{unit}]"
 
 
 def _parse(text: str) -> Degradation:
@@ -81,5 +88,4 @@ def _parse(text: str) -> Degradation:
         raise ConfigurationError(f"--degrade {text!r}: {error}") from error
     # Degradations in their fixed order, then other faults as they are given.
     ordered = sorted(cases.values(), key=lambda case: _ORDER.get(case.fault.name, len(_ORDER)))
-    kept = tuple(case for case in ordered if not case.is_neutral)
-    return Degradation(",".join(case.name for case in kept) or "undegraded", kept)
+    return Degradation(",".join(case.name for case in ordered if not case.is_neutral) or UNDEGRADED)

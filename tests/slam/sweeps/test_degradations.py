@@ -64,7 +64,7 @@ def test_the_strength_of_the_log_as_it_is() -> None:
 
 def test_options_in_words() -> None:
     names = [describe_option(option) for option in ("dropout", "field_of_view", "odometry_yaw_noise")]
-    assert names == ["dropout [share]", "field of view [deg]", "odometry yaw noise [rad / sqrt(m)]"]
+    assert names == ["dropout", "field of view [deg]", "odometry yaw noise [rad / sqrt(m)]"]
 
 
 @pytest.mark.parametrize("text", ["field_of_view=90", "reversed", "max_range=20", "time_offset=0.2", "drop_label=tree"])

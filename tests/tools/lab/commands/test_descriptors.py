@@ -72,7 +72,7 @@ def test_a_table_in_markdown(dslam: Run) -> None:
     assert set(cells[1]) == {"---", "---:"}
     assert [row[1] for row in cells[2:]] == list(SCENARIOS) * 2
     assert cells[2][2:5] == ["100.0 ± 0.0", "100.0", "100.0"]
-    assert cells[5][7] == "-"
+    assert cells[5][7] == "–"
 
 
 def test_a_map_of_one_s_own(dslam: Run, tmp_path: Path) -> None:
