@@ -132,14 +132,17 @@ def _load_map(path: Path) -> TrainingMap:
     import numpy as np
 
     from descriptors.descriptellation_lr.training_maps import TrainingMap
+    from slam.common.errors import InputDataError
 
     if path.suffix.lower() == ".csv":
-        from slam.simulation.world import load_objects
+        from logs.importers.maps.object_table import read_object_table
 
-        positions, labels = load_objects(path)
+        table = read_object_table(path)
+        if table.is_geodetic:
+            raise InputDataError(f"{path}: positions in degrees; give metres")
+        positions, labels = table.positions, table.labels
     else:
         from logs.reader import LogReader
-        from slam.common.errors import InputDataError
         from slam.object_map.map_io import METADATA, confirmed, load_map
 
         with LogReader(path) as reader:

@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from io import BytesIO, TextIOWrapper
 from pathlib import Path
 
 import numpy as np
 
-from logs.storage.regular_file import read_regular
-from logs.validation import LARGEST_M
+from logs.importers.maps.object_table import read_object_table
 from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
-
-OBJECT_COLUMNS = ("x_m", "y_m", "z_m", "class", "id")
-TOUR_COLUMNS = ("x_m", "y_m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,81 +82,22 @@ class World:
 
 
 def load_world(objects: Path, trajectory: Path, *, name: str | None = None) -> World:
-    """Read a world from two CSV files with a header line.
+    """Read a world from two tables of objects, in metres (:func:`logs.importers.maps.object_table.read_object_table`).
 
     Args:
-        objects: columns ``x_m, y_m, z_m, class, id``; further columns are passed over.
-        trajectory: columns ``x_m, y_m``, the points of the tour in order.
+        objects: what stands in the world, with its classes and ids where known.
+        trajectory: the points of the tour in order.
         name: what outputs call the world; by default the name of the folder that holds ``objects``.
 
     Raises:
-        SimulationError: a missing or unreadable file, a missing column, no finite number, an empty class or id, an id
-            used twice, fewer than two poses; names the file and the line.
+        DatasetError: a missing column, a cell that is no number, or an id used twice; names the file and the line.
+        SimulationError: degrees instead of metres, or fewer than two poses.
     """
-    ids, positions, labels = _read_objects(objects)
-    tour = [
-        [_number(trajectory, line, column, row[column]) for column in TOUR_COLUMNS]
-        for line, row in _rows(trajectory, TOUR_COLUMNS)
-    ]
-    if len(tour) < 2:
-        raise SimulationError(f"{trajectory}: {len(tour)} poses; a tour needs at least two")
+    there, tour = read_object_table(objects), read_object_table(trajectory)
+    for path, table in ((objects, there), (trajectory, tour)):
+        if table.is_geodetic:
+            raise SimulationError(f"{path}: positions in degrees; give metres")
+    if len(tour.labels) < 2:
+        raise SimulationError(f"{trajectory}: {len(tour.labels)} poses; a tour needs at least two")
     name = objects.resolve().parent.name if name is None else name
-    return World(name, ids, positions, labels, np.array(tour))
-
-
-def load_objects(objects: Path) -> tuple[FloatArray, tuple[str, ...]]:
-    """Positions (N, 3) m and labels (N,) of a CSV file of objects.
-
-    Raises:
-        SimulationError: as :func:`load_world`.
-    """
-    return _read_objects(objects)[1:]
-
-
-def _read_objects(objects: Path) -> tuple[tuple[str, ...], FloatArray, tuple[str, ...]]:
-    first_line: dict[str, int] = {}
-    positions: list[list[float]] = []
-    labels: list[str] = []
-    for line, row in _rows(objects, OBJECT_COLUMNS):
-        positions.append([_number(objects, line, column, row[column]) for column in OBJECT_COLUMNS[:3]])
-        label, object_id = row["class"].strip(), row["id"].strip()
-        if not label or not object_id:
-            raise SimulationError(f"{objects}, line {line}: empty {'id' if label else 'class'}; every object needs one")
-        if object_id in first_line:
-            raise SimulationError(
-                f"{objects}, line {line}: id {object_id!r} is taken by line {first_line[object_id]}; ids are unique"
-            )
-        first_line[object_id] = line
-        labels.append(label)
-    if not labels:
-        raise SimulationError(f"{objects}: no object in it; give it at least one line below the header")
-    return tuple(first_line), np.array(positions), tuple(labels)
-
-
-def _rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[int, dict[str, str]]]:
-    try:
-        with TextIOWrapper(BytesIO(read_regular(path)), encoding="utf-8-sig", newline="") as stream:
-            reader = csv.DictReader(stream)
-            missing = [column for column in columns if column not in (reader.fieldnames or ())]
-            if missing:
-                raise SimulationError(
-                    f"{path}, line 1: no column {', '.join(missing)}; expected {','.join(columns)} in the header"
-                )
-            for row in reader:
-                if any(row[column] is None for column in columns):
-                    raise SimulationError(f"{path}, line {reader.line_num}: fewer values than the header has columns")
-                yield reader.line_num, row
-    except OSError as error:
-        raise SimulationError(f"{path}: cannot be read ({error.strerror}); give the path of a CSV file") from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise SimulationError(f"{path}: not a CSV file in UTF-8 ({error})") from error
-
-
-def _number(path: Path, line: int, column: str, text: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not abs(number) <= LARGEST_M:
-        raise SimulationError(f"{path}, line {line}: {column} is {text[:40]!r}, not a number up to {LARGEST_M:g}")
-    return number
+    return World(name, there.ids, there.positions, there.labels, tour.positions[:, :2])

@@ -15,6 +15,7 @@ import zstandard
 from logs.clouds.ply import read_ply
 from logs.digest import file_sha256
 from logs.errors import DatasetError, LogError, UnreadableLogError
+from logs.importers.maps.object_table import read_object_table
 from logs.importers.object_scans import read_object_scans
 from logs.importers.tables import read_source_text
 from logs.reader import LogReader
@@ -24,7 +25,6 @@ from slam.common.config import load_config
 from slam.common.errors import InputDataError, SlamError
 from slam.fleet.logs import find_logs
 from slam.formats.g2o import read_pose_graph
-from slam.simulation.world import load_objects
 
 READERS: dict[str, Callable[[Path], object]] = {
     "log": LogReader,
@@ -33,7 +33,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "archive": read_object_scans,
     "cloud": read_ply,
     "settings": load_config,
-    "objects": load_objects,
+    "objects": read_object_table,
     "pose graph": read_pose_graph,
     "manifest": lambda path: find_logs([], path, path.parent),
 }
