@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import importlib
-import multiprocessing
-import os
 import statistics
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -19,6 +16,7 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, invert, rotation_angle_rad, transform_from_xyz_yaw
 from slam.registration.parameters import RegistrationConfig
 from slam.registration.registration import register
+from slam.sweeps.workers import Death, compute_all
 
 CORRESPONDENCES = (50, 100, 500, 1000, 5000)
 FALSE_SHARES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99)
@@ -85,19 +83,25 @@ def benchmark_registration(
     """
     cells: list[Cell] = []
     unavailable: dict[str, str] = {}
-    for method in METHODS:
-        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _use_one_thread) as process:
-            try:
-                cells += process.submit(measure_method, method, seed, trials, tuple(correspondences)).result()
-            except ImportError as error:
-                unavailable[method] = str(error)
+    tasks = [(method, seed, trials, tuple(correspondences)) for method in METHODS]
+    for (method, *_), outcome in compute_all(_measure_method, tasks, jobs=1, fresh=True):
+        match outcome:
+            case Death():
+                unavailable[method] = f"its process ended with {outcome.exit_code}"
+            case str():
+                unavailable[method] = outcome
+            case _:
+                cells += outcome
     by_problem = sorted(cells, key=lambda c: (c.correspondences, c.false_share))
     return RegistrationBenchmark(tuple(by_problem), unavailable)
 
 
-def _use_one_thread() -> None:
-    """The peers read this when they are loaded, which comes later; our matrix products are too small for threads."""
-    os.environ["OMP_NUM_THREADS"] = "1"
+def _measure_method(task: tuple[str, int, int, tuple[int, ...]]) -> list[Cell] | str:
+    """The cells of a method, or why it cannot be imported."""
+    try:
+        return measure_method(*task)
+    except ImportError as error:
+        return str(error)
 
 
 def measure_method(method: str, seed: int, trials: int, correspondences: Sequence[int]) -> list[Cell]:

@@ -5,9 +5,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,12 +14,14 @@ from threadpoolctl import threadpool_limits
 from logs.messages import GroundTruthPose, ObjectDetections, Odometry
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
+from slam.common.errors import SimulationError
 from slam.localization.prior_map import PriorMap
 from slam.self_calibration.calibration import calibrate
 from slam.self_calibration.survey import survey
 from slam.simulation.config import SimulationConfig
 from slam.simulation.simulation import SimulatedRecord, simulate
 from slam.simulation.world import World
+from slam.sweeps.workers import Death, compute_all
 from tools.lab.relocalization.figures import (
     RECOVERED_WITHIN_M,
     Outcome,
@@ -35,6 +35,8 @@ from tools.lab.relocalization.oracle import Oracle
 from tools.lab.relocalization.trial import Drive, put_down
 
 TOLERANCE = Tolerance(1.0, 3.0)
+PARTS_PER_JOB = 4
+"""Parts of the kidnappings that a process of its own searches, so that there is progress to report."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +101,7 @@ def benchmark_relocalization(
         if on_progress is not None:
             on_progress(len(outcomes) / len(places))
     return sum_up(
-        outcomes,
+        sorted(outcomes, key=lambda outcome: outcome.number),
         world=world.name,
         tour_m=world.tour_length_m,
         landmarks=known.landmark_count,
@@ -126,14 +128,22 @@ def map_tour(world: World, config: Config, simulation: SimulationConfig, *, seed
 
 
 def search_all(search: Search, kidnaps: list[Kidnap], *, jobs: int) -> Iterator[Outcome]:
-    """The outcome of each kidnapping, in their order, on one thread a process."""
-    if jobs == 1:
-        with threadpool_limits(1):
-            yield from (relocalize(search, kidnap) for kidnap in kidnaps)
-        return
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(jobs, len(kidnaps)), spawn, _begin, (search,)) as processes:
-        yield from processes.map(_relocalize, kidnaps)
+    """The outcome of each kidnapping as they finish, with one job in their order.
+
+    Raises:
+        SimulationError: a process died.
+    """
+    parts = min(len(kidnaps), len(kidnaps) if jobs == 1 else PARTS_PER_JOB * jobs)
+    tasks = [(search, kidnaps[first::parts]) for first in range(parts)]
+    for _, outcomes in compute_all(_relocalize_all, tasks, jobs=jobs):
+        if isinstance(outcomes, Death):
+            raise SimulationError(f"a process that searched ended with {outcomes.exit_code}; try fewer jobs")
+        yield from outcomes
+
+
+def _relocalize_all(task: tuple[Search, list[Kidnap]]) -> list[Outcome]:
+    search, kidnaps = task
+    return [relocalize(search, kidnap) for kidnap in kidnaps]
 
 
 def ask_oracle(search: Search, kidnaps: Sequence[Kidnap]) -> float:
@@ -164,16 +174,3 @@ def _perceived(records: Iterable[SimulatedRecord]) -> Iterator[Odometry | Object
 def _objects_in_range(search: Search, T_world_body: FloatArray) -> int:
     offsets = search.world.positions[:, :2] - T_world_body[:2, 3]
     return int(np.count_nonzero(np.hypot(*offsets.T) <= search.simulation.sensor.max_range_m))
-
-
-_searches: list[Search] = []
-"""Of a process of its own: what is the same for all kidnappings travels to it only once."""
-
-
-def _begin(search: Search) -> None:
-    threadpool_limits(1)
-    _searches.append(search)
-
-
-def _relocalize(kidnap: Kidnap) -> Outcome:
-    return relocalize(_searches[-1], kidnap)

@@ -1,1 +1,0 @@
-"""What joining a fleet costs beside mapping its logs."""
