@@ -19,12 +19,6 @@ def metadata_of(path: Path) -> dict[str, dict[str, str]]:
         return reader.metadata()
 
 
-def test_the_help_has_an_example(dslam: Run) -> None:
-    result = dslam("degrade", "--help")
-    assert result.code == 0
-    assert "Example: dslam degrade" in " ".join(result.out.split())
-
-
 def test_every_option_is_a_fault_in_a_fixed_order(dslam: Run, tmp_path: Path) -> None:
     output = tmp_path / "out.mcap"
     options = {

@@ -16,6 +16,7 @@ COMMANDS = (
     *("optimize", "view", "export", "config", "benchmark registration", "benchmark closures"),
     *("relocalize", "train", "benchmark replay", "benchmark descriptors", "benchmark map-size"),
     *("benchmark relocalization", "benchmark faults", "benchmark ablation"),
+    *("benchmark robots", "benchmark recall", "benchmark retrieval", "benchmark fleet", "benchmark kidnapping"),
 )
 
 

@@ -26,12 +26,6 @@ def write_world(folder: Path) -> tuple[object, ...]:
     return ("--objects", folder / "objects.csv", "--trajectory", folder / "trajectory.csv")
 
 
-def test_the_help_has_an_example(dslam: Run) -> None:
-    result = dslam("benchmark", "descriptors", "--help")
-    assert (result.code, result.err) == (0, "")
-    assert "Example: dslam benchmark descriptors" in " ".join(result.out.split())
-
-
 @pytest.mark.slow
 def test_json_has_every_measure_of_every_scenario(dslam: Run) -> None:
     result = benchmark(dslam, "--descriptor", "ring_likelihood", "--descriptor", "exhaustive search", "--json")

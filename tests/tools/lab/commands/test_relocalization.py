@@ -52,12 +52,6 @@ def files(tmp_path: Path) -> tuple[object, ...]:
     return ("--objects", tmp_path / "objects.csv", "--trajectory", tmp_path / "trajectory.csv")
 
 
-def test_the_help_has_an_example(dslam: Run) -> None:
-    result = dslam("benchmark", "relocalization", "--help")
-    assert (result.code, result.err) == (0, "")
-    assert "Example: dslam benchmark relocalization" in " ".join(result.out.split())
-
-
 @pytest.mark.slow
 def test_json_has_every_figure(dslam: Run, files: tuple[object, ...], tmp_path: Path) -> None:
     more = ("--kidnaps", 2, "--max-travel", 25, "--seed", 5, "--noise", 1.5, "--changed", 0.1, "--json")
