@@ -10,21 +10,17 @@ import numpy as np
 from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import BoolArray
 from slam.loop_closure.candidate import Candidate
-from slam.object_map.landmarks import LandmarkState, ObjectMap
+from slam.object_map.landmarks import LandmarkMerge, LandmarkState, ObjectMap
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.segments import SegmentConnectivity
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosedLoop:
-    """A closure with the number of its factor; ``earlier_merges``, ``merges``: how many merges of landmarks, by
-    closures and by the front end, were in force when it was inserted, and how many it made.
-    """
+    """A closure with the number of its factor."""
 
     candidate: Candidate
     factor: int
-    earlier_merges: int
-    merges: int
 
 
 class ClosedLoops:
@@ -61,7 +57,8 @@ class ClosedLoops:
         moved = self._segments.connect(candidate.reference, candidate.query)
         edge = candidate.edge()
         factor = self._graph.add_joining_edge(edge, moved) if len(moved) else self._graph.add_edge(edge)
-        self.loops.append(self._merge_all(candidate, factor))
+        self.loops.append(ClosedLoop(candidate, factor))
+        self._merge_landmarks(self.loops[-1])
         self._graph.alias_landmarks(self._map.aliases)
 
     def remove(self, loops: Sequence[ClosedLoop]) -> None:
@@ -70,7 +67,9 @@ class ClosedLoops:
             return
         for loop in loops:
             self._graph.remove_factor(loop.factor)
-        self._merge_without({loop.factor for loop in loops})
+        gone = {loop.factor for loop in loops}
+        self.loops = [loop for loop in self.loops if loop.factor not in gone]
+        self._merge_again(self._map.undo_merges(), gone)
         self._segments.reset()
         for ends in [*self._lasting, *((each.candidate.reference, each.candidate.query) for each in self.loops)]:
             self._segments.connect(*ends)
@@ -86,36 +85,26 @@ class ClosedLoops:
         ]
         self.loops = [loop for loop in self.loops if loop.factor in held]
 
-    def _merge_without(self, gone: set[int]) -> None:
-        """Undo all merges since the first of the closures with the factors ``gone``, and make the others again.
+    def _merge_again(self, merges: Sequence[LandmarkMerge], gone: set[int]) -> None:
+        """Make merges again but for those by closures with the factors ``gone``.
 
-        A later merge, of a closure or of the front end, may refer to the alias that an earlier one created.
+        What a closure may merge depends on the merges before it, so each merges its landmarks anew.
         """
-        since = min(loop.earlier_merges for loop in self.loops if loop.factor in gone)
-        undone = self._map.undo_merges(since)
-        loops, position = [loop for loop in self.loops if loop.earlier_merges < since], 0
-        for loop in self.loops[len(loops) :]:
-            start = loop.earlier_merges - since
-            self._merge_again(undone[position:start])
-            position = start + loop.merges
-            if loop.factor not in gone:
-                loops.append(self._merge_all(loop.candidate, loop.factor))
-        self._merge_again(undone[position:])
-        self.loops = loops
+        waiting = {loop.factor: loop for loop in self.loops}
+        anew = set(waiting)
+        for merge in merges:
+            if merge.closure in waiting:
+                self._merge_landmarks(waiting.pop(merge.closure))
+            elif merge.closure not in gone | anew:  # by the front end, or by a closure that was condensed
+                self._map.merge(merge.kept, merge.dropped, closure=merge.closure)
+        for loop in waiting.values():
+            self._merge_landmarks(loop)
         self._graph.alias_landmarks(self._map.aliases)
 
-    def _merge_again(self, merges: Sequence[tuple[int, int]]) -> None:
-        """Make merges of the front end again: the same landmarks, by the present aliases of these."""
-        for kept, dropped in merges:
-            self._map.merge(kept, dropped)
-
-    def _merge_all(self, candidate: Candidate, factor: int) -> ClosedLoop:
-        """The closure with this factor, once its matched landmarks are merged."""
-        earlier = self._map.merge_count
-        for query, reference in candidate.pairs.tolist():
+    def _merge_landmarks(self, loop: ClosedLoop) -> None:
+        for query, reference in loop.candidate.pairs.tolist():
             if self._may_merge(query, reference):
-                self._map.merge(reference, query)
-        return ClosedLoop(candidate, factor, earlier, self._map.merge_count - earlier)
+                self._map.merge(reference, query, closure=loop.factor)
 
     def _may_merge(self, query: int, reference: int) -> bool:
         """Whether the query landmark stands for itself, and neither landmark is of both traversals."""

@@ -70,6 +70,15 @@ LANDMARK = np.dtype(
 )
 
 
+@dataclass(frozen=True, slots=True)
+class LandmarkMerge:
+    """Two rows that were made one landmark; ``closure``: the factor of the closure that did it, None for others."""
+
+    kept: int
+    dropped: int
+    closure: int | None = None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _ObservationSums:
     """Sums over the measurements of each landmark, one row a landmark."""
@@ -88,7 +97,7 @@ class ObjectMap:
         self._beliefs = ClassBeliefs(config)
         self._size = 0
         self._reasons: dict[int, str] = {}
-        self._merges: list[tuple[int, int]] = []
+        self._merges: list[LandmarkMerge] = []
         self._aliases = UnionFind()
 
     def __len__(self) -> int:
@@ -238,7 +247,7 @@ class ObjectMap:
         self._reasons.update(dict.fromkeys(ended, reason.value))
         return ended
 
-    def merge(self, kept: int, dropped: int) -> bool:
+    def merge(self, kept: int, dropped: int, *, closure: int | None = None) -> bool:
         """Make ``dropped`` an alias of ``kept``: in the map they are one landmark from now on.
 
         Returns whether they were two. Data association still uses both rows, because in the odometry frame the two
@@ -247,25 +256,17 @@ class ObjectMap:
         Args:
             kept: the row itself, not what it was merged into: other merges may be undone, and this one made again.
             dropped: likewise.
+            closure: the factor of the closure that matched the two, if one did.
         """
         is_new = self._aliases.merge(kept, dropped)
         if is_new:
-            self._merges.append((kept, dropped))
+            self._merges.append(LandmarkMerge(kept, dropped, closure))
         return is_new
 
-    def undo_merges(self, since: int) -> tuple[tuple[int, int], ...]:
-        """Undo all merges but the first ``since``; returns those, (kept, dropped), the oldest first."""
-        undone = tuple(self._merges[since:])
-        self._merges, kept = [], self._merges[:since]
-        self._aliases = UnionFind()
-        for merge in kept:
-            self.merge(*merge)
+    def undo_merges(self) -> list[LandmarkMerge]:
+        """Undo all merges; returns them, the oldest first."""
+        undone, self._merges, self._aliases = self._merges, [], UnionFind()
         return undone
-
-    @property
-    def merge_count(self) -> int:
-        """How many merges are in force."""
-        return len(self._merges)
 
     @property
     def aliases(self) -> dict[int, int]:

@@ -7,7 +7,7 @@ import pytest
 
 from logs.writer import LogWriter
 from slam.common.calibration import ObjectCalibration
-from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
+from slam.object_map.landmarks import LandmarkMerge, LandmarkState, ObjectMap, RetirementReason
 from slam.object_map.velocities import velocities
 from tests.helpers.short_drives import records_of
 from tests.logs.examples import assert_same_record
@@ -181,18 +181,18 @@ def test_undoing_a_merge_restores_both_landmarks():
     see(object_map, 1, label=0, seconds=7.0)
     before = object_map.to_record(0)
     assert object_map.merge(0, 1)
-    assert object_map.undo_merges(0) == ((0, 1),)
+    assert object_map.undo_merges() == [LandmarkMerge(0, 1)]
     assert_same_record(object_map.to_record(0), before)
 
 
-def test_merges_are_of_the_landmarks_given_and_undone_from_the_last_one():
+def test_merges_are_of_the_landmarks_given():
     object_map = new_map(count=4)
-    for kept, dropped in ((0, 1), (1, 2), (3, 2)):
-        object_map.merge(kept, dropped)
+    for kept, dropped, closure in ((0, 1, None), (1, 2, 7), (3, 2, None)):
+        object_map.merge(kept, dropped, closure=closure)
     assert not object_map.merge(1, 3)
     assert object_map.aliases == {1: 3, 2: 3, 0: 3}
-    assert object_map.undo_merges(1) == ((1, 2), (3, 2))
-    assert object_map.aliases == {1: 0}
+    assert object_map.undo_merges() == [LandmarkMerge(0, 1), LandmarkMerge(1, 2, 7), LandmarkMerge(3, 2)]
+    assert object_map.aliases == {}
 
 
 def test_a_map_goes_into_a_log_and_comes_back(tmp_path):
