@@ -68,7 +68,7 @@ class FactorGraph(EditableGraph):
         away = set(moved.tolist())
         with self._calls.doing("the joining of two segments"):
             T_shift = shift_of_segment(edge, self.pose(edge.from_keyframe), self.pose(edge.to_keyframe), away)
-            landmarks = [each for each in self._variables() if self._solver.holds(L(each))]
+            landmarks = [each for each in sorted(self._variables()) if self._solver.holds(L(each))]
             others = [o for o in self._factors.values() if isinstance(o, Observation) and o.keyframe not in away]
             staying = self._known.keys() | {self._variable_of(each.landmark) for each in others}
             along = set(landmarks) - staying
