@@ -37,7 +37,7 @@ from slam.sweeps.workers import Death
 logger = logging.getLogger(__name__)
 
 _KEY_DIGITS = 16
-_ARRAYS = ("place", "reference_map", "T_reference_place", "covariance", "llr", "matched")
+_ARRAYS = ("place", "reference_map", "T_reference_place", "covariance", "llr", "matched", "pairs")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,7 +176,7 @@ def _find_pairs(
         index = make_place_index(maps, sigma_m=config.calibration.objects.landmark_sigma_m)
         save_imported_map(index_path, index.objects)
     tasks = [
-        JoinTask(number, session / MAP_NAME, index_path, index_path.parent / f"{number}.npz")
+        JoinTask(number, session / MAP_NAME, index_path, index_path.parent / f"joins_{number}.npz")
         for number, session in enumerate(folders)
     ]
     waiting = [task for task in tasks if not task.output.exists()]
@@ -195,7 +195,8 @@ def join_session(task: JoinTask) -> int:
     saved = load_map(task.path)
     joins = find_joins(saved, task.number, _opened(task.index), session_config(saved.metadata))
     content = io.BytesIO()
-    columns: dict[str, Any] = {name: np.array([getattr(join, name) for join in joins]) for name in _ARRAYS}
+    columns: dict[str, Any] = {name: np.array([getattr(join, name) for join in joins]) for name in _ARRAYS[:-1]}
+    columns["pairs"] = np.array([json.dumps(join.pairs) for join in joins], dtype=np.str_)
     np.savez(content, **columns)
     partial = partial_path(task.output)
     partial.write_bytes(content.getvalue())
@@ -213,8 +214,17 @@ def _read_joins(task: JoinTask) -> list[Join]:
     with np.load(task.output) as arrays:
         columns = [arrays[name] for name in _ARRAYS]
     return [
-        Join(task.number, int(place), int(reference), T, covariance, float(llr), int(matched))
-        for place, reference, T, covariance, llr, matched in zip(*columns, strict=True)
+        Join(
+            task.number,
+            int(place),
+            int(reference),
+            T,
+            covariance,
+            float(llr),
+            int(matched),
+            tuple((own, other) for own, other in json.loads(str(pairs))),
+        )
+        for place, reference, T, covariance, llr, matched, pairs in zip(*columns, strict=True)
     ]
 
 

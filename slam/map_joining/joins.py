@@ -29,7 +29,8 @@ class Join:
     """A place of map ``query_map`` recognised in map ``reference_map``.
 
     ``T_reference_place`` (4, 4): the place in the frame of the other map, with its covariance (6, 6), rotation first;
-    ``llr``: log-likelihood ratio of the same place against chance [nats]; ``matched``: objects.
+    ``llr``: log-likelihood ratio of the same place against chance [nats]; ``matched``: objects; ``pairs``: ids of the
+    landmarks of the two maps that were matched.
     """
 
     query_map: int
@@ -39,6 +40,7 @@ class Join:
     covariance: FloatArray
     llr: float
     matched: int
+    pairs: tuple[tuple[str, str], ...] = ()
 
 
 def find_joins(query: SavedMap, number: int, index: PlaceIndex, config: Config) -> list[Join]:
@@ -81,6 +83,10 @@ def find_joins(query: SavedMap, number: int, index: PlaceIndex, config: Config) 
                 covariance + shared_covariance(config.calibration.objects),
                 ratio.total,
                 ratio.matched_count,
+                tuple(
+                    (query.objects.ids[submap.rows[own]], index.name_of(reference.rows[other]))
+                    for own, other in registration.pairs.tolist()
+                ),
             )
             if ratio.total >= MIN_LLR and not _is_known(join, known, config):
                 known.append(join)

@@ -194,6 +194,18 @@ def _moved(saved: SavedMap, T_joint_place: FloatArray) -> ObjectMapRecord:
     return replace(saved.objects, positions=positions, covariances=R @ saved.objects.covariances @ np.swapaxes(R, 1, 2))
 
 
+def _merge_matched(object_map: ObjectMap, joins: Sequence[Join], rows_of: Mapping[int, Mapping[str, int]]) -> None:
+    """Merge the landmarks that joins matched, the surest first; two landmarks of one map are two objects."""
+    maps_of = {row: {number} for number, rows in rows_of.items() for row in rows.values()}
+    for join in sorted(joins, key=lambda join: -join.llr):
+        for query, reference in join.pairs:
+            ends = rows_of[join.query_map][query], rows_of[join.reference_map][reference]
+            kept, dropped = sorted(map(object_map.canonical_id, ends))
+            if maps_of[kept].isdisjoint(maps_of[dropped]):
+                object_map.merge(kept, dropped)
+                maps_of[kept] |= maps_of[dropped]
+
+
 def _solved(
     members: list[int],
     maps: Mapping[int, SavedMap],
@@ -220,6 +232,8 @@ def _solved(
         observations += observations_of(saved.graph, place_of, rows_of[number])
     edges += [Edge(*_edge(join, maps, first), join.covariance, EdgeKind.LOOP_CLOSURE) for join in joins]
     graph.restore(T_map_place, edges, observations)
+    _merge_matched(object_map, joins, rows_of)
+    graph.alias_landmarks(object_map.aliases)
     radius_m = 2.0 * config.calibration.objects.landmark_sigma_m
     for _ in range(FUSIONS):
         graph.optimize()

@@ -45,6 +45,10 @@ class PlaceIndex:
         numbers = cells[:, 1] * side + cells[:, 0]
         return np.where(is_inside & (numbers < len(self.offsets)), numbers, -1)
 
+    def name_of(self, row: int) -> str:
+        """The id of a landmark in its map, by its row in ``objects``."""
+        return str(self.objects.ids[row].decode()).partition("/")[2]
+
     def labels_of(self, names: Sequence[str]) -> IntArray:
         """Classes (N,) as the index numbers them; -1 for one that it does not have."""
         number = {name: place for place, name in enumerate(self.objects.vocabulary)}

@@ -92,6 +92,24 @@ def test_landmarks_are_fused_and_nearer_to_the_truth(joint: list[JointMap], maps
     assert np.median(errors) < 0.3
 
 
+def test_landmarks_that_joins_matched_are_one_and_none_of_one_map(
+    maps: list[SavedMap], pairs: list[MapPair], joint: list[JointMap]
+) -> None:
+    landmark_of = {(each.map_number, each.name): each.landmark for each in joint[0].sightings}
+    matched = [
+        landmark_of[join.query_map, query] == landmark_of[join.reference_map, reference]
+        for pair in pairs
+        if pair.accepted
+        for join in pair.joins
+        for query, reference in join.pairs
+    ]
+    assert len(matched) > 100
+    assert np.mean(matched) > 0.99
+    for number in joint[0].members:
+        names = [landmark for (of, _), landmark in landmark_of.items() if of == number]
+        assert len(set(names)) >= len(names) - 1
+
+
 def test_a_single_join_with_the_evidence_of_chance_joins_nothing(maps: list[SavedMap], joins: list[Join]) -> None:
     """Of four maps there are six pairs: 9.2 nats for an error in 10,000, 1.8 for the pairs, 6 for the search."""
     one = [join for join in joins if (join.query_map, join.reference_map) == (0, 1)][:1]
