@@ -1,6 +1,6 @@
 """Runs the commands of docs/results/*.md again, block by block: ``make results``.
 
-A block is skipped when its output is there and its commands are the same, so that an interrupted run goes on where it
+A block is skipped when its output is there and its commands are the same, so that an interrupted run continues where it
 was. Outputs are in out/results/PAGE-NUMBER.txt; the tables of the pages are written from them.
 """
 

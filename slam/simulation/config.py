@@ -90,12 +90,12 @@ class KidnapConfig(_Branch):
     """The robot is taken from one place of the tour to another, while nothing is logged or unnoticed."""
 
     from_m: float = Field(gt=0, description="metres along the tour at which it is taken")
-    to_m: float = Field(ge=0, description="metres along the tour at which it goes on, to the tour's end")
+    to_m: float = Field(ge=0, description="metres along the tour at which it continues, to the tour's end")
     gap_s: float = Field(default=5.0, gt=0, le=86400, description="time without messages [s]")
     before_m: float | None = Field(default=None, gt=0, description="only so much is driven before it [m]")
     after_m: float | None = Field(default=None, gt=0, description="... and only so much after it [m]")
     silent: bool = Field(
-        default=False, description="no such time: the odometry goes on as if the robot had driven straight on"
+        default=False, description="no such time: the odometry continues as if the robot had driven straight on"
     )
 
 

@@ -1,1 +1,1 @@
-"""Faults of the input of a kind that no message tells: of odometry, of detections, of clocks and of frames."""
+"""Degradations and faults of the input: of odometry, detections, clocks and frames, without a message about them."""

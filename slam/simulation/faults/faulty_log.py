@@ -173,7 +173,7 @@ def _copied(reader: LogReader, topics: Collection[str]) -> Iterator[Entry]:
 
 
 def _write_metadata(reader: LogReader, writer: LogWriter, cases: Sequence[FaultCase], seed: int) -> None:
-    """What the input tells of itself, and how this log was made from it; later faults hide no earlier ones."""
+    """The metadata of the input, and how this log was made from it; later faults hide no earlier ones."""
     before = reader.metadata()
     for name, values in before.items():
         writer.add_metadata(name, values)

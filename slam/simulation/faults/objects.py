@@ -150,6 +150,6 @@ def _scans_with_ids(stream: Stream) -> list[Scan]:
     scans = [scan for scan in scans_of(stream) if scan.object_ids is not None]
     if not scans:
         raise SimulationError(
-            "the log holds no true ids of its detections (/ground_truth/detections), by which this fault tells objects"
+            "the log holds no true ids of its detections (/ground_truth/detections), which this fault needs"
         )
     return scans

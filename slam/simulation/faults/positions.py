@@ -40,7 +40,7 @@ from slam.simulation.faults.stream import (
     true_poses_at,
 )
 
-# In the axes of an optical frame (x right, y down, z forward), what is told in those of a body.
+# In the axes of an optical frame (x right, y down, z forward), what is given in those of a body.
 _R_OPTICAL_BODY = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 _Claimed = Annotated[float, Range("m", min=1e-9, max=1e3)]
 

@@ -110,7 +110,7 @@ def poses_at(stamps_ns: IntArray, T_a_b: FloatArray, at_ns: IntArray) -> FloatAr
 
 
 def body_frames_of(stream: Stream) -> Callable[[str], FloatArray]:
-    """A function from a sensor's frame to T_body_sensor (4, 4); the identity where no transform tells."""
+    """A function from a sensor's frame to T_body_sensor (4, 4); the identity without a transform."""
     frames, body = SensorFrames(), "base_link"
     for entry in stream:
         if isinstance(entry.content, Transform):

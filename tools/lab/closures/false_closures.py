@@ -19,7 +19,7 @@ SIGMAS = np.repeat([SIGMA_RAD, SIGMA_M], 3)
 """Noise of the closures that are made here, rotation first."""
 REVISIT_M = 5.0
 """True closures are between poses that are no farther apart."""
-LEAST_TRAVEL_M = 100.0
+MIN_TRAVEL_M = 100.0
 """Closures are between poses with more travel in between."""
 WRONG_M = 15.0
 """False closures, other than shifted ones, are between poses that are farther apart."""
@@ -67,7 +67,7 @@ def find_revisits(T_world_body_gt: FloatArray, spacing_m: float) -> IntArray:
     last_m = -np.inf
     for query, position in enumerate(positions):
         nearby = np.array(tree.query_ball_point(position, REVISIT_M), dtype=np.int64)
-        earlier = np.sort(nearby[travel_m[query] - travel_m[nearby] > LEAST_TRAVEL_M])
+        earlier = np.sort(nearby[travel_m[query] - travel_m[nearby] > MIN_TRAVEL_M])
         if len(earlier) and travel_m[query] - last_m >= spacing_m:
             distances = np.linalg.norm(positions[earlier] - positions[query], axis=1)
             pairs.append((int(earlier[np.argmin(distances)]), query))
@@ -139,7 +139,7 @@ def _aliased_stretch(T_world_body_gt: FloatArray, rng: np.random.Generator) -> C
     nearby = np.flatnonzero(np.abs(travel_m - travel_m[reference]) <= ALIASED_M[1] + REVISIT_M)
     distances, nearest = cKDTree(T_world_body_gt[nearby, :3, 3]).query(T_wrong[:, :3, 3])
     references = nearby[nearest]
-    alike = (distances <= REVISIT_M) & (travel_m[queries] - travel_m[references] > LEAST_TRAVEL_M)
+    alike = (distances <= REVISIT_M) & (travel_m[queries] - travel_m[references] > MIN_TRAVEL_M)
     length = int(np.argmin(np.append(alike, False)))
     if travel_m[queries[length - 1]] - travel_m[query] < 0.5 * ALIASED_M[0] or length == 0:
         length = 0
@@ -154,9 +154,9 @@ def _draw_apart(T_world_body_gt: FloatArray, rng: np.random.Generator) -> tuple[
     for _ in range(MAX_TRIES):
         reference, query = sorted(rng.integers(len(positions), size=2).tolist())
         far = np.linalg.norm(positions[query] - positions[reference]) > WRONG_M
-        if far and travel_m[query] - travel_m[reference] > LEAST_TRAVEL_M:
+        if far and travel_m[query] - travel_m[reference] > MIN_TRAVEL_M:
             return reference, query
-    raise EvaluationError(f"{travel_m[-1]:.0f} m of travel are too little for closures over {LEAST_TRAVEL_M:.0f} m")
+    raise EvaluationError(f"{travel_m[-1]:.0f} m of travel are too little for closures over {MIN_TRAVEL_M:.0f} m")
 
 
 def _closures(T_world_body_gt: FloatArray, pairs: IntArray, rng: np.random.Generator) -> Closures:

@@ -75,7 +75,7 @@ def ablation(
     """Map drives with one part of the method off at a time, and compare with all parts.
 
     Each drive is mapped with several copies of little noise, so that an effect can be told from a draw. If it is
-    killed, the same command goes on where it was.
+    killed, the same command continues where it was.
 
     Example: dslam benchmark ablation data -o out/ablation --drive demo --part calibration --copies 3
     """

@@ -59,8 +59,8 @@ def fleet(
                 "landmarks": f"{score.landmarks}, RMSE {score.rmse_m:.3f} m, median {score.median_m:.3f} m; in maps of "
                 f"single drives RMSE {score.single_rmse_m:.3f} m, median {score.single_median_m:.3f} m",
                 "duplicates": f"{100 * score.duplicates:.2f} %",
-                "changes": f"{score.changes_told} told, precision {score.change_precision:.3f}; {score.changes_true} "
-                f"that two drives before and after could show, recall {score.change_recall:.3f}",
+                "changes": f"{score.changes_reported} reported, precision {score.change_precision:.3f}; "
+                f"{score.changes_true} that two drives before and after could show, recall {score.change_recall:.3f}",
                 "cost": f"{cost.wall_s:.0f} s; mapping {cost.mapping_s:.0f} s, finding places {cost.finding_s:.0f} s, "
                 f"joining {cost.joining_s:.0f} s of the processor; {cost.session_mb:.2f} MB a session",
             }

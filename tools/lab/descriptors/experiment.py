@@ -60,7 +60,7 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class DescriptorBenchmark:
-    """All cells of a map of ``objects`` objects, and how long each method took to take in the map."""
+    """All cells of a map of ``objects`` objects, and how long each method took to index the map."""
 
     objects: int
     classes: int

@@ -46,7 +46,7 @@ class FleetScore:
     single_median_m: float
     duplicates: float
     changes_true: int
-    changes_told: int
+    changes_reported: int
     change_precision: float
     change_recall: float
 
@@ -70,7 +70,7 @@ def score_fleet(truth: SimulatedFleet, fleet: Fleet, maps: Sequence[SavedMap]) -
     drives = [truth.drives[name_of[digest]] for digest in fleet.order]
     joint = [(part, living) for part, living in zip(fleet.parts, fleet.living, strict=True) if len(part.members) > 1]
     errors, duplicates, landmarks, false_joins = list[FloatArray](), 0, 0, 0
-    told = right = counted = found = 0
+    reported = right = counted = found = 0
     best: dict[int, int] = {}
     for part, living in joint:
         city = drives[part.members[0]].city
@@ -83,7 +83,7 @@ def score_fleet(truth: SimulatedFleet, fleet: Fleet, maps: Sequence[SavedMap]) -
         false_joins += _false_joins(part, drives, fit.T_world_map)
         members = [drives[number] for number in part.members]
         a, b, c, d = _score_changes(living.changes, truth.events[city], members, fit.T_world_map)
-        told, right, counted, found = told + a, right + b, counted + c, found + d
+        reported, right, counted, found = reported + a, right + b, counted + c, found + d
     single = [
         _fit(saved.objects, drive, _everything(truth, drive.city)).errors_m
         for saved, drive in zip(maps, drives, strict=True)
@@ -104,8 +104,8 @@ def score_fleet(truth: SimulatedFleet, fleet: Fleet, maps: Sequence[SavedMap]) -
         single_median_m=float(np.median(np.concatenate(single))),
         duplicates=duplicates / max(landmarks, 1),
         changes_true=counted,
-        changes_told=told,
-        change_precision=right / max(told, 1),
+        changes_reported=reported,
+        change_precision=right / max(reported, 1),
         change_recall=found / max(counted, 1),
     )
 
@@ -184,16 +184,16 @@ def _false_joins(part: JointMap, drives: Sequence[TrueDrive], T_world_map: Float
 def _score_changes(
     changes: Sequence[Change], events: Sequence[Event], members: Sequence[TrueDrive], T_world_map: FloatArray
 ) -> tuple[int, int, int, int]:
-    """Told, told rightly, those that the drives could show, and of these found."""
-    told = [
+    """Changes that are reported, those of them that are right, those that the drives could show, and of these found."""
+    reported = [
         (kind, change.label, apply(T_world_map, np.array([position]))[0])
         for change in changes
         for kind, position in _events_of(change)
     ]
-    right = sum(any(_is_same(each, event) for event in events) for each in told)
+    right = sum(any(_is_same(each, event) for event in events) for each in reported)
     shown = [event for event in events if _can_show(event, members)]
-    found = sum(any(_is_same(each, event) for each in told) for event in shown)
-    return len(told), right, len(shown), found
+    found = sum(any(_is_same(each, event) for each in reported) for event in shown)
+    return len(reported), right, len(shown), found
 
 
 def _events_of(change: Change) -> list[tuple[str, tuple[float, float, float]]]:
@@ -202,8 +202,8 @@ def _events_of(change: Change) -> list[tuple[str, tuple[float, float, float]]]:
     return [(change.kind, change.position)]
 
 
-def _is_same(told: tuple[str, str, FloatArray], event: Event) -> bool:
-    kind, label, position = told
+def _is_same(change: tuple[str, str, FloatArray], event: Event) -> bool:
+    kind, label, position = change
     return kind == event.kind and label == event.label and float(np.hypot(*(position - event.position)[:2])) < MATCH_M
 
 

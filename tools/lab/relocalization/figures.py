@@ -1,4 +1,4 @@
-"""Verdicts on kidnappings, and what they come to."""
+"""Verdicts on kidnappings, and their statistics."""
 
 from __future__ import annotations
 

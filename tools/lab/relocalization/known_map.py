@@ -45,7 +45,7 @@ class KnownMap:
         """The map, where a drive made it.
 
         Raises:
-            SavedMapError: nobody drove it.
+            SavedMapError: the map has no trajectory.
         """
         if not isinstance(self.saved, SavedMap):
             raise SavedMapError("the map was imported, and has no keyframes; give one that 'dslam replay' saved")

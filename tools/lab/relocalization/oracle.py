@@ -30,7 +30,7 @@ from tools.lab.relocalization.known_map import KnownMap
 
 REACH_M = 80.0
 """Longest pairs of objects: what is seen on 40 m of travel with a range of 30 m is mostly nearer together."""
-LEAST_OBJECTS = 2
+MIN_OBJECTS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class Oracle:
         sigmas = np.full(len(labels), config.calibration.objects.landmark_sigma_m)
         self._known = known
         self._config = config
-        self._registration = registration_config(config).model_copy(update={"min_inliers": LEAST_OBJECTS})
+        self._registration = registration_config(config).model_copy(update={"min_inliers": MIN_OBJECTS})
         self._vocabulary = {label: index for index, label in enumerate(objects.vocabulary)}
         self._map = Submap(objects.positions, sigmas, labels, rows)
         counts = 1.0 + np.bincount(labels, minlength=len(objects.vocabulary))
@@ -72,7 +72,7 @@ class Oracle:
         """Where the robot is after ``length_m`` of a drive, given as simulated records in the order of time."""
         seen, T_world_gravity = _objects_seen(records, length_m, self._config)
         query = self._query(seen, T_world_gravity)
-        if len(query) < LEAST_OBJECTS:
+        if len(query) < MIN_OBJECTS:
             return OracleAnswer(None, is_right=False)
         found = self._distinct(self._search.leading(query.positions, query.labels, query_sigmas=query.sigmas))
         if not found:

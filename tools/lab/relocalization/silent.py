@@ -23,7 +23,7 @@ NOTICED_WITHIN_M = 30.0
 """Travel within which a kidnapping counts as noticed."""
 BEFORE_M, AFTER_M = 150.0, 60.0
 """What is driven before the kidnapping and after it."""
-LEAST_DISTANCE_M = 100.0
+MIN_DISTANCE_M = 100.0
 """How far away the robot is carried at least."""
 
 
@@ -72,16 +72,16 @@ def benchmark_silent_kidnapping(
         SimulationError: the tour is too short.
     """
     length_m = world.tour_length_m
-    if length_m < BEFORE_M + AFTER_M + 2.0 * LEAST_DISTANCE_M:
+    if length_m < BEFORE_M + AFTER_M + 2.0 * MIN_DISTANCE_M:
         raise SimulationError(
-            f"a tour of {length_m:.0f} m; give one of at least {BEFORE_M + AFTER_M + 2.0 * LEAST_DISTANCE_M:.0f} m"
+            f"a tour of {length_m:.0f} m; give one of at least {BEFORE_M + AFTER_M + 2.0 * MIN_DISTANCE_M:.0f} m"
         )
     rng = np.random.default_rng([seed, 4])
     done = list[SilentKidnapping]()
     with threadpool_limits(1):
         for number in range(kidnaps):
             from_m = to_m = float(rng.uniform(BEFORE_M, length_m - AFTER_M))
-            while abs(to_m - from_m) < LEAST_DISTANCE_M:
+            while abs(to_m - from_m) < MIN_DISTANCE_M:
                 to_m = float(rng.uniform(0.0, length_m - AFTER_M))
             done.append(_carry_off(world, config, number, from_m, to_m, seed=seed + number))
             if on_progress is not None:

@@ -1,6 +1,6 @@
-"""A robot that is put down anywhere in a map which nobody drove: beside an object, from where it goes straight on.
+"""A robot that is put down anywhere in a map without a trajectory: beside an object, from where it goes straight on.
 
-Such a map tells no streets. Objects of open data stand along them, so the direction in which those around a place are
+Such a map holds no streets. Objects of open data stand along them, so the direction in which those around a place are
 spread is taken for that of the street.
 """
 

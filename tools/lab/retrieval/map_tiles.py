@@ -41,7 +41,7 @@ MAP_SIGMA_M, QUERY_SIGMA_M = 0.3, 0.2
 """Standard deviations of a coordinate in the map and in the query."""
 MISSED, CLUTTER = 0.1, 0.1
 """Shares of the objects of a query that it misses, and that the map does not have."""
-LEAST_OBJECTS = 8
+MIN_OBJECTS = 8
 """A path with fewer objects is no query."""
 RIGHT_M = 2.0
 """A pose is right within that distance of the true one."""
@@ -199,12 +199,12 @@ def draw_path_queries(
         near = tree.query_ball_point(begin[:2] + steps, range_m)
         seen = np.unique(np.concatenate([np.asarray(rows, dtype=np.int64) for rows in near]))
         seen = seen[rng.random(len(seen)) >= MISSED]
-        if len(seen) < LEAST_OBJECTS:
+        if len(seen) < MIN_OBJECTS:
             continue
         end = np.array([*(begin[:2] + steps[-1]), float(np.median(positions[seen, 2]))])
         drawn.append(_observed(positions[seen], classes[seen], transform_from_xyz_yaw(end, yaw), tuple(names), rng))
     raise SimulationError(
-        f"paths of {travel_m:g} m rarely meet {LEAST_OBJECTS} objects within {range_m:g} m; give a denser map"
+        f"paths of {travel_m:g} m rarely meet {MIN_OBJECTS} objects within {range_m:g} m; give a denser map"
     )
 
 

@@ -1,8 +1,8 @@
-"""What place recognition is asked on a drive, recorded so that every descriptor is asked the same.
+"""Queries of place recognition on a drive, recorded so that every descriptor gets the same.
 
-The drive is mapped without closing a loop. Whenever landmarks come to be behind, they are written down as what an index
-takes in; and at every revisit the submap is, as what it is asked. So the submaps are those that the front-end makes of
-real detections, and no descriptor has an influence on what it is asked later.
+The drive is mapped without closing a loop. Landmarks that are left behind are recorded as entries of an index, and the
+submap at every revisit as a query. So the submaps are those that the front end makes of real detections, and no
+descriptor influences its later queries.
 """
 
 from __future__ import annotations
