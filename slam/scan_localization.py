@@ -125,22 +125,12 @@ class ScanLocalizer:
         return len(query.submap) >= self._acceptance.min_objects
 
     def propose(self, query: Query) -> list[Verified]:
-        """The candidates by retrieval and, where none is acceptable, those by exhaustive search."""
-        verified = self.retrieve(query)
-        if not any(isinstance(each, Candidate) and self._acceptance.is_acceptable(each) for each in verified):
-            verified += self.search_exhaustively(query)
-        return verified
+        """The candidates that retrieval proposes, as for a drive."""
+        places = self._retriever.propose(query.submap, before_m=self._verifier.latest_m(query))
+        return self.verify(query, places)
 
-    def retrieve(self, query: Query) -> list[Verified]:
-        """The candidates that triangles and descriptors propose, as for a drive."""
-        latest_m = self._verifier.latest_m(query)
-        return self._verify(query, self._retriever.retrieve(query.submap, before_m=latest_m, seed=SCAN))
-
-    def search_exhaustively(self, query: Query) -> list[Verified]:
-        """The candidates that pairs of objects propose, as for a drive that is lost."""
-        return self._verify(query, self._retriever.search_exhaustively(query.submap, segment=SEGMENT))
-
-    def _verify(self, query: Query, places: Sequence[Place]) -> list[Verified]:
+    def verify(self, query: Query, places: Sequence[Place]) -> list[Verified]:
+        """The candidates at places of the map, or the reasons why there is none."""
         return [self._verifier.verify(query, place) for place in places]
 
     def decide(self, query: Query, verified: Sequence[Verified]) -> Decision:

@@ -68,15 +68,7 @@ class LoopClosureConfig(Branch):
     )
     top_k: int = Field(default=6, ge=1, description="nearest neighbours in descriptor space for each object")
     max_candidates: int = Field(
-        default=3, ge=1, description="candidates by descriptors that are verified for each keyframe"
-    )
-    max_candidates_by_triangles: int = Field(
-        default=3,
-        ge=0,
-        description="... and those by triangles of neighbouring objects, which need no classes; 0: descriptors alone",
-    )
-    max_candidates_when_lost: int = Field(
-        default=5, ge=0, description="... and those of the exhaustive search that are verified while the robot is lost"
+        default=5, ge=1, description="candidates that are verified for each keyframe, of each map that is searched"
     )
     propagation_distance_m: float | None = Field(
         default=None,
@@ -89,11 +81,6 @@ class LoopClosureConfig(Branch):
 class RegistrationSettings(Branch):
     """Registration of one constellation of objects with another."""
 
-    method: str = Field(
-        default="vote",
-        pattern="^(vote|ransac)$",
-        description="poses are proposed by all compatible pairs of correspondences (vote) or by pairs drawn (ransac)",
-    )
     six_dof: bool = Field(
         default=False, description="estimate roll and pitch, too, instead of taking both frames as level"
     )

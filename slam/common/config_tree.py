@@ -42,7 +42,9 @@ RENAMED = {
     "loop_closure.base_height_sigma_m": "calibration.objects.landmark_height_sigma_m",
     "loop_closure.neighbours": "loop_closure.top_k",
     "loop_closure.places": "loop_closure.max_candidates",
-    "loop_closure.lost_places": "loop_closure.max_candidates_when_lost",
+    "loop_closure.lost_places": "loop_closure.max_candidates",
+    "loop_closure.max_candidates_when_lost": "loop_closure.max_candidates",
+    "loop_closure.max_candidates_by_triangles": "loop_closure.max_candidates",
     "loop_closure.follow_travel_m": "loop_closure.propagation_distance_m",
     "limits": "memory_mb",
 }

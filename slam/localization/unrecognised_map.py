@@ -14,10 +14,10 @@ from scipy.spatial import cKDTree
 
 from logs.messages import GeodeticFix, ObjectMapRecord, TrajectoryRecord
 from slam.common.arrays import FloatArray, IntArray
+from slam.common.geometry import apply
 from slam.localization.prior_map import PriorMap
 from slam.place_recognition.imported_map import ImportedMap
-from slam.place_recognition.quad_index import TOLERANCE_SIGMAS, QuadMatches
-from slam.place_recognition.triangle_voting import vote_for_poses
+from slam.place_recognition.quad_index import TOLERANCE_SIGMAS
 
 MOST_LANDMARKS = 60
 FEWEST_LANDMARKS = 4
@@ -140,21 +140,11 @@ def _listed(names: Sequence[str]) -> str:
 
 def _met(imported: ImportedMap, positions: FloatArray, labels: IntArray, sigma_m: float) -> int:
     """How many of the landmarks meet an object of their class, at the best of the poses that their quads propose."""
-    matches = imported.quads.match(positions, labels, imported.positions, sigma_m=sigma_m)
-    rows, corners = np.unique(matches.reference, return_inverse=True)
-    if not len(rows):
-        return 0
+    poses = imported.quads.find_poses(positions, labels, imported.positions, sigma_m=sigma_m, count=PLACES)
     tolerance_m = TOLERANCE_SIGMAS * sigma_m
-    poses = vote_for_poses(
-        positions,
-        imported.positions[rows].astype(np.float64),
-        QuadMatches(matches.query, corners.reshape(-1, 4)),
-        tolerance_m=tolerance_m,
-        count=PLACES,
-    )
     best = 0
-    for pose in poses:
-        moved = positions @ pose.T_reference_query[:3, :3].T + pose.T_reference_query[:3, 3]
+    for T_map_query in poses:
+        moved = apply(T_map_query, positions)
         middle = moved[:, :2].mean(axis=0)
         near = imported.near(middle, float(np.abs(moved[:, :2] - middle).max()) + tolerance_m)
         count = 0

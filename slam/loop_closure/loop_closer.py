@@ -110,14 +110,13 @@ class LoopCloser:
         if alike is not None:
             return [query.refusal(Stage.REPEATED, f"landmarks are those of keyframe {alike.keyframe.id}")]
         self._looked_up = query
-        # 2. Elsewhere landmarks that are still followed, or retrieval by triangles and descriptors, propose candidates.
+        # 2. Elsewhere landmarks that are still associated, or retrieval by descriptors, propose candidates.
         verified = self._verify_proposed(query) if self._has_enough_objects(query) else []
-        # 3. If the robot is lost and none of them is acceptable, the whole map is searched, for unconfirmed ones, too.
+        # 3. If the robot is lost and none of them is acceptable, landmarks that are not confirmed yet are used, too.
         if not self.closures.is_localized(keyframe) and not self._any_acceptable(verified):
-            query = self._with_unconfirmed(query)
-            if self._has_enough_objects(query):
-                segment = self._keyframes[0].odometry.segment
-                verified += self._verify_all(query, self._retriever.search_exhaustively(query.submap, segment=segment))
+            confirmed, query = query, self._with_unconfirmed(query)
+            if self._has_enough_objects(query) and len(query.submap) > len(confirmed.submap):
+                verified += self._verify_retrieved(query)
         if not verified:
             return [query.refusal(Stage.RETRIEVAL, self._why_nothing(query))]
         # 4. The candidate with the highest score is accepted, kept as a hypothesis or rejected.
@@ -146,11 +145,12 @@ class LoopCloser:
         if tracked is not None:
             verified.append(self._verifier.verify(query, tracked))
         if not is_found:
-            latest_m = self._verifier.latest_m(query)
-            places = self._retriever.retrieve(query.submap, before_m=latest_m, seed=query.keyframe.id)
-            places += self._retriever.search_imported_map(query.submap)
-            verified += self._verify_all(query, places)
+            verified += self._verify_retrieved(query)
         return verified
+
+    def _verify_retrieved(self, query: Query) -> list[Candidate | LoopClosureRecord]:
+        """The candidates at the places that retrieval proposes."""
+        return self._verify_all(query, self._retriever.propose(query.submap, before_m=self._verifier.latest_m(query)))
 
     def _with_unconfirmed(self, query: Query) -> Query:
         submap = recent_submap_with_unconfirmed(self._map, query.keyframe, self._calibration)

@@ -172,7 +172,7 @@ class Verifier:
         place = Place(candidate.T_local_query, reference.travel_m, reference.segment, 0.0)
         reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
         shifted = shifted_along_track(query.submap, reference_submap, place.T_local_query, self._sensor_range_m)
-        repeated = place.T_local_query @ self._retriever.aliases(query.submap)
+        repeated = place.T_local_query @ self._retriever.self_similar_poses(query.submap)
         found = [self.verify(query, replace(place, T_local_query=T)) for T in [*shifted, *repeated]]
         return [
             each

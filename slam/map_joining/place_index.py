@@ -15,8 +15,6 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.object_map.map_io import SavedMap
 from slam.object_map.submap import Submap
 from slam.place_recognition.imported_map import ImportedMap, make_imported_map
-from slam.place_recognition.quad_index import TOLERANCE_SIGMAS, QuadMatches
-from slam.place_recognition.triangle_voting import vote_for_poses
 
 OFFSETS, PITCH = "offsets", "pitch_m"
 
@@ -57,28 +55,23 @@ class PlaceIndex:
     def find(self, query: Submap, *, count: int, besides: int = -1) -> list[FoundPlace]:
         """The ``count`` poses with most votes of a query in its gravity frame, in maps other than ``besides``."""
         known = np.flatnonzero(query.labels >= 0)
-        if len(known) < 4:
-            return []
-        sigma_m = float(np.hypot(np.median(query.sigmas), self.objects.sigma_m))
-        found = self.objects.quads.match(
-            query.positions[known], query.labels[known], self.objects.positions, sigma_m=sigma_m
-        )
-        corners = self.objects.positions[found.reference[:, 0], :2].astype(np.float64)
-        is_other = self.maps_of(corners) != besides
-        rows, numbered = np.unique(found.reference[is_other], return_inverse=True)
-        poses = vote_for_poses(
+        sigma_m = float(np.hypot(np.median(query.sigmas), self.objects.sigma_m)) if len(known) else 0.0
+        poses = self.objects.quads.find_poses(
             query.positions[known],
-            self.objects.positions[rows].astype(np.float64),
-            QuadMatches(found.query[is_other], numbered.reshape(-1, 4)),
-            tolerance_m=TOLERANCE_SIGMAS * sigma_m,
+            query.labels[known],
+            self.objects.positions,
+            sigma_m=sigma_m,
             count=count,
+            is_excluded=lambda rows: self.maps_of(self.objects.positions[rows].astype(np.float64)) == besides,
         )
+        if not len(poses):
+            return []
         middle = np.append(query.positions[known].mean(axis=0), 1.0)
         places = []
-        for pose in poses:
-            number = int(self.maps_of((pose.T_reference_query @ middle)[None, :2])[0])
+        for T_index_query in poses:
+            number = int(self.maps_of((T_index_query @ middle)[None, :2])[0])
             if number not in (-1, besides):
-                T_map_query = pose.T_reference_query.copy()
+                T_map_query = T_index_query.copy()
                 T_map_query[:3, 3] -= self.offsets[number]
                 places.append(FoundPlace(number, T_map_query))
         return places

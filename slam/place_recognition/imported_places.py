@@ -16,8 +16,6 @@ from slam.object_map.submap import Submap
 from slam.place_recognition.imported_map import ImportedMap
 from slam.place_recognition.place import Place
 from slam.place_recognition.place_prior import PlacePrior
-from slam.place_recognition.quad_index import TOLERANCE_SIGMAS, QuadMatches
-from slam.place_recognition.triangle_voting import vote_for_poses
 
 TRAVEL_M = -1e9
 """Travel of everything in a prior map. It has no traversals: all of it is consistent. Longer ago than any drive is
@@ -28,7 +26,7 @@ HEIGHT_SIGMA_M = 1e3
 
 
 class ImportedPlaces:
-    """Retrieves places from an imported map, and loads its landmarks.
+    """Proposes places in an imported map, and loads its landmarks.
 
     Args:
         imported: the map.
@@ -68,25 +66,15 @@ class ImportedPlaces:
         """Positions (N, 2) m of all objects of the map."""
         return np.asarray(self._imported.positions[:, :2])
 
-    def retrieve(self, query: Submap, *, count: int) -> list[Place]:
+    def propose(self, query: Submap, *, count: int) -> list[Place]:
         """The ``count`` places with most votes of the quads of a query, given in its gravity frame."""
         # The errors that grow with the distance from the robot are common to the corners of a quad.
         sigma_m = float(np.hypot(query.sigmas.min(initial=np.inf), self._imported.sigma_m)) if len(query) else 0.0
         known = np.flatnonzero(query.labels < len(self._imported.vocabulary))
-        if len(known) < 4:
-            return []
-        matches = self._imported.quads.match(
-            query.positions[known], query.labels[known], self._imported.positions, sigma_m=sigma_m
+        poses = self._imported.quads.find_poses(
+            query.positions[known], query.labels[known], self._imported.positions, sigma_m=sigma_m, count=count
         )
-        rows, corners = np.unique(matches.reference, return_inverse=True)
-        poses = vote_for_poses(
-            query.positions[known],
-            self._imported.positions[rows].astype(np.float64),
-            QuadMatches(matches.query, corners.reshape(-1, 4)),
-            tolerance_m=TOLERANCE_SIGMAS * sigma_m,
-            count=count,
-        )
-        return [Place(pose.T_reference_query, TRAVEL_M, SEGMENT, np.inf) for pose in poses]
+        return [Place(T_local_query, TRAVEL_M, SEGMENT, np.inf) for T_local_query in poses]
 
     def take_in(self, place: FloatArray, radius_m: float) -> None:
         """Make landmarks of the objects of the map within ``radius_m`` of a place (3,) m, where they are none yet."""

@@ -6,6 +6,7 @@ query may be are in a few of these cells, however large the map is, and so is th
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.place_recognition.quads import canonical_quads, neighbour_sets, possible_quads
+from slam.registration.pose_voting import Matches, vote_for_poses
 
 CELL_SPACINGS = 0.15
 """Edge of a cell, in median distances of an object to its nearest neighbour: finer cells are empty, ..."""
@@ -46,17 +48,6 @@ _PRIMES = np.array(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class QuadMatches:
-    """C pairs of quads: ``query`` (C, 4) rows of the query, ``reference`` (C, 4) rows of the map, corner by corner."""
-
-    query: IntArray
-    reference: IntArray
-
-    def __len__(self) -> int:
-        return len(self.query)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class QuadIndex:
     """Quads of a map. ``vertices`` (Q, 4) uint32 by bucket; ``starts`` (B + 1,) uint32, the first of each bucket, a
     power of two of them; ``cell_m``.
@@ -74,22 +65,43 @@ class QuadIndex:
         for array in (self.vertices, self.starts):
             array.ravel()[:: _PAGE_BYTES // array.itemsize].sum()
 
-    def match(
+    def find_poses(
         self,
         positions: FloatArray,
         labels: IntArray,
         map_positions: FloatArray,
         *,
         sigma_m: float,
-    ) -> QuadMatches:
-        """Quads of the map like those of a query.
+        count: int,
+        is_excluded: Callable[[IntArray], NDArray[np.bool_]] | None = None,
+    ) -> FloatArray:
+        """The poses (H, 4, 4) of a query in the map with most votes of their quads, at most ``count``, best first.
 
         Args:
             positions: (N, 3) m of the query, z up.
             labels: (N,) classes, numbered as in the map.
             map_positions: (M, 3) m.
             sigma_m: of a coordinate of an object, of query and map together.
+            count: how many poses are wanted.
+            is_excluded: which objects (K,) of the map, by their rows, make no match.
         """
+        if len(positions) < 4:
+            return np.zeros((0, 4, 4))
+        matches = self._match(positions, labels, map_positions, sigma_m=sigma_m)
+        if is_excluded is not None:
+            kept = ~is_excluded(matches.reference[:, 0])
+            matches = Matches(matches.query[kept], matches.reference[kept])
+        rows, corners = np.unique(matches.reference, return_inverse=True)
+        return vote_for_poses(
+            positions,
+            map_positions[rows].astype(np.float64),
+            Matches(matches.query, corners.reshape(-1, 4)),
+            tolerance_m=TOLERANCE_SIGMAS * sigma_m,
+            count=count,
+        )
+
+    def _match(self, positions: FloatArray, labels: IntArray, map_positions: FloatArray, *, sigma_m: float) -> Matches:
+        """Quads of the map like those of a query."""
         plane = positions[:, 0] + 1j * positions[:, 1]
         tolerance_m = min(TOLERANCE_SIGMAS * sigma_m, 0.5 * (MOST_CELLS - 1) * self.cell_m)
         sets = np.unique(neighbour_sets(positions[:, :2], np.arange(len(positions)), cKDTree(positions[:, :2])), axis=0)
@@ -101,7 +113,7 @@ class QuadIndex:
         alike = np.flatnonzero(np.abs(bases - quads.lengths[quad, 0]) <= tolerance_m)
         quad, reference = quad[alike], reference[alike].astype(np.int64)
         fits = _differences(_corners(map_positions, reference), quads.lengths[quad]) <= tolerance_m
-        return QuadMatches(quads.vertices[quad[fits]], reference[fits])
+        return Matches(quads.vertices[quad[fits]], reference[fits])
 
     def _candidates(self, lengths: FloatArray, labels: IntArray, tolerance_m: float) -> tuple[IntArray, IntArray]:
         """Pairs (C,) of a quad of the query and one of the map in its cells, at most ``BUDGET`` of them."""

@@ -18,11 +18,6 @@ DISTINCT_RANGES = 1.0 / 15.0
 class RegistrationConfig(Branch):
     """Registration of one constellation of objects with another."""
 
-    method: str = Field(
-        default="vote",
-        pattern="^(vote|ransac)$",
-        description="poses are proposed by all compatible pairs of correspondences (vote) or by pairs drawn (ransac)",
-    )
     gate_sigma: float = Field(
         default=3.0, gt=0, description="residuals and differences of lengths beyond that many sigmas are no match"
     )
@@ -36,14 +31,6 @@ class RegistrationConfig(Branch):
         default=3.0, gt=0, description="least horizontal distance of two objects that propose a heading [m]"
     )
     min_inliers: int = Field(default=3, ge=2, description="least pairs of objects that support a pose")
-    hypotheses: int = Field(default=64, ge=1, description="poses with most votes that are scored")
-    confidence: float = Field(
-        default=0.9999,
-        gt=0,
-        lt=1,
-        description="voting ends once a pose with more support would have been met with this probability",
-    )
-    max_pairs: int = Field(default=20_000_000, ge=1, description="... or after that many pairs of correspondences")
     search_radius_m: float = Field(
         default=3.0, gt=0, description="refinement from an approximate pose looks that far for partners at first [m]"
     )

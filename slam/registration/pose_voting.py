@@ -1,9 +1,10 @@
-"""Poses that many pairs of correspondences agree on.
+"""Poses that most matches of a few objects agree on: a generalised Hough transform (Ballard, PR 1981).
 
-Two correspondences determine yaw and translation. One of them held fixed, the seed, leaves only the yaw open, so each
-compatible partner casts one vote in the seed's histogram of yaws: a search of C^2 pairs without a pose hypothesis
-for each, as sampling (Fischler and Bolles, CACM 1981) has, and without a C x C graph of which a clique must be found,
-as CLIPPER (Lusk et al., ICRA 2021) has. Partners that are the mirror image of the true ones spread over all yaws.
+Two objects of a query that are two of a map determine yaw and translation. Where each object of the query has a list of
+candidates, all pairs of candidates whose lengths agree are such matches: RANSAC (Fischler and Bolles, CACM 1981) that
+draws every pair. Quads that are found in an index of a large map are matches of four. The poses of wrong matches spread
+over the whole map and all headings. Those of right ones meet in a cell, as large as a match determines the pose
+exactly.
 """
 
 from __future__ import annotations
@@ -13,178 +14,201 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.common.arrays import ComplexArray, FloatArray, IntArray
+from slam.common.geometry import transform_from_xyz_yaw
 from slam.registration.parameters import RegistrationConfig
 from slam.registration.refinement import Columns
 
-BLOCK_PAIRS = 2**15
-"""Pairs of correspondences that are tested at once: what stays in the processor's cache."""
-BLOCK_POSES = 24
-"""Poses with most votes that each block hands on, for each pose that is asked for."""
-YAW_BINS = (24, 180)
-"""Fewest and most bins of a histogram; two adjacent ones are counted together."""
+MAX_CORRESPONDENCES = 3000
+"""Of more than these, with 4.5 million pairs, only the likeliest make pairs."""
+BLOCK_PAIRS = 2**17
+"""Pairs of correspondences that are compared at once: what stays in the processor's cache."""
+PAIR_TOLERANCE_SIGMAS = 2.0
+"""Size of a cell for pairs. With those around it 2.1 standard deviations of the heading of a pair to either side."""
+MAX_EXAMINED = 1024
+"""Cells with most votes, the surroundings of which are counted."""
+_OFFSETS = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1], [-1, 0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
+_BITS = 21
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PoseHypotheses:
-    """``poses`` (H, 6) as rows of :class:`Columns`, most ``votes`` (H,) first; ``compatible`` pairs in all."""
+class Matches:
+    """C matches of K objects each: ``query`` (C, K) rows of the query, ``reference`` (C, K) rows of the map."""
 
-    poses: FloatArray
-    votes: IntArray
-    compatible: int
+    query: IntArray
+    reference: IntArray
+
+    def __len__(self) -> int:
+        return len(self.query)
 
 
-def vote(columns: Columns, config: RegistrationConfig, *, rng: np.random.Generator, count: int) -> PoseHypotheses:
-    """The poses with most votes, at most ``config.hypotheses`` times ``count``.
+def vote_for_pairs(columns: Columns, config: RegistrationConfig, *, count: int) -> FloatArray:
+    """The poses (H, 4, 4), at most ``count``, with most votes of pairs of correspondences.
 
-    All correspondences are seeds, in blocks of random order, until a pose with more support than the best one so far
-    would have had a seed among those already taken with ``config.confidence``, or ``config.max_pairs`` are tested.
+    They are between points about the centres of ``columns``.
     """
-    correspondences = len(columns)
-    rows = max(BLOCK_PAIRS // correspondences, 1)
-    seeds = np.arange(correspondences) if rows >= correspondences else rng.permutation(correspondences)
-    voter = _YawVoter.of(columns, config)
-    poses, votes, compatible, best = [], [], 0, 0
-    for start in range(0, correspondences, rows):
-        block_poses, block_votes, pairs = voter.count(seeds[start : start + rows], BLOCK_POSES * count)
-        poses.append(block_poses)
-        votes.append(block_votes)
-        compatible += pairs
-        best = max(best, int(block_votes.max(initial=0)))
-        tested = start + rows
-        missed = (1.0 - min((best + 1) / correspondences, 1.0)) ** tested
-        if tested * correspondences >= config.max_pairs or (count == 1 and missed < 1.0 - config.confidence):
-            break
-    all_poses, all_votes = np.concatenate(poses), np.concatenate(votes)
-    leading = np.argsort(-all_votes, kind="stable")
-    if len(leading) > config.hypotheses * count:
-        leading = leading[_first_of_cells(all_poses[leading], config)][: config.hypotheses * count]
-    return PoseHypotheses(all_poses[leading], all_votes[leading], compatible)
+    pairs = _compatible_pairs(columns, config)
+    tolerance_m = PAIR_TOLERANCE_SIGMAS * float(np.median(columns.noise[:, 0]))
+    return vote_for_poses(columns.query, columns.reference, Matches(pairs, pairs), tolerance_m=tolerance_m, count=count)
 
 
-def _first_of_cells(poses: FloatArray, config: RegistrationConfig) -> IntArray:
-    """Increasing indices of the poses (H, 6) that are the first in their cell of x, y and yaw.
+def vote_for_poses(
+    query_positions: FloatArray,
+    reference_positions: FloatArray,
+    matches: Matches,
+    *,
+    tolerance_m: float,
+    count: int,
+) -> FloatArray:
+    """The poses (H, 4, 4) of a query with most votes, at most ``count``, the best first, no two in adjoining cells.
 
-    Each inlier is a seed, so that without this one well supported pose would leave no room for any other.
+    Args:
+        query_positions: (N, 3) m, z up.
+        reference_positions: (M, 3) m, z up.
+        matches: rows of both.
+        tolerance_m: by how much lengths of a match may differ.
+        count: how many poses are wanted.
     """
-    yaw_deg = np.degrees(np.arctan2(poses[:, 1], poses[:, 0]))
-    cells = np.column_stack([poses[:, 2:4] / config.distinct_m, yaw_deg / config.distinct_deg])
-    x, y, yaw = np.floor(cells).astype(np.int64).T
-    return np.sort(np.unique(((x << 20) + y << 10) + yaw, return_index=True)[1])
+    if len(matches) == 0:
+        return np.zeros((0, 4, 4))
+    # About the middle of the query, where the noise of the headings moves it least.
+    middle = query_positions.mean(axis=0)
+    centred = query_positions - middle
+    query = (centred[:, 0] + 1j * centred[:, 1])[matches.query]
+    reference = (reference_positions[:, 0] + 1j * reference_positions[:, 1])[matches.reference]
+    turns, places, longest_m = _poses(query, reference)
+    votes = _Votes.of(turns, places, longest_m, tolerance_m, float(np.sqrt(np.mean(centred[:, :2] ** 2) * 2.0)))
+    found = []
+    for members in votes.peaks(count):
+        turn, place = _mean_pose(query[members], reference[members])
+        shift = place - turn * complex(middle[0], middle[1])
+        rises = reference_positions[matches.reference[members], 2] - query_positions[matches.query[members], 2]
+        xyz = np.array([shift.real, shift.imag, np.median(rises)])
+        found.append(transform_from_xyz_yaw(xyz, float(np.angle(turn))))
+    return np.stack(found)
+
+
+def _compatible_pairs(columns: Columns, config: RegistrationConfig) -> IntArray:
+    """Pairs (V, 2) of correspondences whose lengths and height differences agree within the noise.
+
+    With d the lengths, (d_q - d_r)^2 <= g^2 v is (d_q^2 - d_r^2)^2 <= g^2 v (d_q + d_r)^2, and the last factor is
+    2 (d_q^2 + d_r^2) up to what the gate allows: no square root is needed.
+    """
+    used = _likeliest(columns)
+    query, reference, sigma = columns.query[used], columns.reference[used], columns.sigma[used]
+    variance, gate = sigma[:, 0] ** 2, 2.0 * config.gate_sigma**2
+    scale_variance = 0.5 * config.scale_sigma**2 if config.estimate_scale else 0.0
+    block = max(BLOCK_PAIRS // len(used), 1)
+    pairs = []
+    for start in range(0, len(used), block):
+        rows = slice(start, start + block)
+        squared_query, squared_reference = (_squared(points[rows], points[start:]) for points in (query, reference))
+        total = squared_query + squared_reference
+        allowed = (variance[rows, None] + variance[start:] + scale_variance * total) * (gate * total)
+        is_compatible = np.square(squared_query - squared_reference) <= allowed
+        is_compatible &= np.minimum(squared_query, squared_reference) >= config.min_baseline_m**2
+        first, second = np.nonzero(np.triu(is_compatible, 1))
+        pairs.append(np.column_stack([first, second]) + start)
+    found = np.concatenate(pairs)
+    baseline = query[found[:, 1]] - query[found[:, 0]]
+    rise = reference[found[:, 1], 2] - reference[found[:, 0], 2] - baseline[:, 2]
+    rise_variance = np.square(sigma[found, 1]).sum(axis=1)
+    rise_variance += config.tilt_sigma_rad**2 * np.square(baseline[:, :2]).sum(axis=1)
+    return np.asarray(used[found[rise * rise <= config.gate_sigma**2 * rise_variance]])
+
+
+def _likeliest(columns: Columns) -> IntArray:
+    """Up to ``MAX_CORRESPONDENCES`` (P,), ascending: those that stand first in the caller's list for their object."""
+    if len(columns) <= MAX_CORRESPONDENCES:
+        return np.arange(len(columns))
+    order = np.lexsort((columns.given, columns.query_slot))
+    ranks = np.empty(len(columns), dtype=np.int64)
+    ranks[order] = np.arange(len(columns)) - columns.query_starts[columns.query_slot[order]]
+    return np.sort(np.lexsort((columns.given, ranks))[:MAX_CORRESPONDENCES])
+
+
+def _squared(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Squared horizontal distances (A, B) m^2 of points (A, 3) and (B, 3)."""
+    x, y = (first[:, None, axis] - second[:, axis] for axis in (0, 1))
+    return np.asarray(x * x + y * y)
+
+
+def _poses(query: ComplexArray, reference: ComplexArray) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+    """Rotation (C,) and place (C,) m of the query's origin at which objects (C, K) meet, and their sizes (C,) m."""
+    mean_query, mean_reference = (np.asarray(sum(each.T)) / each.shape[1] for each in (query, reference))
+    about_query, about_reference = query - mean_query[:, None], reference - mean_reference[:, None]
+    turns = np.einsum("ci,ci->c", about_reference, about_query.conj())
+    turns /= np.maximum(np.abs(turns), np.finfo(np.float64).tiny)
+    return turns, mean_reference - turns * mean_query, np.abs(query[:, 1] - query[:, 0])
+
+
+def _mean_pose(query: ComplexArray, reference: ComplexArray) -> tuple[complex, complex]:
+    """Least-squares rotation and place from matches (C, K) of one pose."""
+    mean_query, mean_reference = query.mean(), reference.mean()
+    turn = complex(np.sum((reference - mean_reference) * (query - mean_query).conj()))
+    turn /= max(abs(turn), float(np.finfo(np.float64).tiny))
+    return turn, complex(mean_reference - turn * mean_query)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _YawVoter:
-    """The C correspondences, laid out so that the lengths of all pairs are two matrix products."""
+class _Votes:
+    """``cells`` (V, 3) of x, y and heading with votes, their sorted ``keys`` (V,) and ``counts`` (V,), and the cell of
+    each vote, ``voted`` (C,); ``headings``: cells of a full turn.
+    """
 
-    config: RegistrationConfig
-    query: ComplexArray
-    """(C,) m, in the plane."""
-    reference: ComplexArray
-    rise: FloatArray
-    """(C,) m, reference height minus query height."""
-    variance: FloatArray
-    """(C,) m^2, in the plane."""
-    height_variance: FloatArray
-    difference: tuple[FloatArray, FloatArray]
-    """(C, 6) and (6, C): their product is |q_i - q_j|^2 - |r_i - r_j|^2."""
-    total: tuple[FloatArray, FloatArray]
-    """... and of these |q_i - q_j|^2 + |r_i - r_j|^2."""
+    cells: IntArray
+    keys: IntArray
+    counts: IntArray
+    voted: IntArray
+    headings: int
 
     @classmethod
-    def of(cls, columns: Columns, config: RegistrationConfig) -> _YawVoter:
-        planar = np.concatenate([columns.query[:, :2], columns.reference[:, :2]], axis=1)
-        squared = planar * planar
-        norm_query, norm_reference = squared[:, 0] + squared[:, 1], squared[:, 2] + squared[:, 3]
-        ones = np.ones(len(planar))
+    def of(
+        cls, turns: ComplexArray, places: ComplexArray, longest_m: FloatArray, tolerance_m: float, radius_m: float
+    ) -> _Votes:
+        # A match turns by its tolerance over its size, and moves the middle of the query by that times its distance.
+        heading_rad = tolerance_m / float(np.median(longest_m))
+        edge_m = tolerance_m + heading_rad * radius_m
+        headings = max(int(np.pi / heading_rad), 4)
+        x = np.floor((places.real - places.real.min()) / edge_m).astype(np.int64)
+        y = np.floor((places.imag - places.imag.min()) / edge_m).astype(np.int64)
+        heading = np.floor((np.angle(turns) + np.pi) * (headings / (2.0 * np.pi))).astype(np.int64) % headings
+        keys, voted, counts = np.unique(_key(x, y, heading), return_inverse=True, return_counts=True)
+        return cls(_cells(keys), keys, counts, voted, headings)
 
-        def factors(signs: tuple[float, ...], norms: FloatArray) -> tuple[FloatArray, FloatArray]:
-            return np.column_stack([planar * signs, norms, ones]), np.vstack([planar.T, ones, norms])
+    def peaks(self, count: int) -> list[IntArray]:
+        """The votes in and around the ``count`` cells with most of them there."""
+        examined = np.argsort(-self.counts, kind="stable")[:MAX_EXAMINED]
+        around = self._around(examined)  # (E, 27), -1 where there is no vote
+        totals = np.where(around >= 0, self.counts[around], 0).sum(axis=1)
+        taken = np.zeros(len(self.keys) + 1, dtype=bool)  # the last stands for cells without votes
+        members = []
+        order = np.argsort(self.voted, kind="stable")
+        starts = np.concatenate([[0], np.cumsum(self.counts)])
+        for row in np.argsort(-totals, kind="stable"):
+            if taken[examined[row]]:
+                continue
+            taken[around[row]] = True
+            cells = np.unique(around[row])
+            members.append(
+                np.sort(np.concatenate([order[starts[each] : starts[each + 1]] for each in cells if each >= 0]))
+            )
+            if len(members) == count:
+                break
+        return members
 
-        complex_planar = planar.view(np.complex128)
-        return cls(
-            config,
-            complex_planar[:, 0].copy(),
-            complex_planar[:, 1].copy(),
-            columns.reference[:, 2] - columns.query[:, 2],
-            columns.sigma[:, 0] ** 2,
-            columns.sigma[:, 1] ** 2,
-            factors((-2.0, -2.0, 2.0, 2.0), norm_query - norm_reference),
-            factors((-2.0, -2.0, -2.0, -2.0), norm_query + norm_reference),
-        )
+    def _around(self, rows: IntArray) -> IntArray:
+        """The cells (E, 27) in and around some; -1 for those without votes."""
+        cells = self.cells[rows][:, None] + _OFFSETS
+        keys = _key(cells[..., 0], cells[..., 1], cells[..., 2] % self.headings)
+        found = np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)
+        return np.where(self.keys[found] == keys, found, -1)
 
-    def count(self, seeds: IntArray, keep: int) -> tuple[FloatArray, IntArray, int]:
-        """Poses (H, 6) and votes (H,) of the ``keep`` seeds with most votes, and how many pairs were compatible."""
-        row, partner = self._compatible(seeds)
-        if len(row) == 0:
-            return np.zeros((0, 6)), np.zeros(0, np.int64), 0
-        seed = seeds[row]
-        turn = (self.reference[partner] - self.reference[seed]) * (self.query[partner] - self.query[seed]).conj()
-        bins = self._bins(seed, partner, turn)
-        yaw_bin = ((np.angle(turn) + np.pi) * (bins / (2.0 * np.pi))).astype(np.int64)
-        yaw_bin[yaw_bin == bins] = 0  # pi is -pi
-        votes = np.bincount(row * bins + yaw_bin, minlength=len(seeds) * bins).reshape(-1, bins)
-        window = votes.copy()
-        window[:, :-1] += votes[:, 1:]
-        window[:, -1] += votes[:, 0]
-        peak = window.argmax(axis=1)
-        most = np.take_along_axis(window, peak[:, None], axis=1)[:, 0]
-        is_leading = np.zeros(len(seeds), dtype=bool)
-        is_leading[np.argsort(-most, kind="stable")[:keep]] = True
-        behind = yaw_bin - peak[row]
-        voter = np.flatnonzero(((behind == 0) | (behind == 1) | (behind == 1 - bins)) & is_leading[row])
-        poses, leading = self._poses(seeds, row[voter], partner[voter], turn[voter])
-        return poses, most[leading], len(row)
 
-    def _compatible(self, seeds: IntArray) -> tuple[IntArray, IntArray]:
-        """Rows of ``seeds`` and their partners, whose lengths in the plane and heights agree within the noise.
+def _key(x: IntArray, y: IntArray, heading: IntArray) -> IntArray:
+    return np.asarray(((x + 1 << _BITS) + y + 1 << _BITS) + heading)
 
-        With d the lengths, (d_q - d_r)^2 <= g^2 v is (d_q^2 - d_r^2)^2 <= g^2 v (d_q + d_r)^2, and the last factor is
-        2 (d_q^2 + d_r^2) up to what the gate allows: no square root is needed.
-        """
-        config = self.config
-        difference = self.difference[0][seeds] @ self.difference[1]
-        total = self.total[0][seeds] @ self.total[1]
-        variance = self.variance[seeds][:, None] + self.variance
-        if config.estimate_scale:
-            variance += (0.5 * config.scale_sigma**2) * total
-        variance *= 2.0 * config.gate_sigma**2
-        variance *= total
-        np.abs(difference, out=difference)
-        twice_shorter_squared = total - difference
-        difference *= difference
-        agree = difference <= variance
-        agree &= twice_shorter_squared >= 2.0 * config.min_baseline_m**2
-        flat = np.flatnonzero(agree)
-        row, partner = np.divmod(flat, len(self.query))
-        seed = seeds[row]
-        rise = self.rise[partner] - self.rise[seed]
-        rise_variance = self.height_variance[partner] + self.height_variance[seed]
-        rise_variance += (0.5 * config.tilt_sigma_rad**2) * total.ravel()[flat]
-        level = rise * rise <= config.gate_sigma**2 * rise_variance
-        return row[level], partner[level]
 
-    def _bins(self, seed: IntArray, partner: IntArray, turn: ComplexArray) -> int:
-        """So many that one is two standard deviations of a yaw wide; ``turn`` is as large as the length squared."""
-        sigma = float(np.sqrt((self.variance[seed] + self.variance[partner]) / np.abs(turn)).mean())
-        return int(np.clip(np.pi / sigma, *YAW_BINS))
-
-    def _poses(
-        self, seeds: IntArray, row: IntArray, partner: IntArray, turn: ComplexArray
-    ) -> tuple[FloatArray, IntArray]:
-        """The least-squares poses (H, 6) of seeds with their voters (V,), sorted by row; and their rows (H,)."""
-        starts = np.flatnonzero(np.diff(row, prepend=-1))
-        leading = row[starts]
-        seed = seeds[leading]
-        votes = np.stack([turn, self.query[partner], self.reference[partner], self.rise[partner] + 1j], axis=1)
-        sums = np.add.reduceat(votes, starts, axis=0)
-        members = sums[:, 3].imag + 1.0
-        rotation = sums[:, 0] / np.abs(sums[:, 0])
-        mean_query = (sums[:, 1] + self.query[seed]) / members
-        mean_reference = (sums[:, 2] + self.reference[seed]) / members
-        poses = np.empty((len(starts), 6))
-        plane = poses[:, :4].view(np.complex128)
-        plane[:, 0] = rotation
-        plane[:, 1] = mean_reference - rotation * mean_query
-        poses[:, 4] = (sums[:, 3].real + self.rise[seed]) / members
-        poses[:, 5] = 1.0
-        return poses, leading
+def _cells(keys: IntArray) -> IntArray:
+    """x, y and heading (V, 3) of keys (V,)."""
+    mask = (1 << _BITS) - 1
+    return np.stack([(keys >> 2 * _BITS) - 1, (keys >> _BITS & mask) - 1, keys & mask], axis=1)

@@ -14,14 +14,13 @@ from slam.common.arrays import ComplexArray, FloatArray, IntArray
 from slam.common.errors import GeometryError
 from slam.registration.estimate import Registration, estimate, not_found
 from slam.registration.parameters import RegistrationConfig
-from slam.registration.pose_sampling import sample
-from slam.registration.pose_voting import vote
+from slam.registration.pose_voting import vote_for_pairs
 from slam.registration.refinement import Columns, make_columns, refine_poses, squared_residuals, support
 
 __all__ = ["Registration", "refine", "refine_many", "register"]
 
-PROPOSERS = {"vote": vote, "ransac": sample}
-"""Where poses come from, by ``config.method``."""
+VOTED = 64
+"""Poses with most votes that are scored for each one that is asked for."""
 POLISHED = 8
 """Distinct poses that are refined for each one that is asked for."""
 REACH_RADII = 2.0
@@ -40,14 +39,13 @@ def register(
     *,
     query_sigmas: FloatArray,
     reference_sigmas: FloatArray,
-    rng: np.random.Generator,
     count: int = 1,
 ) -> list[Registration]:
     """Poses of the query in the reference that many one-to-one correspondences support.
 
-    Poses come from votes of all compatible pairs (:func:`slam.registration.pose_voting.vote`) or, with ``ransac``, from
-    pairs drawn at random (:func:`slam.registration.pose_sampling.sample`). They are scored by truncated squared
-    residuals (MSAC: Torr and Zisserman, CVIU 2000); the best distinct ones are refined and assigned one to one.
+    All compatible pairs of correspondences vote (:mod:`slam.registration.pose_voting`). The poses with most votes are
+    scored by truncated squared residuals (MSAC: Torr and Zisserman, CVIU 2000); the best distinct ones are refined and
+    assigned one to one.
 
     Args:
         query_positions: (N, 3) m, z up.
@@ -57,8 +55,6 @@ def register(
         config: gates and limits.
         query_sigmas: (N,) m, noise of a position along any axis.
         reference_sigmas: (M,) m.
-        rng: chooses which correspondences are tried first, where there are too many to try all at once, and for ransac
-            which are tried at all.
         count: most poses that are returned.
 
     Returns:
@@ -76,10 +72,10 @@ def register(
     reason = _degenerate(columns, config)
     if reason:
         return [not_found(reason)]
-    hypotheses = PROPOSERS[config.method](columns, config, rng=rng, count=count)
-    if len(hypotheses.poses) == 0:
+    voted = vote_for_pairs(columns, config, count=VOTED * count)
+    if len(voted) == 0:
         return [not_found("no two correspondences have the same length, height difference and a sufficient baseline")]
-    poses, bounds = _ranked(hypotheses.poses, columns, config)
+    poses, bounds = _ranked(_rows(voted, voted[:, :3, 3]), columns, config)
     poses = poses[_distinct(poses, config, POLISHED * count)]
     radius = VOTED_RADIUS_SIGMAS * config.gate_sigma * float(columns.sigma[:, 0].mean())
     poses, near = refine_poses(poses, columns, config, radius_m=radius)
@@ -239,12 +235,13 @@ def _degenerate(columns: Columns, config: RegistrationConfig) -> str:
 
 def _pose_rows(T: FloatArray, columns: Columns) -> FloatArray:
     """Rows (H, 6) of level poses that carry the query's centre where the transforms (H, 4, 4) do."""
+    return _rows(T, T[:, :3, :3] @ columns.query_centre + T[:, :3, 3] - columns.reference_centre)
+
+
+def _rows(T: FloatArray, places: FloatArray) -> FloatArray:
+    """Rows (H, 6) of level poses with the headings of transforms (H, 4, 4) and ``places`` (H, 3) m."""
     heading = _headings(T)
-    rows = np.empty((len(T), 6))
-    rows[:, 0], rows[:, 1] = heading.real, heading.imag
-    rows[:, 2:5] = T[:, :3, :3] @ columns.query_centre + T[:, :3, 3] - columns.reference_centre
-    rows[:, 5] = 1.0
-    return rows
+    return np.column_stack([heading.real, heading.imag, places, np.ones(len(T))])
 
 
 def _headings(T: FloatArray) -> ComplexArray:

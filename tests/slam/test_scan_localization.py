@@ -150,7 +150,7 @@ def test_a_larger_map_needs_more_evidence(street, queries):
     scores = []
     for each in (small, large):
         query = each.query(scan_of(street, queries[0]))
-        scores.append(each.decide(query, each.retrieve(query)).accepted.odometry_penalty)
+        scores.append(each.decide(query, each.propose(query)).accepted.odometry_penalty)
     assert scores[1] - scores[0] == pytest.approx(np.log(2.0), abs=0.05)
 
 

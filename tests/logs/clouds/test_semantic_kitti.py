@@ -171,7 +171,6 @@ def test_real_scans_of_one_place_register() -> None:
         RegistrationConfig(),
         query_sigmas=np.full(len(query.labels), 0.3),
         reference_sigmas=np.full(len(reference.labels), 0.3),
-        rng=np.random.default_rng(0),
     )[0].T_reference_query
     assert found is not None
     assert np.linalg.norm(found[:2, 3] - [2.95, 0.13]) < 0.3

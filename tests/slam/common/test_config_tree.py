@@ -11,7 +11,7 @@ from slam.simulation.config import SimulationConfig, load_simulation_config
 
 OVERRIDES = (
     "keyframe.distance_m=1.5",
-    "registration.method=ransac",
+    "registration.six_dof=true",
     "calibration.odometry.sources=2",
     "calibrate=false",
 )

@@ -48,7 +48,6 @@ class Parts(Patterns):
         self.places = [PLACE]
         self.keyframes: Sequence[Keyframe] = []
         self.is_connected = True
-        self.searched: list[int] = []
         self.is_tracked = False
         self.kidnapped_at: Keyframe | None = None
         self.resets = 0
@@ -95,16 +94,9 @@ class Parts(Patterns):
     def index_inactive_landmarks(self, travel_m: float) -> None:
         pass
 
-    def retrieve(self, query: Submap, *, before_m: float, seed: int) -> list[Place]:
+    def propose(self, query: Submap, *, before_m: float) -> list[Place]:
         self.retrieved += 1
         return self.places
-
-    def search_imported_map(self, query: Submap) -> list[Place]:
-        return []
-
-    def search_exhaustively(self, query: Submap, *, segment: int) -> list[Place]:
-        self.searched.append(segment)
-        return []
 
     def reference_submap(self, place: Place, *, before_m: float) -> Submap:
         return make_query(self.keyframes[0], 1).submap
@@ -343,28 +335,28 @@ def test_few_objects_close_no_loop(parts):
     assert accepted(drive.close(FIRST + 1))
 
 
-def test_the_whole_map_is_searched_with_unconfirmed_landmarks_too(parts):
+def test_lost_robot_uses_unconfirmed_landmarks_too(parts):
     drive = Drive(parts)
     parts.is_connected = False
     parts.objects = parts.min_objects - 1
     drive.close(FIRST, segment=3)
-    assert parts.searched == []
+    assert parts.retrieved == 0
     parts.unconfirmed = 1
     drive.close(FIRST + 1, segment=3)
-    assert parts.searched == [0]
+    assert parts.retrieved == 1
 
 
-def test_the_whole_map_is_searched_only_by_who_is_lost_and_not_his_own_segment(parts):
+def test_unconfirmed_landmarks_are_used_only_where_the_confirmed_ones_do_not_suffice(parts):
     drive = Drive(parts)
-    parts.places = []
+    parts.places, parts.unconfirmed = [], 1
     drive.close(FIRST)
-    assert parts.searched == []
+    assert parts.retrieved == 1
     parts.is_connected = False
     drive.close(FIRST + 1, segment=3)
-    assert parts.searched == [0]
+    assert parts.retrieved == 3
     parts.places, parts.llrs = [PLACE], {FIRST + 2: SURE_LLR}
     drive.close(FIRST + 2, segment=3)
-    assert parts.searched == [0]
+    assert parts.retrieved == 4
 
 
 def test_at_the_beginning_there_is_no_loop_to_close(parts):

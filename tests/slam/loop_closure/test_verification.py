@@ -65,7 +65,7 @@ class Landmarks:
     def class_shares(self) -> FloatArray:
         return np.full(16, 1.0 / 16.0)
 
-    def aliases(self, query: Submap) -> FloatArray:
+    def self_similar_poses(self, query: Submap) -> FloatArray:
         return np.stack(self.repeated)
 
     def first_seen_travels_m(self, submap: Submap) -> FloatArray:

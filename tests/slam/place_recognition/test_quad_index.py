@@ -28,7 +28,7 @@ def index(forest: FloatArray) -> QuadIndex:
 def matches_of(index: QuadIndex, forest: FloatArray, seen: FloatArray, label: int = 0) -> set[tuple[int, ...]]:
     """Quads of the query that were found, as rows of query and map."""
     labels = np.full(len(seen), label)
-    found = index.match(seen, labels, forest.astype(np.float32), sigma_m=SIGMA_M)
+    found = index._match(seen, labels, forest.astype(np.float32), sigma_m=SIGMA_M)
     return {
         (*query, *reference) for query, reference in zip(found.query.tolist(), found.reference.tolist(), strict=True)
     }
@@ -74,4 +74,4 @@ def test_few_objects_have_no_quads() -> None:
     few = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 7.0, 0.0]])
     index = build_quad_index(few, np.zeros(3, np.int64), sigma_m=SIGMA_M)
     assert len(index) == 0
-    assert len(index.match(few, np.zeros(3, np.int64), few.astype(np.float32), sigma_m=SIGMA_M)) == 0
+    assert len(index._match(few, np.zeros(3, np.int64), few.astype(np.float32), sigma_m=SIGMA_M)) == 0

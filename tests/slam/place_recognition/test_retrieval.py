@@ -54,7 +54,7 @@ class Places:
     def found_m(self, x_m: float, seed: int = 1) -> list[float]:
         """Where the first place is said to be, if there is one."""
         self.retriever.index_inactive_landmarks(NOW_M)
-        found = self.retriever.retrieve(self.query(x_m, seed), before_m=BEFORE_M, seed=0)
+        found = self.retriever.propose(self.query(x_m, seed), before_m=BEFORE_M)
         return [round(float(place.T_local_query[0, 3]), 1) for place in found[:1]]
 
 
@@ -88,10 +88,10 @@ def test_landmarks_are_left_behind_after_some_travel(places):
     recent_m = NOW_M - INACTIVE_RANGES * CONFIG.sensor_range_m
     places.add(50.0, recent_m + 1.0)
     places.retriever.index_inactive_landmarks(NOW_M)
-    found = places.retriever.retrieve(places.query(50.0), before_m=NOW_M, seed=0)
+    found = places.retriever.propose(places.query(50.0), before_m=NOW_M)
     assert found == []
     places.retriever.index_inactive_landmarks(NOW_M + 20.0)
-    assert places.retriever.retrieve(places.query(50.0), before_m=NOW_M, seed=0) != []
+    assert places.retriever.propose(places.query(50.0), before_m=NOW_M) != []
 
 
 def test_the_reference_of_a_place_is_of_its_traversal_its_segment_and_around_it(places):
@@ -118,6 +118,6 @@ def test_the_index_holds_only_so_many_traversals_of_a_place(places, traversals, 
         places.map.merge(int(kept), int(dropped))
     places.add(400.0, 551.0, seed=2)
     places.retriever.index_inactive_landmarks(NOW_M)
-    found = places.retriever.retrieve(places.query(50.0), before_m=BEFORE_M, seed=0)
+    found = places.retriever.propose(places.query(50.0), before_m=BEFORE_M)
     assert any(abs(place.T_local_query[0, 3] - 50.0) < 0.1 for place in found) is is_found
     assert places.found_m(400.0, seed=2) == [400.0]

@@ -15,7 +15,6 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import GeometryError
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
 from slam.registration.parameters import RegistrationConfig
-from slam.registration.pose_sampling import sample
 from slam.registration.refinement import least_squares, make_columns
 from slam.registration.registration import Registration, refine, refine_many, register
 from tools.lab.descriptors.registration import (
@@ -40,7 +39,6 @@ def found_by(
     config: RegistrationConfig = CONFIG,
     *,
     count: int = 1,
-    seed: int = 0,
     sigma_m: float = SIGMA_M,
 ) -> list[Registration]:
     return register(
@@ -50,13 +48,12 @@ def found_by(
         config,
         query_sigmas=np.full(len(query), sigma_m),
         reference_sigmas=np.full(len(reference), 0.05),
-        rng=np.random.default_rng(seed),
         count=count,
     )
 
 
-def solve(problem: Problem, config: RegistrationConfig = CONFIG, *, seed: int = 0) -> Registration:
-    return found_by(problem.query, problem.reference, problem.correspondences, config, seed=seed)[0]
+def solve(problem: Problem, config: RegistrationConfig = CONFIG) -> Registration:
+    return found_by(problem.query, problem.reference, problem.correspondences, config)[0]
 
 
 def one_to_one(count: int) -> IntArray:
@@ -93,47 +90,6 @@ def test_the_pose_is_found_among_false_correspondences(seed: int, false_share: f
     assert len(registration.pairs) >= 0.8 * 120 * (1.0 - false_share)
     np.testing.assert_array_equal(problem.correspondences[registration.inliers], registration.pairs)
     assert np.linalg.det(registration.T_reference_query[:3, :3]) == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize("false_share", [0.0, 0.5, 0.8])
-@pytest.mark.parametrize("seed", range(4))
-def test_sampling_finds_the_pose_among_false_correspondences(seed: int, false_share: float) -> None:
-    problem = draw_problem(120, false_share, rng=np.random.default_rng(seed))
-    registration = solve(problem, CONFIG.model_copy(update={"method": "ransac"}))
-    assert registration.T_reference_query is not None
-    error_m, error_deg = problem.error(registration.T_reference_query)
-    assert error_m < 0.5
-    assert error_deg < 1.0
-    assert len(registration.pairs) >= 0.8 * 120 * (1.0 - false_share)
-
-
-def test_sampling_draws_what_is_ranked_first_before_the_rest() -> None:
-    """A hundred wrong candidates behind the right one of each object: few draws suffice because of their order."""
-    rng = np.random.default_rng(3)
-    problem = draw_problem(40, 0.0, rng=rng)
-    right = problem.correspondences[np.argsort(problem.correspondences[:, 0])]
-    columns = []
-    for is_first in (True, False):
-        wrong = np.column_stack(
-            [np.repeat(right[:, 0], 100), rng.integers(len(problem.reference), size=100 * len(right))]
-        )
-        pairs = np.concatenate([right, wrong] if is_first else [wrong, right])
-        sigmas = np.full(len(problem.query), SIGMA_M), np.full(len(problem.reference), 0.05)
-        columns.append(make_columns(problem.query, problem.reference, pairs, *sigmas, CONFIG))
-    once = CONFIG.model_copy(update={"confidence": 0.01})  # ends after the first batch of draws
-    first, last = (int(sample(each, once, rng=np.random.default_rng(0), count=1).votes.max()) for each in columns)
-    assert first >= 30
-    assert last < first
-
-
-def test_sampling_is_reproducible_and_takes_poses_from_no_other_place() -> None:
-    problem = draw_problem(120, 0.5, rng=np.random.default_rng(1))
-    config = CONFIG.model_copy(update={"method": "ransac"})
-    first, second = (solve(problem, config, seed=5) for _ in range(2))
-    np.testing.assert_array_equal(first.T_reference_query, second.T_reference_query)
-    shuffled = problem.correspondences.copy()
-    shuffled[:, 1] = np.random.default_rng(0).permutation(shuffled[:, 1])
-    assert len(found_by(problem.query, problem.reference, shuffled, config)[0].pairs) < 20
 
 
 @pytest.mark.parametrize(("count", "false_share"), [(500, 0.98), (1500, 0.985), (3000, 0.99)])
@@ -228,7 +184,7 @@ def test_covariance_against_monte_carlo(config: RegistrationConfig, tilted: bool
         reference[:, 2] += rng.normal(0.0, config.height_sigma_m, 25)
         registration = register(
             query, reference, one_to_one(25), config,
-            query_sigmas=query_sigmas, reference_sigmas=reference_sigmas, rng=rng,
+            query_sigmas=query_sigmas, reference_sigmas=reference_sigmas,
         )[0]  # fmt: skip
         assert registration.T_reference_query is not None
         assert registration.covariance is not None
@@ -253,7 +209,7 @@ def test_precise_objects_count_for_more() -> None:
         for told, given_sigmas in ((True, sigmas), (False, np.full(20, 0.7))):
             registration = register(
                 query, reference, one_to_one(20), CONFIG,
-                query_sigmas=given_sigmas, reference_sigmas=np.full(20, 0.05), rng=rng,
+                query_sigmas=given_sigmas, reference_sigmas=np.full(20, 0.05),
             )[0]  # fmt: skip
             centre = reference.mean(axis=0, keepdims=True)
             errors[told].append(np.linalg.norm(apply(registration.T_reference_query, centre) - centre))
@@ -299,15 +255,6 @@ def test_the_order_of_objects_and_correspondences_does_not_matter(count: int) ->
     assert one.score == pytest.approx(other.score, rel=1e-3)
     named = {(int(order_q[q]), int(order_r[r])) for q, r in other.pairs}
     assert len(named ^ {(int(q), int(r)) for q, r in one.pairs}) <= 1
-
-
-def test_the_same_seed_gives_the_same_bytes() -> None:
-    problem = draw_problem(1500, 0.95, rng=np.random.default_rng(9))
-    one, other = solve(problem, seed=4), solve(problem, seed=4)
-    assert one.T_reference_query is not None
-    assert other.T_reference_query is not None
-    assert one.T_reference_query.tobytes() == other.T_reference_query.tobytes()
-    np.testing.assert_array_equal(one.inliers, other.inliers)
 
 
 def test_a_place_that_exists_twice_is_found_twice() -> None:
@@ -431,7 +378,7 @@ def test_broken_input_is_refused(spoil: Callable[[FloatArray, FloatArray, IntArr
     with pytest.raises(GeometryError):
         register(
             query, SQUARE, pairs, CONFIG,
-            query_sigmas=sigmas, reference_sigmas=np.full(4, 0.1), rng=np.random.default_rng(0),
+            query_sigmas=sigmas, reference_sigmas=np.full(4, 0.1),
         )  # fmt: skip
 
 

@@ -7,9 +7,8 @@ import pytest
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
-from slam.registration.exhaustive_search import ExhaustiveSearch
 from slam.registration.parameters import RegistrationConfig
-from slam.registration.registration import Registration, refine
+from slam.registration.registration import Registration, refine, register
 from tests.helpers.scaled_settings import scaled_config
 
 T_GT = transform_from_xyz_yaw(np.array([150.0, 170.0, 1.0]), 0.7)
@@ -47,16 +46,20 @@ def refined(scale: float) -> Registration:
     )
 
 
-def searched(scale: float) -> Registration:
+def registered(scale: float) -> Registration:
     positions, labels, seen, seen_labels = objects()
-    search = ExhaustiveSearch(
-        scale * positions, labels, config(scale), map_sigmas=np.full(len(positions), scale * SIGMA_M)
-    )
-    return search.localize(scale * seen, seen_labels, query_sigmas=np.full(len(seen), scale * SIGMA_M))
+    return register(
+        scale * seen,
+        scale * positions,
+        np.argwhere(seen_labels[:, None] == labels),
+        config(scale),
+        query_sigmas=np.full(len(seen), scale * SIGMA_M),
+        reference_sigmas=np.full(len(positions), scale * SIGMA_M),
+    )[0]
 
 
 @pytest.mark.parametrize("scale", SCALES)
-@pytest.mark.parametrize("method", [refined, searched])
+@pytest.mark.parametrize("method", [refined, registered])
 def test_a_scaled_constellation_has_the_scaled_pose(method, scale):
     expected, answer = method(1.0), method(scale)
     assert expected.found, expected.reason

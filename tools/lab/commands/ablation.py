@@ -20,17 +20,6 @@ DEFAULT = "nothing"
 PARTS: dict[str, tuple[str, ...]] = {
     DEFAULT: (),
     "descriptor: random vectors": ("loop_closure.descriptor=random",),
-    "candidates by triangles": ("loop_closure.max_candidates_by_triangles=0",),
-    "exhaustive search when lost": ("loop_closure.max_candidates_when_lost=0",),
-    "all candidates but those of descriptors": (
-        "loop_closure.max_candidates_by_triangles=0",
-        "loop_closure.max_candidates_when_lost=0",
-    ),
-    "all candidates but those of random vectors": (
-        "loop_closure.descriptor=random",
-        "loop_closure.max_candidates_by_triangles=0",
-        "loop_closure.max_candidates_when_lost=0",
-    ),
     "propagation of closures": ("loop_closure.propagation_distance_m=0",),
     "hypotheses": ("localization.max_hypotheses=0",),
     "posterior: first candidate": ("localization.error_probability=0.999999",),

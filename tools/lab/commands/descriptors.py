@@ -25,9 +25,7 @@ Trajectory = Annotated[
 ]
 Methods = Annotated[
     list[str] | None,
-    typer.Option(
-        "--descriptor", metavar="NAME", help="Only these; 'exhaustive search' and 'as shipped', too. Repeatable."
-    ),
+    typer.Option("--descriptor", metavar="NAME", help="Only these; 'exhaustive search', too. Repeatable."),
 ]
 Neighbours = Annotated[int, typer.Option(min=1, help="Nearest descriptors of each object; loop_closure.top_k.")]
 
@@ -39,9 +37,6 @@ def descriptors(
     neighbours: Neighbours = 6,
     queries: Annotated[int, typer.Option(min=1, help="For each scenario and seed.")] = 500,
     seeds: Annotated[int, typer.Option(min=1, help="How often, each time with other queries.")] = 5,
-    registration: Annotated[
-        str, typer.Option(metavar="vote|ransac", help="How matches propose poses; see registration.method.")
-    ] = "vote",
     markdown: Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")] = False,
     json: Json = False,
 ) -> None:
@@ -51,8 +46,7 @@ def descriptors(
     objects); or with the paper's noise (added noise). Verification and acceptance are those of a replay. Success is
     a pose that is accepted and less than 1 m off, misplaced one that is accepted and more than 10 m off, likeliest
     the likeliest candidate less than 1 m off, accepted or not. The ceiling is that of a weighted fit to the true
-    correspondences; top 5 the share of objects whose counterpart is among their five nearest. 'as shipped' retrieves
-    by triangles and the default descriptor, and searches exhaustively where these find nothing.
+    correspondences; top 5 the share of objects whose counterpart is among their five nearest.
     Without CSV files the map is the generated town of 'dslam simulate --seed 0'.
 
     Example: dslam benchmark descriptors --descriptor descriptellation_lr --descriptor onion --queries 100 --seeds 1
@@ -61,13 +55,11 @@ def descriptors(
 
     from descriptors.registry import DESCRIPTOR_NAMES
     from tools import console
-    from tools.lab.descriptors.experiment import AS_SHIPPED, EXHAUSTIVE, benchmark_descriptors
+    from tools.lab.descriptors.experiment import EXHAUSTIVE, benchmark_descriptors
     from tools.lab.descriptors.queries import labelled_map
 
-    if registration not in ("vote", "ransac"):
-        raise typer.BadParameter(f"{registration!r} is neither vote nor ransac.", param_hint="--registration")
     world = _world(objects, trajectory)
-    methods = descriptor or [*DESCRIPTOR_NAMES, EXHAUSTIVE, AS_SHIPPED]
+    methods = descriptor or [*DESCRIPTOR_NAMES, EXHAUSTIVE]
     with console.progress_bar("localizing", "localizing") as move:
         result = benchmark_descriptors(
             labelled_map(world),
@@ -76,7 +68,6 @@ def descriptors(
             neighbours=neighbours,
             queries=queries,
             seeds=seeds,
-            registration=registration,
             on_progress=_counted(move, 3 * len(methods)),
         )
     if json:

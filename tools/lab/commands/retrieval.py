@@ -31,13 +31,11 @@ def retrieval(
     markdown: Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")] = False,
     json: Json = False,
 ) -> None:
-    """Ask descriptors for the place at each revisit of a drive: nothing is followed or searched exhaustively.
+    """Ask descriptors for the place at each revisit of a drive: nothing is propagated.
 
     The drive is mapped without closing loops, and every descriptor is asked the same submaps. Places: queries with a
     right pose (4 m, 10 deg) among the first 1, 5 and 25 that the registration finds among the matches. Objects: those
     of the map whose counterpart is among their first 1, 5 and 25 matches.
-
-    --set registration.method=ransac verifies by sampling.
 
     Example: dslam benchmark retrieval drive.mcap --descriptor ring_likelihood --descriptor descriptellation_lr
     """

@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -20,12 +21,17 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import SimulationError
 from slam.loop_closure.candidate import Candidate, Query
-from slam.scan_localization import ScanLocalizer
+from slam.place_recognition.imported_places import SEGMENT, TRAVEL_M
+from slam.place_recognition.place import Place
+from slam.registration.parameters import registration_config
+from slam.scan_localization import ScanLocalizer, Verified
 from tools.lab.descriptors.queries import SCENARIOS, LabelledMap, LocalQuery, Scenario, draw_queries
+from tools.lab.retrieval.exhaustive_search import ExhaustiveSearch, make_exhaustive_search
 
 EXHAUSTIVE = "exhaustive search"
-AS_SHIPPED = "as shipped"
-"""Triangles, the default descriptor and the exhaustive search together."""
+"""The reference without a descriptor."""
+SEARCHED_PAIR_M = 60.0
+"""Longest pairs of objects of the exhaustive search: the diameter of what a sensor sees."""
 
 SUCCESS_M = 1.0
 MISPLACED_M = 10.0
@@ -94,7 +100,6 @@ def benchmark_descriptors(
     neighbours: int,
     queries: int,
     seeds: int,
-    registration: str = "vote",
     on_progress: Callable[[str], None] = lambda line: None,
 ) -> DescriptorBenchmark:
     """Every method on the same queries, on one thread.
@@ -102,11 +107,10 @@ def benchmark_descriptors(
     Args:
         objects: the map.
         tour: (M, 2) m, where queries are drawn.
-        methods: names of descriptors, :data:`EXHAUSTIVE` or :data:`AS_SHIPPED`.
+        methods: names of descriptors, or :data:`EXHAUSTIVE`.
         neighbours: nearest descriptors of each object that retrieval takes.
         queries: for each scenario and seed.
         seeds: 0 to ``seeds`` - 1.
-        registration: how matches propose poses, as in ``registration.method``.
         on_progress: called with what was measured.
 
     Raises:
@@ -116,7 +120,7 @@ def benchmark_descriptors(
     if queries < 1 or seeds < 1:
         raise SimulationError(f"{queries} queries and {seeds} seeds; give at least one of each")
     for method in methods:  # what cannot be made is refused before anything is measured
-        if method not in (EXHAUSTIVE, AS_SHIPPED):
+        if method != EXHAUSTIVE:
             make_index(method)
     drawn = {
         scenario.name: [
@@ -130,7 +134,7 @@ def benchmark_descriptors(
     with threadpool_limits(limits=1):
         for method in methods:
             started = time.perf_counter()
-            localize = make_localizer(method, objects, neighbours, registration)
+            localize = make_localizer(method, objects, neighbours)
             build_s[method] = time.perf_counter() - started
             for scenario in SCENARIOS:
                 cell = _measure(method, localize, objects, scenario, drawn[scenario.name])
@@ -139,27 +143,44 @@ def benchmark_descriptors(
     return DescriptorBenchmark(len(objects), len(objects.vocabulary), queries, seeds, neighbours, tuple(cells), build_s)
 
 
-def make_localizer(method: str, objects: LabelledMap, neighbours: int, registration: str = "vote") -> Localizer:
-    """Take in a map for one method: a descriptor's name, :data:`EXHAUSTIVE` or :data:`AS_SHIPPED`."""
+def make_localizer(method: str, objects: LabelledMap, neighbours: int) -> Localizer:
+    """Take in a map for one method: a descriptor's name, or :data:`EXHAUSTIVE`."""
     record = objects.to_record()
-    localizers = {
-        noisy: ScanLocalizer(record, localizer_config(method, neighbours, registration, noisy=noisy))
-        for noisy in (False, True)
-    }
+    configs = {noisy: localizer_config(method, neighbours, noisy=noisy) for noisy in (False, True)}
+    localizers = {noisy: ScanLocalizer(record, config) for noisy, config in configs.items()}
+    proposers = {noisy: localizer.propose for noisy, localizer in localizers.items()}
+    if method == EXHAUSTIVE:
+        proposers = {
+            noisy: partial(_search, localizers[noisy], _make_search(objects, config))
+            for noisy, config in configs.items()
+        }
 
     def localize(query: LocalQuery, scenario: Scenario) -> Answer:
         localizer = localizers[scenario.noisy]
         scan = ObjectDetections(0, "scan", query.positions, objects.names(query.labels), np.ones(len(query)))
-        return _answer(localizer, localizer.query(scan), method)
+        return _answer(localizer, localizer.query(scan), proposers[scenario.noisy])
 
     return localize
 
 
-def _answer(localizer: ScanLocalizer, query: Query, method: str) -> Answer:
+def _make_search(objects: LabelledMap, config: Config) -> ExhaustiveSearch:
+    sigmas = np.full(len(objects), config.calibration.objects.landmark_sigma_m)
+    return make_exhaustive_search(
+        objects.positions, objects.labels, sigmas, registration_config(config), reach_m=SEARCHED_PAIR_M
+    )
+
+
+def _search(localizer: ScanLocalizer, search: ExhaustiveSearch, query: Query) -> list[Verified]:
+    submap = query.submap
+    found = search.localize(submap.positions, submap.labels, sigmas=submap.sigmas)
+    poses = [each.T_reference_query for each in found if each.T_reference_query is not None]
+    return localizer.verify(query, [Place(T, TRAVEL_M, SEGMENT, np.inf) for T in poses[:TOP]])
+
+
+def _answer(localizer: ScanLocalizer, query: Query, propose: Callable[[Query], list[Verified]]) -> Answer:
     started = time.perf_counter()
     if not localizer.has_enough_objects(query):
         return Answer(None, None, time.perf_counter() - started)
-    propose = {AS_SHIPPED: localizer.propose, EXHAUSTIVE: localizer.search_exhaustively}.get(method, localizer.retrieve)
     verified = propose(query)
     accepted = localizer.decide(query, verified).accepted
     seconds = time.perf_counter() - started
@@ -171,20 +192,19 @@ def _pose(candidate: Candidate | None) -> FloatArray | None:
     return None if candidate is None else candidate.T_local_query
 
 
-def localizer_config(method: str, neighbours: int, registration: str = "vote", *, noisy: bool = False) -> Config:
+def localizer_config(method: str, neighbours: int, *, noisy: bool = False) -> Config:
     """What ships, but the noise of the queries is known, and a descriptor alone retrieves.
 
     The map is exact. The noise that grows with the range is halved between the two submaps that are compared.
     """
     config = Config()
-    of_descriptor = {"descriptor": method, "top_k": neighbours, "max_candidates_by_triangles": 0}
-    retrieval = {} if method in (EXHAUSTIVE, AS_SHIPPED) else of_descriptor
+    retrieval = {} if method == EXHAUSTIVE else {"descriptor": method, "top_k": neighbours}
     per_m = NOISE_PER_M / np.sqrt(2.0) if noisy else 0.0
     config = config.calibrated({"objects.landmark_sigma_m": MAP_SIGMA_M, "objects.landmark_sigma_per_m": per_m})
     return config.model_copy(
         update={
             "loop_closure": config.loop_closure.model_copy(update=retrieval),
-            "registration": config.registration.model_copy(update={"method": registration, "estimate_scale": noisy}),
+            "registration": config.registration.model_copy(update={"estimate_scale": noisy}),
         }
     )
 
@@ -216,7 +236,7 @@ def _measure(
         of_ceiling=float(np.mean(success) / ceiling) if ceiling else None,
         misplaced=sum(not hits(T, q, within_m=MISPLACED_M) for T, q in accepted) / len(asked),
         likeliest=float(np.mean([hits(a.T_map_likeliest, q) for a, q in zip(flat, asked, strict=True)])),
-        top_5=None if method in (EXHAUSTIVE, AS_SHIPPED) else top_share(method, objects, asked, TOP),
+        top_5=None if method == EXHAUSTIVE else top_share(method, objects, asked, TOP),
         query_ms=1e3 * float(np.median([a.seconds for a in flat])),
     )
 

@@ -22,11 +22,11 @@ from slam.localization.pose_prior import PosePrior
 from slam.loop_closure.consistency import poses_agree
 from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratio
 from slam.object_map.submap import Submap, gravity_frame
-from slam.registration.exhaustive_search import ExhaustiveSearch
 from slam.registration.parameters import registration_config
 from slam.registration.registration import Registration
 from tools.lab.relocalization.figures import Tolerance, deviation
 from tools.lab.relocalization.known_map import KnownMap
+from tools.lab.retrieval.exhaustive_search import make_exhaustive_search
 
 REACH_M = 80.0
 """Longest pairs of objects: what is seen on 40 m of travel with a range of 30 m is mostly nearer together."""
@@ -61,9 +61,7 @@ class Oracle:
         self._map = Submap(objects.positions, sigmas, labels, rows)
         counts = 1.0 + np.bincount(labels, minlength=len(objects.vocabulary))
         self._shares = counts / counts.sum()
-        self._search = ExhaustiveSearch(
-            objects.positions, labels, self._registration, reach_m=REACH_M, map_sigmas=sigmas
-        )
+        self._search = make_exhaustive_search(objects.positions, labels, sigmas, self._registration, reach_m=REACH_M)
         cells = MapArea(cell_m=config.sensor_range_m * 2.0 / 3.0)
         cells.cover_positions(saved.graph.T_map_body[:, :2, 3])
         self._area_m2 = cells.area_m2
@@ -74,7 +72,7 @@ class Oracle:
         query = self._query(seen, T_world_gravity)
         if len(query) < MIN_OBJECTS:
             return OracleAnswer(None, is_right=False)
-        found = self._distinct(self._search.leading(query.positions, query.labels, query_sigmas=query.sigmas))
+        found = self._distinct(self._search.localize(query.positions, query.labels, sigmas=query.sigmas))
         if not found:
             return OracleAnswer(None, is_right=False)
         prior = PosePrior(np.eye(4), np.inf, np.inf, 0.5, self._area_m2)

@@ -29,12 +29,10 @@ from slam.loop_closure.likelihood_ratio import COVERAGE_RANGES, compute_log_like
 from slam.object_map.submap import SUBMAP_RANGES, Submap
 from slam.place_recognition.imported_map import ImportedMap, load_imported_map, make_imported_map, save_imported_map
 from slam.place_recognition.imported_places import HEIGHT_SIGMA_M
-from slam.place_recognition.quad_index import TOLERANCE_SIGMAS, QuadMatches
-from slam.place_recognition.triangle_voting import vote_for_poses
-from slam.registration.exhaustive_search import ExhaustiveSearch
 from slam.registration.parameters import registration_config
 from slam.registration.registration import refine
 from slam.sweeps.workers import Death, compute_all
+from tools.lab.retrieval.exhaustive_search import make_exhaustive_search
 
 TILES, EXHAUSTIVE = "tiles", "exhaustive search"
 MAP_SIGMA_M, QUERY_SIGMA_M = 0.3, 0.2
@@ -45,6 +43,8 @@ MIN_OBJECTS = 8
 """A path with fewer objects is no query."""
 RIGHT_M = 2.0
 """A pose is right within that distance of the true one."""
+SEARCHED_PAIR_M = 60.0
+"""Longest pairs of objects of the exhaustive search: the diameter of what a sensor sees."""
 EXHAUSTIVE_QUERIES = 10
 """So many are asked of the exhaustive search, which takes seconds each."""
 
@@ -226,20 +226,18 @@ def _observed(
 def locate(imported: ImportedMap, query: Submap, config: Config) -> tuple[FloatArray | None, bool]:
     """The pose (4, 4) of a query with the highest log-likelihood ratio, and whether that suffices to accept it."""
     sigma_m = float(np.hypot(np.median(query.sigmas), imported.sigma_m))
-    matches = imported.quads.match(query.positions, query.labels, imported.positions, sigma_m=sigma_m)
-    rows, corners = np.unique(matches.reference, return_inverse=True)
-    votes = vote_for_poses(
+    poses = imported.quads.find_poses(
         query.positions,
-        imported.positions[rows].astype(np.float64),
-        QuadMatches(matches.query, corners.reshape(-1, 4)),
-        tolerance_m=TOLERANCE_SIGMAS * sigma_m,
-        count=config.loop_closure.max_candidates_when_lost,
+        query.labels,
+        imported.positions,
+        sigma_m=sigma_m,
+        count=config.loop_closure.max_candidates,
     )
     reach_m = float(np.hypot(*query.positions[:, :2].T).max()) + COVERAGE_RANGES * config.sensor_range_m
     registering = registration_config(config.calibrated({"objects.height_sigma_m": HEIGHT_SIGMA_M}))
     best, best_llr = None, -np.inf
-    for vote in votes:
-        near = imported.near(vote.T_reference_query[:2, 3], reach_m)
+    for T_voted in poses:
+        near = imported.near(T_voted[:2, 3], reach_m)
         reference = Submap(
             imported.positions[near].astype(np.float64),
             np.full(len(near), imported.sigma_m),
@@ -251,7 +249,7 @@ def locate(imported: ImportedMap, query: Submap, config: Config) -> tuple[FloatA
             query.labels,
             reference.positions,
             reference.labels,
-            vote.T_reference_query,
+            T_voted,
             registering,
             query_sigmas=query.sigmas,
             reference_sigmas=reference.sigmas,
@@ -269,16 +267,17 @@ def locate(imported: ImportedMap, query: Submap, config: Config) -> tuple[FloatA
 
 def _exhaustive(imported: ImportedMap) -> Callable[[Submap], tuple[FloatArray | None, bool]]:
     config = registration_config(Config().calibrated({"objects.height_sigma_m": HEIGHT_SIGMA_M}))
-    search = ExhaustiveSearch(
+    search = make_exhaustive_search(
         imported.positions.astype(np.float64),
         imported.classes.astype(np.int64),
+        np.full(len(imported), imported.sigma_m),
         config,
-        map_sigmas=np.full(len(imported), imported.sigma_m),
+        reach_m=SEARCHED_PAIR_M,
     )
 
     def answer(query: Submap) -> tuple[FloatArray | None, bool]:
-        found = search.localize(query.positions, query.labels, query_sigmas=query.sigmas)
-        return found.T_reference_query, False
+        found = search.localize(query.positions, query.labels, sigmas=query.sigmas)
+        return found[0].T_reference_query, False
 
     return answer
 

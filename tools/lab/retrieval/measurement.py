@@ -1,6 +1,6 @@
 """What descriptors give: places proposed at the revisits of a drive, by descriptors and their verification alone.
 
-No closure is followed, nothing is searched exhaustively, and no other retrieval helps.
+No closure is propagated, and no other retrieval helps.
 """
 
 from __future__ import annotations
@@ -147,7 +147,6 @@ class _Asking:
             registration_config(config),
             query_sigmas=place.submap.sigmas,
             reference_sigmas=np.full(len(place.entry_positions), config.calibration.objects.landmark_sigma_m),
-            rng=np.random.default_rng(0),
             count=RECALL_AT[-1],
         )
         poses = [each.T_reference_query for each in found if each.T_reference_query is not None]

@@ -179,7 +179,6 @@ def _propose(index: ConstellationIndex, objects: _ObjectMap, query: TilesQuery) 
         registration_config(config),
         query_sigmas=submap.sigmas,
         reference_sigmas=np.full(len(entries), MAP_SIGMA_M),
-        rng=np.random.default_rng(0),
         count=RECALL_AT[-1],
     )
     poses = [each.T_reference_query for each in found if each.T_reference_query is not None]

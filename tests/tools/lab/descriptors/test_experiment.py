@@ -15,7 +15,6 @@ from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from tests.helpers.long_street import generate_street
 from tools.lab.descriptors.experiment import (
-    AS_SHIPPED,
     EXHAUSTIVE,
     MAP_SIGMA_M,
     NOISE_PER_M,
@@ -31,7 +30,7 @@ from tools.lab.descriptors.queries import SCENARIOS, LabelledMap, LocalQuery, dr
 pytestmark = pytest.mark.slow
 
 SELF, FEWER, NOISY = SCENARIOS
-METHODS = ("ring_likelihood", "onion", EXHAUSTIVE, "random", AS_SHIPPED)
+METHODS = ("ring_likelihood", "onion", EXHAUSTIVE, "random")
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +66,7 @@ def test_without_noise_the_ceiling_is_one_and_the_good_methods_reach_it(measured
     for cell in measured[0].cells:
         if cell.scenario == SELF.name:
             assert cell.ceiling == 1.0
-            if cell.method in ("ring_likelihood", EXHAUSTIVE, AS_SHIPPED):
+            if cell.method in ("ring_likelihood", EXHAUSTIVE):
                 assert (cell.success, cell.deviation, cell.of_ceiling) == (1.0, 0.0, 1.0)
 
 
@@ -78,7 +77,7 @@ def test_measures_are_shares_and_times_and_agree_with_each_other(measured):
         assert 0.0 <= cell.misplaced <= 1.0 - cell.success
         assert cell.likeliest >= cell.success - 0.1
         assert cell.query_ms > 0.0
-        if cell.method in (EXHAUSTIVE, AS_SHIPPED):
+        if cell.method == EXHAUSTIVE:
             assert cell.top_5 is None
         else:
             assert 0.0 <= cell.top_5 <= 1.0
@@ -157,15 +156,13 @@ def test_the_noise_of_a_query_grows_with_the_range_where_there_is_noise(street):
 def test_the_configuration_is_the_shipped_one_with_the_noise_of_the_queries():
     shipped = Config()
     for noisy in (False, True):
-        config = localizer_config(AS_SHIPPED, 100, noisy=noisy)
+        config = localizer_config(EXHAUSTIVE, 100, noisy=noisy)
         assert config.localization == shipped.localization
         assert config.loop_closure == shipped.loop_closure
         assert config.registration == shipped.registration.model_copy(update={"estimate_scale": noisy})
         assert np.sqrt(2.0) * config.calibration.objects.landmark_sigma_per_m == pytest.approx(NOISE_PER_M * noisy)
-    of_descriptor = localizer_config("onion", 100, "ransac")
-    limits = of_descriptor.loop_closure
-    assert (limits.descriptor, limits.top_k, limits.max_candidates_by_triangles) == ("onion", 100, 0)
-    assert of_descriptor.registration.method == "ransac"
+    limits = localizer_config("onion", 100).loop_closure
+    assert (limits.descriptor, limits.top_k) == ("onion", 100)
 
 
 # Among the nearest.

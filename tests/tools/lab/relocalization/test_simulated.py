@@ -102,9 +102,8 @@ def test_on_a_furnished_block_everybody_is_found(outcomes: list[Outcome], kidnap
         assert is_right
 
 
-def test_descriptor_alone_finds_everybody(search: Search, kidnaps: list[Kidnap]):
-    """Without triangles and without the exhaustive search."""
-    closing = LoopClosureConfig(max_candidates_when_lost=0, max_candidates_by_triangles=0)
+def test_default_descriptor_finds_everybody(search: Search, kidnaps: list[Kidnap]):
+    closing = LoopClosureConfig()
     alone = replace(search, config=Config(loop_closure=closing))
     assert [each.verdict for each in search_all(alone, kidnaps, jobs=1)] == [Verdict.RECOVERED] * 3
 
