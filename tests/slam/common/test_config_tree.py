@@ -60,7 +60,7 @@ def test_changes_names_what_is_not_the_default() -> None:
     assert changed == [
         "calibrate=false",
         "keyframe.distance_m=1.5",
-        'registration.method="ransac"',
+        "registration.six_dof=true",
         "calibration.odometry.sources=2",
     ]
     assert changes(Config(), "no json") == ["unreadable"]
@@ -99,7 +99,7 @@ def test_a_file_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
         ("keyframe.distance_m=nan", "a number > 0"),
         ("calibration.detection.yaw_deg=181", "a number >= -180 and <= 180"),
         ("loop_closure.top_k=1.5", "a whole number >= 1"),
-        ("registration.method=guess", "one of vote, ransac"),
+        ("registration.six_dof=guess", "true or false"),
         ("keyframe=2", "keyframe is a branch"),
         ("seed", "expected key=value"),
         ("seed=", "expected key=value"),
