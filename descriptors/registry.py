@@ -9,14 +9,18 @@ from pathlib import Path
 from descriptors.baselines.gosmatch import GosmatchGraph, GosmatchVertex
 from descriptors.baselines.onion import Onion, OnionHistogram
 from descriptors.baselines.random_walk import RandomWalk
-from descriptors.descriptellation_lr.learned_likelihood import LearnedLikelihood, is_learned_likelihood
+from descriptors.descriptellation_lr.likelihood import LearnedLikelihood
 from descriptors.descriptor import Descriptor
 from descriptors.errors import DescriptorError
 from descriptors.index import ConstellationIndex, VectorIndex
+from descriptors.learned.weights import read_weights
 from descriptors.likelihood_index import LikelihoodIndex
 from descriptors.random_vector import RandomVector
 from descriptors.ring_likelihood import RingLikelihood
 
+PAPER = "descriptellation"
+NETWORKS = (PAPER, "pointnet", "sgnet")
+LEARNED = (LearnedLikelihood.name, *NETWORKS)
 HANDCRAFTED: dict[str, Callable[[], Descriptor]] = {
     "onion": Onion,
     "onion_histogram": OnionHistogram,
@@ -24,14 +28,20 @@ HANDCRAFTED: dict[str, Callable[[], Descriptor]] = {
     "gosmatch_graph": GosmatchGraph,
     "gosmatch_vertex": GosmatchVertex,
 }
-SHIPPED = Path(__file__).parent / "weights"
-PAPER = "descriptellation"
-NETWORKS = (PAPER, "pointnet", "sgnet")
-LEARNED = (LearnedLikelihood.name, *NETWORKS)
+UNTRAINED: dict[str, Callable[[], Descriptor]] = {
+    RingLikelihood.name: RingLikelihood,
+    **HANDCRAFTED,
+    RandomVector.name: RandomVector,
+}
 DESCRIPTOR_NAMES = (RingLikelihood.name, *LEARNED, *HANDCRAFTED, RandomVector.name)
-RENAMED = {"descriptellation_paper": "descriptellation"}
-"""Names of earlier versions."""
 WEIGHTS_SUFFIX = ".safetensors"
+RENAMED = {"descriptellation_paper": PAPER}
+"""Names of earlier versions."""
+
+
+def shipped_weights(name: str) -> Path:
+    """The file of the weights of one of :data:`LEARNED`."""
+    return Path(__file__).parent / "weights" / f"{name}{WEIGHTS_SUFFIX}"
 
 
 def make_descriptor(name: str) -> Descriptor:
@@ -42,14 +52,10 @@ def make_descriptor(name: str) -> Descriptor:
     Raises:
         DescriptorError: there is none of that name, weights that do not fit, or a class that cannot be made.
     """
-    if name == RingLikelihood.name:
-        return RingLikelihood()
-    if name == RandomVector.name:
-        return RandomVector()
-    if name in HANDCRAFTED:
-        return HANDCRAFTED[name]()
+    if name in UNTRAINED:
+        return UNTRAINED[name]()
     if name in LEARNED:
-        return _from_weights(SHIPPED / f"{name}{WEIGHTS_SUFFIX}")
+        return _from_weights(shipped_weights(name))
     if name.endswith(WEIGHTS_SUFFIX):
         return _from_weights(Path(name))
     if ":" in name:
@@ -72,8 +78,8 @@ def make_index(name: str) -> ConstellationIndex:
     if isinstance(descriptor, RingLikelihood | LearnedLikelihood):
         return LikelihoodIndex(descriptor)
     if descriptor.name == PAPER:
-        from descriptors.learned.network_descriptor import LearnedDescriptor  # loads torch
-        from descriptors.learned.paper_index import PaperIndex
+        from descriptors.descriptellation.index import PaperIndex  # loads torch
+        from descriptors.learned.descriptor import LearnedDescriptor
 
         if isinstance(descriptor, LearnedDescriptor):
             return PaperIndex(descriptor)
@@ -81,9 +87,9 @@ def make_index(name: str) -> ConstellationIndex:
 
 
 def _from_weights(path: Path) -> Descriptor:
-    if is_learned_likelihood(path):
+    if read_weights(path).architecture.get("name") == LearnedLikelihood.name:
         return LearnedLikelihood(path)
-    from descriptors.learned.network_descriptor import LearnedDescriptor  # loads torch
+    from descriptors.learned.descriptor import LearnedDescriptor  # loads torch
 
     return LearnedDescriptor(path)
 
@@ -92,7 +98,7 @@ def _from_class(name: str) -> Descriptor:
     module, _, attribute = name.partition(":")
     try:
         made = getattr(importlib.import_module(module), attribute)()
-    except Exception as error:  # whatever the user's code raises
+    except Exception as error:  # user code raises anything
         raise DescriptorError(f"{name}: cannot be made: {type(error).__name__}: {error}") from error
     lacking = [part for part in ("name", "radius_m", "describe") if not hasattr(made, part)]
     if lacking:

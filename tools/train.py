@@ -12,10 +12,13 @@ from tools.arguments import Json
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from descriptors.descriptellation.training import Epoch
-    from descriptors.descriptellation_lr.training_maps import TrainingMap
+    from descriptors.training.folder import Epoch
+    from descriptors.training.maps import TrainingMap
+    from descriptors.training.trainer import Recipe
 
-TOWERS = "descriptellation_lr"
+LIKELIHOOD = "descriptellation_lr"
+MAX_ROWS = 20
+"""Epochs in the table, besides the first, the best and the last one."""
 
 
 def train(
@@ -25,7 +28,7 @@ def train(
     ],
     network: Annotated[
         str, typer.Option(metavar="descriptellation_lr|descriptellation|pointnet|sgnet", help="What is trained.")
-    ] = TOWERS,
+    ] = LIKELIHOOD,
     maps: Annotated[
         list[Path] | None,
         typer.Option(
@@ -69,69 +72,66 @@ def train(
 
     Example: dslam train out/lr --maps town.csv
     """
-    if network == TOWERS:
-        if input_kind is not None or device != "cpu":
-            raise typer.BadParameter(f"--input and --device belong to the other networks, not to {TOWERS}.")
-        if anew and not maps:
-            raise typer.BadParameter("it goes with --maps.", param_hint="--anew")
-        _train_towers(folder, maps or [], epochs, seed, threads, anew=anew, json=json)
-        return
-    if maps or anew:
-        raise typer.BadParameter(f"--maps, --anew: {network} is trained on simulated maps alone; leave them out.")
-    _train_network(folder, network, input_kind, epochs or 100, seed, device, threads, json=json)
-
-
-def _train_towers(
-    folder: Path, maps: list[Path], epochs: int | None, seed: int, threads: int, *, anew: bool, json: bool
-) -> None:
-    from dataclasses import asdict, replace
-
-    from descriptors.descriptellation_lr.training import (
-        Step,
-        TowersTraining,
-        best_epoch,
-        further_training,
-        train_towers,
-    )
-    from descriptors.learned.training_folder import WEIGHTS
-    from descriptors.registry import SHIPPED, WEIGHTS_SUFFIX
+    from descriptors.training.folder import WEIGHTS
+    from descriptors.training.trainer import Step
+    from descriptors.training.trainer import train as train_recipe
     from tools import console
 
-    start = SHIPPED / f"{TOWERS}{WEIGHTS_SUFFIX}" if maps and not anew else None
-    config = TowersTraining(seed=seed) if start is None else further_training(seed=seed)
-    if epochs is not None:
-        config = replace(config, epochs=epochs)
-    given = [_load_map(path) for path in maps]
-    with console.progress_line(f"training {TOWERS}") as tell:
+    if network == LIKELIHOOD:
+        if input_kind is not None or device != "cpu":
+            raise typer.BadParameter(f"--input and --device belong to the other networks, not to {LIKELIHOOD}.")
+        if anew and not maps:
+            raise typer.BadParameter("it goes with --maps.", param_hint="--anew")
+        recipe = _likelihood_recipe(maps or [], epochs, seed, anew=anew)
+    else:
+        if maps or anew:
+            raise typer.BadParameter(f"--maps, --anew: {network} is trained on simulated maps alone; leave them out.")
+        recipe = _network_recipe(network, input_kind, epochs, seed, device)
+    with console.progress_line(f"training {network}") as tell:
 
         def report(step: Step) -> None:
             if tell is not None:
-                tell(step.done, _progress(step.loss, step.remaining_s))
+                minutes, seconds = divmod(round(step.remaining_s), 60)
+                tell(step.done, f"loss {step.loss:.3f}, {minutes} min {seconds:02d} s left")
 
-        history = train_towers(config, folder, given, start=start, threads=threads, on_step=report)
-    best = best_epoch(history)
+        history = train_recipe(recipe, folder, threads=threads, on_step=report)
+    best = recipe.best(history)
     if json:
-        console.show_json({"weights": str(folder / WEIGHTS), "best": asdict(best), "epochs": history[-1].epoch})
+        console.show_json({"weights": str(folder / WEIGHTS), "best": best.as_row(), "epochs": history[-1].epoch})
         return
-    headings = ("epoch", "train loss", "validation loss", "top 1", "top 5", "top 25", "top 5, exact views", "s")
-    table = console.grid(dict.fromkeys(headings, True))
-    for epoch in history:
-        shares = (epoch.validation_top_1, epoch.validation_top_5, epoch.validation_top_25, epoch.exact_top_5)
-        table.add_row(
-            str(epoch.epoch),
-            "-" if epoch.train_loss is None else f"{epoch.train_loss:.3f}",
-            f"{epoch.validation_loss:.3f}",
-            *(f"{100 * share:.1f} %" for share in shares),
-            f"{epoch.seconds:.0f}",
-        )
-    console.show(table, f"weights of epoch {best.epoch}: {folder / WEIGHTS}")
+    console.show(_table(history, best), f"weights of epoch {best.epoch}: {folder / WEIGHTS}")
+
+
+def _likelihood_recipe(maps: list[Path], epochs: int | None, seed: int, *, anew: bool) -> Recipe:
+    from dataclasses import replace
+
+    from descriptors.registry import shipped_weights
+    from descriptors.training import contrast
+
+    is_further = bool(maps) and not anew
+    config = contrast.further_training(seed=seed) if is_further else contrast.ContrastTraining(seed=seed)
+    if epochs is not None:
+        config = replace(config, epochs=epochs)
+    given = [_load_map(path) for path in maps]
+    return contrast.ContrastRecipe(config, given, shipped_weights(LIKELIHOOD) if is_further else None)
+
+
+def _network_recipe(network: str, input_kind: str | None, epochs: int | None, seed: int, device: str) -> Recipe:
+    from dataclasses import replace
+
+    from descriptors.learned.networks import default_architecture
+    from descriptors.training import triplets
+
+    settings = {} if input_kind is None else {"input": input_kind}
+    config = triplets.TripletTraining(architecture=default_architecture(network, **settings), seed=seed)
+    return triplets.TripletRecipe(config if epochs is None else replace(config, epochs=epochs), device)
 
 
 def _load_map(path: Path) -> TrainingMap:
     """The objects of a CSV file, of a saved map, or of the final map in a log."""
     import numpy as np
 
-    from descriptors.descriptellation_lr.training_maps import TrainingMap
+    from descriptors.training.maps import TrainingMap
     from slam.common.errors import InputDataError
 
     if path.suffix.lower() == ".csv":
@@ -161,59 +161,20 @@ def _load_map(path: Path) -> TrainingMap:
     return TrainingMap(np.asarray(positions, dtype=np.float64), numbers.astype(np.int64), len(found))
 
 
-def _progress(loss: float, remaining_s: float) -> str:
-    minutes, seconds = divmod(round(remaining_s), 60)
-    return f"loss {loss:.3f}, {minutes} min {seconds:02d} s left"
-
-
-def _train_network(
-    folder: Path,
-    network: str,
-    input_kind: str | None,
-    epochs: int,
-    seed: int,
-    device: str,
-    threads: int,
-    *,
-    json: bool,
-) -> None:
-    from dataclasses import asdict
-
-    from descriptors.descriptellation.training import TrainingConfig, train_network
-    from descriptors.learned.architectures import default_architecture
-    from descriptors.learned.training_folder import WEIGHTS
+def _table(history: list[Epoch], best: Epoch) -> Table:
     from tools import console
 
-    settings = {} if input_kind is None else {"input": input_kind}
-    config = TrainingConfig(architecture=default_architecture(network, **settings), epochs=epochs, seed=seed)
-    with console.progress_line(f"training {network}") as tell:
-
-        def report(done: float, loss: float, remaining_s: float) -> None:
-            if tell is not None:
-                tell(done, _progress(loss, remaining_s))
-
-        history = train_network(config, folder, device=device, threads=threads, on_batch=report)
-    best = max(history, key=lambda epoch: epoch.validation_top_k)
-    if json:
-        console.show_json({"weights": str(folder / WEIGHTS), "best": asdict(best), "epochs": len(history)})
-        return
-    console.show(_table(history, best.epoch), f"weights of epoch {best.epoch}: {folder / WEIGHTS}")
-
-
-def _table(history: list[Epoch], best: int) -> Table:
-    from tools import console
-
-    headings = ("epoch", "train loss", "validation loss", "train top 5", "validation top 5", "s")
-    table = console.grid(dict.fromkeys(headings, True))
-    step = max(1, len(history) // 20)
+    table = console.grid(dict.fromkeys((name.replace("_", " ") for name in [*best.as_row()]), True))
+    step = max(1, len(history) // MAX_ROWS)
     for epoch in history:
-        if epoch.epoch % step == 0 or epoch.epoch in (1, best, len(history)):
-            table.add_row(
-                str(epoch.epoch),
-                f"{epoch.train_loss:.4f}",
-                f"{epoch.validation_loss:.4f}",
-                f"{100 * epoch.train_top_k:.1f} %",
-                f"{100 * epoch.validation_top_k:.1f} %",
-                f"{epoch.seconds:.0f}",
-            )
+        if epoch.epoch % step == 0 or epoch in (history[0], best, history[-1]):
+            table.add_row(*(_cell(name, value) for name, value in epoch.as_row().items()))
     return table
+
+
+def _cell(name: str, value: float | None) -> str:
+    if value is None:
+        return "-"
+    if "top" in name:
+        return f"{100 * value:.1f} %"
+    return f"{value:.4f}" if "loss" in name else f"{value:.0f}"

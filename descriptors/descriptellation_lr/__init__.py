@@ -1,1 +1,1 @@
-"""The learned likelihood: a map tower and a query tower whose inner product is a log-likelihood ratio."""
+"""The learned likelihood ratio: one vector of an object of the map, one of an object seen, and their inner product."""

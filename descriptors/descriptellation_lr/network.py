@@ -1,8 +1,6 @@
-"""The learned likelihood as a network of torch, for training; ``learned_likelihood`` evaluates it by numpy."""
+"""The learned likelihood as a network of torch, for training; ``likelihood`` evaluates it by numpy."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -13,6 +11,7 @@ from descriptors.constellation import Constellations
 from descriptors.descriptellation_lr.rings import (
     FEATURES,
     Background,
+    DescriptellationLRArchitecture,
     Rings,
     horizontal_m,
     neighbour_features,
@@ -20,32 +19,7 @@ from descriptors.descriptellation_lr.rings import (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class DescriptellationLRArchitecture:
-    """Sizes of the towers. ``widths_m`` and ``widths_per_m``: of the kernels before training, at distance 0 and how
-    they grow with it; ``level_width_m``, ``level_width_per_m``: of the kernel that measures how crowded an object is;
-    ``odds``: of a gate before training, P_D / (1 - P_D) with P_D 0.75.
-    """
-
-    name: str = "descriptellation_lr"
-    radius_m: float = 60.0
-    least_ring_m: float = 0.25
-    ring_growth: float = 0.02
-    hidden: int = 24
-    ring_hidden: int = 8
-    widths_m: tuple[float, ...] = (0.12, 0.3, 0.7, 1.0)
-    widths_per_m: tuple[float, ...] = (0.002, 0.01, 0.03, 0.08)
-    level_width_m: float = 3.0
-    level_width_per_m: float = 0.05
-    odds: float = 3.0
-
-    @property
-    def rings(self) -> Rings:
-        """The rings."""
-        return Rings(self.radius_m, self.least_ring_m, self.ring_growth)
-
-
-class Towers(nn.Module):
+class DescriptellationLR(nn.Module):
     """``worth * (log(1 + sum_n sum_w gate_nw K_w(r, d_n) / background) - crowded * log(1 + level))`` for each ring r.
 
     Each neighbour n of an object lays kernels of several widths over the rings; how much each counts, a small network

@@ -1,6 +1,8 @@
-"""What both towers agree on: rings of distance, and the features of neighbours and rings."""
+"""What query and map have in common: rings of distance, and the features of neighbours and rings."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -21,6 +23,31 @@ PRIOR_PER_KM2 = 500.0
 """Objects of one class on a square kilometre of a city, as in :mod:`descriptors.ring_likelihood`."""
 SHARED = 0.5
 """Share of the background that all classes have in common: half, as nothing is known of how much they differ."""
+
+
+@dataclass(frozen=True, slots=True)
+class DescriptellationLRArchitecture:
+    """Sizes of the likelihood. ``widths_m`` and ``widths_per_m``: of the kernels before training, at distance 0 and how
+    they grow with it; ``level_width_m``, ``level_width_per_m``: of the kernel that measures how crowded an object is;
+    ``odds``: of a gate before training, P_D / (1 - P_D) with P_D 0.75.
+    """
+
+    name: str = "descriptellation_lr"
+    radius_m: float = 60.0
+    least_ring_m: float = 0.25
+    ring_growth: float = 0.02
+    hidden: int = 24
+    ring_hidden: int = 8
+    widths_m: tuple[float, ...] = (0.12, 0.3, 0.7, 1.0)
+    widths_per_m: tuple[float, ...] = (0.002, 0.01, 0.03, 0.08)
+    level_width_m: float = 3.0
+    level_width_per_m: float = 0.05
+    odds: float = 3.0
+
+    @property
+    def rings(self) -> Rings:
+        """The rings."""
+        return Rings(self.radius_m, self.least_ring_m, self.ring_growth)
 
 
 class Rings:

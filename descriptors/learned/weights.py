@@ -1,4 +1,7 @@
-"""Files of trained weights: tensors as safetensors, and in the metadata all it takes to use and to judge them."""
+"""Files of trained weights: tensors as safetensors, and in the metadata all it takes to use and to judge them.
+
+They are read by numpy alone, so that a replay needs no torch.
+"""
 
 from __future__ import annotations
 
@@ -6,71 +9,62 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
-import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
-from torch import Tensor, nn
+import numpy as np
+from numpy.typing import NDArray
 
 from descriptors.errors import DescriptorError, WeightsError
-from descriptors.learned.architectures import make_architecture, make_network
 
 FORMAT_VERSION = "1"
 _T = TypeVar("_T")
 
 
-@dataclass(frozen=True, slots=True)
-class WeightsMetadata:
-    """Where weights come from; the architecture is the network's own.
+@dataclass(frozen=True, slots=True, eq=False)
+class Weights:
+    """Tensors by their names, and where they come from.
 
-    ``training``: the configuration of the training, ``metrics``: what it achieved, both as JSON holds them.
+    ``architecture``: the fields of the network's architecture; ``training``: the configuration of the training,
+    ``metrics``: what it achieved, all as JSON holds them.
     """
 
+    tensors: Mapping[str, NDArray[Any]]
+    architecture: Mapping[str, Any]
     training: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
     code_version: str = ""
     metrics: Mapping[str, Any] = field(default_factory=dict)
 
 
-def save_weights(path: Path, network: nn.Module, metadata: WeightsMetadata) -> None:
-    """Write the network's weights; equal weights and metadata give equal bytes.
-
-    Args:
-        network: one of ``descriptors.learned.architectures``.
+def save_weights(path: Path, weights: Weights) -> None:
+    """Write a file of weights; equal weights give equal bytes.
 
     Raises:
         WeightsError: the file cannot be written, or the metadata are no JSON.
     """
-    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}
+    from safetensors.numpy import save
+
+    tensors = {name: np.asarray(tensor, order="C") for name, tensor in weights.tensors.items()}
     try:
-        texts = {
-            "format_version": FORMAT_VERSION,
-            "architecture": _json(asdict(network.architecture)),  # type: ignore[call-overload]
-            "training": _json(metadata.training),
-            "seed": _json(metadata.seed),
-            "code_version": _json(metadata.code_version),
-            "metrics": _json(metadata.metrics),
-            "sha256": _digest(tensors),
-        }
+        texts = {name: json.dumps(getattr(weights, name), allow_nan=False, sort_keys=True) for name in _texts()}
     except (TypeError, ValueError) as error:
         raise WeightsError(f"{path}: the metadata cannot be written as JSON: {error}") from error
+    texts |= {"format_version": FORMAT_VERSION, "sha256": _digest(tensors)}
     part = path.with_name(path.name + ".part")
     try:
-        part.write_bytes(with_sorted_header(save(tensors, metadata=texts)))
+        part.write_bytes(_with_sorted_header(save(tensors, metadata=texts)))
         os.replace(part, path)
     except OSError as error:
         raise WeightsError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def load_weights(path: Path) -> tuple[nn.Module, WeightsMetadata]:
-    """The network in evaluation mode with its weights, and where they come from; torch's generator is left alone.
+def read_weights(path: Path) -> Weights:
+    """The weights of a file.
 
     Raises:
-        WeightsError: no such file, or one that is truncated, altered, of another format or at odds with its
-            architecture.
+        WeightsError: no such file, or one that is truncated, altered or of another format.
     """
     tensors, texts = _read(path)
     version = texts.get("format_version")
@@ -79,58 +73,81 @@ def load_weights(path: Path) -> tuple[nn.Module, WeightsMetadata]:
             f"{path}: format version {version!r}, this program reads {FORMAT_VERSION!r}; train again, or use the "
             "program that wrote the file"
         )
-    try:
-        architecture = make_architecture(_mapping(path, texts, "architecture"))
-    except DescriptorError as error:
-        raise error if isinstance(error, WeightsError) else WeightsError(f"{path}: {error}") from error
-    with torch.device("meta"):  # shapes alone: neither memory nor random numbers for weights to be replaced
-        network = make_network(architecture)
-    _check_shapes(path, tensors, network.state_dict())
     digest = _digest(tensors)
     if digest != texts.get("sha256"):
         raise WeightsError(
             f"{path}: the tensors have SHA-256 {digest}, the file says {texts.get('sha256')}; it was altered, "
             "get it again"
         )
-    network.load_state_dict(tensors, assign=True)
-    metadata = WeightsMetadata(
-        training=_mapping(path, texts, "training"),
-        seed=_typed(path, texts, "seed", int),
-        code_version=_typed(path, texts, "code_version", str),
-        metrics=_mapping(path, texts, "metrics"),
+    return Weights(
+        tensors,
+        _typed(path, texts, "architecture", dict),
+        _typed(path, texts, "training", dict),
+        _typed(path, texts, "seed", int),
+        _typed(path, texts, "code_version", str),
+        _typed(path, texts, "metrics", dict),
     )
-    return network.eval(), metadata
 
 
-def _read(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
-    if not path.is_file():
-        raise WeightsError(f"{path}: no such file")
+def make_architecture(kind: type[_T], values: Mapping[str, object]) -> _T:
+    """The architecture, a dataclass, with exactly these fields.
+
+    Raises:
+        DescriptorError: fields that are unknown, missing or of the wrong type.
+    """
+    from pydantic import TypeAdapter, ValidationError
+
+    name = values.get("name")
+    known = {each.name for each in fields(kind)}  # type: ignore[arg-type]
+    unknown, missing = sorted(set(values) - known), sorted(known - set(values))
+    if unknown or missing:
+        problem = f"unknown fields {unknown}" if unknown else f"no fields {missing}"
+        raise DescriptorError(f"architecture {name!r} with {problem}; it has {sorted(known)}")
     try:
-        with safe_open(path, framework="pt") as file:
-            # Cloned, as the tensors otherwise lie in the file, whoever changes it later.
-            tensors = {name: file.get_tensor(name).clone() for name in file.keys()}  # noqa: SIM118
-            return tensors, dict(file.metadata() or {})
-    except (SafetensorError, OSError) as error:
-        raise WeightsError(f"{path}: truncated, or no safetensors file: {error}; get it again") from error
+        return TypeAdapter(kind).validate_json(json.dumps(values), strict=True)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise DescriptorError(
+            f"architecture {name!r} with {first['loc'][0]} = {first['input']!r}: {first['msg']}"
+        ) from error
 
 
-def _check_shapes(path: Path, tensors: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> None:
-    for name in sorted({*tensors, *expected}):
-        found = tuple(tensors[name].shape) if name in tensors else None
-        fits = tuple(expected[name].shape) if name in expected else None
-        if fits is None:
-            raise WeightsError(f"{path}: tensor {name} of shape {found} has no place in the architecture")
-        if found is None:
-            raise WeightsError(f"{path}: no tensor {name}, of which the architecture needs shape {fits}")
-        if found != fits or tensors[name].dtype != expected[name].dtype:
+def check_tensors(path: Path, weights: Weights, expected: Mapping[str, tuple[tuple[int, ...], str]]) -> None:
+    """Refuse weights whose tensors do not have the ``expected`` shapes and types.
+
+    Raises:
+        WeightsError: a tensor too many or too few, or one of another shape or type.
+    """
+    found = {name: (tensor.shape, str(tensor.dtype)) for name, tensor in weights.tensors.items()}
+    for name in sorted({*found, *expected}):
+        if name not in expected:
+            raise WeightsError(f"{path}: tensor {name} of shape {found[name][0]} has no place in the architecture")
+        shape, kind = expected[name]
+        if name not in found:
+            raise WeightsError(f"{path}: no tensor {name}, of which the architecture needs shape {shape}")
+        if found[name] != (shape, kind):
             raise WeightsError(
-                f"{path}: tensor {name} is {tensors[name].dtype} of shape {found}, the architecture needs "
-                f"{expected[name].dtype} of shape {fits}"
+                f"{path}: tensor {name} is {found[name][1]} of shape {found[name][0]}, the architecture needs "
+                f"{kind} of shape {shape}"
             )
 
 
-def _mapping(path: Path, texts: Mapping[str, str], key: str) -> dict[str, Any]:
-    return _typed(path, texts, key, dict)
+def _texts() -> list[str]:
+    """What is kept as JSON."""
+    return [each.name for each in fields(Weights) if each.name != "tensors"]
+
+
+def _read(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+    from safetensors import SafetensorError, safe_open
+
+    if not path.is_file():
+        raise WeightsError(f"{path}: no such file")
+    try:
+        with safe_open(path, framework="np") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            return tensors, dict(file.metadata() or {})
+    except (SafetensorError, OSError, TypeError) as error:
+        raise WeightsError(f"{path}: truncated, or no safetensors file: {error}; get it again") from error
 
 
 def _typed(path: Path, texts: Mapping[str, str], key: str, kind: type[_T]) -> _T:
@@ -145,20 +162,16 @@ def _typed(path: Path, texts: Mapping[str, str], key: str, kind: type[_T]) -> _T
     return value
 
 
-def _json(value: object) -> str:
-    return json.dumps(dict(value) if isinstance(value, Mapping) else value, allow_nan=False, sort_keys=True)
-
-
-def _digest(tensors: Mapping[str, Tensor]) -> str:
+def _digest(tensors: Mapping[str, NDArray[Any]]) -> str:
     digest = hashlib.sha256()
     for name in sorted(tensors):
-        tensor = tensors[name].contiguous()
-        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
-        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().tobytes())
+        tensor = tensors[name]
+        digest.update(f"{name} torch.{tensor.dtype} {tensor.shape}\n".encode())
+        digest.update(tensor.tobytes())
     return digest.hexdigest()
 
 
-def with_sorted_header(content: bytes) -> bytes:
+def _with_sorted_header(content: bytes) -> bytes:
     """The same safetensors file with its metadata in order; the library leaves that to chance."""
     size = int.from_bytes(content[:8], "little")
     header = json.loads(content[8 : 8 + size])

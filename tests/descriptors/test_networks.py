@@ -14,16 +14,16 @@ from descriptors.descriptellation.network import (
     DescriptellationArchitecture,
     MaxRelativeConvolution,
 )
-from descriptors.learned.architectures import ARCHITECTURES, make_network
+from descriptors.learned.networks import NETWORKS, make_network
 from tests.descriptors.batches import batch
 
-every_network = pytest.mark.parametrize("name", sorted(ARCHITECTURES))
+every_network = pytest.mark.parametrize("name", sorted(NETWORKS))
 
 
 def network(name: str) -> nn.Module:
     """A network whose running statistics are not those it started with, ready to describe."""
     torch.manual_seed(0)
-    made = make_network(ARCHITECTURES[name][0]())
+    made = make_network(NETWORKS[name][0]())
     for seed in range(20):
         made(*batch((12, 9, 20, 3), 20, seed=seed))
     return made.eval()
@@ -44,7 +44,7 @@ def close(a: Tensor, b: Tensor, tolerance: float = 1e-6) -> bool:
 @every_network
 def test_vectors_of_the_length_of_the_architecture_tell_constellations_apart(name):
     described = network(name)(*batch((12, 9, 20), 20))
-    assert described.shape == (3, ARCHITECTURES[name][0]().length)
+    assert described.shape == (3, NETWORKS[name][0]().length)
     assert described.dtype == torch.float32
     if name != "descriptellation":  # which the paper does not normalise
         assert close(described.norm(dim=1), torch.ones(3))
@@ -132,7 +132,7 @@ def test_a_class_and_a_position_matter(name):
 @every_network
 def test_a_few_steps_of_training_bring_views_of_a_place_together(name):
     torch.manual_seed(0)
-    describe = make_network(ARCHITECTURES[name][0]())
+    describe = make_network(NETWORKS[name][0]())
     optimizer = torch.optim.Adam(describe.parameters(), lr=1e-3)
     positions, labels, present = batch((10,) * 8, 10, seed=4)
     generator = torch.Generator().manual_seed(1)

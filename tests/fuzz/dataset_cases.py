@@ -17,7 +17,7 @@ from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes, mut
 from tests.fuzz.cloud_mutations import mutate_pcd, mutate_ply, write_sequence
 from tests.fuzz.training_mutations import mutate_checkpoint
 
-NETWORKS = {"towers": "descriptellation_lr", "network": "descriptellation"}
+NETWORKS = {"likelihood": "descriptellation_lr", "network": "descriptellation"}
 """Whose checkpoints are altered, by the name of the folder."""
 _PARK = b"""ODOMETRY 0 1 2 0 1.5707963267948966 0.0001 0 0 4e-06 0 4e-06
 LANDMARK 1 7 3 -1 0.4 0.1 0.3
@@ -38,15 +38,14 @@ _OBJECTS = {
 
 def make_trainings_small() -> None:
     """Let every training of this process be one of a few constellations: its configuration is not what is tried."""
-    from descriptors.descriptellation import training as networks
-    from descriptors.descriptellation.dataset import DatasetConfig
-    from descriptors.descriptellation_lr import training as towers
+    from descriptors.training import contrast, triplets
+    from descriptors.training.dataset import DatasetConfig
 
-    small: Any = partial(networks.TrainingConfig, dataset=DatasetConfig(anchors=6, positives=2))
-    networks.TrainingConfig = small  # type: ignore[misc]
-    of_towers: Any = partial(towers.TowersTraining, validation_maps=1)
-    towers.TowersTraining = of_towers  # type: ignore[misc]
-    towers.STEPS_PER_EPOCH = 1
+    small: Any = partial(triplets.TripletTraining, dataset=DatasetConfig(anchors=6, positives=2))
+    triplets.TripletTraining = small  # type: ignore[misc]
+    of_likelihood: Any = partial(contrast.ContrastTraining, validation_maps=1)
+    contrast.ContrastTraining = of_likelihood  # type: ignore[misc]
+    contrast.STEPS_PER_EPOCH = 1
 
 
 def training_arguments(folder: str) -> list[str]:

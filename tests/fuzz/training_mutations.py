@@ -18,14 +18,17 @@ def mutate_checkpoint(content: bytes, rng: np.random.Generator) -> bytes:
     """A checkpoint with a few changes anywhere in its tree, or of its bytes."""
     import torch
 
+    from descriptors.training.folder import DIGEST_BYTES
+
     if rng.random() < 0.2:
         return mutate_bytes(content, rng)
+    digest, content = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
     tree = torch.load(io.BytesIO(content), weights_only=True)
     for _ in range(int(rng.choice([1, 1, 2, 5]))):
         _mutate_node(tree, rng)
     out = io.BytesIO()
     torch.save(tree, out)
-    return out.getvalue()
+    return digest + out.getvalue()
 
 
 def mutate_weights(content: bytes, rng: np.random.Generator) -> bytes:

@@ -23,11 +23,11 @@ class Command:
 
 def make_commands(folder: Path) -> list[Command]:
     """Make the inputs in ``folder``; a training is made small by its number of maps."""
-    from descriptors.descriptellation import training
-    from descriptors.descriptellation.dataset import DatasetConfig
+    from descriptors.training import triplets
+    from descriptors.training.dataset import DatasetConfig
 
-    training.TrainingConfig = partial(  # type: ignore[misc,assignment]
-        training.TrainingConfig, dataset=DatasetConfig(anchors=6, positives=2)
+    triplets.TripletTraining = partial(  # type: ignore[misc,assignment]
+        triplets.TripletTraining, dataset=DatasetConfig(anchors=6, positives=2)
     )
     log, mapped = folder / "drive.mcap", folder / "mapped.mcap"
     write_log(log, keep_until(drive(), 4.0))

@@ -12,36 +12,36 @@ import pytest
 import torch
 
 from descriptors.baselines.pointnet import PointNetArchitecture
-from descriptors.descriptellation import training
-from descriptors.descriptellation.dataset import DatasetConfig
 from descriptors.descriptellation.network import DescriptellationArchitecture
-from descriptors.descriptellation.training import Epoch, TrainingConfig
-from descriptors.descriptellation_lr import training as towers
-from descriptors.descriptellation_lr.training import TowersTraining
-from descriptors.learned.training_folder import WEIGHTS
-from descriptors.learned.weights import load_weights
+from descriptors.learned.weights import read_weights
 from descriptors.likelihood_index import LikelihoodIndex
 from descriptors.registry import make_index
+from descriptors.training import contrast, trainer, triplets
+from descriptors.training.contrast import ContrastTraining
+from descriptors.training.dataset import DatasetConfig
+from descriptors.training.folder import WEIGHTS, Epoch
+from descriptors.training.trainer import Recipe, Step
+from descriptors.training.triplets import TripletTraining
 from tests.tools.runs import Run, assert_refused
 
 Called = dict[str, Any]
 
 
 def epoch(number: int, validation_top_k: float) -> Epoch:
-    return Epoch(number, 1e-3, 0.2 / number, 0.3 / number, 0.9, validation_top_k, 1.5)
+    return Epoch(number, 0.2 / number, {"validation_loss": 0.3 / number, "validation_top_k": validation_top_k}, 1.5)
 
 
 @pytest.fixture
 def called(monkeypatch: pytest.MonkeyPatch) -> Called:
-    """What a training is asked for; it ends at once, the third of four epochs being the best."""
+    """Arguments of a training that ends at once, the third of four epochs being the best."""
     called: Called = {}
 
-    def fake(config: TrainingConfig, folder: Path, *, on_batch: Callable[..., None], **more: object) -> list[Epoch]:
-        called.update(config=config, folder=folder, **more)
-        on_batch(0.5, 0.3, 60.0)
+    def fake(recipe: Recipe, folder: Path, *, on_step: Callable[[Step], None], threads: int) -> list[Epoch]:
+        called.update(config=recipe._config, folder=folder, device=str(recipe.device), threads=threads)  # type: ignore[attr-defined]
+        on_step(Step(0.5, 0.3, 60.0))
         return [epoch(number + 1, ratio) for number, ratio in enumerate((0.5, 0.7, 0.975, 0.8))]
 
-    monkeypatch.setattr(training, "train_network", fake)
+    monkeypatch.setattr(trainer, "train", fake)
     return called
 
 
@@ -50,7 +50,7 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Trainings on a few constellations; torch's settings, which are the process's, are put back."""
     threads, deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
     dataset = DatasetConfig(anchors=6, positives=2)
-    monkeypatch.setattr(training, "TrainingConfig", partial(TrainingConfig, dataset=dataset))
+    monkeypatch.setattr(triplets, "TripletTraining", partial(TripletTraining, dataset=dataset))
     yield
     torch.set_num_threads(threads)
     torch.use_deterministic_algorithms(deterministic)
@@ -81,13 +81,13 @@ def test_every_option_reaches_the_training(dslam: Run, called: Called, tmp_path:
         1,
     )
     assert dslam("train", tmp_path / "net", *options).code == 0
-    expected = TrainingConfig(architecture=DescriptellationArchitecture(input="one_hot"), epochs=7, seed=3)
+    expected = TripletTraining(architecture=DescriptellationArchitecture(input="one_hot"), epochs=7, seed=3)
     assert called == {"config": expected, "folder": tmp_path / "net", "device": "cpu", "threads": 1}
 
 
 def test_the_paper_s_network_is_trained_as_in_the_paper(dslam: Run, called: Called, tmp_path: Path) -> None:
     assert dslam("train", tmp_path, "--network", "descriptellation").code == 0
-    assert called["config"] == TrainingConfig()
+    assert called["config"] == TripletTraining()
 
 
 def test_another_network_can_be_chosen(dslam: Run, called: Called, tmp_path: Path) -> None:
@@ -132,10 +132,10 @@ def test_a_training_leaves_its_files_and_goes_on_where_it_was(dslam: Run, tmp_pa
 def test_the_epoch_that_is_told_is_that_of_the_weights_even_among_equals(
     dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(training, "top_k_ratio", lambda vectors, things, k: 0.5)
+    monkeypatch.setattr(triplets, "top_k_ratio", lambda vectors, things, k: 0.5)
     result = dslam("train", tmp_path, "--network", "pointnet", "--epochs", 3, "--threads", 1, "--json")
     assert result.code == 0, result.err
-    metrics = load_weights(tmp_path / WEIGHTS)[1].metrics
+    metrics = read_weights(tmp_path / WEIGHTS).metrics
     assert json.loads(result.out)["best"]["epoch"] == metrics["epoch"]
 
 
@@ -145,8 +145,8 @@ def test_maps_of_one_s_own_are_taken_and_the_weights_make_an_index(
 ) -> None:
     rows = "\n".join(f"{7.0 * (i % 9)},{5.0 * (i // 9)},0,{('lamp', 'bin')[i % 2]},o{i}" for i in range(60))
     (tmp_path / "town.csv").write_text(f"x_m,y_m,z_m,class,id\n{rows}\n", encoding="utf-8")
-    monkeypatch.setattr(towers, "STEPS_PER_EPOCH", 2)
-    monkeypatch.setattr(towers, "TowersTraining", partial(TowersTraining, validation_maps=2, objects_per_map=20))
+    monkeypatch.setattr(contrast, "STEPS_PER_EPOCH", 2)
+    monkeypatch.setattr(contrast, "ContrastTraining", partial(ContrastTraining, validation_maps=2, objects_per_map=20))
     typed = ("train", tmp_path / "net", "--maps", tmp_path / "town.csv", "--epochs", 1, "--threads", 1, "--json")
     result = dslam(*typed)
     curves = (tmp_path / "net" / "curves.csv").read_text(encoding="utf-8").splitlines()

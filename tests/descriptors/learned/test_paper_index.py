@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from descriptors.constellation import gather_constellations
-from descriptors.learned.paper_index import MOST_OBJECTS, PaperIndex, mean_distance_m
+from descriptors.descriptellation.index import MOST_OBJECTS, PaperIndex, mean_distance_m
 from descriptors.registry import make_index
 from tests.descriptors.constellations import VOCABULARY, scattered
 

@@ -1,9 +1,7 @@
-"""The learned likelihood at work: the map tower by numpy alone, so that a replay needs no torch."""
+"""The learned likelihood by numpy alone, so that a replay needs no torch."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,21 +15,21 @@ from descriptors.descriptellation_lr.rings import (
     FEATURES,
     FINE,
     Background,
-    Rings,
+    DescriptellationLRArchitecture,
     horizontal_m,
     neighbour_features,
     ring_features,
 )
-from descriptors.errors import WeightsError
+from descriptors.errors import DescriptorError, WeightsError
+from descriptors.learned.weights import check_tensors, make_architecture, read_weights
 
-FORMAT = "descriptellation towers 1"
 MOST_NATS = 6.0
 """Most of one neighbour: what a byte of the index holds above ``least_nats``, 8 nats from -2 on."""
 NEAR = 0.25
 """Near neighbours are those within that share of the radius, which is half of the sensor's range: what is seen from one
 place."""
-MOST_RINGS = 10_000
-"""What a file of weights may ask for."""
+MAX_RINGS = 10_000
+"""Of a file of weights."""
 
 
 class LearnedLikelihood:
@@ -49,9 +47,8 @@ class LearnedLikelihood:
         Raises:
             WeightsError: it is missing, damaged, or none of a learned likelihood.
         """
-        self._weights, self.metadata = read_towers(path)
-        architecture = self.metadata["architecture"]
-        self._rings = Rings(architecture["radius_m"], architecture["least_ring_m"], architecture["ring_growth"])
+        self._weights, architecture = _load(path)
+        self._rings = architecture.rings
         self.radius_m = self._rings.radius_m
         self.near_m = NEAR * self.radius_m
         self.rings = len(self._rings)
@@ -117,60 +114,22 @@ class LearnedLikelihood:
         return np.asarray(hidden @ self._weights[f"{name}.2.weight"].T + self._weights[f"{name}.2.bias"])
 
 
-def is_learned_likelihood(path: Path) -> bool:
-    """Whether a file is one of weights of a learned likelihood; a damaged one is not."""
-    from safetensors import SafetensorError, safe_open
-
+def _load(path: Path) -> tuple[dict[str, NDArray[Any]], DescriptellationLRArchitecture]:
+    """Tensors of a file, and the architecture that they fit."""
+    weights = read_weights(path)
     try:
-        with safe_open(path, framework="np") as file:
-            return (file.metadata() or {}).get("format") == FORMAT
-    except (SafetensorError, OSError):
-        return False
-
-
-def read_towers(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
-    """Tensors and metadata of a file of weights.
-
-    Raises:
-        WeightsError: it is missing, damaged, or none of a learned likelihood.
-    """
-    from safetensors import SafetensorError, safe_open
-
-    if not path.is_file():
-        raise WeightsError(f"{path}: no such file")
-    try:
-        with safe_open(path, framework="np") as file:
-            texts = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError) as error:
-        raise WeightsError(f"{path}: truncated, or no safetensors file: {error}; get it again") from error
-    if texts.get("format") != FORMAT:
-        raise WeightsError(f"{path}: no weights of a learned likelihood; its format is {texts.get('format')!r}")
-    try:
-        metadata = {key: json.loads(value) for key, value in texts.items() if key != "format"}
-        is_sound = _fit(tensors, metadata["architecture"])
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-        raise WeightsError(
-            f"{path}: its metadata are damaged ({type(error).__name__}: {error}); get it again"
-        ) from error
-    if not is_sound:
-        raise WeightsError(f"{path}: its tensors or rings are not those of its architecture; get it again")
-    return tensors, metadata
-
-
-def _fit(tensors: Mapping[str, NDArray[np.float32]], architecture: Mapping[str, Any]) -> bool:
-    """Whether tensors are all there, of the right shapes, finite, and rings not without number."""
-    hidden, kernels = architecture["hidden"], len(architecture["widths_m"])
-    of_rings = len(tensors["ring.0.bias"])
+        architecture = make_architecture(DescriptellationLRArchitecture, weights.architecture)
+    except DescriptorError as error:
+        raise WeightsError(f"{path}: {error}") from error
+    hidden, of_rings, kernels = architecture.hidden, architecture.ring_hidden, len(architecture.widths_m)
     shapes = {"gate.0.weight": (hidden, FEATURES), "gate.0.bias": (hidden,), "gate.2.weight": (kernels, hidden),
               "gate.2.bias": (kernels,), "log_width": (kernels + 1,), "log_growth": (kernels + 1,),
               "ring.0.weight": (of_rings, 2), "ring.0.bias": (of_rings,), "ring.2.weight": (2, of_rings),
               "ring.2.bias": (2,)}  # fmt: skip
-    radius_m, least_m, growth = (float(architecture[key]) for key in ("radius_m", "least_ring_m", "ring_growth"))
-    return (
-        {name: tensor.shape for name, tensor in tensors.items()} == shapes
-        and all(np.isfinite(tensor).all() for tensor in tensors.values())
-        and 0.0 < radius_m < np.inf
-        and 0.0 <= growth < np.inf
-        and radius_m / MOST_RINGS <= least_m < np.inf
-    )
+    check_tensors(path, weights, {name: (shape, "float32") for name, shape in shapes.items()})
+    if not all(np.isfinite(tensor).all() for tensor in weights.tensors.values()):
+        raise WeightsError(f"{path}: a tensor is not finite; get it again")
+    least_m = architecture.radius_m / MAX_RINGS
+    if not 0.0 < least_m <= architecture.least_ring_m < np.inf or not 0.0 <= architecture.ring_growth < np.inf:
+        raise WeightsError(f"{path}: its rings are no rings: {architecture}")
+    return dict(weights.tensors), architecture

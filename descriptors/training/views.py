@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptors.descriptellation_lr.training_maps import TrainingMap
+from descriptors.training.maps import TrainingMap
 
 CLUTTER = -1
 """What is seen and is no object of the map."""

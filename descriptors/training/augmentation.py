@@ -1,8 +1,8 @@
 """Noise that makes another observation of the same constellation.
 
-Xing et al., Descriptellation: Deep Learned Constellation Descriptors, Section III-E, and IV-B.3 for the scenario
-"Added Noise". Each function takes a batch whose centres are first and at the origin, leaves the centres as they are,
-and returns a new batch without holes. ``|p|`` is the length in three dimensions.
+Xing et al., Descriptellation: Deep Learned Constellation Descriptors, Section III-E. Each function takes a batch whose
+centres are first and at the origin, leaves the centres as they are, and returns a new batch without holes. ``|p|`` is
+the length in three dimensions.
 """
 
 from __future__ import annotations
@@ -71,18 +71,6 @@ class AugmentationRates:
                 raise DescriptorError(f"{name} is {getattr(self, name)}; give a probability, 0 to 1")
         if self.vocabulary_size < 2:
             raise DescriptorError(f"vocabulary_size is {self.vocabulary_size}; misclassifying takes at least 2 classes")
-
-
-# The unknown heading of a query is no noise in Section IV-B: it comes with every scenario.
-ADDED_NOISE = AugmentationRates(
-    translation=Uniform(0.0, 0.1),
-    yaw_rad=Uniform(0.0, 0.0),
-    dropout=0.1,
-    false_positives=0.0,
-    misclassification=0.2,
-    crop=Uniform(0.0, 0.0),
-    scale=Uniform(0.9, 1.1),
-)
 
 
 def augment(batch: PaddedConstellations, rates: AugmentationRates, *, rng: np.random.Generator) -> PaddedConstellations:

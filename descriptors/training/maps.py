@@ -1,4 +1,4 @@
-"""Maps to train the towers on: simulated streets, forests and patterns, and pieces of real maps that are given."""
+"""Maps to train on: simulated streets, forests and patterns, and pieces of real maps that are given."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptors.descriptellation.simulation import MapSimulation, simulate_map
+from descriptors.training.simulation import MapSimulation, simulate_map
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ from scipy.spatial.distance import pdist
 
 from descriptors.constellation import Constellations
 from descriptors.index import VectorIndex
-from descriptors.learned.network_descriptor import LearnedDescriptor
+from descriptors.learned.descriptor import LearnedDescriptor
 
 MOST_OBJECTS = 2000
 """Of a larger map every second, third ... object tells the mean distance."""

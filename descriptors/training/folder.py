@@ -1,27 +1,47 @@
-"""The folder of a training: the weights of the best epoch, the curves, and a checkpoint from which it goes on."""
+"""The folder of a training: the weights of the best epoch, the curves, and a checkpoint from which it is resumed."""
 
 from __future__ import annotations
 
 import csv
 import hashlib
+import io
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Protocol
 
 import torch
 
 from descriptors.errors import DescriptorError
 
 CHECKPOINT, WEIGHTS, CURVES = "checkpoint.pt", "weights.safetensors", "curves.csv"
-E = TypeVar("E")
+DIGEST_BYTES = 64
+"""Of the SHA-256 in hexadecimal digits at the start of a checkpoint. An optimizer accepts an altered state, and fails
+when it is used."""
+
+
+@dataclass(frozen=True, slots=True)
+class Epoch:
+    """What an epoch achieved: the mean loss of its steps, and figures of the validation by their names.
+
+    ``epoch`` 0: the weights from which a training went on, with no ``train_loss``.
+    """
+
+    epoch: int
+    train_loss: float | None
+    metrics: Mapping[str, float]
+    seconds: float
+
+    def as_row(self) -> dict[str, float | None]:
+        """All figures in one level; metrics between the loss and the time."""
+        return {"epoch": self.epoch, "train_loss": self.train_loss, **self.metrics, "seconds": self.seconds}
 
 
 class Stateful(Protocol):
-    """A network, an optimizer, or whatever else changes while it is trained."""
+    """A network, an optimizer, or anything else that changes during a training."""
 
     def state_dict(self) -> Any:
         """Its state: tensors, numbers and texts, nested."""
@@ -31,39 +51,39 @@ class Stateful(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class TrainingFolder(Generic[E]):
-    """A folder, made if it does not exist, of a training whose epochs are ``epoch_type``, a flat dataclass.
+class TrainingFolder:
+    """A folder, made if it does not exist.
 
     ``identity``: what is trained on what, as JSON holds it; ``extendable``: the keys of it that may differ in the
-    training that goes on, for example the number of epochs.
+    training that is resumed, for example the number of epochs.
     """
 
     path: Path
-    epoch_type: type[E]
     identity: Mapping[str, Any]
-    extendable: frozenset[str] = field(default_factory=frozenset)
+    extendable: frozenset[str] = frozenset()
 
     @property
     def weights(self) -> Path:
         """Where the weights of the best epoch are."""
         return self.path / WEIGHTS
 
-    def save(self, epochs: Sequence[E], parts: Mapping[str, Stateful]) -> None:
+    def save(self, epochs: Sequence[Epoch], parts: Mapping[str, Stateful]) -> None:
         """Write the curves and the checkpoint after an epoch: ``epochs`` so far, the last one included."""
-        rows = [asdict(epoch) for epoch in epochs]  # type: ignore[call-overload]
-        with replaced(self.path / CURVES) as part, part.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, fieldnames=[each.name for each in fields(self.epoch_type)])  # type: ignore[arg-type]
+        with _replaced(self.path / CURVES) as part, part.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, fieldnames=list(epochs[-1].as_row()))
             writer.writeheader()
-            writer.writerows(rows)
+            writer.writerows(each.as_row() for each in epochs)
+        content = io.BytesIO()
         state = {
             "identity": json.dumps(self.identity, sort_keys=True),
-            "epochs": json.dumps(rows),
+            "epochs": json.dumps([[each.epoch, each.train_loss, each.metrics, each.seconds] for each in epochs]),
             **{name: part.state_dict() for name, part in parts.items()},
         }
-        with replaced(self.path / CHECKPOINT) as part:
-            torch.save({**state, "sha256": _digest(state)}, part)
+        torch.save(state, content)
+        with _replaced(self.path / CHECKPOINT) as part:
+            part.write_bytes(_digest(content.getvalue()) + content.getvalue())
 
-    def resume(self, parts: Mapping[str, Stateful], device: torch.device | None = None) -> list[E]:
+    def resume(self, parts: Mapping[str, Stateful], device: torch.device) -> list[Epoch]:
         """Put the parts into the state of the checkpoint; returns the epochs before it, none without a checkpoint.
 
         Raises:
@@ -74,11 +94,12 @@ class TrainingFolder(Generic[E]):
         if not path.exists():
             return []
         try:
-            state = torch.load(path, map_location=device, weights_only=True)
-            if state.pop("sha256", None) != _digest(state):
+            content = path.read_bytes()
+            if content[:DIGEST_BYTES] != _digest(content[DIGEST_BYTES:]):
                 raise ValueError("it was altered, or is of another version")
+            state = torch.load(io.BytesIO(content[DIGEST_BYTES:]), map_location=device, weights_only=True)
             theirs = dict(json.loads(state["identity"]))
-            epochs = [self.epoch_type(**each) for each in json.loads(state["epochs"])]
+            epochs = [Epoch(*each) for each in json.loads(state["epochs"])]
         except Exception as error:  # what torch raises depends on where the file is broken
             raise DescriptorError(f"{path}: cannot be read: {error}; delete it to start anew") from error
         ours = json.loads(json.dumps(self.identity))
@@ -93,30 +114,12 @@ class TrainingFolder(Generic[E]):
         return epochs
 
 
-def _digest(state: Mapping[str, Any]) -> str:
-    """SHA-256 of all tensors, numbers and texts: an optimizer takes an altered state, and fails when it is used."""
-    digest = hashlib.sha256()
-
-    def add(key: str, value: Any) -> None:
-        if isinstance(value, Mapping):
-            for name, each in value.items():
-                add(f"{key}/{name}", each)
-        elif isinstance(value, list | tuple):
-            for number, each in enumerate(value):
-                add(f"{key}/{number}", each)
-        elif isinstance(value, torch.Tensor):
-            plain = value.detach().cpu().contiguous()
-            digest.update(f"{key} {plain.dtype} {tuple(plain.shape)}\n".encode())
-            digest.update(plain.reshape(-1).view(torch.uint8).numpy().tobytes())
-        else:
-            digest.update(f"{key} {value!r}\n".encode(errors="backslashreplace"))
-
-    add("", state)
-    return digest.hexdigest()
+def _digest(content: bytes) -> bytes:
+    return hashlib.sha256(content).hexdigest().encode()
 
 
 @contextmanager
-def replaced(path: Path) -> Iterator[Path]:
+def _replaced(path: Path) -> Iterator[Path]:
     """A file to be written, which takes the place of ``path`` once it is whole."""
     part = path.with_name(path.name + ".part")
     yield part

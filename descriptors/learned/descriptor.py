@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from descriptors.constellation import Constellations
 from descriptors.descriptellation.network import Descriptellation
-from descriptors.errors import WeightsError
-from descriptors.learned.architectures import check_labels
-from descriptors.learned.inference import describe_padded
+from descriptors.errors import DescriptorError, WeightsError
+from descriptors.learned.networks import describe_padded, load_network
 from descriptors.learned.padded import pad_constellations
-from descriptors.learned.weights import load_weights
 
 
 class LearnedDescriptor:
@@ -30,12 +28,12 @@ class LearnedDescriptor:
         Raises:
             WeightsError: the file is missing, damaged or at odds with its architecture.
         """
-        self._network, self.metadata = load_weights(path)
+        self._network, weights = load_network(path)
         self.name = str(self._network.architecture.name)  # type: ignore[union-attr]
         self.length = int(self._network.architecture.length)  # type: ignore[union-attr, arg-type]
         self.vocabulary_size = int(self._network.architecture.vocabulary_size)  # type: ignore[union-attr, arg-type]
         try:
-            self.radius_m = float(self.metadata.training["dataset"]["radius_m"])
+            self.radius_m = float(weights.training["dataset"]["radius_m"])
         except (KeyError, TypeError, ValueError) as error:
             raise WeightsError(
                 f"{path}: its training configuration has no dataset.radius_m, so how far neighbours count is unknown; "
@@ -53,8 +51,12 @@ class LearnedDescriptor:
         Raises:
             DescriptorError: more classes than the embedding has rows.
         """
-        check_labels(constellations.labels, self.vocabulary_size)
-        check_labels(constellations.centre_labels, self.vocabulary_size)
+        labels = np.concatenate([constellations.labels, constellations.centre_labels])
+        if labels.min(initial=0) < 0 or labels.max(initial=0) >= self.vocabulary_size:
+            raise DescriptorError(
+                f"labels {labels.min()} to {labels.max()} in a network for {self.vocabulary_size} classes: merge rare "
+                "classes of the vocabulary, or train with a larger vocabulary_size"
+            )
         threads = torch.get_num_threads()
         torch.set_num_threads(1)  # sums over threads would differ from machine to machine
         try:

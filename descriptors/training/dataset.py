@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptors.constellation import Constellations, gather_constellations
-from descriptors.descriptellation.augmentation import AugmentationRates, augment
-from descriptors.descriptellation.simulation import MapSimulation, simulate_map
 from descriptors.errors import DescriptorError
 from descriptors.learned.padded import PaddedConstellations, pad_constellations
+from descriptors.training.augmentation import AugmentationRates, augment
+from descriptors.training.simulation import MapSimulation, simulate_map
 
 _FRUITLESS_MAPS = 100
 

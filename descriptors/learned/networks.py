@@ -1,0 +1,135 @@
+"""The networks there are, by name, how one is built, and how it describes constellations.
+
+A new one: a frozen dataclass with ``name``, ``vocabulary_size`` and ``length`` and with defaults that JSON can hold, a
+module that takes it and keeps it as ``architecture``, and their line in ``NETWORKS``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from descriptors.baselines.pointnet import PointNet, PointNetArchitecture
+from descriptors.baselines.sgnet import SGNet, SGNetArchitecture
+from descriptors.descriptellation.network import Descriptellation, DescriptellationArchitecture
+from descriptors.errors import DescriptorError, WeightsError
+from descriptors.learned.padded import PaddedConstellations
+from descriptors.learned.weights import Weights, check_tensors, make_architecture, read_weights
+
+BATCH = 256
+"""Constellations that are described at a time."""
+
+
+class Architecture(Protocol):
+    """What all architectures say of their network."""
+
+    @property
+    def name(self) -> str:
+        """Its name in the registry."""
+        ...
+
+    @property
+    def vocabulary_size(self) -> int:
+        """How many classes it can tell apart."""
+        ...
+
+    @property
+    def length(self) -> int:
+        """How many numbers a descriptor has."""
+        ...
+
+
+NETWORKS: dict[str, tuple[type[Any], type[nn.Module]]] = {
+    "descriptellation": (DescriptellationArchitecture, Descriptellation),
+    "pointnet": (PointNetArchitecture, PointNet),
+    "sgnet": (SGNetArchitecture, SGNet),
+}
+_FORMER = {"descriptellation_paper": "descriptellation"}
+
+
+def read_architecture(values: Mapping[str, object]) -> Architecture:
+    """The architecture with exactly these fields, ``name`` among them.
+
+    Raises:
+        DescriptorError: a name that does not exist, or fields that are unknown, missing or of the wrong type.
+    """
+    made: Architecture = make_architecture(_named(values.get("name"))[0], values)
+    return made
+
+
+def default_architecture(name: str, **settings: object) -> Architecture:
+    """The architecture of that name with its default sizes, ``settings`` changed.
+
+    Raises:
+        DescriptorError: a name that does not exist, or settings that are unknown or of the wrong type.
+    """
+    return read_architecture({**asdict(_named(name)[0]()), **settings})
+
+
+def make_network(architecture: Architecture) -> nn.Module:
+    """The network of that architecture, with random weights from torch's generator.
+
+    Raises:
+        DescriptorError: an architecture that is not registered.
+    """
+    return _named(architecture.name)[1](architecture)
+
+
+def load_network(path: Path) -> tuple[nn.Module, Weights]:
+    """The network of a file in evaluation mode, and the weights; torch's generator is left alone.
+
+    Raises:
+        WeightsError: no such file, or one that is damaged or at odds with its architecture.
+    """
+    weights = read_weights(path)
+    try:
+        architecture = read_architecture(weights.architecture)
+    except DescriptorError as error:
+        raise WeightsError(f"{path}: {error}") from error
+    with torch.device("meta"):  # shapes alone: neither memory nor random numbers for weights to be replaced
+        network = make_network(architecture)
+    expected = {name: (tuple(t.shape), str(t.dtype).removeprefix("torch.")) for name, t in network.state_dict().items()}
+    check_tensors(path, weights, expected)
+    tensors = {name: torch.from_numpy(tensor.copy()) for name, tensor in weights.tensors.items()}
+    network.load_state_dict(tensors, assign=True)
+    return network.eval(), weights
+
+
+def tensors_of(constellations: PaddedConstellations, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+    """Positions, labels and presence as networks take them."""
+    return (
+        torch.as_tensor(constellations.positions, device=device),
+        torch.as_tensor(constellations.labels, device=device),
+        torch.as_tensor(constellations.present, device=device),
+    )
+
+
+def describe_padded(
+    network: nn.Module, constellations: PaddedConstellations, device: torch.device
+) -> NDArray[np.float32]:
+    """Vectors (B, length) of a network in evaluation mode."""
+    sizes = constellations.present.sum(axis=1)
+    order = np.argsort(sizes, kind="stable")  # batches of about equal size need little padding
+    described = [np.zeros((0, int(network.architecture.length)), dtype=np.float32)]  # type: ignore[union-attr, arg-type]
+    with torch.no_grad():
+        for start in range(0, len(order), BATCH):
+            vectors = network(*tensors_of(constellations[order[start : start + BATCH]], device))
+            described.append(vectors.cpu().numpy().astype(np.float32))
+    ranks = np.empty_like(order)
+    ranks[order] = np.arange(len(order))
+    return np.asarray(np.concatenate(described)[ranks])
+
+
+def _named(name: object) -> tuple[type[Any], type[nn.Module]]:
+    if isinstance(name, str) and name in NETWORKS:
+        return NETWORKS[name]
+    if isinstance(name, str) and name in _FORMER:
+        raise DescriptorError(f"no architecture {name!r}; it is called {_FORMER[name]!r} now")
+    raise DescriptorError(f"no architecture {name!r}; there are {', '.join(NETWORKS)}")
