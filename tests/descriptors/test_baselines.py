@@ -1,4 +1,4 @@
-"""The handcrafted baselines count what loops over objects count, and ignore all that should not matter."""
+"""The handcrafted baselines count what loops over objects count."""
 
 from __future__ import annotations
 
@@ -13,15 +13,12 @@ from descriptors.baselines.gosmatch import BINS, GosmatchGraph, GosmatchVertex
 from descriptors.baselines.onion import Onion, OnionHistogram
 from descriptors.baselines.random_walk import RandomWalk, neighbours_of, walk
 from descriptors.class_vectors import class_vectors
-from descriptors.constellation import Constellations, gather_constellations
+from descriptors.constellation import gather_constellations
 from descriptors.descriptor import Descriptor
 from descriptors.learned.padded import pad_constellations
 from slam.common.arrays import FloatArray
-from slam.common.geometry import apply, transform_from_xyz_yaw
 from tests.descriptors.constellations import VOCABULARY, describe, scattered
 
-LENGTHS = {"onion": 3, "onion_histogram": 192, "random_walk": 512}
-LENGTHS |= dict.fromkeys(("gosmatch_vertex", "gosmatch_graph"), BINS * 64)
 BASELINES: tuple[Descriptor, ...] = (Onion(), OnionHistogram(), RandomWalk(), GosmatchVertex(), GosmatchGraph())
 every_baseline = pytest.mark.parametrize("descriptor", BASELINES, ids=lambda d: d.name)
 
@@ -64,7 +61,11 @@ def vector_of_pair(a: int, b: int) -> NDArray[np.float32]:
 
 def test_gosmatch_graph_sums_the_vectors_of_the_pairs_of_classes_of_all_edges_by_their_length():
     positions, labels = scattered(50, seed=3)
-    vectors = {(a, b): vector_of_pair(a, b) for a in range(4) for b in range(4)}
+    vectors = np.array([[vector_of_pair(a, b) for b in range(4)] for a in range(4)])
+    np.testing.assert_array_equal(vectors, vectors.transpose(1, 0, 2))
+    products = vectors[np.triu_indices(4)] @ vectors[np.triu_indices(4)].T
+    np.testing.assert_allclose(np.diag(products), 1.0, atol=1e-5)
+    assert np.abs(products - np.diag(np.diag(products))).max() < 0.5
     expected = np.zeros((50, BINS, 64))
     for centre in range(50):
         objects = [centre, *around(positions, centre)]
@@ -75,16 +76,7 @@ def test_gosmatch_graph_sums_the_vectors_of_the_pairs_of_classes_of_all_edges_by
     np.testing.assert_allclose(describe(GosmatchGraph(), positions, labels), expected.reshape(50, -1), atol=1e-4)
 
 
-def test_pairs_of_classes_have_unit_vectors_that_differ_unless_the_classes_are_the_same_two():
-    vectors = np.array([[vector_of_pair(a, b) for b in range(4)] for a in range(4)])
-    np.testing.assert_array_equal(vectors, vectors.transpose(1, 0, 2))
-    distinct = vectors[np.triu_indices(4)]
-    products = distinct @ distinct.T
-    np.testing.assert_allclose(np.diag(products), 1.0, atol=1e-5)
-    assert np.abs(products - np.diag(np.diag(products))).max() < 0.5
-
-
-def test_the_last_bin_takes_the_edges_that_are_longer_than_all_bins():
+def test_last_bin_counts_the_edges_that_are_longer_than_all_bins():
     positions = np.array([[0.0, 0.0, 0.0], [200.0, 0.0, 0.0]])
     for descriptor in (GosmatchVertex(radius_m=300.0), GosmatchGraph(radius_m=300.0)):
         bins = describe(descriptor, positions, np.array([0, 1])).reshape(2, BINS, 64)
@@ -130,34 +122,19 @@ def test_sequences_of_classes_spread_over_the_columns_and_both_signs():
     assert 0.4 < np.mean(vectors[vectors != 0.0] > 0.0) < 0.6
 
 
-def random_graph(objects: int, *, seed: int, share: float) -> NDArray[np.bool_]:
-    upper = np.triu(np.random.default_rng(seed).random((6, objects, objects)) < share, k=1)
-    return np.asarray(upper | upper.transpose(0, 2, 1))
-
-
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.8])
 def test_walks_follow_edges_and_step_back_only_where_there_is_no_other_way(share):
-    joined = random_graph(12, seed=6, share=share)
+    upper = np.triu(np.random.default_rng(6).random((6, 12, 12)) < share, k=1)
+    joined = upper | upper.transpose(0, 2, 1)
     visited = walk(joined, np.random.default_rng(7).random((5, 50)))
-    assert visited.shape == (6, 50, 6)
-    assert not visited[:, :, 0].any()
     degrees = joined.sum(axis=2)
     for graph in range(6):
         for walked in visited[graph].tolist():
+            assert walked[0] == 0
             for here, there in pairwise(walked):
                 assert joined[graph, here, there] or (here == there and degrees[graph, here] == 0)
             for before, here, there in zip(walked[:-2], walked[1:-1], walked[2:], strict=True):
                 assert before != there or degrees[graph, here] <= 1
-
-
-def test_walks_take_all_ways_equally_often():
-    triangle_with_tail = np.zeros((1, 4, 4), dtype=bool)
-    for a, b in ((0, 1), (0, 2), (0, 3), (1, 2)):
-        triangle_with_tail[0, a, b] = triangle_with_tail[0, b, a] = True
-    visited = walk(triangle_with_tail, np.random.default_rng(8).random((3, 6000)))[0]
-    shares = {walked: count / 6000 for walked, count in Counter(map(tuple, visited.tolist())).items()}
-    expected = {(0, 1, 2, 0): 1 / 3, (0, 2, 1, 0): 1 / 3, (0, 3, 0, 1): 1 / 6, (0, 3, 0, 2): 1 / 6}
-    assert shares == pytest.approx(expected, abs=0.03)
 
 
 def test_objects_no_farther_apart_than_the_mean_of_their_constellation_are_joined():
@@ -173,33 +150,9 @@ def test_objects_no_farther_apart_than_the_mean_of_their_constellation_are_joine
         np.testing.assert_array_equal(joined[centre], expected)
 
 
-@every_baseline
-def test_the_default_is_the_radius_of_the_paper(descriptor):
-    assert descriptor.radius_m == 30.0
-
-
-@every_baseline
-@pytest.mark.parametrize("yaw_rad", [0.3, np.pi, -2.0])
-def test_yaw_translation_and_heights_change_nothing(descriptor, yaw_rad):
-    positions, labels = scattered(60, seed=11)
-    lifted = positions + np.random.default_rng(18).uniform(0.0, 20.0, (60, 1)) * [0.0, 0.0, 1.0]
-    moved = apply(transform_from_xyz_yaw(np.array([120.0, -75.0, 4.0]), yaw_rad), lifted)
-    before = describe(descriptor, positions, labels)
-    np.testing.assert_allclose(describe(descriptor, moved, labels), before, rtol=1e-4, atol=1e-4)
-
-
-@every_baseline
-def test_the_order_of_the_objects_changes_nothing(descriptor):
-    positions, labels = scattered(60, seed=12)
-    order = np.random.default_rng(0).permutation(60)
-    before = describe(descriptor, positions, labels)[order]
-    np.testing.assert_allclose(describe(descriptor, positions[order], labels[order]), before, rtol=1e-4, atol=1e-4)
-
-
-def test_walks_do_not_depend_on_the_order_of_objects_of_one_class_that_are_almost_equally_far():
+def test_walks_do_not_depend_on_the_order_or_rounding_of_equal_distances():
     rng = np.random.default_rng(13)
-    angles = rng.uniform(0.0, 2.0 * np.pi, 30)
-    distances_m = 10.0 + 1e-5 * np.arange(30)
+    angles, distances_m = rng.uniform(0.0, 2.0 * np.pi, 30), 10.0 + 1e-5 * np.arange(30)
     ring = np.column_stack([distances_m * np.cos(angles), distances_m * np.sin(angles), np.zeros(30)])
     # The ring is of one class; the objects that tell its members apart are outside.
     outside, outside_labels = scattered(20, seed=14, side_m=25.0)
@@ -208,29 +161,27 @@ def test_walks_do_not_depend_on_the_order_of_objects_of_one_class_that_are_almos
     order = np.concatenate([[0], 1 + rng.permutation(50)])
     listed, shuffled = (describe(RandomWalk(), positions[o], labels[o])[0] for o in (np.arange(51), order))
     np.testing.assert_array_equal(listed, shuffled)
-
-
-def test_walks_do_not_depend_on_how_equal_distances_of_different_classes_are_rounded():
-    angles = np.random.default_rng(17).uniform(0.0, 2.0 * np.pi, 4) + np.linspace(0.0, 6.0, 40)[:, None]
+    bearings = rng.uniform(0.0, 2.0 * np.pi, 4) + np.linspace(0.0, 6.0, 40)[:, None]
     turned = np.zeros((40, 5, 3))
-    turned[:, 1:, :2] = 13.7 * np.stack([np.cos(angles), np.sin(angles)], axis=2)
-    vectors = [describe(RandomWalk(), positions, np.array([0, 0, 1, 2, 3]))[0] for positions in turned]
+    turned[:, 1:, :2] = 13.7 * np.stack([np.cos(bearings), np.sin(bearings)], axis=2)
+    vectors = [describe(RandomWalk(), each, np.array([0, 0, 1, 2, 3]))[0] for each in turned]
     np.testing.assert_array_equal(vectors, vectors[:1] * 40)
 
 
 @every_baseline
-def test_a_vocabulary_that_grows_or_is_sorted_otherwise_changes_nothing(descriptor):
+def test_heights_and_the_order_of_the_vocabulary_change_nothing(descriptor):
     positions, labels = scattered(60, seed=15)
+    lifted = positions + np.random.default_rng(18).uniform(0.0, 20.0, (60, 1)) * [0.0, 0.0, 1.0]
     before = describe(descriptor, positions, labels)
     grown = ("arch", "bench", "fountain", "lamp", "sign", "tree", "wall")
     places = np.array([grown.index(name) for name in VOCABULARY])
-    backwards = describe(descriptor, positions, len(VOCABULARY) - 1 - labels, VOCABULARY[::-1])
-    for after in (describe(descriptor, positions, places[labels], grown), backwards):
+    for after in (describe(descriptor, lifted, labels), describe(descriptor, positions, places[labels], grown)):
         np.testing.assert_allclose(after, before, rtol=1e-4, atol=1e-4)
+    assert descriptor.radius_m == 30.0  # as in the paper
 
 
 @every_baseline
-def test_all_but_the_onion_tell_classes_apart(descriptor):
+def test_all_but_the_onion_distinguish_classes(descriptor):
     positions, labels = scattered(40, seed=16)
     before, after = describe(descriptor, positions, labels), describe(descriptor, positions, (labels + 1) % 4)
     change = (np.linalg.norm(after - before, axis=1) / np.linalg.norm(before, axis=1)).min()
@@ -238,59 +189,11 @@ def test_all_but_the_onion_tell_classes_apart(descriptor):
 
 
 @every_baseline
-def test_a_constellation_has_one_descriptor_among_many_and_alone(descriptor):
-    positions, labels = scattered(600, seed=19, side_m=250.0)
-    constellations = gather_constellations(positions, labels, VOCABULARY, radius_m=descriptor.radius_m)
-    together = descriptor.describe(constellations)
-    for row in (0, 63, 64, 255, 256, 599):
-        alone = descriptor.describe(constellations[np.array([row])])
-        np.testing.assert_allclose(alone[0], together[row], rtol=1e-4, atol=1e-4)
-
-
-@every_baseline
-def test_lonely_objects_are_described_by_finite_vectors_even_beside_constellations(descriptor):
+def test_lonely_object_has_the_same_vector_beside_constellations(descriptor):
     positions, labels = scattered(20, seed=20)
     lonely = np.array([[500.0, 0.0, 0.0], [-500.0, 0.0, 0.0]])
     alone = describe(descriptor, lonely, np.array([1, 1]))
     beside = describe(descriptor, np.concatenate([lonely, positions]), np.concatenate([[1, 1], labels]))
-    assert alone.shape == (2, LENGTHS[descriptor.name])
-    assert alone.dtype == beside.dtype == np.float32
-    assert np.isfinite(beside).all()
     np.testing.assert_array_equal(beside[:2], alone)
-    np.testing.assert_array_equal(alone[0], alone[1])
     # A walk stays where there is no way, so that the class of a lonely object still shows.
     assert np.abs(alone[0]).sum() == (30.0 if descriptor.name == "random_walk" else 0.0)
-
-
-@every_baseline
-def test_two_objects_at_one_place_have_one_descriptor(descriptor):
-    positions, labels = scattered(20, seed=21)
-    doubled = describe(descriptor, np.tile(positions, (2, 1)), np.tile(labels, 2))
-    assert np.isfinite(doubled).all()
-    np.testing.assert_allclose(doubled[:20], doubled[20:], atol=1e-4)
-
-
-@pytest.mark.parametrize("descriptor", [Onion(), OnionHistogram(), GosmatchVertex()], ids=lambda d: d.name)
-def test_where_every_object_has_a_double_all_neighbours_count_twice_and_the_own_double_once(descriptor):
-    positions, labels = scattered(20, seed=21)
-    once, doubled = (describe(descriptor, np.tile(positions, (n, 1)), np.tile(labels, n))[:20] for n in (1, 2))
-    doubles = [describe(descriptor, np.zeros((2, 3)), np.array([label, label]))[0] for label in labels]
-    np.testing.assert_allclose(doubled, 2.0 * once + doubles, atol=1e-4)
-
-
-@every_baseline
-@pytest.mark.parametrize("count", [2, 5])
-def test_a_place_where_all_objects_are_one_spot_is_described_by_finite_vectors(descriptor, count):
-    spot = describe(descriptor, np.full((count, 3), 7.0), np.zeros(count, dtype=np.int64))
-    assert np.isfinite(spot).all()
-    np.testing.assert_array_equal(spot, np.repeat(spot[:1], count, axis=0))
-    assert spot.any()
-
-
-@every_baseline
-@pytest.mark.parametrize("vocabulary", [VOCABULARY, ()])
-def test_no_constellation_gives_no_vector(descriptor, vocabulary):
-    nobody = np.zeros(0, dtype=np.int64)
-    none = Constellations(np.zeros((0, 3)), nobody, nobody, np.zeros(1, dtype=np.int64), vocabulary, np.zeros((0, 3)))
-    described = descriptor.describe(none)
-    assert (described.shape, described.dtype) == ((0, LENGTHS[descriptor.name]), np.float32)

@@ -101,13 +101,6 @@ def test_matches_come_query_by_query_the_nearest_first_at_distances_that_are_non
         assert np.count_nonzero(matches.queries == query) == 8
 
 
-def test_every_object_is_found_again_and_first():
-    for noise_m in (0.0, 0.3):
-        index = filled(gathered(150, seed=7, side_m=150.0), window_nats=12.0)
-        matches = index.search(gathered(150, seed=7, side_m=150.0, noise_m=noise_m), 1, everyone(index))
-        assert pairs(matches) == [(i, i) for i in range(150)]
-
-
 def test_an_exact_copy_with_neighbours_in_the_middle_of_rings_is_at_no_distance_whatever_is_missing():
     rng = np.random.default_rng(8)
     neighbours = [(int(rng.integers(4)), 2.25 + 0.5 * ring, ring) for ring in rng.permutation(110)[:30].tolist()]
@@ -117,15 +110,6 @@ def test_an_exact_copy_with_neighbours_in_the_middle_of_rings_is_at_no_distance_
         query = thinned(entry, rng.random(30) < share)
         (distance,) = index.search(query, 1, everyone(index)).distances
         assert 0.0 <= distance < 0.5 * STEP_NATS * len(query.labels) + 1e-3
-
-
-def test_a_copy_lacks_little_and_another_place_much():
-    index = filled(gathered(150, seed=9, side_m=150.0))
-    matches = index.search(gathered(150, seed=9, side_m=150.0), 2, everyone(index))
-    neighbours = np.diff(gathered(150, seed=9, side_m=150.0).offsets)
-    copies, others = matches.distances[::2], matches.distances[1::2]
-    assert (copies <= 0.3 * neighbours).all()
-    assert np.median(others / neighbours) > 1.0
 
 
 def test_ties_go_to_the_lower_number():
@@ -149,14 +133,6 @@ def test_unlikely_entries_are_no_matches():
         assert index.search(query, 5, everyone(index)).entries.tolist() == expected
 
 
-def test_the_window_is_measured_from_the_best_of_those_allowed():
-    query = constellation([(1, 20.25, 0.0), (3, 20.25, 1.0)])
-    index = LikelihoodIndex(RingLikelihood(), window_nats=3.0)
-    for neighbours in ([(3, 20.25, 2.0), (1, 20.25, 0.5)], [(1, 20.25, 2.0)]):
-        index.add(constellation(neighbours))
-    assert index.search(query, 5, np.array([False, True])).entries.tolist() == [1]
-
-
 def test_only_entries_of_the_own_class_are_found_however_alike_others_are():
     neighbours = [(1, 20.25, 0.0), (3, 30.25, 1.0)]
     index = LikelihoodIndex(RingLikelihood())
@@ -178,15 +154,6 @@ def test_adding_in_pieces_is_adding_at_once(size):
     at_once = filled(entries, window_nats=12.0)
     allowed = np.random.default_rng(12).random(len(entries)) < 0.7
     assert_same(pieces.search(queries, 6, allowed), at_once.search(queries, 6, allowed))
-
-
-def test_queries_do_not_depend_on_each_other():
-    entries, queries = gathered(100, seed=13), gathered(15, seed=14)
-    index = filled(entries, window_nats=12.0)
-    together = index.search(queries, 4, everyone(index))
-    for query in range(15):
-        alone = index.search(queries[np.array([query])], 4, everyone(index))
-        assert alone.entries.tolist() == together.entries[together.queries == query].tolist()
 
 
 def with_classes(count: int, classes: int, *, seed: int) -> Constellations:
@@ -247,14 +214,6 @@ def test_nothing_is_found_in_an_empty_index_for_no_query_or_among_none_allowed(e
     assert (matches.queries.dtype, matches.distances.dtype) == (np.int64, np.float32)
 
 
-def test_a_query_without_neighbours_fits_all_of_its_class_alike():
-    entries = gathered(50, seed=16)
-    index = filled(entries, window_nats=12.0)
-    matches = index.search(constellation([], centre_label=2), 3, everyone(index))
-    assert matches.entries.tolist() == np.flatnonzero(entries.centre_labels == 2)[:3].tolist()
-    np.testing.assert_array_equal(matches.distances, 0.0)
-
-
 def test_a_query_without_neighbours_among_others_changes_none_of_theirs():
     entries, queries = gathered(50, seed=16), gathered(9, seed=17)
     index = filled(entries, window_nats=12.0)
@@ -284,10 +243,6 @@ def test_hundreds_of_neighbours_add_up_without_overflow(count):
     assert matches.entries.tolist() == [1, 0]
     lacking = RingLikelihood().most_nats(crowd)[0] - count * 255 * STEP_NATS
     assert matches.distances[0] == pytest.approx(max(lacking, 0.0), abs=0.1)
-
-
-def test_the_radius_is_that_of_the_descriptor():
-    assert LikelihoodIndex(RingLikelihood(radius_m=42.0)).radius_m == 42.0
 
 
 class NearLikelihood(RingLikelihood):
