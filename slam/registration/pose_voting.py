@@ -70,21 +70,18 @@ def vote_for_poses(
     """
     if len(matches) == 0:
         return np.zeros((0, 4, 4))
-    # About the middle of the query, where the noise of the headings moves it least.
-    middle = query_positions.mean(axis=0)
-    centred = query_positions - middle
-    query = (centred[:, 0] + 1j * centred[:, 1])[matches.query]
-    reference = (reference_positions[:, 0] + 1j * reference_positions[:, 1])[matches.reference]
-    turns, places, longest_m = _poses(query, reference)
-    votes = _Votes.of(turns, places, longest_m, tolerance_m, float(np.sqrt(np.mean(centred[:, :2] ** 2) * 2.0)))
-    found = []
-    for members in votes.peaks(count):
-        turn, place = _mean_pose(query[members], reference[members])
-        shift = place - turn * complex(middle[0], middle[1])
-        rises = reference_positions[matches.reference[members], 2] - query_positions[matches.query[members], 2]
-        xyz = np.array([shift.real, shift.imag, np.median(rises)])
-        found.append(transform_from_xyz_yaw(xyz, float(np.angle(turn))))
-    return np.stack(found)
+    # About the middle of the query, where the noise of the headings moves it least, and near the middle of the map.
+    middle, far = query_positions.mean(axis=0), reference_positions.mean(axis=0)
+    query, reference = (query_positions - middle)[matches.query], (reference_positions - far)[matches.reference]
+    radius_m = float(np.sqrt(np.mean((query_positions - middle)[:, :2] ** 2) * 2.0))
+    longest_m = np.hypot(*(query[:, 1] - query[:, 0])[:, :2].T)
+    turns, places = _poses(query, reference, np.arange(len(query)))
+    votes = _Votes.of(turns, places[:, :2], longest_m, tolerance_m, radius_m)
+    members, starts = votes.peaks(count)
+    turns, places = _poses(query[members], reference[members], starts)
+    T = transform_from_xyz_yaw(places, np.angle(turns))
+    T[:, :3, 3] += far - T[:, :3, :3] @ middle
+    return T
 
 
 def _compatible_pairs(columns: Columns, config: RegistrationConfig) -> IntArray:
@@ -132,21 +129,19 @@ def _squared(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.asarray(x * x + y * y)
 
 
-def _poses(query: ComplexArray, reference: ComplexArray) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-    """Rotation (C,) and place (C,) m of the query's origin at which objects (C, K) meet, and their sizes (C,) m."""
-    mean_query, mean_reference = (np.asarray(sum(each.T)) / each.shape[1] for each in (query, reference))
-    about_query, about_reference = query - mean_query[:, None], reference - mean_reference[:, None]
-    turns = np.einsum("ci,ci->c", about_reference, about_query.conj())
+def _poses(query: FloatArray, reference: FloatArray, starts: IntArray) -> tuple[ComplexArray, FloatArray]:
+    """Least-squares rotations (H,) and places (H, 3) m of the query's origin.
+
+    Pose h is that of the matches from ``starts`` (H,) on, of objects (C, K, 3) of query and map.
+    """
+    q, r = (points[:, :, 0] + 1j * points[:, :, 1] for points in (query, reference))
+    moments = np.stack([q, r, r * q.conj(), (reference - query)[:, :, 2] + 1j], axis=2).sum(axis=1)
+    sums = np.add.reduceat(moments, starts, axis=0)
+    mean_q, mean_r, cross = (sums[:, :3] / sums[:, 3:].imag).T
+    turns = cross - mean_r * mean_q.conj()
     turns /= np.maximum(np.abs(turns), np.finfo(np.float64).tiny)
-    return turns, mean_reference - turns * mean_query, np.abs(query[:, 1] - query[:, 0])
-
-
-def _mean_pose(query: ComplexArray, reference: ComplexArray) -> tuple[complex, complex]:
-    """Least-squares rotation and place from matches (C, K) of one pose."""
-    mean_query, mean_reference = query.mean(), reference.mean()
-    turn = complex(np.sum((reference - mean_reference) * (query - mean_query).conj()))
-    turn /= max(abs(turn), float(np.finfo(np.float64).tiny))
-    return turn, complex(mean_reference - turn * mean_query)
+    shift = mean_r - turns * mean_q
+    return turns, np.column_stack([shift.real, shift.imag, sums[:, 3].real / sums[:, 3].imag])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,38 +158,33 @@ class _Votes:
 
     @classmethod
     def of(
-        cls, turns: ComplexArray, places: ComplexArray, longest_m: FloatArray, tolerance_m: float, radius_m: float
+        cls, turns: ComplexArray, places: FloatArray, longest_m: FloatArray, tolerance_m: float, radius_m: float
     ) -> _Votes:
         # A match turns by its tolerance over its size, and moves the middle of the query by that times its distance.
         heading_rad = tolerance_m / float(np.median(longest_m))
         edge_m = tolerance_m + heading_rad * radius_m
         headings = max(int(np.pi / heading_rad), 4)
-        x = np.floor((places.real - places.real.min()) / edge_m).astype(np.int64)
-        y = np.floor((places.imag - places.imag.min()) / edge_m).astype(np.int64)
+        x, y = np.floor((places - places.min(axis=0)) / edge_m).astype(np.int64).T
         heading = np.floor((np.angle(turns) + np.pi) * (headings / (2.0 * np.pi))).astype(np.int64) % headings
         keys, voted, counts = np.unique(_key(x, y, heading), return_inverse=True, return_counts=True)
         return cls(_cells(keys), keys, counts, voted, headings)
 
-    def peaks(self, count: int) -> list[IntArray]:
-        """The votes in and around the ``count`` cells with most of them there."""
+    def peaks(self, count: int) -> tuple[IntArray, IntArray]:
+        """The votes (M,) in and around the ``count`` cells with most of them there, and where each peak starts (H,)."""
         examined = np.argsort(-self.counts, kind="stable")[:MAX_EXAMINED]
         around = self._around(examined)  # (E, 27), -1 where there is no vote
         totals = np.where(around >= 0, self.counts[around], 0).sum(axis=1)
         taken = np.zeros(len(self.keys) + 1, dtype=bool)  # the last stands for cells without votes
-        members = []
-        order = np.argsort(self.voted, kind="stable")
-        starts = np.concatenate([[0], np.cumsum(self.counts)])
-        for row in np.argsort(-totals, kind="stable"):
-            if taken[examined[row]]:
-                continue
-            taken[around[row]] = True
-            cells = np.unique(around[row])
-            members.append(
-                np.sort(np.concatenate([order[starts[each] : starts[each + 1]] for each in cells if each >= 0]))
-            )
-            if len(members) == count:
-                break
-        return members
+        by_cell, ends = np.argsort(self.voted, kind="stable"), np.cumsum(self.counts)
+        members = list[IntArray]()
+        for row in np.argsort(-totals, kind="stable").tolist():
+            if not taken[examined[row]]:
+                taken[around[row]] = True
+                cells = sorted(set(around[row].tolist()) - {-1})
+                members.append(np.concatenate([by_cell[ends[each] - self.counts[each] : ends[each]] for each in cells]))
+                if len(members) == count:
+                    break
+        return np.concatenate(members), np.cumsum([0, *(len(each) for each in members[:-1])])
 
     def _around(self, rows: IntArray) -> IntArray:
         """The cells (E, 27) in and around some; -1 for those without votes."""

@@ -19,7 +19,7 @@ from slam.registration.refinement import Columns, make_columns, refine_poses, sq
 
 __all__ = ["Registration", "refine", "refine_many", "register"]
 
-VOTED = 64
+VOTED = 16
 """Poses with most votes that are scored for each one that is asked for."""
 POLISHED = 8
 """Distinct poses that are refined for each one that is asked for."""

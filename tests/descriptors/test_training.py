@@ -191,7 +191,8 @@ def test_each_step_reports_progress_and_remaining_time(make, tmp_path):
     steps: list[Step] = []
     train(make(), tmp_path, threads=1, on_step=steps.append)
     assert [step.done for step in steps] == pytest.approx([(i + 1) / len(steps) for i in range(len(steps))])
-    assert all(step.loss > 0.0 for step in steps)
+    losses = [step.loss for step in steps]
+    assert min(losses) >= 0.0 < max(losses)
     assert steps[-1].remaining_s == 0.0 < steps[0].remaining_s
 
 

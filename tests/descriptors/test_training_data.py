@@ -17,8 +17,6 @@ from descriptors.errors import DescriptorError
 from descriptors.learned.padded import PaddedConstellations
 from descriptors.training.augmentation import (
     AugmentationRates,
-    Normal,
-    Uniform,
     add_false_positives,
     augment,
     crop,
@@ -34,17 +32,16 @@ from descriptors.training.simulation import MapSimulation, simulate_map
 from descriptors.training.views import CLUTTER, draw_view
 
 CLASSES = 20
-NOWHERE = Uniform(0.0, 0.0)
-NOTHING = AugmentationRates(NOWHERE, NOWHERE, 0.0, 0.0, 0.0, NOWHERE, Uniform(1.0, 1.0), CLASSES)
+NOTHING = AugmentationRates(0.0, (0.0, 0.0), 0.0, 0.0, 0.0, (0.0, 0.0), (1.0, 1.0), CLASSES)
 Augmentation = Callable[[PaddedConstellations, np.random.Generator], PaddedConstellations]
 AUGMENTATIONS: dict[str, Augmentation] = {
-    "translate": lambda batch, rng: translate(batch, Normal(0.25), rng=rng),
-    "orient": lambda batch, rng: orient(batch, Uniform(-np.pi, np.pi), rng=rng),
+    "translate": lambda batch, rng: translate(batch, 0.25, rng=rng),
+    "orient": lambda batch, rng: orient(batch, (-np.pi, np.pi), rng=rng),
     "drop_out": lambda batch, rng: drop_out(batch, 0.5, rng=rng),
     "add_false_positives": lambda batch, rng: add_false_positives(batch, 0.5, CLASSES, rng=rng),
     "misclassify": lambda batch, rng: misclassify(batch, 1.0, CLASSES, rng=rng),
-    "crop": lambda batch, rng: crop(batch, Uniform(0.5, 1.5), rng=rng),
-    "scale": lambda batch, rng: scale(batch, Uniform(0.85, 1.25), rng=rng),
+    "crop": lambda batch, rng: crop(batch, (0.5, 1.5), rng=rng),
+    "scale": lambda batch, rng: scale(batch, (0.85, 1.25), rng=rng),
     "augment": lambda batch, rng: augment(batch, AugmentationRates(vocabulary_size=CLASSES), rng=rng),
 }
 
@@ -218,7 +215,7 @@ def test_augmentation_keeps_the_centre_and_its_input_and_leaves_no_holes(augment
 def test_translations_grow_with_the_distance_and_are_independent_along_the_axes():
     batch = batch_of(1000, seed=13)
     others = batch.present & (lengths(batch) > 0.0)
-    moved = translate(batch, Normal(0.25), rng=np.random.default_rng(14))
+    moved = translate(batch, 0.25, rng=np.random.default_rng(14))
     errors = (moved.positions - batch.positions)[others] / lengths(batch)[others][:, None]
     assert_is_drawn_from(errors.ravel(), "norm", 0.0, 0.25)
     assert np.abs(np.corrcoef(errors.T) - np.eye(3)).max() < 4.0 / np.sqrt(len(errors))
@@ -226,7 +223,7 @@ def test_translations_grow_with_the_distance_and_are_independent_along_the_axes(
 
 def test_orientations_turn_a_constellation_as_a_whole_about_gravity():
     batch = batch_of(2000, seed=15)
-    turned = orient(batch, Uniform(-np.pi, np.pi), rng=np.random.default_rng(16))
+    turned = orient(batch, (-np.pi, np.pi), rng=np.random.default_rng(16))
     np.testing.assert_array_equal(turned.positions[:, :, 2], batch.positions[:, :, 2])
     plane, turned_plane = (b.positions[:, :, 0] + 1j * b.positions[:, :, 1] for b in (batch, turned))
     yaws = np.angle(turned_plane[1:, 1] / plane[1:, 1])
@@ -275,7 +272,7 @@ def test_far_objects_are_misclassified_more_often_and_then_as_any_other_class():
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.8])
 def test_crops_remove_what_the_formula_names_along_x_or_y(share):
     batch = batch_of(600, seed=25)
-    cropped = crop(batch, Uniform(share, share), rng=np.random.default_rng(26))
+    cropped = crop(batch, (share, share), rng=np.random.default_rng(26))
     along = Counter[int]()
     for row in range(len(batch)):
         everything, kept = objects(batch, row), objects(cropped, row)
@@ -290,7 +287,7 @@ def test_crops_remove_what_the_formula_names_along_x_or_y(share):
 
 def test_scales_stretch_a_constellation_by_one_factor():
     batch = batch_of(2000, seed=28)
-    scaled = scale(batch, Uniform(0.85, 1.25), rng=np.random.default_rng(29))
+    scaled = scale(batch, (0.85, 1.25), rng=np.random.default_rng(29))
     factors = lengths(scaled)[1:, 1] / lengths(batch)[1:, 1]
     assert_is_drawn_from(factors, "uniform", 0.85, 0.4)
     assert np.allclose(batch.positions[1:] * factors[:, None, None], scaled.positions[1:], atol=1e-4)
@@ -305,12 +302,12 @@ def test_augment_applies_each_rate_and_adds_objects_after_some_dropped_out():
 
     assert objects(augmented(), 7) == objects(batch, 7)
     assert (augmented(dropout=1.0, false_positives=1.0).present.sum(axis=1) == 2).all()
-    assert np.allclose(augmented(scale=Uniform(2.0, 2.0)).positions, 2 * batch.positions)
-    upside = augmented(yaw_rad=Uniform(np.pi, np.pi)).positions
+    assert np.allclose(augmented(scale=(2.0, 2.0)).positions, 2 * batch.positions)
+    upside = augmented(yaw_rad=(np.pi, np.pi)).positions
     assert np.allclose(upside[:, :, :2], -batch.positions[:, :, :2], atol=1e-5)
     assert (augmented(misclassification=1.0).labels != batch.labels).any()
-    assert (augmented(translation=Normal(0.1)).positions != batch.positions).any()
-    assert augmented(crop=Uniform(1.0, 1.0)).present.sum() < 0.7 * batch.present.sum()
+    assert (augmented(translation=0.1).positions != batch.positions).any()
+    assert augmented(crop=(1.0, 1.0)).present.sum() < 0.7 * batch.present.sum()
 
 
 def test_impossible_rates_and_labels_beyond_the_vocabulary_are_refused():
@@ -339,7 +336,7 @@ def test_dataset_has_each_anchor_with_its_positives():
 
 
 def test_positives_show_the_place_of_their_anchor():
-    turning = replace(NOTHING, vocabulary_size=64, yaw_rad=Uniform(-np.pi, np.pi))
+    turning = replace(NOTHING, vocabulary_size=64, yaw_rad=(-np.pi, np.pi))
     turned = make_dataset(MapSimulation(), turning, SMALL, seed=2).constellations
     apart = lengths(turned).reshape(60, 5, -1)
     assert np.allclose(apart, apart[:, :1], atol=1e-4)
