@@ -1,4 +1,4 @@
-"""A fixed vector for each class name, so that descriptors have one length whatever the vocabulary."""
+"""A fixed vector for each class name, so that descriptors have one length for any vocabulary."""
 
 from __future__ import annotations
 

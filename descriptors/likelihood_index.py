@@ -31,7 +31,7 @@ class NeighbourLikelihood(Protocol):
         ...
 
     @property
-    def least_nats(self) -> float:
+    def min_nats(self) -> float:
         """What is below that is kept as that; 0 where an object of the map never speaks against itself."""
         ...
 
@@ -43,7 +43,7 @@ class NeighbourLikelihood(Protocol):
         """Which entry (P,) of a vector each neighbour falls into, where it is observed."""
         ...
 
-    def most_nats(self, constellations: Constellations) -> NDArray[np.float32]:
+    def max_nats(self, constellations: Constellations) -> NDArray[np.float32]:
         """The most that a query (B,) could score."""
         ...
 
@@ -77,7 +77,7 @@ class LikelihoodIndex:
             nats = self._descriptor.describe(chunk)
             for label in np.unique(chunk.centre_labels):
                 rows = np.flatnonzero(chunk.centre_labels == label)
-                self._shelves.setdefault(int(label), _Shelf(self._descriptor.least_nats)).add(
+                self._shelves.setdefault(int(label), _Shelf(self._descriptor.min_nats)).add(
                     nats[rows], numbers[start + rows]
                 )
         self._size += len(constellations)
@@ -105,7 +105,7 @@ class LikelihoodIndex:
             queries.append(rows[places])
             entries.append(shelf.numbers[columns[likely]])
             nats = (steps[places, likely] - shelf.zero * np.diff(asking.offsets)[places]) * STEP_NATS
-            lacking.append(self._descriptor.most_nats(asking)[places] - nats)
+            lacking.append(self._descriptor.max_nats(asking)[places] - nats)
         found = np.concatenate(queries)
         order = np.argsort(found, kind="stable")
         distances = np.maximum(np.concatenate(lacking), 0.0).astype(np.float32)
@@ -147,8 +147,8 @@ class LikelihoodIndex:
 class _Shelf:
     """Entries of one class: a column of bytes each, a row for each cell of the vectors; ``zero`` stands for 0 nats."""
 
-    def __init__(self, least_nats: float) -> None:
-        self.zero = round(-least_nats / STEP_NATS)
+    def __init__(self, min_nats: float) -> None:
+        self.zero = round(-min_nats / STEP_NATS)
         self._table = np.zeros((0, 4), dtype=np.uint8)  # few, as there may be many classes
         self.numbers = np.zeros(0, dtype=np.int64)
 

@@ -1,4 +1,4 @@
-"""A descriptor that tells nothing: what any other has to be better than."""
+"""A descriptor without information: the lower bound of a comparison."""
 
 from __future__ import annotations
 
@@ -19,5 +19,5 @@ class RandomVector:
         self._rng = np.random.default_rng(0)
 
     def describe(self, constellations: Constellations) -> NDArray[np.float32]:
-        """Vectors (B, length), whatever the constellations are."""
+        """Vectors (B, length) that do not depend on the constellations."""
         return self._rng.normal(size=(len(constellations), self.length)).astype(np.float32)

@@ -25,7 +25,7 @@ from descriptors.constellation import Constellations
 CHUNK = 512
 """Constellations of up to 64 classes that are described at a time, which bounds the memory."""
 REACH_SIGMAS = 4.0
-LEAST_DENSITY_PER_M = 1e-3
+MIN_DENSITY_PER_M = 1e-3
 
 
 class RingLikelihood:
@@ -36,7 +36,7 @@ class RingLikelihood:
     """
 
     name = "ring_likelihood"
-    least_nats = 0.0
+    min_nats = 0.0
 
     def __init__(
         self,
@@ -52,7 +52,7 @@ class RingLikelihood:
         self._sigmas_m = sigmas_m
         middles_m = (np.arange(self.rings) + 0.5) * ring_m
         expected = 2.0 * np.pi * middles_m * objects_per_km2 * 1e-6  # of one class, per metre of distance
-        self._odds = (1.0 - miss_probability) / miss_probability / (expected + LEAST_DENSITY_PER_M)
+        self._odds = (1.0 - miss_probability) / miss_probability / (expected + MIN_DENSITY_PER_M)
 
     def describe(self, constellations: Constellations) -> NDArray[np.float32]:
         """Vectors (B, C * rings) in nats: for each class of the vocabulary the rings from the inside out."""
@@ -70,7 +70,7 @@ class RingLikelihood:
         """Which entry (P,) of a vector each neighbour falls into, where it is observed."""
         return constellations.labels * self.rings + self._ring(_distances(constellations.positions))
 
-    def most_nats(self, constellations: Constellations) -> NDArray[np.float32]:
+    def max_nats(self, constellations: Constellations) -> NDArray[np.float32]:
         """What a query (B,) would score against an object whose neighbours stand exactly where they were seen."""
         peak = sum(1.0 / (np.sqrt(2.0 * np.pi) * s) for s in self._sigmas_m) / len(self._sigmas_m)
         best = np.log1p(self._odds * peak)[self._ring(_distances(constellations.positions))]

@@ -13,7 +13,7 @@ from descriptors.constellation import Constellations
 
 
 class Onion:
-    """Counts of objects in ``shells`` of equal width out to ``radius_m``, whatever their class."""
+    """Counts of objects in ``shells`` of equal width out to ``radius_m``, of any class."""
 
     name = "onion"
 

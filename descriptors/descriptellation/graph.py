@@ -51,7 +51,7 @@ def nearest(points: Tensor, present: Tensor, count: int) -> Tensor:
     All that are as near as the last one are taken too, or the order of the objects would decide.
 
     Args:
-        points: (B, N, C), in whatever space.
+        points: (B, N, C), in any space.
         present: (B, N) bool.
     """
     both = present[:, :, None] & present[:, None, :]

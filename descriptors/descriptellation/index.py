@@ -1,4 +1,4 @@
-"""The index of the Descriptellation paper: all objects of a map, compared whatever their class."""
+"""The index of the Descriptellation paper: all objects of a map, of any class."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from descriptors.constellation import Constellations
 from descriptors.index import VectorIndex
 from descriptors.learned.descriptor import LearnedDescriptor
 
-MOST_OBJECTS = 2000
-"""Of a larger map every second, third ... object tells the mean distance."""
+MAX_OBJECTS = 2000
+"""Of a larger map the mean distance is that of every second, third ... object."""
 
 
 class PaperIndex(VectorIndex):
@@ -34,5 +34,5 @@ class PaperIndex(VectorIndex):
 
 def mean_distance_m(positions: NDArray[np.float64]) -> float:
     """Mean distance of two of the objects (N, 3) m; 0 where there are fewer than two."""
-    some = positions[:: -(-len(positions) // MOST_OBJECTS) or 1]
+    some = positions[:: -(-len(positions) // MAX_OBJECTS) or 1]
     return float(pdist(some).mean()) if len(some) > 1 else 0.0

@@ -23,8 +23,8 @@ from descriptors.descriptellation_lr.rings import (
 from descriptors.errors import DescriptorError, WeightsError
 from descriptors.learned.weights import check_tensors, make_architecture, read_weights
 
-MOST_NATS = 6.0
-"""Most of one neighbour: what a byte of the index holds above ``least_nats``, 8 nats from -2 on."""
+MAX_NATS = 6.0
+"""Most of one neighbour: what a byte of the index holds above ``min_nats``, 8 nats from -2 on."""
 NEAR = 0.25
 """Near neighbours are those within that share of the radius, which is half of the sensor's range: what is seen from one
 place."""
@@ -39,7 +39,7 @@ class LearnedLikelihood:
     """
 
     name = "descriptellation_lr"
-    least_nats = -2.0
+    min_nats = -2.0
 
     def __init__(self, path: Path) -> None:
         """Load a file of weights.
@@ -78,9 +78,9 @@ class LearnedLikelihood:
         """Which entry (P,) of a vector each neighbour falls into, where it is observed."""
         return constellations.labels * self.rings + self._rings.of(horizontal_m(constellations.positions))
 
-    def most_nats(self, constellations: Constellations) -> NDArray[np.float32]:
+    def max_nats(self, constellations: Constellations) -> NDArray[np.float32]:
         """The most that a query (B,) could score, if each neighbour were as telling as a vector can hold."""
-        return (MOST_NATS * np.diff(constellations.offsets)).astype(np.float32)
+        return (MAX_NATS * np.diff(constellations.offsets)).astype(np.float32)
 
     def _make_kernels(self) -> NDArray[np.float32]:
         edges_m, middle_m = self._rings.edges_m, self._rings.fine_m

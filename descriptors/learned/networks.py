@@ -28,7 +28,7 @@ BATCH = 256
 
 
 class Architecture(Protocol):
-    """What all architectures say of their network."""
+    """What all architectures define."""
 
     @property
     def name(self) -> str:

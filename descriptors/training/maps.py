@@ -24,7 +24,7 @@ class TrainingMap:
 
 
 PATTERNS = MapSimulation(patterns=(40, 80), side_m=300.0, uniform_pattern_share=0.4, classes=(2, 30))
-"""As for the paper's network, with fewer objects: a step takes in one whole map."""
+"""As for the paper's network, with fewer objects: a step is on one whole map."""
 PIECE_OBJECTS = 500
 """Most objects of a piece of a given map, and about those of a simulated one: a step takes them in within a second."""
 

@@ -76,7 +76,7 @@ class ImportedPlaces:
         )
         return [Place(T_local_query, TRAVEL_M, SEGMENT, np.inf) for T_local_query in poses]
 
-    def take_in(self, place: FloatArray, radius_m: float) -> None:
+    def load_landmarks_near(self, place: FloatArray, radius_m: float) -> None:
         """Make landmarks of the objects of the map within ``radius_m`` of a place (3,) m, where they are none yet."""
         rows = self._imported.near(place[:2], radius_m)
         rows = rows[~self._is_loaded[rows]]
@@ -114,5 +114,5 @@ class ImportedPlaces:
 
 
 def is_flat(imported: ImportedMap) -> bool:
-    """Whether a map tells no heights."""
+    """Whether a map has no heights."""
     return bool(np.ptp(imported.positions[:, 2]) == 0.0)

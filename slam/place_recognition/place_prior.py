@@ -1,4 +1,4 @@
-"""What a person or satellites say of the robot's place before any object was recognised."""
+"""The prior of the initial pose, from a user or from satellites."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ BUDGET = 100_000
 first."""
 CHUNK = 50_000
 """Objects whose quads are made at a time."""
-MOST_CELLS = 3
+MAX_CELLS = 3
 """Cells along each length that are looked into."""
 _PAGE_BYTES = 4096
 _PRIMES = np.array(
@@ -103,7 +103,7 @@ class QuadIndex:
     def _match(self, positions: FloatArray, labels: IntArray, map_positions: FloatArray, *, sigma_m: float) -> Matches:
         """Quads of the map like those of a query."""
         plane = positions[:, 0] + 1j * positions[:, 1]
-        tolerance_m = min(TOLERANCE_SIGMAS * sigma_m, 0.5 * (MOST_CELLS - 1) * self.cell_m)
+        tolerance_m = min(TOLERANCE_SIGMAS * sigma_m, 0.5 * (MAX_CELLS - 1) * self.cell_m)
         sets = np.unique(neighbour_sets(positions[:, :2], np.arange(len(positions)), cKDTree(positions[:, :2])), axis=0)
         quads = possible_quads(plane, sets, tolerance_m)
         quad, entry = self._candidates(quads.lengths, labels[quads.vertices], tolerance_m)

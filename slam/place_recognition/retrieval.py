@@ -66,12 +66,12 @@ class PlaceRetriever:
             behind &= landmarks["segment"] != SEGMENT
         for segment in np.unique(landmarks["segment"][behind]):
             new = np.flatnonzero(behind & (landmarks["segment"] == segment))
-            often = self._seen_often(new)
+            often = self._is_well_indexed(new)
             self._left_out = np.concatenate([self._left_out, new[often]])
             if not often.all():
                 self._enter(new[~often], int(segment))
 
-    def _seen_often(self, new: IntArray) -> BoolArray:
+    def _is_well_indexed(self, new: IntArray) -> BoolArray:
         """Which landmarks (N,) are indexed as ``INDEXED_TRAVERSALS`` of earlier traversals."""
         indexed = np.zeros(len(self._map), dtype=np.bool_)
         indexed[self._rows] = True
@@ -155,7 +155,7 @@ class PlaceRetriever:
 
     @property
     def has_imported_map(self) -> bool:
-        """Whether there is a map that nobody drove."""
+        """Whether there is an imported map, without a trajectory."""
         return self._imported is not None
 
     def _place(self, T_local_query: FloatArray, rows: IntArray, distances: NDArray[np.float32]) -> Place:
@@ -175,7 +175,7 @@ class PlaceRetriever:
         centre = place.T_local_query[:3, 3]
         radius_m = PLACE_RADIUS_RANGES * self._sensor_range_m
         if self._imported is not None and place.segment == SEGMENT:
-            self._imported.take_in(centre, radius_m)
+            self._imported.load_landmarks_near(centre, radius_m)
         landmarks = self._map.rows
         offsets = landmarks["position_local"][:, :2] - centre[:2]
         rows = np.flatnonzero(

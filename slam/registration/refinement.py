@@ -17,8 +17,6 @@ SHRINK = 0.5
 """The search radius shrinks by this factor from one iteration to the next."""
 PRODUCT_SIZE = 2**18
 """Larger matrix products OpenBLAS spreads over threads, which wait for one another where a core is busy."""
-FEW_PAIRS = 200
-"""So few are not worth sorting out."""
 CONVERGED_FRACTION = 5e-4
 """A pose that moves no object by more than this fraction of ``distinct_m`` stands still."""
 
@@ -193,7 +191,7 @@ def refine_poses(
             near = ratio.min(axis=0) < np.maximum((2.0 * radius_m / columns.sigma[:, 0]) ** 2, 4.0 * gate_squared)
             if not near.any():
                 return poses, columns
-            if len(columns) > FEW_PAIRS and 4 * int(near.sum()) < 3 * len(columns):
+            if 4 * int(near.sum()) < 3 * len(columns):
                 columns, ratio = columns.subset(near), ratio[:, near]
         ratio *= np.minimum((columns.sigma[:, 0] / radius) ** 2, 1.0 / gate_squared)
         moved = least_squares(poses, _weights(ratio, columns), columns, config)

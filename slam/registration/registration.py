@@ -19,14 +19,12 @@ from slam.registration.refinement import Columns, make_columns, refine_poses, sq
 
 __all__ = ["Registration", "refine", "refine_many", "register"]
 
-VOTED = 16
-"""Poses with most votes that are scored for each one that is asked for."""
-POLISHED = 8
-"""Distinct poses that are refined for each one that is asked for."""
+VOTED_PER_RESULT = 16
+"""Poses with most votes that are scored for each result."""
+REFINED_PER_RESULT = 8
+"""Distinct poses that are refined for each result."""
 REACH_RADII = 2.0
 """Objects that many search radii, or gates, from one another are no pair of a refinement."""
-FEW_DISTANCES = 2**15
-"""So many distances are computed sooner than a tree of the reference objects is built."""
 VOTED_RADIUS_SIGMAS = 2.0
 """How far a voted pose looks for partners at first, in gates."""
 
@@ -72,11 +70,11 @@ def register(
     reason = _degenerate(columns, config)
     if reason:
         return [not_found(reason)]
-    voted = vote_for_pairs(columns, config, count=VOTED * count)
+    voted = vote_for_pairs(columns, config, count=VOTED_PER_RESULT * count)
     if len(voted) == 0:
         return [not_found("no two correspondences have the same length, height difference and a sufficient baseline")]
     poses, bounds = _ranked(_rows(voted, voted[:, :3, 3]), columns, config)
-    poses = poses[_distinct(poses, config, POLISHED * count)]
+    poses = poses[_distinct(poses, config, REFINED_PER_RESULT * count)]
     radius = VOTED_RADIUS_SIGMAS * config.gate_sigma * float(columns.sigma[:, 0].mean())
     poses, near = refine_poses(poses, columns, config, radius_m=radius)
     poses, bounds = _ranked(poses, near, config)
@@ -187,10 +185,6 @@ def _near_pairs(
     offsets = query_positions - centre
     moved = np.multiply.outer(_headings(T_initial), offsets[:, 0] + 1j * offsets[:, 1])
     moved += (middles[:, 0] + 1j * middles[:, 1])[:, None]
-    if moved.size * len(reference_positions) <= FEW_DISTANCES:
-        x = moved.real[..., None] - reference_positions[:, 0]
-        y = moved.imag[..., None] - reference_positions[:, 1]
-        return np.argwhere((x * x + y * y <= reach_m * reach_m).any(axis=0))
     points = np.column_stack([moved.real.ravel(), moved.imag.ravel()])
     near = cKDTree(reference_positions[:, :2]).query_ball_point(points, reach_m)
     query = np.repeat(np.tile(np.arange(len(offsets)), len(T_initial)), [len(objects) for objects in near])

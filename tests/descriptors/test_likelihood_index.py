@@ -79,7 +79,7 @@ def test_distances_are_what_the_likelihoods_of_the_descriptor_lack():
     queries = gathered(120, seed=4, noise_m=0.3)
     index = filled(entries)
     matches = index.search(queries, 10, everyone(index))
-    lacking = descriptor.most_nats(queries)[:, None] - scores(entries, queries, in_steps=False)
+    lacking = descriptor.max_nats(queries)[:, None] - scores(entries, queries, in_steps=False)
     cells = descriptor.cells(queries)
     for query, entry, distance in zip(matches.queries, matches.entries, matches.distances, strict=True):
         own = slice(queries.offsets[query], queries.offsets[query + 1])
@@ -229,7 +229,7 @@ def test_an_entry_without_neighbours_lacks_all_that_the_query_sees():
     query = constellation([(1, 20.25, 0.0), (3, 30.25, 1.0)])
     index = filled(constellation([]))
     (distance,) = index.search(query, 1, everyone(index)).distances
-    assert distance == pytest.approx(RingLikelihood().most_nats(query)[0], rel=1e-5)
+    assert distance == pytest.approx(RingLikelihood().max_nats(query)[0], rel=1e-5)
 
 
 @pytest.mark.parametrize("count", [256, 257, 258, 259, 1000])
@@ -241,7 +241,7 @@ def test_hundreds_of_neighbours_add_up_without_overflow(count):
     index.add(crowd)
     matches = index.search(crowd, 2, everyone(index))
     assert matches.entries.tolist() == [1, 0]
-    lacking = RingLikelihood().most_nats(crowd)[0] - count * 255 * STEP_NATS
+    lacking = RingLikelihood().max_nats(crowd)[0] - count * 255 * STEP_NATS
     assert matches.distances[0] == pytest.approx(max(lacking, 0.0), abs=0.1)
 
 

@@ -85,11 +85,11 @@ def test_neighbour_is_most_evidence_where_it_stands_and_for_its_class_alone():
 
 
 def test_far_rings_dense_maps_and_misses_weaken_the_evidence():
-    at = [RingLikelihood().most_nats(constellation([(0, d, 0.0)]))[0] for d in (2.25, 10.25, 30.25, 59.75)]
+    at = [RingLikelihood().max_nats(constellation([(0, d, 0.0)]))[0] for d in (2.25, 10.25, 30.25, 59.75)]
     assert (np.diff(at) < -0.5).all()
     query = constellation([(0, 30.25, 0.0)])
-    assert RingLikelihood(objects_per_km2=5000.0).most_nats(query)[0] < at[2] - 1.5
-    said = [RingLikelihood(miss_probability=miss).most_nats(query)[0] for miss in (0.01, 0.1, 0.5, 0.9)]
+    assert RingLikelihood(objects_per_km2=5000.0).max_nats(query)[0] < at[2] - 1.5
+    said = [RingLikelihood(miss_probability=miss).max_nats(query)[0] for miss in (0.01, 0.1, 0.5, 0.9)]
     assert (np.diff(said) < -0.5).all()
 
 
@@ -106,7 +106,7 @@ def test_object_without_neighbours_has_zeros_and_scores_nothing():
     beside = gather_constellations(
         np.array([[0.0, 0.0, 0.0], [500.0, 0.0, 0.0], [510.0, 0.0, 0.0]]), np.zeros(3, int), VOCABULARY, radius_m=60.0
     )
-    vectors, most = RingLikelihood().describe(beside), RingLikelihood().most_nats(beside)
+    vectors, most = RingLikelihood().describe(beside), RingLikelihood().max_nats(beside)
     assert vectors.any(axis=1).tolist() == [False, True, True]
     assert (most > 0.0).tolist() == [False, True, True]
 
@@ -134,14 +134,14 @@ def test_score_against_itself_is_the_most_for_any_neighbours_that_are_seen(share
     entry = constellation(middles)
     query = thinned(entry, np.random.default_rng(11).random(len(middles)) < share)
     itself = scores(descriptor, query, descriptor.describe(entry))
-    np.testing.assert_allclose(itself[0], descriptor.most_nats(query), rtol=1e-4)
+    np.testing.assert_allclose(itself[0], descriptor.max_nats(query), rtol=1e-4)
 
 
 def test_neighbour_off_the_middle_of_its_ring_lacks_little():
     descriptor = RingLikelihood()
     for distance_m in np.linspace(20.0, 20.499, 11):
         query = constellation([(0, float(distance_m), 0.0)])
-        lacking = descriptor.most_nats(query)[0] - scores(descriptor, query, descriptor.describe(query))[0, 0]
+        lacking = descriptor.max_nats(query)[0] - scores(descriptor, query, descriptor.describe(query))[0, 0]
         assert -1e-4 < lacking < 0.3
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from descriptors.constellation import gather_constellations
-from descriptors.descriptellation.index import MOST_OBJECTS, PaperIndex, mean_distance_m
+from descriptors.descriptellation.index import MAX_OBJECTS, PaperIndex, mean_distance_m
 from descriptors.registry import make_index
 from tests.descriptors.constellations import VOCABULARY, scattered
 
@@ -22,7 +22,7 @@ def test_the_mean_distance_is_that_of_all_pairs():
 
 
 def test_a_part_tells_the_mean_distance_of_a_large_map():
-    positions, _ = scattered(2 * MOST_OBJECTS, seed=0, side_m=600.0)
+    positions, _ = scattered(2 * MAX_OBJECTS, seed=0, side_m=600.0)
     assert mean_distance_m(positions) == pytest.approx(0.521 * 600.0, rel=0.02)  # of a square, by its side
 
 
