@@ -11,13 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptors.constellation import Constellations, gather_constellations
+from descriptors.constellation import gather_constellations
 from descriptors.errors import DescriptorError
 from descriptors.learned.padded import PaddedConstellations, pad_constellations
 from descriptors.training.augmentation import AugmentationRates, augment
 from descriptors.training.simulation import MapSimulation, simulate_map
 
-_FRUITLESS_MAPS = 100
+MAX_FRUITLESS_MAPS = 100
+"""Maps in a row without an anchor before the dataset is refused."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,29 +97,22 @@ def simulate_anchors(
     """
     gathered: list[PaddedConstellations] = []
     missing, fruitless = config.anchors, 0
+    vocabulary = [str(number) for number in range(simulation.vocabulary_size)]
     while missing:
-        constellations = _gather_anchors(simulation, config, min(missing, config.anchors_per_map), rng=rng)
-        fruitless = 0 if len(constellations) else fruitless + 1
-        if fruitless == _FRUITLESS_MAPS:
+        drawn = simulate_map(simulation, rng=rng)
+        found = gather_constellations(drawn.positions, drawn.labels, vocabulary, radius_m=config.radius_m)
+        sizes = np.diff(found.offsets) + 1
+        fitting = rng.permutation(np.flatnonzero((sizes >= config.min_objects) & (sizes <= config.max_objects)))
+        chosen = fitting[: min(missing, config.anchors_per_map)]
+        fruitless = 0 if len(chosen) else fruitless + 1
+        if fruitless == MAX_FRUITLESS_MAPS:
             raise DescriptorError(
                 f"{fruitless} maps in a row without a constellation of {config.min_objects} to {config.max_objects} "
                 f"objects within {config.radius_m} m; widen that range or change the simulation's density"
             )
-        missing -= len(constellations)
-        gathered.append(pad_constellations(constellations))
+        missing -= len(chosen)
+        gathered.append(pad_constellations(found[chosen]))
     return _stack(gathered)
-
-
-def _gather_anchors(
-    simulation: MapSimulation, config: DatasetConfig, at_most: int, *, rng: np.random.Generator
-) -> Constellations:
-    """Constellations of the wanted size from one map, drawn among all that it has."""
-    simulated = simulate_map(simulation, rng=rng)
-    vocabulary = [str(number) for number in range(simulation.vocabulary_size)]
-    constellations = gather_constellations(simulated.positions, simulated.labels, vocabulary, radius_m=config.radius_m)
-    sizes = np.diff(constellations.offsets) + 1
-    fitting = np.flatnonzero((sizes >= config.min_objects) & (sizes <= config.max_objects))
-    return constellations[rng.permutation(fitting)[:at_most]]
 
 
 def _stack(batches: Sequence[PaddedConstellations]) -> PaddedConstellations:
