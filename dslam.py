@@ -26,17 +26,19 @@ if TYPE_CHECKING:
     from logs.reader import LogReader
     from logs.selection import Selection, select_topics
     from logs.writer import LogWriter
+    from slam.common.calibration import Calibration
     from slam.common.config import Config, load_config
     from slam.common.errors import InputDataError, SlamError
     from slam.evaluation.result import Evaluation
     from slam.final_map import FinalMap
-    from slam.library import evaluate_log, landmark_table, read_map, read_trajectory
+    from slam.library import calibrate, evaluate_log, landmark_table, read_map, read_trajectory
     from slam.object_map.map_io import SavedMap, load_map
     from slam.replay import ReplaySummary, replay
     from slam.scan_localization import ScanLocalization, ScanLocalizer
     from slam.system import Slam
 
 __all__ = [
+    "Calibration",
     "Config",
     "Constellations",
     "Descriptor",
@@ -60,6 +62,7 @@ __all__ = [
     "SlamError",
     "TrajectoryRecord",
     "Transform",
+    "calibrate",
     "evaluate_log",
     "landmark_table",
     "load_config",
@@ -86,10 +89,11 @@ _NAMES_OF_MODULES = {
     "logs.reader": ("LogReader",),
     "logs.selection": ("Selection", "select_topics"),
     "logs.writer": ("LogWriter",),
+    "slam.common.calibration": ("Calibration",),
     "slam.common.config": ("Config", "load_config"),
     "slam.common.errors": ("InputDataError", "SlamError"),
     "slam.evaluation.result": ("Evaluation",),
-    "slam.library": ("evaluate_log", "landmark_table", "read_map", "read_trajectory"),
+    "slam.library": ("calibrate", "evaluate_log", "landmark_table", "read_map", "read_trajectory"),
     "slam.object_map.map_io": ("SavedMap", "load_map"),
     "slam.replay": ("ReplaySummary", "replay"),
     "slam.scan_localization": ("ScanLocalization", "ScanLocalizer"),

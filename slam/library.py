@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +13,14 @@ from logs.messages import ObjectMapRecord, Record, TrajectoryRecord
 from logs.reader import LogReader
 from logs.selection import Selection
 from logs.topics import RecordKind
+from slam.common.calibration import Calibration
+from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import read_records
 from slam.evaluation.result import Evaluation
 from slam.object_map.map_io import OBJECTS_TOPIC, confirmed
+from slam.prepared_log import calibrate_logs
 
 _FINAL_MAP, _FINAL_TRAJECTORY = "/slam/map", "/slam/trajectory_stamped"
 
@@ -70,6 +74,24 @@ def landmark_table(objects: ObjectMapRecord) -> dict[str, NDArray[np.generic]]:
         "first_seen_ns": objects.first_seen_ns,
         "last_seen_ns": objects.last_seen_ns,
     }
+
+
+def calibrate(
+    *logs: str | os.PathLike[str], config: Config | None = None, topics: Mapping[str, str] | None = None
+) -> Calibration:
+    """The calibration of a robot's sensors from all of its logs together, for ``Slam`` and in ``config.calibration``.
+
+    Args:
+        logs: paths, one at least.
+        config: values of its calibration that were given are kept.
+        topics: kind -> topic, where a log leaves a choice.
+
+    Raises:
+        LogError: a log cannot be read, or lacks a topic.
+        SlamError: the transforms of a log contradict one another.
+    """
+    found = calibrate_logs([Path(log) for log in logs], config or Config(), topics=topics)
+    return found.config.calibration
 
 
 def evaluate_log(

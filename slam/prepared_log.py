@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
@@ -12,15 +13,17 @@ from logs.messages import Transform
 from logs.reader import LogReader
 from logs.selection import OUTPUT_PREFIX, Selection, select_topics
 from logs.topics import RecordKind
+from slam.common.calibration import Calibration
 from slam.common.config import Config
 from slam.display.drive_display import FRAMES
 from slam.frontend.input.input_records import InputRecords
 from slam.frontend.input.label_map import LabelMap
 from slam.frontend.input.scan_objects import ScanObjects
 from slam.frontend.input.sensor_frames import SensorFrames
-from slam.frontend.input.stamp_clocks import NO_DRIFT, ClockDrift, StampClocks
+from slam.frontend.input.stamp_clocks import NO_DRIFT, ClockDrift, LoggingDelays, StampClocks
 from slam.self_calibration.calibration import CalibratedLog, calibrate
-from slam.self_calibration.survey import Survey, survey
+from slam.self_calibration.survey import survey
+from slam.self_calibration.surveyed_log import MAX_DETECTIONS, SurveyedLog
 
 _MAPPED = (
     RecordKind.ODOMETRY,
@@ -57,14 +60,14 @@ class PreparedLog:
     lost: Mapping[str, int]
 
     def inputs(self) -> InputRecords:
-        """What makes records of the log those of the estimator, with the estimated settings."""
+        """What makes records of the log those of the estimator, by the calibration."""
         return InputRecords(self.calibration.config, self.labels, self.frames, self.scans)
 
 
 def prepare_log(
     reader: LogReader, config: Config, *, topics: Mapping[str, str] | None, copy: Collection[str]
 ) -> PreparedLog:
-    """Choose the topics of a log, read all frames, and estimate what was not set by hand.
+    """Choose the topics of a log, read all frames, and estimate what was not given of its calibration.
 
     Args:
         reader: of the log.
@@ -76,6 +79,35 @@ def prepare_log(
         LogError: the log cannot be read, or lacks a topic.
         SlamError: its transforms contradict one another.
     """
+    log = _open(reader, config, topics, copy)
+    if not config.calibrate or config.calibration.is_complete:
+        return log
+    surveyed, delays, drift = _survey(reader, log, MAX_DETECTIONS)
+    found = survey([surveyed], config.calibration)
+    return replace(log, calibration=calibrate(config, found, delays), drift=drift)
+
+
+def calibrate_logs(paths: Sequence[Path], config: Config, *, topics: Mapping[str, str] | None = None) -> CalibratedLog:
+    """The calibration of one robot from all of its logs together.
+
+    Raises:
+        LogError: a log cannot be read, or lacks a topic.
+        SlamError: the transforms of a log contradict one another.
+    """
+    surveyed, delays = [], []
+    for path in paths:
+        with LogReader(path, config.reading_limits) as reader:
+            log, logged_after, _ = _survey(reader, _open(reader, config, topics, ()), MAX_DETECTIONS // len(paths))
+            surveyed.append(log)
+            delays.append(logged_after)
+    found = calibrate(config, survey(surveyed, config.calibration), delays[0])
+    # What kept its default is known now, too.
+    known = Calibration.model_validate(found.config.calibration.model_dump(exclude_none=True))
+    return replace(found, config=found.config.model_copy(update={"calibration": known}))
+
+
+def _open(reader: LogReader, config: Config, topics: Mapping[str, str] | None, copy: Collection[str]) -> PreparedLog:
+    """The log with the calibration that was given."""
     selection = select_topics(reader.topics(), {**config.topics, **(topics or {})})
     copied = _copied_topics(reader, selection, copy)
     mapped = Selection({topic: kinds for topic, kinds in selection.kinds.items() if set(kinds) & set(_MAPPED)})
@@ -83,11 +115,20 @@ def prepare_log(
     # Where the sensors are is read beforehand: between two transforms only when the later one is known, too.
     frames = _read_frames(reader, mapped)
     lost = reader.decoding_counters
-    mapped = mapped.without(RecordKind.TRANSFORMS)
     labels = LabelMap(config.labels)
-    scans = ScanObjects(labels, frames)
-    calibration, drift = _calibrate(reader, mapped, config, InputRecords(config, labels, frames, scans), frames)
-    return PreparedLog(selection, mapped, copied, first_ns, last_ns, labels, frames, scans, calibration, drift, lost)
+    return PreparedLog(
+        selection,
+        mapped.without(RecordKind.TRANSFORMS),
+        copied,
+        first_ns,
+        last_ns,
+        labels,
+        frames,
+        ScanObjects(labels, frames),
+        CalibratedLog(config),
+        NO_DRIFT,
+        lost,
+    )
 
 
 def _copied_topics(reader: LogReader, selection: Selection, wanted: Collection[str]) -> frozenset[str]:
@@ -128,38 +169,16 @@ def _read_frames(reader: LogReader, selection: Selection) -> SensorFrames:
     return frames
 
 
-def _calibrate(
-    reader: LogReader, selection: Selection, config: Config, inputs: InputRecords, frames: SensorFrames
-) -> tuple[CalibratedLog, ClockDrift]:
-    """The settings for a log, of which those that were not given by hand are estimated from it, and how the clock of
-    its detections drifts.
+def _survey(reader: LogReader, log: PreparedLog, max_detections: int) -> tuple[SurveyedLog, LoggingDelays, ClockDrift]:
+    """The beginning of a log by clocks that are corrected for the drift that its log times show, how long after their
+    stamps messages were logged, and that drift.
     """
-    if not config.calibrate:
-        return CalibratedLog(config), NO_DRIFT
-    found, clocks = _survey(reader, selection, config, inputs, frames, NO_DRIFT)
-    drift = clocks.drift()
-    if drift.rate:
-        found, clocks = _survey(reader, selection, config, inputs, frames, drift)
-    return calibrate(config, found, clocks.delays()), drift
-
-
-def _survey(
-    reader: LogReader,
-    selection: Selection,
-    config: Config,
-    inputs: InputRecords,
-    frames: SensorFrames,
-    drift: ClockDrift,
-) -> tuple[Survey | None, StampClocks]:
-    clocks = StampClocks(drift)
-    items = reader.items(selection, again_follows=True)
-    records = inputs.prepare(record for item in items for record in clocks.follow(item))
-    with threadpool_limits(1, user_api="blas"):
-        found = survey(
-            records,
-            config.calibration.detection,
-            frames,
-            max_classes=config.calibration.objects.max_classes,
-            given=config.calibration.odometry.model_fields_set,
-        )
-    return found, clocks
+    inputs, drift = log.inputs(), NO_DRIFT
+    while True:
+        clocks = StampClocks(drift)
+        items = reader.items(log.mapped, again_follows=True)
+        records = inputs.prepare(record for item in items for record in clocks.follow(item))
+        with threadpool_limits(1, user_api="blas"):
+            surveyed = SurveyedLog.of(records, log.frames, max_detections=max_detections)
+        if drift.rate or not (drift := clocks.drift()).rate:
+            return surveyed, clocks.delays(), drift

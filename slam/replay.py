@@ -180,6 +180,7 @@ def _summarize(
         final_status=final.status.message,
         notes=(
             *prepared.calibration.notes,
+            *prepared.calibration.suspicions,
             *([str(prepared.drift)] if prepared.drift.rate else []),
             *map(str, drive.clocks.steps),
             *about_the_map,

@@ -23,6 +23,7 @@ from slam.assessment import assess
 from slam.backend.batch_solver import Optimization
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.solver_options import UPDATE_KEYFRAMES, FactorGraphConfig
+from slam.common.calibration import Calibration
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.display.snapshot import MapSnapshot, SnapshotSchedule, take_snapshot
@@ -58,15 +59,16 @@ class Slam:
         config: Config,
         prior_map: PriorMap | None = None,
         *,
+        calibration: Calibration | None = None,
         extend: bool = True,
         place_prior: PlacePrior | None = None,
         frames: SensorFrames | None = None,
     ) -> None:
         """``prior_map``: a map to localize in; ``extend``: update it instead of keeping it fixed; ``place_prior``:
-        where in it the robot starts.
-
+        where in it the robot starts; ``calibration``: of the robot, instead of that of ``config``;
         ``frames``: where the sensors sit, as far as it is known before the drive; transforms add to it.
         """
+        config = config if calibration is None else config.model_copy(update={"calibration": calibration})
         self._config = config = with_heights_of(config, prior_map)
         self.counters: Counter[str] = Counter()
         self._first_segment = 0 if prior_map is None else SEGMENT + 1

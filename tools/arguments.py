@@ -24,6 +24,15 @@ Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; wins over the file. Repeatable."),
 ]
+CalibrationFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--calibration",
+        metavar="ROBOT.toml",
+        help="The robot's calibration, as 'dslam calibrate' writes it; else it is estimated from the log.",
+        show_default=False,
+    ),
+]
 Topics = Annotated[
     list[str] | None,
     typer.Option(

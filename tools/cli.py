@@ -30,6 +30,7 @@ _COMMANDS = {
     "degrade": "degrade:degrade",
     "import": "import_logs:app",
     "info": "info:info",
+    "calibrate": "settings.calibrate:calibrate",
     "replay": "replay:replay",
     "relocalize": "relocalize:relocalize",
     "fleet": "fleet:fleet",
@@ -40,7 +41,7 @@ _COMMANDS = {
     "view": "results.view:view",
     "export": "results.export:export",
     "optimize": "optimize:optimize",
-    "config": "config:config",
+    "config": "settings.config:config",
     "train": "train:train",
     "benchmark": "lab.commands.app:app",
 }

@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools.arguments import ConfigFile, InputLog, Json, Picture, Settings, Topics, check_outputs, parse_topics
+from tools.arguments import (
+    CalibrationFile,
+    ConfigFile,
+    InputLog,
+    Json,
+    Picture,
+    Settings,
+    Topics,
+    check_outputs,
+    parse_topics,
+)
 
 if TYPE_CHECKING:
     from slam.localization.prior_map import PriorMap
@@ -30,6 +40,7 @@ def relocalize(
         ),
     ] = None,
     config_file: ConfigFile = None,
+    calibration: CalibrationFile = None,
     settings: Settings = None,
     topics: Topics = None,
     json: Json = False,
@@ -46,13 +57,13 @@ def relocalize(
     Example: dslam relocalize tuesday.mcap --map monday_map.mcap -o tuesday_found.mcap --near 120,-35,90,10
     """
     chosen, prior = parse_topics(topics), _parsed_prior(near)
-    check_outputs([output, picture], [source, config_file, map_log])
+    check_outputs([output, picture], [source, config_file, calibration, map_log])
     from slam.common.config import load_config
     from slam.localization.prior_map import load_prior_map
     from slam.replay import replay
     from tools import console
 
-    config = load_config(config_file, settings or ())
+    config = load_config(config_file, settings or (), calibration=calibration)
     known = load_prior_map(map_log)
     with console.progress_bar("looking", "optimising") as progress:
         summary = replay(

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools.arguments import ConfigFile, InputLog, Json, Picture, Settings, Topics, check_outputs, parse_topics
+from tools.arguments import (
+    CalibrationFile,
+    ConfigFile,
+    InputLog,
+    Json,
+    Picture,
+    Settings,
+    Topics,
+    check_outputs,
+    parse_topics,
+)
 
 if TYPE_CHECKING:
     from logs.messages import Record
@@ -33,6 +43,7 @@ def replay(
     source: InputLog,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.mcap", help="The log to write.")],
     config_file: ConfigFile = None,
+    calibration: CalibrationFile = None,
     settings: Settings = None,
     topics: Topics = None,
     map_log: Annotated[
@@ -58,13 +69,13 @@ def replay(
     Example: dslam replay drive.mcap -o map.mcap --set keyframe.distance_m=1.5
     """
     chosen = parse_topics(topics)
-    check_outputs([output, picture, save_map], [source, config_file, map_log])
+    check_outputs([output, picture, save_map], [source, config_file, calibration, map_log])
     from slam.common.config import load_config
     from slam.localization.prior_map import load_prior_map
     from slam.replay import replay as replay_log
     from tools import console
 
-    config = load_config(config_file, settings or ())
+    config = load_config(config_file, settings or (), calibration=calibration)
     show = _open_view(output) if view else None
     prior_map = load_prior_map(map_log) if map_log is not None else None
     with console.progress_bar("mapping", "optimising everything at once") as progress:
@@ -166,7 +177,7 @@ def rejected_by_odometry_note(count: int) -> str:
     """A large number means that the odometry drifts more than it is configured to."""
     if not count:
         return ""
-    return f"; {count} more rejected by the odometry penalty (odometry.yaw_sigma, translation_sigma)"
+    return f"; {count} more rejected by the odometry penalty (calibration.odometry.yaw_sigma, translation_sigma)"
 
 
 def _real_time_factor(summary: ReplaySummary) -> float | None:

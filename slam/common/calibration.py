@@ -169,6 +169,10 @@ class Calibration(Branch):
     odometry: OdometryCalibration = OdometryCalibration()
     detection: DetectionCalibration = DetectionCalibration()
     objects: ObjectCalibration = ObjectCalibration()
+    sigmas: dict[str, float] = Field(default={}, description="standard errors of estimated values, by their keys")
+    evidence: dict[str, float] = Field(
+        default={}, description="how much was surveyed: scans, detections, travel and tracked pairs of detections"
+    )
 
     @property
     def has_unique_objects(self) -> bool:
@@ -183,6 +187,16 @@ class Calibration(Branch):
             branches.setdefault(branch, {})[name] = value
         return self.model_copy(
             update={name: getattr(self, name).model_copy(update=update) for name, update in branches.items()}
+        )
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether nothing is left to be estimated: all values were given that must have one."""
+        branches = (self.odometry, self.detection, self.objects)
+        return all(
+            name in branch.model_fields_set or getattr(branch, name) is None
+            for branch in branches
+            for name in type(branch).model_fields
         )
 
     def is_given(self, key: str) -> bool:

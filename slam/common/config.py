@@ -156,10 +156,14 @@ class Config(Branch):
         return _LIMITS.scaled(self.memory_mb / _LIMITS.chunk_mb)
 
 
-def load_config(path: Path | None = None, overrides: Sequence[str] = ()) -> Config:
-    """The effective configuration: defaults, then the TOML file, then ``overrides`` like "keyframe.distance_m=1.5".
+def load_config(path: Path | None = None, overrides: Sequence[str] = (), *, calibration: Path | None = None) -> Config:
+    """The effective configuration: defaults, then the TOML file, then the file of a calibration that ``dslam
+    calibrate`` wrote, then ``overrides`` like "keyframe.distance_m=1.5".
 
     Raises:
         ConfigurationError: a file that cannot be read, an unknown key, or a value that is not allowed.
     """
-    return load_tree(Config, path, overrides)
+    if calibration is None:
+        return load_tree(Config, path, overrides)
+    load_tree(Calibration, calibration, ())  # its own errors name it
+    return load_tree(Config, path, overrides, {"calibration": calibration})

@@ -74,8 +74,11 @@ class Setting:
     meaning: str
 
 
-def load_tree(model: type[_Tree], path: Path | None, overrides: Sequence[str]) -> _Tree:
-    """The tree that defaults, then the TOML file ``path``, then ``overrides`` ("branch.key=value") make.
+def load_tree(
+    model: type[_Tree], path: Path | None, overrides: Sequence[str], branches: Mapping[str, Path] | None = None
+) -> _Tree:
+    """The tree that defaults, then the TOML file ``path``, then files of single ``branches``, by their names, then
+    ``overrides`` ("branch.key=value") make.
 
     Raises:
         ConfigurationError: a file that cannot be read, a key that does not exist (the nearest one is named, of a
@@ -83,6 +86,11 @@ def load_tree(model: type[_Tree], path: Path | None, overrides: Sequence[str]) -
     """
     try:
         data = {} if path is None else _read_toml(path)
+        for branch, file in (branches or {}).items():
+            within = data.setdefault(branch, {})
+            for key, value in _read_toml(file).items():
+                is_both = isinstance(value, dict) and isinstance(within.get(key), dict)
+                within[key] = within[key] | value if is_both else value
         flagged = set[str]()
         for text in overrides:
             key, value = _parse_override(text)

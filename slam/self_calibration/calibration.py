@@ -1,23 +1,23 @@
-"""Settings from a survey: lengths from the sensor range, noise from the variance components.
+"""The calibration of a robot from the survey of its logs.
 
-A setting that was given by hand stays as it is. Where the log tells too little, the noise is taken to be large: a prior
+A value that was given by hand stays as it is. Where the logs tell too little, the noise is taken to be large: a prior
 in units of the sensor range, not that of a good sensor.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from slam.common.calibration import DetectionCalibration, ObjectCalibration
+from slam.common.calibration import Calibration, DetectionCalibration, ObjectCalibration
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.object_map.submap import SUBMAP_RANGES
-from slam.self_calibration.label_noise import LabelNoise
-from slam.self_calibration.survey import NOTED_DETOUR, NOTED_SHARE, Survey
+from slam.self_calibration.survey import Survey
+from slam.self_calibration.surveyed_log import MAX_DETOUR
 from slam.self_calibration.variance_components import NoiseComponents
 
 PRIOR_NOISE = NoiseComponents(
@@ -37,11 +37,11 @@ PRIOR_NOISE = NoiseComponents(
 """Variances where a log tells nothing, lengths in sensor ranges: detections are off by 2 % of the range, the odometry
 by 5 % of it, and by 11 deg, after as much travel, and by 6 deg after turning by 1 rad.
 """
-LEAST_DRIFT, LEAST_TURN_RAD = 0.01, 0.005
+MIN_DRIFT, MIN_TURN_RAD = 0.01, 0.005
 """Detections cannot tell an odometry better than that: off by such a share of the sensor range after as much travel,
 and by so many radians. An estimate of zero only says that the noise is below what detections show.
 """
-LEAST_SIGMA = 1e-4
+MIN_SIGMA = 1e-4
 """Least noise of a position, in sensor ranges."""
 UNIQUE_SPACING = 1e3
 """Distance, in sensor ranges, between objects of a class of which no two share a scan."""
@@ -50,191 +50,116 @@ STAMPING_SCANS = 2.0
 between odometry and detections is a matter of how the odometry is stamped (of a step, its begin or its end), and the
 odometry is moved; beyond that, detections were old when they were stamped.
 """
-NOTED_FALSE = 0.5
-"""Share of the detections from which those that belong to no object are noted."""
-FEW_SCANS = 5.0
+MAX_FALSE = 0.5
+"""Share of the detections from which those that belong to no object are reported."""
+MIN_SCANS = 5.0
 """While an object comes from the median range to the body it should be seen so often."""
+CLAIMED_FACTOR = 4.0
+"""Variances that messages claim are right within that factor."""
 NO_DELAYS = LoggingDelays()
-TURNS = ("roll_deg", "pitch_deg", "yaw_deg")
-DEFAULT_RANGE_M = float(DetectionCalibration.model_fields["sensor_range_m"].get_default())
-MOST_SCALE = 1e30
+DEFAULT_RANGE_M = float(DetectionCalibration().sensor_range_m)
+MAX_SCALE = 1e30
 """Lengths so many times the usual ones, or a part of them as small, are beyond float64 in their powers."""
+_MEANINGS = {
+    "odometry.time_offset_s": "odometry messages are {:+.3f} s off their stamps",
+    "detection.time_offset_s": "detections are {:+.3f} s off their stamps",
+    "odometry.turn_scale": "the turns of the odometry are to be multiplied by {:.3f}",
+    "odometry.sources": "{:.0f} sources publish on the topic of the odometry: that of the first message is used",
+    "detection.roll_deg": "detections are to be turned by a roll of {:.1f} deg: check the frames",
+    "detection.pitch_deg": "detections are to be turned by a pitch of {:.1f} deg: check the frames",
+    "detection.yaw_deg": "detections are to be turned by a yaw of {:.1f} deg: check the frames",
+    "detection.assume_body_frame": "detections are in the frame of the body, not in the one that they name",
+    "detection.assume_odometry_frame": "detections are in the frame of the odometry, not in the one that they name",
+    "detection.claimed_sigma_factor": "detections scatter {:.2g} times as much as their covariances say",
+    "objects.max_classes": "labels of one object seem drawn at random, or all change at once: they are ignored",
+}
+"""What a correction says, for people."""
+_SUSPICIONS = {
+    "roll_rad": "a sensor that rolls by {:.3f} rad",
+    "pitch_rad": "a sensor that pitches by {:.3f} rad",
+    "yaw_rad": "a sensor that is turned by {:.3f} rad",
+    "length_share": "lengths of the odometry that are too short by a share of {:.3f}, or ranges of detections that "
+    "are too long (give calibration.odometry.length_scale or calibration.detection.range_scale),",
+    "turn_share": "turns of the odometry that are too small by a share of {:.3f}",
+}
 
 
 @dataclass(frozen=True, slots=True)
 class CalibratedLog:
-    """``config``: the effective configuration; ``estimated``: the settings that the log decided, with their values;
-    ``notes``: what that says of the log, for people.
+    """``config``: the effective configuration; ``estimated``: the values of the calibration, by their keys, that the
+    log decided; ``notes``: its corrections and faults, for people; ``suspicions``: corrections that were not made.
     """
 
     config: Config
     estimated: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    suspicions: tuple[str, ...] = ()
 
 
 def calibrate(config: Config, survey: Survey | None, delays: LoggingDelays = NO_DELAYS) -> CalibratedLog:
-    """The configuration for a log: settings that were not given by hand are derived from its survey.
+    """The configuration for a log: what was not given of its calibration is derived from its survey.
 
     ``delays``: how long after their stamps messages were logged, which tells whose stamps are wrong.
     """
     if survey is None:
         return CalibratedLog(config, notes=("no detection lies on the odometry: nothing was estimated from the log",))
-    values = _lengths(config, survey) | _noise(config, survey) | _corrections(survey, delays)
+    corrections = _corrections(survey, delays)
+    values = _lengths(config, survey) | _noise(config, survey) | _objects(survey) | corrections
     estimated = {key: value for key, value in values.items() if not config.calibration.is_given(key)}
-    return CalibratedLog(config.calibrated(estimated), estimated, _notes(config, survey, estimated))
+    sigmas, evidence = _sigmas(survey, estimated), _evidence(survey)
+    calibration = config.calibrated(estimated).calibration.model_copy(update={"sigmas": sigmas, "evidence": evidence})
+    return CalibratedLog(
+        config.model_copy(update={"calibration": calibration}),
+        estimated,
+        tuple(_notes(survey, {key: value for key, value in corrections.items() if key in estimated})),
+        tuple(_suspicions(survey)),
+    )
+
+
+def _corrections(survey: Survey, delays: LoggingDelays) -> dict[str, float]:
+    values = {"odometry.time_offset_s": 0.0, "detection.time_offset_s": 0.0, **survey.corrected}
+    blames_detections = delays.blame_detections(survey.delay_s)
+    if blames_detections is None:
+        blames_detections = abs(survey.delay_s) > STAMPING_SCANS * survey.interval_s
+    if blames_detections:
+        values["detection.time_offset_s"] = survey.delay_s
+    else:
+        values["odometry.time_offset_s"] = -survey.delay_s
+    if not 1.0 / CLAIMED_FACTOR < survey.claimed_ratio < CLAIMED_FACTOR and np.isfinite(survey.claimed_ratio):
+        values["detection.claimed_sigma_factor"] = float(np.sqrt(survey.claimed_ratio))
+    if survey.labels.is_useless:
+        values["objects.max_classes"] = 1
+    return values
 
 
 def _sensor_range_m(config: Config, survey: Survey) -> float:
-    if config.calibration.is_given("detection.sensor_range_m"):
-        return config.sensor_range_m
-    # The range is a coarse yardstick: what is of one size, like all cars, is to be treated alike.
-    return float(DEFAULT_RANGE_M * 2.0 ** np.round(np.log2(survey.range_m / DEFAULT_RANGE_M)))
+    given = config.calibration.is_given("detection.sensor_range_m")
+    return config.sensor_range_m if given else survey.range_m
 
 
 def _lengths(config: Config, survey: Survey) -> dict[str, float]:
     range_m = _sensor_range_m(config, survey)
     scale = range_m / DEFAULT_RANGE_M
-    if not 1.0 / MOST_SCALE < scale < MOST_SCALE:
+    if not 1.0 / MAX_SCALE < scale < MAX_SCALE:
         raise InputDataError(f"objects are seen at {survey.range_m:.3g} m; give their positions in metres")
-    usual = ObjectCalibration().new_object_density * scale**-3
+    # Too few tracks do not tell false detections from others.
+    false = survey.clutter.per_m3 if survey.components is not None else 0.0
     return {
         "detection.sensor_range_m": range_m,
         "detection.farthest_m": survey.max_range_m,
-        "objects.new_object_density": max(usual, _false_density(survey)),
+        "objects.new_object_density": max(ObjectCalibration().new_object_density * scale**-3, false),
         "objects.spacing_m": survey.spacing_m if np.isfinite(survey.spacing_m) else UNIQUE_SPACING * range_m,
     }
 
 
-def _false_density(survey: Survey) -> float:
-    """Density of false detections [1/m^3]; 0 where too few objects could be tracked to tell them from others."""
-    return survey.clutter.per_m3 if survey.components is not None else 0.0
-
-
-def _notes(config: Config, survey: Survey, estimated: Mapping[str, float]) -> tuple[str, ...]:
-    """What a user should know of the log: its faults, whether mended or not."""
-    errors, notes = survey.errors, list[str]()
-    for key, what in (("odometry.time_offset_s", "odometry"), ("detection.time_offset_s", "detection")):
-        if offset_s := estimated.get(key, 0.0):
-            age = "older" if offset_s < 0 else "newer"
-            notes.append(f"{what} messages seem {abs(offset_s):.3f} s {age} than their stamps say: corrected ({key})")
-    if survey.lacks_heading:
-        notes.append(
-            "the odometry's heading never changes, and objects do not stand still by it: it seems to hold positions "
-            "only; record its orientations"
-        )
-    if survey.assumed_frame is not None:
-        of = "body" if survey.assumed_frame == "assume_body_frame" else "odometry"
-        notes.append(
-            f"objects stand still if detections are in the frame of the {of}, and not in the one that their messages "
-            f"name: taken to be (detection.{survey.assumed_frame}); check frame_id"
-        )
-    if any(survey.turned_deg) and not any(config.calibration.is_given(f"detection.{name}") for name in TURNS):
-        roll, pitch, yaw = survey.turned_deg
-        notes.append(
-            f"the sensor seems turned by roll {roll:.0f}, pitch {pitch:.0f}, yaw {yaw:.0f} deg against its transform, "
-            "or the odometry is mirrored: detections are turned (detection.roll_deg, pitch_deg, yaw_deg); check the "
-            "frames"
-        )
-    if (scale := estimated.get("odometry.turn_scale", 1.0)) != 1.0:
-        notes.append(
-            f"the odometry's turns seem {100 * abs(1.0 - 1.0 / scale):.0f} % too "
-            f"{'small' if scale > 1.0 else 'large'}: corrected (odometry.turn_scale); check its calibration"
-        )
-    if (scale := estimated.get("odometry.length_scale", 1.0)) != 1.0:
-        short, long = ("short", "long") if scale > 1.0 else ("long", "short")
-        notes.append(
-            f"the odometry's lengths seem {100 * abs(1.0 - 1.0 / scale):.0f} % too {short}: corrected "
-            f"(odometry.length_scale); or the ranges of detections are too {long}: then say "
-            "--set calibration.odometry.length_scale=1 "
-            f"--set calibration.detection.range_scale={1.0 / scale:.3g}"
-        )
-    elif abs(errors.length_share) > NOTED_SHARE:
-        notes.append(
-            f"the odometry's lengths seem {100 * abs(errors.length_share):.0f} % too "
-            f"{'short' if errors.length_share > 0 else 'long'}, or the ranges of detections too "
-            f"{'long' if errors.length_share > 0 else 'short'}: not corrected; check the calibration of both"
-        )
-    if survey.detour > NOTED_DETOUR:
-        notes.append(
-            f"the odometry steps back and forth: its path is {survey.detour:.1f} times as long as that of every second "
-            f"message; {_about_sources(survey.sources)}"
-        )
-    if survey.clutter.share > NOTED_FALSE and survey.components is not None:
-        notes.append(
-            f"{survey.clutter.per_scan:.0f} of {survey.objects:.0f} detections a scan are never seen again: they seem "
-            "false; leave out doubtful ones (detection.min_score) or check the detector"
-        )
-    scan_m = survey.travel_m / survey.scans
-    if scan_m * FEW_SCANS > survey.median_range_m:
-        notes.append(
-            f"only one scan in {scan_m:.1f} m of travel, where objects are {survey.median_range_m:.0f} m away: few "
-            "errors average out; record more scans a second"
-        )
-    if np.isfinite(survey.claimed_ratio) and not 0.25 < survey.claimed_ratio < 4.0:
-        notes.append(
-            f"detections scatter {np.sqrt(survey.claimed_ratio):.2g} times as much as their covariances say: scaled "
-            "(detection.claimed_sigma_factor)"
-        )
-    if survey.labels.renamed_ns is not None:
-        notes.append(
-            f"all labels change at {survey.labels.renamed_ns * 1e-9:.3f} s: classes seem to have other names from then "
-            "on; labels are ignored (objects.max_classes = 1)"
-        )
-    elif survey.labels.is_useless:
-        notes.append("labels of one object seem drawn at random: they are ignored (objects.max_classes = 1)")
-    if survey.components is not None and survey.components.repeated > 1:
-        notes.append(
-            f"detections repeat their errors over {survey.components.repeated} scans or more: their variance is taken "
-            "to be larger by as much"
-        )
-    if survey.components is None:
-        notes.append("too few objects could be tracked to estimate noise: it is taken to be large")
-    return tuple(notes)
-
-
-def _about_sources(sources: int) -> str:
-    if sources == 1:
-        return "do two sources publish on its topic?"
-    return "two sources publish on its topic, and that of the first message is used (odometry.sources)"
-
-
-def _corrections(survey: Survey, delays: LoggingDelays) -> dict[str, float]:
-    errors = survey.errors
-    blames_detections = delays.blame_detections(errors.delay_s)
-    of_odometry = abs(errors.delay_s) <= STAMPING_SCANS * survey.interval_s
-    if blames_detections is not None:
-        of_odometry = not blames_detections
-    return {
-        "odometry.time_offset_s": -errors.delay_s if of_odometry else 0.0,
-        "detection.time_offset_s": 0.0 if of_odometry else errors.delay_s,
-        "detection.claimed_sigma_factor": _claimed_factor(survey),
-        **_detectability(survey),
-        **({f"detection.{survey.assumed_frame}": True} if survey.assumed_frame else {}),
-        **({"odometry.length_scale": survey.length_scale} if survey.length_scale != 1.0 else {}),
-        **({"odometry.turn_scale": survey.turn_scale} if survey.turn_scale != 1.0 else {}),
-        **({"odometry.sources": survey.sources} if survey.sources > 1 else {}),
-        **_label_settings(survey.labels),
-        **{f"detection.{name}": angle for name, angle in zip(TURNS, survey.turned_deg, strict=True) if angle},
-    }
-
-
-def _detectability(survey: Survey) -> dict[str, float]:
-    found = survey.detectability
-    share: dict[str, float] = {"objects.detection_probability": found.share} if np.isfinite(found.share) else {}
-    return share | ({"objects.detection_period": found.period} if found.period > 1 else {})
-
-
-def _label_settings(labels: LabelNoise) -> dict[str, float]:
-    if labels.is_useless:
-        return {"objects.max_classes": 1}
-    return {"objects.label_accuracy": labels.accuracy} if np.isfinite(labels.accuracy) else {}
-
-
-def _claimed_factor(survey: Survey) -> float:
-    """Factor on the standard deviations that messages claim; 1 where they are about right."""
-    if not np.isfinite(survey.claimed_ratio) or 0.25 < survey.claimed_ratio < 4.0:
-        return 1.0
-    return float(np.sqrt(survey.claimed_ratio))
+def _objects(survey: Survey) -> dict[str, float]:
+    found, labels = survey.detectability, survey.labels
+    values: dict[str, float] = {}
+    if np.isfinite(found.share):
+        values = {"objects.detection_probability": found.share, "objects.detection_period": found.period}
+    if np.isfinite(labels.accuracy) and not labels.is_useless:
+        values["objects.label_accuracy"] = labels.accuracy
+    return values
 
 
 def _noise(config: Config, survey: Survey) -> dict[str, float]:
@@ -245,17 +170,16 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
     repeated = 1 if survey.components is None else survey.components.repeated
     white, by_range, ratio = _sight_noise(config, survey, found)
     white, by_range = repeated * white, repeated * by_range
-    submap_m = SUBMAP_RANGES * _sensor_range_m(config, survey)
-    between_passes = found.view + 0.5 * submap_m * found.translation_by_travel
-    floor_m = LEAST_SIGMA * survey.range_m
+    lengths = config.calibrated(_lengths(config, survey))
+    between_passes = found.view + 0.5 * SUBMAP_RANGES * lengths.sensor_range_m * found.translation_by_travel
+    floor_m = MIN_SIGMA * survey.range_m
     scan_m = survey.travel_m / survey.scans
-    keyframe_m = config.calibrated(_lengths(config, survey)).keyframe_distance_m
     return {
         "odometry.translation_sigma": max(
-            np.sqrt(drift * found.translation_by_travel), LEAST_DRIFT * np.sqrt(survey.range_m)
+            np.sqrt(drift * found.translation_by_travel), MIN_DRIFT * np.sqrt(survey.range_m)
         ),
         "odometry.translation_sigma_by_time": np.sqrt(drift * found.translation_by_time),
-        "odometry.yaw_sigma": max(np.sqrt(turn * found.heading_by_travel), LEAST_TURN_RAD / np.sqrt(survey.range_m)),
+        "odometry.yaw_sigma": max(np.sqrt(turn * found.heading_by_travel), MIN_TURN_RAD / np.sqrt(survey.range_m)),
         "odometry.yaw_sigma_by_turn": np.sqrt(turn * found.heading_by_turn),
         "odometry.yaw_sigma_by_time": np.sqrt(turn * found.heading_by_time),
         "odometry.min_translation_sigma_m": floor_m,
@@ -265,7 +189,9 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         "detection.common_sigma_m": np.sqrt(found.view),
         "detection.height_sigma_m": _height_sigma(survey, white + by_range * survey.median_range_m**2),
         # Errors stay the same while the viewing direction changes by 1 rad.
-        "detection.covariance_inflation": max(objects * survey.median_range_m / max(keyframe_m, scan_m), 1.0),
+        "detection.covariance_inflation": max(
+            objects * survey.median_range_m / max(lengths.keyframe_distance_m, scan_m), 1.0
+        ),
         "detection.scans_per_view": max(objects * survey.median_range_m / max(scan_m, 1e-9), 1.0),
         "objects.landmark_sigma_m": max(np.sqrt(between_passes), floor_m),
         "objects.landmark_height_sigma_m": np.sqrt(survey.heights.own + 2.0 * survey.heights.common),
@@ -279,10 +205,10 @@ def _sight_noise(config: Config, survey: Survey, found: NoiseComponents) -> tupl
     if any(config.calibration.is_given(f"detection.{name}") for name in ("base_sigma_m", "sigma_per_m")):
         white, by_range = found.radial + found.tangential, found.radial_by_range + found.tangential_by_range
         return 0.5 * white, 0.5 * by_range, 1.0
-    square_m, least = survey.median_range_m**2, (LEAST_SIGMA * survey.range_m) ** 2
+    square_m, least = survey.median_range_m**2, (MIN_SIGMA * survey.range_m) ** 2
     across = max(found.tangential + found.tangential_by_range * square_m, least)
     along = max(found.radial + found.radial_by_range * square_m, least)
-    return found.tangential, found.tangential_by_range, min(float(np.sqrt(along / across)), 1.0 / LEAST_SIGMA)
+    return found.tangential, found.tangential_by_range, min(float(np.sqrt(along / across)), 1.0 / MIN_SIGMA)
 
 
 def _height_sigma(survey: Survey, horizontal: float) -> float:
@@ -319,23 +245,81 @@ def _objects_that_err_alike(survey: Survey, view: float) -> float:
 
 def _components(survey: Survey) -> NoiseComponents:
     estimate = survey.components
-    if estimate is None:
-        square = survey.range_m**2
-        prior = PRIOR_NOISE
-        return NoiseComponents(
-            radial=prior.radial * square,
-            radial_by_range=0.0,
-            tangential=prior.tangential * square,
-            tangential_by_range=0.0,
-            view=prior.view * square,
-            jitter=0.0,
-            translation_by_travel=prior.translation_by_travel * survey.range_m,
-            translation_by_time=0.0,
-            heading_jitter=0.0,
-            heading_by_travel=prior.heading_by_travel / survey.range_m,
-            heading_by_turn=prior.heading_by_turn,
-            heading_by_time=0.0,
+    if estimate is not None:
+        found, errors = estimate.variances, estimate.standard_errors
+        names = NoiseComponents.__dataclass_fields__
+        return NoiseComponents(**{name: getattr(found, name) + getattr(errors, name) for name in names})
+    prior, square = PRIOR_NOISE, survey.range_m**2
+    return replace(
+        prior,
+        radial=prior.radial * square,
+        tangential=prior.tangential * square,
+        view=prior.view * square,
+        translation_by_travel=prior.translation_by_travel * survey.range_m,
+        heading_by_travel=prior.heading_by_travel / survey.range_m,
+    )
+
+
+def _sigmas(survey: Survey, estimated: Mapping[str, float]) -> dict[str, float]:
+    """Standard errors of noise: of a square root, half that of its square by its value."""
+    names = {
+        "odometry.translation_sigma": "translation_by_travel",
+        "odometry.yaw_sigma": "heading_by_travel",
+        "odometry.yaw_sigma_by_turn": "heading_by_turn",
+        "detection.base_sigma_m": "tangential",
+        "detection.common_sigma_m": "view",
+    }
+    if survey.components is None:
+        return {}
+    errors = survey.components.standard_errors
+    return {
+        key: float(0.5 * getattr(errors, name) / estimated[key])
+        for key, name in names.items()
+        if estimated.get(key, 0.0) > 0.0
+    }
+
+
+def _evidence(survey: Survey) -> dict[str, float]:
+    pairs = 0 if survey.components is None else survey.components.pairs
+    return {"scans": survey.scans, "detections": survey.detections, "travel_m": survey.travel_m, "pairs": pairs}
+
+
+def _notes(survey: Survey, corrections: Mapping[str, float]) -> Iterator[str]:
+    """What a user should know of the log: its faults, whether corrected or not."""
+    for key, meaning in _MEANINGS.items():
+        branch, _, name = key.partition(".")
+        if corrections.get(key, usual := getattr(getattr(Calibration(), branch), name)) != usual:
+            yield f"{meaning.format(corrections[key])}: corrected ({key})"
+    if survey.lacks_heading:
+        yield (
+            "the odometry's heading never changes, and objects do not stand still by it: it seems to hold positions "
+            "only; record its orientations"
         )
-    found, errors = estimate.variances, estimate.standard_errors
-    names = NoiseComponents.__dataclass_fields__
-    return NoiseComponents(**{name: getattr(found, name) + getattr(errors, name) for name in names})
+    if survey.detour > MAX_DETOUR and "odometry.sources" not in corrections:
+        yield (
+            f"the odometry steps back and forth: its path is {survey.detour:.1f} times as long as that of every second "
+            "message; do two sources publish on its topic?"
+        )
+    if survey.clutter.share > MAX_FALSE and survey.components is not None:
+        yield (
+            f"{survey.clutter.per_scan:.0f} of {survey.objects:.0f} detections a scan are never seen again: they seem "
+            "false; leave out doubtful ones (detection.min_score) or check the detector"
+        )
+    scan_m = survey.travel_m / survey.scans
+    if scan_m * MIN_SCANS > survey.median_range_m:
+        yield (
+            f"only one scan in {scan_m:.1f} m of travel, where objects are {survey.median_range_m:.0f} m away: few "
+            "errors average out; record more scans a second"
+        )
+    if survey.components is not None and survey.components.repeated > 1:
+        yield f"detections repeat their errors over {survey.components.repeated} scans or more: their noise is larger"
+    if survey.components is None:
+        yield "too few objects could be tracked to estimate noise: it is taken to be large"
+
+
+def _suspicions(survey: Survey) -> Iterator[str]:
+    for each in survey.suspected:
+        yield (
+            f"{_SUSPICIONS[each.term].format(each.value)} would fit the log, but no better than other explanations of "
+            "what is held out: nothing is changed"
+        )

@@ -11,10 +11,10 @@ from slam.common.calibration import Calibration, OdometryCalibration
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.frontend.input.stamp_clocks import LoggingDelays
-from slam.self_calibration.calibration import LEAST_DRIFT, LEAST_TURN_RAD, calibrate
+from slam.self_calibration.calibration import MIN_DRIFT, MIN_TURN_RAD, calibrate
 from slam.self_calibration.clutter import Clutter
+from slam.self_calibration.corrections import Correction
 from slam.self_calibration.height_noise import HeightNoise
-from slam.self_calibration.input_errors import InputErrors
 from slam.self_calibration.label_noise import LabelNoise
 from slam.self_calibration.object_tracks import Detectability
 from slam.self_calibration.survey import Survey, summarize
@@ -28,7 +28,7 @@ def settings() -> dict[str, str]:
     """Description of each setting by its name, "branch.setting"."""
     return {
         f"{branch}.{name}": field.description or ""
-        for branch in Calibration.model_fields
+        for branch in ("odometry", "detection", "objects")
         for name, field in type(getattr(Calibration(), branch)).model_fields.items()
     }
 
@@ -176,8 +176,8 @@ def test_an_estimate_of_zero_leaves_a_least_heading_noise(surveyed):
     zero = NoiseComponents(**dict.fromkeys(NoiseComponents.__dataclass_fields__, 0.0))
     silent = replace(surveyed, shared_bias_m=0.0, components=ComponentEstimate(zero, zero, 1000))
     found = calibrate(Config(), silent).config.calibration.odometry
-    assert found.yaw_sigma * np.sqrt(surveyed.range_m) == pytest.approx(LEAST_TURN_RAD)
-    assert found.translation_sigma * np.sqrt(surveyed.range_m) == pytest.approx(LEAST_DRIFT * surveyed.range_m)
+    assert found.yaw_sigma * np.sqrt(surveyed.range_m) == pytest.approx(MIN_TURN_RAD)
+    assert found.translation_sigma * np.sqrt(surveyed.range_m) == pytest.approx(MIN_DRIFT * surveyed.range_m)
 
 
 def test_heights_that_vary_in_common_are_not_averaged_out_by_many_objects(surveyed):
@@ -209,19 +209,19 @@ def test_a_robot_that_stands_still_has_finite_settings(surveyed, change):
     (0.05, -0.05, 0.0), (-0.2, 0.2, 0.0), (0.21, 0.0, 0.21), (-0.5, 0.0, -0.5),
 ])  # fmt: skip
 def test_a_delay_of_up_to_two_scans_is_one_of_the_odometry(surveyed, delay_s, of_odometry, of_detections):
-    late = replace(surveyed, errors=InputErrors(delay_s=delay_s), interval_s=0.1)
+    late = replace(surveyed, delay_s=delay_s, interval_s=0.1)
     calibration = calibrate(Config(), late)
     assert calibration.config.calibration.odometry.time_offset_s == of_odometry
     assert calibration.config.calibration.detection.time_offset_s == of_detections
-    (note,) = (note for note in calibration.notes if "messages seem" in note)
-    assert ("older" in note) == ((of_odometry or of_detections) < 0.0)
+    (note,) = (note for note in calibration.notes if "off their stamps" in note)
+    assert f"{of_odometry or of_detections:+.3f} s" in note
 
 
 @pytest.mark.parametrize(("delays", "of_odometry", "of_detections"), [
     (LoggingDelays(0.0, -0.1), 0.0, -0.1), (LoggingDelays(0.2, 0.1), 0.1, 0.0),
 ])  # fmt: skip
 def test_log_times_tell_whose_stamps_are_wrong(surveyed, delays, of_odometry, of_detections):
-    late = replace(surveyed, errors=InputErrors(delay_s=-0.1), interval_s=0.1)
+    late = replace(surveyed, delay_s=-0.1, interval_s=0.1)
     calibration = calibrate(Config(), late, delays)
     assert calibration.config.calibration.odometry.time_offset_s == of_odometry
     assert calibration.config.calibration.detection.time_offset_s == of_detections
@@ -233,44 +233,27 @@ def test_log_times_tell_whose_stamps_are_wrong(surveyed, delays, of_odometry, of
 def test_covariances_that_are_far_off_are_scaled(surveyed, ratio, factor):
     calibration = calibrate(Config(), replace(surveyed, claimed_ratio=ratio))
     assert calibration.config.calibration.detection.claimed_sigma_factor == pytest.approx(factor)
-    assert any("scaled" in note for note in calibration.notes) == (factor != 1.0)
+    assert any("scatter" in note for note in calibration.notes) == (factor != 1.0)
 
 
-def test_wrong_turns_lengths_and_sensors_are_corrected_and_told(surveyed):
-    wrong = replace(surveyed, turn_scale=1.25, length_scale=0.8, turned_deg=(180.0, 0.0, 0.0))
+def test_what_was_corrected_is_told_and_what_was_given_stays(surveyed):
+    wrong = replace(surveyed, corrected={"odometry.turn_scale": 1.25, "detection.roll_deg": 180.0})
     calibration = calibrate(Config(), wrong)
-    notes = " ".join(calibration.notes)
-    for told in (
-        "turns seem 20 % too small: corrected",
-        "lengths seem 25 % too long: corrected (odometry.length_scale); or the ranges of detections are too short: "
-        "then say --set calibration.odometry.length_scale=1 --set calibration.detection.range_scale=1.25",
-        "turned by roll 180, pitch 0, yaw 0 deg",
-    ):
-        assert told in notes
-    assert (
-        calibration.config.calibration.odometry.turn_scale,
-        calibration.config.calibration.odometry.length_scale,
-    ) == (1.25, 0.8)
-    by_hand = calibrate(
-        Config(calibration=Calibration(odometry=OdometryCalibration(turn_scale=1.0, length_scale=1.0))), wrong
-    )
-    assert (by_hand.config.calibration.odometry.turn_scale, by_hand.config.calibration.odometry.length_scale) == (
-        1.0,
-        1.0,
-    )
+    for told in ("turns of the odometry are to be multiplied by 1.250: corrected", "turned by a roll of 180.0 deg"):
+        assert told in " ".join(calibration.notes)
+    assert calibration.config.calibration.odometry.turn_scale == 1.25
+    by_hand = calibrate(Config(calibration=Calibration(odometry=OdometryCalibration(turn_scale=1.0))), wrong)
+    assert by_hand.config.calibration.odometry.turn_scale == 1.0
     assert "turns" not in " ".join(by_hand.notes)
-    right = replace(surveyed, errors=InputErrors(turn_share=0.02, length_share=0.02))
-    notes = " ".join(calibrate(Config(), right).notes)
-    assert "turn" not in notes
-    assert "lengths" not in notes
+    assert calibrate(Config(), surveyed).notes == ()
 
 
-def test_lengths_that_no_calibration_explains_are_told_and_not_corrected(surveyed):
-    calibration = calibrate(Config(), replace(surveyed, errors=InputErrors(length_share=-0.9)))
-    assert "lengths seem 90 % too long, or the ranges of detections too short: not corrected" in " ".join(
-        calibration.notes
-    )
-    assert calibration.config.calibration.odometry.length_scale == 1.0
+def test_suspicions_are_told_and_change_nothing(surveyed):
+    wrong = replace(surveyed, suspected=(Correction("length_share", -0.09, 0.001, 0.5, is_sure=True),))
+    suspicious, right = (calibrate(Config(), each) for each in (wrong, surveyed))
+    assert "too short by a share of -0.090, or ranges of detections that are too long" in suspicious.suspicions[0]
+    assert suspicious.config == right.config
+    assert right.suspicions == ()
 
 
 def test_the_accuracy_of_labels_is_that_of_the_log(surveyed):
@@ -280,7 +263,7 @@ def test_the_accuracy_of_labels_is_that_of_the_log(surveyed):
 
 
 @pytest.mark.parametrize(
-    ("labels", "told"), [(LabelNoise(0.1), "drawn at random"), (LabelNoise(0.9, 1_500_000_000), "change at 1.500 s")]
+    ("labels", "told"), [(LabelNoise(0.1), "drawn at random"), (LabelNoise(0.9, 1_500_000_000), "all change at once")]
 )
 def test_labels_that_say_nothing_are_ignored_and_told(surveyed, labels, told):
     calibration = calibrate(Config(), replace(surveyed, labels=labels))
@@ -325,7 +308,7 @@ def test_scans_that_are_rarer_than_keyframes_are_counted_by_themselves(surveyed)
 
 def test_of_two_sources_of_odometry_one_is_used(surveyed):
     assert calibrate(Config(), surveyed).config.calibration.odometry.sources == 1
-    calibration = calibrate(Config(), replace(surveyed, detour=3.0, sources=2))
+    calibration = calibrate(Config(), replace(surveyed, detour=3.0, corrected={"odometry.sources": 2}))
     assert calibration.config.calibration.odometry.sources == 2
     assert any("that of the first message is used" in note for note in calibration.notes)
 
@@ -354,9 +337,9 @@ def test_how_often_an_object_is_detected_is_that_of_the_log(surveyed, period, de
 
 @pytest.mark.parametrize(("name", "of"), [("assume_odometry_frame", "odometry"), ("assume_body_frame", "body")])
 def test_detections_in_another_frame_than_they_say_are_taken_from_it_and_told(surveyed, name, of):
-    calibration = calibrate(Config(), replace(surveyed, assumed_frame=name))
+    calibration = calibrate(Config(), replace(surveyed, corrected={f"detection.{name}": True}))
     assert getattr(calibration.config.calibration.detection, name) is True
-    assert f"objects stand still if detections are in the frame of the {of}" in " ".join(calibration.notes)
+    assert f"detections are in the frame of the {of}" in " ".join(calibration.notes)
 
 
 def test_odometry_without_orientations_is_told(surveyed):

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from logs.messages import ObjectDetections, Odometry, Record
-from slam.common.calibration import DetectionCalibration
+from slam.common.calibration import Calibration, DetectionCalibration
 from slam.common.geometry import apply, invert
-from slam.self_calibration.detection_frame import agree, better_frame
+from slam.self_calibration.frames import agree, better_frame
 from slam.self_calibration.object_tracks import SurveyScan
-from slam.self_calibration.survey import survey
+from slam.self_calibration.survey import Survey, survey
+from slam.self_calibration.surveyed_log import SurveyedLog
 from tests.helpers.surveyed_drives import SurveyedDrive
 
 NOISE = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}
@@ -37,33 +38,42 @@ def records(scans: list[SurveyScan], frame: str) -> list[Record]:
     return found
 
 
+def surveyed(scans: list[SurveyScan], frame: str, detection: DetectionCalibration | None = None) -> Survey:
+    given = Calibration() if detection is None else Calibration(detection=detection)
+    found = survey([SurveyedLog.of(records(scans, frame))], given)
+    assert found is not None
+    return found
+
+
+def angles_deg(found: Survey) -> list[float]:
+    return [found.corrected.get(f"detection.{name}_deg", 0.0) for name in ("roll", "pitch", "yaw")]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("is_fixed", [False, True])
 @pytest.mark.parametrize("frame", ["odom", "base_link"])
 def test_the_frame_in_which_objects_stand_still_is_found_whatever_messages_say(drive, is_fixed, frame):
     scans = fixed(drive.scans) if is_fixed else drive.scans
-    found = survey(records(scans, frame), DetectionCalibration())
+    found = surveyed(scans, frame)
     right = "odom" if is_fixed else "base_link"
     setting = "assume_odometry_frame" if is_fixed else "assume_body_frame"
-    assert found.assumed_frame == (None if frame == right else setting)
+    assert found.corrected == ({} if frame == right else {f"detection.{setting}": True})
     assert found.max_range_m < 1.1 * drive.range_m
-    assert found.turned_deg == (0.0, 0.0, 0.0)
 
 
 def test_a_frame_that_was_set_by_hand_is_kept(drive):
     by_hand = DetectionCalibration(assume_body_frame=True)
-    found = survey(records(fixed(drive.scans), "base_link"), by_hand)
-    assert found.assumed_frame is None
+    found = surveyed(fixed(drive.scans), "base_link", by_hand)
+    assert "detection.assume_odometry_frame" not in found.corrected
     assert found.max_range_m > 2.0 * drive.range_m
 
 
 @pytest.mark.slow
 def test_a_sensor_that_looks_backwards_is_on_the_body(drive):
     backwards = np.diag([-1.0, -1.0, 1.0])
-    found = survey(records([replace(each, positions=each.positions @ backwards) for each in drive.scans], "base_link"),
-                   DetectionCalibration())  # fmt: skip
-    assert found.assumed_frame is None
-    assert np.abs(found.turned_deg) == pytest.approx([0.0, 0.0, 180.0], abs=1.0)
+    found = surveyed([replace(each, positions=each.positions @ backwards) for each in drive.scans], "base_link")
+    assert "detection.assume_body_frame" not in found.corrected
+    assert np.abs(angles_deg(found)) == pytest.approx([0.0, 0.0, 180.0], abs=1.0)
 
 
 def test_odometry_that_trembles_while_the_robot_stands_tells_no_frame(drive):
@@ -90,5 +100,5 @@ def test_odometry_without_orientations_is_found_by_the_objects_that_do_not_stand
     scans = [replace(scan, T_odom_body=np.eye(4)) for scan in drive.scans]
     for scan, known in zip(scans, drive.scans, strict=True):
         scan.T_odom_body[:3, 3] = known.T_odom_body[:3, 3]
-    assert survey(records(scans, "base_link"), DetectionCalibration()).lacks_heading == turns
-    assert not survey(records(drive.scans, "base_link"), DetectionCalibration()).lacks_heading
+    assert surveyed(scans, "base_link").lacks_heading == turns
+    assert not surveyed(drive.scans, "base_link").lacks_heading

@@ -9,16 +9,23 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from logs.messages import ObjectDetections, Odometry, Record, Transform
-from slam.common.calibration import DetectionCalibration
+from slam.common.calibration import Calibration, DetectionCalibration, ObjectCalibration, OdometryCalibration
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.odometry.scaled_odometry import ScaledOdometry
-from slam.self_calibration import survey as module
-from slam.self_calibration.survey import summarize, survey
+from slam.self_calibration.survey import Survey, summarize
+from slam.self_calibration.survey import survey as survey_logs
+from slam.self_calibration.surveyed_log import SurveyedLog
 from tests.helpers.surveyed_drives import SurveyedDrive
 
 CONFIG = DetectionCalibration()
+ON_BODY = DetectionCalibration(assume_body_frame=True)
 ROW = np.array([[4.0, 3.0, 0.0], [8.0, 6.0, 0.0], [12.0, 16.0, 0.0]])
 """At ranges of 5 m, 10 m and 20 m."""
+
+
+def survey(records, detection: DetectionCalibration = CONFIG, **branches) -> Survey | None:
+    """The survey of one log."""
+    return survey_logs([SurveyedLog.of(records)], Calibration(detection=detection, **branches))
 
 
 def odometry(seconds: float, x: float, yaw: float = 0.0) -> Odometry:
@@ -75,7 +82,7 @@ def test_ranges_are_horizontal_and_from_the_body():
 
 def test_a_scan_in_a_frame_that_nobody_knows_is_left_out_unless_it_is_taken_for_the_body():
     assert survey(straight(frame="lidar"), CONFIG) is None
-    assert survey(straight(frame="lidar"), DetectionCalibration(assume_body_frame=True)).scans == 11
+    assert survey(straight(frame="lidar"), ON_BODY).scans == 11
 
 
 def test_a_tilted_body_sees_upright():
@@ -112,14 +119,20 @@ def test_without_odometry_or_detections_there_is_no_survey(records):
     assert survey(records, CONFIG) is None
 
 
-def test_it_reads_no_more_than_it_needs(monkeypatch):
-    monkeypatch.setattr(module, "MAX_DETECTIONS", 9)
-
+def test_it_reads_no_more_than_it_needs():
     def endless():
         yield from straight()
         raise AssertionError("read on")
 
-    assert survey(endless(), CONFIG).detections <= 9
+    found = survey_logs([SurveyedLog.of(endless(), max_detections=9)])
+    assert found.detections <= 9
+
+
+def test_several_logs_are_surveyed_as_one_drive():
+    first, second = straight(), straight(21, labels=["lamp", "lamp", "tree"])
+    both = survey_logs([SurveyedLog.of(first), SurveyedLog.of(second)])
+    assert (both.scans, both.detections, both.classes) == (32, 96, 2)
+    assert both.travel_m == pytest.approx(2.0 + 4.0)
 
 
 def test_too_few_objects_tell_no_noise():
@@ -154,6 +167,10 @@ def test_lengths_of_a_survey_scale_with_the_log():
         assert getattr(large, name) == pytest.approx(getattr(small, name)), name
 
 
+def angles_deg(found: Survey) -> list[float]:
+    return [found.corrected.get(f"detection.{name}_deg", 0.0) for name in ("roll", "pitch", "yaw")]
+
+
 def turned_records(yaw_deg: float) -> list[Record]:
     """A drive whose sensor is turned by an angle that no transform tells."""
     drive = SurveyedDrive(0, {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}, objects=100)
@@ -170,9 +187,22 @@ def turned_records(yaw_deg: float) -> list[Record]:
 @pytest.mark.slow
 @pytest.mark.parametrize("yaw_deg", [0.0, 12.0, -25.0, 90.0, 100.0])
 def test_a_sensor_that_is_turned_is_turned_back(yaw_deg):
-    found = survey(turned_records(yaw_deg), DetectionCalibration(assume_body_frame=True))
-    assert found.turned_deg == pytest.approx((0.0, 0.0, yaw_deg), abs=2.0)
-    assert found.errors.yaw_rad == 0.0 or abs(found.errors.yaw_rad) < np.deg2rad(2.0)
+    found = survey(turned_records(yaw_deg), ON_BODY)
+    assert angles_deg(found) == pytest.approx([0.0, 0.0, yaw_deg], abs=2.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pitch_deg", [0.0, 15.0, -10.0])
+def test_a_sensor_that_pitches_is_no_error_of_lengths(pitch_deg):
+    """Seen by it, what is ahead is nearer, as if the odometry were too long."""
+    R = Rotation.from_euler("y", -pitch_deg, degrees=True).as_matrix()
+    records = [
+        replace(each, positions=each.positions @ R.T) if isinstance(each, ObjectDetections) else each
+        for each in turned_records(0.0)
+    ]
+    found = survey(records, ON_BODY)
+    assert angles_deg(found) == pytest.approx([0.0, pitch_deg, 0.0], abs=1.5)
+    assert found.suspected == ()
 
 
 def scaled_records(length: float, turn: float) -> list[Record]:
@@ -182,20 +212,20 @@ def scaled_records(length: float, turn: float) -> list[Record]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("length", [1.0, 1.2, 0.8])
-def test_lengths_of_the_odometry_are_corrected(length):
-    found = survey(scaled_records(length, 1.0), DetectionCalibration(assume_body_frame=True))
-    assert found.length_scale == pytest.approx(1.0 / length, abs=0.02)
-    assert found.turn_scale == 1.0
+@pytest.mark.parametrize(("length", "is_suspected"), [(1.0, False), (1.2, True), (0.8, True)])
+def test_lengths_are_suspected_and_kept_because_ranges_explain_the_same(length, is_suspected):
+    found = survey(scaled_records(length, 1.0), ON_BODY)
+    assert found.corrected == {}
+    assert [each.term for each in found.suspected] == ["length_share"] * is_suspected
+    if is_suspected:
+        assert found.suspected[0].value == pytest.approx(1.0 / length - 1.0, abs=0.02)
 
 
 @pytest.mark.slow
-def test_lengths_that_were_set_by_hand_are_kept_and_their_error_is_known():
-    records, config = scaled_records(1.2, 1.0), DetectionCalibration(assume_body_frame=True)
-    found = survey(records, config, given={"length_scale"})
-    assert found.length_scale == 1.0
-    assert found.errors.length_share == pytest.approx(1.0 / 1.2 - 1.0, abs=0.02)
-    assert found.travel_m == pytest.approx(1.2 * survey(records, config).travel_m, rel=0.02)
+def test_scales_that_were_given_are_in_the_records_already():
+    given = OdometryCalibration(length_scale=1.2, turn_scale=1.1)
+    found = survey(scaled_records(1.2, 1.0), ON_BODY, odometry=given)
+    assert found.travel_m == pytest.approx(survey(scaled_records(1.2, 1.0), ON_BODY).travel_m)
 
 
 def winding_records(turn: float) -> list[Record]:
@@ -217,25 +247,21 @@ def winding_records(turn: float) -> list[Record]:
 @pytest.mark.slow
 @pytest.mark.parametrize("turn", [1.0, 1.1, 0.85])
 def test_turns_of_the_odometry_are_corrected(turn):
-    found = survey(winding_records(turn), DetectionCalibration(assume_body_frame=True))
-    assert found.turn_scale == pytest.approx(1.0 / turn, abs=0.01)
-    assert found.length_scale == 1.0
-
-
-def test_lengths_that_are_off_beyond_all_calibration_are_left():
-    found = survey(scaled_records(4.0, 1.0), DetectionCalibration(assume_body_frame=True))
-    assert found.length_scale == 1.0
+    found = survey(winding_records(turn), ON_BODY)
+    assert found.corrected.get("odometry.turn_scale", 1.0) == pytest.approx(1.0 / turn, abs=0.01)
+    assert found.suspected == ()
 
 
 def test_an_angle_that_was_set_by_hand_is_kept():
     found = survey(turned_records(25.0), DetectionCalibration(assume_body_frame=True, yaw_deg=5.0))
-    assert found.turned_deg == pytest.approx((0.0, 0.0, 5.0))
+    assert found.corrected == {}
+    assert found.suspected[0].term == "yaw_rad"
 
 
 def test_labels_beyond_the_most_classes_are_one_class():
     records = straight(labels=["tree", "lamp", "sign"])
-    assert np.isnan(survey(records, CONFIG, max_classes=3).spacing_m)
-    assert np.isfinite(survey(records, CONFIG, max_classes=2).spacing_m)
+    assert np.isnan(survey(records, objects=ObjectCalibration(max_classes=3)).spacing_m)
+    assert np.isfinite(survey(records, objects=ObjectCalibration(max_classes=2)).spacing_m)
 
 
 def test_an_odometry_that_goes_back_and_forth_makes_a_detour():
@@ -243,12 +269,12 @@ def test_an_odometry_that_goes_back_and_forth_makes_a_detour():
     there_and_back = [odometry(0.1 * i, 0.1 * i + (i % 2)) for i in range(21)]
     found = survey([*there_and_back, detections(1.0)], CONFIG)
     assert found.detour > 5.0
-    assert found.sources == 2
+    assert found.corrected["odometry.sources"] == 2
     assert found.travel_m == survey([*there_and_back[::2], detections(1.0)], CONFIG).travel_m
     assert survey([odometry(0.0, 1.0), odometry(1.0, 1.0), detections(0.5)], CONFIG).detour == 1.0
     jitter = np.random.default_rng(0).normal(size=101)
     shaken = survey([odometry(0.1 * i, 0.1 * i + jitter[i]) for i in range(101)] + [detections(1.0)], CONFIG)
-    assert shaken.sources == 1
+    assert "odometry.sources" not in shaken.corrected
     wild = [odometry(0.1 * i, 0.1 * i + 1000.0 * (i == 51)) for i in range(101)]
     assert survey([*wild, detections(1.0)], CONFIG).detour < 1.2
 

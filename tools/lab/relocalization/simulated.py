@@ -18,6 +18,7 @@ from slam.common.errors import SimulationError
 from slam.localization.prior_map import PriorMap
 from slam.self_calibration.calibration import calibrate
 from slam.self_calibration.survey import survey
+from slam.self_calibration.surveyed_log import SurveyedLog
 from slam.simulation.config import SimulationConfig
 from slam.simulation.simulation import SimulatedRecord, simulate
 from slam.simulation.world import World
@@ -115,7 +116,7 @@ def calibrate_on_tour(world: World, config: Config, simulation: SimulationConfig
     if not config.calibrate:
         return config
     records = _perceived(record for _, _, record in simulate(world, simulation, seed=seed))
-    return calibrate(config, survey(records, config.calibration.detection)).config
+    return calibrate(config, survey([SurveyedLog.of(records)], config.calibration)).config
 
 
 def map_tour(world: World, config: Config, simulation: SimulationConfig, *, seed: int) -> KnownMap:

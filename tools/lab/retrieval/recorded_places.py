@@ -31,6 +31,7 @@ from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.retrieval import INACTIVE_RANGES
 from slam.self_calibration.calibration import calibrate
 from slam.self_calibration.survey import survey
+from slam.self_calibration.surveyed_log import SurveyedLog
 from slam.system import Slam
 from tools.lab.relocalization.known_map import truth_of
 
@@ -107,9 +108,8 @@ def record_places(
                 f"{path} holds no ground truth, so no place in it is known; see --topic ground_truth="
             )
         if config.calibrate:
-            config = calibrate(
-                config, survey((e.record for e in reader.records(selection)), config.calibration.detection)
-            ).config
+            surveyed = SurveyedLog.of(entry.record for entry in reader.records(selection))
+            config = calibrate(config, survey([surveyed], config.calibration)).config
         recorder = _Recorder(config, truth, spacing_m)
         span_ns = max(int(truth.stamps_ns[-1] - truth.stamps_ns[0]), 1)
         for entry in reader.records(selection):

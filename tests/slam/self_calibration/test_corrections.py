@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
-from slam.self_calibration.input_errors import BodyMotion, InputErrors, J, estimate_input_errors
+from slam.self_calibration.corrections import TERMS, BodyMotion, J, _effects, estimate_corrections
 from slam.self_calibration.object_tracks import ObjectTracks
 
 SCANS, PERIOD_S, SPEED_MPS = 600, 0.1, 4.0
@@ -21,7 +23,7 @@ def weaving() -> BodyMotion:
     velocities = (
         SPEED_MPS * (1.0 + 0.5 * np.sin(1.3 * time_s))[:, None] * np.stack([np.cos(headings), np.sin(headings)], axis=1)
     )
-    positions = np.cumsum(velocities * PERIOD_S, axis=0)
+    positions = np.column_stack([np.cumsum(velocities * PERIOD_S, axis=0), np.zeros(SCANS)])
     return BodyMotion(positions, headings, velocities, np.gradient(headings, PERIOD_S))
 
 
@@ -30,38 +32,55 @@ def tracks(motion: BodyMotion, *, delay_s: float = 0.0, noise_m: float = 0.02, s
     rng = np.random.default_rng(3)
     scans = np.concatenate([np.arange(first, first + seen) for first in range(0, SCANS - seen, 10)])
     track = np.repeat(np.arange(len(scans) // seen), seen)
-    middles = motion.positions[np.unique(track) * 10 + seen // 2] + rng.uniform(-12.0, 12.0, (track.max() + 1, 2))
-    offsets = middles[track] - motion.positions[scans] + rng.normal(0.0, noise_m, (len(scans), 2))
+    middles = motion.positions[np.unique(track) * 10 + seen // 2, :2] + rng.uniform(-12.0, 12.0, (track.max() + 1, 2))
+    offsets = middles[track] - motion.positions[scans, :2] + rng.normal(0.0, noise_m, (len(scans), 2))
     moved = motion.velocities[scans] + motion.turn_rates[scans][:, None] * (offsets @ J.T)
     offsets = offsets - delay_s * moved
     zeros = np.zeros(len(scans))
-    points = motion.positions[scans] + offsets
+    points = motion.positions[scans, :2] + offsets
     return ObjectTracks(track, scans, offsets, points, np.zeros(len(scans), dtype=np.int64), zeros, zeros, zeros)
+
+
+def earned(tracks: ObjectTracks, motion: BodyMotion) -> dict[str, float]:
+    return {each.term: each.value for each in estimate_corrections(tracks, motion) if each.is_earned}
 
 
 @pytest.mark.parametrize("delay_s", [-0.2, 0.3])
 def test_late_and_early_detections_are_found(delay_s):
     motion = weaving()
-    found = estimate_input_errors(tracks(motion, delay_s=delay_s), motion)
-    assert found.delay_s == pytest.approx(delay_s, abs=0.02)
+    assert earned(tracks(motion, delay_s=delay_s), motion) == {"delay_s": pytest.approx(delay_s, abs=0.02)}
 
 
 def test_nothing_is_corrected_where_nothing_is_wrong():
     motion = weaving()
-    assert estimate_input_errors(tracks(motion), motion) == InputErrors()
+    assert earned(tracks(motion), motion) == {}
 
 
 def test_a_correction_that_explains_almost_nothing_is_not_made():
     motion = weaving()
     # Significant, 7 standard errors and more, but of a displacement that is noise in the main.
     for delay_s, noise_m in ((0.004, 0.2), (0.01, 0.1), (0.02, 0.2)):
-        assert estimate_input_errors(tracks(motion, delay_s=delay_s, noise_m=noise_m), motion) == InputErrors()
+        assert earned(tracks(motion, delay_s=delay_s, noise_m=noise_m), motion) == {}
 
 
-def test_only_what_is_significant_is_corrected():
-    motion = weaving()
-    found = estimate_input_errors(tracks(motion, delay_s=0.3), motion)
-    assert found == InputErrors(delay_s=found.delay_s)
+@pytest.mark.parametrize("term", ["pitch_rad", "roll_rad", "yaw_rad", "turn_share", "length_share"])
+def test_each_error_is_told_from_the_others(term):
+    motion, made = weaving(), tracks(weaving())
+    heights = np.random.default_rng(5).uniform(-2.0, 2.0, made.track.max() + 1)[made.track]
+    heights = heights + np.random.default_rng(6).normal(0.0, 0.02, len(heights))
+    level = replace(made, heights=heights)
+    effects = _effects(level, motion)[:, :, TERMS.index(term)]
+    wrong = replace(level, points=made.points - 0.1 * effects[:, :2], heights=heights - 0.1 * effects[:, 2])
+    first = estimate_corrections(wrong, motion)[0]  # what explains most is corrected before the others
+    assert first.is_earned
+    assert (first.term, first.value) == (term, pytest.approx(0.1, abs=0.015))
+
+
+def test_an_error_of_one_part_of_the_log_does_not_predict_the_others():
+    """The stamps of one stretch alone are wrong."""
+    motion, made, late = weaving(), tracks(weaving()), tracks(weaving(), delay_s=0.3)
+    in_part = (made.scan > 200) & (made.scan < 240)
+    assert earned(replace(made, points=np.where(in_part[:, None], late.points, made.points)), motion) == {}
 
 
 def test_few_tracks_tell_nothing():
@@ -69,7 +88,7 @@ def test_few_tracks_tell_nothing():
     made = tracks(motion, delay_s=0.3)
     few = made.track < 1
     some = ObjectTracks(*(getattr(made, name)[few] for name in ObjectTracks.__dataclass_fields__))
-    assert estimate_input_errors(some, motion) == InputErrors()
+    assert estimate_corrections(some, motion) == ()
 
 
 def test_a_few_wild_points_do_not_matter():
@@ -80,4 +99,4 @@ def test_a_few_wild_points_do_not_matter():
     spoilt = ObjectTracks(
         made.track, made.scan, made.offsets, wild, made.labels, made.claimed, made.heights, made.rooms
     )
-    assert estimate_input_errors(spoilt, motion).delay_s == pytest.approx(0.3, abs=0.02)
+    assert earned(spoilt, motion)["delay_s"] == pytest.approx(0.3, abs=0.02)

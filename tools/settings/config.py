@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import sys
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings
+
+if TYPE_CHECKING:
+    from slam.common.config import Config
 
 
 def config(
@@ -15,6 +19,15 @@ def config(
     settings: Settings = None,
     json: Json = False,
     toml: Annotated[bool, typer.Option("--toml", help="Print TOML; this is what happens anyway.")] = False,
+    made_from: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="MAP.mcap",
+            help="Print that by which this map or log was made, with its calibration, instead.",
+            show_default=False,
+        ),
+    ] = None,
     simulation: Annotated[bool, typer.Option("--simulation", help="The settings of 'dslam simulate' instead.")] = False,
 ) -> None:
     """Print the effective configuration with units and meaning, as TOML that --config reads back.
@@ -30,5 +43,15 @@ def config(
     from slam.simulation.config import load_simulation_config
 
     load = load_simulation_config if simulation else load_config
-    tree = load(config_file, settings or ())
+    tree = load(config_file, settings or ()) if made_from is None else _recorded(made_from)
     sys.stdout.write(tree.model_dump_json(indent=2) + "\n" if json else to_toml(tree))
+
+
+def _recorded(path: Path) -> Config:
+    from logs.reader import LogReader
+    from slam.map_joining.session_config import session_config
+    from slam.object_map.map_io import METADATA
+
+    with LogReader(path) as reader:
+        found = reader.metadata()
+    return session_config(found.get("dslam") or found.get(METADATA) or {})

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from slam.self_calibration.frames import _reached, find_orientation, roll_pitch_yaw_deg, spacing_of
 from slam.self_calibration.object_tracks import SurveyScan
-from slam.self_calibration.sensor_orientation import _reached, find_orientation, roll_pitch_yaw_deg, spacing_of
 from tests.helpers.surveyed_drives import SurveyedDrive
 
 NOISE = {"radial": 0.05, "tangential": 0.05, "translation_by_travel": 0.02}

@@ -1,0 +1,191 @@
+"""Systematic errors of the input, from how tracked objects seem to move, and which of them predict what is held out.
+
+An object at the offset x from the body at P, in the axes of the odometry, seems to stand at W = P + x. Say that the
+detections are of a time later by tau than their stamps say, that the sensor is turned by the rotation vector phi and
+sits farther by e, both in the axes R of the body, that the odometry's lengths and turns are too short by the shares s
+and g, that detections lie too near by b and too low by a share c of their range. Then it stands, with v and omega the
+velocity and rate of turn of the body, h the angle that it turned so far, u = x / |x| and J = [0 -1; 1 0], at
+
+    W + tau (v + omega J x) + R phi x x + R e + s P + g (h J x + integral of h J v) + b u + c |x| z
+
+which does not move. Robust regression (Cauchy's weights) of the apparent motion between scans on the differences of all
+terms finds them. A term is *earned* if the regression with all terms predicts blocks of the log that it was not fitted
+to better than that without the term, which all others may replace: by a share of what is left without it, and more
+surely than chance, which gives each block's gain either sign (the sign-flip test).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.self_calibration.object_tracks import ObjectTracks
+
+TERMS = (
+    "delay_s",
+    "roll_rad",
+    "pitch_rad",
+    "yaw_rad",
+    "length_share",
+    "turn_share",
+    "x_m",
+    "y_m",
+    "near_m",
+    "low_share",
+)
+BLOCKS = 14
+"""Stretches of the log that are held out one at a time."""
+CHANCE = 0.01
+"""Probability by which chance may seem to earn a correction."""
+MIN_GAIN = 0.03
+"""Share of the held-out squared motion that a correction must explain."""
+SIGNIFICANT = 6.0
+"""Standard errors from which a term fits the log."""
+MIN_PAIRS = 200
+MAX_PAIRS = 100_000
+"""More pairs of detections tell nothing new."""
+ROUNDS = 10
+CAUCHY = 2.0
+LAGS = (2, 4, 8, 16)
+J = np.array([[0.0, -1.0], [1.0, 0.0]])
+_SIGNS = np.array(list(product((1.0, -1.0), repeat=BLOCKS)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyMotion:
+    """At each scan (K), in the axes of the odometry: ``positions`` (K, 3) m, ``headings`` (K,) rad, ``velocities``
+    (K, 2) m/s and ``turn_rates`` (K,) rad/s.
+    """
+
+    positions: FloatArray
+    headings: FloatArray
+    velocities: FloatArray
+    turn_rates: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """The ``value`` of a term with its standard ``error``; ``gain``: share of the held-out motion that it explains;
+    ``is_sure``: whether that is more than chance gains.
+    """
+
+    term: str
+    value: float
+    error: float
+    gain: float
+    is_sure: bool
+
+    @property
+    def is_earned(self) -> bool:
+        """Whether it predicts what is held out better than all other terms, by much and surely."""
+        return self.is_sure and self.gain >= MIN_GAIN
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether it fits the log; the other terms may predict what is held out as well."""
+        return abs(self.value) > SIGNIFICANT * self.error
+
+
+def estimate_corrections(tracks: ObjectTracks, motion: BodyMotion) -> tuple[Correction, ...]:
+    """The terms, the one with the largest gain first; none where too few objects could be tracked."""
+    first, second = _lagged(tracks)
+    if len(first) < MIN_PAIRS:
+        return ()
+    effects = _effects(tracks, motion)
+    X = effects[first] - effects[second]  # (P, 3, terms)
+    y = np.column_stack([tracks.points[second] - tracks.points[first], tracks.heights[second] - tracks.heights[first]])
+    block = np.argsort(np.argsort(tracks.scan[second], kind="stable")) * BLOCKS // len(second)
+    scale = np.maximum(np.sqrt(np.mean(X**2, axis=(0, 1))), 1e-300)
+    sums = _block_sums(X / scale, y, block)
+    everything = np.ones(len(TERMS), dtype=np.bool_)
+    parts, with_all = _held_out(*sums, everything)
+    errors = np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((parts - parts.mean(axis=0)) ** 2, axis=0)) / scale
+    found = []
+    for number, term in enumerate(TERMS):
+        _, without = _held_out(*sums, everything & (np.arange(len(TERMS)) != number))
+        gains = without - with_all
+        gain = float(gains.sum() / max(float(without.sum()), 1e-300))
+        is_sure = bool(np.mean(_SIGNS @ gains >= gains.sum() * (1.0 - 1e-12)) <= CHANCE)
+        value = float(parts.mean(axis=0)[number] / scale[number])
+        found.append(Correction(term, value, float(errors[number]), gain, is_sure))
+    return tuple(sorted(found, key=lambda each: -each.gain))
+
+
+def _lagged(tracks: ObjectTracks) -> tuple[IntArray, IntArray]:
+    """Rows (P,) of detections of one track that are so many detections apart, ``MAX_PAIRS`` at most."""
+    firsts, seconds = [], []
+    for lag in LAGS:
+        first = np.arange(max(len(tracks.track) - lag, 0))
+        first = first[tracks.track[first] == tracks.track[first + lag]]
+        firsts.append(first)
+        seconds.append(first + lag)
+    first, second = np.concatenate(firsts), np.concatenate(seconds)
+    every = max(-(-len(first) // MAX_PAIRS), 1)
+    return first[::every], second[::every]
+
+
+def _effects(tracks: ObjectTracks, motion: BodyMotion) -> FloatArray:
+    """(S, 3, terms): by how much each point moves for a unit of each term."""
+    positions, headings = motion.positions[tracks.scan], motion.headings[tracks.scan]
+    offsets = np.column_stack([tracks.offsets, tracks.heights - positions[:, 2]])
+    turned = tracks.offsets @ J.T
+    c, s, zero = np.cos(headings), np.sin(headings), np.zeros(len(headings))
+    along, across = np.column_stack([c, s, zero]), np.column_stack([-s, c, zero])
+    steps = np.diff(motion.positions[:, :2], axis=0, prepend=motion.positions[:1, :2])
+    swept = np.cumsum(motion.headings[:, None] * (steps @ J.T), axis=0)[tracks.scan]
+    ranges = np.linalg.norm(tracks.offsets, axis=1)
+    level = {
+        "delay_s": motion.velocities[tracks.scan] + motion.turn_rates[tracks.scan][:, None] * turned,
+        "yaw_rad": turned,
+        "turn_share": headings[:, None] * turned + swept,
+        "near_m": tracks.offsets / np.maximum(ranges, 1e-12)[:, None],
+    }
+    in_space = {name: np.column_stack([effect, zero]) for name, effect in level.items()} | {
+        "roll_rad": np.cross(along, offsets),
+        "pitch_rad": np.cross(across, offsets),
+        "length_share": positions,
+        "x_m": along,
+        "y_m": across,
+        "low_share": np.column_stack([zero, zero, ranges]),
+    }
+    return np.stack([in_space[term] for term in TERMS], axis=2)
+
+
+def _block_sums(X: FloatArray, y: FloatArray, block: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Normal matrices (B, T, T), right sides (B, T) and squared sides (B,) of robust regression, block by block.
+
+    Along the ground and in height residuals have scales of their own; heights that never change tell nothing.
+    """
+    size = X.shape[2]
+    left, weights = y, np.ones(len(y))
+    level, up = np.ones(len(y)), np.ones(len(y))
+    for _ in range(ROUNDS):
+        squares = np.column_stack([np.sum(left[:, :2] ** 2, axis=1), left[:, 2] ** 2])
+        spread = np.median(squares, axis=0)
+        inverse = np.where(spread > 1e-12 * spread.max(), 1.0 / np.maximum(spread, 1e-300), 0.0)
+        weights = 1.0 / (1.0 + squares @ inverse / CAUCHY**2)
+        level, up = weights * inverse[0], weights * inverse[1]
+        root = np.sqrt(np.column_stack([level, level, up]))
+        rows, sides = (root[:, :, None] * X).reshape(-1, size), (root * y).reshape(-1)
+        solution = np.linalg.solve(rows.T @ rows + 1e-9 * np.trace(rows.T @ rows) * np.eye(size), rows.T @ sides)
+        left = y - X @ solution
+    of_row = np.repeat(block, 3)
+    normal = np.stack([rows[of_row == each].T @ rows[of_row == each] for each in range(BLOCKS)])
+    right = np.stack([rows[of_row == each].T @ sides[of_row == each] for each in range(BLOCKS)])
+    return normal, right, np.asarray(np.bincount(of_row, sides**2, BLOCKS), dtype=np.float64)
+
+
+def _held_out(
+    normal: FloatArray, right: FloatArray, squared: FloatArray, used: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """What the terms ``used`` (T,) are without each block, (B, T), and the squared residuals (B,) of it then."""
+    parts = np.zeros(right.shape)
+    least = 1e-9 * np.trace(normal.sum(axis=0)) * np.eye(int(used.sum()))
+    for each in range(len(normal)):
+        others = (normal.sum(axis=0) - normal[each])[np.ix_(used, used)]
+        parts[each, used] = np.linalg.solve(others + least, (right.sum(axis=0) - right[each])[used])
+    fitted = np.einsum("bt,btu,bu->b", parts, normal, parts)
+    return parts, squared - 2.0 * np.einsum("bt,bt->b", parts, right) + fitted

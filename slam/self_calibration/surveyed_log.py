@@ -1,0 +1,205 @@
+"""The odometry and the detections of a log as scans that are corrected by a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Self
+
+import numpy as np
+
+from logs.messages import ObjectDetections, Odometry, Record, Transform
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.calibration import Calibration
+from slam.common.geometry import apply, interpolate, invert, transform_from_xyz_yaw, yaw_rad
+from slam.frontend.input.scan import is_wanted
+from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
+from slam.odometry.scaled_odometry import ScaledOdometry
+from slam.odometry.sources import FollowedSource
+from slam.self_calibration.corrections import BodyMotion
+from slam.self_calibration.object_tracks import SurveyScan
+from slam.self_calibration.variance_components import CLIP
+
+MAX_DETECTIONS = 150_000
+"""A survey ends after that many detections; what it estimates has converged by then."""
+FAR_OFF = 100.0
+"""Detections beyond so many median ranges are no measurements."""
+MAX_DETOUR = 1.5
+"""Poses of one source hardly ever go back with every other message."""
+
+
+class SurveyedLog:
+    """The records of a log that a survey needs; ``frames``: where its sensors sit, as far as it is known already."""
+
+    def __init__(self, frames: SensorFrames | None = None) -> None:
+        self._odometry: list[Odometry] = []
+        self._detections: list[ObjectDetections] = []
+        self._frames = frames or SensorFrames()
+        self._count = 0
+
+    @classmethod
+    def of(
+        cls, records: Iterable[Record], frames: SensorFrames | None = None, *, max_detections: int = MAX_DETECTIONS
+    ) -> Self:
+        """A log of ``records``, which are read until there are so many detections."""
+        log = cls(frames)
+        for record in records:
+            if log.add(record) >= max_detections:
+                break
+        return log
+
+    def add(self, record: Record) -> int:
+        """Add a record; returns the number of detections so far."""
+        if isinstance(record, Odometry):
+            self._odometry.append(record)
+        elif isinstance(record, Transform):
+            self._frames.add(record)
+        elif isinstance(record, ObjectDetections):
+            self._detections.append(record)
+            self._count += len(record.positions)
+        return self._count
+
+    def detour(self) -> float:
+        """The length of the odometry's path by that of its every second message; 1 where it stands still."""
+        _, poses = self._track(Calibration())
+        full_m, half_m = _path_length(poses), _path_length(poses[::2])
+        return full_m / half_m if half_m > 0.0 else 1.0
+
+    def follow_one_source(self) -> bool:
+        """Keep the odometry of one of two sources, if both together make a detour and that alone makes none."""
+        if self.detour() <= MAX_DETOUR:
+            return False
+        both, source = self._odometry, FollowedSource()
+        self._odometry = [odometry for odometry in both if source.follows(odometry)]
+        if self.detour() > MAX_DETOUR:
+            self._odometry = both
+        return len(self._odometry) < len(both)
+
+    def scans(self, calibration: Calibration, vocabulary: dict[str, int]) -> tuple[list[SurveyScan], BodyMotion]:
+        """The scans that lie on the odometry, corrected, in the order of their stamps, without empty ones, and how the
+        body moves at them.
+
+        Of messages of one sensor with one stamp the first is used, as in the map. ``vocabulary``: numbers of the
+        classes, to which new ones are added.
+        """
+        stamps, poses = self._track(calibration)
+        delay_ns = round((calibration.detection.time_offset_s - calibration.odometry.time_offset_s) * 1e9)
+        if len(stamps) < 2:
+            return [], _motion([], stamps, poses, delay_ns)
+        first = dict[tuple[int, str], ObjectDetections]()
+        for detections in self._detections:
+            first.setdefault((detections.stamp_ns, detections.frame_id), detections)
+        usable = [d for d in first.values() if stamps[0] <= d.stamp_ns + delay_ns <= stamps[-1] and len(d.positions)]
+        usable.sort(key=lambda detections: detections.stamp_ns)
+        T_odom_body = interpolate(stamps, poses, np.array([d.stamp_ns + delay_ns for d in usable], dtype=np.int64))
+        T_upright_body = invert(transform_from_xyz_yaw(T_odom_body[:, :3, 3], yaw_rad(T_odom_body))) @ T_odom_body
+        scans = []
+        for detections, T, T_upright in zip(usable, T_odom_body, T_upright_body, strict=True):
+            T_body_sensor = find_sensor(self._frames, detections, self._odometry[0], T, calibration.detection)
+            if T_body_sensor is not None:
+                scans.append(_upright_scan(detections, T, T_upright @ T_body_sensor, vocabulary, calibration))
+        scans = _without_far_off(scans)
+        return scans, _motion(scans, stamps, poses, delay_ns)
+
+    def _track(self, calibration: Calibration) -> tuple[IntArray, FloatArray]:
+        """Stamps (K,), strictly increasing, and poses (K, 4, 4) of the odometry, scaled by the calibration."""
+        stamps = np.array([odometry.stamp_ns for odometry in self._odometry], dtype=np.int64)
+        if len(stamps) == 0:
+            return stamps, np.zeros((0, 4, 4))
+        scales = calibration.odometry.length_scale, calibration.odometry.turn_scale
+        odometry = self._odometry
+        if scales != (1.0, 1.0):
+            scaled = ScaledOdometry(length_scale=scales[0], turn_scale=scales[1])
+            odometry = [scaled.correct(each) for each in odometry]
+        latest_before = np.concatenate([[np.iinfo(np.int64).min], np.maximum.accumulate(stamps)[:-1]])
+        used = stamps > latest_before
+        return stamps[used], np.stack([odometry[row].T_odom_body for row in np.flatnonzero(used).tolist()])
+
+
+def scans_of(logs: Sequence[SurveyedLog], calibration: Calibration) -> tuple[list[SurveyScan], BodyMotion]:
+    """The scans of several logs of one robot as of one drive: each begins a second after the last, where that ended."""
+    scans, motions, vocabulary = list[SurveyScan](), list[BodyMotion](), dict[str, int]()
+    for log in logs:
+        more, motion = log.scans(calibration, vocabulary)
+        if scans and more:
+            later_ns = scans[-1].stamp_ns + 10**9 - more[0].stamp_ns
+            shift = np.zeros((4, 4))
+            shift[:3, 3] = (scans[-1].T_odom_body - more[0].T_odom_body)[:3, 3]
+            more = [
+                replace(scan, stamp_ns=scan.stamp_ns + later_ns, T_odom_body=scan.T_odom_body + shift) for scan in more
+            ]
+            motion = replace(motion, positions=motion.positions + shift[:3, 3])
+        scans += more
+        motions.append(motion)
+    return scans, BodyMotion(
+        np.concatenate([each.positions for each in motions]),
+        np.unwrap(np.concatenate([each.headings for each in motions])),
+        np.concatenate([each.velocities for each in motions]),
+        np.concatenate([each.turn_rates for each in motions]),
+    )
+
+
+def headings_of(scans: Sequence[SurveyScan]) -> FloatArray:
+    """Headings (K,) rad of the body at scans, without jumps by whole turns."""
+    return np.unwrap(yaw_rad(np.stack([scan.T_odom_body for scan in scans]))) if scans else np.zeros(0)
+
+
+def _motion(scans: list[SurveyScan], stamps: IntArray, poses: FloatArray, delay_ns: int) -> BodyMotion:
+    """By the odometry half an interval of the scans before and after each."""
+    if len(scans) < 2:
+        positions = np.array([scan.T_odom_body[:3, 3] for scan in scans]).reshape(-1, 3)
+        return BodyMotion(positions, headings_of(scans), np.zeros((len(scans), 2)), np.zeros(len(scans)))
+    at = np.array([scan.stamp_ns for scan in scans], dtype=np.int64) + delay_ns
+    half = max(int(np.median(np.diff(at))), int(np.median(np.diff(stamps))), 1)
+    before, after = np.maximum(at - half, stamps[0]), np.minimum(at + half, stamps[-1])
+    T_before, T_after = interpolate(stamps, poses, before), interpolate(stamps, poses, after)
+    seconds = np.maximum((after - before) * 1e-9, 1e-9)
+    turned = (yaw_rad(T_after) - yaw_rad(T_before) + np.pi) % (2.0 * np.pi) - np.pi
+    return BodyMotion(
+        positions=np.stack([scan.T_odom_body[:3, 3] for scan in scans]),
+        headings=headings_of(scans),
+        velocities=(T_after - T_before)[:, :2, 3] / seconds[:, None],
+        turn_rates=turned / seconds,
+    )
+
+
+def _path_length(poses: FloatArray) -> float:
+    """Length [m] of the path through poses (K, 4, 4); single messages that are far off add little."""
+    steps_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    moved = steps_m > 0.0
+    return float(np.minimum(steps_m, CLIP * np.median(steps_m[moved])).sum()) if moved.any() else 0.0
+
+
+def _without_far_off(scans: list[SurveyScan]) -> list[SurveyScan]:
+    """The scans without detections so far away that they are no measurements."""
+    if not scans:
+        return scans
+    limit_m = FAR_OFF * float(np.median(np.concatenate([_ranges(scan) for scan in scans])))
+    near = [_ranges(scan) <= limit_m for scan in scans]
+    return [
+        replace(scan, positions=scan.positions[kept], labels=scan.labels[kept], variances=scan.variances[kept])
+        for scan, kept in zip(scans, near, strict=True)
+        if kept.any()
+    ]
+
+
+def _ranges(scan: SurveyScan) -> FloatArray:
+    return np.hypot(scan.positions[:, 0], scan.positions[:, 1])
+
+
+def _upright_scan(
+    detections: ObjectDetections,
+    T_odom_body: FloatArray,
+    T_upright_sensor: FloatArray,
+    vocabulary: dict[str, int],
+    calibration: Calibration,
+) -> SurveyScan:
+    positions = apply(T_upright_sensor, detections.positions)
+    used = np.isfinite(positions).all(axis=1) & is_wanted(detections, calibration.detection)
+    variances = np.full(len(positions), np.nan)
+    if detections.covariances is not None:
+        variances = np.trace(detections.covariances, axis1=1, axis2=2) / 3.0
+        variances[variances == 0.0] = np.nan
+    labels = np.array([vocabulary.setdefault(label, len(vocabulary)) for label in detections.labels], dtype=np.int64)
+    np.minimum(labels, calibration.objects.max_classes - 1, out=labels)
+    return SurveyScan(detections.stamp_ns, T_odom_body, positions[used], labels[used], variances[used])

@@ -1,0 +1,72 @@
+"""dslam calibrate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tools.arguments import ConfigFile, Json, Settings, Topics, check_outputs, parse_topics
+
+if TYPE_CHECKING:
+    from slam.self_calibration.calibration import CalibratedLog
+
+
+def calibrate(
+    logs: Annotated[
+        list[Path], typer.Argument(metavar="LOG...", help="Logs of one robot, which are pooled.", show_default=False)
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="ROBOT.toml", help="The calibration to write.", show_default=False),
+    ] = None,
+    config_file: ConfigFile = None,
+    settings: Settings = None,
+    topics: Topics = None,
+    json: Json = False,
+) -> None:
+    """Estimate noise, scales and faults of a robot's sensors from its logs, for 'dslam replay --calibration'.
+
+    A correction is made only if it predicts parts of the logs that it was not fitted to better than everything else
+    that could explain them; otherwise it is a suspicion, and nothing is changed.
+
+    Example: dslam calibrate monday.mcap tuesday.mcap -o robot.toml
+    """
+    chosen = parse_topics(topics)
+    check_outputs([output], [*logs, config_file])
+    from slam.common.config import load_config
+    from slam.common.config_tree import to_toml
+    from slam.prepared_log import calibrate_logs
+    from tools import console
+
+    found = calibrate_logs(logs, load_config(config_file, settings or ()), topics=chosen)
+    calibration = found.config.calibration
+    if output is not None:
+        output.write_text(to_toml(calibration), encoding="utf-8")
+    if json:
+        console.show_json(
+            {
+                "calibration": calibration.model_dump(mode="json"),
+                "estimated": sorted(found.estimated),
+                "notes": list(found.notes),
+                "suspicions": list(found.suspicions),
+            }
+        )
+    else:
+        _show(found, output)
+
+
+def _show(found: CalibratedLog, output: Path | None) -> None:
+    from tools import console
+
+    calibration = found.config.calibration
+    rows = {}
+    for key, value in sorted(found.estimated.items()):
+        sigma = calibration.sigmas.get(key)
+        rows[key] = f"{value:.4g}" + ("" if sigma is None else f" +- {sigma:.2g}")
+    rows["from"] = ", ".join(f"{name} {value:.0f}" for name, value in calibration.evidence.items())
+    rows |= {"corrected": "; ".join(found.notes)} if found.notes else {}
+    rows |= {"suspected": "; ".join(found.suspicions)} if found.suspicions else {}
+    rows |= {"written": str(output)} if output is not None else {}
+    console.show(console.pairs(rows))
