@@ -87,13 +87,15 @@ _SUSPICIONS = {
 @dataclass(frozen=True, slots=True)
 class CalibratedLog:
     """``config``: the effective configuration; ``estimated``: the values of the calibration, by their keys, that the
-    log decided; ``notes``: its corrections and faults, for people; ``suspicions``: corrections that were not made.
+    log decided; ``notes``: its corrections and faults, for people; ``suspicions``: corrections that were not made;
+    ``floors``: values that the log shows to be smaller than is believed of any robot.
     """
 
     config: Config
     estimated: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     suspicions: tuple[str, ...] = ()
+    floors: tuple[str, ...] = ()
 
 
 def calibrate(config: Config, survey: Survey | None, delays: LoggingDelays = NO_DELAYS) -> CalibratedLog:
@@ -104,7 +106,10 @@ def calibrate(config: Config, survey: Survey | None, delays: LoggingDelays = NO_
     if survey is None:
         return CalibratedLog(config, notes=("no detection lies on the odometry: nothing was estimated from the log",))
     corrections = _corrections(survey, delays)
-    values = _lengths(config, survey) | _noise(config, survey) | _objects(survey) | corrections
+    lengths, floors = _lengths(config, survey), _floors(survey)
+    noise = _noise(config, survey)
+    noise |= {key: max(noise[key], floor) for key, floor in floors.items()}
+    values = lengths | noise | _objects(survey) | corrections
     estimated = {key: value for key, value in values.items() if not config.calibration.is_given(key)}
     sigmas, evidence = _sigmas(survey, estimated), _evidence(survey)
     calibration = config.calibrated(estimated).calibration.model_copy(update={"sigmas": sigmas, "evidence": evidence})
@@ -113,6 +118,7 @@ def calibrate(config: Config, survey: Survey | None, delays: LoggingDelays = NO_
         estimated,
         tuple(_notes(survey, {key: value for key, value in corrections.items() if key in estimated})),
         tuple(_suspicions(survey)),
+        tuple(key for key, floor in floors.items() if estimated.get(key) == floor),
     )
 
 
@@ -172,18 +178,15 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
     white, by_range = repeated * white, repeated * by_range
     lengths = config.calibrated(_lengths(config, survey))
     between_passes = found.view + 0.5 * SUBMAP_RANGES * lengths.sensor_range_m * found.translation_by_travel
-    floor_m = MIN_SIGMA * survey.range_m
     scan_m = survey.travel_m / survey.scans
     return {
-        "odometry.translation_sigma": max(
-            np.sqrt(drift * found.translation_by_travel), MIN_DRIFT * np.sqrt(survey.range_m)
-        ),
+        "odometry.translation_sigma": np.sqrt(drift * found.translation_by_travel),
         "odometry.translation_sigma_by_time": np.sqrt(drift * found.translation_by_time),
-        "odometry.yaw_sigma": max(np.sqrt(turn * found.heading_by_travel), MIN_TURN_RAD / np.sqrt(survey.range_m)),
+        "odometry.yaw_sigma": np.sqrt(turn * found.heading_by_travel),
+        "odometry.min_translation_sigma_m": MIN_SIGMA * survey.range_m,
         "odometry.yaw_sigma_by_turn": np.sqrt(turn * found.heading_by_turn),
         "odometry.yaw_sigma_by_time": np.sqrt(turn * found.heading_by_time),
-        "odometry.min_translation_sigma_m": floor_m,
-        "detection.base_sigma_m": max(np.sqrt(white), floor_m),
+        "detection.base_sigma_m": np.sqrt(white),
         "detection.sigma_per_m": np.sqrt(by_range),
         "detection.range_sigma_ratio": ratio,
         "detection.common_sigma_m": np.sqrt(found.view),
@@ -193,8 +196,19 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
             objects * survey.median_range_m / max(lengths.keyframe_distance_m, scan_m), 1.0
         ),
         "detection.scans_per_view": max(objects * survey.median_range_m / max(scan_m, 1e-9), 1.0),
-        "objects.landmark_sigma_m": max(np.sqrt(between_passes), floor_m),
+        "objects.landmark_sigma_m": np.sqrt(between_passes),
         "objects.landmark_height_sigma_m": np.sqrt(survey.heights.own + 2.0 * survey.heights.common),
+    }
+
+
+def _floors(survey: Survey) -> dict[str, float]:
+    """The least noise that is believed of any robot."""
+    position_m = MIN_SIGMA * survey.range_m
+    return {
+        "odometry.translation_sigma": float(MIN_DRIFT * np.sqrt(survey.range_m)),
+        "odometry.yaw_sigma": float(MIN_TURN_RAD / np.sqrt(survey.range_m)),
+        "detection.base_sigma_m": position_m,
+        "objects.landmark_sigma_m": position_m,
     }
 
 

@@ -125,14 +125,12 @@ def test_twin_odometry_that_is_a_fifth_too_long_gives_a_bad_trajectory(exact_dri
         T[:3, 3] *= 1.2
         return replace(odometry, T_odom_body=T)
 
-    stretched, believed = (
-        change(exact_drive, Odometry, stretch),
-        Config(calibration=Calibration(odometry=OdometryCalibration(length_scale=1.0))),
-    )
-    found = run(stretched, tmp_path / "out.mcap", believed)
+    stretched = change(exact_drive, Odometry, stretch)
+    found = run(stretched, tmp_path / "out.mcap")
     assert found.estimate.absolute.rmse_m > 2.0
     assert found.landmarks.global_frame.max_m > 1.0
-    corrected = run(stretched, tmp_path / "corrected.mcap")
+    known = Config(calibration=Calibration(odometry=OdometryCalibration(length_scale=1.0 / 1.2)))
+    corrected = run(stretched, tmp_path / "corrected.mcap", known)
     assert corrected.estimate.absolute.rmse_m < 0.1
 
 

@@ -51,6 +51,7 @@ def calibrate(
                 "estimated": sorted(found.estimated),
                 "notes": list(found.notes),
                 "suspicions": list(found.suspicions),
+                "floors": list(found.floors),
             }
         )
     else:
@@ -67,6 +68,7 @@ def _show(found: CalibratedLog, output: Path | None) -> None:
         rows[key] = f"{value:.4g}" + ("" if sigma is None else f" +- {sigma:.2g}")
     rows["from"] = ", ".join(f"{name} {value:.0f}" for name, value in calibration.evidence.items())
     rows |= {"corrected": "; ".join(found.notes)} if found.notes else {}
+    rows |= {"no less than": ", ".join(found.floors)} if found.floors else {}
     rows |= {"suspected": "; ".join(found.suspicions)} if found.suspicions else {}
     rows |= {"written": str(output)} if output is not None else {}
     console.show(console.pairs(rows))
