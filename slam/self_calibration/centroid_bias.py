@@ -63,8 +63,7 @@ def _view_changes(tracks: ObjectTracks) -> tuple[np.ndarray, np.ndarray]:
     firsts, seconds = [], []
     rays = tracks.offsets / np.maximum(np.linalg.norm(tracks.offsets, axis=1), 1e-12)[:, None]
     for lag in (4, 8, 16):
-        first = np.arange(max(len(tracks.track) - lag, 0))
-        first = first[tracks.track[first] == tracks.track[first + lag]]
+        first = tracks.followed(lag)
         first = first[np.linalg.norm(rays[first + lag] - rays[first], axis=1) > LEAST_VIEW_CHANGE]
         firsts.append(first)
         seconds.append(first + lag)

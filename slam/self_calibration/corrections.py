@@ -116,13 +116,9 @@ def estimate_corrections(tracks: ObjectTracks, motion: BodyMotion) -> tuple[Corr
 
 def _lagged(tracks: ObjectTracks) -> tuple[IntArray, IntArray]:
     """Rows (P,) of detections of one track that are so many detections apart, ``MAX_PAIRS`` at most."""
-    firsts, seconds = [], []
-    for lag in LAGS:
-        first = np.arange(max(len(tracks.track) - lag, 0))
-        first = first[tracks.track[first] == tracks.track[first + lag]]
-        firsts.append(first)
-        seconds.append(first + lag)
-    first, second = np.concatenate(firsts), np.concatenate(seconds)
+    firsts = [tracks.followed(lag) for lag in LAGS]
+    first = np.concatenate(firsts)
+    second = np.concatenate([each + lag for each, lag in zip(firsts, LAGS, strict=True)])
     every = max(-(-len(first) // MAX_PAIRS), 1)
     return first[::every], second[::every]
 

@@ -29,8 +29,7 @@ def estimate_height_noise(tracks: ObjectTracks) -> HeightNoise:
     """The largest variances over lags of 1, 2, 4, ... detections; zero where too few objects could be tracked."""
     own, common, lag = 0.0, 0.0, 1
     while lag < len(tracks.track):
-        first = np.arange(len(tracks.track) - lag)
-        first = first[tracks.track[first] == tracks.track[first + lag]]
+        first = tracks.followed(lag)
         if len(first) < LEAST_PAIRS:
             break
         total_of_lag, common_of_lag = _variances(tracks, first, first + lag)

@@ -70,6 +70,11 @@ class ObjectTracks:
         """Some of the detections, by mask or rows."""
         return ObjectTracks(*(getattr(self, each.name)[chosen] for each in fields(self)))
 
+    def followed(self, lag: int) -> IntArray:
+        """Rows (P,) of the detections whose track has another one ``lag`` rows later."""
+        first = np.arange(max(len(self.track) - lag, 0), dtype=np.int64)
+        return np.asarray(first[self.track[first] == self.track[first + lag]], dtype=np.int64)
+
 
 def follow_objects(scans: Sequence[SurveyScan], headings_rad: FloatArray, *, by_class: bool = True) -> ObjectTracks:
     """Tracks of the objects in ``scans`` (K), whose bodies head to ``headings_rad`` (K,) in the odometry frame.

@@ -23,7 +23,7 @@ held: the jackknife does not see it in a component whose estimate stays at zero.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import nnls
@@ -135,11 +135,6 @@ def _estimate(tracks: ObjectTracks, motion: Motion) -> ComponentEstimate | None:
     return ComponentEstimate(NoiseComponents(*solution.tolist()), NoiseComponents(*spread.tolist()), pairs)
 
 
-def component_names() -> tuple[str, ...]:
-    """Names of the components, in the order of the equations."""
-    return tuple(field.name for field in fields(NoiseComponents))
-
-
 def _well_apart(tracks: ObjectTracks) -> ObjectTracks:
     """The tracks that had room for all the noise there is: those between near neighbours end where it is large.
 
@@ -160,8 +155,7 @@ def _lagged_pairs(tracks: ObjectTracks) -> Iterator[tuple[IntArray, IntArray]]:
     """Rows (P,) of detections of one track that are 1, 2, 4, ... detections apart, as long as there are enough."""
     lag = 1
     while True:
-        first = np.arange(len(tracks.track) - lag) if lag < len(tracks.track) else np.zeros(0, dtype=np.int64)
-        first = first[tracks.track[first] == tracks.track[first + lag]]
+        first = tracks.followed(lag)
         if len(first) < LEAST_PAIRS:
             return
         yield first, first + lag

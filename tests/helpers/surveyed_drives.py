@@ -7,10 +7,10 @@ import numpy as np
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.self_calibration.object_tracks import ObjectTracks, SurveyScan
-from slam.self_calibration.variance_components import Motion, NoiseComponents, component_names
+from slam.self_calibration.variance_components import Motion, NoiseComponents
 
 INTERVAL_S = 0.2
-NO_NOISE = dict.fromkeys(component_names(), 0.0)
+NO_NOISE = dict.fromkeys(NoiseComponents.__dataclass_fields__, 0.0)
 
 
 class SurveyedDrive:

@@ -12,7 +12,7 @@ from slam.self_calibration.variance_components import (
     COMPONENTS,
     ComponentEstimate,
     Motion,
-    component_names,
+    NoiseComponents,
     estimate_components,
     solve_components,
 )
@@ -101,7 +101,7 @@ def test_errors_by_jackknife_are_as_large_as_estimates_scatter():
 def test_estimates_scale_with_all_lengths(scale):
     sigmas = DETECTOR | {"view": 0.1, "jitter": 0.03, "translation_by_travel": 0.05, "heading_by_turn": 0.02}
     small, large = (estimate(SurveyedDrive(1, sigmas, scale=factor)) for factor in (1.0, scale))
-    assert set(POWERS) == set(component_names())
+    assert set(POWERS) == set(NoiseComponents.__dataclass_fields__)
     for name, power in POWERS.items():
         floor = 1e-4 * scale**power  # a hundredth of the detector's [m], or less
         expected = getattr(small.variances, name) * scale**power
