@@ -32,6 +32,7 @@ from slam.evaluation.inputs.records import read_records
 from slam.replay import replay
 from slam.self_calibration.calibration import CalibratedLog, calibrate
 from slam.self_calibration.survey import survey
+from slam.self_calibration.surveyed_log import SurveyedLog
 from slam.system import Slam
 from tests.helpers.short_drives import (
     change,
@@ -112,11 +113,8 @@ def test_odometry_and_truth_are_copied_bit_for_bit(noisy_log, noisy_output):
 
 def calibrated(log: Path, config: Config) -> CalibratedLog:
     with LogReader(log) as reader:
-        found = survey(
-            (entry.record for entry in reader.records(select_all(reader.topics()))), config.calibration.detection
-        )
-    assert found is not None
-    return calibrate(config, found)
+        surveyed = SurveyedLog.of(entry.record for entry in reader.records(select_all(reader.topics())))
+    return calibrate(config, survey([surveyed], config.calibration))
 
 
 def test_the_output_says_what_it_was_made_from(noisy_log, noisy_output):
