@@ -79,7 +79,7 @@ def test_only_the_back_end_imports_gtsam() -> None:
 
 LAYERS = (
     {"common"},
-    {"backend", "odometry", "registration", "visualization"},
+    {"backend", "odometry", "registration"},
     {"object_map"},
     {"frontend", "place_recognition", "formats"},
     {"self_calibration"},

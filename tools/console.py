@@ -9,15 +9,21 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import StringIO
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from rich.cells import cell_len
 from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from logs.container.names import visible
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 PIPE_WIDTH = 120
+_MAX_NUMBER_WIDTH = 12
+"""Words of so many characters are not folded on a narrow terminal: a number that loses digits is another number."""
 
 
 class VisibleFormatter(logging.Formatter):
@@ -70,7 +76,8 @@ def pairs(rows: Mapping[str, str], title: str | None = None) -> Table:
         title=title, title_justify="left", title_style="bold", show_header=False, box=None, pad_edge=False
     )
     table.add_column(no_wrap=True, style="cyan")
-    table.add_column(overflow="fold")
+    words = (cell_len(word) for value in rows.values() for word in value.split())
+    table.add_column(overflow="fold", min_width=min(max(words, default=1), _MAX_NUMBER_WIDTH))
     for name, value in rows.items():
         table.add_row(name, value)
     return table
@@ -86,26 +93,21 @@ def grid(columns: Mapping[str, bool], title: str | None = None) -> Table:
     return table
 
 
+def frame(table: pd.DataFrame, title: str | None = None) -> Table:
+    """A table of texts without lines; the index names the rows."""
+    shown = grid({"": False} | dict.fromkeys(map(visible, table.columns), True), title)
+    for name, cells in zip(table.index, table.to_numpy().tolist(), strict=True):
+        shown.add_row(str(name), *cells)
+    for column in shown.columns:  # a number that loses digits is another number
+        column.min_width = max((cell_len(str(cell)) for cell in column.cells), default=1)
+    return shown
+
+
 @contextmanager
 def progress_bar(doing: str, finishing: str) -> Iterator[Callable[[float], None] | None]:
     """A callback for the fraction done that moves a bar on a terminal; None where there is none."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(doing, total=1.0)
-        shown = 0.0
-
-        def move(fraction: float) -> None:
-            nonlocal shown
-            if fraction - shown >= 0.002 or fraction >= 1.0 > shown:
-                shown = fraction
-                progress.update(task, completed=fraction, description=doing if fraction < 1.0 else finishing)
-
-        yield move
+    with progress_line(doing) as move:
+        yield None if move is None else lambda fraction: move(fraction, finishing if fraction >= 1.0 else "")
 
 
 @contextmanager
@@ -119,4 +121,6 @@ def progress_line(doing: str) -> Iterator[Callable[[float, str], None] | None]:
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(doing, total=1.0)
-        yield lambda fraction, word: progress.update(task, completed=fraction, description=f"{doing}: {word}")
+        yield lambda fraction, word: progress.update(
+            task, completed=fraction, description=f"{doing}: {word}" if word else doing
+        )

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
-from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -20,16 +20,19 @@ if TYPE_CHECKING:
     from logs.messages import LoopClosureRecord
     from logs.summary import LogSummary, TopicSummary
 
-_MOST_CLASSES = 12
-_DECIDED_FROM = (
-    "log_likelihood_ratio",
-    "odometry_penalty",
-    "posterior_log_odds",
-    "best_rival_log_likelihood_ratio",
+METADATA = "dslam"
+"""What makes a log one that a replay wrote."""
+_OWN_TOPICS = ("/slam/", "/tf")
+_MAX_CLASSES = 12
+_CANDIDATE = (
+    *("stamp_ns", "query_keyframe_id", "reference_keyframe_id", "reference_stamp_ns", "accepted", "inserted", "stage"),
+    *("reason", "inlier_count", "retrieval_distance", "inlier_fraction", "score", "log_likelihood_ratio"),
+    *("odometry_penalty", "posterior_log_odds", "best_rival_log_likelihood_ratio", "seed_query_keyframe_id"),
+    "represented_by_keyframe_id",
 )
-_LONGEST_VALUE = 300
-_MOST_CANDIDATES = 40
-_MOST_REASONS = 30
+_MAX_VALUE_LENGTH = 300
+_MAX_CANDIDATES = 40
+_MAX_REASONS = 30
 
 
 def info(
@@ -41,7 +44,7 @@ def info(
         typer.Option(metavar="ID", help="Only the candidates of this query keyframe; implies --closures.", min=0),
     ] = None,
     every: Annotated[
-        bool, typer.Option("--all", help=f"List all candidates, not only {_MOST_CANDIDATES}; implies --closures.")
+        bool, typer.Option("--all", help=f"List all candidates, not only {_MAX_CANDIDATES}; implies --closures.")
     ] = False,
     topics: Topics = None,
     settings: Settings = None,
@@ -71,7 +74,7 @@ def info(
         if is_map:
             info_map.show_map(log, datetime.now(UTC))
     if wanted:
-        _show_closures(summary, candidates, keyframe, most=len(candidates) if every else _MOST_CANDIDATES)
+        _show_closures(summary, candidates, keyframe, most=len(candidates) if every else _MAX_CANDIDATES)
 
 
 def _limits(settings: Sequence[str] | None) -> ReadingLimits | None:
@@ -92,23 +95,9 @@ def _plain(summary: LogSummary) -> dict[str, Any]:
 
 def _plain_candidate(summary: LogSummary, candidate: LoopClosureRecord) -> dict[str, Any]:
     T = candidate.T_reference_query
-    numbers = {
-        name: getattr(candidate, name) for name in ("retrieval_distance", "inlier_fraction", "score", *_DECIDED_FROM)
-    }
     return {
         "time_s": _time_s(summary, candidate),
-        "stamp_ns": candidate.stamp_ns,
-        "query_keyframe_id": candidate.query_keyframe_id,
-        "reference_keyframe_id": candidate.reference_keyframe_id,
-        "reference_stamp_ns": candidate.reference_stamp_ns,
-        "accepted": candidate.accepted,
-        "inserted": candidate.inserted,
-        "stage": candidate.stage,
-        "reason": candidate.reason,
-        "inlier_count": candidate.inlier_count,
-        **{name: value if value is not None and isfinite(value) else None for name, value in numbers.items()},
-        "seed_query_keyframe_id": candidate.seed_query_keyframe_id,
-        "represented_by_keyframe_id": candidate.represented_by_keyframe_id,
+        **{name: getattr(candidate, name) for name in _CANDIDATE},
         "T_reference_query": None if T is None else T.tolist(),
     }
 
@@ -131,11 +120,13 @@ def _show(summary: LogSummary) -> None:
         head += f", {summary.odometry_length_m:.0f} m of odometry"
     console.show(head, "", _topic_table(summary), "")
     rows: dict[str, str] = {}
-    if summary.class_counts:
-        classes = list(summary.class_counts.items())
-        more = f", and {len(classes) - _MOST_CLASSES} more classes" if len(classes) > _MOST_CLASSES else ""
-        rows["objects"] = ", ".join(f"{name} {count}" for name, count in classes[:_MOST_CLASSES]) + more
-    faults = [f"{topic.topic}: {text}" for topic in summary.topics if (text := _faults(topic))]
+    is_mapped = METADATA in summary.metadata
+    if classes := list((_landmarks_by_class(summary) if is_mapped else summary.class_counts).items()):
+        more = f", and {len(classes) - _MAX_CLASSES} more classes" if len(classes) > _MAX_CLASSES else ""
+        listed = ", ".join(f"{name} {count}" for name, count in classes[:_MAX_CLASSES])
+        rows["landmarks" if is_mapped else "objects"] = listed + more
+    inputs = [topic for topic in summary.topics if not (is_mapped and topic.topic.startswith(_OWN_TOPICS))]
+    faults = [f"{topic.topic}: {text}" for topic in inputs if (text := _faults(topic))]
     if faults:
         rows["gaps, order"] = "\n".join(faults)
     if summary.selection is not None:
@@ -174,10 +165,22 @@ def _show_closures(
         console.show(f"and {len(candidates) - most} more: --all lists them, --keyframe ID those of one query keyframe")
 
 
+def _landmarks_by_class(summary: LogSummary) -> Counter[str]:
+    """Of the final map; the log holds many that are on the way to it."""
+    from logs.errors import LogError
+    from slam.common.errors import InputDataError
+    from slam.library import read_map
+
+    try:
+        return Counter(dict(Counter(read_map(summary.path).labels).most_common()))
+    except (InputDataError, LogError):
+        return Counter()
+
+
 def _obstacle(summary: LogSummary) -> str:
     if info_map.METADATA in summary.metadata:
         return info_map.OBSTACLE
-    if "dslam" in summary.metadata:
+    if METADATA in summary.metadata:
         return "this is the map of another log; replay that one"
     return summary.obstacle.partition(" Topics of the log:")[0]  # they stand above
 
@@ -196,7 +199,7 @@ def _about(name: str, values: Mapping[str, str]) -> dict[str, str]:
 
 
 def _shortened(value: str) -> str:
-    return value if len(value) <= _LONGEST_VALUE else f"{value[:_LONGEST_VALUE]} ... (--json shows all)"
+    return value if len(value) <= _MAX_VALUE_LENGTH else f"{value[:_MAX_VALUE_LENGTH]} ... (--json shows all)"
 
 
 def _changed_settings(name: str, configuration: str) -> str:
@@ -213,9 +216,8 @@ def _topic_table(summary: LogSummary) -> Table:
     table = console.grid({"topic": False, "messages": True, "Hz": True, "schema": False, "frames": False})
     table.columns[0].no_wrap = True
     for topic in summary.topics:
-        rate = "" if topic.rate_hz is None else f"{topic.rate_hz:.1f}"
-        frames = ", ".join(topic.frames)
-        table.add_row(topic.topic, str(topic.message_count), rate, topic.schema_name, frames)
+        rate = _number(topic.rate_hz, ".1f")
+        table.add_row(topic.topic, str(topic.message_count), rate, topic.schema_name, ", ".join(topic.frames))
     return table
 
 
@@ -234,10 +236,10 @@ def _closure_table(summary: LogSummary) -> Table:
     from tools import console
 
     table = console.grid({"decision": False, "stage": False, "reason": False, "candidates": True}, "Loop closures")
-    shown = summary.closures[:_MOST_REASONS]
+    shown = summary.closures[:_MAX_REASONS]
     for count in shown:
         table.add_row(_decision(accepted=count.accepted), count.stage, count.reason, str(count.count))
-    if rest := summary.closures[_MOST_REASONS:]:
+    if rest := summary.closures[_MAX_REASONS:]:
         table.add_row("", "", f"{len(rest)} other reasons (--json)", str(sum(count.count for count in rest)))
     return table
 
@@ -267,8 +269,8 @@ def _candidate_table(summary: LogSummary, candidates: Sequence[LoopClosureRecord
     return table
 
 
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.3g}"
+def _number(value: float | None, spec: str = ".3g") -> str:
+    return "" if value is None else format(value, spec)
 
 
 def _decision(*, accepted: bool) -> str:

@@ -41,8 +41,9 @@ def optimize(
     check_outputs([output, weights], [source])
     import numpy as np
 
+    from logs.storage.placement import write_text
     from slam.backend.pose_graph.pose_graph_optimization import optimize_pose_graph
-    from slam.formats.g2o import read_pose_graph, write_lines, write_pose_graph
+    from slam.formats.g2o import read_pose_graph, write_pose_graph
     from tools import console
 
     file = read_pose_graph(source)
@@ -52,7 +53,7 @@ def optimize(
     )
     summary = _summarize(solved)
     write_pose_graph(output, solved.graph)
-    write_lines(weights, [_to_json({**summary, "closures": _closures(solved)})])
+    write_text(weights, _to_json({**summary, "closures": _closures(solved)}) + "\n")
     if json:
         console.show_json({"output": str(output), "weights": str(weights), **summary, "passed_over": file.passed_over})
     else:

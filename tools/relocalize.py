@@ -127,10 +127,10 @@ def _draw(output: Path, picture: Path, known: PriorMap) -> None:
     """The path over the landmarks of the map; those of the drive alone are left out."""
     from dataclasses import replace
 
+    from slam.display.map_picture import draw_map
     from slam.evaluation.evaluate import evaluate
     from slam.evaluation.inputs.records import read_records
     from slam.evaluation.report.picture import compose_picture
-    from slam.visualization.map_plot import draw_map
 
     records = read_records(output)
     whole = compose_picture(records, evaluate(records), title=output.stem)

@@ -92,10 +92,11 @@ def replay(
         )
     if picture is not None:
         _draw(output, picture)
+    written = [str(path) for path in (output, save_map, picture) if path is not None]
     if json:
         console.show_json({"output": str(output), **asdict(summary), "real_time_factor": _real_time_factor(summary)})
     else:
-        _show(output, picture, summary)
+        _show(written, summary)
 
 
 def _open_view(output: Path) -> Callable[[str, Record, int], None]:
@@ -113,16 +114,16 @@ def _open_view(output: Path) -> Callable[[str, Record, int], None]:
 
 
 def _draw(output: Path, picture: Path) -> None:
+    from slam.display.map_picture import draw_map
     from slam.evaluation.evaluate import evaluate
     from slam.evaluation.inputs.records import read_records
     from slam.evaluation.report.picture import compose_picture
-    from slam.visualization.map_plot import draw_map
 
     records = read_records(output)
     draw_map(picture, compose_picture(records, evaluate(records), title=output.stem))
 
 
-def _show(output: Path, picture: Path | None, summary: ReplaySummary) -> None:
+def _show(written: list[str], summary: ReplaySummary) -> None:
     from tools import console
 
     counters = summary.counters
@@ -142,7 +143,7 @@ def _show(output: Path, picture: Path | None, summary: ReplaySummary) -> None:
         "warnings": ", ".join(noted_counters(counters)) or "none",
         **({"of the log": "; ".join(summary.notes)} if summary.notes else {}),
         "final status": summary.final_status,
-        "written": str(output) + (f", {picture}" if picture else ""),
+        "written": ", ".join(written),
     }
     console.show(console.pairs(rows))
 

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+
+from logs.errors import UnwritableLogError
 
 SPECIAL = "it is a device, a pipe or a socket, which a file would replace; give the name of a file"
 
@@ -23,3 +27,29 @@ def put_in_place(part: Path, path: Path) -> None:
     if is_special(path):
         raise OSError(errno.EINVAL, SPECIAL)
     os.replace(part, path)
+
+
+@contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """``NAME.part`` to be written, which takes the name at the end.
+
+    Raises:
+        UnwritableLogError: it cannot be written.
+    """
+    target = Path(path)
+    part = target.with_name(f"{target.name}.part")
+    try:
+        yield part
+        put_in_place(part, target)
+    except OSError as error:
+        raise UnwritableLogError(f"cannot write {target}: {error.strerror or error}") from error
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write a text file, whole or not at all; halves of surrogate pairs, which UTF-8 has no place for, are escaped.
+
+    Raises:
+        UnwritableLogError: it cannot be written.
+    """
+    with replacing(path) as part:
+        part.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")

@@ -8,15 +8,18 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
+import pandas as pd
 from scipy.special import stdtrit
 
 from logs.container.json_text import parse_json
 from slam.common.config import Config
 from slam.common.config_tree import changes
 from slam.common.errors import EvaluationError
-from slam.evaluation.metrics.statistics import CHIEF_FIGURES, ChiefFigure, Spread
+from slam.evaluation.metrics.statistics import Spread
+from slam.evaluation.report.figures import HEADLINE_FIGURES, Figure
 
 SPREAD_FACTOR = 2.0
 CONFIDENCE = 0.95
@@ -82,9 +85,30 @@ class Comparison:
         """Whether any group has the two runs without which nothing can be marked."""
         return any(len(group.runs) > 1 for group in self.groups)
 
-    def mark(self, key: str, first: int, second: int) -> Difference | None:
-        """The marked difference of that figure between two groups, of which ``first`` comes before ``second``."""
-        return next((d for d in self.marked if (d.key, d.first, d.second) == (key, first, second)), None)
+    def to_table(self) -> pd.DataFrame:
+        """A row for each figure that is defined, a column for each group, or for each run where there is one group.
+
+        A mark says whether a group is better or worse than the first by more than the spread.
+        """
+        defined = [f for f in HEADLINE_FIGURES if any(group.spreads[f.key].mean is not None for group in self.groups)]
+        columns: dict[str, list[str]] = {}
+        is_one_group = len(self.groups) == 1
+        runs = self.groups[0].runs if is_one_group else ()
+        stems = [Path(run.name).stem for run in runs]
+        for run, stem in zip(runs, stems, strict=True):
+            values = [Spread.over([figure.of(run.results)]).text(figure.digits) for figure in defined]
+            columns[stem if len(set(stems)) == len(stems) else run.name] = values
+        for number, group in enumerate(self.groups):
+            name = "mean ± deviation" if is_one_group else f"{group.label} ({len(group.runs)} runs)"
+            columns[name] = [group.spreads[f.key].text(f.digits) + self._mark(f, number) for f in defined]
+        return pd.DataFrame(columns, index=[figure.heading for figure in defined])
+
+    def _mark(self, figure: Figure, number: int) -> str:
+        """How the group differs from the first in that figure; "" where it does not."""
+        found = [each for each in self.marked if (each.key, each.first, each.second) == (figure.key, 0, number)]
+        if not found:
+            return ""
+        return " * better" if (found[0].difference < 0.0) == figure.is_error else " * worse"
 
     def to_json_dict(self) -> dict[str, Any]:
         """Plain dicts, lists, strings and finite numbers; groups are numbered as in the list."""
@@ -115,7 +139,7 @@ class Comparison:
         }
 
 
-def compare_runs(runs: Sequence[Run], figures: Sequence[ChiefFigure] = CHIEF_FIGURES) -> Comparison:
+def compare_runs(runs: Sequence[Run], figures: Sequence[Figure] = HEADLINE_FIGURES) -> Comparison:
     """Group the runs by their configurations and mark what differs between the groups by more than ``RULE`` says.
 
     Raises:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import numpy as np
 
 from logs.closures import find_final_decisions
@@ -10,12 +13,12 @@ from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
-from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses
+from slam.evaluation.inputs.synchronization import PoseSeries, series_of
 from slam.evaluation.metrics.association import AssociationQuality, evaluate_associations, label_detections
-from slam.evaluation.metrics.calibration import CalibrationQuality
-from slam.evaluation.metrics.consistency_tests import evaluate_calibration
+from slam.evaluation.metrics.calibration import CalibrationQuality, evaluate_calibration
 from slam.evaluation.metrics.landmarks import (
     CONFIRMED,
+    LandmarkMatches,
     LandmarkQuality,
     evaluate_landmarks,
     match_by_detections,
@@ -34,14 +37,21 @@ from slam.evaluation.place_recognition.place_pairs import (
 from slam.evaluation.place_recognition.retrieval import RetrievalQuality, evaluate_retrieval
 from slam.evaluation.result import Evaluation
 
+NO_TRAJECTORY = "no final trajectory (/slam/trajectory_stamped): was the run finished?"
+NO_ODOMETRY = "no odometry in the log, or several topics of it: choose one with --topic odometry=/topic"
 NO_KEYFRAMES = "no keyframes in the log (/slam/graph), so revisits are unknown"
 NO_STATUS = "no status in the log (/slam/status)"
 NO_RUN_TIME = (
     "logs hold no times of the machine that made them, so that they are the same on every one; "
-    "'dslam replay --json' and 'dslam benchmark replay' tell them"
+    "'dslam replay --json' and 'dslam benchmark replay' print them"
 )
 NO_TRUTH = "no ground truth: pass --reference LOG.mcap or record /ground_truth"
+NO_DETECTION_TRUTH = "no truth of the detections: pass --reference LOG.mcap or record /ground_truth/detections"
+NO_MAP = "no object map in the log (/slam/map)"
+NO_TRUE_OBJECTS = "no true objects: pass --reference LOG.mcap or record /ground_truth/objects"
 IN_GIVEN_MAP = "closures go to the keyframes of a given map, of which this log holds no truth: see relocalization"
+
+_Quality = TypeVar("_Quality")
 
 
 def evaluate(
@@ -68,43 +78,37 @@ def protocol_of(records: EvaluationRecords) -> Protocol:
     return Protocol() if range_m is None else Protocol().for_range(range_m)
 
 
+def find_aliases(object_map: ObjectMapRecord | None) -> dict[str, str]:
+    """Id of each merged landmark -> id of the one that stands for it."""
+    if object_map is None or not object_map.merged_into:
+        return {}
+    return {name: kept for name, kept in zip(object_map.ids, object_map.merged_into, strict=True) if kept}
+
+
 class _Evaluator:
     def __init__(self, records: EvaluationRecords, protocol: Protocol, map_alignment: FloatArray | None) -> None:
         self._records = records
         self._protocol = protocol
         self._map_alignment = map_alignment
         self._unavailable: dict[str, str] = {}
-        self._truth = _series([(r.stamp_ns, r.T_world_body) for r in records.true_poses])
+        self._truth = records.true_path
         closure_poses = records.closure_true_poses
         self._closure_truth = (
-            _series([(r.stamp_ns, r.T_world_body) for r in closure_poses]) if closure_poses else self._truth
+            series_of((r.stamp_ns, r.T_world_body) for r in closure_poses) if closure_poses else self._truth
         )
-        self._odometry = _series([(r.stamp_ns, r.T_odom_body) for r in records.odometry])
+        self._odometry = records.odometry_path
 
     def run(self) -> Evaluation:
-        records = self._records
-        final = records.trajectory
-        final_poses = clean_poses(final.stamps_ns, final.T_map_body) if final else _series([])
-        no_estimate = "no final trajectory (/slam/trajectory_stamped): was the run finished?"
-        estimate = self._trajectory("trajectory", final_poses, no_estimate)
+        records, final = self._records, self._records.final_path
+        estimate = self._trajectory("trajectory", final, self._truth, NO_TRAJECTORY)
         by_closure_reference = None
         if self._closure_truth is not self._truth:
-            by_closure_reference = self._trajectory(
-                "closure_reference", final_poses, no_estimate, truth=self._closure_truth
-            )
-        odometry = self._trajectory(
-            "odometry",
-            self._odometry,
-            "no odometry in the log, or several topics of it: choose one with --topic odometry=/topic",
-        )
-        online = self._trajectory(
-            "online", _series([(r.stamp_ns, r.T_map_body) for r in records.online_poses]), "no /slam/pose in the log"
-        )
-        associations = self._associations()
+            by_closure_reference = self._trajectory("closure_reference", final, self._closure_truth, NO_TRAJECTORY)
+        odometry = self._trajectory("odometry", self._odometry, self._truth, NO_ODOMETRY)
+        online = self._trajectory("online", records.online_path, self._truth, "no /slam/pose in the log")
         best = estimate or online
         T_world_map = best.alignment.T_world_map if best else None
-        landmarks = self._landmarks(associations, T_world_map)
-        closures = self._closures()
+        associations, closures = self._associations(), self._closures()
         pairs, online_queries = self._literature_protocols()
         if records.status is None:
             self._unavailable["counters"] = NO_STATUS
@@ -116,7 +120,7 @@ class _Evaluator:
             online=online,
             by_closure_reference=by_closure_reference,
             associations=associations,
-            landmarks=landmarks,
+            landmarks=self._landmarks(associations, T_world_map),
             closures=closures,
             retrieval=self._retrieval(closures),
             pairs=pairs,
@@ -127,102 +131,103 @@ class _Evaluator:
             unavailable=self._unavailable,
         )
 
+    def _measure(
+        self, part: str, compute: Callable[[], _Quality], missing: dict[str, bool] | None = None
+    ) -> _Quality | None:
+        """What ``compute`` returns; None, with its reason noted, where something is ``missing`` or cannot be used."""
+        reason = next((why for why, is_missing in (missing or {}).items() if is_missing), "")
+        if not reason:
+            try:
+                return compute()
+            except EvaluationError as error:
+                reason = str(error)
+        self._unavailable[part] = reason
+        return None
+
     def _trajectory(
-        self, part: str, estimate: PoseSeries, absent: str, *, truth: PoseSeries | None = None
+        self, part: str, estimate: PoseSeries, truth: PoseSeries, no_estimate: str
     ) -> TrajectoryErrors | None:
-        truth = self._truth if truth is None else truth
-        if len(estimate.stamps_ns) == 0 or len(truth.stamps_ns) == 0:
-            self._unavailable[part] = absent if len(estimate.stamps_ns) == 0 else NO_TRUTH
-            return None
-        try:
-            return evaluate_trajectory(
+        protocol = self._protocol
+        return self._measure(
+            part,
+            lambda: evaluate_trajectory(
                 estimate,
                 truth,
-                max_gap_s=self._protocol.max_truth_gap_s,
-                lengths_m=self._protocol.relative_lengths_m,
-                short_lengths_m=self._protocol.short_relative_lengths_m,
-                start_step=self._protocol.relative_start_step,
-            )
-        except EvaluationError as error:
-            self._unavailable[part] = str(error)
-            return None
+                max_gap_s=protocol.max_truth_gap_s,
+                lengths_m=protocol.relative_lengths_m,
+                short_lengths_m=protocol.short_relative_lengths_m,
+                start_step=protocol.relative_start_step,
+            ),
+            {no_estimate: not len(estimate), NO_TRUTH: not len(truth)},
+        )
 
     def _associations(self) -> AssociationQuality | None:
         records = self._records
-        path = next((p for p in (self._odometry, self._truth) if len(p.stamps_ns)), None)
-        if not records.associations or not records.detection_truths or path is None:
-            if not records.associations:
-                reason = "no associations in the log (/slam/associations)"
-            elif not records.detection_truths:
-                reason = "no truth of the detections: pass --reference LOG.mcap or record /ground_truth/detections"
-            else:
-                reason = "neither odometry nor ground truth, so travel between measurements is unknown"
-            self._unavailable["associations"] = reason
-            return None
-        object_map = records.object_map
+        path = self._odometry if len(self._odometry) else self._truth
+        missing = {
+            "no associations in the log (/slam/associations)": not records.associations,
+            NO_DETECTION_TRUTH: not records.detection_truths,
+            "neither odometry nor ground truth, so travel between measurements is unknown": not len(path),
+        }
+        return self._measure("associations", lambda: self._compare_associations(path), missing)
+
+    def _compare_associations(self, path: PoseSeries) -> AssociationQuality:
+        records, object_map = self._records, self._records.object_map
+        detections = label_detections(
+            records.associations, records.detection_truths, path, aliases=find_aliases(object_map)
+        )
+        if detections.frame_count == 0:
+            raise EvaluationError(
+                f"none of {len(records.associations)} frames has the stamp of a truth: is the reference of this drive?"
+            )
         confirmed = None
         if object_map:
             pairs = zip(object_map.ids, object_map.states, strict=True)
             confirmed = [name for name, state in pairs if state == CONFIRMED]
-        try:
-            detections = label_detections(
-                records.associations, records.detection_truths, path, aliases=find_aliases(object_map)
-            )
-        except EvaluationError as error:
-            self._unavailable["associations"] = str(error)
-            return None
-        if detections.frame_count == 0:
-            self._unavailable["associations"] = (
-                f"none of {len(records.associations)} frames has the stamp of a truth: is the reference of this drive?"
-            )
-            return None
         return evaluate_associations(detections, revisit_m=self._protocol.revisit_m, confirmed_landmark_ids=confirmed)
 
     def _landmarks(
         self, associations: AssociationQuality | None, T_world_map: FloatArray | None
     ) -> LandmarkQuality | None:
-        map_est, map_gt = self._records.object_map, self._records.true_objects
+        map_est, map_gt, protocol = self._records.object_map, self._records.true_objects, self._protocol
         if map_est is None or map_gt is None:
-            self._unavailable["landmarks"] = (
-                "no object map in the log (/slam/map)"
-                if map_est is None
-                else "no true objects: pass --reference LOG.mcap or record /ground_truth/objects"
-            )
+            self._unavailable["landmarks"] = NO_MAP if map_est is None else NO_TRUE_OBJECTS
             return None
-        protocol = self._protocol
-        if associations is not None:
-            matches = match_by_detections(
-                map_est, map_gt, associations.landmark_object_ids, has_prior_map=self._records.has_prior_map
-            )
-        elif T_world_map is not None:
+        matches = self._matches(associations)
+        if matches is None and T_world_map is not None:
             matches = match_by_position(map_est, map_gt, T_world_map, max_distance_m=protocol.match_distance_m)
-        else:
+        if matches is None:
             self._unavailable["landmarks"] = "neither a truth of the detections nor an aligned trajectory to match with"
             return None
-        try:
-            return evaluate_landmarks(
+        return self._measure(
+            "landmarks",
+            lambda: evaluate_landmarks(
                 map_est,
                 map_gt,
                 matches,
+                protocol,
                 path_gt=self._truth,
                 T_world_map=T_world_map,
                 object_detection_counts=associations.object_detection_counts if associations else None,
-                window_m=protocol.window_m,
-                stride_m=protocol.window_stride_m,
-                least_landmarks=protocol.window_least_landmarks,
-                least_detections=protocol.least_detections,
-            )
-        except EvaluationError as error:
-            self._unavailable["landmarks"] = str(error)
+            ),
+        )
+
+    def _matches(self, associations: AssociationQuality | None) -> LandmarkMatches | None:
+        """Landmarks with their objects by the truth of the detections."""
+        map_est, map_gt = self._records.object_map, self._records.true_objects
+        if associations is None or map_est is None or map_gt is None:
             return None
+        return match_by_detections(
+            map_est, map_gt, associations.landmark_object_ids, has_prior_map=self._records.has_prior_map
+        )
 
     def _closures(self) -> ClosureQuality | None:
         graph, candidates = self._records.graph, self._records.closures
         no_rows = np.zeros(0, dtype=np.int64)
-        if not candidates and (graph is None or len(self._closure_truth.stamps_ns) == 0):
+        if not candidates and (graph is None or not len(self._closure_truth)):
             self._unavailable["closures"] = "no loop-closure candidate in the log"
             return None
-        if len(self._closure_truth.stamps_ns) == 0:
+        if not len(self._closure_truth):
             self._unavailable["closures"] = NO_TRUTH
         elif graph is None:
             self._unavailable["closures"] = NO_KEYFRAMES
@@ -242,26 +247,26 @@ class _Evaluator:
         if closures is None or closures.revisits is None or graph is None:
             self._unavailable["retrieval"] = self._unavailable["closures"]
             return None
-        try:
-            return evaluate_retrieval(
+        revisits = closures.revisits.revisits
+        return self._measure(
+            "retrieval",
+            lambda: evaluate_retrieval(
                 self._records.closures,
-                closures.revisits.revisits,
+                revisits,
                 dict(zip(graph.keyframe_ids.tolist(), graph.keyframe_stamps_ns.tolist(), strict=True)),
                 self._closure_truth,
                 self._protocol,
                 place_count=self._records.verified_places,
-            )
-        except EvaluationError as error:
-            self._unavailable["retrieval"] = str(error)
-            return None
+            ),
+        )
 
     def _literature_protocols(self) -> tuple[PairQuality, OnlineQuality] | tuple[None, None]:
-        graph = self._records.graph
-        if graph is None or len(self._closure_truth.stamps_ns) == 0:
+        graph, truth = self._records.graph, self._closure_truth
+        if graph is None or not len(truth):
             self._unavailable["literature_protocols"] = NO_KEYFRAMES if graph is None else NO_TRUTH
             return None, None
         candidates = find_final_decisions(self._records.closures)
-        keyframes = compare_keyframes(candidates, graph, self._odometry.stamps_ns, self._closure_truth, self._protocol)
+        keyframes = compare_keyframes(candidates, graph, self._odometry.stamps_ns, truth, self._protocol)
         return evaluate_pairs(keyframes, self._protocol), evaluate_online(keyframes, self._protocol)
 
     def _relocalization(self, T_world_estimate: FloatArray | None) -> RelocalizationQuality | None:
@@ -282,43 +287,22 @@ class _Evaluator:
             method="map" if is_located else "trajectory" if is_given else "closure",
         )
         if quality.undecided_count:
-            reason = NO_TRUTH if len(self._truth.stamps_ns) == 0 else "no truth at their stamps"
+            reason = "no truth at their stamps" if len(self._truth) else NO_TRUTH
             self._unavailable["relocalization"] = f"{quality.undecided_count} of {quality.fix_count} fixes: {reason}"
         return quality
 
     def _calibration(
         self, associations: AssociationQuality | None, closures: ClosureQuality | None
     ) -> CalibrationQuality | None:
-        records = self._records
-        matches = None
-        if associations is not None and records.object_map is not None and records.true_objects is not None:
-            matches = match_by_detections(
-                records.object_map,
-                records.true_objects,
-                associations.landmark_object_ids,
-                has_prior_map=records.has_prior_map,
-            )
         quality, missing = evaluate_calibration(
-            records.graph,
-            records.object_map,
-            records.true_objects,
-            matches,
+            self._records.graph,
+            self._records.object_map,
+            self._records.true_objects,
+            self._matches(associations),
             closures.judged if closures is not None else None,
             self._truth,
             self._protocol,
         )
         if missing:
-            self._unavailable["calibration"] = missing if len(self._truth.stamps_ns) else NO_TRUTH
+            self._unavailable["calibration"] = missing if len(self._truth) else NO_TRUTH
         return quality
-
-
-def find_aliases(object_map: ObjectMapRecord | None) -> dict[str, str]:
-    """Id of each merged landmark -> id of the one that stands for it."""
-    if object_map is None or not object_map.merged_into:
-        return {}
-    return {name: kept for name, kept in zip(object_map.ids, object_map.merged_into, strict=True) if kept}
-
-
-def _series(stamped_poses: list[tuple[int, FloatArray]]) -> PoseSeries:
-    stamps_ns = np.array([stamp for stamp, _ in stamped_poses], dtype=np.int64)
-    return clean_poses(stamps_ns, np.array([T for _, T in stamped_poses], dtype=np.float64).reshape(-1, 4, 4))

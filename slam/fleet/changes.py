@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from logs.storage.placement import write_text
 from slam.common.arrays import IntArray
 from slam.common.georeference import Georeference
 from slam.fleet.passes import find_passes
 from slam.fleet.presence import Presence, estimate_presence, seen_probabilities
 from slam.map_joining.joint_map import JointMap
-from slam.sweeps.cells import write_text
 
 REPORTED = 0.5
 """Changes of at least that probability are reported."""

@@ -13,10 +13,10 @@ from pathlib import Path
 
 from logs.container.json_text import parse_json
 from logs.digest import file_sha256
+from logs.storage.placement import write_text
 from logs.storage.regular_file import read_regular
 from logs.writer import partial_path
 from slam.common.errors import FleetError
-from slam.sweeps.cells import write_text
 
 MEMBERS_NAME = "logs.json"
 _REMOTE = "://"

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from logs.storage.placement import write_text
 from slam.fleet.changes import REPORTED
 from slam.fleet.fleet import Fleet
-from slam.sweeps.cells import write_text
 
 
 def fleet_report(fleet: Fleet) -> dict[str, Any]:

@@ -12,13 +12,13 @@ from pathlib import Path
 from logs.container.json_text import parse_json
 from logs.errors import LogError
 from logs.messages import SceneMarkers
+from logs.storage.placement import write_text
 from slam.common.config import Config
 from slam.common.errors import SlamError
 from slam.map_joining.condensed_map import condense_map, stretch_length_m
 from slam.map_joining.session_config import session_config
 from slam.object_map.map_io import SavedMap, load_map, save_map
 from slam.replay import replay
-from slam.sweeps.cells import write_text
 
 MAP_NAME, LEDGER_NAME, SCRATCH = "map.mcap", "session.json", "mapping-"
 

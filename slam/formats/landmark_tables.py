@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from logs.messages import ObjectMapRecord
 from logs.scene import class_color
+from logs.storage.placement import write_text
 from slam.common.errors import InputDataError
 from slam.common.georeference import Georeference
-from slam.formats.g2o import write_lines
 
-_COLUMNS = ("id", "class", "probability", "x_m", "y_m", "z_m", "sigma_x_m", "sigma_y_m", "sigma_z_m", "observations")
 _DEGREES = 9  # a tenth of a millimetre
 
 
@@ -26,14 +24,17 @@ def write_csv(path: Path, objects: ObjectMapRecord) -> None:
         UnwritableLogError: the file cannot be written.
     """
     sigmas = np.sqrt(np.diagonal(objects.covariances, axis1=1, axis2=2))
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(_COLUMNS)
-    for row, label in enumerate(objects.labels):
-        position, sigma = objects.positions[row].tolist(), sigmas[row].tolist()
-        probability = float(objects.class_probabilities[row].max())
-        table.writerow([objects.ids[row], label, probability, *position, *sigma, int(objects.observation_counts[row])])
-    write_lines(path, text.getvalue().removesuffix("\n").split("\n"))
+    table = pd.DataFrame(
+        {
+            "id": objects.ids,
+            "class": objects.labels,
+            "probability": objects.class_probabilities.max(axis=1, initial=0.0),
+            **{f"{axis}_m": objects.positions[:, column] for column, axis in enumerate("xyz")},
+            **{f"sigma_{axis}_m": sigmas[:, column] for column, axis in enumerate("xyz")},
+            "observations": objects.observation_counts,
+        }
+    )
+    write_text(path, table.to_csv(index=False, lineterminator="\n"))
 
 
 def write_geojson(path: Path, objects: ObjectMapRecord, georeference: Georeference) -> None:
@@ -42,6 +43,7 @@ def write_geojson(path: Path, objects: ObjectMapRecord, georeference: Georeferen
     Raises:
         UnwritableLogError: the file cannot be written.
     """
+    places = georeference.to_geodetic(objects.positions).tolist()
     features = [
         {
             "type": "Feature",
@@ -50,18 +52,13 @@ def write_geojson(path: Path, objects: ObjectMapRecord, georeference: Georeferen
                 "type": "Point",
                 "coordinates": [round(longitude, _DEGREES), round(latitude, _DEGREES), round(altitude_m, 3)],
             },
-            "properties": {"class": label, "observations": int(count)},
+            "properties": {"class": label, "observations": count},
         }
         for name, label, count, (latitude, longitude, altitude_m) in zip(
-            objects.ids,
-            objects.labels,
-            objects.observation_counts,
-            georeference.to_geodetic(objects.positions).tolist(),
-            strict=True,
+            objects.ids, objects.labels, objects.observation_counts.tolist(), places, strict=True
         )
     ]
-    collection = {"type": "FeatureCollection", "features": features}
-    write_lines(path, json.dumps(collection, indent=1).splitlines())
+    write_text(path, json.dumps({"type": "FeatureCollection", "features": features}, indent=1) + "\n")
 
 
 def write_ply(path: Path, objects: ObjectMapRecord) -> None:
@@ -81,4 +78,4 @@ def write_ply(path: Path, objects: ObjectMapRecord) -> None:
     for (x, y, z), label in zip(objects.positions.tolist(), labels, strict=True):
         red, green, blue = (round(255 * part) for part in class_color(label)[:3])
         lines.append(f"{x!r} {y!r} {z!r} {red} {green} {blue} {classes.index(label)}")
-    write_lines(path, lines)
+    write_text(path, "\n".join(lines) + "\n")

@@ -1,21 +1,20 @@
-"""Trajectories and graphs in the text formats of other programs: TUM, KITTI, g2o.
-
-Every file is written beside its name as ``NAME.part`` and renamed when it is complete.
-"""
+"""Trajectories and graphs in the text formats of other programs: TUM, KITTI, g2o."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord, TrajectoryRecord
+from logs.storage.placement import write_text
+from slam.backend.pose_graph.pose_graph import PoseGraph
 from slam.common.arrays import FloatArray
 from slam.common.errors import InputDataError
 from slam.common.geometry import invert
 from slam.common.georeference import Georeference
-from slam.formats.g2o import TRANSLATION_FIRST, format_numbers, quaternions, write_lines
+from slam.formats.g2o import format_numbers, graph_lines, position_and_quaternion
 
 T_BODY_CAMERA = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
@@ -29,10 +28,9 @@ def write_tum(path: str | Path, trajectory: TrajectoryRecord) -> None:
         InputDataError: stamps and poses differ in number, or a pose is not finite.
         UnwritableLogError: the file cannot be written.
     """
-    poses = _checked_poses(trajectory.T_map_body, trajectory.stamps_ns)
-    rows = np.hstack([poses[:, :3, 3], quaternions(poses)])
-    lines = (f"{_seconds(int(t))} {format_numbers(row)}" for t, row in zip(trajectory.stamps_ns, rows, strict=True))
-    write_lines(path, lines)
+    rows = position_and_quaternion(_checked_poses(trajectory.T_map_body, trajectory.stamps_ns))
+    stamps = map(_seconds, trajectory.stamps_ns.tolist())
+    _write_lines(path, (f"{stamp} {format_numbers(row)}" for stamp, row in zip(stamps, rows, strict=True)))
 
 
 def write_geodetic(path: Path, trajectory: TrajectoryRecord, georeference: Georeference) -> None:
@@ -43,10 +41,10 @@ def write_geodetic(path: Path, trajectory: TrajectoryRecord, georeference: Geore
     """
     places = georeference.to_geodetic(trajectory.T_map_body[:, :3, 3]).tolist()
     rows = [
-        f"{stamp_ns // 10**9}.{stamp_ns % 10**9:09d},{latitude:.9f},{longitude:.9f},{altitude_m:.3f}"
+        f"{_seconds(stamp_ns)},{latitude:.9f},{longitude:.9f},{altitude_m:.3f}"
         for stamp_ns, (latitude, longitude, altitude_m) in zip(trajectory.stamps_ns.tolist(), places, strict=True)
     ]
-    write_lines(path, ["stamp_s,latitude_deg,longitude_deg,altitude_m", *rows])
+    _write_lines(path, ["stamp_s,latitude_deg,longitude_deg,altitude_m", *rows])
 
 
 def write_kitti(path: str | Path, trajectory: TrajectoryRecord) -> None:
@@ -61,7 +59,7 @@ def write_kitti(path: str | Path, trajectory: TrajectoryRecord) -> None:
         UnwritableLogError: the file cannot be written.
     """
     poses = _checked_poses(trajectory.T_map_body, trajectory.stamps_ns)
-    write_lines(path, (format_numbers(T[:3].ravel()) for T in poses))
+    _write_lines(path, (format_numbers(T[:3].ravel()) for T in poses))
 
 
 def write_kitti_camera(path: str | Path, trajectory: TrajectoryRecord) -> None:
@@ -74,7 +72,7 @@ def write_kitti_camera(path: str | Path, trajectory: TrajectoryRecord) -> None:
         UnwritableLogError: the file cannot be written.
     """
     poses = _checked_poses(trajectory.T_map_body, trajectory.stamps_ns) @ T_BODY_CAMERA
-    write_lines(path, (format_numbers(T[:3].ravel()) for T in invert(poses[:1]) @ poses))
+    _write_lines(path, (format_numbers(T[:3].ravel()) for T in invert(poses[:1]) @ poses))
 
 
 def write_g2o(path: str | Path, graph: FactorGraphRecord, object_map: ObjectMapRecord | None = None) -> None:
@@ -98,87 +96,65 @@ def write_g2o(path: str | Path, graph: FactorGraphRecord, object_map: ObjectMapR
         UnwritableLogError: the file cannot be written.
     """
     poses = _checked_poses(graph.T_map_body, graph.keyframe_ids)
-    row_of = {int(keyframe): row for row, keyframe in enumerate(graph.keyframe_ids)}
+    keyframes = graph.keyframe_ids
+    row_of = {keyframe: row for row, keyframe in enumerate(keyframes.tolist())}
     if len(row_of) != len(poses) or min(row_of, default=0) < 0:
         raise InputDataError(f"{len(poses)} keyframes must have unique ids >= 0 to be vertices of a g2o file")
-    named = (*graph.edge_keyframe_ids.ravel().tolist(), *graph.observation_keyframe_ids.tolist())
-    if (
-        not len(graph.observation_keyframe_ids)
-        == len(graph.observation_landmark_ids)
-        == len(graph.observation_positions)
-    ):
-        raise InputDataError(
-            "the observations of the graph have keyframes, landmarks and positions of different number"
-        )
+    counts = {
+        len(each)
+        for each in (graph.observation_keyframe_ids, graph.observation_landmark_ids, graph.observation_positions)
+    }
+    if len(counts) > 1:
+        raise InputDataError("observations of the graph have keyframes, landmarks and positions of different number")
     if not np.isfinite(graph.observation_positions).all():
         raise InputDataError("an observation of the graph has a position that is not finite; nothing was exported")
-    unknown = sorted(set(named) - row_of.keys())
+    unknown = {*graph.edge_keyframe_ids.ravel().tolist(), *graph.observation_keyframe_ids.tolist()} - row_of.keys()
     if unknown:
-        raise InputDataError(f"edges or observations name keyframe {unknown[0]}, which the graph does not hold")
-    write_lines(path, _g2o_lines(graph, poses, row_of, object_map))
-
-
-def _g2o_lines(
-    graph: FactorGraphRecord, poses: FloatArray, row_of: dict[int, int], object_map: ObjectMapRecord | None
-) -> Iterator[str]:
-    landmark_ids = tuple(dict.fromkeys(graph.observation_landmark_ids))
+        raise InputDataError(f"edges or observations name keyframe {min(unknown)}, which the graph does not hold")
+    seen_from = poses[[row_of[keyframe] for keyframe in graph.observation_keyframe_ids.tolist()]]
+    pose_graph = PoseGraph(
+        vertex_ids=keyframes,
+        T_world_vertex=poses,
+        edges=graph.edge_keyframe_ids,
+        T_from_to=_checked_poses(graph.edge_transforms, graph.edge_keyframe_ids),
+        information=_invert(graph.edge_covariances, "edge"),
+        fixed_ids=keyframes[:1],
+    )
     first_vertex = max(row_of, default=-1) + 1
-    vertex_of = {name: first_vertex + index for index, name in enumerate(landmark_ids)}
-    positions = _landmark_positions(graph, poses, row_of, landmark_ids, object_map)
-    edges = _checked_poses(graph.edge_transforms, graph.edge_keyframe_ids)
-    edge_information = _invert(graph.edge_covariances, "edge")[:, TRANSLATION_FIRST[:, None], TRANSLATION_FIRST]
-    observation_information = _invert(graph.observation_covariances, "observation")
-
-    if landmark_ids:
-        yield "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1"
-    for keyframe, xyz, quaternion in zip(graph.keyframe_ids, poses[:, :3, 3], quaternions(poses), strict=True):
-        yield f"VERTEX_SE3:QUAT {keyframe} {format_numbers(xyz)} {format_numbers(quaternion)}"
-    if len(poses):
-        yield f"FIX {graph.keyframe_ids[0]}"
-    for name, xyz in zip(landmark_ids, positions, strict=True):
-        yield f"# landmark {vertex_of[name]} is {name!a}"
-        yield f"VERTEX_TRACKXYZ {vertex_of[name]} {format_numbers(xyz)}"
-    upper = np.triu_indices(6)
-    for (start, end), T, quaternion, information in zip(
-        graph.edge_keyframe_ids, edges, quaternions(edges), edge_information, strict=True
-    ):
-        numbers = np.concatenate([T[:3, 3], quaternion, information[upper]])
-        yield f"EDGE_SE3:QUAT {start} {end} {format_numbers(numbers)}"
-    upper = np.triu_indices(3)
-    for keyframe, name, xyz, information in zip(
-        graph.observation_keyframe_ids,
-        graph.observation_landmark_ids,
-        graph.observation_positions,
-        observation_information,
-        strict=True,
-    ):
-        vertex = vertex_of[name]
-        yield f"EDGE_SE3_TRACKXYZ {keyframe} {vertex} 0 {format_numbers(xyz)} {format_numbers(information[upper])}"
+    _write_lines(path, [*_landmark_lines(graph, seen_from, object_map, first_vertex), *graph_lines(pose_graph)])
 
 
-def _landmark_positions(
-    graph: FactorGraphRecord,
-    poses: FloatArray,
-    row_of: dict[int, int],
-    landmark_ids: tuple[str, ...],
-    object_map: ObjectMapRecord | None,
-) -> FloatArray:
-    """Positions (L, 3), metres, map frame."""
-    index_of = {name: index for index, name in enumerate(landmark_ids)}
-    seen_from = poses[[row_of[int(keyframe)] for keyframe in graph.observation_keyframe_ids]]
+def _landmark_lines(
+    graph: FactorGraphRecord, seen_from: FloatArray, object_map: ObjectMapRecord | None, first_vertex: int
+) -> Iterator[str]:
+    """Landmarks from ``first_vertex`` on, and their observations from poses (N, 4, 4)."""
+    names = tuple(dict.fromkeys(graph.observation_landmark_ids))
+    index_of = {name: index for index, name in enumerate(names)}
     indices = np.array([index_of[name] for name in graph.observation_landmark_ids], dtype=np.int64)
     observed = np.einsum("nij,nj->ni", seen_from[:, :3, :3], graph.observation_positions) + seen_from[:, :3, 3]
-    sums = np.zeros((len(landmark_ids), 3))
-    np.add.at(sums, indices, observed)
-    positions = sums / np.bincount(indices, minlength=len(landmark_ids)).reshape(-1, 1)
+    positions = np.zeros((len(names), 3))
+    np.add.at(positions, indices, observed)
+    positions /= np.bincount(indices, minlength=len(names)).reshape(-1, 1)
     if object_map is not None:
         for name, position in zip(object_map.ids, object_map.positions, strict=True):
             if name in index_of:
                 positions[index_of[name]] = position
-    return positions
+    if names:
+        yield "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1"
+    for vertex, (name, xyz) in enumerate(zip(names, positions, strict=True), start=first_vertex):
+        yield f"# landmark {vertex} is {name!a}"
+        yield f"VERTEX_TRACKXYZ {vertex} {format_numbers(xyz)}"
+    information = _invert(graph.observation_covariances, "observation")[:, *np.triu_indices(3)]
+    rows = np.hstack([graph.observation_positions, information])
+    for keyframe, index, row in zip(graph.observation_keyframe_ids, indices, rows, strict=True):
+        yield f"EDGE_SE3_TRACKXYZ {keyframe} {first_vertex + index} 0 {format_numbers(row)}"
 
 
-def _checked_poses(poses: FloatArray, names: FloatArray | np.ndarray) -> FloatArray:
+def _write_lines(path: str | Path, lines: Iterable[str]) -> None:
+    write_text(path, "".join(f"{line}\n" for line in lines))
+
+
+def _checked_poses(poses: FloatArray, names: Sequence[object] | np.ndarray) -> FloatArray:
     poses = poses.reshape(-1, 4, 4)
     if len(poses) != len(names):
         raise InputDataError(f"{len(names)} stamps or ids do not belong to {len(poses)} transforms")

@@ -18,7 +18,7 @@ from typing import Any
 
 from logs.container.json_text import parse_json
 from logs.errors import LogError, UnwritableLogError
-from logs.storage.placement import put_in_place
+from logs.storage.placement import write_text
 from slam.common.config import Config
 from slam.common.errors import EvaluationError, SlamError
 from slam.evaluation.evaluate import evaluate
@@ -203,17 +203,3 @@ class CellFolder:
         shutil.rmtree(self.scratch, ignore_errors=True)
         for part in self._cells.glob("*.json.part"):
             part.unlink(missing_ok=True)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file by way of NAME.part.
-
-    Raises:
-        UnwritableLogError: it cannot be written.
-    """
-    part = path.with_name(f"{path.name}.part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        put_in_place(part, path)
-    except OSError as error:
-        raise UnwritableLogError(f"cannot write {path}: {error.strerror}") from error

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from slam.common.errors import ConfigurationError
 from slam.simulation.faults.fault import FaultCase
-from slam.simulation.faults.registry import DEGRADATIONS, FAULTS, parse_fault
+from slam.simulation.faults.registry import DEGRADATIONS, parse_fault
 
 DEFAULT_SPECIFICATIONS = (
     "dropout=0.7",
@@ -60,18 +59,6 @@ def parse_degradations(specifications: Sequence[str]) -> list[Degradation]:
     """
     found = [Degradation(UNDEGRADED), *(_parse(text) for text in specifications or DEFAULT_SPECIFICATIONS)]
     return list({degradation.name: degradation for degradation in found}.values())
-
-
-def undegraded_strength(name: str) -> float | None:
-    """The value of a fault that changes nothing; None where there is none."""
-    neutral = FAULTS[name].neutral
-    return neutral if neutral is not None and math.isfinite(neutral) else None
-
-
-def describe_option(name: str) -> str:
-    """A fault with one number in words, with its unit: "position noise [m]"."""
-    words, unit = name.replace("_", " "), FAULTS[name].parameters[0].range.unit
-    return words if unit == "share" else f"{words} [{unit}]"
 
 
 def _parse(text: str) -> Degradation:

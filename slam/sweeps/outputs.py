@@ -5,25 +5,76 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from slam.evaluation.sheets.files import write_sheets
-from slam.sweeps.cells import write_text
+import pandas as pd
+
+from logs.storage.placement import write_text
+from slam.evaluation.report.figures import HEADLINE_FIGURES
+from slam.evaluation.report.table_files import write_tables
 from slam.sweeps.picture import draw_sweep
-from slam.sweeps.sweep import Sweep
-from slam.sweeps.table import sweep_sheets, to_markdown
+from slam.sweeps.sweep import Sweep, SweepRow
 
 JSON_NAME, TABLE_NAME, PICTURE_NAME = "sweep.json", "sweep.md", "sweep.png"
 SHEET_NAMES = ("sweep.csv", "sweep.tex", "sweep.html")
+NOTE = (
+    "Mean ± standard deviation over the seeds. Precision, recall and opposite (recall over revisits in the opposite "
+    "direction) are of accepted loop closures, associations the share of right ones, landmarks the share of objects in "
+    "the map, x real time how fast the drive was mapped while the other cells were computed."
+)
+_CLOSURES = {"closures.precision": "precision", "closures.recall": "recall", "closures.recall_opposite": "opposite"}
+_MAP = {
+    "trajectory.ate_m": "ATE m",
+    "trajectory.rpe_translation_percent": "RPE %",
+    "associations.precision": "associations",
+    "landmarks.recall": "landmarks",
+}
 
 
-def write_outputs(folder: Path, sweep: Sweep) -> None:
-    """Write all of them.
+def write_outputs(folder: Path, sweep: Sweep) -> list[Path]:
+    """Write all of them; returns their paths.
 
     Raises:
         UnwritableLogError: one cannot be written.
     """
-    write_text(folder / JSON_NAME, json.dumps(sweep.to_json_dict(), indent=2, allow_nan=False) + "\n")
-    write_text(folder / TABLE_NAME, to_markdown(sweep))
+    paths = [folder / name for name in (JSON_NAME, TABLE_NAME, *SHEET_NAMES, PICTURE_NAME)]
+    write_text(paths[0], json.dumps(sweep.to_json_dict(), indent=2, allow_nan=False) + "\n")
+    write_text(paths[1], to_markdown(sweep))
     evaluations = {cell.name: result.evaluation for cell, result in sweep.results if result.evaluation is not None}
-    for name in SHEET_NAMES:
-        write_sheets(folder / name, f"{sweep.drive.path.stem}, degraded", sweep_sheets(sweep), evaluations)
-    draw_sweep(folder / PICTURE_NAME, sweep)
+    for path in paths[2:-1]:
+        write_tables(path, f"{sweep.drive.path.stem}, degraded", make_tables(sweep), NOTE, evaluations)
+    draw_sweep(paths[-1], sweep)
+    return paths
+
+
+def make_tables(sweep: Sweep) -> dict[str, pd.DataFrame]:
+    """Loop closures, and trajectory and map, with a row for each degradation and variant."""
+    closures = {
+        row.name: {
+            "runs": f"{len(row.results)}" + (f", {row.failed_count} failed" if row.failed_count else ""),
+            **_figures(row, _CLOSURES),
+        }
+        for row in sweep.rows
+    }
+    of_map = {row.name: {**_figures(row, _MAP), "x real time": row.real_time_factor.text(1)} for row in sweep.rows}
+    tables = {"loop closures": closures, "trajectory and map": of_map}
+    return {title: pd.DataFrame(rows).T.rename_axis("degradation") for title, rows in tables.items()}
+
+
+def to_markdown(sweep: Sweep) -> str:
+    """Both tables side by side, and what they were made from."""
+    table = pd.concat(make_tables(sweep).values(), axis=1)
+    headings = ["degradation", *table.columns]
+    rows = [[str(name), *cells] for name, cells in zip(table.index, table.to_numpy().tolist(), strict=True)]
+    lines = [
+        f"# Degradations of {sweep.drive.path.name}\n",
+        f"dslam {sweep.drive.version}, input SHA-256 {sweep.drive.sha256}.\n",
+        *(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |"
+          for row in (headings, ["---"] * len(headings), *rows)),
+        f"\n{NOTE}",
+        *(f"- failed: {failure}" for failure in sweep.failures),
+    ]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def _figures(row: SweepRow, headings: dict[str, str]) -> dict[str, str]:
+    digits = {figure.key: min(figure.digits, 3) for figure in HEADLINE_FIGURES}
+    return {heading: row.spreads[key].text(digits[key]) for key, heading in headings.items()}

@@ -23,7 +23,9 @@ from slam.common.config import Config
 from slam.common.config_tree import changes
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.protocol import Protocol
-from slam.evaluation.metrics.statistics import CHIEF_FIGURES, Spread
+from slam.evaluation.metrics.statistics import Spread
+from slam.evaluation.report.figures import HEADLINE_FIGURES
+from slam.evaluation.result import plain
 from slam.sweeps.cells import Cell, CellFolder, CellResult, CellTask, Drive, compute_cell
 from slam.sweeps.degradations import Degradation
 from slam.sweeps.workers import Death, compute_all
@@ -43,10 +45,20 @@ class SweepRow:
     variant: str = ""
 
     @property
+    def name(self) -> str:
+        """For people."""
+        return f"{self.degradation.name}: {self.variant}" if self.variant else self.degradation.name
+
+    @property
+    def failed_count(self) -> int:
+        """How many of the cells failed."""
+        return sum(bool(result.error) for _, result in self.results)
+
+    @property
     def spreads(self) -> dict[str, Spread]:
         """Mean and spread over the seeds."""
         evaluations = [result.evaluation for _, result in self.results if result.evaluation is not None]
-        return {figure.key: Spread.over(figure.of(each) for each in evaluations) for figure in CHIEF_FIGURES}
+        return {figure.key: Spread.over(figure.of(each) for each in evaluations) for figure in HEADLINE_FIGURES}
 
     @property
     def real_time_factor(self) -> Spread:
@@ -93,7 +105,7 @@ class Sweep:
                 row.variant: changes(Config(), row.results[0][0].drive.config.model_dump_json()) for row in self.rows
             },
             "degradations": [_row_dict(row) for row in self.rows],
-            "protocol": {**_plain(asdict(protocol)), "rules": protocol.describe()},
+            "protocol": {**plain(protocol), "rules": protocol.describe()},
             "times": {
                 "wall_s": self.wall_s,
                 "cpu_s": sum(result.times.get("cpu_s", 0.0) for _, result in self.results),
@@ -207,12 +219,8 @@ def _row_dict(row: SweepRow) -> dict[str, Any]:
                 "seed": cell.seed,
                 "file": cell.file_name,
                 "error": result.error,
-                "figures": {figure.key: figure.of(result.evaluation or {}) for figure in CHIEF_FIGURES},
+                "figures": {figure.key: figure.of(result.evaluation or {}) for figure in HEADLINE_FIGURES},
             }
             for cell, result in row.results
         ],
     }
-
-
-def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}

@@ -10,15 +10,15 @@ from tools.cli import make_app
 SCRATCH = "/dev/shm" if Path("/dev/shm").is_dir() else None
 """Where files are made: outputs are flushed to the disk before they get their names, which takes longer than the rest
 of most commands."""
-_IMPORTED = ("slam.replay", "slam.evaluation.evaluate", "slam.evaluation.html_report.page", "logs.summary",
-             "slam.visualization.map_plot", "slam.backend.pose_graph.robust_optimization", "rich.table",
+_IMPORTED = ("slam.replay", "slam.evaluation.evaluate", "slam.evaluation.page.page", "logs.summary",
+             "slam.display.map_picture", "slam.backend.pose_graph.robust_optimization", "rich.table",
              "matplotlib.pyplot", "slam.object_map.map_io", "slam.formats.g2o", "tools.console",
              "plotly.graph_objects", "descriptors.learned.descriptor",
              "descriptors.training.contrast", "slam.simulation.faults.registry",
              "slam.simulation.faults.faulty_log", "logs.importers.text_log", "logs.importers.detection_tables",
              "osmium",
              "logs.importers.maps.osm", "slam.map_joining.joint_map", "slam.evaluation.comparison",
-             "slam.sweeps.sweep", "slam.localization.imported_map_editing", "slam.evaluation.report.text",
+             "slam.sweeps.sweep", "slam.localization.imported_map_editing", "slam.evaluation.report.tables",
              "tools.evaluation.evaluate", "tools.evaluation.compare", "logs.clouds.map_of_cloud",
              "logs.clouds.semantic_kitti", "open3d", "multiprocessing.pool", "encodings.idna", "_strptime")  # fmt: skip
 

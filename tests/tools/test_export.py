@@ -66,7 +66,7 @@ class TestLandmarks:
         north_m = np.sin(np.deg2rad(30)) * objects.positions[:, 0] + np.cos(np.deg2rad(30)) * objects.positions[:, 1]
         np.testing.assert_allclose(found[:, 1], 60.1699 + north_m / 111.415e3, rtol=0, atol=1e-6)
 
-    def test_a_geographic_information_system_reads_the_same_places(
+    def test_geopandas_reads_exported_places(
         self, dslam: Run, mapped: Path, records: EvaluationRecords, tmp_path: Path
     ) -> None:
         geopandas = pytest.importorskip("geopandas", reason="geopandas is not installed")
@@ -83,7 +83,6 @@ class TestLandmarks:
         assert dslam("export", mapped, "--geodetic", tmp_path / "p.csv", "--origin", ORIGIN).code == 0
         rows = list(csv.DictReader((tmp_path / "p.csv").read_text().splitlines()))
         found = [[float(row[name]) for name in ("latitude_deg", "longitude_deg", "altitude_m")] for row in rows]
-        assert records.trajectory is not None
         positions = records.trajectory.T_map_body[:, :3, 3]
         there = Georeference(60.1699, 24.9384, 12.5, np.deg2rad(30.0)).to_map(np.array(found))
         np.testing.assert_allclose(there, positions, atol=2e-3)

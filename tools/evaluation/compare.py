@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tools.arguments import Json, Topics, check_outputs, parse_topics
-from tools.evaluation.evaluated_log import Truth, evaluate_log, locate_map_of
+from tools.evaluation.evaluated_log import Truth, evaluate_log
 from tools.evaluation.output import (
     Calib,
     ClosureReference,
@@ -26,13 +26,7 @@ from tools.evaluation.output import (
 )
 
 if TYPE_CHECKING:
-    from rich.table import Table
-    from rich.text import Text
-
-    from slam.evaluation.comparison import Comparison, Run
-    from slam.evaluation.metrics.statistics import ChiefFigure
-
-_BETTER, _WORSE = "green", "red"
+    from slam.evaluation.comparison import Run
 
 
 def compare(
@@ -72,8 +66,7 @@ def compare(
     from slam.evaluation.requirements import parse_requirement
 
     requirements = [parse_requirement(text) for text in require or ()]
-    alignment = None if map_run is None else locate_map_of(map_run)
-    truth = Truth(reference, closure_reference, times, calib, chosen, alignment, parse_thresholds(protocol))
+    truth = Truth(reference, closure_reference, times, calib, chosen, map_run, parse_thresholds(protocol))
     findings = compare_logs(logs, truth, table or ())
     report(findings, requirements, as_json=as_json, with_rules=rules, json_file=json_file)
 
@@ -85,22 +78,22 @@ def compare_logs(logs: Sequence[Path], truth: Truth, tables: Sequence[Path] = ()
         LogError, SlamError: a log cannot be evaluated, or two are the same.
     """
     from slam.evaluation.comparison import NO_SPREAD, RULE, compare_runs
-    from slam.evaluation.sheets.files import check_endings, write_sheets
-    from slam.evaluation.sheets.sheet import compare_sheet
+    from slam.evaluation.report.table_files import check_endings, write_tables
+    from tools import console
 
     check_endings(tables)
     _refuse_copies(logs)
     runs = [_evaluate(log, truth) for log in logs]
     comparison = compare_runs(runs)
     evaluations = {run.name: run.results for run in runs}
+    table, note = comparison.to_table(), RULE if comparison.has_spread else NO_SPREAD
     for path in tables:
-        write_sheets(path, "Runs side by side", [compare_sheet(comparison)], evaluations)
-    notes = [RULE if comparison.has_spread else NO_SPREAD]
-    if comparison.marked:
-        notes.insert(0, "* differs from the first column by more than the spread of the seeds")
+        write_tables(path, "Runs side by side", {"runs side by side": table}, note, evaluations)
+    groups = comparison.groups if len(comparison.groups) > 1 else ()
+    members = [f"{group.label}: {', '.join(run.name for run in group.runs)}" for group in groups]
     return Findings(
         results=comparison.to_json_dict(),
-        parts=[compare_table(comparison), "", *_members(comparison), *notes],
+        parts=[console.frame(table), "", *members, note],
         runs=evaluations,
         rules=runs[0].results["protocol"]["rules"],
     )
@@ -134,50 +127,3 @@ def _refuse_copies(logs: Sequence[Path]) -> None:
         first = seen.setdefault(file_sha256(log), log)
         if first is not log:
             raise EvaluationError(f"{first} and {log} are the same run, byte for byte; give each run once")
-
-
-def compare_table(comparison: Comparison) -> Table:
-    """A column for each group, or for each run and their mean where there is one group."""
-    from rich.text import Text
-
-    from slam.evaluation.metrics.statistics import CHIEF_FIGURES, UNDEFINED
-    from tools import console
-
-    groups = comparison.groups
-    shown = list(groups) if len(groups) > 1 else []
-    runs = [] if shown else list(groups[0].runs)
-    headings = [group.label if len(group.runs) == 1 else f"{group.label}\n({len(group.runs)} runs)" for group in shown]
-    headings += [*(Path(run.name).stem for run in runs), *(["mean ± deviation"] if runs else [])]
-    table = console.grid({"": False})
-    for heading in headings:
-        table.add_column(Text(heading), justify="right", overflow="fold")
-    for figure in CHIEF_FIGURES:
-        if all(group.spreads[figure.key].mean is None for group in groups):
-            continue
-        if shown:
-            cells = [_cell(comparison, figure, number) for number in range(len(groups))]
-        else:
-            values = (figure.of(run.results) for run in runs)
-            cells = [Text(UNDEFINED if value is None else f"{value:.{figure.digits}f}") for value in values]
-            cells.append(Text(groups[0].spreads[figure.key].text(figure.digits)))
-        table.add_row(figure.heading, *cells)
-    return table
-
-
-def _cell(comparison: Comparison, figure: ChiefFigure, number: int) -> Text:
-    """Of one group; coloured and with a star where it differs from the first."""
-    from rich.text import Text
-
-    text = comparison.groups[number].spreads[figure.key].text(figure.digits)
-    mark = comparison.mark(figure.key, 0, number)
-    if mark is None:
-        return Text(text)
-    style = _BETTER if (mark.difference < 0.0) == figure.is_error else _WORSE
-    return Text(f"{text} *", style=style)
-
-
-def _members(comparison: Comparison) -> list[str]:
-    """Which runs are in which group, where that is not in the headings."""
-    if len(comparison.groups) == 1:
-        return []
-    return [f"{group.label}: {', '.join(run.name for run in group.runs)}" for group in comparison.groups]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tools.arguments import Json, Picture, SlamLog, Topics, check_outputs, parse_topics
-from tools.evaluation.evaluated_log import Truth, evaluate_log, locate_map_of
+from tools.evaluation.evaluated_log import Truth, evaluate_log
 from tools.evaluation.output import (
     Calib,
     ClosureReference,
@@ -23,6 +23,9 @@ from tools.evaluation.output import (
     parse_thresholds,
     report,
 )
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
 
 
 def evaluate(
@@ -54,27 +57,30 @@ def evaluate(
     from slam.evaluation.requirements import parse_requirement
 
     requirements = [parse_requirement(text) for text in require or ()]
-    alignment = None if map_run is None else locate_map_of(map_run)
-    truth = Truth(reference, closure_reference, times, calib, chosen, alignment, parse_thresholds(protocol))
+    truth = Truth(reference, closure_reference, times, calib, chosen, map_run, parse_thresholds(protocol))
     findings = _evaluate_log(log, truth, picture, page, every=every)
     report(findings, requirements, as_json=as_json, with_rules=rules, json_file=json_file)
 
 
 def _evaluate_log(log: Path, truth: Truth, picture: Path | None, page: Path | None, *, every: bool) -> Findings:
-    from slam.evaluation.report.summary import summarize
-    from slam.evaluation.report.text import render
+    from slam.evaluation.report.figures import summarize
     from tools import console
 
     records, evaluation = evaluate_log(log, truth)
     if picture is not None:
+        from slam.display.map_picture import draw_map
         from slam.evaluation.report.picture import compose_picture
-        from slam.visualization.map_plot import draw_map
 
         draw_map(picture, compose_picture(records, evaluation, title=log.stem))
     if page is not None:
-        from slam.evaluation.html_report import write_report
+        from slam.evaluation.page.page import write_report
 
         write_report(page, records, evaluation, title=log.stem)
     results = evaluation.to_json_dict()
-    parts = render(evaluation, with_rules=False) if every else [console.pairs(summarize(evaluation))]
+    parts: list[RenderableType] = [console.pairs(summarize(results))]
+    if every:
+        from slam.evaluation.report.tables import make_tables
+
+        parts += [console.frame(table, title=f"\n{title}") for title, table in make_tables(results).items()]
+        parts.append(console.pairs(dict(evaluation.unavailable), title="\nnot measured"))
     return Findings(results, parts, {"": results}, rules=evaluation.protocol.describe())

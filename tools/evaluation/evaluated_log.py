@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,8 +20,8 @@ class Truth:
     """What the logs are compared with, if it is not in themselves.
 
     ``reference``: the log, or the file of poses, that holds the truth; ``closure_reference``: another one for closures;
-    ``times`` and ``calib``: of poses in KITTI's format; ``topics``: by kind; ``map_alignment``: ``T_world_map`` (4, 4)
-    of the map in which the robot found itself; ``thresholds``: of the protocol, by name, that are not its own.
+    ``times`` and ``calib``: of poses in KITTI's format; ``topics``: by kind; ``map_run``: the drive that made the map
+    in which the robot found itself; ``thresholds``: of the protocol, by name, that are not its own.
     """
 
     reference: Path | None = None
@@ -28,7 +29,7 @@ class Truth:
     times: Path | None = None
     calib: Path | None = None
     topics: Mapping[str, str] | None = None
-    map_alignment: FloatArray | None = None
+    map_run: Path | None = None
     thresholds: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, path: Path | None) -> Path | TextReference | None:
@@ -36,9 +37,7 @@ class Truth:
         from logs.storage.opening import is_log
         from slam.evaluation.inputs.text_reference import TextReference
 
-        if path is None or is_log(path):
-            return path
-        return TextReference(path, self.times, self.calib)
+        return path if path is None or is_log(path) else TextReference(path, self.times, self.calib)
 
 
 def evaluate_log(log: Path, truth: Truth) -> tuple[EvaluationRecords, Evaluation]:
@@ -58,14 +57,16 @@ def evaluate_log(log: Path, truth: Truth) -> tuple[EvaluationRecords, Evaluation
         closure_reference=truth.of(truth.closure_reference),
         topics=truth.topics,
     )
+    map_alignment = None if truth.map_run is None else _locate_map_of(truth.map_run)
     if records.trajectory is None and not records.online_poses:
         raise EvaluationError(f"{log} holds no estimate (no topics under /slam); give a log that 'dslam replay' wrote")
     return records, evaluate(
-        records, protocol_of(records).with_thresholds(truth.thresholds), map_alignment=truth.map_alignment
+        records, protocol_of(records).with_thresholds(truth.thresholds), map_alignment=map_alignment
     )
 
 
-def locate_map_of(log: Path) -> FloatArray:
+@cache
+def _locate_map_of(log: Path) -> FloatArray:
     """``T_world_map`` (4, 4) of the map that the drive in ``log`` made.
 
     Raises:

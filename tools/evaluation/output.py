@@ -90,16 +90,16 @@ def report(
         Exit: with code 1, a requirement is not met or a run failed.
         UnwritableLogError: the file cannot be written.
     """
-    from slam.evaluation.report.text_tables import pairs_table
+    from logs.storage.placement import write_text
     from tools import console
 
     if json_file is not None:
-        _write_json(json_file, findings.results)
+        write_text(json_file, json.dumps(findings.results, indent=2, allow_nan=False) + "\n")
     met, unmet = _check(findings.runs, requirements)
     if as_json:
         console.show_json(findings.results)
     else:
-        rules = [pairs_table("Rules", dict(findings.rules))] if with_rules else []
+        rules = [console.pairs(dict(findings.rules), title="\nrules")] if with_rules else []
         console.show(*findings.parts, *rules, *(f"met: {text}" for text in met))
     lines = [f"{what}: {'; '.join(texts)}" for what, texts in
              (("failed", findings.failures), ("not met", unmet)) if texts]  # fmt: skip
@@ -139,12 +139,3 @@ def _check(runs: Mapping[str, Mapping[str, Any]], requirements: Sequence[Require
             else:
                 met.append(run + requirement.describe(results))
     return met, unmet
-
-
-def _write_json(path: Path, results: Mapping[str, Any]) -> None:
-    from logs.errors import UnwritableLogError
-
-    try:
-        path.write_text(json.dumps(results, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise UnwritableLogError(f"cannot write {path}: {error.strerror}") from error

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -55,83 +54,42 @@ def sweep(
     """
     chosen = parse_topics(topics)
     check_outputs([json_file], [log])
-
-    from slam.evaluation.requirements import parse_requirement
-
-    requirements = [parse_requirement(text) for text in require or ()]
-    findings = sweep_drive(
-        log,
-        folder,
-        degradations=degrade or (),
-        variants=variant or (),
-        seeds=seeds,
-        jobs=jobs,
-        config_file=config_file,
-        settings=settings or (),
-        topics=chosen,
-    )
-    report(findings, requirements, as_json=as_json, with_rules=rules, json_file=json_file)
-
-
-def sweep_drive(
-    source: Path,
-    folder: Path,
-    *,
-    degradations: Sequence[str],
-    variants: Sequence[str],
-    seeds: int,
-    jobs: int | None,
-    config_file: Path | None,
-    settings: Sequence[str],
-    topics: Mapping[str, str],
-) -> Findings:
-    """Compute what is missing of the sweep, and leave tables and picture in its folder.
-
-    Raises:
-        LogError, SlamError: the input, a degradation, a setting or the folder cannot be used.
-    """
     from slam.common.config import load_config
     from slam.evaluation.inputs.protocol import Protocol
+    from slam.evaluation.requirements import parse_requirement
     from slam.sweeps.degradations import parse_degradations
-    from slam.sweeps.outputs import JSON_NAME, PICTURE_NAME, SHEET_NAMES, TABLE_NAME, write_outputs
+    from slam.sweeps.outputs import NOTE, make_tables, write_outputs
     from slam.sweeps.sweep import run_sweep
-    from slam.sweeps.table import NOTE, closure_table, map_table
     from tools import console
 
-    wanted = parse_degradations(degradations)
-    config = load_config(config_file, settings)
-    compared = {text: load_config(config_file, [*settings, *text.split(";")]) for text in variants}
+    requirements = [parse_requirement(text) for text in require or ()]
+    wanted = parse_degradations(degrade or ())
+    config = load_config(config_file, settings or ())
+    compared = {text: load_config(config_file, [*(settings or ()), *text.split(";")]) for text in variant or ()}
     with console.progress_bar("sweeping", "drawing") as progress:
         sweep = run_sweep(
-            source,
+            log,
             folder,
             wanted,
             config,
             seeds=seeds,
             jobs=jobs or os.cpu_count() or 1,
-            topics=topics,
+            topics=chosen,
             variants=compared or None,
             on_progress=progress,
         )
-        write_outputs(folder, sweep)
-    tables = []
-    for title, (headings, *rows) in {
-        "Loop closures": closure_table(sweep),
-        "Trajectory and map": map_table(sweep),
-    }.items():
-        tables.append(console.grid({heading: index > 0 for index, heading in enumerate(headings)}, title=f"\n{title}"))
-        for row in rows:
-            tables[-1].add_row(*row)
+        written = write_outputs(folder, sweep)
     reused = len(sweep.results) - sweep.computed
-    return Findings(
+    findings = Findings(
         results=sweep.to_json_dict(),
         parts=[
-            *tables,
+            *(console.frame(table, title=f"\n{title}") for title, table in make_tables(sweep).items()),
             NOTE,
             f"{sweep.computed} cells computed in {sweep.wall_s:.0f} s, {reused} were there before",
-            f"written: {', '.join(str(folder / name) for name in (JSON_NAME, TABLE_NAME, *SHEET_NAMES, PICTURE_NAME))}",
+            f"written: {', '.join(map(str, written))}",
         ],
         runs={cell.name: result.evaluation for cell, result in sweep.results if result.evaluation is not None},
         failures=sweep.failures,
         rules=Protocol().describe(),
     )
+    report(findings, requirements, as_json=as_json, with_rules=rules, json_file=json_file)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +12,7 @@ import typer
 from tools.arguments import check_outputs
 
 if TYPE_CHECKING:
-    from logs.messages import ObjectMapRecord, TrajectoryRecord
+    from logs.messages import FactorGraphRecord, ObjectMapRecord, TrajectoryRecord
     from slam.common.georeference import Georeference
     from slam.evaluation.inputs.records import EvaluationRecords
 
@@ -62,147 +63,134 @@ def export(
 
     Example: dslam export map.mcap --tum trajectory.txt --csv landmarks.csv --ros2-bag bag
     """
-    of_landmarks, of_poses = [csv, geojson, ply, ros2_bag], [tum, kitti, kitti_camera, geodetic, ros2_bag]
     outputs = [tum, kitti, kitti_camera, geodetic, g2o, csv, geojson, ply]
     if not any([*outputs, ros2_bag]):
         raise typer.BadParameter(
             "nothing to write; give --tum, --kitti, --geodetic, --g2o, --csv, --geojson, --ply or --ros2-bag."
         )
     check_outputs(outputs, [log])
-    from slam.evaluation.inputs.records import read_records
+    from slam.formats import landmark_tables as tables
+    from slam.formats import trajectory_and_graph as text
+    from slam.formats.ros2_bag import write_ros2_bag
     from tools import console
 
-    records = read_records(log)
-    written: list[str] = []
-    if any(of_poses):
-        track = _track(log, records, of)
-        written += _write_track(log, track, tum, kitti, kitti_camera, geodetic, origin)
-    if any(of_landmarks):
-        objects = _landmarks(log, records)
-        written += _write_landmarks(log, objects, csv, geojson, ply, origin)
-    if ros2_bag is not None:
-        written.append(_write_bag(ros2_bag, track, objects, records))
-    if g2o is not None:
-        written.append(_write_graph(log, g2o, records))
-    console.show(*written)
-
-
-def _write_track(
-    log: Path,
-    track: TrajectoryRecord,
-    tum: Path | None,
-    kitti: Path | None,
-    kitti_camera: Path | None,
-    geodetic: Path | None,
-    origin: str | None,
-) -> list[str]:
-    from slam.formats import trajectory_and_graph as text
-
+    source = _Source(log, of, origin)
     for path, write in ((tum, text.write_tum), (kitti, text.write_kitti), (kitti_camera, text.write_kitti_camera)):
         if path is not None:
-            write(path, track)
+            write(path, source.track)
+            console.show(f"{path}: {len(source.track.stamps_ns)} poses")
     if geodetic is not None:
-        text.write_geodetic(geodetic, track, _georeference(log, origin))
-    paths = (tum, kitti, kitti_camera, geodetic)
-    return [f"{path}: {len(track.stamps_ns)} poses" for path in paths if path is not None]
-
-
-def _write_landmarks(
-    log: Path, objects: ObjectMapRecord, csv: Path | None, geojson: Path | None, ply: Path | None, origin: str | None
-) -> list[str]:
-    from slam.formats import landmark_tables
-
-    if csv is not None:
-        landmark_tables.write_csv(csv, objects)
+        text.write_geodetic(geodetic, source.track, source.georeference)
+        console.show(f"{geodetic}: {len(source.track.stamps_ns)} poses")
+    for path, write_objects in ((csv, tables.write_csv), (ply, tables.write_ply)):
+        if path is not None:
+            write_objects(path, source.objects)
+            console.show(f"{path}: {len(source.objects.ids)} landmarks")
     if geojson is not None:
-        landmark_tables.write_geojson(geojson, objects, _georeference(log, origin))
-    if ply is not None:
-        landmark_tables.write_ply(ply, objects)
-    return [f"{path}: {len(objects.ids)} landmarks" for path in (csv, geojson, ply) if path is not None]
+        tables.write_geojson(geojson, source.objects, source.georeference)
+        console.show(f"{geojson}: {len(source.objects.ids)} landmarks")
+    if ros2_bag is not None:
+        odometry = source.records.odometry
+        body_frame = odometry[0].child_frame_id if odometry else "base_link"
+        write_ros2_bag(ros2_bag, source.track, source.objects, body_frame=body_frame)
+        console.show(f"{ros2_bag}: {len(source.track.stamps_ns)} poses, {len(source.objects.ids)} landmarks")
+    if g2o is not None:
+        graph = source.graph
+        text.write_g2o(g2o, graph, source.records.object_map)
+        console.show(
+            f"{g2o}: {len(graph.keyframe_ids)} keyframes, {len(graph.edge_kinds)} edges, without the robust kernels of "
+            "the configuration, which g2o files have no place for"
+        )
 
 
-def _write_bag(folder: Path, track: TrajectoryRecord, objects: ObjectMapRecord, records: EvaluationRecords) -> str:
-    from slam.formats import ros2_bag as bag
+class _Source:
+    """What a log holds to be written, read when it is first asked for."""
 
-    body_frame = records.odometry[0].child_frame_id if records.odometry else "base_link"
-    bag.write_ros2_bag(folder, track, objects, body_frame=body_frame)
-    return f"{folder}: {len(track.stamps_ns)} poses, {len(objects.ids)} landmarks"
+    def __init__(self, log: Path, of: Track, origin: str | None) -> None:
+        self._log = log
+        self._of = of
+        self._origin = origin
 
+    @cached_property
+    def records(self) -> EvaluationRecords:
+        from slam.evaluation.inputs.records import read_records
 
-def _write_graph(log: Path, path: Path, records: EvaluationRecords) -> str:
-    from slam.formats import trajectory_and_graph as text
+        return read_records(self._log)
 
-    if records.graph is None:
-        raise _no_result(log)
-    text.write_g2o(path, records.graph, records.object_map)
-    return (
-        f"{path}: {len(records.graph.keyframe_ids)} keyframes, {len(records.graph.edge_kinds)} edges, without the "
-        "robust kernels of the configuration, which g2o files have no place for"
-    )
+    @cached_property
+    def track(self) -> TrajectoryRecord:
+        from logs.messages import TrajectoryRecord
+        from slam.common.errors import InputDataError
 
+        records = self.records
+        if self._of == Track.ESTIMATE:
+            if records.trajectory is None or not len(records.trajectory.stamps_ns):
+                raise self._no_result()
+            return records.trajectory
+        frame, path = {
+            Track.ONLINE: ("map", records.online_path),
+            Track.ODOMETRY: ("odom", records.odometry_path),
+            Track.TRUTH: ("world", records.true_path),
+        }[self._of]
+        if not len(path):
+            raise InputDataError(f"{self._log} has no poses of the {self._of}; choose another by --of")
+        return TrajectoryRecord(int(path.stamps_ns[-1]), frame, path.stamps_ns, path.T_world_body)
 
-def _track(log: Path, records: EvaluationRecords, of: Track) -> TrajectoryRecord:
-    import numpy as np
+    @cached_property
+    def objects(self) -> ObjectMapRecord:
+        from slam.object_map.map_io import METADATA, confirmed, load_map
 
-    from logs.messages import TrajectoryRecord
-    from slam.common.errors import InputDataError
+        if METADATA in self._metadata:
+            return load_map(self._log).objects
+        if self.records.object_map is None:
+            raise self._no_result()
+        return confirmed(self.records.object_map)
 
-    if of == Track.ESTIMATE:
-        if records.trajectory is None or not len(records.trajectory.stamps_ns):
-            raise _no_result(log)
-        return records.trajectory
-    stamped = {
-        Track.ONLINE: ("map", [(pose.stamp_ns, pose.T_map_body) for pose in records.online_poses]),
-        Track.ODOMETRY: ("odom", [(pose.stamp_ns, pose.T_odom_body) for pose in records.odometry]),
-        Track.TRUTH: ("world", [(pose.stamp_ns, pose.T_world_body) for pose in records.true_poses]),
-    }
-    frame, poses = stamped[of]
-    if not poses:
-        raise InputDataError(f"{log} has no poses of the {of}; choose another by --of")
-    stamps_ns, first = np.unique([stamp_ns for stamp_ns, _ in poses], return_index=True)
-    return TrajectoryRecord(int(stamps_ns[-1]), frame, stamps_ns, np.stack([poses[row][1] for row in first]))
+    @property
+    def graph(self) -> FactorGraphRecord:
+        if self.records.graph is None:
+            raise self._no_result()
+        return self.records.graph
 
+    @cached_property
+    def georeference(self) -> Georeference:
+        """Where the map is: as the option says, else as the log does."""
+        from slam.common.errors import InputDataError
+        from slam.common.georeference import Georeference
 
-def _landmarks(log: Path, records: EvaluationRecords) -> ObjectMapRecord:
-    from logs.container.limits import RESULT_LIMITS
-    from logs.reader import LogReader
-    from slam.object_map.map_io import METADATA, confirmed, load_map
-
-    with LogReader(log, RESULT_LIMITS) as reader:
-        is_map = METADATA in reader.metadata()
-    if is_map:
-        return load_map(log).objects
-    if records.object_map is None:
-        raise _no_result(log)
-    return confirmed(records.object_map)
-
-
-def _georeference(log: Path, origin: str | None) -> Georeference:
-    """Where the map is: as ``origin`` says, else as the log does."""
-    import math
-
-    from logs.container.limits import RESULT_LIMITS
-    from logs.reader import LogReader
-    from slam.common.errors import InputDataError
-    from slam.common.georeference import Georeference
-
-    if origin is not None:
-        try:
-            numbers = [float(word) for word in origin.split(",")]
-            if not (2 <= len(numbers) <= 4 and all(map(math.isfinite, numbers))):
-                raise ValueError
-        except ValueError:
-            raise typer.BadParameter(f"{origin!r} is not LAT,LON, LAT,LON,ALT or LAT,LON,ALT,YAW.") from None
-        latitude, longitude, altitude_m, yaw_deg = [*numbers, *([0.0] * (4 - len(numbers)))]
-        return Georeference(latitude, longitude, altitude_m, math.radians(yaw_deg))
-    with LogReader(log, RESULT_LIMITS) as reader:
-        for values in reader.metadata().values():
+        if self._origin is not None:
+            return _parse_origin(self._origin)
+        for values in self._metadata.values():
             if "georeference" in values:
                 return Georeference.from_json(values["georeference"])
-    raise InputDataError(f"{log} does not tell where on earth its map is; give --origin LAT,LON[,ALT[,YAW]]")
+        raise InputDataError(f"{self._log} does not tell where on earth its map is; give --origin LAT,LON[,ALT[,YAW]]")
+
+    @cached_property
+    def _metadata(self) -> dict[str, dict[str, str]]:
+        from logs.container.limits import RESULT_LIMITS
+        from logs.reader import LogReader
+
+        with LogReader(self._log, RESULT_LIMITS) as reader:
+            return dict(reader.metadata())
+
+    def _no_result(self) -> Exception:
+        from slam.common.errors import InputDataError
+
+        return InputDataError(
+            f"{self._log} has no final trajectory, map and graph; give one that 'dslam replay' finished"
+        )
 
 
-def _no_result(log: Path) -> Exception:
-    from slam.common.errors import InputDataError
+def _parse_origin(text: str) -> Georeference:
+    import math
 
-    return InputDataError(f"{log} has no final trajectory, map and graph; give one that 'dslam replay' finished")
+    from slam.common.georeference import Georeference
+
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        numbers = []
+    if not (2 <= len(numbers) <= 4 and all(map(math.isfinite, numbers))):
+        raise typer.BadParameter(f"{text!r} is not LAT,LON, LAT,LON,ALT or LAT,LON,ALT,YAW.")
+    latitude, longitude, altitude_m, yaw_deg = [*numbers, *([0.0] * (4 - len(numbers)))]
+    return Georeference(latitude, longitude, altitude_m, math.radians(yaw_deg))

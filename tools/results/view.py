@@ -29,6 +29,7 @@ def view(
     """
     check_outputs([save], [log])
     from logs.reader import LogReader
+    from logs.storage.placement import write_text
     from slam.display import rerun_view
     from slam.display.map_topics import PATH
     from tools import console
@@ -37,16 +38,17 @@ def view(
         if PATH not in {info.topic for info in reader.topics()}:
             raise typer.BadParameter(f"{log} has no topic {PATH}; give a log that 'dslam replay' wrote.")
     if save is not None and save.suffix == ".json":
-        _save_foxglove_layout(save)
+        layout = Path(rerun_view.__file__).parent / "layouts" / "foxglove.json"
+        write_text(save, layout.read_text(encoding="utf-8"))
         console.show(f"{save}: import it in Foxglove, with {log} open")
         return
     rerun_view.import_rerun()
     import rerun as rr
 
     recording = rr.RecordingStream(rerun_view.APPLICATION, recording_id=log.stem)
-    layout = rerun_view.blueprint_of(log)
+    blueprint = rerun_view.blueprint_of(log)
     if save is not None:
-        recording.save(save, default_blueprint=layout)
+        recording.save(save, default_blueprint=blueprint)
         rerun_view.send_log(log, recording)
         recording.disconnect()
         console.show(f"{save}: open it by 'rerun {save}'")
@@ -54,17 +56,7 @@ def view(
     from slam.display.rerun_viewer import start_viewer
 
     _, address = start_viewer()
-    recording.connect_grpc(address, default_blueprint=layout)
+    recording.connect_grpc(address, default_blueprint=blueprint)
     rerun_view.send_log(log, recording)
     recording.disconnect()
     console.show(f"{log} is shown in Rerun; the window stays open")
-
-
-def _save_foxglove_layout(path: Path) -> None:
-    from logs.errors import UnwritableLogError
-    from slam.display.foxglove_layout import read_foxglove_layout
-
-    try:
-        path.write_text(read_foxglove_layout(), encoding="utf-8")
-    except OSError as error:
-        raise UnwritableLogError(f"cannot write {path}: {error.strerror}") from error

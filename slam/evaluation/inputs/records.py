@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -31,7 +32,7 @@ from logs.selection import OUTPUT_PREFIX, Selection, select_all, select_topics
 from logs.storage.opening import is_log
 from logs.topics import RecordKind, TopicInfo
 from slam.common.errors import EvaluationError
-from slam.evaluation.inputs.synchronization import clean_poses
+from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses, series_of
 from slam.evaluation.inputs.text_reference import TextReference
 
 _ESTIMATED_KINDS = frozenset(
@@ -51,13 +52,16 @@ _INPUT_KINDS = frozenset(
 )
 
 
+_Record = TypeVar("_Record", bound=Record)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class EvaluationRecords:
     """The records that an evaluation looks at, each kind in the order of the log; of maps and states the last.
 
-    ``statuses``: all of them, ``status`` is the last. ``configuration``: the tree by which the log was made, empty
-    where it does not tell. ``provenance``: what the replay recorded of itself. ``has_prior_map``: the robot was to find
-    itself in the map of an earlier drive. ``closure_true_poses``: by which closures are measured; empty: as all else.
+    ``configuration``: the tree by which the log was made, empty where it does not tell. ``provenance``: what the replay
+    recorded of itself. ``has_prior_map``: the robot was to find itself in the map of an earlier drive.
+    ``closure_true_poses``: by which closures are measured; empty: as all else.
     """
 
     trajectory: TrajectoryRecord | None = None
@@ -71,12 +75,37 @@ class EvaluationRecords:
     true_objects: ObjectMapRecord | None = None
     closures: tuple[LoopClosureRecord, ...] = ()
     graph: FactorGraphRecord | None = None
-    status: StatusRecord | None = None
     statuses: tuple[StatusRecord, ...] = ()
     relocalizations: tuple[RelocalizationRecord, ...] = ()
     configuration: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, str] = field(default_factory=dict)
     has_prior_map: bool = False
+
+    @property
+    def status(self) -> StatusRecord | None:
+        """The last status."""
+        return _last(self.statuses)
+
+    @property
+    def final_path(self) -> PoseSeries:
+        """The final trajectory; empty where the run was not finished."""
+        final = self.trajectory
+        return series_of(()) if final is None else clean_poses(final.stamps_ns, final.T_map_body)
+
+    @property
+    def online_path(self) -> PoseSeries:
+        """The poses as they were at their time."""
+        return series_of((pose.stamp_ns, pose.T_map_body) for pose in self.online_poses)
+
+    @property
+    def odometry_path(self) -> PoseSeries:
+        """The odometry alone."""
+        return series_of((pose.stamp_ns, pose.T_odom_body) for pose in self.odometry)
+
+    @property
+    def true_path(self) -> PoseSeries:
+        """The truth."""
+        return series_of((pose.stamp_ns, pose.T_world_body) for pose in self.true_poses)
 
     @property
     def sensor_range_m(self) -> float | None:
@@ -122,50 +151,31 @@ def collect_records(records: Iterable[tuple[str, Record]]) -> EvaluationRecords:
 
     An object map on a topic under ``/slam/`` is the estimate, on any other it is the truth.
     """
-    found = EvaluationRecords()
-    online, odometry, true_poses = list[SlamPose](), list[Odometry](), list[GroundTruthPose]()
-    associations, detection_truths = list[DetectionAssociations](), list[DetectionTruth]()
-    closures, relocalizations, statuses = list[LoopClosureRecord](), list[RelocalizationRecord](), list[StatusRecord]()
+    of_kind: defaultdict[type[Record], list[Any]] = defaultdict(list)
+    estimated_maps, true_maps = list[ObjectMapRecord](), list[ObjectMapRecord]()
     for topic, record in records:
-        match record:
-            case SlamPose():
-                online.append(record)
-            case Odometry():
-                odometry.append(record)
-            case GroundTruthPose():
-                true_poses.append(record)
-            case DetectionAssociations():
-                associations.append(record)
-            case DetectionTruth():
-                detection_truths.append(record)
-            case LoopClosureRecord():
-                closures.append(record)
-            case FactorGraphRecord():
-                found = replace(found, graph=record)
-            case ObjectMapRecord() if topic.startswith(OUTPUT_PREFIX):
-                found = replace(found, object_map=record)
-            case ObjectMapRecord():
-                found = replace(found, true_objects=record)
-            case TrajectoryRecord():
-                found = replace(found, trajectory=record)
-            case RelocalizationRecord():
-                relocalizations.append(record)
-            case StatusRecord():
-                statuses.append(record)
-            case _:
-                pass
-    return replace(
-        found,
-        online_poses=tuple(online),
-        odometry=tuple(odometry),
-        true_poses=tuple(true_poses),
-        associations=tuple(associations),
-        detection_truths=tuple(detection_truths),
-        closures=tuple(closures),
-        status=statuses[-1] if statuses else None,
-        statuses=tuple(statuses),
-        relocalizations=tuple(relocalizations),
+        if isinstance(record, ObjectMapRecord):
+            (estimated_maps if topic.startswith(OUTPUT_PREFIX) else true_maps).append(record)
+        else:
+            of_kind[type(record)].append(record)
+    return EvaluationRecords(
+        trajectory=_last(of_kind[TrajectoryRecord]),
+        online_poses=tuple(of_kind[SlamPose]),
+        odometry=tuple(of_kind[Odometry]),
+        true_poses=tuple(of_kind[GroundTruthPose]),
+        associations=tuple(of_kind[DetectionAssociations]),
+        detection_truths=tuple(of_kind[DetectionTruth]),
+        object_map=_last(estimated_maps),
+        true_objects=_last(true_maps),
+        closures=tuple(of_kind[LoopClosureRecord]),
+        graph=_last(of_kind[FactorGraphRecord]),
+        statuses=tuple(of_kind[StatusRecord]),
+        relocalizations=tuple(of_kind[RelocalizationRecord]),
     )
+
+
+def _last(records: Sequence[_Record]) -> _Record | None:
+    return records[-1] if records else None
 
 
 def read_records(
@@ -207,14 +217,8 @@ def _read_reference(
         if is_log(Path(reference)):
             return _read(reference, topics)
         reference = TextReference(Path(reference))
-    final, odometry = output.trajectory, output.odometry
-    if odometry:
-        stamps_ns, poses = [r.stamp_ns for r in odometry], np.array([r.T_odom_body for r in odometry])
-    elif final is not None:
-        stamps_ns, poses = final.stamps_ns.tolist(), final.T_map_body
-    else:
-        stamps_ns, poses = [], np.zeros((0, 4, 4))
-    return EvaluationRecords(true_poses=reference.read(clean_poses(np.array(stamps_ns, dtype=np.int64), poses)))
+    path = output.odometry_path if output.odometry else output.final_path
+    return EvaluationRecords(true_poses=reference.read(path))
 
 
 def _read(path: str | os.PathLike[str], topics: Mapping[str, str] | None) -> EvaluationRecords:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,9 @@ class PoseSeries:
     T_world_body: FloatArray
     disordered_count: int = 0
     duplicate_count: int = 0
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
 
     @property
     def positions(self) -> FloatArray:
@@ -69,6 +73,13 @@ class SynchronizedPoses:
     def positions_gt(self) -> FloatArray:
         """True positions (M, 3), metres, world frame."""
         return self.T_world_body_gt[:, :3, 3]
+
+
+def series_of(stamped_poses: Iterable[tuple[int, FloatArray]]) -> PoseSeries:
+    """:func:`clean_poses` of pairs of stamp [ns] and transform (4, 4)."""
+    pairs = list(stamped_poses)
+    stamps_ns = np.array([stamp_ns for stamp_ns, _ in pairs], dtype=np.int64)
+    return clean_poses(stamps_ns, np.array([T for _, T in pairs], dtype=np.float64).reshape(-1, 4, 4))
 
 
 def clean_poses(stamps_ns: IntArray, T_world_body: FloatArray) -> PoseSeries:

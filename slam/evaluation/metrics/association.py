@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
 
 from logs.messages import DetectionAssociations, DetectionTruth
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import BoolArray
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.synchronization import PoseSeries
 
@@ -22,19 +22,13 @@ UNASSIGNED = ""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledDetections:
-    """Detections of M frames in the order of time, flat: each array has one entry a detection, N may be 0.
+    """Detections of the frames in the order of time, one a row of ``table``, which may be empty.
 
-    frames (N,) non-decreasing index of the frame; travelled_m (N,) path length at its time; landmarks and objects (N,)
-    index into ``landmark_ids`` and ``object_ids``, -1 for none (no landmark; false positive); created (N,) bool.
+    Its columns: ``frame`` (number), ``travelled_m`` (path length at its time), ``landmark`` and ``object`` (ids), and
+    ``created`` (whether it began the landmark).
     """
 
-    frames: IntArray
-    travelled_m: FloatArray
-    landmarks: IntArray
-    objects: IntArray
-    created: NDArray[np.bool_]
-    landmark_ids: tuple[str, ...]
-    object_ids: tuple[str, ...]
+    table: pd.DataFrame
     frame_count: int
     frames_without_truth: int
     frames_without_associations: int
@@ -108,10 +102,7 @@ def label_detections(
     for truth in truths:
         truth_at[truth.stamp_ns].append(truth.object_ids)
     stamps: list[int] = []
-    sizes: list[int] = []
-    landmark_names: list[str] = []
-    object_names: list[str] = []
-    created: list[NDArray[np.bool_]] = []
+    rows: list[tuple[int, str, str, bool]] = []
     without_truth = 0
     for frame in sorted(associations, key=lambda record: record.stamp_ns):
         if not truth_at[frame.stamp_ns]:
@@ -123,64 +114,39 @@ def label_detections(
                 f"the frame at {frame.stamp_ns} ns has {len(frame.landmark_ids)} landmark ids, {len(frame.created)} "
                 f"flags and {len(object_ids)} true ids; the truth is not of this log"
             )
+        landmark_ids = (surviving.get(name, name) for name in frame.landmark_ids)
+        created = (bool(each) for each in frame.created)
+        rows += ((len(stamps), *row) for row in zip(landmark_ids, object_ids, created, strict=True))
         stamps.append(frame.stamp_ns)
-        sizes.append(len(object_ids))
-        landmark_names.extend(surviving.get(name, name) for name in frame.landmark_ids)
-        object_names.extend(object_ids)
-        created.append(np.asarray(frame.created, dtype=np.bool_))
-    frames = np.repeat(np.arange(len(stamps)), sizes).astype(np.int64)
-    stamps_ns = np.array(stamps, dtype=np.int64)
-    landmarks, landmark_ids = _encode(landmark_names)
-    objects, object_ids = _encode(object_names)
+    table = pd.DataFrame(rows, columns=["frame", "landmark", "object", "created"])
+    table = table.astype({"frame": np.int64, "landmark": object, "object": object, "created": np.bool_})
+    travelled_m = path.travelled_at_m(np.array(stamps, dtype=np.int64)) if rows else np.zeros(0)
     return LabelledDetections(
-        frames=frames,
-        travelled_m=path.travelled_at_m(stamps_ns)[frames] if len(frames) else np.zeros(0),
-        landmarks=landmarks,
-        objects=objects,
-        created=np.concatenate([np.zeros(0, dtype=np.bool_), *created]),
-        landmark_ids=landmark_ids,
-        object_ids=object_ids,
+        table=table.assign(travelled_m=travelled_m[table["frame"]]),
         frame_count=len(stamps),
         frames_without_truth=without_truth,
         frames_without_associations=sum(len(rest) for rest in truth_at.values()),
     )
 
 
-def identify_landmarks(detections: LabelledDetections) -> IntArray:
-    """True object (L,) of each landmark as index into ``object_ids``, -1 for a false positive.
+def identify_landmarks(table: pd.DataFrame) -> dict[str, str]:
+    """True object of each landmark by its id, :data:`FALSE_POSITIVE` for one that shows none.
 
     It is the object of most of the detections assigned to the landmark, its creation included. False positives
     together count as one candidate. A tie goes to the candidate that the landmark met first.
     """
-    assigned = np.flatnonzero(detections.landmarks >= 0)
-    candidates = len(detections.object_ids) + 1
-    pairs = detections.landmarks[assigned] * candidates + (detections.objects[assigned] + 1)
-    unique, first, counts = np.unique(pairs, return_index=True, return_counts=True)
-    landmarks, objects = unique // candidates, unique % candidates - 1
-    # The best of each landmark comes first: by landmark, then falling count, then the earliest.
-    order = np.lexsort((first, -counts, landmarks))
-    best = order[np.unique(landmarks[order], return_index=True)[1]]
-    identities = np.full(len(detections.landmark_ids), -1, dtype=np.int64)
-    identities[landmarks[best]] = objects[best]
-    return identities
+    assigned = table[table["landmark"] != UNASSIGNED]
+    counts = assigned.groupby(["landmark", "object"], sort=False).size()
+    best = counts.groupby(level="landmark", sort=False).idxmax()
+    return dict(best.tolist())
 
 
-def find_possible_associations(detections: LabelledDetections, *, revisit_m: float) -> NDArray[np.bool_]:
+def find_possible_associations(table: pd.DataFrame, *, revisit_m: float) -> BoolArray:
     """Which detections (N,) show an object that an earlier frame showed at most ``revisit_m`` of travel before."""
-    possible = np.zeros(len(detections.frames), dtype=np.bool_)
-    real = np.flatnonzero(detections.objects >= 0)
-    if len(real) == 0:
-        return possible
-    frame_span = int(detections.frames[-1]) + 1
-    measurements, first, of_sighting = np.unique(
-        detections.objects[real] * frame_span + detections.frames[real], return_index=True, return_inverse=True
-    )
-    objects = measurements // frame_span
-    travelled = detections.travelled_m[real[first]]
-    seen_before = np.zeros(len(measurements), dtype=np.bool_)
-    seen_before[1:] = (objects[1:] == objects[:-1]) & (np.diff(travelled) <= revisit_m)
-    possible[real] = seen_before[of_sighting]
-    return possible
+    sightings = table[table["object"] != FALSE_POSITIVE].drop_duplicates(["object", "frame"])
+    is_recent = sightings.groupby("object")["travelled_m"].diff() <= revisit_m
+    recent = pd.MultiIndex.from_frame(sightings.loc[is_recent, ["object", "frame"]])
+    return np.asarray(pd.MultiIndex.from_frame(table[["object", "frame"]]).isin(recent), dtype=np.bool_)
 
 
 def evaluate_associations(
@@ -202,52 +168,39 @@ def evaluate_associations(
         revisit_m: travel beyond which an object is recognised by a loop closure only.
         confirmed_landmark_ids: those of the final map; None leaves the figures of confirmed landmarks undefined.
     """
-    identities = identify_landmarks(detections)
-    real = detections.objects >= 0
-    assigned = (detections.landmarks >= 0) & ~detections.created
-    right = assigned & real
-    right[right] = identities[detections.landmarks[right]] == detections.objects[right]
-    possible = find_possible_associations(detections, revisit_m=revisit_m)
-    names = (*detections.object_ids, FALSE_POSITIVE)  # Index -1 is the last.
-    per_object = np.bincount(identities[identities >= 0])
-    per_object = per_object[per_object > 0]
-    confirmed: IntArray | None = None
+    table = detections.table
+    identities = identify_landmarks(table)
+    real, has_landmark = table["object"] != FALSE_POSITIVE, table["landmark"] != UNASSIGNED
+    assigned = has_landmark & ~table["created"]
+    right = assigned & real & (table["landmark"].map(identities) == table["object"])
+    possible = find_possible_associations(table, revisit_m=revisit_m)
+    confirmed = None
     if confirmed_landmark_ids is not None:
         wanted = set(confirmed_landmark_ids)
-        is_confirmed = np.array([name in wanted for name in detections.landmark_ids], dtype=np.bool_)
-        confirmed = identities[is_confirmed]
-    detection_counts = np.bincount(detections.objects[real], minlength=len(detections.object_ids))
+        confirmed = [identity for name, identity in identities.items() if name in wanted]
+    per_object = Counter(identity for identity in identities.values() if identity != FALSE_POSITIVE)
     return AssociationQuality(
-        detection_count=len(detections.frames),
-        false_positive_count=int(np.count_nonzero(~real)),
-        created_count=int(np.count_nonzero(detections.created & (detections.landmarks >= 0))),
-        assigned_count=int(np.count_nonzero(assigned)),
-        right_count=int(np.count_nonzero(right)),
-        assigned_false_positive_count=int(np.count_nonzero(assigned & ~real)),
-        possible_count=int(np.count_nonzero(possible)),
-        made_count=int(np.count_nonzero(possible & right)),
+        detection_count=len(table),
+        false_positive_count=int((~real).sum()),
+        created_count=int((has_landmark & table["created"]).sum()),
+        assigned_count=int(assigned.sum()),
+        right_count=int(right.sum()),
+        assigned_false_positive_count=int((assigned & ~real).sum()),
+        possible_count=int(possible.sum()),
+        made_count=int((possible & right).sum()),
         landmark_count=len(identities),
-        false_landmark_count=int(np.count_nonzero(identities < 0)),
+        false_landmark_count=len(identities) - per_object.total(),
         confirmed_landmark_count=None if confirmed is None else len(confirmed),
-        confirmed_false_landmark_count=None if confirmed is None else int(np.count_nonzero(confirmed < 0)),
-        mean_landmarks_per_object=float(per_object.mean()) if len(per_object) else None,
-        max_landmarks_per_object=int(per_object.max()) if len(per_object) else None,
+        confirmed_false_landmark_count=None if confirmed is None else confirmed.count(FALSE_POSITIVE),
+        mean_landmarks_per_object=_fraction(per_object.total(), len(per_object)),
+        max_landmarks_per_object=max(per_object.values(), default=None),
         mean_confirmed_landmarks_per_object=None if confirmed is None else _mean_per_object(confirmed),
         frame_count=detections.frame_count,
         frames_without_truth=detections.frames_without_truth,
         frames_without_associations=detections.frames_without_associations,
-        landmark_object_ids={
-            name: names[identity] for name, identity in zip(detections.landmark_ids, identities, strict=True)
-        },
-        object_detection_counts=dict(zip(detections.object_ids, detection_counts.tolist(), strict=True)),
+        landmark_object_ids=identities,
+        object_detection_counts=table.loc[real, "object"].value_counts().to_dict(),
     )
-
-
-def _encode(names: list[str]) -> tuple[IntArray, tuple[str, ...]]:
-    """Index (N,) of each name in order of first appearance, -1 for ""; and the names."""
-    index: dict[str, int] = {"": -1}
-    codes = [index.setdefault(name, len(index) - 1) for name in names]
-    return np.array(codes, dtype=np.int64), tuple(name for name in index if name)
 
 
 def _resolve_aliases(aliases: Mapping[str, str]) -> dict[str, str]:
@@ -264,9 +217,9 @@ def _resolve_aliases(aliases: Mapping[str, str]) -> dict[str, str]:
     return surviving
 
 
-def _mean_per_object(identities: IntArray) -> float | None:
-    real = identities[identities >= 0]
-    return len(real) / len(np.unique(real)) if len(real) else None
+def _mean_per_object(identities: list[str]) -> float | None:
+    real = [identity for identity in identities if identity != FALSE_POSITIVE]
+    return _fraction(len(real), len(set(real)))
 
 
 def _fraction(part: int, whole: int) -> float | None:

@@ -7,24 +7,35 @@ Estimation with Applications to Tracking and Navigation, 2001, section 5.4).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import gammaincinv
 
+from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.common.arrays import FloatArray
-from slam.common.geometry import invert
+from slam.common.geometry import apply, invert
+from slam.evaluation.inputs.protocol import Protocol
+from slam.evaluation.inputs.synchronization import PoseSeries
+from slam.evaluation.metrics.landmarks import LandmarkMatches
+from slam.evaluation.place_recognition.closure_labels import JudgedClosures
+from slam.evaluation.place_recognition.revisits import find_true_poses
 
-IN_PLANE = (2, 3, 4)
-"""Heading, x and y among the six of a pose."""
+IN_PLANE = {"pose": [2, 3, 4], "landmark": [0, 1], "closure": [2, 3, 4]}
+"""Of each kind of error the axes in the plane: heading, forward and left; x and y."""
+CALIBRATED = tuple(f"{prefix}{kind}" for kind in IN_PLANE for prefix in ("", "planar_"))
+
+_Errors = tuple[FloatArray, FloatArray]
+"""Errors (N, D) and their covariances (N, D, D)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Consistency:
     """N errors with their covariances: squares (N,) is the NEES of each, ``dimension`` its degrees of freedom.
 
-    ``unusable_count``: errors that were left out, because their covariance is none.
+    ``unusable_count``: errors that were left out, because their covariance is not positive definite.
     """
 
     squares: FloatArray
@@ -48,22 +59,17 @@ class Consistency:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationQuality:
-    """NEES of what a map holds; None where there is zeros to measure. ``planar_``: the same in the plane.
+    """NEES of what a map holds, by the names in :data:`CALIBRATED`; without those that could not be measured.
 
     ``probability``: that of the regions whose coverage is counted.
     """
 
     probability: float
-    pose: Consistency | None
-    planar_pose: Consistency | None
-    landmark: Consistency | None
-    planar_landmark: Consistency | None
-    closure: Consistency | None
-    planar_closure: Consistency | None
+    parts: Mapping[str, Consistency]
 
 
 def measure_consistency(errors: FloatArray, covariances: FloatArray) -> Consistency | None:
-    """Set errors (N, D) against covariances (N, D, D); None where no covariance is one (N may be 0)."""
+    """Set errors (N, D) against covariances (N, D, D); None where no covariance is usable (N may be 0)."""
     dimension = errors.shape[1]
     finite = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(errors).all(axis=1)
     usable = np.zeros(len(errors), dtype=np.bool_)
@@ -75,10 +81,53 @@ def measure_consistency(errors: FloatArray, covariances: FloatArray) -> Consiste
     return Consistency(squares, dimension, int(np.count_nonzero(~usable)))
 
 
-def measure_part(errors: FloatArray, covariances: FloatArray, axes: tuple[int, ...]) -> Consistency | None:
-    """The same of some ``axes`` alone, by the marginal covariances of these."""
-    chosen = list(axes)
-    return measure_consistency(errors[:, chosen], covariances[:, chosen][:, :, chosen])
+def evaluate_calibration(
+    graph: FactorGraphRecord | None,
+    map_est: ObjectMapRecord | None,
+    map_gt: ObjectMapRecord | None,
+    matches: LandmarkMatches | None,
+    judged: JudgedClosures | None,
+    truth: PoseSeries,
+    protocol: Protocol,
+) -> tuple[CalibrationQuality | None, str]:
+    """NEES of keyframes, landmarks and closures, None where there is none of any, and why parts of it are missing.
+
+    The covariances are those in the map frame, which its first keyframe fixes. So the truth is tied there: no other
+    alignment, which would fit the errors away, is made.
+
+    Args:
+        graph: with the covariances of its poses.
+        map_est: the final map.
+        map_gt: true objects.
+        matches: of confirmed landmarks with true objects, by the truth of their detections.
+        judged: closures with their errors.
+        truth: may hold no pose.
+        protocol: the thresholds.
+    """
+    missing: list[str] = []
+    errors: dict[str, _Errors | None] = {}
+    T_map_world = _tie_first(graph, truth, protocol)
+    if graph is None or T_map_world is None:
+        missing.append("poses and landmarks: no truth at the first keyframe, which fixes the map")
+    else:
+        errors["pose"] = _pose_errors(graph, T_map_world, truth, protocol)
+        if map_est is not None and map_gt is not None and matches is not None:
+            errors["landmark"] = _landmark_errors(map_est, map_gt, matches, T_map_world)
+    if judged is not None:
+        errors["closure"] = _closure_errors(judged, truth, protocol)
+    parts: dict[str, Consistency] = {}
+    for kind, measured in errors.items():
+        for prefix, axes in (("", slice(None)), ("planar_", IN_PLANE[kind])):
+            if measured is not None:
+                part = measure_consistency(measured[0][:, axes], measured[1][:, axes][:, :, axes])
+                parts |= {f"{prefix}{kind}": part} if part is not None else {}
+    if T_map_world is not None and "pose" not in parts:
+        missing.append("poses: no covariances of keyframes with truth in the log (/slam/graph)")
+    if T_map_world is not None and "landmark" not in parts:
+        missing.append("landmarks: no confirmed one with a covariance, of an object, by the truth of detections")
+    if "closure" not in parts:
+        missing.append("closures: no accepted true one with a covariance")
+    return CalibrationQuality(protocol.coverage_probability, parts) if parts else None, "; ".join(missing)
 
 
 def pose_errors(T_est: FloatArray, T_gt: FloatArray) -> FloatArray:
@@ -89,9 +138,47 @@ def pose_errors(T_est: FloatArray, T_gt: FloatArray) -> FloatArray:
     return _logarithm(invert(T_est) @ T_gt)
 
 
-def tie(T_map_body_est: FloatArray, T_world_body_gt: FloatArray) -> FloatArray:
-    """``T_world_map`` (4, 4) that lays one estimated pose on its truth; both (4, 4)."""
-    return np.asarray(T_world_body_gt @ invert(T_map_body_est))
+def _tie_first(graph: FactorGraphRecord | None, truth: PoseSeries, protocol: Protocol) -> FloatArray | None:
+    """``T_map_world`` (4, 4) that lays the truth of the first keyframe on its estimate; None where it has no truth."""
+    if graph is None or len(graph.keyframe_ids) == 0:
+        return None
+    known, T_world_body = find_true_poses(truth, graph.keyframe_stamps_ns[:1], max_gap_s=protocol.max_truth_gap_s)
+    return invert(T_world_body[0] @ invert(graph.T_map_body[0])) if known[0] else None
+
+
+def _pose_errors(
+    graph: FactorGraphRecord, T_map_world: FloatArray, truth: PoseSeries, protocol: Protocol
+) -> _Errors | None:
+    if len(graph.pose_covariances) == 0:
+        return None
+    known, T_world_body = find_true_poses(truth, graph.keyframe_stamps_ns, max_gap_s=protocol.max_truth_gap_s)
+    known[0] = False
+    return pose_errors(graph.T_map_body[known], T_map_world @ T_world_body[known]), graph.pose_covariances[known]
+
+
+def _landmark_errors(
+    map_est: ObjectMapRecord, map_gt: ObjectMapRecord, matches: LandmarkMatches, T_map_world: FloatArray
+) -> _Errors:
+    matched = matches.object_rows >= 0
+    rows = matches.landmark_rows[matched]
+    errors = map_est.positions[rows] - apply(T_map_world, map_gt.positions[matches.object_rows[matched]])
+    return errors, map_est.covariances[rows]
+
+
+def _closure_errors(judged: JudgedClosures, truth: PoseSeries, protocol: Protocol) -> _Errors | None:
+    rows = [
+        row
+        for row in np.flatnonzero(judged.accepted & judged.true).tolist()
+        if judged.candidates[row].covariance is not None
+    ]
+    if not rows:
+        return None
+    both_ns = np.concatenate([judged.reference_stamps_ns[rows], judged.query_stamps_ns[rows]])
+    _, poses = find_true_poses(truth, both_ns, max_gap_s=protocol.max_truth_gap_s)
+    T_world_reference, T_world_query = poses[: len(rows)], poses[len(rows) :]
+    T_reference_query = np.array([judged.candidates[row].T_reference_query for row in rows])
+    covariances = np.array([judged.candidates[row].covariance for row in rows])
+    return pose_errors(T_reference_query, invert(T_world_reference) @ T_world_query), covariances
 
 
 def _logarithm(T: FloatArray) -> FloatArray:

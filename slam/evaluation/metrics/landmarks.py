@@ -14,12 +14,14 @@ from logs.messages import ObjectMapRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import EvaluationError
 from slam.common.geometry import apply
+from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.alignment import STANDSTILL_M, align_yaw_translation, principal_spreads
 from slam.evaluation.metrics.association import FALSE_POSITIVE
 from slam.evaluation.metrics.trajectory import ErrorStatistics, summarize
 
 CONFIRMED = "confirmed"
+DEFAULT_PROTOCOL = Protocol()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,27 +149,23 @@ def compute_windowed_errors(
     positions_gt: FloatArray,
     seen_at_m: FloatArray,
     path_length_m: float,
-    *,
-    window_m: float = 50.0,
-    stride_m: float = 25.0,
-    least_landmarks: int = 3,
+    protocol: Protocol = DEFAULT_PROTOCOL,
 ) -> WindowedErrors:
     """Residuals of landmarks after aligning windows of path one by one: the local quality of a map, free of drift.
 
-    Windows ``[s, s + window_m)`` start every ``stride_m`` until the path is covered. A landmark belongs to the windows
-    in which it was first seen. In each window yaw and translation are aligned by least squares
-    (:func:`slam.evaluation.metrics.alignment.align_yaw_translation`); windows with fewer than ``least_landmarks``
-    landmarks, or with all of them in one place, are skipped.
+    Windows ``[s, s + window_m)`` start every ``window_stride_m`` until the path is covered. A landmark belongs to the
+    windows in which it was first seen. In each window yaw and translation are aligned by least squares
+    (:func:`slam.evaluation.metrics.alignment.align_yaw_translation`); windows with fewer than
+    ``window_least_landmarks`` landmarks, or with all of them in one place, are skipped.
 
     Args:
         positions_est: (N, 3) metres, map frame; N may be 0.
         positions_gt: (N, 3) metres, world frame.
         seen_at_m: (N,) metres of true path at the first measurement; NaN where that is not known, which leaves it out.
         path_length_m: length of the true path.
-        window_m: length of a window.
-        stride_m: distance between the starts of two windows.
-        least_landmarks: at least 3, because two are aligned with next to no residual.
+        protocol: the thresholds.
     """
+    window_m, stride_m = protocol.window_m, protocol.window_stride_m
     residuals: list[FloatArray] = []
     skipped = 0
     used = np.zeros(len(positions_est), dtype=np.bool_)
@@ -176,7 +174,7 @@ def compute_windowed_errors(
     numbers = numbers[numbers < count]
     for start in (stride_m * numbers).tolist():
         inside = (seen_at_m >= start) & (seen_at_m < start + window_m)
-        if np.count_nonzero(inside) < least_landmarks or any(
+        if np.count_nonzero(inside) < protocol.window_least_landmarks or any(
             principal_spreads(points[inside, :2])[0] < STANDSTILL_M for points in (positions_est, positions_gt)
         ):
             skipped += 1
@@ -206,14 +204,11 @@ def evaluate_landmarks(
     map_est: ObjectMapRecord,
     map_gt: ObjectMapRecord,
     matches: LandmarkMatches,
+    protocol: Protocol = DEFAULT_PROTOCOL,
     *,
     path_gt: PoseSeries | None = None,
     T_world_map: FloatArray | None = None,
     object_detection_counts: Mapping[str, int] | None = None,
-    window_m: float = 50.0,
-    stride_m: float = 25.0,
-    least_landmarks: int = 3,
-    least_detections: int = 5,
 ) -> LandmarkQuality:
     """Position errors, classes, precision and recall of the confirmed landmarks.
 
@@ -221,13 +216,10 @@ def evaluate_landmarks(
         map_est: final map, map frame.
         map_gt: true objects, world frame.
         matches: from :func:`match_by_detections` or :func:`match_by_position`.
+        protocol: the thresholds.
         path_gt: true path, which cuts the windows; None leaves the windowed error undefined.
         T_world_map: (4, 4) alignment of the trajectory; None leaves the error in the global frame undefined.
         object_detection_counts: how often each true object was detected; None leaves recall undefined.
-        window_m: see :func:`compute_windowed_errors`, as are ``stride_m`` and ``least_landmarks``.
-        stride_m: distance between the starts of two windows.
-        least_landmarks: least number of landmarks of a window.
-        least_detections: an object detected less often need not have a landmark.
 
     Raises:
         EvaluationError: a matched position is not finite.
@@ -237,7 +229,7 @@ def evaluate_landmarks(
     positions_est, positions_gt = map_est.positions[rows_est], map_gt.positions[rows_gt]
     if not (np.isfinite(positions_est).all() and np.isfinite(positions_gt).all()):
         raise EvaluationError("a landmark or a true object has a position that is not finite")
-    windowed = _windowed(map_est, rows_est, positions_est, positions_gt, path_gt, window_m, stride_m, least_landmarks)
+    windowed = _windowed(map_est, rows_est, positions_est, positions_gt, path_gt, protocol)
     in_world = None if T_world_map is None else apply(T_world_map, positions_est)
     labels_est, labels_gt = map_est.labels, map_gt.labels
     class_right = None
@@ -245,7 +237,7 @@ def evaluate_landmarks(
         class_right = sum(labels_est[i] == labels_gt[j] for i, j in zip(rows_est, rows_gt, strict=True))
     recallable = None
     if object_detection_counts is not None:
-        often = {name for name, count in object_detection_counts.items() if count >= least_detections}
+        often = {name for name, count in object_detection_counts.items() if count >= protocol.least_detections}
         recallable = often & set(map_gt.ids)
     return LandmarkQuality(
         method=matches.method,
@@ -270,24 +262,14 @@ def _windowed(
     positions_est: FloatArray,
     positions_gt: FloatArray,
     path_gt: PoseSeries | None,
-    window_m: float,
-    stride_m: float,
-    least_landmarks: int,
+    protocol: Protocol,
 ) -> WindowedErrors:
     if path_gt is None or len(path_gt.stamps_ns) == 0:
         return WindowedErrors(np.zeros(0), np.zeros(0), 0, 0, 0)
     seen_ns = map_est.first_seen_ns[rows_est]
     known = (seen_ns >= path_gt.stamps_ns[0]) & (seen_ns <= path_gt.stamps_ns[-1])
     seen_at_m = np.where(known, path_gt.travelled_at_m(seen_ns), np.nan)
-    return compute_windowed_errors(
-        positions_est,
-        positions_gt,
-        seen_at_m,
-        float(path_gt.travelled_m[-1]),
-        window_m=window_m,
-        stride_m=stride_m,
-        least_landmarks=least_landmarks,
-    )
+    return compute_windowed_errors(positions_est, positions_gt, seen_at_m, float(path_gt.travelled_m[-1]), protocol)
 
 
 def _confirmed_rows(map_est: ObjectMapRecord) -> IntArray:

@@ -13,7 +13,7 @@ from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
-from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses, synchronize
+from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
 from slam.evaluation.metrics.alignment import align_path
 from slam.evaluation.metrics.relocalization_errors import FixError, Span, measure_by_closures, measure_by_poses
 
@@ -143,14 +143,8 @@ def locate_map(mapping: EvaluationRecords, protocol: Protocol | None = None) -> 
     if mapping.trajectory is None or not mapping.true_poses:
         lacks = "final trajectory" if mapping.trajectory is None else "ground truth"
         raise EvaluationError(f"the log of the drive that made the map has no {lacks}, so the map cannot be located")
-    poses = synchronize(
-        clean_poses(mapping.trajectory.stamps_ns, mapping.trajectory.T_map_body),
-        clean_poses(
-            np.array([r.stamp_ns for r in mapping.true_poses], dtype=np.int64),
-            np.array([r.T_world_body for r in mapping.true_poses]),
-        ),
-        max_gap_s=(protocol or Protocol()).max_truth_gap_s,
-    )
+    max_gap_s = (protocol or Protocol()).max_truth_gap_s
+    poses = synchronize(mapping.final_path, mapping.true_path, max_gap_s=max_gap_s)
     return align_path(poses.positions_est, poses.positions_gt).T_world_map
 
 
@@ -183,7 +177,7 @@ def evaluate_relocalization(
     if method == "closure":
         errors = measure_by_closures(records.closures, spans, truth, protocol)
     else:
-        errors = measure_by_poses(records.online_poses, spans, truth, T_world_map, protocol)
+        errors = measure_by_poses(records.online_path, spans, truth, T_world_map, protocol)
     losses = tuple(
         _describe_loss(span, error, truth, odometry, protocol) for span, error in zip(spans, errors, strict=True)
     )

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from logs.messages import LoopClosureRecord, SlamPose
+from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray
 from slam.common.geometry import invert, rotation_angle_rad
 from slam.evaluation.inputs.protocol import Protocol
-from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses
+from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.place_recognition.closure_labels import label_closures
 from slam.evaluation.place_recognition.revisits import find_true_poses
 
@@ -53,7 +53,7 @@ def _find_closure(closures: Sequence[LoopClosureRecord], lost_ns: int, fix_ns: i
 
 
 def measure_by_poses(
-    online_poses: Sequence[SlamPose],
+    poses: PoseSeries,
     spans: Sequence[Span],
     truth: PoseSeries,
     T_world_map: FloatArray | None,
@@ -62,18 +62,14 @@ def measure_by_poses(
     """By the first pose at or after each fix, laid on the truth by ``T_world_map`` (4, 4); without that there are none.
 
     Args:
-        online_poses: as they were at their time.
+        poses: as they were at their time.
         spans: losses and fixes.
         truth: may hold no pose.
         T_world_map: where the truth has the map.
         protocol: the thresholds.
     """
-    poses = clean_poses(
-        np.array([p.stamp_ns for p in online_poses], dtype=np.int64),
-        np.array([p.T_map_body for p in online_poses]).reshape(-1, 4, 4),
-    )
     errors: list[FixError] = [None] * len(spans)
-    if T_world_map is None or not len(poses.stamps_ns):
+    if T_world_map is None or not len(poses):
         return errors
     fixed = [k for k, (_, fix_ns) in enumerate(spans) if fix_ns is not None and fix_ns <= poses.stamps_ns[-1]]
     rows = np.searchsorted(poses.stamps_ns, np.array([spans[k][1] for k in fixed], dtype=np.int64))

@@ -25,19 +25,18 @@ ASSOCIATION = "association"
 
 @dataclass(frozen=True, slots=True)
 class ClosureErrors:
-    """Errors of ``count`` >= 1 accepted true closures. Planar ones are those in the plane of the body, for some truths
-    drift in height, that of KITTI among them.
+    """Errors of the accepted true closures, of which there is one at least.
 
+    Planar ones are those in the plane of the body, as some truths drift in height, that of KITTI among them.
     ``intra_revisit_std_m`` is the median over the runs of at least two closures, None where there is no such run.
     """
 
-    count: int
-    median_translation_m: float
-    p95_translation_m: float
-    median_rotation_deg: float
-    p95_rotation_deg: float
-    median_planar_m: float
-    median_heading_deg: float
+    median_translation_error_m: float
+    p95_translation_error_m: float
+    median_planar_error_m: float
+    median_heading_error_deg: float
+    median_rotation_error_deg: float
+    p95_rotation_error_deg: float
     intra_revisit_std_m: float | None
 
 
@@ -230,13 +229,12 @@ def _summarize_errors(judged: JudgedClosures, protocol: Protocol) -> ClosureErro
     translations_m = np.linalg.norm(judged.errors_xyz[rows], axis=1)
     rotations_deg = np.rad2deg(judged.rotation_errors_rad[rows])
     return ClosureErrors(
-        count=len(rows),
-        median_translation_m=float(np.median(translations_m)),
-        p95_translation_m=float(np.percentile(translations_m, 95.0)),
-        median_rotation_deg=float(np.median(rotations_deg)),
-        p95_rotation_deg=float(np.percentile(rotations_deg, 95.0)),
-        median_planar_m=float(np.median(np.hypot(*judged.planar_errors[rows, :2].T))),
-        median_heading_deg=float(np.rad2deg(np.median(np.abs(judged.planar_errors[rows, 2])))),
+        median_translation_error_m=float(np.median(translations_m)),
+        p95_translation_error_m=float(np.percentile(translations_m, 95.0)),
+        median_rotation_error_deg=float(np.median(rotations_deg)),
+        p95_rotation_error_deg=float(np.percentile(rotations_deg, 95.0)),
+        median_planar_error_m=float(np.median(np.hypot(*judged.planar_errors[rows, :2].T))),
+        median_heading_error_deg=float(np.rad2deg(np.median(np.abs(judged.planar_errors[rows, 2])))),
         intra_revisit_std_m=_measure_spread(
             judged.errors_xyz[rows], judged.travelled_m[rows], protocol.closure_run_gap_m
         ),

@@ -20,17 +20,17 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True)
 class Discoveries:
-    """Accepted closures by their origin: ``found``, ``followed`` forwards, ``led_back`` to keyframes before.
+    """Accepted closures by their origin: found, followed forwards, led back to keyframes before.
 
-    ``independent``: found closures in runs, a run ending where the next query is a submap's length further on, and of
-    these ``independent_false``, runs with a false one. Both None without truth.
+    ``independent_count``: found closures in runs, a run ending where the next query is a submap's length further on,
+    and of these ``independent_false_count``, runs with a false one. Both None without truth.
     """
 
-    found: int
-    followed: int
-    led_back: int
-    independent: int | None
-    independent_false: int | None
+    found_count: int
+    followed_count: int
+    led_back_count: int
+    independent_count: int | None
+    independent_false_count: int | None
 
     @property
     def largest_false_share(self) -> float | None:
@@ -38,12 +38,12 @@ class Discoveries:
 
         About 3 / n where none of n is false: the rule of three. None without truth or discovery.
         """
-        if self.independent is None or self.independent_false is None or self.independent == 0:
+        if self.independent_count is None or self.independent_false_count is None or self.independent_count == 0:
             return None
-        if self.independent_false == self.independent:
+        if self.independent_false_count == self.independent_count:
             return 1.0
-        right = self.independent - self.independent_false
-        return float(betaincinv(self.independent_false + 1, right, CONFIDENCE))
+        right = self.independent_count - self.independent_false_count
+        return float(betaincinv(self.independent_false_count + 1, right, CONFIDENCE))
 
 
 def count_discoveries(judged: JudgedClosures, protocol: Protocol, *, has_truth: bool) -> Discoveries:
@@ -63,9 +63,9 @@ def count_discoveries(judged: JudgedClosures, protocol: Protocol, *, has_truth: 
         independent = len(np.unique(runs))
         independent_false = len(np.unique(runs[~judged.true[found]]))
     return Discoveries(
-        found=int(is_found.sum()),
-        followed=int(is_followed.sum()),
-        led_back=int((~is_found & ~is_followed).sum()),
-        independent=independent,
-        independent_false=independent_false,
+        found_count=int(is_found.sum()),
+        followed_count=int(is_followed.sum()),
+        led_back_count=int((~is_found & ~is_followed).sum()),
+        independent_count=independent,
+        independent_false_count=independent_false,
     )

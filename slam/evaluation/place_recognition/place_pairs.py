@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from scipy.spatial import cKDTree
 
 from logs.messages import FactorGraphRecord, LoopClosureRecord
@@ -133,10 +134,9 @@ def evaluate_pairs(keyframes: ComparedKeyframes, protocol: Protocol) -> PairQual
     positives = _find_positives(keyframes, protocol)
     near = _pairs_within(keyframes.true_positions, protocol.pair_negative_m)
     negative_count = count * (count - 1) // 2 - len(near)
-    candidates, earlier, _ = _find_claims(keyframes, protocol)
-    codes, scores = _find_best_scores(
-        earlier * count + keyframes.query_rows[candidates], _rank(keyframes.scores[candidates])
-    )
+    claims = _find_claims(keyframes, protocol)
+    best = claims.groupby(claims["row"] * count + claims["query"])["score"].max()
+    codes = best.index.to_numpy()
     is_positive = np.isin(codes, positives[:, 0] * count + positives[:, 1])
     is_negative = ~np.isin(codes, near[:, 0] * count + near[:, 1])
     counted = is_positive | is_negative
@@ -147,7 +147,7 @@ def evaluate_pairs(keyframes: ComparedKeyframes, protocol: Protocol) -> PairQual
         rest = [rest_true + rest_false] if rest_true + rest_false else []
         true = np.append(is_positive[counted].astype(np.int64), rest_true if rest else [])
         sweep = sweep_counts(
-            np.append(scores[counted], [-np.inf] if rest else []),
+            np.append(best.to_numpy()[counted], [-np.inf] if rest else []),
             accepted_counts=np.append(np.ones(int(counted.sum()), dtype=np.int64), rest).astype(np.int64),
             true_counts=true.astype(np.int64),
             recalled_counts=true.astype(np.int64),
@@ -165,15 +165,16 @@ def evaluate_online(keyframes: ComparedKeyframes, protocol: Protocol) -> OnlineQ
     """
     frames = keyframes.frames
     revisit_rows = np.unique(_find_positives(keyframes, protocol)[:, 1])
-    candidates, rows, apart_m = _find_claims(keyframes, protocol)
-    far_back = frames[keyframes.query_rows[candidates]] - frames[rows] > protocol.pair_frames
-    allowed = np.flatnonzero(far_back & np.isin(candidates, _find_best(keyframes.query_rows, keyframes.scores)))
-    allowed = allowed[np.lexsort((rows[allowed], apart_m[allowed], candidates[allowed]))]
-    best, first = np.unique(candidates[allowed], return_index=True)
-    queries, answers = keyframes.query_rows[best], rows[allowed[first]]
-    true_m = np.linalg.norm(keyframes.true_positions[queries] - keyframes.true_positions[answers], axis=1)
-    is_right = true_m < protocol.pair_positive_m
-    sweep = sweep_scores(queries, keyframes.scores[best], is_right, revisit_ids=revisit_rows)
+    claims = _find_claims(keyframes, protocol)
+    claims = claims[frames[claims["query"]] - frames[claims["row"]] > protocol.pair_frames]
+    ranked = pd.Series(_rank(keyframes.scores))
+    is_best = (ranked == ranked.groupby(keyframes.query_rows).transform("max")).to_numpy(dtype=np.bool_)
+    claims = claims[is_best[claims["candidate"]]].sort_values(["candidate", "apart_m", "row"])
+    answers = claims.drop_duplicates("candidate")
+    queries, rows = answers["query"].to_numpy(), answers["row"].to_numpy()
+    true_m = np.linalg.norm(keyframes.true_positions[queries] - keyframes.true_positions[rows], axis=1)
+    scores = keyframes.scores[answers["candidate"]]
+    sweep = sweep_scores(queries, scores, true_m < protocol.pair_positive_m, revisit_ids=revisit_rows)
     recalled = float(sweep.recall[-1]) if sweep is not None and len(sweep.recall) else 0.0
     return OnlineQuality(
         query_count=int(np.count_nonzero(frames - frames.min(initial=0) > protocol.pair_frames)),
@@ -181,21 +182,6 @@ def evaluate_online(keyframes: ComparedKeyframes, protocol: Protocol) -> OnlineQ
         found_count=round(recalled * len(revisit_rows)),
         sweep=sweep,
     )
-
-
-def _find_best(query_rows: IntArray, scores: FloatArray) -> IntArray:
-    """Indices of the candidates (C,) that no other of their query exceeds; equal ones all."""
-    ranked = _rank(scores)
-    most = np.full(query_rows.max(initial=-1) + 1, -np.inf)
-    np.maximum.at(most, query_rows, ranked)
-    return np.flatnonzero(ranked == most[query_rows])
-
-
-def _find_best_scores(codes: IntArray, scores: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Each code (P,) once, and the best of its scores."""
-    order = np.lexsort((-scores, codes))
-    unique, first = np.unique(codes[order], return_index=True)
-    return unique, scores[order[first]]
 
 
 def _rank(scores: FloatArray) -> FloatArray:
@@ -221,15 +207,18 @@ def _find_positives(keyframes: ComparedKeyframes, protocol: Protocol) -> IntArra
     return pairs[np.flatnonzero(are_positive)]
 
 
-def _find_claims(keyframes: ComparedKeyframes, protocol: Protocol) -> tuple[IntArray, IntArray, FloatArray]:
-    """Which candidates (P,) put their query less than ``pair_positive_m`` from which earlier keyframes (P,).
+def _find_claims(keyframes: ComparedKeyframes, protocol: Protocol) -> pd.DataFrame:
+    """Which ``candidate`` puts its ``query`` keyframe less than ``pair_positive_m`` from which earlier one (``row``).
 
-    The third array (P,) is how far [m], in the final map.
+    ``apart_m``: how far, in the final map; ``score``: of the candidate.
     """
     if len(keyframes.query_rows) == 0:
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
+        return pd.DataFrame(columns=["candidate", "row", "apart_m", "query", "score"], dtype=np.int64)
     found = cKDTree(keyframes.claimed_positions).sparse_distance_matrix(
         cKDTree(keyframes.map_positions), protocol.pair_positive_m, output_type="ndarray"
     )
-    found = found[(found["j"] < keyframes.query_rows[found["i"]]) & (found["v"] < protocol.pair_positive_m)]
-    return found["i"].astype(np.int64), found["j"].astype(np.int64), found["v"]
+    claims = pd.DataFrame({"candidate": found["i"], "row": found["j"], "apart_m": found["v"]})
+    claims = claims.assign(
+        query=keyframes.query_rows[claims["candidate"]], score=_rank(keyframes.scores)[claims["candidate"]]
+    )
+    return claims[(claims["row"] < claims["query"]) & (claims["apart_m"] < protocol.pair_positive_m)]

@@ -1,1 +1,1 @@
-"""An evaluation as text and picture."""
+"""An evaluation as text and tables, all made from its JSON."""

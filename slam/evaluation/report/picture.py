@@ -1,59 +1,138 @@
-"""What a map looks like, from the records of a log and their evaluation."""
+"""A drive in the frame of its map: estimate, odometry, truth, landmarks and closures."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from slam.common.arrays import FloatArray
+from logs.messages import FactorGraphRecord
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.geometry import apply, interpolate, invert
+from slam.display.map_picture import MapPicture
 from slam.evaluation.inputs.records import EvaluationRecords
+from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.landmarks import CONFIRMED
+from slam.evaluation.place_recognition.closure_labels import JudgedClosures
 from slam.evaluation.place_recognition.closures import ClosureQuality
-from slam.evaluation.report.map_frame import MapPaths, bring_into_map
 from slam.evaluation.result import Evaluation
-from slam.visualization.map_plot import MapPicture
+
+_USUAL_SHARE, _LEAP_STEPS = 0.9, 10.0
+"""A leap is that many times as long as that share of all steps with motion."""
+_LEAP_SHARE = 0.02
+"""And that long, in parts of the extent of the path: shorter ones are not seen."""
 
 
 def compose_picture(records: EvaluationRecords, evaluation: Evaluation, *, title: str = "Object map") -> MapPicture:
-    """Bring all into the map frame, as :func:`slam.evaluation.report.map_frame.bring_into_map` does.
+    """Bring the odometry into the map frame by its first pose, the truth by the alignment of the estimate.
 
-    A closure joins the estimated positions of its two keyframes.
+    A closure joins the estimated positions of its two keyframes. The poses as they were at their time stand for a
+    final trajectory that is missing. Truth that could not be aligned is left out. A path is broken, by a row of NaN,
+    at a discontinuity of the odometry and at a step that no robot makes. A robot that has no first fix yet is not lost.
     """
-    paths = bring_into_map(records, evaluation)
+    estimate = estimated_path(records)
     errors = evaluation.estimate or evaluation.online
-    rows: list[int] = []
-    labels: tuple[str, ...] = ()
-    if records.object_map is not None:
-        rows = [row for row, state in enumerate(records.object_map.states) if state == CONFIRMED]
-        labels = records.object_map.labels
+    odometry, truth = records.odometry_path, records.true_path
+    spans_ns = _discontinuities(records.graph)
+    objects = records.object_map
+    rows = [row for row, state in enumerate(objects.states) if state == CONFIRMED] if objects else []
+    losses = evaluation.relocalization.losses if evaluation.relocalization else ()
+    start_ns = min((status.stamp_ns for status in records.statuses), default=0)
     return MapPicture(
-        estimate=paths.estimate.positions,
-        odometry=paths.odometry,
-        truth=paths.truth,
-        lost=paths.lost,
-        found=paths.found,
-        estimate_jumps=paths.estimate_jumps,
-        odometry_jumps=paths.odometry_jumps,
-        truth_jumps=paths.truth_jumps,
-        landmarks=records.object_map.positions[rows] if records.object_map else np.zeros((0, 3)),
-        labels=tuple(labels[row] for row in rows),
+        estimate=_broken(estimate.stamps_ns, estimate.positions, spans_ns),
+        odometry=_broken(odometry.stamps_ns, _in_map(odometry, estimate), spans_ns),
+        truth=_broken(truth.stamps_ns, apply(invert(errors.alignment.T_world_map), truth.positions), spans_ns[:0])
+        if errors
+        else np.zeros((0, 3)),
+        lost=_known(positions_at(estimate, [loss.lost_ns for loss in losses if loss.lost_ns > start_ns])),
+        found=_known(positions_at(estimate, [loss.fix_ns for loss in losses if loss.fix_ns is not None])),
+        landmarks=objects.positions[rows] if objects else np.zeros((0, 3)),
+        labels=tuple(objects.labels[row] for row in rows) if objects else (),
         title=title,
         ate_m=errors.absolute.rmse_m if errors else None,
         odometry_ate_m=evaluation.odometry.absolute.rmse_m if evaluation.odometry else None,
-        **_closures(evaluation.closures, paths),
+        **_closures(evaluation.closures, estimate),
     )
 
 
-def _closures(quality: ClosureQuality | None, paths: MapPaths) -> dict[str, FloatArray]:
+def estimated_path(records: EvaluationRecords) -> PoseSeries:
+    """The final trajectory, or the poses as they were at their time where a run did not finish."""
+    return records.final_path if records.trajectory else records.online_path
+
+
+def poses_at(path: PoseSeries, at_ns: IntArray) -> FloatArray:
+    """``T_map_body`` (M, 4, 4) at any times (M,); NaN where the path does not reach."""
+    poses = np.full((len(at_ns), 4, 4), np.nan)
+    if len(path):
+        inside = (at_ns >= path.stamps_ns[0]) & (at_ns <= path.stamps_ns[-1])
+        poses[inside] = interpolate(path.stamps_ns, path.T_world_body, at_ns[inside])
+    return poses
+
+
+def positions_at(path: PoseSeries, at_ns: IntArray | Sequence[int]) -> FloatArray:
+    """Positions (M, 3), metres, as :func:`poses_at`."""
+    return poses_at(path, np.asarray(at_ns, dtype=np.int64))[:, :3, 3]
+
+
+def closure_ends(path: PoseSeries, judged: JudgedClosures) -> FloatArray:
+    """Positions (C, 2, 3) of the query and the reference keyframe of each closure, NaN as :func:`poses_at`."""
+    return np.stack([positions_at(path, judged.query_stamps_ns), positions_at(path, judged.reference_stamps_ns)], 1)
+
+
+def _closures(quality: ClosureQuality | None, estimate: PoseSeries) -> dict[str, FloatArray]:
     """Ends of the accepted closures by their label, and missed revisits, as :class:`MapPicture` takes them."""
     if quality is None:
         return {}
     judged = quality.judged
-    ends = paths.closure_ends(judged)
+    ends = closure_ends(estimate, judged)
     shown = judged.accepted & np.isfinite(ends).all(axis=(1, 2))
-    missed = paths.positions_at(quality.revisits.missed_stamps_ns) if quality.revisits else np.zeros((0, 3))
+    missed_ns: IntArray | Sequence[int] = quality.revisits.missed_stamps_ns if quality.revisits else ()
     return {
         "true_closures": ends[shown & judged.true],
         "false_closures": ends[shown & judged.decided & ~judged.true],
         "closures": ends[shown & ~judged.decided],
-        "missed_revisits": missed[np.isfinite(missed).all(axis=1)],
+        "missed_revisits": _known(positions_at(estimate, missed_ns)),
     }
+
+
+def _known(positions: FloatArray) -> FloatArray:
+    return positions[np.isfinite(positions).all(axis=1)]
+
+
+def _in_map(odometry: PoseSeries, estimate: PoseSeries) -> FloatArray:
+    if not len(odometry) or not len(estimate):
+        return odometry.positions
+    first = int(np.argmin(np.abs(odometry.stamps_ns - estimate.stamps_ns[0])))
+    return apply(estimate.T_world_body[0] @ invert(odometry.T_world_body[first]), odometry.positions)
+
+
+def _discontinuities(graph: FactorGraphRecord | None) -> IntArray:
+    """Stamps (J, 2) of the keyframes before and after each discontinuity of the odometry."""
+    if graph is None:
+        return np.zeros((0, 2), dtype=np.int64)
+    stamp_of = dict(zip(graph.keyframe_ids.tolist(), graph.keyframe_stamps_ns.tolist(), strict=True))
+    edges = zip(graph.edge_keyframe_ids.tolist(), graph.edge_kinds, strict=True)
+    ends = [(stamp_of[first], stamp_of[second]) for (first, second), kind in edges if kind == "discontinuity"]
+    return np.array(sorted(ends), dtype=np.int64).reshape(-1, 2)
+
+
+def _broken(stamps_ns: IntArray, positions: FloatArray, spans_ns: IntArray) -> FloatArray:
+    """A path with a row of NaN in the longest step within each span (J, 2), and in each leap."""
+    steps_m = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    jumps = _leaps(positions, steps_m).tolist()
+    for first_ns, last_ns in spans_ns:
+        begin = max(int(np.searchsorted(stamps_ns, first_ns, side="right")) - 1, 0)
+        within = steps_m[begin : np.searchsorted(stamps_ns, last_ns)]
+        if len(within) and first_ns < last_ns:
+            jumps.append(begin + int(np.argmax(within)))
+    return np.insert(positions, np.unique(np.array(jumps, dtype=np.int64)) + 1, np.nan, axis=0)
+
+
+def _leaps(positions: FloatArray, steps_m: FloatArray) -> IntArray:
+    """Rows before steps of a path (N, 3) that are far longer than the others, and long on the map."""
+    moving_m = steps_m[steps_m > 0.0]
+    if not len(moving_m):
+        return np.zeros(0, dtype=np.int64)
+    extent_m = float(np.linalg.norm(np.ptp(positions, axis=0)))
+    usual_m = float(np.quantile(moving_m, _USUAL_SHARE))
+    return np.flatnonzero(steps_m > max(_LEAP_STEPS * usual_m, _LEAP_SHARE * extent_m))

@@ -77,7 +77,7 @@ def test_a_player_holds_the_map_of_that_time(logs, fraction):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fraction", [0.3, 0.6, 0.95])
-def test_after_a_seek_the_map_path_closures_and_frames_are_there(logs, fraction):
+def test_viewer_has_whole_map_after_seek(logs, fraction):
     source, output = logs
     at_ns = time_at(source, fraction)
     expected = np.array(list(map_at(source, at_ns).values()))
@@ -99,7 +99,7 @@ def test_the_status_is_told_as_text(logs):
     assert last.startswith("mapping: optimised; landmarks contradict the heading of the odometry")  # which drifts
 
 
-def test_closures_are_lines_and_dots_between_their_keyframes():
+def test_closures_are_shown_as_lines_and_points():
     closures = np.array([[[0.0, 0, 0], [8.0, 0, 0]]])
     messages = dict(MapTopics(30.0).update(replace(snapshot(0, {}), closures=closures)))
     np.testing.assert_array_equal(messages["/slam/closure_lines"].polylines, closures)
@@ -184,7 +184,7 @@ def test_a_large_map_is_written_more_seldom(is_closed):
     assert "/slam/path" in dict(topics.update(snapshot(due_s + 1, large), is_closed=is_closed))
 
 
-def test_the_world_is_tied_where_truth_and_estimate_are_both_known():
+def test_world_frame_is_tied_at_first_common_pose():
     truths = [GroundTruthPose(t, transform_from_xyz_yaw(np.array([10.0 + t, 0.0, 0.0]), 0.0)) for t in (10, 20, 30)]
     frames = Frames(truths)
     frames.add(Transform(0, "odom", "base_link", np.eye(4)))

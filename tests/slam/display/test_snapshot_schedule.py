@@ -15,11 +15,11 @@ def taken(keyframes: int, *, first: int = 0) -> list[int]:
 
 
 @pytest.mark.parametrize("first", [0, 1000])
-def test_the_first_keyframe_and_every_update_after_it_are_shown_while_the_drive_is_short(first):
+def test_short_drive_has_snapshot_at_every_update(first):
     assert taken(400, first=first) == list(range(1, 401, 5))
 
 
-def test_later_ones_are_as_far_apart_as_a_share_of_the_drive():
+def test_later_snapshots_are_spaced_by_share_of_drive():
     counts = taken(20_000)
     for before, after in pairwise(counts):
         assert NEW_SHARE * after < after - before <= max(NEW_SHARE * after + 5, 5)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import json
 
 import numpy as np
-from rich.console import Console
 
 from logs.messages import FactorGraphRecord
 from slam.common.arrays import FloatArray, IntArray
-from slam.evaluation.report.text import render
+from slam.evaluation.report.figures import summarize
+from slam.evaluation.report.tables import make_tables
 from slam.evaluation.result import Evaluation
 
 
@@ -42,7 +41,7 @@ def at_json(evaluation: Evaluation, path: str) -> object:
 
 
 def printed(evaluation: Evaluation) -> str:
-    console = Console(width=160, record=True, file=io.StringIO())
-    for part in render(evaluation):
-        console.print(part)
-    return console.export_text()
+    """The six lines and all tables."""
+    results = evaluation.to_json_dict()
+    tables = "\n".join(frame.to_string() for frame in make_tables(results).values())
+    return "\n".join(f"{name}: {line}" for name, line in summarize(results).items()) + "\n" + tables

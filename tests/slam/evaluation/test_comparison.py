@@ -15,9 +15,10 @@ from slam.common.config import Config
 from slam.common.config_tree import load_tree
 from slam.common.errors import EvaluationError
 from slam.evaluation.comparison import Run, compare_runs
-from slam.evaluation.metrics.statistics import CHIEF_FIGURES, ChiefFigure, Spread
+from slam.evaluation.metrics.statistics import Spread
+from slam.evaluation.report.figures import HEADLINE_FIGURES, Figure
 
-ATE = ChiefFigure("trajectory.ate_m", "ATE m", 3, is_error=True)
+ATE = Figure("trajectory.ate_m", "ATE m", 3, is_error=True)
 
 
 @cache
@@ -60,7 +61,7 @@ class TestSpread:
 
 
 class TestGroups:
-    def test_the_same_configuration_is_one_group_in_the_order_of_first_runs(self) -> None:
+    def test_groups_follow_configuration_in_order_of_runs(self) -> None:
         onion = "loop_closure.descriptor=onion_histogram"
         comparison = compare_runs([run("a", 1.0, onion), run("b", 2.0), run("c", 3.0, onion), run("d", 4.0)], [ATE])
         assert [[each.name for each in group.runs] for group in comparison.groups] == [["a", "c"], ["b", "d"]]
@@ -77,7 +78,7 @@ class TestGroups:
         turned = json.dumps(dict(reversed(json.loads(first.configuration).items())))
         assert len(compare_runs([first, Run("b", first.results, turned, "1")], [ATE]).groups) == 1
 
-    def test_another_version_or_no_configuration_is_another_group(self) -> None:
+    def test_version_and_unknown_configuration_split_groups(self) -> None:
         unknown = Run("x", {"trajectory": {"ate_m": 1.0}})
         other_unknown = Run("y", {"trajectory": {"ate_m": 1.0}})
         comparison = compare_runs([run("a", 1.0), run("b", 1.0, version="2"), unknown, other_unknown], [ATE])
@@ -119,14 +120,14 @@ class TestMarks:
         assert not comparison.has_spread
         assert "no difference is marked" in comparison.to_json_dict()["note"]
 
-    def test_a_single_run_is_measured_by_the_spread_of_the_others(self) -> None:
+    def test_single_run_is_compared_by_spread_of_other_groups(self) -> None:
         far, near = (
             compare_runs([*runs("a", [1.0, 1.1, 0.9]), run("b", value, "keyframe.distance_m=3.0")], [ATE]).marked
             for value in (2.0, 1.3)
         )
         assert (len(far), len(near)) == (1, 0)
 
-    def test_where_the_seeds_agree_every_difference_counts_and_a_rounding_does_not(self) -> None:
+    def test_equal_seeds_mark_differences_beyond_rounding(self) -> None:
         def marked(value: float) -> int:
             second = runs("b", [value] * 2, "keyframe.distance_m=3.0")
             return len(compare_runs([*runs("a", [0.3, 0.3]), *second], [ATE]).marked)
@@ -143,12 +144,28 @@ def test_json_has_every_run_and_figure() -> None:
     told = json.loads(json.dumps(comparison.to_json_dict(), allow_nan=False))
     assert [each["log"] for each in told["runs"]] == ["a0", "a1", "b"]
     assert [each["group"] for each in told["runs"]] == [0, 0, 1]
-    assert set(told["groups"][0]["figures"]) == {figure.key for figure in CHIEF_FIGURES}
+    assert set(told["groups"][0]["figures"]) == {figure.key for figure in HEADLINE_FIGURES}
     assert told["groups"][1]["changes"] == ["keyframe.distance_m=3.0", "version=1"]
     assert [each["key"] for each in told["marked_differences"]] == ["trajectory.ate_m"]
 
 
-def test_a_run_in_a_given_map_is_no_repetition_of_one_without() -> None:
+def test_runs_with_different_given_maps_are_different_groups() -> None:
     given = [replace(run(name, 1.0), given_map=given_map) for name, given_map in (("c", "[1]true"), ("d", "[1]false"))]
     compared = compare_runs([run("a", 1.0), run("b", 2.0), *given])
     assert [len(group.runs) for group in compared.groups] == [2, 1, 1]
+
+
+def test_table_has_a_column_for_each_group_and_marks_differences() -> None:
+    def marked_run(group: int, seed: int, ate_m: float, recall: float) -> Run:
+        results = {"trajectory": {"ate_m": ate_m + 0.01 * seed}, "closures": {"recall": recall}}
+        return Run(f"{group}{seed}", results, json.dumps({"keyframe": {"distance_m": group}}), "1")
+
+    numbers = {1: (1.0, 0.5), 2: (2.0, 0.9), 3: (1.02, 0.5)}
+    several = [marked_run(group, seed, *pair) for group, pair in numbers.items() for seed in range(3)]
+    table = compare_runs(several).to_table()
+    assert all("(3 runs)" in heading for heading in table.columns)
+    assert table.loc["ATE m"].tolist() == ["1.010 ± 0.010", "2.010 ± 0.010 * worse", "1.030 ± 0.010"]
+    assert table.loc["closures recall"].tolist()[1] == "0.900 ± 0.000 * better"
+    alone = compare_runs(several[:3]).to_table()
+    assert list(alone.columns) == ["10", "11", "12", "mean ± deviation"]
+    assert alone.loc["ATE m"].tolist()[:3] == ["1.000", "1.010", "1.020"]

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from logs.messages import GroundTruthPose, LoopClosureRecord, Odometry, SlamPose, StatusRecord, TrajectoryRecord
 from slam.common.arrays import FloatArray, IntArray
@@ -18,19 +15,12 @@ from slam.common.geometry import interpolate, transform_from_xyz_yaw
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.metrics.relocalization import Loss
-from slam.evaluation.report.text import render
-from slam.evaluation.result import Evaluation
-from tests.slam.evaluation.drives import winding_path
-from tests.slam.evaluation.loops import THERE_AND_BACK_REVISITS, at_ns, closure, series_of, there_and_back
+from tests.slam.evaluation.loops import THERE_AND_BACK_REVISITS, at_ns, closure, there_and_back
 from tests.slam.evaluation.results import at_json, graph, printed
 
 TRUTH = there_and_back()
 REVISITS = THERE_AND_BACK_REVISITS
 RIGHT = tuple(closure(query, 240 - query, truth=TRUTH, rank=1, score=float(query)) for query in REVISITS)
-WRONG = tuple(
-    closure(query, 240 - query + 30, truth=TRUTH, shift_m=40.0, rank=1, score=float(query)) for query in REVISITS
-)
-NO_INDEX: IntArray = np.zeros(0, dtype=np.int64)
 
 
 def drive(closures: Sequence[LoopClosureRecord] = (), *, truth: EvaluationRecords | None = None) -> EvaluationRecords:
@@ -53,109 +43,6 @@ def drive(closures: Sequence[LoopClosureRecord] = (), *, truth: EvaluationRecord
 
 def poses_of(stamps_ns: IntArray, T_world_body: FloatArray) -> tuple[GroundTruthPose, ...]:
     return tuple(GroundTruthPose(int(stamp), T) for stamp, T in zip(stamps_ns, T_world_body, strict=True))
-
-
-def at_80_columns(result: Evaluation) -> list[str]:
-    console = Console(width=80, record=True, file=io.StringIO())
-    for part in render(result):
-        console.print(part, crop=False)
-    return console.export_text().splitlines()
-
-
-def measures(result: Evaluation, part: str) -> dict[str, object]:
-    """The summaries of a sweep."""
-    names = ("average_precision", "f1_max", "recall_at_full_precision", "extended_precision")
-    return {name: at_json(result, f"{part}.{name}") for name in names}
-
-
-SWEPT = ("closures", "literature_protocols.pairs", "literature_protocols.online")
-UNDEFINED = dict.fromkeys(("average_precision", "f1_max", "recall_at_full_precision", "extended_precision"))
-
-
-def test_no_closures() -> None:
-    result = evaluate(drive())
-    assert at_json(result, "closures.precision") is None
-    assert at_json(result, "closures.recall") == 0.0
-    assert at_json(result, "retrieval.recall_at_1") is None
-    assert at_json(result, "literature_protocols.online.recall_at_1") == 0.0
-    for part in SWEPT:
-        assert measures(result, part) == UNDEFINED
-        assert at_json(result, f"{part}.precision_recall_curve") == {"thresholds": [], "precision": [], "recall": []}
-    text = printed(result)
-    assert re.search(r"\nprecision +–", text)
-    assert f"0.00 % (0 of {len(REVISITS)} revisits" in text
-    assert "average precision –, largest F1 –, extended precision –" in text
-
-
-def test_no_revisits() -> None:
-    straight = series_of(winding_path(241))
-    records = drive([closure(100, 20, truth=straight, rank=1)])
-    assert records.graph is not None
-    records = replace(
-        records,
-        true_poses=poses_of(straight.stamps_ns, straight.T_world_body),
-        graph=replace(records.graph, T_map_body=straight.T_world_body[::2]),
-    )
-    result = evaluate(records)
-    assert at_json(result, "closures.precision") == 1.0
-    assert at_json(result, "closures.recall") is None
-    assert at_json(result, "retrieval.recall_at_1") is None
-    assert at_json(result, "literature_protocols.online.recall_at_1") is None
-    for part in SWEPT:
-        assert measures(result, part) == UNDEFINED
-    assert "(no revisit)" in printed(result)
-
-
-def test_all_true() -> None:
-    result = evaluate(drive(RIGHT))
-    assert (at_json(result, "closures.precision"), at_json(result, "closures.recall")) == (1.0, 1.0)
-    assert at_json(result, "retrieval.recall_at_1") == 1.0
-    assert at_json(result, "retrieval.recall_at_5") is None
-    assert measures(result, "closures") == dict.fromkeys(UNDEFINED, 1.0)
-    curve = at_json(result, "closures.precision_recall_curve")
-    assert isinstance(curve, dict)
-    assert curve["precision"] == [1.0] * len(REVISITS)
-    assert curve["recall"][-1] == 1.0
-    assert at_json(result, "literature_protocols.pairs.claimed_negative_count") == 0
-    assert at_json(result, "literature_protocols.online.recall_at_full_precision") == at_json(
-        result, "literature_protocols.online.recall_at_1"
-    )
-
-
-def test_all_false() -> None:
-    result = evaluate(drive(WRONG))
-    assert (at_json(result, "closures.precision"), at_json(result, "closures.recall")) == (0.0, 0.0)
-    assert at_json(result, "retrieval.recall_at_1") == 0.0
-    assert at_json(result, "literature_protocols.online.found_count") == 0
-    for part in ("closures", "literature_protocols.online"):
-        assert measures(result, part) == dict.fromkeys(UNDEFINED, 0.0)
-    # All other pairs follow at the lowest score, the positive ones among them.
-    pairs = measures(result, "literature_protocols.pairs")
-    assert isinstance(pairs["average_precision"], float)
-    assert 0.0 < pairs["average_precision"] < 0.1
-    assert pairs["extended_precision"] == 0.0
-
-
-@pytest.mark.parametrize("order", [1, -1])
-def test_ties_in_score_do_not_depend_on_the_order_of_the_log(order: int) -> None:
-    both = [*RIGHT[::2], *WRONG[1::2]][::order]
-    result = evaluate(drive([replace(c, score=7.0) for c in both]))
-    share = len(RIGHT[::2]) / len(REVISITS)
-    assert at_json(result, "closures.average_precision") == pytest.approx(share**2)
-    assert at_json(result, "closures.extended_precision") == pytest.approx(share / 2)
-    assert at_json(result, "closures.recall_at_full_precision") == 0.0
-
-
-def test_no_ground_truth() -> None:
-    result = evaluate(drive(RIGHT, truth=EvaluationRecords()))
-    for part in ("trajectory", "closures", "retrieval", "literature_protocols"):
-        assert "no ground truth" in result.unavailable[part]
-    assert at_json(result, "closures.accepted_count") == len(RIGHT)
-    assert at_json(result, "relocalization.loss_count") == 0
-    text = printed(result)
-    assert f"{len(RIGHT)}, {len(RIGHT)}, {len(RIGHT)}" in text
-    assert "trajectory, odometry, online" in text
-    assert text.count("no ground truth") == 1
 
 
 def test_ground_truth_of_another_rate_and_in_another_frame() -> None:
@@ -225,17 +112,6 @@ def test_duplicated_stamps_change_nothing_but_their_count() -> None:
     for part in ("closures", "retrieval", "literature_protocols", "relocalization"):
         assert at_json(result, part) == at_json(plain, part)
     assert at_json(result, "trajectory.ate_m") == at_json(plain, "trajectory.ate_m")
-
-
-@pytest.mark.parametrize(
-    "records",
-    [EvaluationRecords(), drive(), drive(RIGHT), drive(WRONG), drive(RIGHT, truth=EvaluationRecords())],
-    ids=["empty", "nothing found", "all true", "all false", "no truth"],
-)
-def test_tables_fit_80_columns(records: EvaluationRecords) -> None:
-    lines = at_80_columns(evaluate(records))
-    assert lines
-    assert max(map(len, lines)) <= 80
 
 
 def test_every_key_about_places_is_documented() -> None:

@@ -134,9 +134,7 @@ def changed(**fields: object) -> FactorGraphRecord:
         ({"observation_landmark_ids": ("a",)}, "different number"),
     ],
 )
-def test_a_graph_that_cannot_be_said_in_g2o_is_refused_and_leaves_no_file(
-    tmp_path: Path, fields: dict[str, object], message: str
-) -> None:
+def test_write_g2o_refuses_invalid_graph(tmp_path: Path, fields: dict[str, object], message: str) -> None:
     with pytest.raises(InputDataError, match=message):
         write_g2o(tmp_path / "a.g2o", changed(**fields))
     assert list(tmp_path.iterdir()) == []

@@ -9,7 +9,7 @@ import pytest
 from slam.common.errors import ConfigurationError
 from slam.simulation.faults.registry import DEGRADATIONS, FAULTS
 from slam.sweeps import degradations
-from slam.sweeps.degradations import DEFAULT_SPECIFICATIONS, describe_option, parse_degradations, undegraded_strength
+from slam.sweeps.degradations import DEFAULT_SPECIFICATIONS, parse_degradations
 from tools.degrade import degrade
 
 
@@ -36,7 +36,7 @@ def test_the_log_as_it_is_comes_first_and_everything_once() -> None:
     assert names == ["undegraded", "dropout=0.3", "reversed"]
 
 
-def test_without_any_there_are_five_in_which_the_seed_matters() -> None:
+def test_default_degradations_are_random() -> None:
     found = parse_degradations([])
     assert [each.name for each in found] == ["undegraded", *DEFAULT_SPECIFICATIONS]
     assert [each.is_random for each in found] == [False] + [True] * 5
@@ -54,17 +54,6 @@ def test_without_any_there_are_five_in_which_the_seed_matters() -> None:
 )
 def test_one_number_is_a_strength(text: str, strength: tuple[str, float] | None) -> None:
     assert parse(text).strength == strength
-
-
-def test_the_strength_of_the_log_as_it_is() -> None:
-    assert undegraded_strength("dropout") == 0.0
-    assert undegraded_strength("field_of_view") == 360.0
-    assert undegraded_strength("max_range") is None
-
-
-def test_options_in_words() -> None:
-    names = [describe_option(option) for option in ("dropout", "field_of_view", "odometry_yaw_noise")]
-    assert names == ["dropout", "field of view [deg]", "odometry yaw noise [rad / sqrt(m)]"]
 
 
 @pytest.mark.parametrize("text", ["field_of_view=90", "reversed", "max_range=20", "time_offset=0.2", "drop_label=tree"])

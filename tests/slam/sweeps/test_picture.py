@@ -6,7 +6,6 @@ import warnings
 from pathlib import Path
 
 import pytest
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from slam.common.config import Config
@@ -43,30 +42,23 @@ def drawn(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Figure]:
     return figures
 
 
-def columns(figure: Figure) -> list[Axes]:
-    return figure.axes[-(len(figure.axes) // 3) :]
-
-
-def test_strengths_of_one_option_are_a_curve_and_the_rest_stands_beside(drawn: list[Figure]) -> None:
-    specifications = ("dropout=0.6", "dropout=0.3", "reversed", "max_range=20", "max_range=30")
+def test_strengths_of_one_option_are_a_line(drawn: list[Figure]) -> None:
+    specifications = ("dropout=0.6", "reversed", "dropout=0.3", "max_range=20")
     draw_sweep(Path("sweep.png"), sweep(*specifications, results=(result(1.0, 0.9), result(3.0, 1.0))))
-    dropout, max_range, beside = columns(drawn[0])
-    assert [axes.get_xlabel() for axes in (dropout, max_range, beside)] == ["dropout", "max range [m]", ""]
-    curves = [
-        next(line for line in axes.lines if line.get_linestyle() == "-" and len(line.get_xdata()) > 1)  # type: ignore[arg-type]
-        for axes in (dropout, max_range)
-    ]
-    assert [list(line.get_xdata()) for line in curves] == [[0.0, 0.3, 0.6], [20.0, 30.0]]  # type: ignore[arg-type]
-    assert list(curves[0].get_ydata()) == [2.0] * 3  # type: ignore[arg-type]
-    assert [label.get_text() for label in beside.get_xticklabels()] == ["undegraded", "reversed"]
-    assert dropout.get_ylim()[1] > 3.0  # every seed is in sight
+    ate = drawn[0].axes[-1]
+    labels = [label.get_text() for label in ate.get_xticklabels()]
+    assert labels == ["undegraded", "dropout=0.3", "dropout=0.6", "reversed", "max_range=20"]
+    lines = [line for line in ate.lines if line.get_marker() == "D"]
+    assert [list(line.get_xdata()) for line in lines] == [[0.0], [1.0, 2.0], [3.0], [4.0]]
+    assert list(lines[1].get_ydata()) == [2.0, 2.0]
+    assert ate.get_ylim()[1] > 3.0  # every seed is in sight
 
 
 @pytest.mark.slow
-def test_what_is_undefined_or_failed_is_said(drawn: list[Figure]) -> None:
+def test_undefined_and_failed_figures_are_named(drawn: list[Figure]) -> None:
     for results, told in (((result(1.0, None),), "undefined"), ((CellResult(None, "broken", {}),), "failed")):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             draw_sweep(Path("sweep.png"), sweep("dropout=0.3", "dropout=0.6", "reversed", results=results))
         precision = drawn[-1].axes[0]
-        assert [text.get_text() for text in precision.texts] == [told] * 3
+        assert [text.get_text() for text in precision.texts] == [told] * 4

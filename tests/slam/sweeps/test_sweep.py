@@ -24,9 +24,8 @@ from slam.replay import replay
 from slam.simulation.faults.faulty_log import write_faulty
 from slam.sweeps.cells import CellFolder, CellTask, compute_cell
 from slam.sweeps.degradations import parse_degradations
-from slam.sweeps.outputs import write_outputs
+from slam.sweeps.outputs import to_markdown, write_outputs
 from slam.sweeps.sweep import Sweep, run_sweep
-from slam.sweeps.table import to_markdown
 from tests.helpers.short_drives import Entry, change, keep_until, write_log
 
 pytestmark = pytest.mark.slow
@@ -78,7 +77,7 @@ def test_a_cell_is_what_the_three_commands_make(log: Path, finished: tuple[Path,
     assert (told["degradation"], told["seed"]) == ("dropout=0.3", 1)
 
 
-def test_seeds_differ_and_are_not_repeated_where_nothing_is_random(finished: tuple[Path, Sweep]) -> None:
+def test_seeds_are_used_only_for_random_degradations(finished: tuple[Path, Sweep]) -> None:
     undegraded, dropout, view = finished[1].rows
     assert [len(row.results) for row in (undegraded, dropout, view)] == [1, 2, 1]
     spread = dropout.spreads["trajectory.ate_m"]
@@ -159,7 +158,7 @@ def test_a_failing_cell_is_recorded_and_stops_no_other(log: Path, tmp_path: Path
     assert sweep_over(log, tmp_path, ["keep_label=unicorn", "field_of_view=90"]).computed == 1
 
 
-def test_an_error_that_nobody_expected_stops_no_other_either(
+def test_compute_cell_records_unexpected_error(
     finished: tuple[Path, Sweep], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object, **__: object) -> None:

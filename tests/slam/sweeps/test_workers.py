@@ -74,7 +74,6 @@ def test_no_process_outlives_killed_parent(tmp_path: Path) -> None:
     script.write_text(KILLED)
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, env=environment) as process:
-        assert process.stdout is not None
         assert set(process.stdout.read(2).decode()) == {"1", "2"}
         process.kill()
         # The pipe ends when the last process that holds it has ended; they would sleep for a minute.

@@ -68,8 +68,8 @@ def ablation(
 
     Example: dslam benchmark ablation data -o out/ablation --drive demo --part calibration --copies 3
     """
+    from logs.storage.placement import write_text
     from slam.common.config import load_config
-    from slam.sweeps.cells import write_text
     from tools import console
     from tools.lab.drives.ablation_drives import DRIVES
 
@@ -123,9 +123,9 @@ def _run(
 
 def _table(sweeps: Mapping[str, Sweep]) -> Iterator[str]:
     """Rows of Markdown: drive, part that is off, mean and worst of each figure, and the figures that it changes."""
-    from slam.evaluation.metrics.statistics import CHIEF_FIGURES
+    from slam.evaluation.report.figures import HEADLINE_FIGURES
 
-    headings = [figure.heading for figure in CHIEF_FIGURES if figure.key in FIGURES]
+    headings = [figure.heading for figure in HEADLINE_FIGURES if figure.key in FIGURES]
     yield f"| drive | off | {' | '.join(headings)} | beyond the spread |"
     yield f"|---|---|{'---:|' * len(headings)}---|"
     for name, sweep in sweeps.items():
@@ -135,10 +135,11 @@ def _table(sweeps: Mapping[str, Sweep]) -> Iterator[str]:
 
 def _figures(row: SweepRow) -> Iterator[str]:
     """Mean and worst of each figure; of how many copies, where it is not defined in all."""
-    from slam.evaluation.metrics.statistics import CHIEF_FIGURES, UNDEFINED
+    from slam.evaluation.metrics.statistics import UNDEFINED
+    from slam.evaluation.report.figures import HEADLINE_FIGURES
 
     evaluations = [result.evaluation or {} for _, result in row.results]
-    for figure in CHIEF_FIGURES:
+    for figure in HEADLINE_FIGURES:
         if figure.key not in FIGURES:
             continue
         values = [value for each in evaluations if (value := figure.of(each)) is not None]
@@ -153,7 +154,7 @@ def _figures(row: SweepRow) -> Iterator[str]:
 def _changed(default: SweepRow, row: SweepRow) -> str:
     """The figures whose means differ by more than the spread of the copies explains, by how much."""
     from slam.evaluation.comparison import Run, compare_runs
-    from slam.evaluation.metrics.statistics import CHIEF_FIGURES
+    from slam.evaluation.report.figures import HEADLINE_FIGURES
 
     runs = [
         Run(f"{each.variant} {number}", result.evaluation, f'{{"variant": "{each.variant}"}}')
@@ -163,7 +164,7 @@ def _changed(default: SweepRow, row: SweepRow) -> str:
     ]
     if row is default or len(runs) < 2:
         return ""
-    figures = {figure.key: figure for figure in CHIEF_FIGURES if figure.key in FIGURES}
+    figures = {figure.key: figure for figure in HEADLINE_FIGURES if figure.key in FIGURES}
     return ", ".join(
         f"{figures[each.key].heading} {each.difference:+.{figures[each.key].digits}f}"
         for each in compare_runs(runs, tuple(figures.values())).marked

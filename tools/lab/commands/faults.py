@@ -47,11 +47,11 @@ def faults(
     check_outputs([output], [log, config_file])
     from tempfile import TemporaryDirectory
 
+    from logs.storage.placement import write_text
     from slam.common.config import load_config
     from slam.common.errors import EvaluationError
     from slam.evaluation.inputs.records import read_records
     from slam.simulation.faults.registry import all_cases
-    from slam.sweeps.cells import write_text
     from tools import console
     from tools.lab.drives.mapped_drive import DriveTask, map_drives
 

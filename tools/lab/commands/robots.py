@@ -54,8 +54,8 @@ def robots(
     """
     from importlib.metadata import version
 
+    from logs.storage.placement import write_text
     from slam.common.config import Config, load_config
-    from slam.sweeps.cells import write_text
     from tools import console
     from tools.lab.drives.robot_drives import find_drives
 

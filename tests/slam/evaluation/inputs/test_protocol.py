@@ -12,7 +12,7 @@ from slam.evaluation.inputs.protocol import LENGTHS, RANGE_M, Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
 
 
-def test_lengths_go_with_the_sensor_range_and_nothing_else_does():
+def test_for_range_scales_only_lengths():
     assert Protocol().for_range(RANGE_M) == Protocol()
     small = asdict(Protocol().for_range(0.25 * RANGE_M))
     for name, value in asdict(Protocol()).items():
@@ -29,14 +29,14 @@ def test_lengths_go_with_the_sensor_range_and_nothing_else_does():
         ('{"detection.sensor_range_m": -1.0}', 30.0, None),
     ],
 )
-def test_the_range_of_a_run_is_what_it_estimated_or_was_given(estimated, given, expected):
+def test_sensor_range_is_estimated_or_given(estimated, given, expected):
     configuration = {} if given is None else {"detection": {"sensor_range_m": given}}
     records = EvaluationRecords(configuration=configuration, provenance={"estimated": estimated})
     assert records.sensor_range_m == expected
     assert protocol_of(records).revisit_m == pytest.approx(100.0 if expected is None else expected / RANGE_M * 100.0)
 
 
-def test_a_threshold_that_is_given_replaces_that_of_the_protocol():
+def test_with_thresholds_replaces_thresholds():
     changed = Protocol().with_thresholds({"closure_translation_m": 1.0, "pair_frames": 10.0})
     assert changed == replace(Protocol(), closure_translation_m=1.0, pair_frames=10)
     assert isinstance(changed.pair_frames, int)

@@ -24,7 +24,7 @@ def test_of_poses_with_one_stamp_the_first_is_kept() -> None:
     np.testing.assert_array_equal(cleaned.positions[:, 0], [0.0, 2.0])
 
 
-def test_truth_of_another_rate_is_interpolated_exactly_at_epoch_scale() -> None:
+def test_synchronize_interpolates_at_epoch_scale() -> None:
     truth = series(straight_path(11, step_m=10.0), rate_hz=1.0)  # 10 m/s
     at_ns = START_NS + np.array([1, 250_000_001, 9_999_999_999], dtype=np.int64)
     pair = synchronize(PoseSeries(at_ns, straight_path(3)), truth, max_gap_s=1.0)
@@ -59,7 +59,7 @@ def test_no_pose_at_all_is_an_error(which: str) -> None:
         synchronize(*pair, max_gap_s=1.0)
 
 
-def test_a_pose_that_is_not_finite_is_refused_with_its_time() -> None:
+def test_clean_poses_refuses_non_finite_pose() -> None:
     T = straight_path(3)
     T[1, 0, 3] = np.nan
     with pytest.raises(EvaluationError, match=str(stamps(3)[1])):

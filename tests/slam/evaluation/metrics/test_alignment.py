@@ -27,7 +27,7 @@ def test_se3_agrees_with_an_independent_solution(seed: int, noise: float, count:
 
 
 @pytest.mark.parametrize("count", [3, 4, 20])
-def test_mirrored_and_planar_points_give_a_rotation_not_a_reflection(count: int) -> None:
+def test_alignment_of_mirrored_points_is_a_rotation(count: int) -> None:
     rng = np.random.default_rng(count)
     points = rng.normal(size=(count, 3))
     mirrored = align_se3(points, points * [1.0, 1.0, -1.0]).T_world_map
@@ -41,7 +41,7 @@ def test_mirrored_and_planar_points_give_a_rotation_not_a_reflection(count: int)
     np.testing.assert_allclose(apply(planar, flat), flat * [1.0, -1.0, 1.0], atol=1e-9)
 
 
-def test_yaw_translation_finds_the_motion_and_is_the_least_squares_answer() -> None:
+def test_align_yaw_translation_is_least_squares() -> None:
     rng = np.random.default_rng(3)
     points = rng.normal(size=(20, 3)) * 10.0
     T_true = transform_from_xyz_yaw(np.array([5.0, -3.0, 2.0]), 2.9)
@@ -54,7 +54,7 @@ def test_yaw_translation_finds_the_motion_and_is_the_least_squares_answer() -> N
         assert np.sum((apply(nudged, points) - noisy) ** 2) > best
 
 
-def test_a_straight_line_is_ambiguous_and_falls_back_with_a_note() -> None:
+def test_align_path_falls_back_on_straight_line() -> None:
     line = np.outer(np.linspace(0.0, 100.0, 50), [0.6, 0.8, 0.0])
     with pytest.raises(EvaluationError, match="straight line"):
         align_se3(line, line)

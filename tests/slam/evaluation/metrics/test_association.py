@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from logs.messages import DetectionTruth
@@ -8,7 +9,6 @@ from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.association import (
     AssociationQuality,
-    LabelledDetections,
     evaluate_associations,
     find_possible_associations,
     identify_landmarks,
@@ -60,14 +60,14 @@ def test_a_tie_goes_to_the_object_met_first() -> None:
 
 
 @pytest.mark.parametrize(("distance_m", "possible"), [(100, 1), (101, 0)])
-def test_what_was_seen_longer_ago_than_the_limit_is_not_possible(distance_m: int, possible: int) -> None:
+def test_association_is_possible_within_revisit_distance(distance_m: int, possible: int) -> None:
     associations, truths = frames([("a", "1", True)], [("a", "1", False)], stamps_ns=[0, distance_m * 1_000_000_000])
     result = evaluate_associations(label_detections(associations, truths, WALK), revisit_m=100.0)
     assert (result.possible_count, result.made_count) == (possible, possible)
     assert result.recall == (1.0 if possible else None)
 
 
-def test_the_same_object_twice_in_one_frame_was_not_seen_before() -> None:
+def test_object_twice_in_one_frame_is_not_a_repetition() -> None:
     assert quality([("a", "1", True), ("a", "2", True)]).possible_count == 0
     assert quality([("a", "1", True)], [("a", "1", False), ("a", "2", True)]).possible_count == 2
 
@@ -95,7 +95,7 @@ def test_no_detections(detections: tuple[list[tuple[str, str, bool]], ...]) -> N
     assert result.confirmed_landmark_count == 0
 
 
-def test_frames_without_their_counterpart_are_counted_and_left_out() -> None:
+def test_frames_without_counterpart_are_counted() -> None:
     associations, truths = frames([("a", "1", True)], [("a", "1", False)], [("a", "1", False)])
     labelled = label_detections(associations[:2], [*truths[1:], DetectionTruth(77, ("a",))], WALK)
     assert (labelled.frame_count, labelled.frames_without_truth, labelled.frames_without_associations) == (1, 1, 2)
@@ -106,8 +106,7 @@ def test_the_order_of_the_records_does_not_matter() -> None:
     associations, truths = frames([("a", "1", True)], [("b", "1", False)], [("a", "1", False)])
     forwards = label_detections(associations, truths, WALK)
     backwards = label_detections(associations[::-1], truths[::-1], WALK)
-    np.testing.assert_array_equal(forwards.objects, backwards.objects)
-    np.testing.assert_array_equal(forwards.travelled_m, backwards.travelled_m)
+    pd.testing.assert_frame_equal(forwards.table, backwards.table)
 
 
 def test_a_truth_of_another_log_is_refused_with_its_time() -> None:
@@ -116,35 +115,27 @@ def test_a_truth_of_another_log_is_refused_with_its_time() -> None:
         label_detections(associations, [DetectionTruth(123, ("a", "b"))], WALK)
 
 
-def test_agrees_with_plain_counting_on_many_random_detections() -> None:
+def test_identities_and_possible_associations_agree_with_plain_counting() -> None:
     rng = np.random.default_rng(5)
-    count, landmarks, objects = 20_000, 400, 300
-    frame = np.sort(rng.integers(0, 2000, count))
-    landmark = rng.integers(-1, landmarks, count)
-    seen = np.where(rng.random(count) < 0.8, landmark % objects, rng.integers(-1, objects, count))
-    detections = LabelledDetections(
-        frames=frame,
-        travelled_m=frame * 1.7,
-        landmarks=landmark,
-        objects=seen,
-        created=rng.random(count) < 0.1,
-        landmark_ids=tuple(f"l{i}" for i in range(landmarks)),
-        object_ids=tuple(f"o{i}" for i in range(objects)),
-        frame_count=2000,
-        frames_without_truth=0,
-        frames_without_associations=0,
-    )
-    votes: list[dict[int, int]] = [{} for _ in range(landmarks)]
-    for one, obj in zip(landmark.tolist(), seen.tolist(), strict=True):
-        if one >= 0:
-            votes[one][obj] = votes[one].get(obj, 0) + 1
-    expected = [max(vote, key=vote.__getitem__) for vote in votes]  # dicts keep order: ties go to the first
-    assert identify_landmarks(detections).tolist() == expected
+    count, landmarks, objects = 5_000, 100, 75
+    frame = np.sort(rng.integers(0, 500, count))
+    landmark = rng.integers(0, landmarks, count)
+    seen = np.where(rng.random(count) < 0.8, landmark % objects, rng.integers(0, objects, count))
+    names = [f"o{k}" if k else "" for k in seen.tolist()]
+    owners = [f"l{k}" if k else "" for k in landmark.tolist()]
+    table = pd.DataFrame({"frame": frame, "travelled_m": frame * 1.7, "landmark": owners, "object": names})
+    votes: dict[str, dict[str, int]] = {}
+    for owner, name in zip(owners, names, strict=True):
+        if owner:
+            votes.setdefault(owner, {}).setdefault(name, 0)
+            votes[owner][name] += 1
+    # Dicts keep their order: ties go to the first.
+    assert identify_landmarks(table) == {owner: max(vote, key=vote.__getitem__) for owner, vote in votes.items()}
 
-    last: dict[int, list[int]] = {}
+    last: dict[str, list[int]] = {}
     possible = []
-    for now, obj in zip(frame.tolist(), seen.tolist(), strict=True):
-        before = [f for f in last.get(obj, []) if f < now]
-        possible.append(obj >= 0 and bool(before) and (now * 1.7 - before[-1] * 1.7) <= 20.0)
-        last.setdefault(obj, []).append(now)
-    assert find_possible_associations(detections, revisit_m=20.0).tolist() == possible
+    for now, name in zip(frame.tolist(), names, strict=True):
+        before = [f for f in last.get(name, []) if f < now]
+        possible.append(bool(name and before) and (now * 1.7 - before[-1] * 1.7) <= 20.0)
+        last.setdefault(name, []).append(now)
+    assert find_possible_associations(table, revisit_m=20.0).tolist() == possible

@@ -136,7 +136,7 @@ def test_the_pose_right_after_the_fix_counts() -> None:
 
 
 @pytest.mark.parametrize(("shift_m", "is_right"), [(3.9, True), (4.1, False)])
-def test_in_a_map_of_its_own_the_closure_across_the_break_is_judged(shift_m: float, is_right: bool) -> None:
+def test_fix_in_own_map_is_judged_by_closure(shift_m: float, is_right: bool) -> None:
     closures = (
         closure(100, 90, truth=TRUTH, shift_m=30.0),  # before
         closure(204, 203, truth=TRUTH, shift_m=30.0),  # not across the break
@@ -186,7 +186,7 @@ def test_a_robot_that_is_kidnapped_while_it_maps(kidnapped: EvaluationRecords) -
     assert "100.00 % (1 of 1)" in printed(result)
 
 
-def test_twin_a_false_closure_across_the_break_is_a_wrong_fix(kidnapped: EvaluationRecords) -> None:
+def test_false_closure_across_break_is_wrong_fix(kidnapped: EvaluationRecords) -> None:
     off = transform_from_xyz_yaw(np.array([6.0, 0.0, 0.0]), 0.0)
     closures = tuple(
         c if c.T_reference_query is None else replace(c, T_reference_query=c.T_reference_query @ off)
@@ -216,7 +216,7 @@ def test_a_robot_that_finds_itself_in_a_map(relocalized: Relocalized) -> None:
     assert "where the truth has the map" in printed(result)
 
 
-def test_an_offset_of_the_whole_is_seen_only_where_the_map_is_known(relocalized: Relocalized) -> None:
+def test_common_offset_is_measured_only_in_located_map(relocalized: Relocalized) -> None:
     off = transform_from_xyz_yaw(np.array([6.0, 0.0, 0.0]), 0.0)
     found = relocalized.found
     assert found.trajectory is not None

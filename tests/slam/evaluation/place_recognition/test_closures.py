@@ -33,12 +33,10 @@ def test_all_true() -> None:
     assert (found.candidate_count, found.accepted_count, found.inserted_count) == (REVISIT_COUNT,) * 3
     assert (found.true_count, found.false_count, found.undecided_count) == (REVISIT_COUNT, 0, 0)
     assert found.precision == 1.0
-    assert found.revisits is not None
     assert found.revisits.recall == 1.0
     assert [found.revisits.recall_of(direction) for direction in DIRECTIONS] == [None, 1.0, None]
     assert found.revisits.missed_by_stage == {}
-    assert found.errors is not None
-    assert found.errors.p95_translation_m == pytest.approx(0.0, abs=1e-9)
+    assert found.errors.p95_translation_error_m == pytest.approx(0.0, abs=1e-9)
 
 
 def test_all_false() -> None:
@@ -46,7 +44,6 @@ def test_all_false() -> None:
     found = judge(records, TRUTH)
     assert (found.true_count, found.false_count, found.precision) == (0, REVISIT_COUNT, 0.0)
     assert found.errors is None
-    assert found.revisits is not None
     assert found.revisits.recall == 0.0
     assert found.revisits.missed_by_stage == {NO_TRUE_CANDIDATE: REVISIT_COUNT}
     assert found.revisits.missed_at_place_count == REVISIT_COUNT
@@ -58,7 +55,6 @@ def test_no_closures() -> None:
     found = judge([], TRUTH)
     assert (found.candidate_count, found.true_count, found.false_count, found.precision) == (0, 0, 0, None)
     assert found.stage_counts == {}
-    assert found.revisits is not None
     assert found.revisits.recall == 0.0
     assert found.revisits.missed_without_candidate_count == REVISIT_COUNT
 
@@ -74,14 +70,14 @@ def test_no_closures() -> None:
         (0.0, 180.0, False),
     ],
 )
-def test_the_borders_of_what_is_true(shift_m: float, turn_deg: float, is_true: bool) -> None:
+def test_closure_thresholds_are_inclusive(shift_m: float, turn_deg: float, is_true: bool) -> None:
     straight = series_of(straight_path(30))
     record = closure(20, 4, truth=straight, shift_m=shift_m, turn_rad=float(np.deg2rad(turn_deg)))
     found = judge([record], straight, range(30))
     assert (found.true_count, found.false_count) == (int(is_true), int(not is_true))
 
 
-def test_the_whole_angle_of_rotation_counts() -> None:
+def test_closure_error_is_whole_rotation_angle() -> None:
     c, s = np.cos(np.deg2rad(15.0)), np.sin(np.deg2rad(15.0))
     roll = make_transform(np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]), np.zeros(3))
     record = closure(200, 40, truth=TRUTH)
@@ -89,42 +85,38 @@ def test_the_whole_angle_of_rotation_counts() -> None:
     assert judge([replace(record, T_reference_query=record.T_reference_query @ roll)], TRUTH).false_count == 1
 
 
-def test_closures_outside_revisits_count_for_precision_alone() -> None:
+def test_closures_outside_revisits_count_only_for_precision() -> None:
     found = judge([closure(200, 40, truth=TRUTH), closure(30, 10, truth=TRUTH, shift_m=9.0)], TRUTH)
     assert found.precision == 0.5
-    assert found.revisits is not None
     assert found.revisits.recalled_count == 1
 
 
-def test_a_neighbour_that_was_thinned_out_does_not_count() -> None:
+def test_closure_of_thinned_keyframe_is_no_recall() -> None:
     found = judge([closure(201, 39, truth=TRUTH)], TRUTH, range(241))
     assert found.precision == 1.0
-    assert found.revisits is not None
     assert (found.revisits.recalled_count, found.revisits.revisit_count) == (0, REVISIT_COUNT)
 
 
-def test_the_last_verdict_replaces_the_others() -> None:
+def test_last_decision_of_two_keyframes_counts() -> None:
     waiting = [closure(query, 240 - query, truth=TRUTH, stage="consistency") for query in (190, 200, 210)]
     revoked = closure(210, 30, truth=TRUTH)
     later = [closure(200, 40, truth=TRUTH), closure(210, 30, truth=TRUTH, stage="back_end")]
     found = judge([*waiting, revoked, *later], TRUTH)
     assert (found.candidate_count, found.accepted_count) == (3, 1)
     assert found.stage_counts == {"consistency": 1, "back_end": 1, "accepted": 1}
-    assert found.revisits is not None
     assert found.revisits.recalled_count == 1
     assert found.revisits.missed_by_stage == {NO_TRUE_CANDIDATE: REVISIT_COUNT - 3, "consistency": 1, "back_end": 1}
 
 
-def test_a_revisit_that_data_association_recognises_needs_no_closure() -> None:
+def test_associated_revisit_is_recognised_without_closure() -> None:
     right = closure(200, 40, truth=TRUTH, stage="association")
     wrong = closure(210, 30, truth=TRUTH, stage="association", shift_m=9.0)
     revisits = judge([closure(190, 50, truth=TRUTH), right, wrong], TRUTH).revisits
-    assert revisits is not None
     assert (revisits.recalled_count, revisits.associated_count) == (1, 1)
     assert revisits.recognised == 2 / REVISIT_COUNT
 
 
-def test_final_verdicts_are_in_the_order_of_time() -> None:
+def test_final_decisions_are_in_order_of_time() -> None:
     records = [closure(9, 3), closure(5, 2), closure(9, 1), closure(5, 2, stage="retrieval")]
     found = find_final_decisions(records)
     assert [(r.query_keyframe_id, r.reference_keyframe_id, r.stage) for r in found] == [
@@ -134,7 +126,7 @@ def test_final_verdicts_are_in_the_order_of_time() -> None:
     ]
 
 
-def test_where_the_recall_is_lost() -> None:
+def test_missed_revisits_by_farthest_stage() -> None:
     records = [
         # The farthest true one counts, whatever farther stages a false one reached.
         closure(170, 70, truth=TRUTH, stage="acceptance"),
@@ -148,7 +140,6 @@ def test_where_the_recall_is_lost() -> None:
         closure(220, 20, truth=TRUTH, stage="a stage of later days"),
     ]
     revisits = judge(records, TRUTH).revisits
-    assert revisits is not None
     assert revisits.recalled_counts == {"same": 0, "opposite": 1, "crossing": 0}
     assert revisits.missed_by_stage == {
         NO_TRUE_CANDIDATE: REVISIT_COUNT - 4,
@@ -161,12 +152,12 @@ def test_where_the_recall_is_lost() -> None:
     assert sum(revisits.missed_by_stage.values()) == REVISIT_COUNT - 1
 
 
-def test_stages_are_told_in_their_order() -> None:
+def test_stage_counts_are_in_order() -> None:
     found = judge([closure(200 + k, k, stage=stage) for k, stage in enumerate(reversed(STAGES))], TRUTH)
     assert list(found.stage_counts) == list(STAGES)
 
 
-def test_what_the_truth_says_nothing_of_is_undecided() -> None:
+def test_closures_without_truth_are_undecided() -> None:
     kept = np.r_[0:30, 40:200]
     truth = clean_poses(TRUTH.stamps_ns[kept], TRUTH.T_world_body[kept])
     records = [
@@ -190,7 +181,7 @@ def test_no_truth() -> None:
     assert found.revisits is None
 
 
-def test_no_keyframes_leave_the_precision() -> None:
+def test_precision_needs_no_keyframes() -> None:
     found = judge([closure(200, 40, truth=TRUTH)], TRUTH, [])
     assert found.precision == 1.0
     assert found.revisits is None
@@ -200,7 +191,6 @@ def test_no_revisits() -> None:
     straight = series_of(straight_path(300))
     found = judge([closure(20, 4, truth=straight)], straight, range(0, 300, 2))
     assert found.precision == 1.0
-    assert found.revisits is not None
     assert (found.revisits.revisit_count, found.revisits.recall, found.revisits.sweep) == (0, None, None)
 
 
@@ -208,7 +198,6 @@ def test_one_true_pose() -> None:
     one = series_of(np.eye(4)[None])
     found = judge([closure(0, 0, truth=one), closure(1, 0)], one, range(2))
     assert (found.true_count, found.undecided_count) == (1, 1)
-    assert found.revisits is not None
     assert found.revisits.revisit_count == 0
 
 
@@ -218,7 +207,6 @@ def test_two_keyframes_with_one_stamp() -> None:
     record = replace(closure(200, 40, truth=TRUTH), query_keyframe_id=999)
     found = evaluate_closures([record], ids, stamps_ns, TRUTH, Protocol())
     assert found.precision == 1.0
-    assert found.revisits is not None
     assert (found.revisits.recalled_count, found.revisits.revisit_count) == (0, 1)
 
 
@@ -235,16 +223,13 @@ def test_errors_and_their_spread_within_a_revisit() -> None:
     records.append(closure(204, 36, truth=TRUTH, turn_rad=1.0))  # a false one
     records.append(closure(206, 34, truth=TRUTH, shift_m=3.0, stage="acceptance"))
     errors = judge(records, TRUTH).errors
-    assert errors is not None
-    assert errors.count == 6
-    assert errors.median_translation_m == pytest.approx(1.5)
-    assert errors.p95_translation_m == pytest.approx(np.percentile([1, 1, 1, 2, 2.6, 3.5], 95))
-    assert errors.median_rotation_deg == pytest.approx(0.0, abs=1e-6)
+    assert errors.median_translation_error_m == pytest.approx(1.5)
+    assert errors.p95_translation_error_m == pytest.approx(np.percentile([1, 1, 1, 2, 2.6, 3.5], 95))
+    assert errors.median_rotation_error_deg == pytest.approx(0.0, abs=1e-6)
     assert errors.intra_revisit_std_m == pytest.approx(0.5 * (0.0 + 0.3))
     single = judge([closure(200, 40, truth=TRUTH, turn_rad=np.deg2rad(3.0))], TRUTH).errors
-    assert single is not None
-    assert single.p95_rotation_deg == pytest.approx(3.0)
-    assert single.median_heading_deg == pytest.approx(3.0)
+    assert single.p95_rotation_error_deg == pytest.approx(3.0)
+    assert single.median_heading_error_deg == pytest.approx(3.0)
     assert single.intra_revisit_std_m is None
 
 
@@ -253,13 +238,12 @@ def test_errors_in_the_plane_leave_out_height_and_tilt() -> None:
     off = make_transform(Rotation.from_euler("ZYX", [0.02, 0.05, -0.03]).as_matrix(), np.array([0.3, -0.4, 2.0]))
     assert record.T_reference_query is not None
     errors = judge([replace(record, T_reference_query=record.T_reference_query @ off)], TRUTH).errors
-    assert errors is not None
-    assert errors.median_planar_m == pytest.approx(0.5)
-    assert errors.median_heading_deg == pytest.approx(np.rad2deg(0.02))
-    assert errors.median_translation_m > 2.0
+    assert errors.median_planar_error_m == pytest.approx(0.5)
+    assert errors.median_heading_error_deg == pytest.approx(np.rad2deg(0.02))
+    assert errors.median_translation_error_m > 2.0
 
 
-def test_the_score_of_rejected_candidates_counts_too() -> None:
+def test_sweep_includes_rejected_candidates() -> None:
     records = [
         closure(query, 240 - query, truth=TRUTH, stage="acceptance", score=float(query))
         for query in THERE_AND_BACK_REVISITS
@@ -268,8 +252,6 @@ def test_the_score_of_rejected_candidates_counts_too() -> None:
     records.append(closure(100, 10, truth=TRUTH, shift_m=9.0, score=0.5))
     records.append(closure(102, 10, stage="registration", score=1e6))  # nothing to judge
     revisits = judge(records, TRUTH).revisits
-    assert revisits is not None
-    assert revisits.sweep is not None
     assert revisits.sweep.average_precision == pytest.approx(1.0)
     assert revisits.sweep.recall_at_full_precision == 1.0
     assert revisits.sweep.precision[-1] == REVISIT_COUNT / (REVISIT_COUNT + 1)
@@ -282,5 +264,4 @@ def test_a_drive_that_starts_at_zero() -> None:
     truth = clean_poses(TRUTH.stamps_ns - START_NS, TRUTH.T_world_body)
     found = evaluate_closures([record], ids, stamps_ns - START_NS, truth, Protocol())
     assert found.true_count == 1
-    assert found.revisits is not None
     assert (found.revisits.recalled_count, found.revisits.revisit_count) == (1, REVISIT_COUNT)

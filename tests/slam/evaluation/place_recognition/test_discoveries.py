@@ -19,8 +19,8 @@ def test_closures_are_counted_by_where_they_come_from() -> None:
         ],
         TRUTH,
     ).discoveries
-    assert (found.found, found.followed, found.led_back) == (1, 2, 1)
-    assert (found.independent, found.independent_false) == (1, 0)
+    assert (found.found_count, found.followed_count, found.led_back_count) == (1, 2, 1)
+    assert (found.independent_count, found.independent_false_count) == (1, 0)
 
 
 def test_discoveries_that_share_a_submap_are_one() -> None:
@@ -28,11 +28,11 @@ def test_discoveries_that_share_a_submap_are_one() -> None:
     near = [closure(query, 240 - query, truth=TRUTH, shift_m=9.0 * (query == 200)) for query in (160, 200)]
     apart = [*near[:1], closure(220, 20, truth=TRUTH, shift_m=9.0)]
     one, two = judge(near, TRUTH).discoveries, judge(apart, TRUTH).discoveries
-    assert (one.independent, one.independent_false) == (1, 1)
-    assert (two.independent, two.independent_false) == (2, 1)
+    assert (one.independent_count, one.independent_false_count) == (1, 1)
+    assert (two.independent_count, two.independent_false_count) == (2, 1)
 
 
-def test_the_bound_is_the_rule_of_three_where_none_is_false() -> None:
+def test_largest_false_share_follows_rule_of_three() -> None:
     for count in (10, 60, 341):
         share = Discoveries(count, 0, 0, count, 0).largest_false_share
         assert share == pytest.approx(3.0 / count, rel=0.15)

@@ -44,7 +44,6 @@ def brute_force(candidates: list[Candidate], revisit_ids: list[int]) -> list[tup
 )
 def test_against_counting_at_every_threshold(candidates: list[Candidate], revisit_ids: list[int]) -> None:
     found = sweep(candidates, revisit_ids)
-    assert found is not None
     expected = brute_force(candidates, revisit_ids)
     if not expected:
         assert found.average_precision is found.f1_max is found.recall_at_full_precision is None
@@ -63,7 +62,6 @@ def test_against_counting_at_every_threshold(candidates: list[Candidate], revisi
 def test_numbers_by_hand() -> None:
     # Query 4 is no revisit; the revisit 5 was never found.
     found = sweep([(1, 9.0, True), (1, 1.0, False), (2, 8.0, True), (3, 7.0, False), (4, 6.0, True)], [1, 2, 3, 5])
-    assert found is not None
     assert found.precision.tolist() == [1.0, 1.0, 2 / 3, 3 / 4]
     assert found.recall.tolist() == [0.25, 0.5, 0.5, 0.5]
     assert found.average_precision == 0.5
@@ -75,24 +73,20 @@ def test_equal_scores_are_accepted_together() -> None:
     for order in ([0, 1], [1, 0]):
         across = [(1, 5.0, True), (2, 5.0, False)]
         found = sweep([across[i] for i in order], [1, 2])
-        assert found is not None
         assert (found.precision.tolist(), found.recall.tolist()) == ([0.5], [0.5])
         within = [(1, 5.0, True), (1, 5.0, False)]
         found = sweep([within[i] for i in order], [1])
-        assert found is not None
         assert (found.precision.tolist(), found.recall.tolist()) == ([0.0], [0.0])
 
 
 def test_a_score_that_is_no_number_comes_last() -> None:
     found = sweep([(1, float("nan"), False), (2, 0.0, True)], [1, 2])
-    assert found is not None
     assert found.precision.tolist() == [1.0, 0.5]
     assert found.recall_at_full_precision == 0.5
 
 
 def test_without_candidates_or_revisits() -> None:
     found = sweep([], [1])
-    assert found is not None
     assert len(found.thresholds) == 0
     assert (found.average_precision, found.f1_max, found.recall_at_full_precision) == (None, None, None)
     assert found.extended_precision is None
@@ -106,7 +100,6 @@ def test_curve_and_average_precision_agree_with_scikit_learn(answers: list[tuple
     if not labels.any():
         return
     found = sweep([(k, score, label) for k, (score, label) in enumerate(answers)], np.flatnonzero(labels).tolist())
-    assert found is not None
     precision, recall, thresholds = precision_recall_curve(labels, scores)
     np.testing.assert_allclose(found.thresholds, thresholds[::-1], rtol=0, atol=0)
     np.testing.assert_allclose(found.precision, precision[-2::-1], rtol=0, atol=1e-12)
@@ -114,12 +107,11 @@ def test_curve_and_average_precision_agree_with_scikit_learn(answers: list[tuple
     assert found.average_precision == pytest.approx(average_precision_score(labels, scores), abs=1e-12)
 
 
-def test_missed_revisits_lower_the_average_precision_of_scikit_learn_in_proportion() -> None:
+def test_missed_revisits_lower_average_precision() -> None:
     rng = np.random.default_rng(5)
     scores, labels = rng.normal(size=300).round(1), rng.random(300) < 0.4
     revisits = [*np.flatnonzero(labels).tolist(), *range(1000, 1100)]
     found = sweep([(k, scores[k], bool(labels[k])) for k in range(300)], revisits)
-    assert found is not None
     share = labels.sum() / len(revisits)
     assert found.average_precision == pytest.approx(share * average_precision_score(labels, scores), abs=1e-12)
 
@@ -136,7 +128,6 @@ def test_missed_revisits_lower_the_average_precision_of_scikit_learn_in_proporti
 )
 def test_extended_precision_by_hand(candidates: list[Candidate], extended: float) -> None:
     found = sweep(candidates, [1, 2])
-    assert found is not None
     assert found.extended_precision == extended
 
 
@@ -146,7 +137,6 @@ def test_a_long_curve_is_thinned_but_not_at_its_ends() -> None:
     full = sweep(
         [(k, score, bool(score > 4700 or rng.random() < 0.3)) for k, score in enumerate(scores)], [*range(5000)]
     )
-    assert full is not None
     thin = full.thinned()
     assert 490 <= len(thin.thresholds) <= 502
     for name in ("thresholds", "precision", "recall"):

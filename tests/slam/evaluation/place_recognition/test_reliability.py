@@ -45,7 +45,7 @@ def test_candidates_are_counted_by_their_probability():
     assert np.isnan(found.expected[0])
 
 
-def test_followed_closures_and_those_without_odds_are_left_out():
+def test_reliability_leaves_out_propagated_closures():
     found = reliability(candidate(190, 0.999, seed=189), candidate(200, None), candidate(210, 0.995, is_right=False))
     assert found.counts.sum() == 1
     assert (found.sure_count, found.sure_right) == (1, 0)

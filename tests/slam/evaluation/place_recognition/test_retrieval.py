@@ -43,7 +43,7 @@ def test_recall_counts_the_best_rank_of_a_right_proposal() -> None:
     assert found.note == ""
 
 
-def test_the_right_place_counts_with_and_without_a_transform() -> None:
+def test_right_place_counts_without_transform() -> None:
     at_place = closure(200, 44, stage="registration", rank=1)  # 4 m from the query
     beside = closure(210, 36, stage="registration", rank=1)  # 6 m from the query
     from_afar = closure(220, 28, truth=TRUTH, shift_m=3.9, rank=1)  # the reference is 8 m off, the transform true
@@ -51,7 +51,7 @@ def test_the_right_place_counts_with_and_without_a_transform() -> None:
     assert measure([at_place, beside, from_afar, wrong]).hit_counts[1] == 2
 
 
-def test_only_revisits_at_which_descriptors_were_asked_count() -> None:
+def test_retrieval_counts_only_queried_revisits() -> None:
     followed = closure(200, 40, truth=TRUTH)
     nothing_found = replace(closure(210, -1, stage="retrieval"), reference_stamp_ns=0)
     no_revisit = closure(100, 20, truth=TRUTH, shift_m=30.0, rank=1)
@@ -60,12 +60,12 @@ def test_only_revisits_at_which_descriptors_were_asked_count() -> None:
     assert (found.query_count, found.hit_counts[1]) == (2, 1)
 
 
-def test_a_proposal_counts_though_a_later_closure_of_the_two_was_predicted() -> None:
+def test_proposal_counts_despite_later_propagated_closure() -> None:
     proposed = closure(200, 40, truth=TRUTH, stage="acceptance", rank=2)
     assert measure([proposed, closure(200, 40, truth=TRUTH)]).hit_counts == {1: 0, 5: 1, 25: 1}
 
 
-def test_beyond_the_places_that_were_verified_recall_is_undefined() -> None:
+def test_recall_beyond_verified_places_is_undefined() -> None:
     records = [closure(200, 40, truth=TRUTH, rank=3)]
     found = measure(records, place_count=3)
     assert [found.recall_at(k) for k in (1, 5, 25)] == [0.0, None, None]
@@ -98,7 +98,7 @@ def test_logs_without_ranks_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_the_estimator_ranks_what_descriptors_propose_and_nothing_else(looked_up: EvaluationRecords) -> None:
+def test_only_descriptor_proposals_have_ranks(looked_up: EvaluationRecords) -> None:
     ranks_of_query = defaultdict[int, set[int]](set)
     predicted = set[int]()
     for record in looked_up.closures:
@@ -123,8 +123,7 @@ def test_places_that_become_one_keep_the_best_rank() -> None:
     assert [(candidate.rank, candidate.score) for candidate in kept] == [(1, 30.0)]
 
 
-def test_the_status_counts_the_closures_that_were_retrieved(kidnapped: EvaluationRecords) -> None:
+def test_status_counts_retrieved_closures(kidnapped: EvaluationRecords) -> None:
     seeds = [each.seed_query_keyframe_id for each in kidnapped.closures if each.accepted]
-    assert kidnapped.status is not None
     assert kidnapped.status.counters["closures_retrieved"] == seeds.count(None)
     assert 0 < seeds.count(None) < len(seeds)

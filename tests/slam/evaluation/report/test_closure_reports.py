@@ -10,8 +10,8 @@ import pytest
 from logs.messages import FactorGraphRecord, GroundTruthPose, LoopClosureRecord, Record, TrajectoryRecord
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import EvaluationRecords, collect_records
+from slam.evaluation.report.figures import summarize
 from slam.evaluation.report.picture import compose_picture
-from slam.evaluation.report.summary import summarize
 from slam.evaluation.requirements import parse_requirement
 from tests.slam.evaluation.loops import closure, there_and_back
 from tests.slam.evaluation.results import at_json, graph, printed
@@ -56,23 +56,23 @@ def test_loop_closures_of_a_drive_there_and_back() -> None:
     assert told["recall_at_full_precision"] == 0.0
     assert told["average_precision"] == pytest.approx(2 / 37 * 2 / 3)
     report = printed(result)
-    for text in ("50.00 % (1 of 2)", "2.70 % (1 of 37 revisits", "no true candidate 35 (35 without", "median 0.500 m"):
+    for text in ("50.00 % (1 true, 1 false)", "2.70 % of 37 revisits", "missed_by_stage.no true candidate"):
         assert text in report
 
 
-def test_the_summary_tells_what_was_found_from_what_was_followed_and_how_sure_the_precision_is() -> None:
+def test_summary_tells_retrieved_from_propagated_closures() -> None:
     log = there_and_back_log()
     followed = [
         (topic, replace(record, seed_query_keyframe_id=90) if isinstance(record, LoopClosureRecord) else record)
         for topic, record in log
     ]
-    assert summarize(evaluate(collect_records(log)))["closures"].endswith(
+    assert summarize(evaluate(collect_records(log)).to_json_dict())["closures"].endswith(
         "; 2 retrieved, 0 propagated, 0 back; 2 independent: at most 97 % false"
     )
-    assert "; 0 retrieved, " in summarize(evaluate(collect_records(followed)))["closures"]
+    assert "; 0 retrieved, " in summarize(evaluate(collect_records(followed)).to_json_dict())["closures"]
 
 
-def test_the_numbers_that_decided_are_listed_with_the_truth() -> None:
+def test_verified_candidates_are_listed_with_truth() -> None:
     log = there_and_back_log()
     closures = [record for _, record in log if isinstance(record, LoopClosureRecord)]
     numbers = {"log_likelihood_ratio": 23.5, "odometry_penalty": 1.5, "seed_query_keyframe_id": 4}
@@ -96,13 +96,13 @@ def test_revisits_without_a_candidate_are_missed() -> None:
     assert at_json(result, "closures.candidate_count") == 0
     assert at_json(result, "closures.recall") == 0.0
     assert at_json(result, "closures.precision") is None
-    assert "0.00 % (0 of 37 revisits" in printed(result)
+    assert "recall 0.00 % of 37 revisits" in printed(result)
 
 
 @pytest.mark.parametrize(
     ("left_out", "reason"), [(GroundTruthPose, "ground truth"), (FactorGraphRecord, "/slam/graph")]
 )
-def test_what_revisits_need_is_told(left_out: type, reason: str) -> None:
+def test_missing_input_of_revisits_is_named(left_out: type, reason: str) -> None:
     result = evaluate(collect_records((t, r) for t, r in there_and_back_log() if not isinstance(r, left_out)))
     assert reason in result.unavailable["closures"]
     assert at_json(result, "closures.candidate_count") == 3
@@ -110,7 +110,7 @@ def test_what_revisits_need_is_told(left_out: type, reason: str) -> None:
     assert at_json(result, "closures.missed_by_stage") == {}
 
 
-def test_bars_for_loop_closures() -> None:
+def test_requirements_of_loop_closures() -> None:
     found = evaluate(collect_records(there_and_back_log())).to_json_dict()
     none = evaluate(EvaluationRecords()).to_json_dict()
     assert parse_requirement("closures.precision>=0.5").shortfall(found) == ""
@@ -119,7 +119,7 @@ def test_bars_for_loop_closures() -> None:
     assert parse_requirement("closures.missed_by_stage.consistency<=1").shortfall(found) == ""
 
 
-def test_the_picture_of_closures_without_and_with_a_truth() -> None:
+def test_picture_labels_closures_by_truth() -> None:
     log = there_and_back_log()
     records = collect_records(log)
     picture = compose_picture(records, evaluate(records))

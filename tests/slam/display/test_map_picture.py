@@ -1,19 +1,18 @@
 from __future__ import annotations
 
-import colorsys
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from logs.errors import UnwritableLogError
-from logs.scene import class_color
 from slam.common.errors import EvaluationError
-from slam.visualization.map_plot import MapPicture, draw_map
-from slam.visualization.palette import LEGEND_CLASSES, group_classes
+from slam.display.map_picture import MapPicture, draw_map
+from slam.display.palette import CLASS_COLORS, ESTIMATE, ODOMETRY, TRUE_CLOSURE, group_classes
 from tests.slam.evaluation.drives import straight_path, winding_path
 
 
@@ -35,7 +34,7 @@ def full_picture() -> MapPicture:
     )
 
 
-def test_a_full_picture_has_the_asked_width_and_the_same_bytes_each_time(tmp_path: Path) -> None:
+def test_picture_has_given_width_and_same_bytes(tmp_path: Path) -> None:
     for name in ("a.png", "b.png"):
         draw_map(tmp_path / name, full_picture(), width_px=800)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
@@ -82,7 +81,7 @@ def test_little_to_draw(tmp_path: Path, picture: MapPicture) -> None:
     ("picture", "message"),
     [
         (MapPicture(estimate=np.zeros((0, 3))), "no position"),
-        (MapPicture(estimate=np.full((2, 3), np.nan)), "finite"),
+        (MapPicture(estimate=np.array([[0.0, np.nan, 0.0], [1.0, 1.0, 0.0]])), "finite"),
         (MapPicture(estimate=np.zeros((2, 3)), landmarks=np.zeros((2, 3)), labels=("a",)), "2 landmarks have 1"),
     ],
 )
@@ -92,13 +91,13 @@ def test_what_cannot_be_drawn_is_refused(tmp_path: Path, picture: MapPicture, me
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_most_frequent_classes_are_named_and_the_rest_are_other() -> None:
+def test_group_classes_names_most_frequent_classes() -> None:
     labels = tuple(f"c{i:02d}" for i in range(20) for _ in range(1 + (i == 19)))
     groups = group_classes(labels)
-    assert [name for name, _ in groups] == ["c19", *(f"c{i:02d}" for i in range(LEGEND_CLASSES - 1)), "other"]
-    assert sorted(np.concatenate([rows for _, rows in groups]).tolist()) == list(range(21))
+    assert [group.name for group in groups] == ["c19", *(f"c{i:02d}" for i in range(len(CLASS_COLORS) - 1)), "other"]
+    assert sorted(np.concatenate([group.rows for group in groups]).tolist()) == list(range(21))
     assert group_classes(()) == []
-    assert [name for name, _ in group_classes(("a", "b", "b"))] == ["b", "a"]
+    assert [group.name for group in group_classes(("a", "b", "b"))] == ["b", "a"]
 
 
 def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
@@ -108,13 +107,11 @@ def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_pictures_need_no_global_plotting_state() -> None:
-    code = "import sys, slam.visualization.map_plot; sys.exit('matplotlib.pyplot' in sys.modules)"
+    code = "import sys, slam.display.map_picture; sys.exit('matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-@pytest.mark.parametrize(
-    "classes", [("vehicle", "trunk", "pole"), ("tree", "traffic_sign", "bollard", "street_lamp", "bench")]
-)
-def test_frequent_classes_differ_in_hue(classes: tuple[str, ...]) -> None:
-    hues = np.sort([colorsys.rgb_to_hsv(*class_color(label)[:3])[0] for label in classes])
-    assert np.diff(hues, append=hues[0] + 1.0).min() > 0.4 / len(classes)
+def test_class_colors_differ_from_each_other_and_from_paths() -> None:
+    colors = np.array([to_rgb(color) for color in (*CLASS_COLORS, ESTIMATE, ODOMETRY, TRUE_CLOSURE)])
+    apart = np.linalg.norm(colors[:, None] - colors, axis=2) + 2.0 * np.eye(len(colors))
+    assert apart.min() > 0.2

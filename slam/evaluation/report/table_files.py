@@ -6,11 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from logs.errors import UnwritableLogError
-from logs.storage.placement import put_in_place
+import pandas as pd
+
+from logs.storage.placement import write_text
 from slam.common.errors import EvaluationError
-from slam.evaluation.sheets.page import compose_sheets_page
-from slam.evaluation.sheets.sheet import Sheet, to_csv, to_latex
 
 ENDINGS = (".csv", ".tex", ".html")
 
@@ -26,24 +25,24 @@ def check_endings(paths: Sequence[Path]) -> None:
             raise EvaluationError(f"{path}: a table is written as {', '.join(ENDINGS)}; give such a name")
 
 
-def write_sheets(path: Path, title: str, sheets: Sequence[Sheet], runs: Mapping[str, Mapping[str, Any]]) -> None:
+def write_tables(
+    path: Path, title: str, tables: Mapping[str, pd.DataFrame], note: str, runs: Mapping[str, Mapping[str, Any]]
+) -> None:
     """Write tables as CSV, LaTeX, or a page with the precision-recall curves of ``runs`` by name; whole or not at all.
 
     Raises:
-        EvaluationError: the name says no kind.
+        EvaluationError: the name has another ending.
         UnwritableLogError: the file cannot be written.
     """
     check_endings([path])
     match path.suffix.lower():
         case ".csv":
-            text = to_csv(sheets)
+            text = "\n".join(frame.to_csv(lineterminator="\n") for frame in tables.values())
         case ".tex":
-            text = to_latex(sheets)
+            parts = (f"% {name}. {note}\n{frame.to_latex(escape=True)}" for name, frame in tables.items())
+            text = "\n".join(parts)
         case _:
-            text = compose_sheets_page(title, sheets, runs)
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_text(text, encoding="utf-8", newline="\n")
-        put_in_place(part, path)
-    except OSError as error:
-        raise UnwritableLogError(f"cannot write {path}: {error.strerror or error}") from error
+            from slam.evaluation.page.page import compose_runs_page
+
+            text = compose_runs_page(title, tables, note, runs)
+    write_text(path, text)

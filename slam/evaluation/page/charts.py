@@ -1,0 +1,168 @@
+"""Errors, precision and recall, candidates over time, and calibration as charts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from scipy.special import chdtr
+
+from logs.closures import STAGES
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.errors import EvaluationError
+from slam.common.geometry import apply, invert, travelled_m, yaw_rad
+from slam.display import palette
+from slam.evaluation.inputs.records import EvaluationRecords
+from slam.evaluation.inputs.synchronization import PoseSeries, SynchronizedPoses, synchronize
+from slam.evaluation.metrics.calibration import CalibrationQuality
+from slam.evaluation.metrics.trajectory import TrajectoryErrors
+from slam.evaluation.page.traces import Chart, Trace, draw_line, draw_points, label, make_axis, make_chart, thin
+from slam.evaluation.place_recognition.closure_labels import JudgedClosures
+from slam.evaluation.place_recognition.closures import ClosureQuality
+from slam.evaluation.report.figures import value_at
+from slam.evaluation.report.picture import poses_at
+from slam.evaluation.result import Evaluation
+
+COLORS = ("#0b5cad", "#d97706", "#15803d", "#b91c1c", "#7c3aed", "#0891b2", "#be185d", "#65a30d", "#475569", "#a16207")
+DASHES = ("solid", "dash", "dot", "dashdot")
+STAGE_COLORS = {
+    **dict.fromkeys(STAGES, "#8a94a3"),
+    "registration": "#7d9cc0",
+    "acceptance": "#c9a50a",
+    "consistency": "#e377c2",
+    "association": "#8c6bb1",
+    "back_end": "#d64545",
+    "accepted": palette.TRUE_CLOSURE,
+}
+MAX_REJECTED = 1500
+"""So many rejected candidates are drawn of each stage."""
+_CALIBRATED = {"pose": palette.ESTIMATE, "landmark": "#8456c4", "closure": palette.TRUE_CLOSURE}
+
+
+def draw_precision_recall(runs: Mapping[str, Mapping[str, Any]]) -> Chart | None:
+    """Precision over recall of every threshold on the score, and where each run stood; None where none has a curve.
+
+    Args:
+        runs: the evaluation of each run as JSON, by the run's name.
+    """
+    traces: list[Trace] = []
+    for name, results in runs.items():
+        curve = value_at(results, "closures.precision_recall_curve")
+        if not curve or not curve["recall"]:
+            continue
+        number = len(traces) // 2
+        color, dash = COLORS[number % len(COLORS)], DASHES[number // len(COLORS) % len(DASHES)]
+        recall, precision = np.array(curve["recall"]), np.array(curve["precision"])
+        group = {"legendgroup": f"run {number}"}
+        traces.append(draw_line(recall, precision, label(name), color, 2.2, dash=dash) | group)
+        at = np.array([[value_at(results, f"closures.{key}") for key in ("recall", "precision")]], dtype=np.float64)
+        text = f"{label(name)}, accepted: precision {at[0, 1]:.2%}, recall {at[0, 0]:.2%}"
+        traces.append(draw_points(at, "accepted", [text], color, size=12, showlegend=False, cliponaxis=False) | group)
+    share = {"tickformat": ".0%", "rangemode": "tozero"}
+    x = make_axis("recall of revisits", range=[0.0, 1.03], **share)
+    return make_chart(traces, x, make_axis("precision", range=[0.0, 1.05], **share))
+
+
+def match_poses(path: PoseSeries, truth: PoseSeries, evaluation: Evaluation) -> SynchronizedPoses | None:
+    """Poses of a path with their truth; None where there is no truth."""
+    try:
+        return synchronize(path, truth, max_gap_s=evaluation.protocol.max_truth_gap_s)
+    except EvaluationError:
+        return None
+
+
+def position_errors_m(poses: SynchronizedPoses, errors: TrajectoryErrors) -> FloatArray:
+    """Distances (M,) of the poses from the truth after the alignment of the whole trajectory."""
+    aligned = apply(errors.alignment.T_world_map, poses.positions_est)
+    return np.asarray(np.linalg.norm(aligned - poses.positions_gt, axis=1))
+
+
+def draw_error_along_path(records: EvaluationRecords, evaluation: Evaluation) -> Chart | None:
+    """Distance between aligned and true position over the true path; None where no trajectory has a truth."""
+    traces: list[Trace] = []
+    for path, errors, name, color in (
+        (records.odometry_path, evaluation.odometry, "odometry", palette.ODOMETRY),
+        (records.online_path, evaluation.online, "estimate at its time", "#64748b"),
+        (records.final_path, evaluation.estimate, "estimate", palette.ESTIMATE),
+    ):
+        poses = match_poses(path, records.true_path, evaluation)
+        if errors is not None and poses is not None:
+            title = f"{name} (RMSE {errors.absolute.rmse_m:.3f} m)"
+            x, y = travelled_m(poses.T_world_body_gt), position_errors_m(poses, errors)
+            traces.append(draw_line(x, y, title, color) | {"hoverinfo": "y+name"})
+    x_axis = make_axis("true path travelled [m]", rangemode="tozero")
+    return make_chart(traces, x_axis, make_axis("position error [m]", rangemode="tozero"), hovermode="x unified")
+
+
+def draw_candidates(quality: ClosureQuality | None, path: PoseSeries) -> Chart | None:
+    """Score of each candidate over time, coloured by the stage of its decision; None where there is no candidate."""
+    if quality is None:
+        return None
+    judged = quality.judged
+    stages = np.array([c.stage for c in judged.candidates], dtype=np.str_)
+    known = [stage for stage in STAGES if (stages == stage).any()]
+    groups = {stage: np.flatnonzero(stages == stage) for stage in known}
+    groups["another"] = np.flatnonzero(~np.isin(stages, known))
+    start_ns = int(path.stamps_ns[0]) if len(path) else 0
+    traces = [_draw_stage(judged, rows, stage, start_ns, path) for stage, rows in groups.items() if len(rows)]
+    return make_chart(traces, make_axis("time [s]"), make_axis("score"))
+
+
+def _draw_stage(judged: JudgedClosures, rows: IntArray, stage: str, start_ns: int, path: PoseSeries) -> Trace:
+    count = len(rows)
+    if stage != "accepted":
+        rows = rows[thin(np.ones(count, dtype=np.bool_), MAX_REJECTED)]
+    shown = f"{count}" if len(rows) == count else f"{len(rows)} of {count}"
+    symbols = np.where(judged.true[rows], "circle", np.where(judged.decided[rows], "x-thin-open", "circle-open"))
+    color = STAGE_COLORS.get(stage, palette.OTHER_COLOR)
+    seconds = (judged.query_stamps_ns[rows] - start_ns) * 1e-9
+    places = np.column_stack([seconds, np.nan_to_num(judged.scores[rows], nan=0.0, posinf=0.0, neginf=0.0)])
+    texts = [_describe(judged, row) for row in rows.tolist()]
+    trace = draw_points(places, f"{stage.replace('_', ' ')} ({shown})", texts, color, symbols.tolist())
+    trace["marker"]["line"] = {"color": color, "width": 1.2}
+    return trace | {"customdata": _places(judged, rows, path)}
+
+
+def _describe(judged: JudgedClosures, row: int) -> str:
+    candidate = judged.candidates[row]
+    earlier = "no place" if candidate.reference_keyframe_id < 0 else f"{candidate.reference_keyframe_id}"
+    verdict = "undecided" if not judged.decided[row] else "true" if judged.true[row] else "false"
+    stage = f"{label(candidate.stage)}, {verdict} by the truth"
+    return f"keyframe {candidate.query_keyframe_id} → {earlier}<br>{stage}<br>{label(candidate.reason)}"
+
+
+def _places(judged: JudgedClosures, rows: IntArray, path: PoseSeries) -> list[list[float] | None]:
+    """For each candidate x and y of query and reference, and where it moves landmarks: x, y, yaw; map frame, m, rad.
+
+    None where it has no transform, or the path does not reach its keyframes.
+    """
+    T_map_query = poses_at(path, judged.query_stamps_ns[rows])
+    T_map_reference = poses_at(path, judged.reference_stamps_ns[rows])
+    places: list[list[float] | None] = []
+    for row, query, reference in zip(rows.tolist(), T_map_query, T_map_reference, strict=True):
+        T_reference_query = judged.candidates[row].T_reference_query
+        if T_reference_query is None or not (np.isfinite(query).all() and np.isfinite(reference).all()):
+            places.append(None)
+            continue
+        moved = reference @ T_reference_query @ invert(query)
+        numbers = [*query[:2, 3], *reference[:2, 3], *moved[:2, 3], yaw_rad(moved)]
+        places.append([round(float(number), 4) for number in numbers])
+    return places
+
+
+def draw_calibration(quality: CalibrationQuality | None) -> Chart | None:
+    """Share of the errors within the region of every probability; None where there is no error to compare."""
+    if quality is None:
+        return None
+    probabilities = np.linspace(0.0, 1.0, 51)
+    traces = [draw_line(probabilities, probabilities, "right covariances", "#8a94a3", 1.2, dash="dot")]
+    for name, part in quality.parts.items():
+        kind = name.removeprefix("planar_")
+        within = np.sort(chdtr(part.dimension, part.squares))
+        shares = np.searchsorted(within, probabilities, side="right") / part.count
+        title = f"{kind}s{' in the plane' if kind != name else ''} (NEES {part.nees:.3f})"
+        dash = "dash" if kind != name else "solid"
+        traces.append(draw_line(probabilities, shares, title, _CALIBRATED[kind], dash=dash) | {"hoverinfo": "x+y+name"})
+    share = {"range": [0.0, 1.04], "tickformat": ".0%"}
+    return make_chart(traces, make_axis("probability of the region", **share), make_axis("errors within it", **share))

@@ -1,1 +1,0 @@
-"""Tables of several runs, for papers, spreadsheets and browsers."""
