@@ -29,9 +29,6 @@ from slam.odometry.interpolation import interpolate_between_keyframes
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.path import OdometryPath
 
-DOUBTED_SHARE = 0.1
-"""Of the keyframes: where the heading of the odometry is contradicted at more of them, that is told."""
-
 logger = logging.getLogger(__name__)
 
 
@@ -76,23 +73,11 @@ def judge_outcome(
     is_ordered = unused <= counters["odometry_used"]
     if not is_ordered:
         message += "; most odometry messages were unusable: their stamps do not increase"
-    doubts = [*_about_headings(counters), *doubts]
     message = "; ".join([message, *doubts])
     is_well = (
         optimization.converged and not warning and is_ordered and not counters["covariances_missing"] and not doubts
     )
     return Outcome("info" if is_well else "warning", message)
-
-
-def _about_headings(counters: Counter[str]) -> list[str]:
-    """Whether what is seen and the odometry hardly belong together."""
-    share = counters["odometry_headings_doubted"] / max(counters["keyframes"], 1)
-    if share < DOUBTED_SHARE:
-        return []
-    return [
-        f"landmarks contradict the heading of the odometry over {100.0 * share:.0f} % of the way: is it sound, and are "
-        "the stamps of both of one clock?"
-    ]
 
 
 class FinalRecords:

@@ -86,7 +86,7 @@ class ScanLocalizer:
         for keyframe in keyframes:
             track.add(keyframe)
         self._retriever = PlaceRetriever(config, object_map)
-        self._retriever.index_inactive_landmarks(0.0)
+        self._retriever.index_inactive_landmarks(self._scan.odometry)
         self._verifier = Verifier(config, self._retriever, track, graph, keyframes, objects.positions[:, :2])
         self._acceptance = Acceptance(config, self._verifier, keyframes)
 

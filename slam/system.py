@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from logs.messages import (
+    DetectionAssociations,
     GeodeticFix,
     LoopClosureRecord,
     ObjectDetections,
@@ -28,13 +29,9 @@ from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.display.snapshot import MapSnapshot, SnapshotSchedule, take_snapshot
 from slam.final_map import FinalMap, FinalRecords, judge_outcome
-from slam.frontend.failed_headings import loosen_failed_headings
-from slam.frontend.input.scan_placer import ScanPlacer
-from slam.frontend.input.scan_queue import ScanQueue
+from slam.frontend.frontend import Frontend
 from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.mapper import Mapper
-from slam.frontend.scan_mapper import ScanMapper
-from slam.frontend.step_resolver import StepResolver
 from slam.graph_condenser import GraphCondenser
 from slam.localization.gnss import GnssPrior
 from slam.localization.pose_output import PoseOutput
@@ -72,20 +69,15 @@ class Slam:
         self._config = config = with_heights_of(config, prior_map)
         self.counters: Counter[str] = Counter()
         self._first_segment = 0 if prior_map is None else SEGMENT + 1
-        self._track = OdometryTrack(
-            self.counters,
-            first_segment=self._first_segment,
-            sensor_range_m=config.sensor_range_m,
-        )
         self._frames = frames or SensorFrames()
-        self._placer = ScanPlacer(config.calibration.detection, self._frames)
-        self._scans = ScanQueue(config.calibration.detection.time_offset_s)
         self._object_map = ObjectMap(config.calibration.objects)
         self._graph = FactorGraph(FactorGraphConfig(), sensor_range_m=config.sensor_range_m)
         known, imported = restore_prior_map(prior_map, self._object_map, self._graph, fixed=not extend)
         self._first_keyframe = len(known)
         self._extends = extend
         self._mapper = Mapper(config, self._object_map, self._graph, known)
+        track = OdometryTrack(self.counters, first_segment=self._first_segment, sensor_range_m=config.sensor_range_m)
+        self._frontend = Frontend(config.calibration.detection, self._frames, track, self._mapper, self.counters)
         self._closer = LoopCloser(config, self._object_map, self._graph, self._mapper.keyframes, imported)
         self._closer.place_prior = place_prior
         self._condenser = GraphCondenser(
@@ -94,10 +86,6 @@ class Slam:
         self._gnss: GnssPrior | None = None
         if isinstance(prior_map, ImportedMap) and prior_map.georeference is not None and place_prior is None:
             self._gnss = GnssPrior(prior_map.georeference)
-        self._resolver = StepResolver(self._mapper, self._placer)
-        self._scan_mapper = ScanMapper(
-            config.calibration.detection, self._scans, self._placer, self._track, self._mapper, self.counters
-        )
         self._localization = LocalizationState(has_prior_map=prior_map is not None)
         self._odometry_offset_ns = round(config.calibration.odometry.time_offset_s * 1e9)
         self._path, self._output = OdometryPath(), PoseOutput()
@@ -133,10 +121,10 @@ class Slam:
             if self._gnss is not None and self._path.latest is not None:
                 self._closer.place_prior = self._gnss.add(record, self._path.latest.travel_m)
         elif isinstance(record, ObjectDetections):
-            self._scans.add(record)
+            self._frontend.add_detections(record)
         elif isinstance(record, Odometry):
             return self._follow(replace(record, stamp_ns=record.stamp_ns + self._odometry_offset_ns))
-        return [*self._scan_mapper.map_waiting()]
+        return self._advance()
 
     def snapshot(self) -> MapSnapshot | None:
         """The map as it is known now, for viewers; None if too few keyframes brought it up to date since the last."""
@@ -158,27 +146,18 @@ class Slam:
         Raises:
             InputDataError: there was nothing to map.
         """
-        for pose in self._track.finish():
-            self._step(pose)
-        self._scan_mapper.map_waiting()
+        for placed in self._frontend.finish():
+            self._take(placed)
         if len(self._mapper.keyframes) == self._first_keyframe:
             raise InputDataError(
                 "no odometry message was usable, so there is nothing to map; see 'dslam info' of the log"
             )
-        if (missing := self._placer.describe_missing()) and not self.counters["detections_used"]:
-            raise InputDataError(
-                f"{missing}, the body frame of the odometry, so no detection could be placed; record "
-                "/tf_static, or say --set calibration.detection.assume_body_frame=true if the detections are in "
-                "the body frame"
-            )
-        self.counters["detections_without_odometry"] += len(self._scans)
         return self._final_map(*self._optimize())
 
     def _optimize(self) -> tuple[list[LoopClosureRecord], str, Optimization]:
         """Estimate all at once; returns the closures removed as outliers, a warning about them, and how it went."""
         self._mapper.close_keyframe()
         self._graph.settle()
-        loosen_failed_headings(self._graph, self._mapper.keyframes, self._config, self.counters)
         removed, warning = self._closer.closures.reject_outliers()
         if self._first_keyframe and self._extends:
             self._mapper.retire_gone(self._closer.missing_landmarks())
@@ -196,7 +175,7 @@ class Slam:
             self._path,
             first_keyframe=self._first_keyframe,
             first_segment=self._first_segment,
-            stamp_ns=self._now_ns,
+            stamp_ns=self._frontend.latest_ns,
         )
         if unknown := records.place_landmarks():
             self.counters["covariances_missing"] = unknown
@@ -217,26 +196,26 @@ class Slam:
         )
 
     def _follow(self, odometry: Odometry) -> list[Record]:
-        self._placer.follow(odometry)
         self._output.follow(odometry)
-        updates = [update for pose in self._track.add(odometry) for update in self._step(pose)]
-        while (step := self._track.unexpected) is not None:
-            found = self._resolver.resolve(step, self._scans)
-            if found is None:
-                break
-            resumed = self._track.resolve(found.continuation, found.correction)
-            updates += [update for pose in resumed for update in self._step(pose)]
-        return [*updates, *self._scan_mapper.map_waiting()]
+        added_ns = self._frontend.add_odometry(odometry)
+        updates = self._advance()
+        for stamp_ns in added_ns:
+            if (pose := self._frontend.pose_at(stamp_ns)) is not None:
+                updates += self._output.at(pose, is_localized=self.state != State.LOST)
+        return updates
+
+    def _advance(self) -> list[Record]:
+        """Map the scans that the odometry has caught up with, and make keyframes of the poses before them."""
+        return [record for placed in self._frontend.advance() for record in self._take(placed)]
+
+    def _take(self, placed: OdometryPose | DetectionAssociations) -> list[Record]:
+        return self._step(placed) if isinstance(placed, OdometryPose) else [placed]
 
     def _step(self, pose: OdometryPose) -> list[Record]:
-        # Scans from before this pose belong to the keyframe before it, also where the odometry breaks in between.
-        updates: list[Record] = [*self._scan_mapper.map_waiting(before_ns=pose.stamp_ns)]
         breaks = self._path.latest is not None and self._path.latest.segment != pose.segment
         self.counters["odometry_used"] += 1
         self._path.add(pose)
-        if self._mapper.add_odometry(pose) is not None:
-            updates += self._keyframe_updates(pose, breaks=breaks)
-        return updates + self._output.at(pose, is_localized=self.state != State.LOST)
+        return [] if self._mapper.add_odometry(pose) is None else self._keyframe_updates(pose, breaks=breaks)
 
     def _keyframe_updates(self, pose: OdometryPose, *, breaks: bool) -> list[Record]:
         keyframe = self._mapper.keyframes[-1]
@@ -268,7 +247,7 @@ class Slam:
         if is_kidnapped:
             self.counters["kidnappings_detected"] += 1
             self._mapper.retire_since(first)
-            self._track.break_off()
+            self._frontend.break_off()
             self._localization.declare_kidnapped()
         else:
             self.counters["relocalizations_revoked"] += 1
@@ -296,8 +275,4 @@ class Slam:
         counters |= {
             f"landmarks_{state.name.lower()}": len(self._object_map.in_state(state)) for state in LandmarkState
         }
-        return StatusRecord(self._now_ns, state.value, level, message, counters)
-
-    @property
-    def _now_ns(self) -> int:
-        return 0 if (latest := self._track.latest) is None else latest.stamp_ns
+        return StatusRecord(self._frontend.latest_ns, state.value, level, message, counters)

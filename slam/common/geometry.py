@@ -64,6 +64,24 @@ def apply(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:
     return points_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]
 
 
+def skew(vectors: FloatArray) -> FloatArray:
+    """Matrices (..., 3, 3) that turn a vector b into the cross product of ``vectors`` (..., 3) and b."""
+    matrices = np.zeros((*vectors.shape, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        matrices[..., j, k], matrices[..., k, j] = -vectors[..., i], vectors[..., i]
+    return matrices
+
+
+def left_jacobian(vector: FloatArray) -> FloatArray:
+    """Left Jacobian (3, 3) of the rotation by a vector (3,) rad (Barfoot, State Estimation for Robotics, eq. 7.37)."""
+    angle = math.sqrt(float(vector @ vector))
+    K = skew(vector)
+    if angle < 1e-6:
+        return np.eye(3) + 0.5 * K
+    first, second = (1.0 - math.cos(angle)) / angle**2, (angle - math.sin(angle)) / angle**3
+    return np.asarray(np.eye(3) + first * K + second * K @ K)
+
+
 def adjoint(T_a_b: FloatArray) -> FloatArray:
     """Matrix (6, 6) that turns a small motion (rotation, translation) along the axes of frame b into one of frame a."""
     R, (x, y, z) = T_a_b[:3, :3], T_a_b[:3, 3]
@@ -152,6 +170,11 @@ def _axis_sine_and_cosine(R: FloatArray) -> tuple[FloatArray, FloatArray]:
 def yaw_rad(T: FloatArray) -> FloatArray:
     """Heading (...) of the x axis about z, in (-pi, pi], of transforms (..., 4, 4)."""
     return np.asarray(np.arctan2(T[..., 1, 0], T[..., 0, 0]))
+
+
+def rigid(T: FloatArray) -> FloatArray:
+    """``T`` (4, 4) without the rounding that products gather."""
+    return make_transform(np.asarray(Rotation.from_matrix(T[:3, :3]).as_matrix()), T[:3, 3])
 
 
 def travelled_m(T_world_body: FloatArray) -> FloatArray:

@@ -1,40 +1,44 @@
 """The landmarks around the robot that detections are associated with, and the robot among them.
 
-Confirmed landmarks are held by the EKF of :mod:`slam.frontend.local_map`, which corrects the robot's pose by them;
-tentative ones have a small Kalman filter each and correct nothing. A confirmed landmark is let go when it is no longer
-certain which of its like it is: when the standard deviation of its position relative to the robot, with the inflated
-noise of the odometry, exceeds the distance between objects of its class; or when nothing that is seen here can be seen
-from there, so that only the odometry relates the two. From then on its place has to be recognised, which is what loop
-closing does.
+All of them are in the EKF of :mod:`slam.frontend.local_map`; those that are confirmed correct the robot's pose.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtri
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
-from slam.frontend.data_association import GATE_PROBABILITY
+from slam.common.geometry import invert, relative, rigid
+from slam.frontend.data_association import Objects
 from slam.frontend.input.scan import MIN_SIGMA_RANGES, Scan
-from slam.frontend.landmark_filter import predict_covariances, update_positions
-from slam.frontend.local_map import LocalMap, upright_step
-from slam.object_map.landmarks import ObjectMap
-from slam.odometry.noise import SLIP_INFLATION, step_variances
+from slam.frontend.local_map import LocalMap
+from slam.frontend.pose_posterior import KnownLandmarks, ModeSearch, PriorComponent, common_error, fit_of, probabilities
+from slam.object_map.landmarks import LandmarkState, ObjectMap
+from slam.odometry.noise import SLIP_INFLATION, covariance_of, model_variances
+from slam.odometry.noise_scale import NoiseScale
 from slam.odometry.pose import OdometryPose
 
 MAX_LANDMARKS = 200
-"""Landmarks around the robot that are kept for association, the latest seen; their joint covariance takes 0.5 MB."""
+"""Landmarks around the robot that are kept for association, confirmed and tentative ones each, the latest seen."""
 ACTIVE_RADII = 2.0
 """Landmarks farther from the robot than so many ranges of the farthest detection share no view with what is seen."""
 MOVING_ACCELERATION_RANGES = 0.1
 """How much a moving object may change its speed, in sensor ranges per square second: a car brakes harder at times."""
-ODOMETRY_INFLATION, UNIQUE_INFLATION = SLIP_INFLATION, 5.0
-"""Factor on the noise of the odometry, the second where objects are unique: a wide gate then confuses nothing."""
+UNIQUE_INFLATION = 5.0
+"""Factor on the noise of the odometry where objects are unique: a wide gate then confuses nothing."""
+FIXING_LANDMARKS = 3
+"""Landmarks that fix a pose in space."""
+DOUBTED_FACTOR = 4.0
+"""The odometry is doubted where its variances are so many times as large as slips make them: no window of scans finds
+that by chance.
+"""
 SAME_PROBABILITY = 0.99
 """Probability from which two landmarks are one object."""
+RECENT_SCANS = 20
+"""Landmarks seen in so many of the latest scans are compared with those seen before."""
 # Least time over which a moving object is given to change its speed: 10 Hz scans leave it none, its noise does.
 MIN_SWERVE_S = 0.5
 
@@ -47,52 +51,43 @@ class Prediction:
     covariances: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Held:
-    """The active landmarks in the EKF: their ``indices`` (K,) in ``rows``, their positions (K, 2) m, and covariances
-    (K, 2, 2) m^2 relative to the robot.
-    """
-
-    indices: IntArray
-    positions: FloatArray
-    covariances: FloatArray
-
-
 class ActiveLandmarks:
-    """``rows`` (A,) of the object map that are active."""
+    """The landmarks of the object map that are active, and the pose of the robot relative to them."""
 
     def __init__(self, config: Config, object_map: ObjectMap) -> None:
         self._config = config
-        self._odometry_inflation = UNIQUE_INFLATION if config.calibration.has_unique_objects else ODOMETRY_INFLATION
         self._map = object_map
         self._local = LocalMap()
         self._pose: OdometryPose | None = None
-        self._known_slots: tuple[IntArray, IntArray, IntArray] | None = None
-        self._known_place: tuple[OdometryPose, FloatArray, FloatArray] | None = None
-        self._known_held: tuple[IntArray, FloatArray, _Held] | None = None
-        self.rows = np.zeros(0, dtype=np.int64)
+        inflation = UNIQUE_INFLATION if config.calibration.has_unique_objects else SLIP_INFLATION
+        self._least_noise = inflation**2
+        self._noise = NoiseScale(self._least_noise)
+
+    @property
+    def rows(self) -> IntArray:
+        """Rows (A,) of the active landmarks in the object map."""
+        return self._local.ids
 
     @property
     def T_local_body(self) -> FloatArray:
         """(4, 4) of the last pose that was advanced to."""
+        return self._local.T_local_body
+
+    @property
+    def T_odom_body(self) -> FloatArray:
+        """(4, 4), the same by the odometry, as ``shift`` corrected it."""
         assert self._pose is not None
-        known, pose, local = self._known_place, self._pose, self._local.pose
-        if known is None or known[0] is not pose or known[1] is not local:
-            T_local_body = np.asarray(self._local.T_local_odom(pose.T_odom_body) @ pose.T_odom_body)
-            self._known_place = known = pose, local, T_local_body
-        return known[2]
+        return self._pose.T_odom_body
 
     @property
     def T_local_odom(self) -> FloatArray:
         """(4, 4) by which the landmarks correct the odometry now."""
-        assert self._pose is not None
-        return self._local.T_local_odom(self._pose.T_odom_body)
+        return np.asarray(self.T_local_body @ invert(self.T_odom_body))
 
     def restart(self, pose: OdometryPose) -> None:
         """Begin anew at a pose, without landmarks."""
         self._local.start(pose.T_odom_body)
         self._pose = pose
-        self.rows = np.zeros(0, dtype=np.int64)
 
     def advance(self, pose: OdometryPose) -> FloatArray:
         """Follow the odometry to a pose of the same segment; returns ``T_local_body`` (4, 4) there."""
@@ -100,200 +95,183 @@ class ActiveLandmarks:
         if before is None:
             self.restart(pose)
         elif pose.stamp_ns != before.stamp_ns:
-            variances = self._odometry_inflation**2 * step_variances(before, pose, self._config.calibration.odometry)
-            self._local.advance(upright_step(before.T_odom_body, pose.T_odom_body), variances[::2])
+            config = self._config.calibration.odometry
+            variances = self._noise.factors * model_variances(before, pose, config)
+            covariance = covariance_of(variances, pose, self._noise.factors[0] * config.min_translation_sigma_m**2)
+            self._local.advance(relative(before.T_odom_body, pose.T_odom_body), covariance)
             self._pose = pose
-            rows = self.rows[self._slots < 0]
-            landmarks = self._map.rows
-            offsets = landmarks["position_local"][rows] - self.T_local_body[:3, 3]
-            covariances = predict_covariances(landmarks["covariance_local"][rows], offsets, variances)
-            self._map.assign(rows, covariance_local=covariances)
+            self._move(before.stamp_ns, pose.stamp_ns)
         return self.T_local_body
 
-    def anchor(self) -> None:
-        """Let covariances be relative to where the robot is now."""
-        self._local.anchor()
+    def at(self, pose: OdometryPose) -> FloatArray:
+        """``T_local_body`` (4, 4) at a pose of the segment; landmarks are advanced to it if it is a later one."""
+        if self._pose is not None and pose.stamp_ns < self._pose.stamp_ns:
+            return np.asarray(self.T_local_odom @ pose.T_odom_body)
+        return self.advance(pose)
 
-    def predict(self, stamp_ns: int) -> Prediction:
-        """Where the active landmarks should be at a time; those that seem to move go on moving."""
-        landmarks, rows = self._map.rows, self.rows
-        positions, covariances = landmarks["position_local"][rows], landmarks["covariance_local"][rows]
-        velocities = landmarks["velocity_local"][rows]
-        if velocities.any():
-            seconds = (stamp_ns - landmarks["last_seen_ns"][rows]) * 1e-9
-            acceleration = velocities.any(axis=1) * MOVING_ACCELERATION_RANGES * self._config.sensor_range_m
-            swerve_m = acceleration * seconds * np.maximum(seconds, MIN_SWERVE_S)
-            positions += seconds[:, None] * velocities
-            covariances += (swerve_m**2)[:, None, None] * np.eye(3)
-        held = self._held.indices
-        if len(held) and self._pose is not None:
-            travel_m = np.abs(self._pose.travel_m - landmarks["last_seen_travel_m"][rows[held]])
-            heights = covariances[held, 2, 2] + self._config.calibration.odometry.translation_sigma**2 * travel_m
-            positions[held, :2] = self._held.positions
-            covariances[held] = 0.0
-            covariances[held, :2, :2] = self._held.covariances
-            covariances[held, 2, 2] = heights
-        return Prediction(positions, covariances)
+    def _move(self, before_ns: int, after_ns: int) -> None:
+        """Let landmarks that seem to move go on moving."""
+        landmarks = self._map.rows
+        slots = np.flatnonzero(landmarks["velocity_local"][self.rows].any(axis=1))
+        if not len(slots):
+            return
+        rows = self.rows[slots]
+        shifts = landmarks["velocity_local"][rows] * (1e-9 * (after_ns - before_ns))
+        seen_ns = landmarks["last_seen_ns"][rows]
+        swerves_m2 = [self._swerve_variances(1e-9 * (stamp_ns - seen_ns)) for stamp_ns in (before_ns, after_ns)]
+        self._local.move(slots, shifts, np.maximum(swerves_m2[1] - swerves_m2[0], 0.0))
 
-    def predict_from(self, pose: OdometryPose) -> tuple[FloatArray, Prediction]:
-        """``T_local_body`` (4, 4) at a pose not yet moved to, and where active landmarks should be from there."""
-        assert self._pose is not None
-        T_local_body = np.asarray(self._local.T_local_odom(self._pose.T_odom_body) @ pose.T_odom_body)
-        predicted = self.predict(pose.stamp_ns)
-        variances = self._odometry_inflation**2 * step_variances(self._pose, pose, self._config.calibration.odometry)
-        offsets = predicted.positions - T_local_body[:3, 3]
-        return T_local_body, Prediction(
-            predicted.positions, predict_covariances(predicted.covariances, offsets, variances)
+    def _swerve_variances(self, seconds: FloatArray) -> FloatArray:
+        swerve_m = (
+            MOVING_ACCELERATION_RANGES * self._config.sensor_range_m * seconds * np.maximum(seconds, MIN_SWERVE_S)
         )
+        return np.asarray(swerve_m**2)
 
-    def update(self, indices: IntArray, predicted: Prediction, seen: Scan, covariances: FloatArray) -> None:
+    def predict(self) -> Prediction:
+        """Where the active landmarks should be seen from the pose that was advanced to."""
+        return Prediction(*self._local.predict(np.arange(len(self.rows))))
+
+    def known_landmarks(self, slots: IntArray | None = None) -> KnownLandmarks:
+        """The active landmarks, or some of them by their indices in ``rows``, with their joint covariance."""
+        slots = np.arange(len(self.rows)) if slots is None else slots
+        joint = self._local.relative_covariance(slots)
+        return KnownLandmarks(*self._local.predict(slots), self._map.beliefs(self.rows[slots]), joint)
+
+    def shift(self, T_correction: FloatArray, covariance: FloatArray) -> FloatArray:
+        """Correct the pose of the body by (4, 4) in the local frame, and add a covariance (6, 6) to its error, local
+        axes; returns the same correction (4, 4) in the frame of the odometry, whose poses it corrects from now on.
+        """
+        assert self._pose is not None
+        T_local_odom = self.T_local_odom
+        self._local.shift(T_correction, covariance)
+        T_odom_correction = rigid(invert(T_local_odom) @ T_correction @ T_local_odom)
+        self._pose = replace(self._pose, T_odom_body=rigid(T_odom_correction @ self._pose.T_odom_body))
+        return T_odom_correction
+
+    def update(self, rows: IntArray, scan: Scan, common: FloatArray, *, is_uncertain: bool) -> None:
         """Correct landmarks and robot by detections of them.
 
         Args:
-            indices: (K,) into ``rows``.
-            predicted: of all active landmarks.
-            seen: K detections, local frame.
-            covariances: (K, 3, 3) m^2 with which they correct the robot's pose and confirmed landmarks.
+            rows: (K,) of active landmarks.
+            scan: K detections, in the frame of the body.
+            common: (K, 3, 3) m^2, added to the covariances where they correct the robot's pose.
+            is_uncertain: the pose is less certain than the detections; then tentative landmarks correct it, too, where
+                there are too few confirmed ones. They may be of moving objects.
         """
-        rows = self.rows[indices]
-        positions, filtered = update_positions(
-            predicted.positions[indices], predicted.covariances[indices], seen.positions, seen.covariances
-        )
-        slots = self._slots[indices]
-        held = np.flatnonzero(slots >= 0)
-        offsets = seen.positions[held, :2] - self.T_local_body[:2, 3]
-        self._local.update(slots[held], offsets, covariances[held, :2, :2])
-        self._map.assign(rows, position_local=positions, covariance_local=filtered)
-        self._place_confirmed()
-        if len(held):
-            block = np.zeros((len(held), 3, 3))
-            block[:, :2, :2] = self._local.predict(slots[held])[1]
-            block[:, 2, 2] = filtered[held, 2, 2]
-            self._map.assign(rows[held], covariance_local=block)
+        landmarks, indices = self._map.rows[rows], self._local.slots(rows)
+        corrects = landmarks["state"] == LandmarkState.CONFIRMED
+        if is_uncertain and np.count_nonzero(corrects) < FIXING_LANDMARKS:
+            corrects = (landmarks["state"] != LandmarkState.RETIRED) & ~landmarks["velocity_local"].any(axis=1)
+        seen = scan.seen_from(self.T_local_body)
+        offsets = seen.positions[corrects] - self.T_local_body[:3, 3]
+        self._correct(indices[corrects], offsets, seen.covariances[corrects] + common[corrects])
+        others = ~corrects
+        seen = scan.seen_from(self.T_local_body)
+        offsets = seen.positions[others] - self.T_local_body[:3, 3]
+        self._local.update_landmarks(indices[others], offsets, seen.covariances[others])
+        self._store()
+
+    def _correct(self, slots: IntArray, offsets: FloatArray, covariances: FloatArray) -> None:
+        """Correct the state by landmarks, and learn from it how large the errors of the odometry are."""
+        if len(slots) < 3:
+            self._local.update(slots, offsets, covariances)
+            return
+        R, before = self.T_local_body[:3, :3], self._local.positions[slots] - self.T_local_body[:3, 3]
+        joint = self._local.relative_covariance(slots)
+        self._local.update(slots, offsets, covariances)
+        after = (self._local.positions[slots] - self.T_local_body[:3, 3]) @ self.T_local_body[:3, :3] @ R.T
+        fit = fit_of(before)
+        reduction = fit @ (joint - self._local.relative_covariance(slots)) @ fit.T
+        self._noise.add(fit @ (after - before).ravel(), reduction)
+
+    def correct_odometry(self, T_local_odom: FloatArray) -> FloatArray:
+        """Let the odometry have the pose of the body by the landmarks, if it was in the local frame by (4, 4); returns
+        the correction (4, 4) of its poses, in its frame.
+        """
+        assert self._pose is not None
+        T_odom_body = invert(T_local_odom) @ self.T_local_body
+        T_odom_correction = rigid(T_odom_body @ invert(self._pose.T_odom_body))
+        self._pose = replace(self._pose, T_odom_body=rigid(T_odom_correction @ self._pose.T_odom_body))
+        return T_odom_correction
+
+    @property
+    def is_odometry_doubtful(self) -> bool:
+        """Whether the odometry errs more than data association allows for slips anyway."""
+        return bool((self._noise.factors > DOUBTED_FACTOR * self._least_noise).any())
+
+    def excess_variances(self, pose: OdometryPose) -> FloatArray:
+        """(3,) by which errors of the step to a pose exceed what data association allows for slips anyway."""
+        excess = self._noise.factors - DOUBTED_FACTOR * self._least_noise
+        if self._pose is None or pose.segment != self._pose.segment or not (excess > 0.0).any():
+            return np.zeros(3)
+        return np.maximum(excess, 0.0) * model_variances(self._pose, pose, self._config.calibration.odometry)
 
     def add(self, rows: IntArray) -> None:
         """Make landmarks active; they are tentative until they are confirmed."""
-        if len(rows):
-            self.rows = np.concatenate([self.rows, rows])
-
-    def confirm(self, rows: IntArray) -> None:
-        """Let confirmed landmarks (K,), active and in view, correct the robot's pose from now on.
-
-        Of more than can be kept the others are made inactive at once: the filter's memory grows with their square.
-        """
-        most = MAX_LANDMARKS
-        if len(rows) > most:
-            self.drop(rows[:-most])
-            rows = rows[-most:]
-        if len(rows):
-            landmarks = self._map.rows[rows]
-            offsets = landmarks["position_local"][:, :2] - self.T_local_body[:2, 3]
-            self._local.insert(rows, offsets, landmarks["covariance_local"][:, :2, :2])
+        landmarks = self._map.rows[rows]
+        self._local.insert(rows, landmarks["position_local"] - self.T_local_body[:3, 3], landmarks["covariance_local"])
 
     def drop(self, rows: IntArray) -> None:
         """Make landmarks inactive."""
-        if len(rows):
-            self.rows = self.rows[(self.rows[:, None] != rows).all(axis=1)]
-            self._local.remove(rows)
-
-    def release(self, rows: IntArray) -> None:
-        """Let landmarks correct the robot's pose no longer, but go on following them."""
         self._local.remove(rows)
 
-    def uncertain(self) -> BoolArray:
-        """(A,) which confirmed landmarks may be confused with others of their class by now, or are too many to keep."""
-        uncertain = np.zeros(len(self.rows), dtype=np.bool_)
-        held, covariances = self._held.indices, self._held.covariances
-        if len(held) == 0:
-            return uncertain
-        variances, covariance = np.diagonal(covariances, axis1=1, axis2=2), covariances[:, 0, 1]
-        largest = 0.5 * variances.sum(axis=1) + np.hypot(0.5 * (variances[:, 0] - variances[:, 1]), covariance)
-        distances = np.linalg.norm(self._held.positions - self.T_local_body[:2, 3], axis=1)
-        uncertain[held] = (np.sqrt(largest) > self._config.calibration.objects.spacing_m) | (
-            distances > ACTIVE_RADII * self._config.calibration.detection.farthest_m
-        )
-        excess = len(held) - MAX_LANDMARKS
-        if excess > 0:
-            oldest = np.argsort(self._map.rows["last_seen_ns"][self.rows[held]], kind="stable")[:excess]
-            uncertain[held[oldest]] = True
-        return uncertain
+    def surplus(self) -> BoolArray:
+        """(A,) which landmarks are too far to be seen again soon, or too many to keep: the longest unseen ones."""
+        landmarks, rows = self._map.rows, self.rows
+        distances = np.linalg.norm(self._local.positions - self.T_local_body[:3, 3], axis=1)
+        gone = distances > ACTIVE_RADII * self._config.calibration.detection.farthest_m
+        confirmed = landmarks["state"][rows] == LandmarkState.CONFIRMED
+        for members in (np.flatnonzero(confirmed & ~gone), np.flatnonzero(~confirmed & ~gone)):
+            excess = len(members) - MAX_LANDMARKS
+            if excess > 0:
+                oldest = np.argsort(landmarks["last_seen_ns"][rows[members]], kind="stable")[:excess]
+                gone[members[oldest]] = True
+        return np.asarray(gone)
 
-    def _place_confirmed(self) -> None:
-        """Put the confirmed landmarks where the local map has them; their heights stay."""
-        positions = self._map.rows["position_local"][self._local.ids]
-        positions[:, :2] = self._local.positions()
-        self._map.assign(self._local.ids, position_local=positions)
+    def merge_duplicates(self, scan: int) -> list[tuple[int, int]]:
+        """Merge landmarks that were seen lately with confirmed ones that they are; returns rows (kept, dropped).
 
-    def merge_duplicates(self) -> list[tuple[int, int]]:
-        """Merge confirmed landmarks that are one object; returns rows (kept, dropped).
-
-        Two are one if that is ``SAME_PROBABILITY`` likely: by the density at zero of their difference against the
-        density at which objects of the class stand around.
+        It is the question of a scan, asked of all that was seen in the latest scans: where is the body among the
+        landmarks that were not? ``scan``: number of the latest.
         """
-        merged = []
-        while (pair := self._duplicate()) is not None:
-            kept, dropped = pair
+        landmarks = self._map.rows[self.rows]
+        confirmed = landmarks["state"] == LandmarkState.CONFIRMED
+        recent = confirmed & (landmarks["last_scan"] > scan - RECENT_SCANS)
+        if not recent.any():
+            return []
+        recent &= landmarks["first_scan"] > landmarks["last_scan"][~recent & confirmed].max(initial=0) - RECENT_SCANS
+        first_scan = landmarks["first_scan"][recent].min(initial=np.iinfo(np.int64).max)
+        earlier = np.flatnonzero(confirmed & ~recent & (landmarks["last_scan"] < first_scan))
+        latest = np.flatnonzero(recent)
+        if not len(earlier) or not len(latest):
+            return []
+        origin = self.T_local_body[:3, 3]
+        own = self._own_covariances(latest, origin) + self._view_variance * np.eye(3)
+        seen = Objects(self._local.positions[latest], own, self._map.classes(self.rows[latest]))
+        search = ModeSearch(seen, self.known_landmarks(earlier), origin, self._config.calibration.objects)
+        modes = search.modes([PriorComponent(1.0, np.zeros((6, 6)))])
+        pairs = np.array([mode.assignment.landmark_rows for mode in modes])
+        share = ((pairs == pairs[0]) * probabilities(modes)[:, None]).sum(axis=0)
+        sure = np.flatnonzero((share >= SAME_PROBABILITY) & (pairs[0] >= 0))
+        alike = self._map.classes(self.rows[earlier[pairs[0][sure]]]) == self._map.classes(self.rows[latest[sure]])
+        merged = [(int(self.rows[earlier[pairs[0][k]]]), int(self.rows[latest[k]])) for k in sure[alike]]
+        for kept, dropped in merged:
             self._local.merge(kept, dropped, self._view_variance)
-            self.rows = self.rows[self.rows != dropped]
-            self._place_confirmed()
-            merged.append(pair)
+        if merged:
+            self._store()
         return merged
 
-    def _duplicate(self) -> tuple[int, int] | None:
-        """The likeliest pair of landmarks that are one, the older one first."""
-        ids = self._local.ids
-        if len(ids) < 2:
-            return None
-        classes, scans = self._map.classes(ids), self._map.rows["last_scan"][ids]
-        # Two that were seen in one scan are two.
-        first, second = np.nonzero(np.triu((classes[:, None] == classes) & (scans[:, None] != scans), 1))
-        positions = self._local.positions()
-        # Whatever their correlation is, the variance of a difference is at most twice the sum of both.
-        offsets, variances = positions[first] - positions[second], self._local.variances()
-        largest = 2.0 * (variances[first] + variances[second] + self._view_variance)
-        near = np.einsum("ki,ki->k", offsets, offsets) < 14.0 * largest
-        first, second = first[near], second[near]
-        if len(first) == 0:
-            return None
-        difference, covariances = self._local.difference(first, second)
-        covariances = covariances + self._view_variance * np.eye(2)
-        near = np.einsum("ki,ki->k", difference, difference) < 14.0 * np.trace(covariances, axis1=1, axis2=2)
-        first, second, difference, covariances = first[near], second[near], difference[near], covariances[near]
-        if len(first) == 0:
-            return None
-        distances = np.einsum("ki,ki->k", difference, np.linalg.solve(covariances, difference[..., None])[..., 0])
-        area = float(np.prod(np.maximum(np.ptp(positions, axis=0), 1e-3)))
-        clutter = np.bincount(classes)[classes[first]] / area
-        llr = -0.5 * (distances + np.log(np.linalg.det(2.0 * np.pi * covariances))) - np.log(clutter)
-        llr[distances > float(chdtri(2, 1.0 - GATE_PROBABILITY))] = -np.inf
-        best = int(np.argmax(llr))
-        if llr[best] < np.log(SAME_PROBABILITY / (1.0 - SAME_PROBABILITY)):
-            return None
-        kept, dropped = sorted((int(ids[first[best]]), int(ids[second[best]])))
-        return kept, dropped
+    def _own_covariances(self, slots: IntArray, origin: FloatArray) -> FloatArray:
+        """What the errors of landmarks do not share with one another, (K, 3, 3) m^2."""
+        return common_error(self._local.positions[slots] - origin, self._local.relative_covariance(slots))[1]
+
+    def _store(self) -> None:
+        """Write the positions and covariances of the active landmarks to the object map."""
+        predicted = self.predict()
+        self._map.assign(self.rows, position_local=predicted.positions, covariance_local=predicted.covariances)
 
     @property
     def _view_variance(self) -> float:
         """By how much [m^2] two views of an object differ in where they put it."""
-        return (
-            2.0
-            * max(self._config.calibration.detection.common_sigma_m, MIN_SIGMA_RANGES * self._config.sensor_range_m)
-            ** 2
-        )
-
-    @property
-    def _held(self) -> _Held:
-        """The active landmarks in the EKF as they are now."""
-        known, slots, pose = self._known_held, self._slots, self._local.pose
-        if known is None or known[0] is not slots or known[1] is not pose:
-            indices = np.flatnonzero(slots >= 0)
-            self._known_held = known = slots, pose, _Held(indices, *self._local.predict(slots[indices]))
-        return known[2]
-
-    @property
-    def _slots(self) -> IntArray:
-        """(A,) of the active landmarks in the EKF; -1 for those that it does not hold."""
-        known, ids = self._known_slots, self._local.ids
-        if known is None or known[0] is not self.rows or known[1] is not ids:
-            self._known_slots = known = self.rows, ids, self._local.slots(self.rows)
-        return known[2]
+        least_m = MIN_SIGMA_RANGES * self._config.sensor_range_m
+        return 2.0 * max(self._config.calibration.detection.common_sigma_m, least_m) ** 2

@@ -9,7 +9,7 @@ detections costs no more than its neighbourhoods.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.spatial import cKDTree
 from scipy.special import chdtri
 
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.calibration import ObjectCalibration
 
 NEW, AMBIGUOUS = -1, -2
@@ -28,18 +28,37 @@ GATE_PROBABILITY = 0.9995
 """Share of true matches that the chi-squared gate (3 degrees of freedom) keeps."""
 NEW_OBJECT_GATE_PROBABILITY = 0.999999
 """A detection outside the gate of every landmark, but not as far off as that, is left out."""
+EXCLUDED_RATIO = 0.01
+"""A landmark is excluded by its label where another one is so many times likelier."""
+INCONSISTENT_SIGMAS = 6.0
+"""Standard deviations above the mean of a sum of squared distances, which is chi-squared."""
 FEW_DISTANCES = 2**14
 """So many distances are computed sooner than trees are built."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Objects:
+    """Detections: positions (D, 3) m, covariances (D, 3, 3) m^2, and the index (D,) of each label in the vocabulary."""
+
+    positions: FloatArray
+    covariances: FloatArray
+    labels: IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Assignment:
     """``landmark_rows`` (D,) int64: the row of each detection's landmark, ``NEW`` where it has none,
     ``AMBIGUOUS`` where it has none although one is near: it may be a bad measurement of that.
-    ``log_likelihood_ratios`` (D,): of each match, against a detection of no landmark; 0 for the others."""
+    ``log_likelihood_ratios`` (D,): of each match, against a detection of no landmark; 0 for the others.
+    ``is_contested``: a detection is near several landmarks, or several detections are near one.
+    ``is_uncertain``: what landmarks should be seen at has twice the variance of what they are seen at, in the median.
+    ``is_inconsistent``: the matches are farther apart, all together, than their covariances explain."""
 
     landmark_rows: IntArray
     log_likelihood_ratios: FloatArray
+    is_contested: bool = False
+    is_uncertain: bool = False
+    is_inconsistent: bool = False
 
     @property
     def matched(self) -> NDArray[np.bool_]:
@@ -51,6 +70,12 @@ class Assignment:
         """(D,) whether the detection is of no landmark; the others are too near to one to say."""
         return np.equal(self.landmark_rows, NEW)
 
+    def of(self, count: int) -> Assignment:
+        """That of the first detections."""
+        return replace(
+            self, landmark_rows=self.landmark_rows[:count], log_likelihood_ratios=self.log_likelihood_ratios[:count]
+        )
+
     @property
     def log_likelihood_ratio(self) -> float:
         """Of all matches, against none of them."""
@@ -58,9 +83,7 @@ class Assignment:
 
 
 def associate(
-    positions: FloatArray,
-    covariances: FloatArray,
-    labels: IntArray,
+    seen: Objects,
     landmark_positions: FloatArray,
     landmark_covariances: FloatArray,
     landmark_beliefs: FloatArray,
@@ -69,9 +92,7 @@ def associate(
     """Assign detections to landmarks, all given in one frame that is smooth around the robot.
 
     Args:
-        positions: (D, 3) m, detections.
-        covariances: (D, 3, 3) m^2, of the detections.
-        labels: (D,) index of each detection's label in the vocabulary.
+        seen: the D detections.
         landmark_positions: (L, 3) m, predicted.
         landmark_covariances: (L, 3, 3) m^2, of the landmarks relative to the robot.
         landmark_beliefs: (L, C) class probabilities, rows sum to 1.
@@ -80,6 +101,7 @@ def associate(
     Returns:
         The assignment; nothing is assigned twice. D = 0 or L = 0 gives no match.
     """
+    positions, covariances, labels = seen.positions, seen.covariances, seen.labels
     rows, ratios = np.full(len(positions), NEW, dtype=np.int64), np.zeros(len(positions))
     if len(positions) == 0 or len(landmark_positions) == 0:
         return Assignment(rows, ratios)
@@ -93,16 +115,36 @@ def associate(
     distance_squared, determinant = squared_distances(innovation, S)
     classes = landmark_beliefs.shape[1]
     belief = landmark_beliefs[landmark, labels[detection]]
-    label_cost = -2.0 * np.log(label_likelihood(belief, classes, config))
+    likelihood = label_likelihood(belief, classes, config)
+    label_cost = -2.0 * np.log(likelihood)
     pair_cost = distance_squared + np.log((2.0 * np.pi) ** 3 * determinant) + label_cost
-    none_cost = -2.0 * np.log(config.new_object_density / classes)
+    shares = other_shares(labels[detection], landmark, landmark_beliefs)
+    none_cost = -2.0 * np.log(config.new_object_density * shares)
 
-    rows[detection[(belief >= 0.5) & (distance_squared <= outer_gate)]] = AMBIGUOUS
+    # The tail of a Gaussian of any larger width: the width that fits best is that of the offset itself.
+    excess = np.maximum(distance_squared / 3.0, 1.0)
+    tail_cost = pair_cost + 3.0 * (1.0 + np.log(excess) - excess)
+    rows[detection[(belief >= 0.5) & (distance_squared <= outer_gate) & (tail_cost < none_cost)]] = AMBIGUOUS
     inside = np.flatnonzero(distance_squared <= gate)
-    taken = inside[_cheapest(detection[inside], landmark[inside], pair_cost[inside], none_cost)]
+    inside = inside[pair_cost[inside] < none_cost[inside]]  # a dearer pair is in no cheapest assignment
+    contested = _is_contested(detection[inside], landmark[inside])
+    taken = inside[_cheapest(detection[inside], landmark[inside], none_cost[inside] - pair_cost[inside], contested)]
     rows[detection[taken]] = landmark[taken]
-    ratios[detection[taken]] = 0.5 * (none_cost - pair_cost[taken])
-    return Assignment(rows, ratios)
+    ratios[detection[taken]] = 0.5 * (none_cost[taken] - pair_cost[taken])
+    likeliest = np.zeros(len(positions))
+    np.maximum.at(likeliest, detection[inside], likelihood[inside])
+    alike = inside[likelihood[inside] > EXCLUDED_RATIO * likeliest[detection[inside]]]
+    variances = (np.einsum("nii->n", each) for each in (landmark_covariances[landmark], covariances[detection]))
+    # What is near a landmark and yet outside its gate is as far off as the gate, at least.
+    ambiguous = int(np.count_nonzero(rows == AMBIGUOUS))
+    count, squares = len(taken) + ambiguous, float(distance_squared[taken].sum()) + gate * ambiguous
+    return Assignment(
+        rows,
+        ratios,
+        is_contested=bool(_is_contested(detection[alike], landmark[alike]).any()),
+        is_uncertain=bool(np.median(next(variances)) > 2.0 * np.median(next(variances))),
+        is_inconsistent=squares > 3.0 * count + INCONSISTENT_SIGMAS * np.sqrt(6.0 * count),
+    )
 
 
 def squared_distances(offsets: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -121,26 +163,38 @@ def squared_distances(offsets: FloatArray, covariances: FloatArray) -> tuple[Flo
     return x * x / first + y * y / second + z * z / third, first * second * third
 
 
+def density(positions: FloatArray, covariances: FloatArray) -> float:
+    """Objects per m^3 among N at ``positions`` (N, 3) m, known by covariances (M, 3, 3) m^2.
+
+    The volume is that of the cylinder that holds them. What stands at one place is spread by the noise alone: by
+    sqrt(2 pi e) standard deviations, the entropy of a Gaussian.
+    """
+    spread = np.sqrt(2.0 * np.pi * np.e * np.median(np.diagonal(covariances, axis1=1, axis2=2), axis=0))
+    radius_m = float(np.max(np.linalg.norm(positions[:, :2] - np.median(positions[:, :2], axis=0), axis=1)))
+    height_m = max(float(np.ptp(positions[:, 2])), float(spread[2]))
+    return len(positions) / (np.pi * max(radius_m, float(spread[:2].mean())) ** 2 * height_m)
+
+
 @lru_cache
 def _gate(probability: float) -> float:
     """The squared distance in three dimensions that is exceeded with 1 - ``probability``."""
     return float(chdtri(3, 1.0 - probability))
 
 
-def _cheapest(detection: IntArray, landmark: IntArray, pair_cost: FloatArray, none_cost: float) -> IntArray:
-    """Which pairs (P,), none of the same detection or landmark as another, cost least with ``none_cost`` for each
-    detection that is in none.
-    """
-    worth = np.flatnonzero(pair_cost < none_cost)  # a dearer pair is in no cheapest assignment
-    detection, landmark, pair_cost = detection[worth], landmark[worth], pair_cost[worth]
-    contested = (np.bincount(detection)[detection] > 1) | (np.bincount(landmark)[landmark] > 1)
+def _is_contested(detection: IntArray, landmark: IntArray) -> BoolArray:
+    """Which pairs (P,) share a detection or a landmark with another."""
+    return np.asarray((np.bincount(detection)[detection] > 1) | (np.bincount(landmark)[landmark] > 1))
+
+
+def _cheapest(detection: IntArray, landmark: IntArray, gain: FloatArray, contested: BoolArray) -> IntArray:
+    """Which pairs (P,), none of the same detection or landmark as another, gain most."""
     if not contested.any():
-        return worth
+        return np.arange(len(detection))
     (row, rows), (column, columns) = _ranks(detection[contested]), _ranks(landmark[contested])
     shape = rows, columns
     solve = _partners if rows * columns <= FEW_DISTANCES else _partners_of_many
-    partner = solve(row, column, none_cost - pair_cost[contested], shape)
-    return np.sort(np.concatenate([worth[~contested], worth[contested][partner[row] == column]]))
+    partner = solve(row, column, gain[contested], shape)
+    return np.sort(np.concatenate([np.flatnonzero(~contested), np.flatnonzero(contested)[partner[row] == column]]))
 
 
 def _ranks(values: IntArray) -> tuple[IntArray, int]:
@@ -182,6 +236,18 @@ def label_likelihood(belief_in_label: FloatArray, classes: int, config: ObjectCa
         return np.ones_like(belief_in_label)
     wrong = (1.0 - config.label_accuracy) / (classes - 1)
     return belief_in_label * config.label_accuracy + (1.0 - belief_in_label) * wrong
+
+
+def other_shares(labels: IntArray, landmarks: IntArray, beliefs: FloatArray) -> FloatArray:
+    """Share (P,) of the objects but one that have a label, for pairs of a label (P,) and the landmark (P,) left out.
+
+    ``beliefs`` (L, C) are class probabilities of the landmarks. The prior has the weight of one object (Perks 1947), so
+    that a label that only one landmark has hardly is another object's. One that none has is as likely as any.
+    """
+    count, classes = beliefs.shape
+    totals = beliefs.sum(axis=0)[labels]
+    others = np.maximum(totals - beliefs[landmarks, labels], 0.0)
+    return np.asarray((others + 1.0 / classes) / count + np.maximum(1.0 - totals, 0.0) / classes)
 
 
 def _near_pairs(

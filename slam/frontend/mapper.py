@@ -18,23 +18,20 @@ from slam.backend.factors import Edge, EdgeKind
 from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
-from slam.common.geometry import invert, relative
+from slam.common.geometry import relative
 from slam.frontend.active_landmarks import ActiveLandmarks
-from slam.frontend.continuity import scan_log_likelihood_ratio
-from slam.frontend.data_association import associate
+from slam.frontend.data_association import AMBIGUOUS, NEW
 from slam.frontend.existence import which_exist
 from slam.frontend.input.scan import Scan
 from slam.frontend.pending_observations import PendingObservations
-from slam.frontend.scan_alignment import Alignment, align_scan
+from slam.frontend.tracker import Tracked, Tracker
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from slam.object_map.velocities import velocities
 from slam.odometry.keyframe import Keyframe, is_keyframe_due
 from slam.odometry.noise import BREAK_SIGMA_RAD, BREAK_SIGMA_RANGES, step_covariance
 from slam.odometry.pose import OdometryPose
+from slam.odometry.track import Correction
 
-# After that travel, in sensor ranges, covariances of the local map are made relative to the robot again: what is in
-# view is far nearer, and a small turn about a start far away is a large shift.
-ANCHOR_RANGES = 10.0
 CONFIRM_OBSERVATIONS = 4
 """Observations that confirm a landmark."""
 CONFIRM_FRACTION, DETECTED_SHARE = 0.4, 0.5
@@ -58,18 +55,27 @@ class Mapper:
         self, config: Config, object_map: ObjectMap, graph: FactorGraph, prior_keyframes: Sequence[Keyframe] = ()
     ) -> None:
         self._config = config
-        self._map = object_map
-        self._graph = graph
-        self._active = ActiveLandmarks(config, object_map)
-        self._pending = PendingObservations(config, object_map)
         objects = config.calibration.objects
         self._confirm_fraction = min(CONFIRM_FRACTION, DETECTED_SHARE * objects.detection_probability)
         self._max_missed_scans = MISSED_SCANS * objects.detection_period
-        self._anchored_m = 0.0
+        self._map = object_map
+        self._graph = graph
+        self._active = ActiveLandmarks(config, object_map)
+        self._tracker = Tracker(config.calibration.objects, self._active, object_map)
+        self._pending = PendingObservations(config, object_map)
         self._message_count = 0
         self._sensors: set[str] = set()
         self._scan_count = 0
         self.keyframes: list[Keyframe] = [*prior_keyframes]
+
+    @property
+    def segment(self) -> int | None:
+        """Segment of the last keyframe; None before the first."""
+        return self.keyframes[-1].odometry.segment if self.keyframes else None
+
+    def tracked_pose(self, pose: OdometryPose) -> OdometryPose:
+        """A pose of the odometry as the last scan corrected it."""
+        return replace(pose, T_odom_body=self._active.T_odom_body)
 
     def add_odometry(self, pose: OdometryPose) -> Keyframe | None:
         """Follow the track to its newest pose; returns the keyframe if one was made there."""
@@ -85,10 +91,8 @@ class Mapper:
         if self.keyframes and pose.segment != self.keyframes[-1].odometry.segment:
             self._deactivate(np.ones(len(self._active.rows), dtype=np.bool_))
             self._active.restart(pose)
-        keyframe = Keyframe(len(self.keyframes), pose, self._active.advance(pose))
-        if pose.travel_m - self._anchored_m > ANCHOR_RANGES * self._config.sensor_range_m:
-            self._active.anchor()
-            self._anchored_m = pose.travel_m
+            self._tracker.restart()
+        keyframe = Keyframe(len(self.keyframes), pose, self._active.at(pose))
         if not self.keyframes:
             self._graph.add_first_keyframe(keyframe.id, pose.T_odom_body)
         else:
@@ -100,32 +104,52 @@ class Mapper:
             self._graph.update()
         return keyframe
 
-    def add_scan(self, scan: Scan, pose: OdometryPose) -> DetectionAssociations:
-        """Associate one scan, taken at ``pose``, with the landmarks around, and bring them up to date."""
-        self._count_scan(scan.sensor)
-        T_local_body = self._active.advance(pose)
+    def locate(self, scan: Scan, pose: OdometryPose) -> Tracked:
+        """Find where a scan, taken at ``pose``, was made among the landmarks around, and which of them it has."""
+        self._active.advance(pose)
         self._deactivate_stale(pose.travel_m)
-        T_keyframe_body = relative(self.keyframes[-1].odometry.T_odom_body, pose.T_odom_body)
-        in_local, in_keyframe = scan.seen_from(T_local_body), scan.seen_from(T_keyframe_body)
+        T_local_odom = self._active.T_local_odom
         labels = self._map.label_indices(scan.labels)
-        predicted = self._active.predict(scan.stamp_ns)
-        common = self._common_covariances(scan)
-        covariances = in_local.covariances + common
-        assignment = associate(
-            in_local.positions,
-            covariances,
-            labels,
-            predicted.positions,
-            predicted.covariances,
-            self._map.beliefs(self._active.rows),
-            self._config.calibration.objects,
-        )
-        known, new = assignment.matched, assignment.new
-        rows = np.full(len(known), -1, dtype=np.int64)
-        rows[known] = self._active.rows[assignment.landmark_rows[known]]
+        tracked = self._tracker.track(scan, labels, pose, self._common_covariances(scan))
+        self._update(tracked)
+        if tracked.correction is None and self._active.is_odometry_doubtful:
+            T_odom = self._active.correct_odometry(T_local_odom)
+            tracked = replace(tracked, correction=Correction(T_odom, np.zeros(3)))
+        if not tracked.is_lost:
+            self._tracker.follow(pose.stamp_ns)
+        return tracked
+
+    def excess_variances(self, pose: OdometryPose) -> FloatArray:
+        """(3,) by which the step from the last scan to a pose errs more than the noise of the odometry explains."""
+        return self._active.excess_variances(pose)
+
+    def rejoin(self, scan: Scan, pose: OdometryPose) -> Tracked | None:
+        """The same for a ``pose`` after a step that no body can have made; None where the detections do not tell."""
+        labels = self._map.label_indices(scan.labels)
+        tracked = self._tracker.rejoin(scan, labels, pose, self._common_covariances(scan))
+        if tracked is not None:
+            self._update(tracked)
+            self._tracker.follow(pose.stamp_ns)
+        return tracked
+
+    def _update(self, tracked: Tracked) -> None:
+        """Correct the active landmarks and the pose among them by a scan."""
+        known = tracked.landmark_rows >= 0
         # Errors that the scans of one view share are not averaged out by them.
-        independent = in_local.covariances + self._config.calibration.detection.scans_per_view * common
-        self._active.update(assignment.landmark_rows[known], predicted, in_local.of(known), independent[known])
+        shared = self._config.calibration.detection.scans_per_view * tracked.common[known]
+        rows, is_uncertain = tracked.landmark_rows[known], tracked.assignment.is_uncertain
+        self._active.update(rows, tracked.scan.of(known), shared, is_uncertain=is_uncertain)
+
+    def add_scan(self, tracked: Tracked, pose: OdometryPose) -> DetectionAssociations:
+        """Bring the landmarks up to date by a scan, whose keyframe is the last one."""
+        scan, labels = tracked.scan, tracked.labels
+        self._count_scan(scan.sensor)
+        in_local = tracked.seen
+        in_keyframe = scan.seen_from(relative(self.keyframes[-1].odometry.T_odom_body, pose.T_odom_body))
+        rows = tracked.landmark_rows
+        # Keyframes since then may have made landmarks inactive.
+        rows = np.where(np.isin(rows, self._active.rows) | (rows == NEW), rows, AMBIGUOUS)
+        known, new = rows >= 0, rows == NEW
         self._map.record_observations(
             rows[known],
             in_local.positions[known],
@@ -135,7 +159,7 @@ class Mapper:
             scan=self._scan_count,
             travel_m=pose.travel_m,
         )
-        ratios = self._map.rows["log_likelihood_ratio"][rows[known]] + assignment.log_likelihood_ratios[known]
+        ratios = self._map.rows["log_likelihood_ratio"][rows[known]] + tracked.assignment.log_likelihood_ratios[known]
         self._map.assign(rows[known], log_likelihood_ratio=ratios)
         if new.any():
             corrected = scan.seen_from(self._active.T_local_body)
@@ -154,43 +178,6 @@ class Mapper:
         self._update_life_cycle(rows[used])
         return _associations(scan, rows, new)
 
-    def log_likelihood_ratio(self, scan: Scan, pose: OdometryPose) -> float:
-        """Log-likelihood ratio of a scan between a pose that is not yet moved to and a place where nothing is known."""
-        T_local_body, predicted = self._active.predict_from(pose)
-        in_local = scan.seen_from(T_local_body)
-        return scan_log_likelihood_ratio(
-            in_local.positions,
-            in_local.covariances + self._common_covariances(scan),
-            self._map.label_indices(scan.labels),
-            predicted,
-            self._map.beliefs(self._active.rows),
-            self._config.calibration.objects,
-        )
-
-    def can_align(self, tolerances: FloatArray) -> bool:
-        """Whether objects are told apart from a pose that may be off by ``tolerances`` (2,) m and rad."""
-        farthest_m = tolerances[0] + tolerances[1] * self._config.sensor_range_m
-        return bool(farthest_m < self._config.calibration.objects.spacing_m)
-
-    def align(self, scan: Scan, pose: OdometryPose, tolerances: FloatArray) -> Alignment:
-        """The scan aligned with the landmarks around, from an expected pose that may be off by ``tolerances`` (2,) m
-        and rad; the correction is in the frame of the odometry.
-        """
-        T_local_body, predicted = self._active.predict_from(pose)
-        in_local = scan.seen_from(T_local_body)
-        alignment = align_scan(
-            in_local.positions,
-            in_local.covariances + self._common_covariances(scan),
-            self._map.label_indices(scan.labels),
-            predicted,
-            self._map.beliefs(self._active.rows),
-            self._config.calibration.objects,
-            origin=T_local_body[:3, 3],
-            sigmas=tolerances,
-        )
-        T_odom_local = pose.T_odom_body @ invert(T_local_body)
-        return replace(alignment, T_correction=T_odom_local @ alignment.T_correction @ invert(T_odom_local))
-
     def retire_gone(self, rows: IntArray) -> None:
         """Retire landmarks that no longer exist; a landmark that others were merged into was observed again."""
         rows = rows[~np.isin(rows, list(self._map.aliases.values()))]
@@ -208,7 +195,7 @@ class Mapper:
 
     def close_keyframe(self, *, ends_group: bool = True) -> None:
         """Add the observations since the last keyframe to the graph; those of tentative landmarks are held back."""
-        duplicates = self._active.merge_duplicates()
+        duplicates = self._active.merge_duplicates(self._scan_count)
         for kept, dropped in duplicates:
             self._map.merge(kept, dropped)
         if duplicates:
@@ -264,7 +251,6 @@ class Mapper:
             & (seconds >= CONFIRM_AGE_S)
         ]
         self._map.confirm(confirmed)
-        self._active.confirm(confirmed)
 
     def _deactivate_stale(self, travel_m: float) -> None:
         """Deactivate landmarks that were not observed for long; tentative and moving ones sooner."""
@@ -273,7 +259,7 @@ class Mapper:
         unseen_scans = self._scan_count - landmarks["last_scan"][rows]
         lost = (unseen_m > MISSED_RANGES * self._config.sensor_range_m) | (unseen_scans > self._max_missed_scans)
         stale = lost & (landmarks["state"][rows] != LandmarkState.CONFIRMED.value)
-        self._deactivate(stale | self._active.uncertain())
+        self._deactivate(stale | self._active.surplus())
 
     def _deactivate(self, gone: NDArray[np.bool_]) -> None:
         """Deactivate the landmarks ``gone`` (A,); tentative ones are retired."""
@@ -285,13 +271,11 @@ class Mapper:
         self._active.drop(rows)
 
     def _retire(self, rows: IntArray, reason: RetirementReason, *, stays_active: bool = False) -> None:
-        """Retire landmarks and remove them from the graph; moving ones are still followed, out of the local map."""
+        """Retire landmarks and remove them from the graph; moving ones are still followed, and correct nothing."""
         if not len(rows):
             return
         ended = self._map.retire(rows, reason)
-        if stays_active:
-            self._active.release(rows)
-        else:
+        if not stays_active:
             self._active.drop(rows)
         for row in rows.tolist():
             self._pending.drop(row)

@@ -89,14 +89,14 @@ class LoopCloser:
     def close(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
         """Look for loops at the newest keyframe; returns a record of every candidate, revised ones included."""
         self._track.add(keyframe)
-        self._retriever.index_inactive_landmarks(keyframe.odometry.travel_m)
+        self._retriever.index_inactive_landmarks(keyframe.odometry)
         query = self._take_query(keyframe)
         seen = recent_landmarks(self._map, keyframe.odometry, self._continuity.memory_m)
         first_after = self._continuity.update(keyframe, seen)
         if first_after is not None:
             self.lost_since_keyframe = first_after.id
             return [query.refusal(Stage.CONSISTENCY, "kidnapped: other landmarks are in view than a moment ago")]
-        if self._verifier.latest_m(query) <= self._keyframes[0].odometry.travel_m:
+        if self._verifier.latest_m(query) < self._keyframes[0].odometry.travel_m:
             return []
         # 1. Near an accepted closure the pose is predicted, and only verified.
         predicted = self._propagation.predict(query)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -61,8 +62,14 @@ class Verifier:
         )
 
     def latest_m(self, query: Query) -> float:
-        """Travel up to which landmarks and keyframes may be the reference of a loop closure."""
-        return query.travel_m - self._config.closure_travel_m
+        """Travel up to which landmarks and keyframes may be the reference of a loop closure.
+
+        Those of earlier segments of the odometry may all be.
+        """
+        segment = query.keyframe.odometry.segment
+        first = bisect_left(self._keyframes, segment, key=lambda keyframe: keyframe.odometry.segment)
+        began_m = self._keyframes[first].odometry.travel_m if first else -np.inf
+        return max(query.travel_m - self._config.closure_travel_m, began_m)
 
     def predict(self, seed_closure: Candidate, query: Query) -> Place | None:
         """The pose that a closure predicts for another keyframe of its segment, by the odometry between the two."""

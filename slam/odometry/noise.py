@@ -22,13 +22,17 @@ def step_variances(before: OdometryPose, after: OdometryPose, config: OdometryCa
     """Variances (3,) of the step between two poses of one segment.
 
     They are those of each coordinate of the position [m^2], of roll and pitch [rad^2], and of the heading [rad^2], with
-    those of a mended step in between.
+    what corrections in between add.
     """
+    return model_variances(before, after, config) + np.abs(after.corrected - before.corrected)
+
+
+def model_variances(before: OdometryPose, after: OdometryPose, config: OdometryCalibration) -> FloatArray:
+    """The same without corrections."""
     T_before_after = relative(before.T_odom_body, after.T_odom_body)
     length_m = max(abs(after.travel_m - before.travel_m), math.hypot(*T_before_after[:3, 3].tolist()))
     turn_rad = float(rotation_angle_rad(T_before_after))
     seconds = abs(after.stamp_ns - before.stamp_ns) * 1e-9
-    mended_m2, mended_rad2 = abs(after.mended_m2 - before.mended_m2), abs(after.mended_rad2 - before.mended_rad2)
     translation = max(config.min_translation_sigma_m**2, config.translation_sigma**2 * length_m)
     tilt = max(config.min_rotation_sigma_rad**2, config.tilt_sigma**2 * length_m)
     heading = max(
@@ -36,22 +40,25 @@ def step_variances(before: OdometryPose, after: OdometryPose, config: OdometryCa
     )
     return np.array(
         [
-            translation + config.translation_sigma_by_time**2 * seconds + mended_m2,
-            tilt + mended_rad2,
-            heading + config.yaw_sigma_by_time**2 * seconds + mended_rad2,
+            translation + config.translation_sigma_by_time**2 * seconds,
+            tilt,
+            heading + config.yaw_sigma_by_time**2 * seconds,
         ]
     )
 
 
-def step_covariance(
-    before: OdometryPose, after: OdometryPose, config: OdometryCalibration, *, heading_factor: float = 1.0
-) -> FloatArray:
-    """Covariance (6, 6) of the step between two poses of one segment, rotation first, in the axes of the body after it.
+def step_covariance(before: OdometryPose, after: OdometryPose, config: OdometryCalibration) -> FloatArray:
+    """Covariance (6, 6) of the step between two poses of one segment; see :func:`covariance_of`."""
+    corrected = abs(float(after.corrected[0] - before.corrected[0]))
+    return covariance_of(step_variances(before, after, config), after, config.min_translation_sigma_m**2 + corrected)
+
+
+def covariance_of(variances: FloatArray, after: OdometryPose, vertical: float) -> FloatArray:
+    """Covariance (6, 6) of a step to a pose with ``variances`` (3,), rotation first, in the axes of the body there.
 
     The heading errs about the vertical, which is not the z axis of a body that leans. Slips and wrong lengths are along
-    the ground: heights err by the tilt. ``heading_factor``: on the variance of the heading.
+    the ground: heights err by the tilt, and by ``vertical`` [m^2].
     """
-    translation, tilt, yaw = step_variances(before, after, config)
-    vertical = config.min_translation_sigma_m**2 + abs(after.mended_m2 - before.mended_m2)
-    upright = np.diag([tilt, tilt, heading_factor * yaw, translation, translation, vertical])
+    translation, tilt, heading = variances
+    upright = np.diag([tilt, tilt, heading, translation, translation, vertical])
     return covariance_in_axes(upright, after.T_odom_body[:3, :3])

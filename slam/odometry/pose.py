@@ -16,8 +16,8 @@ class OdometryPose:
     """One pose on the track; ``travel_m`` is the path length up to it, ``segment`` counts the breaks before it,
     ``speed_mps`` is the speed of the step that led to it,
     the greatest possible where that is not known. ``T_odom_reported`` leads from the frame that the messages are in to
-    that of the track, which goes on smoothly where a jump was mended; ``mended_m2`` and ``mended_rad2`` are the
-    variances that all mended steps so far add.
+    that of the track, which goes on smoothly where a jump was corrected; ``corrected`` (3,) are the
+    variances that all corrections so far add, of each coordinate [m^2], of the tilt and of the heading [rad^2].
     """
 
     stamp_ns: int
@@ -26,8 +26,7 @@ class OdometryPose:
     segment: int
     speed_mps: float
     T_odom_reported: FloatArray = field(default_factory=lambda: np.eye(4))
-    mended_m2: float = 0.0
-    mended_rad2: float = 0.0
+    corrected: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
 def between(before: OdometryPose, after: OdometryPose, stamp_ns: int) -> OdometryPose:

@@ -1,26 +1,19 @@
-"""The odometry as one track: poses by time, the travel so far, where it breaks, and where it was mended.
-
-A step that is not to be expected, after a silence, a jump or at another velocity, is held back together with what
-follows it, until somebody who has the detections decides how the track goes on: see ``UnexpectedStep``.
-"""
+"""The odometry as one track: poses by time, the travel so far, where it breaks, and where it was corrected."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from logs.messages import Odometry
 from slam.common.arrays import FloatArray
 from slam.common.calibration import DetectionCalibration
-from slam.common.geometry import invert, make_transform
-from slam.odometry.expected_motion import ExpectedMotion
+from slam.common.geometry import relative, rigid, rotation_vector
 from slam.odometry.pose import OdometryPose, pose_at
 from slam.odometry.step_limits import MAX_GAP_S, MAX_SPEED_RANGES, StepLimits
-from slam.odometry.unexpected_step import Continuation, Correction, UnexpectedStep
 
 # Scans wait for the odometry message that follows them; older ones than this many messages have lost their pose.
 HISTORY = 6000
@@ -30,9 +23,20 @@ LATE = 5.0
 JITTER_RANGES = 0.05 / 30.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction:
+    """What detections say of a pose of the track: ``T_odom`` (4, 4) moves it, in the odometry frame; ``variances``
+    (3,) of the corrected step: of each coordinate [m^2], of the tilt and of the heading [rad^2].
+    """
+
+    T_odom: FloatArray
+    variances: FloatArray
+
+
 class OdometryTrack:
     """The recent past of the odometry, for poses at the times of scans.
 
+    A step that no body can have made begins a new segment, until the detections show that it does not: ``correct``.
     ``counters`` is where it counts the messages that it cannot use; ``sensor_range_m`` is that of the detections.
     """
 
@@ -49,14 +53,11 @@ class OdometryTrack:
         self._first_segment = first_segment
         self._breaks_next = False
         self._poses: deque[OdometryPose] = deque(maxlen=HISTORY)
-        self._motion = ExpectedMotion(sensor_range_m)
-        self._held: list[Odometry] = []
+        self._jump: Odometry | None = None
         self._T_odom_reported = np.eye(4)
-        self._mended = np.zeros(2)  # m^2, rad^2
-        self._is_frozen = False
-        self._T_reported = np.eye(4)
+        self._corrected = np.zeros(3)
         self._doubtful: Odometry | None = None
-        self._arrived_ns, self._falls = np.iinfo(np.int64).min, False
+        self._arrived_ns, self._descends = np.iinfo(np.int64).min, False
         self._counted_xyz_m = np.zeros(3)
         self._T_odom_first = np.eye(4)
         self._counters = counters if counters is not None else Counter[str]()
@@ -67,18 +68,17 @@ class OdometryTrack:
         return self._poses[-1] if self._poses else None
 
     def add(self, odometry: Odometry) -> list[OdometryPose]:
-        """Take in a message; returns the poses that it adds to the track, mostly one.
+        """Add a message; returns the poses that it adds to the track, mostly one.
 
-        A message whose stamp is not later than that of the last pose adds none, nor does one in a row of stamps that
-        fall. The first message, and one that comes after a silence that is long beside the last interval, may
-        have a wrong stamp: it is put off until the next message, which confirms or refutes it. From an unexpected
-        step on, none adds any until ``resolve`` is called.
+        A message whose stamp is not later than that of the last pose adds none, nor does one in a row of descending
+        stamps. The first message, and one after a silence that is long beside the last interval, may have a wrong
+        stamp, and a message at a place that no body can have reached may be an outlier: the next one decides.
         """
         if odometry.stamp_ns < 0:  # by the correction of its clock; no log can hold such a time
             self._counters["odometry_before_time_zero"] += 1
             return []
         added = []
-        fell, self._falls = self._falls, odometry.stamp_ns < self._arrived_ns
+        descended, self._descends = self._descends, odometry.stamp_ns < self._arrived_ns
         self._arrived_ns = odometry.stamp_ns
         doubtful, self._doubtful = self._doubtful, None
         if doubtful is not None:
@@ -89,7 +89,7 @@ class OdometryTrack:
         last_ns = self._last_ns
         if last_ns is None:
             self._doubtful = odometry
-        elif odometry.stamp_ns <= last_ns or (fell and self._falls):
+        elif odometry.stamp_ns <= last_ns or (descended and self._descends):
             self._reject(odometry.stamp_ns == last_ns)
         elif self._comes_late(odometry, last_ns):
             self._doubtful = odometry
@@ -98,76 +98,76 @@ class OdometryTrack:
         return added
 
     def break_off(self) -> None:
-        """Let the next pose begin a new segment: something else than the odometry knows that it is broken."""
+        """Let the next pose begin a new segment: something else than the odometry shows that it is broken."""
         self._breaks_next = True
 
     def finish(self) -> list[OdometryPose]:
-        """Add what was held back or put off, if there is any: nothing refutes it any more."""
-        doubtful, self._doubtful = self._doubtful, None
-        added = [] if doubtful is None else self._take(doubtful)
-        while (step := self.unexpected) is not None:
-            added += self.resolve(step.default)
+        """Add the message that waits for the next one, if there is any: nothing refutes it any more."""
+        added = [] if self._doubtful is None else self._take(self._doubtful)
+        added += [] if self._jump is None else [self._append(self._jump)]
+        self._doubtful = self._jump = None
         return added
 
-    @property
-    def unexpected(self) -> UnexpectedStep | None:
-        """The step that waits for ``resolve``; None where none does."""
-        if not self._held:
-            return None
-        first, last, before = self._held[0], self._held[-1], self._poses[-1]
-        unmended = replace(
-            before,
-            stamp_ns=first.stamp_ns,
-            T_odom_body=self._T_odom_reported @ first.T_odom_body,
-            T_odom_reported=self._T_odom_reported,
-        )
-        poses = {Continuation.REPORTED: unmended}
-        T_expected, tolerances = self._motion.predict(first.stamp_ns), self._motion.tolerances(first.stamp_ns)
-        frozen_velocity = None
-        if T_expected is not None and np.isfinite(tolerances).all():
-            poses[Continuation.EXPECTED] = replace(
-                unmended,
-                T_odom_body=T_expected,
-                T_odom_reported=T_expected @ invert(first.T_odom_body),
-                mended_m2=before.mended_m2 + float(tolerances[0]) ** 2,
-                mended_rad2=before.mended_rad2 + float(tolerances[1]) ** 2,
-            )
-            if self._repeats(first):
-                frozen_velocity = self._motion.velocity
-        is_overdue = last.stamp_ns - first.stamp_ns > MAX_GAP_S * 1e9 or len(self._held) >= HISTORY
-        default = Continuation.BROKEN if self._is_beyond_limits(first) else Continuation.REPORTED
-        return UnexpectedStep(
-            tuple(self._held), poses, default, is_overdue, tolerances, frozen_velocity, self._is_frozen
-        )
+    def correct(self, since_ns: int, stamp_ns: int, correction: Correction, *, segment: int) -> None:
+        """Correct the track from the least usual step between two times on; it stays in a segment, the step included.
 
-    def resolve(self, continuation: Continuation, correction: Correction | None = None) -> list[OdometryPose]:
-        """Go on after an unexpected step; returns the poses that this adds. Another such step may be among them.
-
-        ``correction``: what the detections say of the pose that was expected.
+        Args:
+            since_ns: up to that time the track is right.
+            stamp_ns: of the pose that is corrected.
+            correction: of that pose, and so of those around it.
+            segment: of the last pose that is right.
         """
-        step = self.unexpected
-        assert step is not None
-        first, *others = self._held
-        self._held = []
-        if continuation is Continuation.BROKEN:
-            self._breaks_next = True
-        elif continuation is Continuation.EXPECTED:
-            self._mend(step, correction)
-        added = [self._append(first, is_usual=self._is_usual(first), correction=correction)]
-        for message in others:
-            added += self._take(message)
-        return added
+        self._counters["odometry_corrected"] += 1
+        first = self._least_usual(since_ns, stamp_ns)
+        self._T_odom_reported = rigid(correction.T_odom @ self._T_odom_reported)
+        self._corrected = self._corrected + correction.variances
+        before = self._poses[first - 1]
+        at = next((pose for pose in self._poses if pose.stamp_ns >= stamp_ns), self._poses[-1])
+        ends, extra_m = at.segment - segment, 0.0
+        for index in range(first, len(self._poses)):
+            pose = self._poses[index]
+            T_odom_body = correction.T_odom @ pose.T_odom_body
+            if index == first:
+                extra_m = before.travel_m - pose.travel_m
+                extra_m += float(np.linalg.norm(T_odom_body[:3, 3] - before.T_odom_body[:3, 3]))
+            self._poses[index] = replace(
+                pose,
+                T_odom_body=T_odom_body,
+                T_odom_reported=self._T_odom_reported,
+                travel_m=pose.travel_m + extra_m,
+                segment=max(pose.segment - ends, segment),
+                corrected=self._corrected,
+            )
+        self._counted_xyz_m = self._poses[-1].T_odom_body[:3, 3]
 
-    def _mend(self, step: UnexpectedStep, correction: Correction | None) -> None:
-        """Let the track go on at the pose that was expected, corrected by the detections."""
-        pose, last = step.first_poses[Continuation.EXPECTED], self._poses[-1]
-        self._T_odom_reported = pose.T_odom_reported
-        self._mended = np.array([pose.mended_m2, pose.mended_rad2])
-        if correction is not None:
-            self._T_odom_reported = _rigid(correction.T_odom @ pose.T_odom_reported)
-            self._mended = np.array([last.mended_m2, last.mended_rad2]) + correction.variances
-        self._is_frozen = step.is_frozen
-        self._counters["odometry_frozen" if step.is_frozen else "odometry_jumps_mended"] += 1
+    def loosen(self, since_ns: int, variances: FloatArray) -> None:
+        """Add variances (3,), as of a correction, to the step after a time."""
+        self._corrected = self._corrected + variances
+        for index in range(len(self._poses) - 1, -1, -1):
+            if self._poses[index].stamp_ns <= since_ns:
+                break
+            self._poses[index] = replace(self._poses[index], corrected=self._corrected)
+
+    def _least_usual(self, since_ns: int, stamp_ns: int) -> int:
+        """Index of the pose after the step that changes the velocity most, of those between two times."""
+        last = len(self._poses) - 1
+        while last > 1 and self._poses[last - 1].stamp_ns >= stamp_ns:
+            last -= 1
+        first = last
+        while first > 1 and self._poses[first - 1].stamp_ns > since_ns:
+            first -= 1
+        velocities = np.array([self._velocity(index) for index in range(max(first - 1, 1), last + 1)])
+        if first == last or len(velocities) < last - first + 2:
+            return last
+        changes = np.linalg.norm(np.diff(velocities, axis=0).reshape(-1, 2, 3), axis=2)
+        return first + int(np.argmax((changes / np.maximum(changes.max(axis=0), 1e-12)).max(axis=1)))
+
+    def _velocity(self, index: int) -> FloatArray:
+        """Velocity (6,), m/s and rad/s, of the step to a pose."""
+        before, after = self._poses[index - 1], self._poses[index]
+        T = relative(before.T_odom_body, after.T_odom_body)
+        seconds = (after.stamp_ns - before.stamp_ns) * 1e-9
+        return np.concatenate([T[:3, 3], rotation_vector(T[:3, :3])]) / seconds
 
     def at(self, stamp_ns: int) -> OdometryPose | None:
         """The pose at a time, between the two messages around it; None where the track has none or breaks there."""
@@ -176,7 +176,7 @@ class OdometryTrack:
     def _comes_late(self, odometry: Odometry, last_ns: int) -> bool:
         """Whether a message comes after a silence that is long beside the last interval."""
         long_ns = MAX_GAP_S * 1e9
-        if len(self._poses) > 1 and not self._held:
+        if len(self._poses) > 1 and self._jump is None:
             long_ns = min(long_ns, LATE * (last_ns - self._poses[-2].stamp_ns))
         return odometry.stamp_ns - last_ns > long_ns
 
@@ -185,44 +185,30 @@ class OdometryTrack:
 
     @property
     def _last_ns(self) -> int | None:
-        """The time of the last message that was taken in."""
-        if self._held:
-            return self._held[-1].stamp_ns
+        """The time of the last message that was used."""
+        if self._jump is not None:
+            return self._jump.stamp_ns
         return self._poses[-1].stamp_ns if self._poses else None
 
     def _take(self, odometry: Odometry) -> list[OdometryPose]:
-        if self._held:
-            if len(self._held) == 1 and self._is_wild(self._held[0], odometry):
-                self._counters["odometry_wild"] += not self._repeats(self._held[0])
-                self._held = []
-                return [self._append(odometry, is_usual=True)]
-            self._held.append(odometry)
+        jump, self._jump = self._jump, None
+        if jump is not None:
+            if not self._is_beyond_limits(odometry) and not self._follows(jump, odometry):
+                self._counters["odometry_wild"] += 1
+                return [self._append(odometry)]
+            return [self._append(jump), *self._take(odometry)]
+        if self._poses and not self._breaks_next and self._is_beyond_limits(odometry):
+            self._jump = odometry
             return []
-        is_usual = self._is_usual(odometry)
-        if self._poses and not self._breaks_next and (not is_usual or self._is_beyond_limits(odometry)):
-            self._held = [odometry]
-            return []
-        return [self._append(odometry, is_usual=is_usual)]
+        return [self._append(odometry)]
 
-    def _is_usual(self, odometry: Odometry) -> bool:
-        T_odom_body = self._T_odom_reported @ odometry.T_odom_body
-        if self._is_frozen and self._repeats(odometry):
-            return False
-        return self._motion.is_usual(odometry.stamp_ns, T_odom_body)
-
-    def _is_wild(self, odometry: Odometry, following: Odometry) -> bool:
-        """Whether a message alone is off: the following one goes on from before it."""
-        seconds = (odometry.stamp_ns - self._poses[-1].stamp_ns) * 1e-9
-        T_odom_body = self._T_odom_reported @ odometry.T_odom_body
-        starts_over = self._limits.starts_over(
-            self._poses,
-            odometry.stamp_ns,
-            T_odom_body,
-            T_reported=odometry.T_odom_body,
-            T_first=self._T_odom_first,
+    def _follows(self, before: Odometry, after: Odometry) -> bool:
+        """Whether a body can have come from the pose of one message to that of another."""
+        T_before, T_after = (self._T_odom_reported @ each.T_odom_body for each in (before, after))
+        pose = replace(self._poses[-1], stamp_ns=before.stamp_ns, T_odom_body=T_before)
+        return not self._limits.is_beyond(
+            [pose], after.stamp_ns, T_after, T_reported=after.T_odom_body, T_first=self._T_odom_first
         )
-        may_be = seconds <= MAX_GAP_S and not starts_over
-        return may_be and self._is_usual(following) and not self._is_beyond_limits(following)
 
     def _is_beyond_limits(self, odometry: Odometry) -> bool:
         return self._limits.is_beyond(
@@ -233,31 +219,23 @@ class OdometryTrack:
             T_first=self._T_odom_first,
         )
 
-    def _append(self, odometry: Odometry, *, is_usual: bool, correction: Correction | None = None) -> OdometryPose:
+    def _append(self, odometry: Odometry) -> OdometryPose:
         last = self.latest
         T_odom_body = self._T_odom_reported @ odometry.T_odom_body
         xyz_m = T_odom_body[:3, 3]
         if last is None:
             self._counted_xyz_m = xyz_m
             self._T_odom_first = odometry.T_odom_body
-            self._motion.add(odometry.stamp_ns, T_odom_body)
             pose = OdometryPose(odometry.stamp_ns, T_odom_body, 0.0, self._first_segment, self._max_speed_mps)
         else:
-            breaks, self._breaks_next = self._breaks_next, False
+            breaks = self._breaks_next or self._is_beyond_limits(odometry)
+            self._breaks_next = False
             seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9
             step_m = math.dist(xyz_m, last.T_odom_body[:3, 3])
             # The jitter of a standing body is no travel.
             counted_m = math.dist(xyz_m, self._counted_xyz_m)
             if breaks or counted_m >= self._jitter_m:
                 self._counted_xyz_m = xyz_m
-            self._is_frozen = self._is_frozen and self._repeats(odometry)
-            if correction is not None or self._is_frozen:
-                variances = np.zeros(2) if correction is None else correction.variances
-                self._motion.correct(odometry.stamp_ns, T_odom_body, variances)
-            elif breaks or not (is_usual or self._repeats(odometry)):
-                self._motion.restart(odometry.stamp_ns, T_odom_body)
-            else:
-                self._motion.add(odometry.stamp_ns, T_odom_body)
             pose = OdometryPose(
                 odometry.stamp_ns,
                 T_odom_body,
@@ -265,18 +243,7 @@ class OdometryTrack:
                 segment=last.segment + breaks,
                 speed_mps=self._max_speed_mps if breaks else step_m / seconds,
                 T_odom_reported=self._T_odom_reported,
-                mended_m2=float(self._mended[0]),
-                mended_rad2=float(self._mended[1]),
+                corrected=self._corrected,
             )
         self._poses.append(pose)
-        self._T_reported = odometry.T_odom_body
         return pose
-
-    def _repeats(self, odometry: Odometry) -> bool:
-        """Whether a message has the pose of the one before it to the last digit."""
-        return bool(np.array_equal(odometry.T_odom_body, self._T_reported))
-
-
-def _rigid(T: FloatArray) -> FloatArray:
-    """``T`` (4, 4) without the rounding that products gather."""
-    return make_transform(Rotation.from_matrix(T[:3, :3]).as_matrix(), T[:3, 3])

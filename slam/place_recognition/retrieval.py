@@ -19,6 +19,7 @@ from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, placed_submap
+from slam.odometry.pose import OdometryPose
 from slam.place_recognition.imported_places import SEGMENT, ImportedPlaces
 from slam.place_recognition.place import Place, traversal_of
 from slam.place_recognition.quad_index import build_quad_index
@@ -51,16 +52,18 @@ class PlaceRetriever:
         self._index = make_index(config.loop_closure.descriptor)
         self._rows = np.zeros(0, dtype=np.int64)  # landmark of each entry of the index
         self._left_out = np.zeros(0, dtype=np.int64)
-        self._indexed_m = -np.inf
+        self._indexed_m, self._indexed_segment = -np.inf, -1
 
-    def index_inactive_landmarks(self, travel_m: float) -> None:
-        """Add the landmarks unseen for ``inactive_travel_m`` to the index."""
-        if travel_m - self._indexed_m < INDEX_EVERY_RANGES * self._sensor_range_m:
+    def index_inactive_landmarks(self, pose: OdometryPose) -> None:
+        """Add the landmarks that the robot has left behind, and those of earlier segments, to the index."""
+        travel_m, begins = pose.travel_m, pose.segment != self._indexed_segment
+        if travel_m - self._indexed_m < INDEX_EVERY_RANGES * self._sensor_range_m and not begins:
             return
-        self._indexed_m = travel_m
+        self._indexed_m, self._indexed_segment = travel_m, pose.segment
         landmarks = self._map.rows
         confirmed = landmarks["state"] == LandmarkState.CONFIRMED
-        behind = confirmed & (landmarks["last_seen_travel_m"] < travel_m - INACTIVE_RANGES * self._sensor_range_m)
+        unseen = landmarks["last_seen_travel_m"] < travel_m - INACTIVE_RANGES * self._sensor_range_m
+        behind = confirmed & (unseen | (landmarks["segment"] != pose.segment))
         behind[self._rows] = behind[self._left_out] = False
         if self._imported is not None:
             behind &= landmarks["segment"] != SEGMENT

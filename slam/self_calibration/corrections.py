@@ -166,7 +166,8 @@ def _block_sums(X: FloatArray, y: FloatArray, block: IntArray) -> tuple[FloatArr
         level, up = weights * inverse[0], weights * inverse[1]
         root = np.sqrt(np.column_stack([level, level, up]))
         rows, sides = (root[:, :, None] * X).reshape(-1, size), (root * y).reshape(-1)
-        solution = np.linalg.solve(rows.T @ rows + 1e-9 * np.trace(rows.T @ rows) * np.eye(size), rows.T @ sides)
+        ridge = 1e-9 * np.trace(rows.T @ rows) * np.eye(size)
+        solution = np.linalg.lstsq(rows.T @ rows + ridge, rows.T @ sides)[0]
         left = y - X @ solution
     of_row = np.repeat(block, 3)
     normal = np.stack([rows[of_row == each].T @ rows[of_row == each] for each in range(BLOCKS)])
@@ -182,6 +183,6 @@ def _held_out(
     least = 1e-9 * np.trace(normal.sum(axis=0)) * np.eye(int(used.sum()))
     for each in range(len(normal)):
         others = (normal.sum(axis=0) - normal[each])[np.ix_(used, used)]
-        parts[each, used] = np.linalg.solve(others + least, (right.sum(axis=0) - right[each])[used])
+        parts[each, used] = np.linalg.lstsq(others + least, (right.sum(axis=0) - right[each])[used])[0]
     fitted = np.einsum("bt,btu,bu->b", parts, normal, parts)
     return parts, squared - 2.0 * np.einsum("bt,bt->b", parts, right) + fitted

@@ -382,9 +382,28 @@ def test_there_is_a_pose_for_every_odometry_message_and_it_agrees_with_the_frame
 EXACT_KIDNAP = SimulationConfig(odometry=NO_DRIFT, sensor=EXACT_SENSOR)
 
 
-@pytest.mark.parametrize("config", [SimulationConfig(), EXACT_KIDNAP], ids=["default noise", "without noise"])
-def test_a_kidnapping_is_told_and_both_parts_are_mapped(config):
-    entries = drive(config.model_copy(update={"kidnap": KidnapConfig(from_m=60.0, to_m=100.0, gap_s=30.0)}))
+SHORT_SIGHTED_KIDNAP = SimulationConfig(odometry=NO_DRIFT, sensor=EXACT_SENSOR.model_copy(update={"max_range_m": 12.0}))
+
+
+def kidnapped(config: SimulationConfig) -> list[Entry]:
+    return drive(config.model_copy(update={"kidnap": KidnapConfig(from_m=60.0, to_m=100.0, gap_s=30.0)}))
+
+
+def test_kidnapping_within_view_of_known_landmarks_is_followed():
+    entries = kidnapped(EXACT_KIDNAP)
+    final = finished(entries)
+    assert "odometry_breaks" not in final.status.counters
+    truth = {record.stamp_ns: record.T_world_body for _, _, record in entries if isinstance(record, GroundTruthPose)}
+    T_true = np.array([truth[stamp_ns] for stamp_ns in final.trajectory.stamps_ns.tolist()])
+    T_world_map = T_true[0] @ invert(final.trajectory.T_map_body[0])
+    np.testing.assert_allclose(T_world_map @ final.trajectory.T_map_body, T_true, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    "config", [SimulationConfig(), SHORT_SIGHTED_KIDNAP], ids=["default noise", "without noise, short-sighted"]
+)
+def test_kidnapping_is_reported_and_both_parts_are_mapped(config):
+    entries = kidnapped(config)
     slam = Slam(Config())
     told = [u for _, _, record in entries for u in slam.process(record) if isinstance(u, StatusRecord)]
     # The second part may meet objects of the first: then it is told that the robot was relocalized, too.

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import FloatArray
 from slam.common.calibration import ObjectCalibration
 from slam.frontend import data_association
 from slam.frontend.data_association import (
@@ -16,216 +18,275 @@ from slam.frontend.data_association import (
     GATE_PROBABILITY,
     NEW,
     NEW_OBJECT_GATE_PROBABILITY,
+    Assignment,
+    Objects,
     associate,
+    density,
     label_likelihood,
+    other_shares,
     squared_distances,
 )
 
 CONFIG = ObjectCalibration()
-Scene = tuple[FloatArray, FloatArray, IntArray, FloatArray, FloatArray, FloatArray]
+SIGMA_M = 0.2
+GATE_M = SIGMA_M * np.sqrt(2.0 * chi2.ppf(GATE_PROBABILITY, 3))
+OUTER_GATE_M = SIGMA_M * np.sqrt(2.0 * chi2.ppf(NEW_OBJECT_GATE_PROBABILITY, 3))
 
 
-def covariances(rng: np.random.Generator, count: int, sigma_m: float) -> FloatArray:
+@dataclass
+class Scene:
+    seen: Objects
+    positions: FloatArray
+    covariances: FloatArray
+    beliefs: FloatArray
+
+    def assigned(self, config: ObjectCalibration = CONFIG) -> Assignment:
+        return associate(self.seen, self.positions, self.covariances, self.beliefs, config)
+
+    def rows(self, config: ObjectCalibration = CONFIG) -> list[int]:
+        return [int(row) for row in self.assigned(config).landmark_rows]
+
+
+def random_covariances(rng: np.random.Generator, count: int, sigma_m: float) -> FloatArray:
     A = rng.normal(scale=sigma_m, size=(count, 3, 3))
     return A @ np.swapaxes(A, 1, 2) + 0.1 * sigma_m**2 * np.eye(3)
 
 
 def random_scene(rng: np.random.Generator, detections: int, landmarks: int, *, classes: int = 3) -> Scene:
     """Crowded enough that greedy choices are often wrong."""
+    places = [rng.uniform(-2.0, 2.0, (count, 3)) * [1.0, 1.0, 0.2] for count in (detections, landmarks)]
+    P = random_covariances(rng, detections, 0.5), random_covariances(rng, landmarks, 0.4)
     beliefs = rng.dirichlet(np.full(classes, 0.3), size=landmarks)
-    return (
-        rng.uniform(-2.0, 2.0, (detections, 3)) * [1.0, 1.0, 0.2],
-        covariances(rng, detections, 0.5),
-        rng.integers(classes, size=detections),
-        rng.uniform(-2.0, 2.0, (landmarks, 3)) * [1.0, 1.0, 0.2],
-        covariances(rng, landmarks, 0.4),
-        beliefs,
-    )
+    return Scene(Objects(places[0], P[0], rng.integers(classes, size=detections)), places[1], P[1], beliefs)
 
 
-def plain_scene(positions, landmark_positions, *, labels=None, beliefs=None, sigma_m=0.2) -> Scene:
-    positions, landmark_positions = np.array(positions, dtype=float), np.array(landmark_positions, dtype=float)
-    D, L = len(positions), len(landmark_positions)
-    return (
-        positions.reshape(-1, 3),
-        np.tile(sigma_m**2 * np.eye(3), (D, 1, 1)),
-        np.zeros(D, dtype=np.int64) if labels is None else np.array(labels),
-        landmark_positions.reshape(-1, 3),
-        np.tile(sigma_m**2 * np.eye(3), (L, 1, 1)),
-        np.tile([1.0, 0.0], (L, 1)) if beliefs is None else np.array(beliefs),
-    )
+def plain_scene(seen, landmarks, *, labels=None, beliefs=None, sigma_m: float = SIGMA_M) -> Scene:
+    """Detections and landmarks (N,) along x or (N, 3) m, of two classes, all of the first one unless given."""
+    places = [np.array(each, dtype=float) for each in (seen, landmarks)]
+    places = [each if each.ndim == 2 else np.column_stack([each, np.zeros((len(each), 2))]) for each in places]
+    D, L = map(len, places)
+    P = [np.tile(sigma_m**2 * np.eye(3), (count, 1, 1)) for count in (D, L)]
+    labels = np.zeros(D, dtype=np.int64) if labels is None else np.array(labels)
+    beliefs = np.tile([1.0, 0.0], (L, 1)) if beliefs is None else np.array(beliefs)
+    return Scene(Objects(places[0], P[0], labels), places[1], P[1], beliefs)
 
 
-def cost_of(rows: tuple[int, ...] | IntArray, scene: Scene) -> float:
-    """Twice the negative log-likelihood of an assignment, pair by pair; inf: outside the gate."""
-    positions, P, labels, landmark_positions, P_landmark, beliefs = scene
-    classes = beliefs.shape[1]
-    total = 0.0
-    for d, row in enumerate(rows):
-        if row < 0:
-            total += -2.0 * np.log(CONFIG.new_object_density / classes)
-            continue
-        S = P[d] + P_landmark[row]
-        v = positions[d] - landmark_positions[row]
-        squared = v @ np.linalg.inv(S) @ v
-        if squared > chi2.ppf(GATE_PROBABILITY, 3):
-            return np.inf
-        right = beliefs[row, labels[d]]
-        label = right * CONFIG.label_accuracy + (1 - right) * (1 - CONFIG.label_accuracy) / (classes - 1)
-        total += squared + np.log(np.linalg.det(2 * np.pi * S)) - 2 * np.log(label)
-    return float(total)
+# Against brute force
 
 
-def is_near_its_like(d: int, scene: Scene) -> bool:
-    """Whether some landmark that is likely of the detection's class lies within the outer gate."""
-    positions, P, labels, landmark_positions, P_landmark, beliefs = scene
-    limit = chi2.ppf(NEW_OBJECT_GATE_PROBABILITY, 3)
-    for row in range(len(landmark_positions)):
-        v = positions[d] - landmark_positions[row]
-        if beliefs[row, labels[d]] >= 0.5 and v @ np.linalg.inv(P[d] + P_landmark[row]) @ v <= limit:
+def pair(scene: Scene, d: int, row: int) -> tuple[float, float]:
+    """Squared distance of a pair, and its log-likelihood against that of an object of no landmark."""
+    S = scene.seen.covariances[d] + scene.covariances[row]
+    v = scene.seen.positions[d] - scene.positions[row]
+    squared = float(v @ np.linalg.inv(S) @ v)
+    label, classes = scene.seen.labels[d], scene.beliefs.shape[1]
+    right = scene.beliefs[row, label]
+    likelihood = right * CONFIG.label_accuracy + (1 - right) * (1 - CONFIG.label_accuracy) / (classes - 1)
+    likelihood *= np.exp(-0.5 * squared) / np.sqrt(np.linalg.det(2 * np.pi * S))
+    (share,) = other_shares(np.array([label]), np.array([row]), scene.beliefs)
+    return squared, float(np.log(likelihood / (CONFIG.new_object_density * share)))
+
+
+def gain_of(rows: tuple[int, ...], scene: Scene) -> float:
+    """Log-likelihood ratio of an assignment against none; -inf: a pair outside the gate."""
+    pairs = [pair(scene, d, row) for d, row in enumerate(rows) if row >= 0]
+    if any(squared > chi2.ppf(GATE_PROBABILITY, 3) for squared, _ in pairs):
+        return -np.inf
+    return sum(ratio for _, ratio in pairs)
+
+
+def is_bad_measurement(scene: Scene, d: int) -> bool:
+    """Whether a landmark of the detection's class is within the outer gate, and as wide as its noise then must be, it
+    is likelier than a new object.
+    """
+    for row in range(len(scene.positions)):
+        squared, ratio = pair(scene, d, row)
+        widening = max(squared / 3.0, 1.0)
+        tail = ratio + 0.5 * squared - 0.5 * squared / widening - 1.5 * np.log(widening)
+        is_like = scene.beliefs[row, scene.seen.labels[d]] >= 0.5
+        if is_like and squared <= chi2.ppf(NEW_OBJECT_GATE_PROBABILITY, 3) and tail > 0.0:
             return True
     return False
 
 
-def all_assignments(detections: int, landmarks: int):
+def all_assignments(detections: int, landmarks: int) -> Iterator[tuple[int, ...]]:
     for rows in itertools.product(range(-1, landmarks), repeat=detections):
         taken = [row for row in rows if row >= 0]
         if len(set(taken)) == len(taken):
             yield rows
 
 
-@pytest.mark.parametrize("seed", range(25))
-def test_no_assignment_is_more_likely_than_the_one_found(seed):
+@pytest.mark.parametrize("seed", range(15))
+def test_no_assignment_is_more_likely_than_the_one_found(seed: int) -> None:
     rng = np.random.default_rng(seed)
     scene = random_scene(rng, int(rng.integers(1, 6)), int(rng.integers(1, 5)))
-    found = associate(*scene, CONFIG).landmark_rows
-    every = list(all_assignments(len(scene[0]), len(scene[3])))
-    best = min(every, key=lambda rows: cost_of(rows, scene))
-    np.testing.assert_allclose(cost_of(found, scene), cost_of(best, scene), rtol=1e-9)
-    assert tuple(np.where(found >= 0, found, NEW).tolist()) == best
-    assert [bool(row == AMBIGUOUS) for row in found] == [
-        found[d] < 0 and is_near_its_like(d, scene) for d in range(len(found))
-    ]
+    found = scene.assigned()
+    every = all_assignments(len(found.landmark_rows), len(scene.positions))
+    best = max(every, key=lambda rows: gain_of(rows, scene))
+    assert tuple(np.where(found.matched, found.landmark_rows, NEW).tolist()) == best
+    assert found.log_likelihood_ratio == pytest.approx(gain_of(best, scene))
+    for d, row in enumerate(found.landmark_rows.tolist()):
+        assert row >= 0 or (row == AMBIGUOUS) is is_bad_measurement(scene, d)
 
 
-def test_the_cases_against_brute_force_are_not_trivial():
-    rows = [associate(*random_scene(np.random.default_rng(seed), 5, 4), CONFIG).landmark_rows for seed in range(25)]
-    matched = np.concatenate(rows) >= 0
-    assert 0.2 < matched.mean() < 0.9
-    assert {NEW, AMBIGUOUS} <= set(np.concatenate(rows).tolist())
+def test_cases_against_brute_force_are_not_trivial() -> None:
+    rows = np.concatenate([random_scene(np.random.default_rng(seed), 5, 4).rows() for seed in range(15)])
+    assert 0.2 < np.mean(rows >= 0) < 0.9
+    assert {NEW, AMBIGUOUS} <= set(rows.tolist())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sparse_and_dense_solvers_agree(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = random_scene(np.random.default_rng(seed), 40, 30)
+    few = scene.rows()
+    monkeypatch.setattr(data_association, "FEW_DISTANCES", 0)
+    assert scene.rows() == few
+
+
+def test_five_thousand_detections_are_assigned_and_no_landmark_twice() -> None:
+    rng = np.random.default_rng(0)
+    landmarks = np.concatenate([rng.uniform(-300, 300, (5000, 2)), np.zeros((5000, 1))], axis=1)
+    order = rng.permutation(5000)
+    detections = landmarks[order] + rng.normal(scale=0.05, size=(5000, 3))
+    found = plain_scene(detections, landmarks, sigma_m=0.05).assigned()
+    assert len(np.unique(found.landmark_rows[found.matched])) == found.matched.sum()
+    assert np.mean(found.landmark_rows == order) > 0.99
+
+
+# Plain cases
 
 
 @pytest.mark.parametrize(("detections", "landmarks"), [(0, 0), (0, 3), (3, 0)])
-def test_nothing_on_one_side_gives_no_match(detections, landmarks):
-    scene = random_scene(np.random.default_rng(0), detections, landmarks)
-    assignment = associate(*scene, CONFIG)
-    assert assignment.landmark_rows.tolist() == [-1] * detections
-    assert assignment.landmark_rows.dtype == np.int64
-    assert not assignment.matched.any()
+def test_no_match_without_detections_or_landmarks(detections: int, landmarks: int) -> None:
+    found = random_scene(np.random.default_rng(0), detections, landmarks).assigned()
+    assert found.landmark_rows.tolist() == [NEW] * detections
+    assert found.landmark_rows.dtype == np.int64
+    assert found.new.all()
+    assert not found.is_contested
 
 
-@pytest.mark.parametrize(("factor", "matched"), [(0.999, True), (1.001, False)])
-def test_the_gate_lies_where_the_chi_squared_distribution_says(factor, matched):
-    dense = ObjectCalibration(new_object_density=1e-12)
-    reach_m = np.sqrt(2 * 0.2**2 * chi2.ppf(GATE_PROBABILITY, 3))
-    scene = plain_scene([[factor * reach_m, 0, 0]], [[0, 0, 0]])
-    assert bool(associate(*scene, dense).matched[0]) is matched
+@pytest.mark.parametrize(("factor", "row"), [(0.999, 0), (1.001, AMBIGUOUS)])
+def test_gate_is_that_of_the_chi_squared_distribution(factor: float, row: int) -> None:
+    assert plain_scene([factor * GATE_M], [0]).rows(ObjectCalibration(new_object_density=1e-12)) == [row]
 
 
 @pytest.mark.parametrize(("factor", "row"), [(0.999, AMBIGUOUS), (1.001, NEW)])
-def test_outside_the_gate_a_detection_is_new_only_from_the_outer_gate_on(factor, row):
-    reach_m = np.sqrt(2 * 0.2**2 * chi2.ppf(NEW_OBJECT_GATE_PROBABILITY, 3))
-    assignment = associate(*plain_scene([[factor * reach_m, 0, 0]], [[0, 0, 0]]), CONFIG)
+def test_detection_is_new_only_outside_the_outer_gate(factor: float, row: int) -> None:
+    assignment = plain_scene([factor * OUTER_GATE_M], [0]).assigned(ObjectCalibration(new_object_density=1e-6))
     assert assignment.landmark_rows.tolist() == [row]
     assert assignment.new.tolist() == [row == NEW]
     assert not assignment.matched[0]
 
 
-def test_near_a_landmark_of_another_class_a_detection_is_new():
-    reach_m = np.sqrt(2 * 0.2**2 * chi2.ppf(GATE_PROBABILITY, 3))
-    scene = plain_scene([[1.1 * reach_m, 0, 0]], [[0, 0, 0]], labels=[1])
-    assert associate(*scene, CONFIG).landmark_rows.tolist() == [NEW]
+def test_detection_near_a_landmark_is_new_where_new_objects_are_dense() -> None:
+    scene = plain_scene([0.9 * OUTER_GATE_M], [0])
+    assert scene.rows(ObjectCalibration(new_object_density=1e-4)) == [AMBIGUOUS]
+    assert scene.rows(ObjectCalibration(new_object_density=10.0)) == [NEW]
 
 
-def test_a_detection_right_on_its_landmark_is_matched():
-    assert associate(*plain_scene([[3, 4, 0]], [[3, 4, 0]]), CONFIG).landmark_rows.tolist() == [0]
+def test_denser_objects_give_fewer_matches() -> None:
+    scene = plain_scene([0.7], [0])
+    assert scene.assigned(ObjectCalibration(new_object_density=1e-4)).matched[0]
+    assert not scene.assigned(ObjectCalibration(new_object_density=1.0)).matched[0]
 
 
-def test_of_two_landmarks_at_one_distance_the_label_decides():
-    beliefs = [[0.9, 0.1], [0.1, 0.9]]
-    for label in (0, 1):
-        scene = plain_scene([[0, 0, 0]], [[0.3, 0, 0], [-0.3, 0, 0]], labels=[label], beliefs=beliefs)
-        assert associate(*scene, CONFIG).landmark_rows.tolist() == [label]
+@pytest.mark.parametrize(
+    ("seen", "landmarks", "rows"),
+    [([3.0], [3.0], [0]), ([0.55, 1.1], [0.0, 1.0], [0, 1]), ([0.1, 50.0], [0.0, -50.0], [0, NEW])],
+    ids=["on its landmark", "both nearer to the second", "far from all"],
+)
+def test_detections_get_their_own_landmarks(seen: list[float], landmarks: list[float], rows: list[int]) -> None:
+    assert plain_scene(seen, landmarks).rows() == rows
 
 
-def test_with_one_class_no_label_is_wrong():
-    np.testing.assert_array_equal(label_likelihood(np.array([1.0, 1.0]), 1, CONFIG), [1.0, 1.0])
-    positions, P, labels, landmark_positions, P_landmark, _ = plain_scene([[0, 0, 0]], [[0.1, 0, 0]])
-    one = associate(positions, P, labels, landmark_positions, P_landmark, np.ones((1, 1)), CONFIG)
-    assert one.landmark_rows.tolist() == [0]
+# Labels
 
 
-def test_label_likelihoods_of_all_labels_sum_to_one():
-    beliefs = np.random.default_rng(0).dirichlet(np.ones(5), size=7)
-    np.testing.assert_allclose(label_likelihood(beliefs, 5, CONFIG).sum(axis=1), 1.0)
+def test_detection_near_a_landmark_of_another_class_is_new() -> None:
+    assert plain_scene([1.1 * GATE_M], [0], labels=[1]).rows() == [NEW]
 
 
-def test_twins_a_metre_apart_keep_their_own_detections():
-    """Both detections lie nearer to the second twin, but it can have only one of them."""
-    scene = plain_scene([[0.55, 0, 0], [1.1, 0, 0]], [[0, 0, 0], [1, 0, 0]])
-    assert associate(*scene, CONFIG).landmark_rows.tolist() == [0, 1]
+@pytest.mark.parametrize("label", [0, 1])
+def test_label_decides_between_landmarks_at_one_distance(label: int) -> None:
+    assert plain_scene([0], [0.3, -0.3], labels=[label], beliefs=[[0.9, 0.1], [0.1, 0.9]]).rows() == [label]
 
 
-def test_what_is_nobodys_stays_nobodys():
-    scene = plain_scene([[0.1, 0, 0], [50, 0, 0]], [[0, 0, 0], [-50, 0, 0]])
-    assert associate(*scene, CONFIG).landmark_rows.tolist() == [0, -1]
+def test_label_that_no_other_landmark_has_counts_more() -> None:
+    """At the limit of a match, a label that all objects have does not suffice, that of a single one does."""
+    common, rare = np.tile([1.0, 0.0], (20, 1)), np.tile([0.0, 1.0], (20, 1))
+    rare[0] = [1.0, 0.0]
+    landmarks = 100.0 * np.arange(20)
+    config = ObjectCalibration(new_object_density=0.05)
+    found = [plain_scene([0.9], landmarks, beliefs=each).assigned(config) for each in (common, rare)]
+    assert [each.matched[0] for each in found] == [False, True]
 
 
-def test_a_denser_world_gives_fewer_matches():
-    scene = plain_scene([[0.7, 0, 0]], [[0, 0, 0]])
-    assert associate(*scene, ObjectCalibration(new_object_density=1e-4)).matched[0]
-    assert not associate(*scene, ObjectCalibration(new_object_density=1.0)).matched[0]
+def test_share_of_a_label_counts_the_other_landmarks_that_have_it() -> None:
+    """Nineteen of 20 landmarks have the first of 4 classes, one the second, none the others."""
+    beliefs = np.eye(4)[[0] * 19 + [1]]
+    common, own, other, unseen = other_shares(np.array([0, 1, 1, 2]), np.array([3, 19, 3, 3]), beliefs)
+    assert common == pytest.approx(18.25 / 20)
+    assert own == pytest.approx(0.25 / 20)
+    assert other == pytest.approx(1.25 / 20)
+    assert own <= unseen <= 0.3
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_the_order_of_detections_and_landmarks_does_not_matter(seed):
-    rng = np.random.default_rng(seed)
-    positions, P, labels, landmark_positions, P_landmark, beliefs = random_scene(rng, 30, 25)
-    found = associate(positions, P, labels, landmark_positions, P_landmark, beliefs, CONFIG).landmark_rows
-    assert (found >= 0).any()
-    d, m = rng.permutation(30), rng.permutation(25)
-    shuffled = associate(
-        positions[d], P[d], labels[d], landmark_positions[m], P_landmark[m], beliefs[m], CONFIG
-    ).landmark_rows
-    np.testing.assert_array_equal(np.where(shuffled >= 0, m[shuffled], shuffled), found[d])
+def test_single_class_is_never_wrong() -> None:
+    np.testing.assert_array_equal(label_likelihood(np.ones(2), 1, CONFIG), 1.0)
+    assert plain_scene([0.0], [0.1], beliefs=np.ones((1, 1))).rows() == [0]
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_many_contested_pairs_are_assigned_as_few_are(seed, monkeypatch):
-    scene = random_scene(np.random.default_rng(seed), 40, 30)
-    few = associate(*scene, CONFIG)
-    monkeypatch.setattr(data_association, "_partners", data_association._partners_of_many)
-    many = associate(*scene, CONFIG)
-    np.testing.assert_array_equal(many.landmark_rows, few.landmark_rows)
-    assert few.matched.any()
+# What is contested
 
 
-def test_five_thousand_detections_find_their_landmarks_and_none_is_taken_twice():
-    rng = np.random.default_rng(0)
-    landmarks = np.concatenate([rng.uniform(-300, 300, (5000, 2)), np.zeros((5000, 1))], axis=1)
-    order = rng.permutation(5000)
-    detections = landmarks[order] + rng.normal(scale=0.05, size=(5000, 3))
-    found = associate(*plain_scene(detections, landmarks, sigma_m=0.05), CONFIG).landmark_rows
-    assert len(np.unique(found[found >= 0])) == np.count_nonzero(found >= 0)
-    assert np.mean(found == order) > 0.99
+@pytest.mark.parametrize(
+    ("seen", "landmarks", "is_contested"),
+    [([0.0], [0.4, -0.4], True), ([0.2, -0.2], [0.0], True), ([0.0, 9.0], [0.2, 9.2], False)],
+    ids=["two landmarks", "two detections", "apart"],
+)
+def test_pairs_that_compete_are_contested(seen: list[float], landmarks: list[float], is_contested: bool) -> None:
+    assert plain_scene(seen, landmarks).assigned().is_contested is is_contested
+
+
+@pytest.mark.parametrize(("classes", "is_contested"), [(2, True), (50, False)])
+def test_landmark_is_no_rival_if_its_label_excludes_it(classes: int, is_contested: bool) -> None:
+    """Of many classes, a wrong label is seldom just that of the neighbour."""
+    beliefs = np.eye(classes)[:2]
+    assert plain_scene([0.0], [0.2, -0.2], labels=[0], beliefs=beliefs).assigned().is_contested is is_contested
+
+
+@pytest.mark.parametrize(("sigma_m", "is_uncertain"), [(1.0, True), (0.01, False)])
+def test_assignment_is_uncertain_where_landmarks_are_less_certain_than_detections(
+    sigma_m: float, is_uncertain: bool
+) -> None:
+    scene = plain_scene([0.0, 5.0], [0.1, 5.1])
+    scene.covariances = scene.covariances * (sigma_m / SIGMA_M) ** 2
+    assert scene.assigned().is_uncertain is is_uncertain
+
+
+# Parts
 
 
 @pytest.mark.parametrize("count", [0, 1, 50])
-def test_distances_and_determinants_are_those_of_lapack(count):
+def test_distances_and_determinants_are_those_of_lapack(count: int) -> None:
     rng = np.random.default_rng(3)
     factors = rng.normal(size=(count, 3, 3)) * [1.0, 0.3, 5.0]
     covariances, offsets = factors @ factors.transpose(0, 2, 1) + 1e-3 * np.eye(3), rng.normal(size=(count, 3))
     distances, determinants = squared_distances(offsets, covariances)
     solved = np.linalg.solve(covariances, offsets[..., None])[..., 0]
-    assert np.allclose(distances, np.einsum("ni,ni->n", offsets, solved), rtol=1e-6)
-    assert np.allclose(determinants, np.linalg.det(covariances), rtol=1e-6)
+    np.testing.assert_allclose(distances, np.einsum("ni,ni->n", offsets, solved), rtol=1e-6)
+    np.testing.assert_allclose(determinants, np.linalg.det(covariances), rtol=1e-6)
+
+
+def test_density_is_that_of_objects_in_a_cylinder() -> None:
+    rng = np.random.default_rng(0)
+    positions = rng.uniform(-50.0, 50.0, (4000, 3)) * [1.0, 1.0, 0.1]
+    positions = positions[np.linalg.norm(positions[:, :2], axis=1) < 50.0]
+    covariances = np.tile(0.01 * np.eye(3), (len(positions), 1, 1))
+    assert density(positions, covariances) == pytest.approx(len(positions) / (np.pi * 50.0**2 * 10.0), rel=0.05)
+
+
+def test_density_of_a_single_object_is_that_of_its_noise() -> None:
+    spread_m = np.sqrt(2.0 * np.pi * np.e) * 0.3
+    found = density(np.zeros((1, 3)), 0.09 * np.eye(3)[None])
+    assert found == pytest.approx(1.0 / (np.pi * spread_m**3))

@@ -55,7 +55,8 @@ class Bench:
         positions = apply(invert(pose.T_odom_body), np.asarray(objects, dtype=float).reshape(-1, 3))
         covariances = np.tile(sigma_m**2 * np.eye(3), (count, 1, 1))
         used = np.ones(count, dtype=np.bool_)
-        return self.mapper.add_scan(Scan(pose.stamp_ns, "lidar", positions, covariances, labels, used, used), pose)
+        scan = Scan(pose.stamp_ns, "lidar", positions, covariances, labels, used, used)
+        return self.mapper.add_scan(self.mapper.locate(scan, pose), pose)
 
     def drive(self, scans: int, *, start: int = 0, step_m: float = 0.5, **seen) -> list[DetectionAssociations]:
         """Ten scans a second, ``step_m`` apart."""
@@ -87,20 +88,20 @@ class Bench:
         (5.1, 0.5, 0.0, True),
     ],
 )
-def test_a_keyframe_is_made_after_travel_turn_or_time(seconds, x, yaw, made):
+def test_keyframe_is_made_after_travel_turn_or_time(seconds, x, yaw, made):
     bench = Bench()
     assert bench.move(0.0).id == 0
     assert (bench.move(seconds, x, yaw=yaw) is not None) is made
 
 
-def test_a_body_that_stands_still_makes_no_keyframes():
+def test_standing_body_makes_no_keyframes():
     bench = Bench()
     for i in range(600):
         bench.move(0.1 * i)
     assert len(bench.mapper.keyframes) == 1
 
 
-def test_keyframes_are_tied_by_the_odometry_between_them():
+def test_odometry_connects_keyframes():
     bench = Bench()
     bench.drive(13)
     record = bench.graph.to_record(0, np.zeros(len(bench.mapper.keyframes), dtype=np.int64))
@@ -121,7 +122,7 @@ def test_objects_are_the_same_landmarks_in_every_scan():
     assert [bench.map.vocabulary[i] for i in bench.map.beliefs(np.arange(4)).argmax(axis=1)] == list(LABELS)
 
 
-def test_a_landmark_is_confirmed_by_enough_sightings_and_only_then_enters_the_graph_with_all_of_them(young):
+def test_landmark_is_confirmed_by_enough_sightings_and_then_enters_the_graph_with_all_of_them(young):
     bench = Bench()
     bench.drive(3)
     assert bench.states() == [LandmarkState.TENTATIVE] * 4
@@ -136,14 +137,14 @@ def test_a_landmark_is_confirmed_by_enough_sightings_and_only_then_enters_the_gr
     np.testing.assert_allclose(bench.observations()[0].covariance, 0.1**2 * np.eye(3), atol=1e-9)
 
 
-def test_sightings_of_a_tentative_landmark_from_earlier_keyframes_are_kept_for_it():
+def test_sightings_of_a_tentative_landmark_are_kept_over_keyframes():
     bench = Bench()
     bench.drive(13)
     bench.mapper.close_keyframe()
     assert sorted({o.keyframe for o in bench.observations()}) == [0, 1, 2, 3]
 
 
-def test_a_landmark_is_not_confirmed_before_it_was_seen_for_long_enough():
+def test_landmark_is_not_confirmed_before_it_was_seen_for_long_enough():
     bench = Bench()
     bench.drive(10)
     assert bench.states() == [LandmarkState.TENTATIVE] * 4
@@ -151,7 +152,7 @@ def test_a_landmark_is_not_confirmed_before_it_was_seen_for_long_enough():
     assert bench.states() == [LandmarkState.CONFIRMED] * 4
 
 
-def test_what_is_seen_too_seldom_is_not_confirmed():
+def test_landmark_seen_too_seldom_is_not_confirmed():
     bench = Bench()
     for i in range(20):
         bench.move(0.1 * i, 0.1 * i)
@@ -160,19 +161,19 @@ def test_what_is_seen_too_seldom_is_not_confirmed():
 
 
 @pytest.mark.parametrize(("scans", "step_m"), [(20, 0.01), (3, 5.0)], ids=["scans", "distance"])
-def test_a_tentative_landmark_that_is_seen_no_more_is_given_up(scans, step_m):
+def test_tentative_landmark_that_is_not_seen_again_is_retired(scans, step_m):
     bench = Bench()
     bench.drive(1, step_m=step_m)
     bench.drive(scans, start=1, step_m=step_m, objects=OBJECTS[:0], labels=())
     assert bench.states() == [LandmarkState.TENTATIVE] * 4
-    bench.drive(1, start=1 + scans, step_m=step_m, objects=OBJECTS[:0], labels=())
+    bench.drive(2, start=1 + scans, step_m=step_m, objects=OBJECTS[:0], labels=())
     assert bench.states() == [LandmarkState.RETIRED] * 4
     bench.mapper.close_keyframe()
     assert bench.observations() == []
     assert bench.map.to_record(0).ids == ()
 
 
-def test_a_confirmed_landmark_stays_when_it_is_seen_no_more(young):
+def test_confirmed_landmark_that_is_not_seen_again_stays(young):
     bench = Bench()
     bench.drive(6)
     bench.drive(100, start=6, objects=OBJECTS[:0], labels=())
@@ -180,11 +181,9 @@ def test_a_confirmed_landmark_stays_when_it_is_seen_no_more(young):
 
 
 @pytest.mark.parametrize(
-    ("calibration", "is_known"),
-    [({}, True), ({"objects": {"spacing_m": 0.2}}, False), ({"detection": {"farthest_m": 15.0}}, False)],
-    ids=["near and certain", "uncertain", "far off"],
+    ("calibration", "is_known"), [({}, True), ({"detection": {"farthest_m": 15.0}}, False)], ids=["near", "far off"]
 )
-def test_an_object_is_a_new_landmark_once_its_own_is_uncertain_or_far_off(young, calibration, is_known):
+def test_object_seen_again_is_its_landmark_unless_that_was_too_far_off_to_keep(young, calibration, is_known):
     bench = Bench(**calibration)
     bench.drive(6)
     bench.drive(120, start=6, objects=OBJECTS[:0], labels=())
@@ -193,13 +192,13 @@ def test_an_object_is_a_new_landmark_once_its_own_is_uncertain_or_far_off(young,
     assert bench.states()[:4] == [LandmarkState.CONFIRMED] * 4
 
 
-def test_a_detection_too_near_to_a_landmark_to_be_new_makes_none(young):
+def test_detection_too_near_to_a_landmark_to_be_new_makes_no_landmark(young):
     bench = Bench()
     bench.drive(12)
-    off_m = np.array([[1.3, 0.0, 0.0], [0.0, 0.0, 0.0], [6.0, 0.0, 0.0]])
-    associations = bench.drive(1, start=12, objects=OBJECTS[:3] + off_m, labels=LABELS[:3])[0]
-    assert associations.landmark_ids == ("", "1", "4")
-    assert associations.created.tolist() == [False, False, True]
+    off_m = np.array([[1.3, 0.0, 0.0], [0.0, 0.0, 0.0], [6.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    associations = bench.drive(1, start=12, objects=OBJECTS[:4] + off_m, labels=LABELS[:4])[0]
+    assert associations.landmark_ids == ("", "1", "4", "3")
+    assert associations.created.tolist() == [False, False, True, False]
 
 
 @pytest.mark.parametrize("detection", [{"common_sigma_m": 0.05}, {}], ids=["exact centroids", "defaults"])
@@ -223,24 +222,24 @@ def drive_past_a_vehicle(speed_mps: float, scans: int, sigma_m: float = 0.2) -> 
 
 
 @pytest.mark.parametrize("speed_mps", [2.0, 3.0, 5.0, 12.0])
-def test_a_vehicle_that_moves_is_never_in_the_map(speed_mps):
+def test_moving_vehicle_is_never_in_the_map(speed_mps):
     bench = drive_past_a_vehicle(speed_mps, 40)
     assert bench.states()[:4] == [LandmarkState.CONFIRMED] * 4
     assert LandmarkState.CONFIRMED not in bench.states()[4:]
     assert bench.graph.landmarks.tolist() == [0, 1, 2, 3]
 
 
-def test_a_vehicle_that_can_be_followed_retires_because_it_moves():
+def test_followed_vehicle_retires_because_it_moves():
     bench = drive_past_a_vehicle(5.0, 40, sigma_m=0.6)
     assert bench.reasons()[:5] == ["", "", "", "", "moving"]
     assert bench.graph.landmarks.tolist() == [0, 1, 2, 3]
 
 
-def test_a_vehicle_is_followed_at_its_speed_and_stays_one_and_the_same():
+def test_followed_vehicle_stays_one_landmark():
     assert len(drive_past_a_vehicle(8.0, 40, sigma_m=0.3).map) == 5
 
 
-def test_what_turns_out_to_move_only_later_leaves_the_graph_again():
+def test_landmark_that_turns_out_to_move_leaves_the_graph():
     """It creeps at 0.9 m/s, below the limit, and then goes at 1.6 m/s."""
     bench = Bench()
     was_in_the_graph = False
@@ -254,13 +253,13 @@ def test_what_turns_out_to_move_only_later_leaves_the_graph_again():
     assert bench.graph.landmarks.tolist() == [0, 1, 2, 3]
 
 
-def test_a_vehicle_that_is_parked_stays():
+def test_parked_vehicle_stays():
     bench = drive_past_a_vehicle(0.0, 40)
     assert bench.states() == [LandmarkState.CONFIRMED] * 5
     assert bench.graph.landmarks.tolist() == [0, 1, 2, 3, 4]
 
 
-def test_the_landmarks_carry_observations_from_keyframe_to_keyframe_where_the_odometry_is_wrong():
+def test_observations_of_a_group_are_right_although_the_odometry_is_too_long():
     """Lengths are 3 % too long; four keyframes 2 m apart are summed up."""
     bench = Bench(odometry={"translation_sigma": 0.01})
     for number in range(60):
@@ -275,14 +274,14 @@ def test_the_landmarks_carry_observations_from_keyframe_to_keyframe_where_the_od
     np.testing.assert_allclose(off, 0.0, atol=0.04)
 
 
-def test_among_false_detections_objects_are_confirmed_and_hardly_anything_else():
+def test_among_false_detections_objects_alone_are_confirmed_but_for_one():
     rng = np.random.default_rng(0)
-    bench = Bench(objects={"new_object_density": 0.02})
-    for i in range(100):
-        false = np.column_stack([rng.uniform(-20.0, 40.0, (60, 1)), rng.uniform(-20.0, 20.0, (60, 1)), np.zeros(60)])
+    bench = Bench(objects={"new_object_density": 0.01})
+    for i in range(30):
+        false = np.column_stack([rng.uniform([-20.0, -20.0], [40.0, 20.0], (25, 2)), np.zeros(25)])
         bench.move(0.3 * i, 0.02 * i)
         noisy = OBJECTS + rng.normal(scale=0.3, size=OBJECTS.shape)
-        labels = (*LABELS, *rng.choice(LABELS, 60).tolist())
+        labels = (*LABELS, *rng.choice(LABELS, 25).tolist())
         bench.see(0.3 * i, np.concatenate([noisy, false]), labels, sigma_m=0.3)
     confirmed = bench.map.in_state(LandmarkState.CONFIRMED)
     places = bench.map.rows["position_local"][confirmed]
@@ -291,7 +290,7 @@ def test_among_false_detections_objects_are_confirmed_and_hardly_anything_else()
     assert len(confirmed) <= len(OBJECTS) + 1
 
 
-def test_a_jump_of_the_odometry_lets_go_of_the_landmarks_in_view():
+def test_new_segment_of_the_odometry_drops_the_landmarks_in_view():
     bench = Bench()
     bench.drive(10)
     keyframe = bench.move(1.0, 5000.0)
@@ -304,38 +303,21 @@ def test_a_jump_of_the_odometry_lets_go_of_the_landmarks_in_view():
     assert record.edge_kinds[-1] == "discontinuity"
 
 
-def test_every_detection_of_the_message_has_its_place_in_the_associations():
+def test_associations_have_one_entry_per_detection_of_the_message():
     bench = Bench()
     bench.move(0.0)
     pose = bench.track.latest
     used = np.array([False, True, True, False])
     own = np.ones(2, dtype=np.bool_)
     scan = Scan(0, "lidar", OBJECTS[1:3], np.tile(0.04 * np.eye(3), (2, 1, 1)), LABELS[1:3], used, own)
-    associations = bench.mapper.add_scan(scan, pose)
+    associations = bench.mapper.add_scan(bench.mapper.locate(scan, pose), pose)
     assert associations.landmark_ids == ("", "0", "1", "")
     assert associations.created.tolist() == [False, True, True, False]
 
 
-def test_scans_without_detections():
+def test_scans_without_detections_make_no_landmarks():
     bench = Bench()
     for associations in bench.drive(10, objects=OBJECTS[:0], labels=()):
         assert associations.landmark_ids == ()
     assert len(bench.map) == 0
     bench.mapper.close_keyframe()
-
-
-def test_the_pose_in_the_local_map_is_never_much_more_uncertain_than_over_ten_sensor_ranges():
-    bench = Bench(odometry={"yaw_sigma": 0.01})
-    sigmas = []
-    for metre in range(0, 1500, 2):
-        bench.move(0.2 * metre, float(metre))
-        sigmas.append(np.sqrt(bench.mapper._active._local.pose_covariance[1, 1]))
-    over_300_m = sigmas[150]
-    assert over_300_m > 20.0
-    assert max(sigmas) < 1.1 * over_300_m
-
-
-@pytest.mark.parametrize(("tolerances", "can"), [((0.3, 0.03), True), ((4.0, 0.0), False), ((0.0, 0.2), False)])
-def test_a_scan_is_aligned_only_from_where_its_objects_cannot_be_confused(tolerances, can):
-    bench = Bench(objects={"spacing_m": 3.0}, detection={"sensor_range_m": 30.0})
-    assert bench.mapper.can_align(np.array(tolerances)) is can

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from slam.common.calibration import OdometryCalibration
 from slam.common.geometry import make_transform, transform_from_xyz_yaw
-from slam.odometry.noise import step_covariance, step_variances
+from slam.odometry.noise import model_variances, step_covariance, step_variances
 from slam.odometry.pose import OdometryPose
 
 SILENT = {
@@ -105,17 +105,11 @@ def test_a_body_that_leans_errs_in_heading_about_the_vertical():
     np.testing.assert_allclose(R @ leant[3:, 3:] @ R.T, upright[3:, 3:], atol=1e-12)
 
 
-def test_a_mended_step_is_less_certain_in_all_directions():
+def test_variances_of_a_correction_are_added():
     before, after = pose(), pose(3.0)
-    mended = replace(after, mended_m2=0.5, mended_rad2=0.01)
-    more = step_covariance(before, mended, ALL) - step_covariance(before, after, ALL)
-    np.testing.assert_allclose(more, np.diag([0.01, 0.01, 0.01, 0.5, 0.5, 0.5]), atol=1e-12)
-
-
-def test_a_heading_that_fails_is_less_sure_and_nothing_else() -> None:
-    before, after = pose(), pose(2.0)
-    sure = step_covariance(before, after, ALL)
-    unsure = step_covariance(before, after, ALL, heading_factor=7.0)
-    np.testing.assert_allclose(unsure[2, 2], 7.0 * sure[2, 2])
-    unsure[2, 2] = sure[2, 2]
-    np.testing.assert_array_equal(unsure, sure)
+    corrected = replace(after, corrected=np.array([0.5, 0.01, 0.02]))
+    np.testing.assert_array_equal(model_variances(before, corrected, ALL), model_variances(before, after, ALL))
+    more = step_variances(before, corrected, ALL) - step_variances(before, after, ALL)
+    np.testing.assert_allclose(more, [0.5, 0.01, 0.02], atol=1e-12)
+    more = step_covariance(before, corrected, ALL) - step_covariance(before, after, ALL)
+    np.testing.assert_allclose(more, np.diag([0.01, 0.01, 0.02, 0.5, 0.5, 0.5]), atol=1e-12)

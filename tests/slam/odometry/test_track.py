@@ -1,4 +1,4 @@
-"""The odometry's track: interpolation, disorder, and breaks."""
+"""The track of the odometry: interpolation, disorder, breaks and corrections."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from logs.messages import Odometry
-from slam.common.geometry import relative, transform_from_xyz_yaw
-from slam.odometry.track import HISTORY, OdometryTrack
+from slam.common.arrays import FloatArray
+from slam.common.geometry import invert, transform_from_xyz_yaw
+from slam.odometry.track import HISTORY, Correction, OdometryTrack
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -31,14 +32,14 @@ def x_at(made: OdometryTrack, seconds: float) -> float | None:
     return None if pose is None else float(pose.T_odom_body[0, 3])
 
 
-def test_a_pose_between_two_messages_is_between_them():
+def test_pose_between_two_messages_is_interpolated():
     made = track((0, 0), (1, 10), (2, 30))
     assert x_at(made, 0.25) == pytest.approx(2.5)
     assert x_at(made, 1.5) == pytest.approx(20.0)
     assert made.at(START_NS + 1_500_000_000).travel_m == pytest.approx(20.0)
 
 
-def test_at_a_message_it_is_that_message_bit_for_bit():
+def test_pose_at_a_message_is_that_of_the_message_bit_for_bit():
     made = OdometryTrack()
     first, second = odometry(0, 0.1, 0.3), odometry(0.1, 0.7, 0.4)
     made.add(first)
@@ -47,7 +48,7 @@ def test_at_a_message_it_is_that_message_bit_for_bit():
     np.testing.assert_array_equal(made.at(second.stamp_ns).T_odom_body, second.T_odom_body)
 
 
-def test_outside_of_its_time_it_knows_nothing():
+def test_track_has_no_pose_outside_its_time():
     assert OdometryTrack().latest is None
     assert x_at(OdometryTrack(), 0.0) is None
     made = track((0, 0), (1, 1))
@@ -55,7 +56,7 @@ def test_outside_of_its_time_it_knows_nothing():
     assert x_at(made, 1 + 1e-9) is None
 
 
-def test_duplicates_and_messages_out_of_order_leave_it_as_it_was():
+def test_duplicates_and_messages_out_of_order_change_nothing():
     made = track((0, 0), (1, 5))
     latest = made.latest
     assert made.add(odometry(1, 99)) == []
@@ -65,7 +66,7 @@ def test_duplicates_and_messages_out_of_order_leave_it_as_it_was():
 
 
 @pytest.mark.parametrize(("seconds", "x"), [(1.1, 200.0), (30.0, 1.0), (1.1, -100.0)])
-def test_a_jump_and_a_silence_break_the_track(seconds, x):
+def test_jump_or_silence_begins_a_segment(seconds, x):
     made = track((0, 0), (1, 1), (seconds, x), (seconds + 1, x + 1))
     assert made.latest.segment == 1
     assert made.latest.travel_m == pytest.approx(2.0)
@@ -75,7 +76,7 @@ def test_a_jump_and_a_silence_break_the_track(seconds, x):
     assert x_at(made, seconds + 0.5) == pytest.approx(x + 0.5)
 
 
-def test_a_fast_drive_and_a_short_silence_are_no_break():
+def test_fast_drive_and_short_silence_are_no_break():
     made = track((0, 0), (1, 49), (10.9, 60))
     assert made.latest.segment == 0
     assert made.latest.travel_m == pytest.approx(60.0)
@@ -85,15 +86,10 @@ def test_travel_is_the_path_and_not_the_distance():
     assert track((0, 0), (1, 3), (2, 0.5), (3, 3)).latest.travel_m == pytest.approx(8.0)
 
 
-def test_the_oldest_poses_are_let_go():
+def test_oldest_poses_are_dropped():
     made = track(*((0.01 * i, 0.1 * i) for i in range(HISTORY + 100)))
     assert x_at(made, 0.0) is None
     assert x_at(made, 0.01 * (HISTORY + 50)) == pytest.approx(0.1 * (HISTORY + 50))
-
-
-def test_the_relative_pose_leads_from_one_to_the_other():
-    a, b = transform_from_xyz_yaw(np.array([1.0, 2, 0]), 0.5), transform_from_xyz_yaw(np.array([3.0, 1, 0]), -2.0)
-    np.testing.assert_allclose(a @ relative(a, b), b, atol=1e-12)
 
 
 def segments(*steps: tuple[float, float]) -> list[int]:
@@ -102,7 +98,7 @@ def segments(*steps: tuple[float, float]) -> list[int]:
     return [pose.segment for pose in (*poses, *made.finish())]
 
 
-def test_odometry_that_is_started_again_near_where_it_was_is_a_break():
+def test_restart_of_the_odometry_near_where_it_was_is_a_break():
     """Carried off for 5 s while it thinks to be 8 m from its start: the step back there would be no jump."""
     driven = [(0.1 * i, 5.0 + 0.8 * i) for i in range(11)]
     assert segments(*driven, (6.0, 5.0), (6.1, 5.8)) == [0] * 11 + [1, 1]
@@ -110,14 +106,14 @@ def test_odometry_that_is_started_again_near_where_it_was_is_a_break():
     assert segments(*driven, (6.0, 5.001), (6.1, 5.8)) == [0] * 13, "twin: only near its start"
 
 
-def test_who_drives_or_stands_at_the_start_of_its_odometry_goes_on():
+def test_driving_or_standing_at_the_start_of_the_odometry_is_no_restart():
     there_and_back = [*range(11), *range(9, -1, -1), -1, -2]
     assert segments(*((0.1 * i, 0.5 * x) for i, x in enumerate(there_and_back))) == [0] * len(there_and_back)
     assert segments(*((0.1 * i, 0.0) for i in range(5)), (3.0, 0.0), (3.1, 0.4)) == [0] * 7
 
 
 @pytest.mark.parametrize(("sensor_range_m", "breaks"), [(30.0, 0), (1.5, 1)])
-def test_what_is_a_jump_depends_on_how_far_the_sensor_sees(sensor_range_m, breaks):
+def test_limit_of_a_step_scales_with_the_sensor_range(sensor_range_m, breaks):
     made = OdometryTrack(sensor_range_m=sensor_range_m)
     for step in range(20):  # the speed before the first step is not known
         made.add(odometry(0.1 * step, 0.1 * step))
@@ -127,14 +123,14 @@ def test_what_is_a_jump_depends_on_how_far_the_sensor_sees(sensor_range_m, break
 
 
 @pytest.mark.parametrize(("sensor_range_m", "travel_m"), [(30.0, 0.0), (1.5, 0.05)])
-def test_what_is_jitter_depends_on_how_far_the_sensor_sees(sensor_range_m, travel_m):
+def test_jitter_scales_with_the_sensor_range(sensor_range_m, travel_m):
     made = OdometryTrack(sensor_range_m=sensor_range_m)
     for seconds, x in ((0.0, 0.0), (0.1, 0.03), (0.2, 0.01)):
         made.add(odometry(seconds, x))
     assert made.latest.travel_m == pytest.approx(travel_m)
 
 
-def test_what_comes_again_or_late_is_counted_wherever_it_says_that_the_body_is():
+def test_duplicates_and_late_messages_are_counted():
     counters = Counter[str]()
     made = OdometryTrack(counters)
     for seconds, x in ((0, 0), (1, 5), (2, 10), (2, 10), (1.5, 7.5)):
@@ -144,7 +140,7 @@ def test_what_comes_again_or_late_is_counted_wherever_it_says_that_the_body_is()
     assert counters == {"odometry_duplicated": 1, "odometry_out_of_order": 1}
 
 
-def test_messages_from_before_time_zero_are_left_out():
+def test_messages_before_time_zero_are_dropped():
     counters = Counter[str]()
     made = OdometryTrack(counters)
     before_zero_s = -1.0 - START_NS * 1e-9
@@ -155,7 +151,7 @@ def test_messages_from_before_time_zero_are_left_out():
     assert counters == {"odometry_before_time_zero": 2}
 
 
-def test_one_stamp_from_the_future_is_no_silence():
+def test_single_stamp_from_the_future_is_no_silence():
     made = OdometryTrack()
     for seconds, x in ((0, 0), (1, 1), (1000, 2), (2, 2), (3, 3)):
         made.add(odometry(seconds, x))
@@ -165,7 +161,7 @@ def test_one_stamp_from_the_future_is_no_silence():
 
 
 @pytest.mark.parametrize("seconds", [1.0, 5.0, 20.0])
-def test_stamps_that_run_backwards_for_a_while_add_nothing(seconds):
+def test_descending_stamps_add_no_poses(seconds):
     """The first of them lies in the future, and the last just after the last good one."""
     counters = Counter[str]()
     made = OdometryTrack(counters)
@@ -176,3 +172,109 @@ def test_stamps_that_run_backwards_for_a_while_add_nothing(seconds):
     right = [(pose.stamp_ns - START_NS) * 1e-9 for pose in added]
     assert right == pytest.approx([0.1 * i for i in range(20)] + [2.0 + seconds + 0.1 * i for i in range(1, 5)])
     assert counters["odometry_out_of_order"] == len(late)
+
+
+# Corrections
+
+VARIANCES = np.array([0.04, 1e-4, 4e-4])
+JUMP_STEP = 103
+
+
+def message(step: int, T_jump: FloatArray | None = None) -> Odometry:
+    """A drive along x at 5 m/s, 10 messages a second, whose poses ``T_jump`` (4, 4) moves from ``JUMP_STEP`` on."""
+    T = transform_from_xyz_yaw(np.array([0.5 * step + 0.01 * np.sin(step), 0.0, 0.0]), 0.0)
+    T = T_jump @ T if T_jump is not None and step >= JUMP_STEP else T
+    return Odometry(START_NS + step * 10**8, T)
+
+
+def stamp_ns(step: float) -> int:
+    return START_NS + round(step * 1e8)
+
+
+def jump(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> FloatArray:
+    """A jump where the body is at ``JUMP_STEP``."""
+    there = transform_from_xyz_yaw(np.array([0.5 * JUMP_STEP, 0.0, 0.0]), 0.0)
+    return np.asarray(there @ transform_from_xyz_yaw(np.array([x, y, 0.0]), yaw) @ invert(there))
+
+
+def jumped(T_jump: FloatArray, *, until: int = 108) -> tuple[OdometryTrack, Counter[str]]:
+    counters = Counter[str]()
+    made = OdometryTrack(counters)
+    for step in range(until):
+        made.add(message(step, T_jump))
+    return made, counters
+
+
+@pytest.mark.parametrize("T_jump", [jump(yaw=0.5), jump(y=1.0), jump(y=100.0)], ids=["turn", "shift", "beyond"])
+def test_correction_undoes_the_jump_from_the_least_usual_step_on(T_jump: FloatArray) -> None:
+    made, counters = jumped(T_jump)
+    correction = Correction(invert(T_jump), VARIANCES)
+    made.correct(stamp_ns(100), stamp_ns(105.5), correction, segment=0)
+    straight, _ = jumped(np.eye(4))
+    for step in (99, 102, 102.5, 103, 104.25, 107):
+        found, expected = made.at(stamp_ns(step)), straight.at(stamp_ns(step))
+        np.testing.assert_allclose(found.T_odom_body, expected.T_odom_body, atol=1e-9)
+        assert found.travel_m == pytest.approx(expected.travel_m)
+        assert found.segment == 0
+        np.testing.assert_array_equal(found.corrected, VARIANCES if step > 102 else np.zeros(3))
+    assert counters["odometry_corrected"] == 1
+
+
+def test_messages_after_a_correction_are_corrected_as_well() -> None:
+    T_jump = jump(y=1.0, yaw=2.0)
+    made, _ = jumped(T_jump)
+    made.correct(stamp_ns(100), stamp_ns(105.5), Correction(invert(T_jump), VARIANCES), segment=0)
+    (pose,) = made.add(message(108, T_jump))
+    np.testing.assert_allclose(pose.T_odom_body, message(108).T_odom_body, atol=1e-9)
+    np.testing.assert_allclose(pose.T_odom_reported @ message(108, T_jump).T_odom_body, pose.T_odom_body, atol=1e-9)
+    np.testing.assert_array_equal(pose.corrected, VARIANCES)
+    assert pose.travel_m == pytest.approx(jumped(np.eye(4), until=109)[0].latest.travel_m)
+    assert pose.segment == 0
+
+
+def test_break_after_the_corrected_one_stays() -> None:
+    made, _ = jumped(jump(y=100.0))
+    for step in range(108, 112):
+        made.add(message(step, jump(y=300.0)))
+    made.correct(stamp_ns(100), stamp_ns(105.5), Correction(invert(jump(y=100.0)), VARIANCES), segment=0)
+    assert [made.at(stamp_ns(step)).segment for step in (102, 103, 107, 108, 111)] == [0, 0, 0, 1, 1]
+
+
+def test_looser_step_is_less_certain_and_nothing_else() -> None:
+    made, counters = jumped(np.eye(4))
+    made.loosen(stamp_ns(103), VARIANCES)
+    for step, variances in ((102, 0.0 * VARIANCES), (103, 0.0 * VARIANCES), (104, VARIANCES), (107, VARIANCES)):
+        np.testing.assert_array_equal(made.at(stamp_ns(step)).corrected, variances)
+        np.testing.assert_array_equal(made.at(stamp_ns(step)).T_odom_body, message(step).T_odom_body)
+    (pose,) = made.add(message(108))
+    np.testing.assert_array_equal(pose.corrected, VARIANCES)
+    assert not counters
+
+
+def test_single_wild_message_is_dropped() -> None:
+    made, counters = jumped(np.eye(4), until=JUMP_STEP)
+    assert made.add(message(JUMP_STEP, jump(y=1000.0, yaw=2.0))) == []
+    (pose,) = made.add(message(JUMP_STEP + 1))
+    np.testing.assert_array_equal(pose.T_odom_body, message(JUMP_STEP + 1).T_odom_body)
+    assert pose.segment == 0
+    assert counters == {"odometry_wild": 1}
+
+
+def test_two_messages_far_off_are_a_jump() -> None:
+    made, counters = jumped(np.eye(4), until=JUMP_STEP)
+    assert made.add(message(JUMP_STEP, jump(y=1000.0))) == []
+    assert [pose.segment for pose in made.add(message(JUMP_STEP + 1, jump(y=1000.0)))] == [1, 1]
+    assert not counters
+
+
+def test_last_message_counts_even_if_it_is_far_off() -> None:
+    made, _ = jumped(np.eye(4), until=JUMP_STEP)
+    made.add(message(JUMP_STEP, jump(y=1000.0)))
+    (pose,) = made.finish()
+    assert pose.segment == 1
+
+
+def test_break_can_be_ordered() -> None:
+    made, _ = jumped(np.eye(4), until=JUMP_STEP)
+    made.break_off()
+    assert [made.add(message(step))[0].segment for step in (JUMP_STEP, JUMP_STEP + 1)] == [1, 1]

@@ -9,6 +9,7 @@ from slam.common.config import Config
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.object_map.landmarks import ObjectMap, RetirementReason
 from slam.object_map.submap import Submap
+from slam.odometry.pose import OdometryPose
 from slam.place_recognition.place import Place
 from slam.place_recognition.retrieval import INACTIVE_RANGES, INDEXED_TRAVERSALS, PLACE_RADIUS_RANGES, PlaceRetriever
 
@@ -17,6 +18,11 @@ COUNT = 25
 NOW_M = 1000.0
 BEFORE_M = NOW_M - CONFIG.closure_travel_m
 RADIUS_M = PLACE_RADIUS_RANGES * CONFIG.sensor_range_m
+
+
+def after(travel_m: float) -> OdometryPose:
+    """The pose of the odometry after some travel."""
+    return OdometryPose(0, np.eye(4), travel_m, 0, 0.0)
 
 
 class Places:
@@ -53,7 +59,7 @@ class Places:
 
     def found_m(self, x_m: float, seed: int = 1) -> list[float]:
         """Where the first place is said to be, if there is one."""
-        self.retriever.index_inactive_landmarks(NOW_M)
+        self.retriever.index_inactive_landmarks(after(NOW_M))
         found = self.retriever.propose(self.query(x_m, seed), before_m=BEFORE_M)
         return [round(float(place.T_local_query[0, 3]), 1) for place in found[:1]]
 
@@ -79,7 +85,7 @@ def test_not_among_landmarks_of_this_traversal(places):
 def test_not_among_retired_landmarks(places):
     rows = places.add(50.0, 100.0)
     places.add(400.0, 450.0, seed=2)
-    places.retriever.index_inactive_landmarks(NOW_M)
+    places.retriever.index_inactive_landmarks(after(NOW_M))
     places.map.retire(rows, RetirementReason.GONE)
     assert places.found_m(50.0) != [50.0]
 
@@ -87,10 +93,10 @@ def test_not_among_retired_landmarks(places):
 def test_landmarks_are_left_behind_after_some_travel(places):
     recent_m = NOW_M - INACTIVE_RANGES * CONFIG.sensor_range_m
     places.add(50.0, recent_m + 1.0)
-    places.retriever.index_inactive_landmarks(NOW_M)
+    places.retriever.index_inactive_landmarks(after(NOW_M))
     found = places.retriever.propose(places.query(50.0), before_m=NOW_M)
     assert found == []
-    places.retriever.index_inactive_landmarks(NOW_M + 20.0)
+    places.retriever.index_inactive_landmarks(after(NOW_M + 20.0))
     assert places.retriever.propose(places.query(50.0), before_m=NOW_M) != []
 
 
@@ -113,11 +119,11 @@ def test_the_index_holds_only_so_many_traversals_of_a_place(places, traversals, 
     for number in range(1, traversals):
         for kept, dropped in zip(first, places.add(0.0, float(number)), strict=True):
             places.map.merge(int(kept), int(dropped))
-    places.retriever.index_inactive_landmarks(500.0)
+    places.retriever.index_inactive_landmarks(after(500.0))
     for kept, dropped in zip(first, places.add(50.0, 550.0), strict=True):
         places.map.merge(int(kept), int(dropped))
     places.add(400.0, 551.0, seed=2)
-    places.retriever.index_inactive_landmarks(NOW_M)
+    places.retriever.index_inactive_landmarks(after(NOW_M))
     found = places.retriever.propose(places.query(50.0), before_m=BEFORE_M)
     assert any(abs(place.T_local_query[0, 3] - 50.0) < 0.1 for place in found) is is_found
     assert places.found_m(400.0, seed=2) == [400.0]

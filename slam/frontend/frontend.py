@@ -1,0 +1,171 @@
+"""From the messages of a drive to placed scans: the track of the odometry, and the scans among the landmarks around.
+
+A pose of the odometry is handed out once a scan after it has been placed, which may correct it, or none has come for
+long.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterator
+
+from logs.messages import DetectionAssociations, ObjectDetections, Odometry
+from slam.common.calibration import DetectionCalibration
+from slam.common.errors import InputDataError
+from slam.frontend.input.scan import Scan
+from slam.frontend.input.scan_placer import ScanPlacer
+from slam.frontend.input.scan_queue import ScanQueue
+from slam.frontend.input.sensor_frames import SensorFrames
+from slam.frontend.mapper import Mapper
+from slam.frontend.tracker import Tracked
+from slam.odometry.pose import OdometryPose
+from slam.odometry.step_limits import MAX_GAP_S
+from slam.odometry.track import OdometryTrack
+
+REJOINING_SCANS = 20
+"""Scans that may show that a step that no body can have made is none."""
+
+
+class Frontend:
+    """Follows the odometry and places the scans of one drive; ``counters`` is where it counts what it used."""
+
+    def __init__(
+        self,
+        config: DetectionCalibration,
+        frames: SensorFrames,
+        track: OdometryTrack,
+        mapper: Mapper,
+        counters: Counter[str],
+    ) -> None:
+        self._config = config
+        self._placer = ScanPlacer(config, frames)
+        self._scans = ScanQueue(config.time_offset_s)
+        self._track = track
+        self._mapper = mapper
+        self._counters = counters
+        self._waiting: deque[int] = deque()
+        self._placed_ns = 0
+        self._attempts = 0
+        self._is_broken = False
+
+    @property
+    def latest_ns(self) -> int:
+        """Stamp of the latest pose; 0 before the first."""
+        return 0 if self._track.latest is None else self._track.latest.stamp_ns
+
+    def add_detections(self, detections: ObjectDetections) -> None:
+        """Let detections wait for the odometry."""
+        self._scans.add(detections)
+
+    def add_odometry(self, odometry: Odometry) -> list[int]:
+        """Follow the odometry; returns the stamps of the poses that this adds to the track."""
+        self._placer.follow(odometry)
+        return self._wait_for([pose.stamp_ns for pose in self._track.add(odometry)])
+
+    def pose_at(self, stamp_ns: int) -> OdometryPose | None:
+        """The pose of the track at a time, as it is corrected by now."""
+        return self._track.at(stamp_ns)
+
+    def break_off(self) -> None:
+        """Begin a new segment at the next pose: the robot was carried off."""
+        self._track.break_off()
+        self._is_broken = True
+
+    def advance(self) -> Iterator[OdometryPose | DetectionAssociations]:
+        """Place the scans that the odometry has caught up with.
+
+        Yields the poses before each scan, which the caller makes keyframes of, and then its associations.
+        """
+        if self._track.latest is None:
+            return
+        for detections in self._scans.take(self.latest_ns):
+            yield from self._place(detections)
+        yield from self._poses_until(self.latest_ns - round(MAX_GAP_S * 1e9))
+
+    def finish(self) -> Iterator[OdometryPose | DetectionAssociations]:
+        """The same at the end of the drive, when no scan can come any more.
+
+        Raises:
+            InputDataError: no detection could be placed, for want of a transform.
+        """
+        self._wait_for([pose.stamp_ns for pose in self._track.finish()])
+        yield from self.advance()
+        yield from self._poses_until(self.latest_ns)
+        self._counters["detections_without_odometry"] += len(self._scans)
+        if (missing := self._placer.describe_missing()) and not self._counters["detections_used"]:
+            raise InputDataError(
+                f"{missing}, the body frame of the odometry, so no detection could be placed; record "
+                "/tf_static, or say --set calibration.detection.assume_body_frame=true if the detections are in "
+                "the body frame"
+            )
+
+    def _wait_for(self, stamps_ns: list[int]) -> list[int]:
+        self._waiting += stamps_ns
+        return stamps_ns
+
+    def _place(self, detections: ObjectDetections) -> Iterator[OdometryPose | DetectionAssociations]:
+        pose = self._track.at(self._scans.time_ns(detections))
+        if pose is None:
+            self._counters["detections_without_odometry"] += 1
+            return
+        scan = self._scan(detections, pose)
+        if scan is None:
+            return
+        segment, tracked = self._mapper.segment, None
+        if segment is not None and pose.segment > segment and not self._is_broken:
+            tracked = self._rejoined(scan, pose)
+            if tracked is None and not self._is_broken:
+                return
+        if tracked is None:
+            if pose.segment != segment:
+                yield from self._poses_until(pose.stamp_ns)
+            pose = self._loosened(pose)
+            tracked = self._mapper.locate(scan, pose)
+        if tracked.correction is not None:
+            right = pose.segment if segment is None else segment
+            self._track.correct(self._placed_ns, pose.stamp_ns, tracked.correction, segment=right)
+            pose = self._mapper.tracked_pose(pose)
+        self._placed_ns = pose.stamp_ns
+        yield from self._poses_until(pose.stamp_ns)
+        yield self._mapper.add_scan(tracked, pose)
+
+    def _rejoined(self, scan: Scan, pose: OdometryPose) -> Tracked | None:
+        """The scan among the landmarks from before a step that no body can have made, if it shows that it is none."""
+        tracked = self._mapper.rejoin(scan, pose)
+        self._attempts = 0 if tracked is not None else self._attempts + 1
+        if self._attempts == REJOINING_SCANS:
+            self._is_broken, self._attempts = True, 0
+        return tracked
+
+    def _loosened(self, pose: OdometryPose) -> OdometryPose:
+        """The pose with the variance by which the odometry errs more than its noise explains."""
+        excess = self._mapper.excess_variances(pose)
+        if not excess.any():
+            return pose
+        self._track.loosen(self._placed_ns, excess)
+        return self._track.at(pose.stamp_ns) or pose
+
+    def _poses_until(self, stamp_ns: int) -> Iterator[OdometryPose]:
+        while self._waiting and self._waiting[0] <= stamp_ns:
+            pose = self._track.at(self._waiting.popleft())
+            if pose is None:
+                continue
+            if self._mapper.segment is not None and pose.segment != self._mapper.segment:
+                self._is_broken = False
+            yield pose
+
+    def _scan(self, detections: ObjectDetections, pose: OdometryPose) -> Scan | None:
+        """The scan of detections made at ``pose``; None where they cannot be used."""
+        if (fault := self._scans.fault_of(detections)) is not None:
+            self._counters[fault] += 1
+            return None
+        scan = self._placer.place(detections, pose)
+        if scan is None:
+            self._counters["detections_without_transform"] += 1
+            return None
+        self._scans.note_used(detections)
+        self._counters["detections_used"] += 1
+        self._counters["detections_without_frame"] += not (detections.frame_id or self._config.assume_body_frame)
+        self._counters["objects_used"] += len(scan.positions)
+        self._counters["objects_filtered"] += len(detections.positions) - len(scan.positions)
+        return scan

@@ -1,0 +1,288 @@
+"""Tracking: where the body is among the active landmarks at a scan, and which detection is which of them.
+
+Where the odometry predicts the pose better than objects are apart, each detection has one landmark, and the assignment
+is the answer. Where it does not, or where more detections are unmatched than matched although landmarks should be in
+view, the modes of :mod:`slam.frontend.pose_posterior` are compared; what the likeliest ones agree on is used. Their
+prior is a mixture: the odometry is right, or it errs by as much as the body moves, or the body is anywhere around.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.common.calibration import ObjectCalibration
+from slam.common.geometry import apply, blend, invert, relative, rigid, rotation_angle_rad
+from slam.frontend.active_landmarks import ActiveLandmarks
+from slam.frontend.data_association import AMBIGUOUS, NEW, Assignment, Objects, associate
+from slam.frontend.input.scan import Scan
+from slam.frontend.pose_posterior import Mode, ModeSearch, PriorComponent, probabilities
+from slam.object_map.landmarks import ObjectMap
+from slam.odometry.pose import OdometryPose
+from slam.odometry.track import Correction
+
+DECIDED = 0.99
+"""Probability from which a pair of a detection and a landmark is used, and a correction of the odometry made."""
+PRIOR_SCANS = 100
+"""Before any is seen, one step of the odometry in so many is taken to err by as much as the body moves."""
+JUMP_PROBABILITY = 1e-4
+"""... and one in so many to err by any distance."""
+SAME_POSE_GATE = 16.8
+"""Chi-squared with 6 degrees of freedom at 99 %."""
+WAITED_SCANS = 2
+"""While so many scans in a row do not fit, nothing new is mapped: the pose may be wrong. By then it has been searched
+for everywhere around.
+"""
+RECENT_STEPS = 10
+"""A body is as fast as at the fastest of so many steps: a single one is noisy."""
+JUMPED = 0.5
+"""Probability that a step that no body can have made is wrong."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracked:
+    """A scan of D detections in the frame of the body, and as ``seen`` in the local frame.
+
+    ``labels`` (D,): their classes; ``common`` (D, 3, 3) m^2: covariances of the errors that those of an object share;
+    ``assignment``: to the ``active`` landmarks, rows (A,) of the object map; ``correction``: of the odometry at the
+    scan, None where it is right; ``is_lost``: more should have been matched than was.
+    """
+
+    scan: Scan
+    labels: IntArray
+    common: FloatArray
+    seen: Scan
+    active: IntArray
+    assignment: Assignment
+    correction: Correction | None = None
+    is_lost: bool = False
+
+    @property
+    def landmark_rows(self) -> IntArray:
+        """(D,) row in the object map of each detection's landmark; negative where it has none."""
+        indices = self.assignment.landmark_rows
+        return np.where(indices >= 0, np.append(self.active, 0)[indices], indices)
+
+
+class Tracker:
+    """Places the scans of one drive among the active landmarks."""
+
+    def __init__(self, config: ObjectCalibration, active: ActiveLandmarks, object_map: ObjectMap) -> None:
+        self._config = config
+        self._active = active
+        self._map = object_map
+        self._scans, self._slips = PRIOR_SCANS, 1
+        self._failures = 0
+        self._stamp_ns = 0
+        self._T_local_body: FloatArray | None = None
+        self._T_odom_body: FloatArray | None = None
+        self._untold: list[tuple[Tracked, FloatArray]] = []
+        self._speeds = deque([np.zeros(2)], maxlen=RECENT_STEPS)  # rad/s, m/s
+        self._velocity = np.eye(4), 1.0  # a motion of the body, and how many seconds it took
+
+    def restart(self) -> None:
+        """Forget the motion, as after a discontinuity of the odometry."""
+        self._T_local_body = None
+        self._untold = []
+
+    def track(self, scan: Scan, labels: IntArray, pose: OdometryPose, common: FloatArray) -> Tracked:
+        """Place a scan of the body, which the odometry has at ``pose``, where the active landmarks are advanced to."""
+        tracked = self._associated(scan, labels, common)
+        self._scans += 1
+        is_failing = self._is_failing(tracked.assignment, tracked.seen.positions, self._active.T_local_body[:3, 3])
+        self._failures = self._failures + 1 if is_failing else 0
+        is_ambiguous = tracked.assignment.is_contested and tracked.assignment.is_uncertain
+        if len(self._active.rows) > 1 and (is_failing or is_ambiguous):
+            search = self._search_of(tracked)
+            if is_failing or search.is_pose_uncertain:
+                tracked = self._decided(tracked, search.modes(self._components(pose, is_failing=is_failing)))
+        is_lost = is_failing and tracked.correction is None
+        if is_lost and self._failures <= WAITED_SCANS:
+            rows = tracked.assignment.landmark_rows
+            undecided = replace(tracked.assignment, landmark_rows=np.where(rows == NEW, AMBIGUOUS, rows))
+            tracked = replace(tracked, assignment=undecided)
+        return replace(tracked, is_lost=is_lost)
+
+    def rejoin(self, scan: Scan, labels: IntArray, pose: OdometryPose, common: FloatArray) -> Tracked | None:
+        """Place a scan after a step to ``pose`` that no body can have made; None where the detections do not tell.
+
+        What was seen in the scans since that step counts, too, as the odometry has it around the body now.
+        """
+        if self._T_local_body is None or len(self._active.rows) < 2:
+            return None
+        T_reported = self._active.T_local_odom @ pose.T_odom_body
+        self._active.advance(self._expected(pose))
+        gathered = self._gathered(self._associated(scan, labels, common), pose.T_odom_body)
+        slip = self._slip(pose.stamp_ns, 0.0, 0.0)
+        components = [
+            PriorComponent(0.5 * JUMPED, slip),
+            PriorComponent(1.0 - JUMPED, np.zeros((6, 6)), T_reported @ invert(self._active.T_local_body)),
+            self._anywhere(0.5 * JUMPED),
+        ]
+        mode = self._sure_mode(gathered, self._search_of(gathered).modes(components))
+        if mode is None:
+            self._untold.append((self._associated(scan, labels, common), pose.T_odom_body))
+            return None
+        moved = self._shifted(self._associated(scan, labels, common), mode)
+        moved = replace(moved, assignment=moved.assignment.of(len(labels)))
+        T_odom = rigid(self._active.T_odom_body @ invert(pose.T_odom_body))
+        assert moved.correction is not None
+        return replace(moved, correction=Correction(T_odom, moved.correction.variances))
+
+    def _gathered(self, tracked: Tracked, T_odom_body: FloatArray) -> Tracked:
+        """A scan together with the objects seen in those before it that did not tell either."""
+        for earlier, T_odom_earlier in reversed(self._untold):
+            T_now_earlier = relative(T_odom_body, T_odom_earlier)
+            scan = earlier.scan.seen_from(T_now_earlier)
+            offsets = scan.positions[:, None] - tracked.scan.positions
+            near = np.einsum("nki,nki->nk", offsets, offsets) < self._config.spacing_m**2
+            other = ~(near & (earlier.labels[:, None] == tracked.labels)).any(axis=1)
+            R = T_now_earlier[:3, :3]
+            tracked = replace(
+                tracked,
+                scan=tracked.scan.joined(scan.of(other)),
+                labels=np.concatenate([tracked.labels, earlier.labels[other]]),
+                common=np.concatenate([tracked.common, R @ earlier.common[other] @ R.T]),
+            )
+        return replace(tracked, seen=tracked.scan.seen_from(self._active.T_local_body))
+
+    def _expected(self, pose: OdometryPose) -> OdometryPose:
+        """The pose if the body has gone on as before."""
+        assert self._T_odom_body is not None
+        step, took_s = self._velocity
+        seconds = (pose.stamp_ns - self._stamp_ns) * 1e-9
+        T_step = blend(np.eye(4), step, seconds / took_s)
+        return replace(pose, T_odom_body=self._T_odom_body @ T_step)
+
+    def _associated(self, scan: Scan, labels: IntArray, common: FloatArray) -> Tracked:
+        """The scan with the assignment at the predicted pose."""
+        seen = scan.seen_from(self._active.T_local_body)
+        predicted = self._active.predict()
+        assignment = associate(
+            Objects(seen.positions, seen.covariances + common, labels),
+            predicted.positions,
+            predicted.covariances,
+            self._map.beliefs(self._active.rows),
+            self._config,
+        )
+        return Tracked(scan, labels, common, seen, self._active.rows, assignment)
+
+    def _search_of(self, tracked: Tracked) -> ModeSearch:
+        seen = Objects(tracked.seen.positions, tracked.seen.covariances + tracked.common, tracked.labels)
+        return ModeSearch(seen, self._active.known_landmarks(), self._active.T_local_body[:3, 3], self._config)
+
+    def _is_failing(self, assignment: Assignment, seen: FloatArray, origin: FloatArray) -> bool:
+        """Whether the detections ``seen`` (D, 3) m from a body at ``origin`` (3,) m do not fit the landmarks: fewer are
+        matched than should be, or the matches are too far apart.
+        """
+        if assignment.is_inconsistent:
+            return True
+        positions = self._active.predict().positions
+        matched = np.isin(np.arange(len(positions)), assignment.landmark_rows)
+        seen_m = np.linalg.norm(seen - origin, axis=1)
+        in_view = np.linalg.norm(positions - origin, axis=1) < seen_m.max(initial=0.0)
+        count = int(matched.sum())
+        return min(int((in_view & ~matched).sum()), len(seen_m) - count) > max(count, 1)
+
+    def _components(self, pose: OdometryPose, *, is_failing: bool) -> list[PriorComponent]:
+        """The mixture of the prior; its wide parts where the odometry fails or has failed."""
+        slips = self._slips / self._scans
+        components = [PriorComponent(1.0 - slips, np.zeros((6, 6)))]
+        if is_failing or self._slips > 1:
+            components.append(PriorComponent(slips, self._slip(pose.stamp_ns, *self._odometry_step(pose))))
+        if is_failing and self._T_local_body is not None:
+            T_expected = self._active.T_local_odom @ self._expected(pose).T_odom_body
+            T_motion = T_expected @ invert(self._active.T_local_body)
+            components.append(PriorComponent(JUMP_PROBABILITY, self._slip(pose.stamp_ns, 0.0, 0.0), T_motion))
+        # The wide search is repeated at ever longer intervals while it fails.
+        if is_failing and self._failures > 1 and self._failures & (self._failures - 1) == 0:
+            components.append(self._anywhere(JUMP_PROBABILITY))
+        return components
+
+    def _odometry_step(self, pose: OdometryPose) -> tuple[float, float]:
+        """Turn [rad] and length [m] of the step by the odometry since the last scan."""
+        if self._T_odom_body is None:
+            return 0.0, 0.0
+        step = relative(self._T_odom_body, pose.T_odom_body)
+        return float(rotation_angle_rad(step)), float(np.linalg.norm(step[:3, 3]))
+
+    def _slip(self, stamp_ns: int, turn_rad: float, length_m: float) -> FloatArray:
+        """Covariance (6, 6) of an error as large as the motion since the last scan."""
+        speeds = np.max(self._speeds, axis=0, initial=0.0)
+        turn, shift = np.maximum([turn_rad, length_m], speeds * (stamp_ns - self._stamp_ns) * 1e-9)
+        return np.diag(np.repeat([turn**2 + 1e-8, shift**2 + 1e-8], 3))
+
+    def _anywhere(self, weight: float) -> PriorComponent:
+        """Any place among the landmarks around, at any heading."""
+        extent_m = np.maximum(np.ptp(self._active.predict().positions, axis=0), 1e-3)
+        spread = np.array([1e-3, 1e-3, np.pi, *extent_m[:2], 1e-1 * extent_m[:2].max()])
+        return PriorComponent(weight, np.diag(spread**2), is_anywhere=True)
+
+    def _decided(self, tracked: Tracked, modes: list[Mode]) -> Tracked:
+        """The scan by the posterior of the pose."""
+        sure = self._sure_mode(tracked, modes)
+        if sure is not None and sure.component.added.any():
+            self._slips += 1
+            self._failures = 0
+            return self._shifted(tracked, sure)
+        weights, best = probabilities(modes), modes[0]
+        # A detection that another mode takes for another landmark waits for scans that decide.
+        pairs = np.array([mode.assignment.landmark_rows for mode in modes])
+        agrees = ((pairs == pairs[0]) * weights[:, None]).sum(axis=0)
+        contradicts = (((pairs != pairs[0]) & (pairs >= 0)) * weights[:, None]).sum(axis=0)
+        is_sure = contradicts <= (1.0 - DECIDED) * (agrees + contradicts)
+        rows = np.where(is_sure, best.assignment.landmark_rows, AMBIGUOUS)
+        ratios = np.where(rows >= 0, best.assignment.log_likelihood_ratios, 0.0)
+        assignment = replace(tracked.assignment, landmark_rows=rows, log_likelihood_ratios=ratios)
+        return replace(tracked, assignment=assignment)
+
+    def _sure_mode(self, tracked: Tracked, modes: list[Mode]) -> Mode | None:
+        """The likeliest mode, if its pose is sure and most detections or landmarks in view are matched at it."""
+        best = modes[0]
+        if not best.assignment.matched.any() or probabilities(modes)[_same_pose(modes)].sum() < DECIDED:
+            return None
+        origin = apply(best.T_motion, self._active.T_local_body[:3, 3])
+        positions = apply(best.T_motion, tracked.seen.positions)
+        return None if self._is_failing(best.assignment, positions, origin) else best
+
+    def _shifted(self, tracked: Tracked, mode: Mode) -> Tracked:
+        """The scan at a pose that the odometry does not have."""
+        before = self._active.T_local_body
+        T_odom = self._active.shift(mode.T_motion, mode.component.added)
+        shift = relative(before, self._active.T_local_body)
+        shift_m2 = float(shift[:3, 3] @ shift[:3, 3]) / 3.0
+        turn_rad2 = float(rotation_angle_rad(shift)) ** 2
+        tilt, heading, position = np.diagonal(mode.covariance)[[0, 2, 3]]
+        variances = np.array([position + shift_m2, tilt + turn_rad2, heading + turn_rad2])
+        seen = tracked.scan.seen_from(self._active.T_local_body)
+        return replace(tracked, seen=seen, assignment=mode.assignment, correction=Correction(T_odom, variances))
+
+    def follow(self, stamp_ns: int) -> None:
+        """Remember the pose, corrected by the landmarks, and its velocity."""
+        self._untold = []
+        T, before = self._active.T_local_body, self._T_local_body
+        seconds = (stamp_ns - self._stamp_ns) * 1e-9
+        if before is not None and seconds > 0.0:
+            step = relative(before, T)
+            self._velocity = step, seconds
+            motion = np.array([float(rotation_angle_rad(step)), float(np.linalg.norm(step[:3, 3]))])
+            self._speeds.append(motion / seconds)
+        self._stamp_ns, self._T_local_body, self._T_odom_body = stamp_ns, T, self._active.T_odom_body
+
+
+def _same_pose(modes: list[Mode]) -> BoolArray:
+    """Which modes have landmarks and do not differ from the first one by more than their noise."""
+    first = modes[0]
+    same = []
+    for mode in modes:
+        T = mode.T_motion @ invert(first.T_motion)
+        turn = float(rotation_angle_rad(T))
+        moved = T[:3, 3]
+        variance = np.trace(first.covariance[3:, 3:] + mode.covariance[3:, 3:]) / 3.0
+        turned = np.trace(first.covariance[:3, :3] + mode.covariance[:3, :3]) / 3.0
+        is_near = moved @ moved / variance + turn**2 / turned < SAME_POSE_GATE
+        same.append(bool(is_near and mode.assignment.matched.any()))
+    return np.array(same)

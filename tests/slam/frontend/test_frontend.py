@@ -1,0 +1,163 @@
+"""From messages to placed scans: which poses are handed out, when, and as what."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from logs.messages import DetectionAssociations, ObjectDetections, Odometry
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.solver_options import FactorGraphConfig
+from slam.common.arrays import FloatArray
+from slam.common.config import Config
+from slam.common.errors import InputDataError
+from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.frontend.frontend import REJOINING_SCANS, Frontend
+from slam.frontend.input.sensor_frames import SensorFrames
+from slam.frontend.mapper import Mapper
+from slam.object_map.landmarks import ObjectMap
+from slam.odometry.pose import OdometryPose
+from slam.odometry.step_limits import MAX_GAP_S
+from slam.odometry.track import OdometryTrack
+from tests.slam.frontend.test_tracker import STEP_NS, T_true, forest
+
+START_NS = 10**9
+
+
+class Drive:
+    """A front end and what it hands out; ``T_fault`` (4, 4) leads from the true frame to that of the odometry."""
+
+    def __init__(self, *, frame_id: str = "base_link") -> None:
+        config = Config()
+        self.counters = Counter[str]()
+        object_map = ObjectMap(config.calibration.objects)
+        self.mapper = Mapper(config, object_map, FactorGraph(FactorGraphConfig()))
+        track = OdometryTrack(self.counters)
+        self.frontend = Frontend(config.calibration.detection, SensorFrames(), track, self.mapper, self.counters)
+        self.rng, self.objects, self.frame_id = np.random.default_rng(0), forest(), frame_id
+        self.T_fault, self.step = np.eye(4), 0
+        self.poses: list[OdometryPose] = []
+        self.associations: list[DetectionAssociations] = []
+
+    def drive(self, steps: int, *, sees: bool = True) -> None:
+        """So many messages of the odometry, each with detections at its time."""
+        for _ in range(steps):
+            stamp_ns = START_NS + self.step * STEP_NS
+            if sees:
+                self.frontend.add_detections(self.detections(stamp_ns))
+            self.frontend.add_odometry(Odometry(stamp_ns, self.T_fault @ T_true(self.step)))
+            self.take(self.frontend.advance())
+            self.step += 1
+
+    def detections(self, stamp_ns: int) -> ObjectDetections:
+        positions = apply(invert(T_true(self.step)), self.objects)
+        positions = positions[np.linalg.norm(positions, axis=1) < 25.0]
+        positions += self.rng.normal(scale=0.03, size=positions.shape)
+        count = len(positions)
+        covariances = np.tile(0.03**2 * np.eye(3), (count, 1, 1))
+        return ObjectDetections(stamp_ns, self.frame_id, positions, ("tree",) * count, np.ones(count), covariances)
+
+    def take(self, placed) -> None:
+        for each in placed:
+            if isinstance(each, OdometryPose):
+                self.poses.append(each)
+                self.mapper.add_odometry(each)
+            else:
+                self.associations.append(each)
+
+    def finish(self) -> None:
+        self.take(self.frontend.finish())
+
+    def errors_m(self) -> FloatArray:
+        """How far each pose handed out is from the truth."""
+        true = [T_true((pose.stamp_ns - START_NS) // STEP_NS)[:3, 3] for pose in self.poses]
+        return np.linalg.norm(np.array([pose.T_odom_body[:3, 3] for pose in self.poses]) - true, axis=1)
+
+    def assert_each_once(self) -> None:
+        stamps_ns = [pose.stamp_ns for pose in self.poses]
+        assert stamps_ns == [START_NS + step * STEP_NS for step in range(self.step)]
+
+
+def restart(drive: Drive) -> None:
+    """Let the odometry start again at its first pose."""
+    drive.T_fault = invert(T_true(drive.step))
+
+
+def test_each_pose_is_handed_out_once_as_reported() -> None:
+    drive = Drive()
+    drive.drive(30)
+    drive.finish()
+    drive.assert_each_once()
+    assert drive.errors_m().max() == 0.0
+    assert len(drive.associations) == 30
+    assert drive.counters["detections_used"] == 30
+
+
+def test_poses_wait_for_a_scan_but_not_forever() -> None:
+    drive = Drive()
+    drive.drive(10)
+    handed_out = len(drive.poses)
+    drive.drive(round(MAX_GAP_S * 1e9 / STEP_NS), sees=False)
+    assert len(drive.poses) <= handed_out + 1
+    drive.drive(20, sees=False)
+    assert len(drive.poses) >= handed_out + 20
+    drive.finish()
+    drive.assert_each_once()
+
+
+@pytest.mark.parametrize("yaw", [0.7, -2.0])
+def test_poses_are_handed_out_as_corrected(yaw: float) -> None:
+    drive = Drive()
+    drive.drive(20)
+    body = T_true(drive.step)
+    drive.T_fault = body @ transform_from_xyz_yaw(np.array([0.5, 0.3, 0.0]), yaw) @ invert(body)
+    drive.drive(10)
+    drive.finish()
+    drive.assert_each_once()
+    assert drive.errors_m().max() < 0.2
+    assert drive.counters["odometry_corrected"] == 1
+    assert {pose.segment for pose in drive.poses} == {0}
+
+
+def test_restart_of_the_odometry_among_known_landmarks_begins_no_segment() -> None:
+    drive = Drive()
+    drive.drive(30)
+    restart(drive)
+    drive.drive(20)
+    drive.finish()
+    drive.assert_each_once()
+    assert drive.errors_m().max() < 0.2
+    assert {pose.segment for pose in drive.poses} == {0}
+
+
+def test_restart_of_the_odometry_in_an_unknown_place_begins_a_segment() -> None:
+    drive = Drive()
+    drive.drive(30)
+    restart(drive)
+    drive.objects = forest(60, seed=5) + np.array([3.0, 2.0, 200.0])
+    drive.objects[:, 2] = 0.0
+    drive.drive(REJOINING_SCANS + 10)
+    drive.finish()
+    drive.assert_each_once()
+    assert [pose.segment for pose in drive.poses] == [0] * 30 + [1] * (REJOINING_SCANS + 10)
+    assert drive.counters["odometry_corrected"] == 0
+
+
+def test_break_is_not_rejoined() -> None:
+    drive = Drive()
+    drive.drive(30)
+    drive.frontend.break_off()
+    drive.drive(10)
+    drive.finish()
+    drive.assert_each_once()
+    assert [pose.segment for pose in drive.poses] == [0] * 30 + [1] * 10
+
+
+def test_missing_transform_is_an_error_at_the_end() -> None:
+    drive = Drive(frame_id="lidar")
+    drive.drive(5)
+    with pytest.raises(InputDataError, match="lidar"):
+        drive.finish()
+    assert drive.counters["detections_without_transform"] == 5

@@ -1,0 +1,221 @@
+"""Tracking of a drive among landmarks whose odometry is right, jumps, slips or starts anew."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.solver_options import FactorGraphConfig
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.config import Config
+from slam.common.geometry import apply, invert, relative, rotation_angle_rad, transform_from_xyz_yaw
+from slam.frontend.input.scan import Scan
+from slam.frontend.mapper import Mapper
+from slam.frontend.tracker import Tracked
+from slam.object_map.landmarks import ObjectMap
+from slam.odometry.pose import OdometryPose
+
+SIGMA_M = 0.03
+RANGE_M = 25.0
+STEP_M, STEP_NS = 0.5, 10**8
+
+
+def forest(count: int = 60, seed: int = 0) -> FloatArray:
+    """Places (count, 3) m of objects around the first 30 m of the x axis."""
+    rng = np.random.default_rng(seed)
+    return np.column_stack([rng.uniform([-20.0, -20.0], [50.0, 20.0], (count, 2)), np.zeros(count)])
+
+
+def T_true(step: int) -> FloatArray:
+    """A gentle curve at 5 m/s, ten scans a second."""
+    return transform_from_xyz_yaw(np.array([STEP_M * step, 0.01 * STEP_M * step**1.5, 0.0]), 0.01 * step)
+
+
+class Drive:
+    """A mapper and scans with noise; ``T_fault`` (4, 4) leads from the true frame to that of the odometry."""
+
+    def __init__(self, objects: FloatArray, *, range_m: float = RANGE_M) -> None:
+        config = Config()
+        self.objects, self.rng, self.range_m = objects, np.random.default_rng(0), range_m
+        object_map = ObjectMap(config.calibration.objects)
+        self.mapper = Mapper(config, object_map, FactorGraph(FactorGraphConfig()))
+        self.object_of: dict[int, int] = {}  # of each landmark
+        self.T_fault, self.step, self.corrections = np.eye(4), 0, 0
+        self.mapper.add_odometry(self.pose())
+
+    def pose(self, segment: int = 0) -> OdometryPose:
+        T = self.T_fault @ T_true(self.step)
+        return OdometryPose(self.step * STEP_NS, T, STEP_M * self.step, segment, 5.0)
+
+    def seen(self) -> IntArray:
+        """The objects in range."""
+        return np.flatnonzero(np.linalg.norm(self.objects - T_true(self.step)[:3, 3], axis=1) < self.range_m)
+
+    def scan(self, which: IntArray) -> Scan:
+        positions = apply(invert(T_true(self.step)), self.objects[which])
+        positions += self.rng.normal(scale=SIGMA_M, size=positions.shape)
+        used = np.ones(len(which), dtype=np.bool_)
+        P = np.tile(SIGMA_M**2 * np.eye(3), (len(which), 1, 1))
+        return Scan(self.step * STEP_NS, "lidar", positions, P, ("tree",) * len(which), used, used)
+
+    def located(self, which: IntArray | None = None) -> Tracked:
+        """The next scan, tracked and mapped."""
+        self.step += 1
+        which, pose = self.seen() if which is None else which, self.pose()
+        tracked = self.mapper.locate(self.scan(which), pose)
+        self.use(tracked, which)
+        return tracked
+
+    def rejoined(self) -> Tracked | None:
+        """The next scan, after a step of the odometry that no body can have made."""
+        self.step += 1
+        tracked = self.mapper.rejoin(self.scan(self.seen()), self.pose(segment=1))
+        if tracked is not None:
+            self.use(tracked, self.seen())
+        return tracked
+
+    def use(self, tracked: Tracked, which: IntArray) -> None:
+        if tracked.correction is not None:
+            self.T_fault = tracked.correction.T_odom @ self.T_fault
+            self.corrections += 1
+        self.mapper.add_odometry(self.pose())
+        found = self.mapper.add_scan(tracked, self.pose())
+        new = {int(row): int(which[k]) for k, row in enumerate(found.landmark_ids) if found.created[k]}
+        self.object_of |= new
+
+    def drive(self, steps: int, fault: Callable[[int], FloatArray] = lambda _: np.eye(4)) -> list[Tracked]:
+        """So many steps; ``fault`` (4, 4) is added to the odometry at each, in the frame of the body."""
+        found = []
+        for step in range(steps):
+            body = T_true(self.step + 1)
+            self.T_fault = self.T_fault @ body @ fault(step) @ invert(body)
+            found.append(self.located())
+        return found
+
+    def wrong_pairs(self, tracked: Tracked, which: IntArray) -> int:
+        """Detections with another object's landmark."""
+        rows = tracked.landmark_rows
+        return sum(
+            self.object_of[row] != each for row, each in zip(rows.tolist(), which.tolist(), strict=True) if row >= 0
+        )
+
+    def error(self) -> tuple[float, float]:
+        """How far the odometry as corrected is from the truth, in metres and radians."""
+        left = relative(T_true(self.step), self.pose().T_odom_body)
+        return float(np.linalg.norm(left[:3, 3])), float(rotation_angle_rad(left))
+
+
+def known(tracked: Tracked) -> float:
+    """Share of the detections of a scan that have a landmark."""
+    return float(tracked.assignment.matched.mean())
+
+
+def test_exact_odometry_is_left_alone() -> None:
+    drive = Drive(forest())
+    _, *found = drive.drive(40)
+    assert drive.corrections == 0
+    assert np.mean([known(tracked) for tracked in found]) > 0.97
+    assert len(drive.object_of) == len(set(drive.object_of.values()))
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "yaw"), [(0.0, 0.0, 0.7), (0.0, 0.0, -2.1), (0.6, -0.5, 0.0), (8.0, 5.0, 1.5)], ids=str
+)
+def test_jump_of_the_odometry_is_corrected(x: float, y: float, yaw: float) -> None:
+    drive = Drive(forest())
+    drive.drive(15)
+    jump = transform_from_xyz_yaw(np.array([x, y, 0.0]), yaw)
+    found = drive.drive(6, lambda step: jump if step == 0 else np.eye(4))
+    assert drive.corrections == 1
+    assert known(found[-1]) > 0.95
+    assert drive.error()[0] < 0.2
+    assert drive.error()[1] < 0.02
+    (correction,) = [tracked.correction for tracked in found if tracked.correction is not None]
+    translation, _, heading = correction.variances
+    assert translation >= 0.9 * (x**2 + y**2) / 3.0
+    assert heading >= 0.9 * yaw**2
+
+
+def test_frozen_odometry_is_corrected_scan_by_scan() -> None:
+    drive = Drive(forest())
+    drive.drive(15)
+    found = drive.drive(15, lambda _: relative(T_true(drive.step + 1), T_true(drive.step)))
+    assert np.mean([known(tracked) for tracked in found]) > 0.9
+    assert drive.corrections > 10
+    assert drive.error()[0] < 0.3
+
+
+def test_error_while_nothing_was_in_view_is_corrected() -> None:
+    """The scan after it matches next to nothing; only a search for any place around finds the pose."""
+    drive = Drive(forest())
+    drive.drive(12)
+    turn = transform_from_xyz_yaw(np.array([0.3, 0.3, 0.0]), 0.2)
+    body = T_true(drive.step + 1)
+    drive.T_fault = drive.T_fault @ body @ turn @ invert(body)
+    drive.located(np.zeros(0, dtype=np.int64))
+    found = drive.drive(8)
+    assert drive.corrections == 1
+    assert known(found[-1]) > 0.8
+    assert drive.error()[0] < 0.2
+    assert drive.error()[1] < 0.02
+
+
+def test_no_wrong_pair_is_used_where_two_poses_explain_the_scan_as_well() -> None:
+    """The odometry slips by half the spacing of a regular row, whose ends are out of sight."""
+    drive = Drive(np.array([[0.8 * i - 10.0, 5.0, 0.0] for i in range(80)]), range_m=12.0)
+    drive.drive(12)
+    body = T_true(drive.step + 1)
+    drive.T_fault = body @ transform_from_xyz_yaw(np.array([0.4, 0.0, 0.0]), 0.0) @ invert(body)
+    ahead = np.flatnonzero(np.linalg.norm(drive.objects - body[:3, 3], axis=1) < 7.0)
+    assert drive.wrong_pairs(drive.located(ahead), ahead) == 0
+
+
+def test_scan_without_landmarks_teaches_nothing() -> None:
+    """All objects are new: none is taken for a landmark, and the landmarks stay where they are."""
+    drive = Drive(forest())
+    drive.drive(8)
+    drive.objects = np.concatenate([drive.objects, forest(40, seed=7) + np.array([0.0, 0.0, 300.0])])
+    new = 60 + np.flatnonzero(np.linalg.norm(drive.objects[60:, :2], axis=1) < RANGE_M)
+    tracked = drive.located(new)
+    assert not tracked.assignment.matched.any()
+    assert tracked.correction is None
+    assert known(drive.located()) > 0.9
+
+
+# After a step that no body can have made
+
+
+def test_gap_over_which_the_odometry_was_right_is_rejoined() -> None:
+    drive = Drive(forest())
+    drive.drive(12)
+    drive.step += 15
+    tracked = drive.rejoined()
+    assert tracked is not None
+    assert known(tracked) > 0.7
+    assert drive.error()[0] < 0.2
+
+
+def test_gap_in_which_the_heading_was_lost_is_rejoined() -> None:
+    drive = Drive(forest())
+    drive.drive(12)
+    body = T_true(drive.step + 1)
+    drive.T_fault = body @ transform_from_xyz_yaw(np.zeros(3), 2.5) @ invert(body)
+    assert drive.rejoined() is not None
+    assert drive.error()[0] < 0.2
+    assert drive.error()[1] < 0.02
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_unknown_place_is_not_rejoined(seed: int) -> None:
+    drive = Drive(forest())
+    drive.drive(20)
+    drive.T_fault = invert(T_true(drive.step + 1))
+    drive.objects = forest(60, seed=9 + seed)[:, [1, 0, 2]] + T_true(drive.step)[:3, 3]
+    assert drive.rejoined() is None
+
+
+def test_nothing_is_rejoined_before_anything_was_tracked() -> None:
+    assert Drive(forest()).rejoined() is None
