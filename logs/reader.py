@@ -16,8 +16,7 @@ from typing import NamedTuple
 import zstandard
 
 from logs.container.limits import ReadingLimits
-from logs.decoders.decoded_messages import DecodedMessages
-from logs.decoders.record_decoder import RecordDecoder
+from logs.decoders.record_decoder import DecodedMessages, RecordDecoder
 from logs.decoders.registry import kinds_of
 from logs.digest import file_sha256
 from logs.messages import Record

@@ -48,7 +48,7 @@ def class_color(label: str) -> tuple[float, float, float, float]:
 
 def encode_markers(markers: SceneMarkers) -> Message:
     """``markers`` as one update of the scene: an entity with shape and text for each object."""
-    now = _timestamp(markers.stamp_ns)
+    now = timestamp(markers.stamp_ns)
     update = SceneUpdate()
     if markers.replaces:
         update.deletions.add(timestamp=now, type=SceneEntityDeletion.ALL)
@@ -70,7 +70,7 @@ def encode_markers(markers: SceneMarkers) -> Message:
 
 def encode_lines(lines: SceneLines) -> Message:
     """``lines`` as the only entity of the scene, a line strip for each polyline."""
-    now = _timestamp(lines.stamp_ns)
+    now = timestamp(lines.stamp_ns)
     update = SceneUpdate(deletions=[SceneEntityDeletion(timestamp=now, type=SceneEntityDeletion.ALL)])
     entity = update.entities.add(timestamp=now, frame_id=lines.frame_id, id="lines")
     color = Color(**dict(zip("rgba", lines.color, strict=True)))
@@ -102,7 +102,7 @@ def encode_points(points: ScenePoints) -> Message:
     """``points`` as a cloud of float32 metres and one byte a colour."""
     columns = np.hstack([points.positions, np.rint(255.0 * points.colors)])
     rows = np.zeros(len(columns), dtype=_POINT)
-    cloud = PointCloud(timestamp=_timestamp(points.stamp_ns), frame_id=points.frame_id, point_stride=_POINT.itemsize)
+    cloud = PointCloud(timestamp=timestamp(points.stamp_ns), frame_id=points.frame_id, point_stride=_POINT.itemsize)
     cloud.pose.orientation.w = 1.0
     offset = 0
     for column, (name, kind, type_) in zip(columns.T, _POINT_FIELDS, strict=True):
@@ -113,7 +113,8 @@ def encode_points(points: ScenePoints) -> Message:
     return cloud
 
 
-def _timestamp(stamp_ns: int) -> Timestamp:
+def timestamp(stamp_ns: int) -> Timestamp:
+    """``stamp_ns`` as protobuf has times."""
     seconds, nanos = divmod(int(stamp_ns), 1_000_000_000)
     return Timestamp(seconds=seconds, nanos=nanos)
 

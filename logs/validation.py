@@ -6,6 +6,7 @@ import math
 import operator
 from collections import Counter
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,9 @@ ROTATION_TOLERANCE = 1e-6
 
 LARGEST_M = 1e9
 """Positions further from the origin, beyond the moon, are mistakes; up to it, float64 still tells micrometres apart."""
+
+LAST_NS = 2**62 - 1
+"""Later times, after the year 2116, are taken for mistakes; up to it, sums and differences of two fit into 64 bits."""
 
 _LARGEST_VARIANCE = LARGEST_M**2
 
@@ -94,15 +98,16 @@ def quaternion_xyzw(T: FloatArray) -> tuple[float, float, float, float]:
     return q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm
 
 
-def matrix_rows(values: Sequence[float], count: int, width: int, what: str) -> FloatArray:
-    """``(count, width)`` float64 of a flat array.
+def flat_array(values: Sequence[float], shape: tuple[int, ...], what: str, dtype: Any = np.float64) -> NDArray[Any]:
+    """An array of ``shape`` of its numbers in a row.
 
     Raises:
         Refusal: another length.
     """
-    if len(values) != count * width:
-        raise Refusal("lengths disagree", f"{what}: {len(values)} numbers for {count} x {width}")
-    return np.fromiter(values, dtype=np.float64, count=count * width).reshape(count, width)
+    count = math.prod(shape)
+    if len(values) != count:
+        raise Refusal("lengths disagree", f"{what}: {len(values)} numbers for {' x '.join(map(str, shape))}")
+    return np.fromiter(values, dtype=dtype, count=count).reshape(shape)
 
 
 def transforms(values: Sequence[float], count: int, what: str) -> FloatArray:
@@ -112,7 +117,7 @@ def transforms(values: Sequence[float], count: int, what: str) -> FloatArray:
         Refusal: another length, NaN or Inf, or a rotation further from one than ``ROTATION_TOLERANCE``.
     """
     T = np.zeros((count, 4, 4))
-    T[:, :3, :] = matrix_rows(values, count, 12, what).reshape(count, 3, 4)
+    T[:, :3, :] = flat_array(values, (count, 3, 4), what)
     T[:, 3, 3] = 1.0
     if not np.isfinite(T).all():
         raise Refusal("transform is not finite", what)

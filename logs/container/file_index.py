@@ -22,9 +22,9 @@ from logs import blocks
 from logs.blocks import Block
 from logs.container.chunks import OversizedChunkError, read_chunk
 from logs.container.limits import ReadingLimits
-from logs.container.pending import LAST_NS
 from logs.errors import UnreadableLogError
 from logs.topics import Channel, Schema
+from logs.validation import LAST_NS
 
 # Whatever decompressing or parsing damaged bytes may raise.
 DAMAGE = (McapError, ValueError, RuntimeError, MemoryError, OverflowError, struct.error, EOFError, zstandard.ZstdError)

@@ -9,9 +9,7 @@ import numpy as np
 
 from logs import blocks
 from logs.topics import Channel, RawMessage
-
-LAST_NS = 2**62 - 1
-"""Later times, after the year 2116, are taken for mistakes; up to it, sums and differences of two fit into 64 bits."""
+from logs.validation import LAST_NS
 
 _HEADER = blocks.MESSAGE_HEADER
 

@@ -5,19 +5,23 @@ from __future__ import annotations
 from collections import Counter
 
 from logs.container.limits import ReadingLimits
-from logs.container.pending import LAST_NS
 from logs.decoders.registry import decoder_for, kinds_of
 from logs.errors import InvalidRecordError
 from logs.messages import ImageDetections, LabelledScan, ObjectDetections, Odometry, Record, Transform
 from logs.topics import RawMessage, RecordKind
-from logs.validation import Refusal
+from logs.validation import LAST_NS, Refusal
 
 _LARGE = frozenset(
     {RecordKind.OBJECT_MAP, RecordKind.OBJECT_TRUTH, RecordKind.TRAJECTORY, RecordKind.FACTOR_GRAPH, RecordKind.DEPTH}
 )  # each a whole result, or an image, in one message
-
-
-_CLOUDS = ("sensor_msgs/msg/PointCloud2",)
+_CLOUD = "sensor_msgs/msg/PointCloud2"
+_NAMES = {
+    ObjectDetections: ("frame_id", "labels", "track_ids"),
+    ImageDetections: ("frame_id", "labels"),
+    LabelledScan: ("frame_id",),
+    Odometry: ("frame_id", "child_frame_id"),
+    Transform: ("parent_frame_id", "child_frame_id"),
+}
 
 
 def decode(
@@ -36,15 +40,14 @@ def decode(
             limits allow; names topic and time.
         KeyError: the schema is unknown or has no such kind.
     """
-    decoder = decoder_for(raw.channel)
-    if decoder is None or kind not in kinds_of(raw.channel):
+    if kind not in kinds_of(raw.channel):
         raise KeyError(f"{raw.topic}: {raw.channel.schema_name!r} does not decode to {kind}")
     limits = limits or ReadingLimits()
     try:
-        is_large = kind in _LARGE or raw.channel.schema_name in _CLOUDS
+        is_large = kind in _LARGE or raw.channel.schema_name == _CLOUD
         if not is_large and len(raw.data) > limits.input_bytes:
             raise Refusal("too many bytes for limits.objects", f"{len(raw.data)}, more than {limits.input_bytes}")
-        records = decoder(raw, kind, Counter() if counters is None else counters)
+        records = decoder_for(raw.channel)(raw, kind, Counter() if counters is None else counters)
         for record in records:
             _check(record, limits)
         return records
@@ -59,22 +62,14 @@ def _check(record: Record, limits: ReadingLimits) -> None:
         raise Refusal("time is no whole number", f"{record.stamp_ns!r:.40} ns")
     if not 0 <= record.stamp_ns <= LAST_NS:
         raise Refusal("time out of range", f"{record.stamp_ns} ns")
-    names: tuple[str, ...] = ()
-    if isinstance(record, ObjectDetections):
-        if len(record.labels) > limits.objects:
-            raise Refusal("more objects than limits.objects", f"{len(record.labels)}, more than {limits.objects}")
-        names = (record.frame_id, *record.labels, *(record.track_ids or ()))
-    elif isinstance(record, ImageDetections):
-        if len(record.labels) > limits.objects:
-            raise Refusal("more objects than limits.objects", f"{len(record.labels)}, more than {limits.objects}")
-        names = (record.frame_id, *record.labels)
-    elif isinstance(record, LabelledScan):
-        names = (record.frame_id,)
-    elif isinstance(record, Odometry):
-        names = (record.frame_id, record.child_frame_id)
-    elif isinstance(record, Transform):
-        names = (record.parent_frame_id, record.child_frame_id)
-    if not all(isinstance(name, str) for name in names):
+    names: list[str] = []
+    for field in _NAMES.get(type(record), ()):
+        value = getattr(record, field) or ""
+        values = value if isinstance(value, tuple) else (value,)
+        if len(values) > limits.objects:
+            raise Refusal("more objects than limits.objects", f"{len(values)}, more than {limits.objects}")
+        names += values
+    if any(type(name) is not str for name in names):
         raise Refusal("name is no text")
-    if names and max(map(len, names)) > limits.name_length:
+    if max(map(len, names), default=0) > limits.name_length:
         raise Refusal("name longer than limits.name_length", f"more than {limits.name_length} characters")

@@ -1,42 +1,102 @@
-"""What the encodings share: poses, frames and lists of detections, once their numbers are out of the message."""
+"""What the encodings share: poses, frames, fixes and detections, once their numbers are out of the message."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from logs.messages import GeodeticFix, GroundTruthPose, ObjectDetections, Odometry, Record, SlamPose, Transform
-from logs.topics import RecordKind
-from logs.validation import LARGEST_M, FloatArray, Refusal, covariance_to_body, usable_covariance, usable_covariances
+from logs.topics import RawMessage, RecordKind
+from logs.validation import (
+    LARGEST_M,
+    FloatArray,
+    Refusal,
+    covariance_to_body,
+    transform_from_quaternion,
+    usable_covariance,
+    usable_covariances,
+)
 
 UNKNOWN_LABEL = "unknown"
 """Class of an object whose detector gave it none."""
 
-
-def pose_record(
-    kind: RecordKind, stamp_ns: int, frame_id: str, body_frame_id: str, T: FloatArray, covariance: FloatArray | None
-) -> Record:
-    """The record that a pose is on a topic of ``kind``; an empty frame name becomes the usual one."""
-    if kind == RecordKind.ODOMETRY:
-        return Odometry(stamp_ns, T, frame_id or "odom", body_frame_id or "base_link", covariance)
-    if kind == RecordKind.GROUND_TRUTH:
-        return GroundTruthPose(stamp_ns, T, frame_id or "world")
-    return SlamPose(stamp_ns, T)
+Records = tuple[Record, ...]
+Place = tuple[int, str]
+"""Stamp [ns] and frame."""
 
 
-def frame_records(kind: RecordKind, frames: Iterable[tuple[int, str, str, FloatArray]]) -> tuple[Record, ...]:
-    """Records of (stamp, parent, child, T_parent_child); as odometry, those whose parent is the frame "odom"."""
-    if kind == RecordKind.ODOMETRY:
-        return tuple(
-            Odometry(stamp, T, parent, child) for stamp, parent, child, T in frames if parent.strip("/") == "odom"
-        )
-    return tuple(Transform(stamp, parent, child, T) for stamp, parent, child, T in frames)
+class Context(NamedTuple):
+    """A message, the part that its topic plays, and counts of what is left out of records that are otherwise good."""
+
+    raw: RawMessage
+    kind: RecordKind
+    counters: Counter[str]
 
 
-def covariance_6x6(values: Sequence[float], T: FloatArray, counters: Counter[str]) -> FloatArray | None:
-    """``(6, 6)`` in the records' form of the 36 numbers of ROS and Foxglove; None where unknown or unusable."""
+class Detection(NamedTuple):
+    """One object: position and size (3,) m, covariance (3, 3) m^2."""
+
+    position: tuple[float, float, float]
+    label: str
+    score: float = 1.0
+    covariance: FloatArray | None = None
+    size: tuple[float, float, float] | None = None
+    track_id: str = ""
+
+
+def xyz(vector: Any) -> tuple[float, float, float]:
+    """The three numbers of a point or vector."""
+    return vector.x, vector.y, vector.z
+
+
+def transform_of(position: Any, orientation: Any) -> FloatArray:
+    """``(4, 4)`` of a position and a quaternion.
+
+    Raises:
+        Refusal: they are no rigid transform.
+    """
+    return transform_from_quaternion(
+        position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w
+    )
+
+
+def pose_records(
+    context: Context, place: Place, pose: Any, covariance: Sequence[float] = (), body_frame_id: str = ""
+) -> Records:
+    """The record that a pose is on a topic of this kind; an empty frame name becomes the usual one.
+
+    ``covariance``: 36 numbers in the order of ROS and Foxglove, or none.
+    """
+    stamp_ns, frame_id = place
+    T = transform_of(pose.position, pose.orientation)
+    P = _covariance_6x6(covariance, T, context.counters)
+    if context.kind == RecordKind.ODOMETRY:
+        return (Odometry(stamp_ns, T, frame_id or "odom", body_frame_id or "base_link", P),)
+    if context.kind == RecordKind.GROUND_TRUTH:
+        return (GroundTruthPose(stamp_ns, T, frame_id or "world"),)
+    return (SlamPose(stamp_ns, T),)
+
+
+def frame_records(context: Context, frames: Iterable[tuple[Place, str, Any, Any]]) -> Records:
+    """Records of (stamp and parent, child, translation, rotation); as odometry, those whose parent is "odom"."""
+    transforms = [
+        Transform(stamp_ns, parent, child, transform_of(translation, rotation))
+        for (stamp_ns, parent), child, translation, rotation in frames
+    ]
+    if context.kind != RecordKind.ODOMETRY:
+        return tuple(transforms)
+    return tuple(
+        Odometry(t.stamp_ns, t.T_parent_child, t.parent_frame_id, t.child_frame_id)
+        for t in transforms
+        if t.parent_frame_id.strip("/") == "odom"
+    )
+
+
+def _covariance_6x6(values: Sequence[float], T: FloatArray, counters: Counter[str]) -> FloatArray | None:
+    """``(6, 6)`` in the records' form; None where unknown or unusable."""
     if len(values) == 0:
         return None
     if len(values) != 36:
@@ -52,91 +112,45 @@ def covariance_6x6(values: Sequence[float], T: FloatArray, counters: Counter[str
     return None if usable is None else covariance_to_body(usable, T)
 
 
-def fix_records(
-    stamp_ns: int,
-    frame_id: str,
-    place: tuple[float, float, float],
-    covariance: Sequence[float] | None,
-    counters: Counter[str],
-) -> tuple[Record, ...]:
-    """The record of a latitude [deg], longitude [deg] and altitude [m], and of 9 numbers, None or zeros if unknown.
+def fix_records(context: Context, place: Place, message: Any) -> Records:
+    """The record of a fix: latitude and longitude [deg], altitude [m], 9 numbers of a covariance and how it is known.
 
     An altitude that is NaN, as of a receiver that has none, is 0.
     """
-    latitude, longitude, altitude_m = place
+    latitude, longitude, altitude_m = message.latitude, message.longitude, message.altitude
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
         raise Refusal("no place on earth", f"latitude {latitude}, longitude {longitude}")
-    if not abs(altitude_m) <= LARGEST_M:
-        altitude_m = 0.0
-    P = None if covariance is None else usable_covariance(np.array(covariance, np.float64).reshape(3, 3), counters)
-    return (GeodeticFix(stamp_ns, frame_id, latitude, longitude, altitude_m, P),)
+    P = None
+    if message.position_covariance_type:
+        if len(message.position_covariance) != 9:
+            raise Refusal("lengths disagree", f"covariance of {len(message.position_covariance)} numbers, not 9")
+        P = usable_covariance(np.array(message.position_covariance, np.float64).reshape(3, 3), context.counters)
+    return (GeodeticFix(*place, latitude, longitude, altitude_m if abs(altitude_m) <= LARGEST_M else 0.0, P),)
 
 
-class DetectionList:
-    """Gathers detections one by one, for messages that hold them so."""
+def detection_records(scans: Mapping[Place, Sequence[Detection]], counters: Counter[str]) -> Records:
+    """A record for each stamp and frame with objects, in their order; without any object, an empty one of the first.
 
-    def __init__(self, stamp_ns: int, frame_id: str) -> None:
-        self._stamp_ns = stamp_ns
-        self._frame_id = frame_id
-        self._positions: list[tuple[float, float, float]] = []
-        self._labels: list[str] = []
-        self._scores: list[float] = []
-        self._covariances: list[FloatArray | None] = []
-        self._sizes: list[tuple[float, float, float] | None] = []
-        self._track_ids: list[str] = []
-
-    def add(
-        self,
-        position: tuple[float, float, float],
-        label: str,
-        score: float,
-        *,
-        covariance: FloatArray | None = None,
-        size: tuple[float, float, float] | None = None,
-        track_id: str = "",
-    ) -> None:
-        """One object: position (3,) and size (3,) in metres, covariance (3, 3) in m^2."""
-        self._positions.append(position)
-        self._labels.append(label)
-        self._scores.append(score)
-        self._covariances.append(covariance)
-        self._sizes.append(size)
-        self._track_ids.append(track_id)
-
-    def __len__(self) -> int:
-        return len(self._labels)
-
-    def record(self, counters: Counter[str]) -> ObjectDetections:
-        """The record; sizes and track ids only where every object has them."""
-        count = len(self._labels)
-        sizes = [s for s in self._sizes if s is not None]
-        return detections_record(
-            self._stamp_ns,
-            self._frame_id,
-            np.array(self._positions, dtype=np.float64).reshape(count, 3),
-            tuple(self._labels),
-            np.array(self._scores, dtype=np.float64),
-            np.array([np.zeros((3, 3)) if c is None else c for c in self._covariances]).reshape(count, 3, 3),
-            np.array(sizes, dtype=np.float64) if sizes and len(sizes) == count else None,
-            tuple(self._track_ids) if any(self._track_ids) else None,
-            counters,
-        )
+    A record has sizes and track ids only where every object has a size, or any a track id.
+    """
+    filled = {place: found for place, found in scans.items() if found} or dict(list(scans.items())[:1])
+    return tuple(_scan_record(place, found, counters) for place, found in filled.items())
 
 
-class DetectionGroups:
-    """Gathers detections by stamp and frame, for messages in which each object has its own."""
-
-    def __init__(self) -> None:
-        self._lists: dict[tuple[int, str], DetectionList] = {}
-
-    def of(self, stamp_ns: int, frame_id: str) -> DetectionList:
-        """Where the objects that were seen at ``stamp_ns`` in ``frame_id`` go."""
-        return self._lists.setdefault((stamp_ns, frame_id), DetectionList(stamp_ns, frame_id))
-
-    def records(self, counters: Counter[str]) -> tuple[ObjectDetections, ...]:
-        """A record for each stamp and frame with objects, in the order in which they first came; else an empty one."""
-        filled = [detections for detections in self._lists.values() if len(detections)]
-        return tuple(detections.record(counters) for detections in filled or list(self._lists.values())[:1])
+def _scan_record(place: Place, found: Sequence[Detection], counters: Counter[str]) -> ObjectDetections:
+    n = len(found)
+    sizes = [each.size for each in found]
+    track_ids = tuple(each.track_id for each in found)
+    return detections_record(
+        *place,
+        np.array([each.position for each in found], dtype=np.float64).reshape(n, 3),
+        tuple(each.label for each in found),
+        np.array([each.score for each in found], dtype=np.float64),
+        np.array([np.zeros((3, 3)) if each.covariance is None else each.covariance for each in found]).reshape(n, 3, 3),
+        np.array(sizes, dtype=np.float64) if n and None not in sizes else None,
+        track_ids if any(track_ids) else None,
+        counters=counters,
+    )
 
 
 def detections_record(
@@ -145,12 +159,13 @@ def detections_record(
     positions: FloatArray,
     labels: tuple[str, ...],
     scores: FloatArray,
-    covariances: FloatArray | None,
-    sizes: FloatArray | None,
-    track_ids: tuple[str, ...] | None,
+    covariances: FloatArray | None = None,
+    sizes: FloatArray | None = None,
+    track_ids: tuple[str, ...] | None = None,
+    *,
     counters: Counter[str],
 ) -> ObjectDetections:
-    """The record of N detections, without those whose score is NaN or Inf, or position too, or absurdly far away
+    """The record of N detections, without those whose score or position is not finite, or that are absurdly far away
     ("dropped_objects").
 
     Scores are clipped to [0, 1]. Covariances that cannot weigh a measurement become zero, which means unknown
@@ -162,10 +177,10 @@ def detections_record(
     if not good.all():
         counters["dropped_objects"] += int((~good).sum())
         positions, scores = positions[good], scores[good]
-        labels = tuple(label for label, keep in zip(labels, good, strict=True) if keep)
+        labels = tuple(np.array(labels, dtype=object)[good])
         covariances = None if covariances is None else covariances[good]
         sizes = None if sizes is None else sizes[good]
-        track_ids = None if track_ids is None else tuple(t for t, keep in zip(track_ids, good, strict=True) if keep)
+        track_ids = None if track_ids is None else tuple(np.array(track_ids, dtype=object)[good])
     if covariances is not None and len(covariances):
         covariances = usable_covariances(covariances, counters)
         covariances = covariances if covariances.any() else None
@@ -174,13 +189,7 @@ def detections_record(
         counters.update({"ignored_sizes": int(infinite.sum())} if infinite.any() else {})
         sizes = np.where(infinite, np.nan, sizes)
         sizes = None if np.isnan(sizes).all() else sizes
+    labels = tuple(label or UNKNOWN_LABEL for label in labels)
     return ObjectDetections(
-        stamp_ns,
-        frame_id,
-        positions,
-        tuple(label or UNKNOWN_LABEL for label in labels),
-        np.clip(scores, 0.0, 1.0),
-        covariances,
-        sizes,
-        track_ids,
+        stamp_ns, frame_id, positions, labels, np.clip(scores, 0.0, 1.0), covariances, sizes, track_ids
     )

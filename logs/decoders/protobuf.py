@@ -1,54 +1,63 @@
-"""``dslam.*`` and ``foxglove.*`` messages, through their generated modules.
+"""``dslam.*`` and ``foxglove.*`` messages in protobuf and in JSON.
 
 Objects in a foxglove.SceneUpdate: each cube, sphere, cylinder and model of an entity is one detection; an entity with
 none of these, but with a text, is one at the place of the text. Its class is the entity's metadata "label", else
 "class", else its first text, else its id up to a trailing number ("tree/12" is a "tree"). Its score is the metadata
 "score", else 1; its track id is the entity's id. Entities of other frames or times become records of their own.
+
+In JSON, fields have the names of the schema or those of protobuf's JSON. A time is ``{"sec": 1, "nsec": 2}``, as
+Foxglove writes it, or text as in RFC 3339; bytes are base64.
 """
 
 from __future__ import annotations
 
+import json
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable
 from typing import Any
 
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
-from foxglove_schemas_protobuf.Odometry_pb2 import Odometry as FoxgloveOdometry
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.json_format import ParseDict, ParseError
 from google.protobuf.message import DecodeError
+from google.protobuf.timestamp_pb2 import Timestamp
 
-from logs.decoders.dslam import DSLAM_DECODERS
-from logs.decoders.parts import DetectionGroups, covariance_6x6, fix_records, frame_records, pose_record
-from logs.messages import Record
+from logs.decoders.parts import (
+    Context,
+    Detection,
+    Place,
+    Records,
+    detection_records,
+    detections_record,
+    fix_records,
+    frame_records,
+    pose_records,
+    xyz,
+)
+from logs.dslam_codec import CODECS
+from logs.messages import ObjectDetections
 from logs.topics import RawMessage, RecordKind
-from logs.validation import FloatArray, Refusal, stamp_ns, transform_from_quaternion
+from logs.validation import Refusal, stamp_ns
 
 _TRAILING_NUMBER = re.compile(r"[/:_\-# ]*\d*$")
+_SECONDS, _NANOSECONDS = {"sec", "seconds"}, {"nsec", "nanosec", "nanos"}
+_NO_JSON = (ParseError, ValueError, TypeError, AttributeError, KeyError, OverflowError, RecursionError)
 
 
-def decode(raw: RawMessage, kind: RecordKind, counters: Counter[str]) -> tuple[Record, ...]:
+def decode(raw: RawMessage, kind: RecordKind, counters: Counter[str]) -> Records:
     """Records of one message; see :class:`logs.decoders.registry.Decoder`.
 
     Raises:
         Refusal: bytes that are no such message, or values that no record may have.
     """
-    return decode_parsed(_parse, raw, kind, counters)
-
-
-def decode_parsed(
-    parse: Callable[[Any, RawMessage], Any], raw: RawMessage, kind: RecordKind, counters: Counter[str]
-) -> tuple[Record, ...]:
-    """Records of the message that ``parse`` makes of the message class of the schema, and of ``raw``.
-
-    Raises:
-        Refusal: values that no record may have.
-    """
     message_class, function = DECODERS[raw.channel.schema_name]
-    return function(parse(message_class, raw), kind, raw.log_time_ns, counters)
+    parse = _parse_json if raw.channel.message_encoding == "json" else _parse
+    return function(parse(message_class, raw), Context(raw, kind, counters))
 
 
 def _parse(message_class: Any, raw: RawMessage) -> Any:
@@ -58,64 +67,58 @@ def _parse(message_class: Any, raw: RawMessage) -> Any:
         raise Refusal("bytes do not decode", f"{len(raw.data)} bytes as {raw.channel.schema_name}") from error
 
 
-def _stamp(message: Any, log_time_ns: int) -> int:
-    return stamp_ns(message.timestamp.seconds, message.timestamp.nanos, log_time_ns)
+def _parse_json(message_class: Any, raw: RawMessage) -> Any:
+    try:
+        values = json.loads(raw.data, object_hook=_with_text_for_time, parse_constant=str)
+        if not isinstance(values, dict):
+            raise ValueError("no object")
+        return ParseDict(values, message_class(), ignore_unknown_fields=True)
+    except _NO_JSON as error:
+        what = f"as {raw.channel.schema_name}: {' '.join(str(error).split())[:200]}"
+        raise Refusal("JSON does not decode", what) from error
 
 
-def _transform(position: Any, orientation: Any) -> FloatArray:
-    return transform_from_quaternion(
-        position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w
-    )
+def _with_text_for_time(values: dict[str, Any]) -> Any:
+    """A time in numbers as protobuf's JSON writes it; other values as they are."""
+    if not values or not values.keys() <= _SECONDS | _NANOSECONDS:
+        return values
+    total_ns = sum(int(value) * (10**9 if name in _SECONDS else 1) for name, value in values.items())
+    seconds, nanos = divmod(total_ns, 10**9)
+    return Timestamp(seconds=seconds, nanos=nanos).ToJsonString()
 
 
-def _odometry(message: Any, kind: RecordKind, log_time_ns: int, counters: Counter[str]) -> tuple[Record, ...]:
-    T = _transform(message.pose.position, message.pose.orientation)
-    covariance = covariance_6x6(message.pose_covariance, T, counters)
-    stamp = _stamp(message, log_time_ns)
-    return (pose_record(kind, stamp, message.frame_id, message.body_frame_id, T, covariance),)
+def _place(message: Any, context: Context) -> Place:
+    time = message.timestamp
+    return stamp_ns(time.seconds, time.nanos, context.raw.log_time_ns), message.frame_id
 
 
-def _pose_in_frame(message: Any, kind: RecordKind, log_time_ns: int, counters: Counter[str]) -> tuple[Record, ...]:
-    T = _transform(message.pose.position, message.pose.orientation)
-    return (pose_record(kind, _stamp(message, log_time_ns), message.frame_id, "", T, None),)
+def _odometry(message: Any, context: Context) -> Records:
+    place = _place(message, context)
+    return pose_records(context, place, message.pose, message.pose_covariance, message.body_frame_id)
 
 
-def _location_fix(message: Any, kind: RecordKind, log_time_ns: int, counters: Counter[str]) -> tuple[Record, ...]:
-    known = message.position_covariance if message.position_covariance_type else None
-    if known is not None and len(known) != 9:
-        raise Refusal("lengths disagree", f"covariance of {len(known)} numbers, not 9")
-    place = (message.latitude, message.longitude, message.altitude)
-    return fix_records(_stamp(message, log_time_ns), message.frame_id, place, known, counters)
+def _frame_transforms(message: Any, context: Context) -> Records:
+    frames = []
+    for t in message.transforms if isinstance(message, FrameTransforms) else [message]:
+        stamp = stamp_ns(t.timestamp.seconds, t.timestamp.nanos, context.raw.log_time_ns)
+        frames.append(((stamp, t.parent_frame_id), t.child_frame_id, t.translation, t.rotation))
+    return frame_records(context, frames)
 
 
-def _frame_transforms(message: Any, kind: RecordKind, log_time_ns: int, counters: Counter[str]) -> tuple[Record, ...]:
-    frames = [
-        (_stamp(t, log_time_ns), t.parent_frame_id, t.child_frame_id, _transform(t.translation, t.rotation))
-        for t in (message.transforms if isinstance(message, FrameTransforms) else [message])
-    ]
-    return frame_records(kind, frames)
-
-
-def _scene_update(message: Any, kind: RecordKind, log_time_ns: int, counters: Counter[str]) -> tuple[Record, ...]:
-    groups = DetectionGroups()
+def _scene_update(message: Any, context: Context) -> Records:
+    scans: dict[Place, list[Detection]] = defaultdict(list)
     for entity in message.entities:
-        objects = [(p.pose.position, p.size) for p in (*entity.cubes, *entity.spheres, *entity.cylinders)]
+        objects: list[tuple[Any, Any]] = [
+            (p.pose.position, xyz(p.size)) for p in (*entity.cubes, *entity.spheres, *entity.cylinders)
+        ]
         objects += [(p.pose.position, None) for p in entity.models]
-        if not objects:
-            objects = [(t.pose.position, None) for t in entity.texts[:1]]
-        if not objects:
-            continue
-        detections = groups.of(_stamp(entity, log_time_ns), entity.frame_id)
-        label, score = _class_and_score(entity)
-        for position, size in objects:
-            detections.add(
-                (position.x, position.y, position.z),
-                label,
-                score,
-                size=None if size is None else (size.x, size.y, size.z),
-                track_id=entity.id,
-            )
-    return groups.records(counters)
+        objects = objects or [(t.pose.position, None) for t in entity.texts[:1]]
+        if objects:
+            label, score = _class_and_score(entity)
+            scans[_place(entity, context)] += [
+                Detection(xyz(position), label, score, size=size, track_id=entity.id) for position, size in objects
+            ]
+    return detection_records(scans, context.counters)
 
 
 def _class_and_score(entity: Any) -> tuple[str, float]:
@@ -129,13 +132,22 @@ def _class_and_score(entity: Any) -> tuple[str, float]:
         return label, 1.0
 
 
-_Function = Callable[[Any, RecordKind, int, Counter[str]], tuple[Record, ...]]
-DECODERS: dict[str, tuple[Any, _Function]] = {
-    "foxglove.Odometry": (FoxgloveOdometry, _odometry),
-    "foxglove.PoseInFrame": (PoseInFrame, _pose_in_frame),
+def _own(record: type) -> tuple[Any, Callable[[Any, Context], Records]]:
+    codec = CODECS[record]
+    if record is ObjectDetections:
+        return codec.message_class, lambda message, context: (
+            detections_record(**codec.values(message, context.counters), counters=context.counters),
+        )
+    return codec.message_class, lambda message, context: (codec.decode(message, context.counters),)
+
+
+DECODERS: dict[str, tuple[Any, Callable[[Any, Context], Records]]] = {
+    "foxglove.Odometry": (Odometry, _odometry),
+    "foxglove.PoseInFrame": (PoseInFrame, lambda m, context: pose_records(context, _place(m, context), m.pose)),
     "foxglove.FrameTransform": (FrameTransform, _frame_transforms),
     "foxglove.FrameTransforms": (FrameTransforms, _frame_transforms),
-    "foxglove.LocationFix": (LocationFix, _location_fix),
+    "foxglove.LocationFix": (LocationFix, lambda m, context: fix_records(context, _place(m, context), m)),
     "foxglove.SceneUpdate": (SceneUpdate, _scene_update),
-    **DSLAM_DECODERS,
+    **{codec.message_class.DESCRIPTOR.full_name: _own(record) for record, codec in CODECS.items()},
 }
+"""Schema -> class of its messages, and what makes records of them."""

@@ -4,21 +4,32 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 from logs.container.limits import ReadingLimits
 from logs.decoders.decode import decode
-from logs.decoders.decoded_messages import DecodedMessage, DecodedMessages
 from logs.decoders.registry import kinds_of
 from logs.errors import InvalidRecordError
 from logs.messages import Record
 from logs.selection import Selection
-from logs.topics import RawMessage, RecordKind, Schema
+from logs.topics import RawMessage, Schema
 
 MAX_DEFINITIONS = 32
 """Different definitions of messages in one log; further ones are not read, as each takes time and memory."""
+KEPT_BYTES = 32 * 2**20
+"""Size of the messages, as they stand in the log, whose records are kept for the next pass."""
 
 _log = logging.getLogger(__name__)
+
+
+@dataclass(slots=True, eq=False)
+class DecodedMessages:
+    """Records of the first messages of a pass by their number, as many as ``KEPT_BYTES`` allow, and of each a count of
+    what was left out.
+    """
+
+    messages: dict[int, tuple[tuple[Record, ...], Counter[str]]] = field(default_factory=dict)
+    bytes_left: int = field(default_factory=lambda: KEPT_BYTES)
 
 
 class RecordDecoder:
@@ -39,51 +50,47 @@ class RecordDecoder:
         """``known``: what an earlier pass over the same messages has decoded; ``kept``: where this one keeps it."""
         self._selection = selection
         self._limits = limits or ReadingLimits()
-        self._known = known
+        self._known = known or DecodedMessages()
         self._kept = kept
-        self._number = 0
+        self._number = -1
         self._definitions: set[Schema] = set()
-        self._told: set[tuple[str, str]] = set()
+        self._reported: set[tuple[str, str]] = set()
         self.counters: Counter[str] = Counter()
 
     def records(self, raw: RawMessage) -> tuple[Record, ...]:
         """The records of ``raw``: none where its topic is not selected or the message is unfit.
 
-        Unfit messages are counted, and told in the log once for each topic and reason.
+        Unfit messages are counted, and reported in the log once for each topic and reason.
         """
         wanted = self._selection.kinds.get(raw.topic, ())
         if not wanted:
             return ()
-        possible = [kind for kind in wanted if kind in kinds_of(raw.channel)]
-        if not possible or not self._is_readable(raw.channel.schema):
+        kinds = [kind for kind in wanted if kind in kinds_of(raw.channel)]
+        if not kinds or not self._is_readable(raw.channel.schema):
             self.counters["undecodable"] += 1
             return ()
-        message = None if self._known is None else self._known.take(self._number)
+        self._number += 1
+        known = self._known.messages.pop(self._number, None)
+        records, left_out = known or ((), Counter[str]())
         try:
-            message = message or self._decode(raw, possible)
+            for kind in kinds if known is None else ():
+                records += decode(raw, kind, left_out, self._limits)
+            if self._kept is not None:
+                self._keep(self._kept, len(raw.data), records, left_out)
         except InvalidRecordError as error:
+            records = ()
             self.counters["invalid_messages"] += 1
-            if (raw.topic, error.reason) not in self._told:
-                self._told.add((raw.topic, error.reason))
+            if (raw.topic, error.reason) not in self._reported:
+                self._reported.add((raw.topic, error.reason))
                 _log.warning("%s; more of the same on this topic is only counted", error)
-            return ()
-        finally:
-            self._number += 1
-        if self._kept is not None:
-            self._kept.put(self._number - 1, len(raw.data), message)
-        if message.left_out:
-            self.counters.update(message.left_out)
-        return message.records
-
-    def _decode(self, raw: RawMessage, kinds: Sequence[RecordKind]) -> DecodedMessage:
-        left_out = Counter[str]()
-        try:
-            found = [decode(raw, kind, left_out, self._limits) for kind in kinds]
-        except InvalidRecordError:
+        if left_out:
             self.counters.update(left_out)
-            raise
-        records = found[0] if len(found) == 1 else tuple(record for some in found for record in some)
-        return DecodedMessage(records, left_out)
+        return records
+
+    def _keep(self, kept: DecodedMessages, size: int, records: tuple[Record, ...], left_out: Counter[str]) -> None:
+        kept.bytes_left -= size
+        if kept.bytes_left >= 0:
+            kept.messages[self._number] = records, left_out
 
     def _is_readable(self, schema: Schema | None) -> bool:
         if schema is None or schema in self._definitions:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Protocol
+from functools import cache
+from importlib import import_module
+from typing import Protocol, cast
 
 from logs.messages import Record
 from logs.topics import Channel, RawMessage, RecordKind
@@ -55,41 +57,32 @@ _MESSAGES: dict[str, tuple[RecordKind, ...]] = {
     "dslam.Relocalization": (RecordKind.RELOCALIZATIONS,),
     "dslam.Status": (RecordKind.STATUS,),
 }
-_KINDS: dict[str, dict[str, tuple[RecordKind, ...]]] = {
-    "protobuf": _MESSAGES,
-    "json": _MESSAGES,
-    "cdr": {
-        "nav_msgs/msg/Odometry": _POSE,
-        "geometry_msgs/msg/PoseStamped": _POSE,
-        "geometry_msgs/msg/PoseWithCovarianceStamped": _POSE,
-        "tf2_msgs/msg/TFMessage": _FRAMES,
-        **dict.fromkeys(ROS2_DETECTIONS, (RecordKind.DETECTIONS,)),
-        "sensor_msgs/msg/NavSatFix": (RecordKind.GNSS,),
-        "sensor_msgs/msg/CameraInfo": (RecordKind.CAMERA_INFO,),
-        "sensor_msgs/msg/Image": (RecordKind.DEPTH,),
-    },
+_ROS2 = {
+    "nav_msgs/msg/Odometry": _POSE,
+    "geometry_msgs/msg/PoseStamped": _POSE,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _POSE,
+    "tf2_msgs/msg/TFMessage": _FRAMES,
+    **dict.fromkeys(ROS2_DETECTIONS, (RecordKind.DETECTIONS,)),
+    "sensor_msgs/msg/NavSatFix": (RecordKind.GNSS,),
+    "sensor_msgs/msg/CameraInfo": (RecordKind.CAMERA_INFO,),
+    "sensor_msgs/msg/Image": (RecordKind.DEPTH,),
 }
+_ENCODINGS = {"protobuf": ("protobuf", _MESSAGES), "json": ("protobuf", _MESSAGES), "cdr": ("ros2", _ROS2)}
+"""Encoding -> the module that decodes it, and the kinds by schema."""
 
 
 def kinds_of(channel: Channel) -> tuple[RecordKind, ...]:
     """What the messages of ``channel`` can be decoded to; () for a schema or an encoding that is not known."""
     if channel.message_encoding == "cdr" and (channel.schema is None or channel.schema.encoding not in _DEFINITIONS):
         return ()
-    return _KINDS.get(channel.message_encoding, {}).get(channel.schema_name, ())
+    return _ENCODINGS.get(channel.message_encoding, ("", {}))[1].get(channel.schema_name, ())
 
 
-def decoder_for(channel: Channel) -> Decoder | None:
-    """The decoder of ``channel``, or None for a schema or an encoding that is not known."""
-    if not kinds_of(channel):
-        return None
-    if channel.message_encoding == "cdr":
-        from logs.decoders import ros2
+def decoder_for(channel: Channel) -> Decoder:
+    """The decoder of a ``channel`` of which ``kinds_of`` knows any."""
+    return _load_decoder(channel.message_encoding)
 
-        return ros2.decode
-    if channel.message_encoding == "json":
-        from logs.decoders import json_messages
 
-        return json_messages.decode
-    from logs.decoders import protobuf
-
-    return protobuf.decode
+@cache
+def _load_decoder(encoding: str) -> Decoder:
+    return cast(Decoder, import_module(f"logs.decoders.{_ENCODINGS[encoding][0]}").decode)

@@ -10,16 +10,16 @@ from logs.decoders import ros2_clouds as clouds
 from logs.decoders import ros2_detections as objects
 from logs.decoders import ros2_images as images
 from logs.decoders.cdr import parse
-from logs.decoders.parts import covariance_6x6, fix_records, frame_records, pose_record
-from logs.messages import Record
+from logs.decoders.parts import Context, Records, fix_records, frame_records, pose_records
+from logs.decoders.ros2_detections import place_of
 from logs.topics import RawMessage, RecordKind
-from logs.validation import FloatArray, Refusal, stamp_ns, transform_from_quaternion
+from logs.validation import Refusal
 
 # What fields of other types than usual lead to; a log brings its own definitions.
 _OTHER_DEFINITION = (AttributeError, TypeError, ValueError, IndexError, KeyError, OverflowError, MemoryError)
 
 
-def decode(raw: RawMessage, kind: RecordKind, counters: Counter[str]) -> tuple[Record, ...]:
+def decode(raw: RawMessage, kind: RecordKind, counters: Counter[str]) -> Records:
     """Records of one message; see :class:`logs.decoders.registry.Decoder`.
 
     Raises:
@@ -30,74 +30,43 @@ def decode(raw: RawMessage, kind: RecordKind, counters: Counter[str]) -> tuple[R
         raise Refusal("no definition of the message in the log")
     message = parse(schema, raw.data)
     try:
-        if schema.name in _OBJECTS:
-            return _OBJECTS[schema.name](message, raw, counters)
-        return _POSES[schema.name](message, kind, raw.log_time_ns, counters)
+        return _DECODERS[schema.name](message, Context(raw, kind, counters))
     except Refusal:
         raise
     except _OTHER_DEFINITION as error:
         raise Refusal(f"unknown version of {schema.name}", str(error)) from error
 
 
-def _stamp(header: Any, log_time_ns: int) -> int:
-    return stamp_ns(header.stamp.sec, header.stamp.nanosec, log_time_ns)
+def _odometry(message: Any, context: Context) -> Records:
+    placed = message.pose
+    place = place_of(message.header, context)
+    return pose_records(context, place, placed.pose, placed.covariance, message.child_frame_id)
 
 
-def _transform(position: Any, orientation: Any) -> FloatArray:
-    return transform_from_quaternion(
-        position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w
-    )
+def _pose_with_covariance(message: Any, context: Context) -> Records:
+    return pose_records(context, place_of(message.header, context), message.pose.pose, message.pose.covariance)
 
 
-def _odometry(message: Any, kind: RecordKind, log_time_ns: int, counters: Counter[str]) -> tuple[Record, ...]:
-    T = _transform(message.pose.pose.position, message.pose.pose.orientation)
-    covariance = covariance_6x6(message.pose.covariance, T, counters)
-    stamp = _stamp(message.header, log_time_ns)
-    return (pose_record(kind, stamp, message.header.frame_id, message.child_frame_id, T, covariance),)
-
-
-def _pose_stamped(message: Any, kind: RecordKind, log_time_ns: int, counters: Counter[str]) -> tuple[Record, ...]:
-    T = _transform(message.pose.position, message.pose.orientation)
-    return (pose_record(kind, _stamp(message.header, log_time_ns), message.header.frame_id, "", T, None),)
-
-
-def _pose_with_covariance(
-    message: Any, kind: RecordKind, log_time_ns: int, counters: Counter[str]
-) -> tuple[Record, ...]:
-    T = _transform(message.pose.pose.position, message.pose.pose.orientation)
-    covariance = covariance_6x6(message.pose.covariance, T, counters)
-    return (pose_record(kind, _stamp(message.header, log_time_ns), message.header.frame_id, "", T, covariance),)
-
-
-def _tf(message: Any, kind: RecordKind, log_time_ns: int, counters: Counter[str]) -> tuple[Record, ...]:
-    frames = [
-        (
-            _stamp(t.header, log_time_ns),
-            t.header.frame_id,
-            t.child_frame_id,
-            _transform(t.transform.translation, t.transform.rotation),
-        )
+def _tf(message: Any, context: Context) -> Records:
+    frames = (
+        (place_of(t.header, context), t.child_frame_id, t.transform.translation, t.transform.rotation)
         for t in message.transforms
-    ]
-    return frame_records(kind, frames)
+    )
+    return frame_records(context, frames)
 
 
-def _fix(message: Any, kind: RecordKind, log_time_ns: int, counters: Counter[str]) -> tuple[Record, ...]:
-    if message.status.status < 0:  # the receiver says that it has no fix
+def _fix(message: Any, context: Context) -> Records:
+    if message.status.status < 0:  # the receiver has no fix
         return ()
-    known = message.position_covariance if message.position_covariance_type else None
-    place = (message.latitude, message.longitude, message.altitude)
-    return fix_records(_stamp(message.header, log_time_ns), message.header.frame_id, place, known, counters)
+    return fix_records(context, place_of(message.header, context), message)
 
 
-_POSES: dict[str, Callable[[Any, RecordKind, int, Counter[str]], tuple[Record, ...]]] = {
+_DECODERS: dict[str, Callable[[Any, Context], Records]] = {
     "nav_msgs/msg/Odometry": _odometry,
-    "geometry_msgs/msg/PoseStamped": _pose_stamped,
+    "geometry_msgs/msg/PoseStamped": lambda m, context: pose_records(context, place_of(m.header, context), m.pose),
     "geometry_msgs/msg/PoseWithCovarianceStamped": _pose_with_covariance,
     "tf2_msgs/msg/TFMessage": _tf,
     "sensor_msgs/msg/NavSatFix": _fix,
-}
-_OBJECTS: dict[str, Callable[[Any, RawMessage, Counter[str]], tuple[Record, ...]]] = {
     "vision_msgs/msg/Detection3DArray": objects.detections_3d,
     "autoware_perception_msgs/msg/DetectedObjects": objects.autoware_objects,
     "autoware_perception_msgs/msg/TrackedObjects": objects.autoware_objects,

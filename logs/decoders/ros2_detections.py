@@ -13,66 +13,69 @@ that is empty, of the array's.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from typing import Any
 
 import numpy as np
 
 from logs.decoders.cdr import constants_of
-from logs.decoders.parts import DetectionGroups
-from logs.messages import Record
-from logs.topics import RawMessage, Schema
+from logs.decoders.parts import Context, Detection, Place, Records, detection_records, xyz
+from logs.topics import Schema
 from logs.validation import FloatArray, stamp_ns, transform_from_quaternion
 
 _CUBE, _SPHERE, _CYLINDER, _CUBE_LIST, _SPHERE_LIST, _TEXT, _MESH = 1, 2, 3, 6, 7, 9, 10
+_SHAPES = (_CUBE, _SPHERE, _CYLINDER, _MESH, _CUBE_LIST, _SPHERE_LIST)
 _ADD = 0
 
 
-def detections_3d(message: Any, raw: RawMessage, counters: Counter[str]) -> tuple[Record, ...]:
+def place_of(header: Any, context: Context, otherwise: Place | None = None) -> Place:
+    """Stamp and frame of ``header``; where they are empty, those of ``otherwise``, or the log time."""
+    stamp, frame = otherwise or (context.raw.log_time_ns, "")
+    return stamp_ns(header.stamp.sec, header.stamp.nanosec, stamp), header.frame_id or frame
+
+
+def detections_3d(message: Any, context: Context) -> Records:
     """Records of a Detection3DArray."""
-    groups = DetectionGroups()
-    own = place_of(message.header, raw.log_time_ns)
-    groups.of(*own)
+    own = place_of(message.header, context)
+    scans: dict[Place, list[Detection]] = defaultdict(list, {own: []})
     for detection in message.detections:
-        best = max(detection.results, key=lambda result: hypothesis_of(result)[1], default=None)
-        label, score = ("", 1.0) if best is None else hypothesis_of(best)
-        center, size = detection.bbox.center.position, detection.bbox.size
-        position = (center.x, center.y, center.z)
-        has_box = any(position) or any((size.x, size.y, size.z))
+        best = best_result(detection)
+        position, size = xyz(detection.bbox.center.position), xyz(detection.bbox.size)
+        has_box = any(position) or any(size)
         if best is not None and not has_box:
-            center = best.pose.pose.position
-            position = (center.x, center.y, center.z)
-        groups.of(*place_of(detection.header, raw.log_time_ns, own)).add(
-            position,
-            label,
-            score,
-            covariance=None if best is None else position_covariance(best.pose.covariance),
-            size=(size.x, size.y, size.z) if has_box else None,
-            track_id=getattr(detection, "id", ""),
+            position = xyz(best.pose.pose.position)
+        scans[place_of(detection.header, context, own)].append(
+            Detection(
+                position,
+                *hypothesis_of(best),
+                covariance=None if best is None else position_covariance(best.pose.covariance),
+                size=size if has_box else None,
+                track_id=getattr(detection, "id", ""),
+            )
         )
-    return groups.records(counters)
+    return detection_records(scans, context.counters)
 
 
-def autoware_objects(message: Any, raw: RawMessage, counters: Counter[str]) -> tuple[Record, ...]:
+def autoware_objects(message: Any, context: Context) -> Records:
     """Records of DetectedObjects or TrackedObjects."""
-    groups = DetectionGroups()
-    detections = groups.of(*place_of(message.header, raw.log_time_ns))
-    names = _class_names(raw.channel.schema)
+    names = _class_names(context.raw.channel.schema)
+    found = []
     for seen in message.objects:
         best = max(seen.classification, key=lambda c: c.probability, default=None)
         placed = seen.kinematics.pose_with_covariance
-        center, size = placed.pose.position, seen.shape.dimensions
         is_known = getattr(seen.kinematics, "has_position_covariance", True)
         identity = getattr(seen, "object_id", None)
-        detections.add(
-            (center.x, center.y, center.z),
-            "" if best is None else names.get(best.label, f"class {best.label}"),
-            seen.existence_probability,
-            covariance=position_covariance(placed.covariance) if is_known else None,
-            size=(size.x, size.y, size.z),
-            track_id="" if identity is None else bytes(identity.uuid).hex(),
+        found.append(
+            Detection(
+                xyz(placed.pose.position),
+                "" if best is None else names.get(best.label, f"class {best.label}"),
+                seen.existence_probability,
+                covariance=position_covariance(placed.covariance) if is_known else None,
+                size=xyz(seen.shape.dimensions),
+                track_id="" if identity is None else bytes(identity.uuid).hex(),
+            )
         )
-    return groups.records(counters)
+    return detection_records({place_of(message.header, context): found}, context.counters)
 
 
 def _class_names(schema: Schema | None) -> dict[int, str]:
@@ -84,39 +87,40 @@ def _class_names(schema: Schema | None) -> dict[int, str]:
     return {int(number): name.lower() for name, number in constants.items()}
 
 
-def markers(message: Any, raw: RawMessage, counters: Counter[str]) -> tuple[Record, ...]:
+def markers(message: Any, context: Context) -> Records:
     """Records of a MarkerArray."""
-    groups = DetectionGroups()
+    scans: dict[Place, list[Detection]] = defaultdict(list)
     added = [marker for marker in message.markers if marker.action == _ADD]
-    shapes = (_CUBE, _SPHERE, _CYLINDER, _MESH, _CUBE_LIST, _SPHERE_LIST)
-    objects = [marker for marker in added if marker.type in shapes] or [m for m in added if m.type == _TEXT]
+    objects = [marker for marker in added if marker.type in _SHAPES] or [m for m in added if m.type == _TEXT]
     for marker in objects:
-        detections = groups.of(*place_of(marker.header, raw.log_time_ns))
-        size = None if marker.type == _TEXT else (marker.scale.x, marker.scale.y, marker.scale.z)
-        track_id = f"{marker.ns}/{marker.id}"
+        size = None if marker.type == _TEXT else xyz(marker.scale)
+        tracks, points = [f"{marker.ns}/{marker.id}"], np.array([xyz(marker.pose.position)])
         if marker.type in (_CUBE_LIST, _SPHERE_LIST):
-            points = _turn(marker.pose, np.array([(p.x, p.y, p.z) for p in marker.points]).reshape(-1, 3))
-            tracks = [f"{track_id}/{i}" for i in range(len(points))]
-        else:
-            p = marker.pose.position
-            points, tracks = np.array([[p.x, p.y, p.z]]), [track_id]
-        for (x, y, z), track in zip(points.tolist(), tracks, strict=True):
-            detections.add((x, y, z), marker.text or marker.ns, 1.0, size=size, track_id=track)
-    return groups.records(counters)
+            points = _turn(marker.pose, np.array([xyz(p) for p in marker.points]).reshape(-1, 3))
+            tracks = [f"{tracks[0]}/{i}" for i in range(len(points))]
+        scans[place_of(marker.header, context)] += [
+            Detection((x, y, z), marker.text or marker.ns, size=size, track_id=track)
+            for (x, y, z), track in zip(points.tolist(), tracks, strict=True)
+        ]
+    return detection_records(scans, context.counters)
 
 
-def poses(message: Any, raw: RawMessage, counters: Counter[str]) -> tuple[Record, ...]:
+def poses(message: Any, context: Context) -> Records:
     """Records of a PoseArray."""
-    groups = DetectionGroups()
-    detections = groups.of(*place_of(message.header, raw.log_time_ns))
-    label = raw.topic.rstrip("/").rpartition("/")[2]
-    for pose in message.poses:
-        detections.add((pose.position.x, pose.position.y, pose.position.z), label, 1.0)
-    return groups.records(counters)
+    label = context.raw.topic.rstrip("/").rpartition("/")[2]
+    found = [Detection(xyz(pose.position), label) for pose in message.poses]
+    return detection_records({place_of(message.header, context): found}, context.counters)
+
+
+def best_result(detection: Any) -> Any:
+    """The result with the highest score; None where there is none."""
+    return max(detection.results, key=lambda result: hypothesis_of(result)[1], default=None)
 
 
 def hypothesis_of(result: Any) -> tuple[str, float]:
-    """Class and score of a result; the first versions of vision_msgs have them in the result itself."""
+    """Class and score of a result, "" and 1 of None; the first versions of vision_msgs have them in the result."""
+    if result is None:
+        return "", 1.0
     hypothesis = getattr(result, "hypothesis", result)
     label = getattr(hypothesis, "class_id", None)
     return (hypothesis.id if label is None else label), hypothesis.score
@@ -140,9 +144,3 @@ def _turn(pose: Any, points: FloatArray) -> FloatArray:
     is_set = any((q.x, q.y, q.z, q.w))  # many leave it at zero, which viewers take for none
     T = transform_from_quaternion(p.x, p.y, p.z, q.x, q.y, q.z, q.w if is_set else 1.0)
     return points @ T[:3, :3].T + T[:3, 3]
-
-
-def place_of(header: Any, log_time_ns: int, otherwise: tuple[int, str] | None = None) -> tuple[int, str]:
-    """Stamp and frame of ``header``; those of ``otherwise`` where they are empty."""
-    stamp = stamp_ns(header.stamp.sec, header.stamp.nanosec, log_time_ns if otherwise is None else otherwise[0])
-    return stamp, header.frame_id or (otherwise[1] if otherwise else "")

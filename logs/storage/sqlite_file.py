@@ -8,11 +8,11 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
 from logs.container.limits import ReadingLimits
-from logs.container.pending import LAST_NS
 from logs.errors import UnreadableLogError
 from logs.storage.ros2_definitions import known_definition
 from logs.storage.storage import ChannelInfo
 from logs.topics import Channel, RawMessage, Schema
+from logs.validation import LAST_NS
 
 # The messages of SQLite's errors quote the file, and quotes that are no UTF-8 fail to decode.
 _DATABASE_ERRORS = (sqlite3.Error, UnicodeDecodeError)

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import messages as m
-from logs.container.pending import LAST_NS
-from logs.decoders import decoded_messages, record_decoder
+from logs.decoders import record_decoder
 from logs.reader import LogReader
 from logs.selection import Selection, select_all
+from logs.validation import LAST_NS
 from logs.writer import LogWriter
 from tests.logs.examples import assert_same_record, every_kind, random_detections, random_transform
 
@@ -216,7 +216,7 @@ def test_what_is_decoded_is_kept_up_to_a_limit(tmp_path, monkeypatch):
             writer.write("/odom", m.Odometry(i + 1, random_transform(rng)))
     with LogReader(tmp_path / "log.mcap") as reader:
         size = max(len(raw.data) for raw in reader.messages())
-        monkeypatch.setattr(decoded_messages, "KEPT_BYTES", 10 * size)
+        monkeypatch.setattr(record_decoder, "KEPT_BYTES", 10 * size)
         first = [item.records[0] for item in reader.items(Selection.of({"/odom": "odometry"}), again_follows=True)]
         again = [item.records[0] for item in reader.items(Selection.of({"/odom": "odometry"}))]
     assert [one is other for one, other in zip(first, again, strict=True)] == [True] * 10 + [False] * 40

@@ -1,0 +1,196 @@
+"""``dslam.*`` messages <-> records: one table of the shapes of their arrays serves both directions."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from google.protobuf.descriptor import FieldDescriptor
+from google.protobuf.message import Message
+from numpy.typing import NDArray
+
+from logs import messages as m
+from logs.schemas import dslam_pb2 as pb
+from logs.validation import LARGEST_M, LAST_NS, Refusal, flat_array, transforms, usable_covariance
+
+_LARGEST = (1e3 * LARGEST_M) ** 2
+"""Of a variance: that of the farthest place, seen in a direction that is unknown in each of many steps, is less."""
+
+_MESSAGE_FIELDS = {"T_map_body": "map_body", "T_reference_query": "reference_query", "edge_transforms": "edge_from_to"}
+"""Name in the record -> name in the message, where they differ."""
+
+_SIZES = {"2": 2, "3": 3, "6": 6, "T": 12}
+"""Lengths that stand for themselves, and the numbers of a transform."""
+
+_TYPES: Mapping[int, tuple[Callable[[Any], Any], Any]] = {
+    FieldDescriptor.CPPTYPE_INT64: (int, np.int64),
+    FieldDescriptor.CPPTYPE_DOUBLE: (float, np.float64),
+    FieldDescriptor.CPPTYPE_BOOL: (bool, np.bool_),
+    FieldDescriptor.CPPTYPE_STRING: (str, object),
+}
+"""Type of a field -> that of its value in a record, alone and in an array."""
+
+
+class _Field:
+    """A field of a record and of its message.
+
+    ``shape``: the lengths of an array or a tuple, as numbers or as letters that stand for one length in the whole
+    message, and "T" for a transform; with "?" it may be empty, and the record then has its default.
+    """
+
+    def __init__(self, name: str, message_field: FieldDescriptor, shape: str) -> None:
+        self.name = name
+        self.message_name = message_field.name
+        self.lengths = shape.rstrip("?").split()
+        self.is_map = message_field.is_repeated and not shape
+        self.is_optional = message_field.has_presence
+        self.may_be_empty = shape.endswith("?")
+        self.cast, self._dtype = _TYPES.get(message_field.cpp_type, (dict, object))
+
+    def encode(self, value: Any) -> Any:
+        """What the message holds of ``value``, which is not None."""
+        if not self.lengths or isinstance(value, tuple):
+            return value if self.lengths else self.cast(value)
+        return np.asarray(value[..., :3, :] if "T" in self.lengths else value, dtype=self._dtype).ravel().tolist()
+
+    def decode(self, values: Sequence[Any], lengths: dict[str, int], counters: Counter[str]) -> Any:
+        """The array or the tuple in ``values``; ``lengths`` by letter, to which the first of this field is added.
+
+        Raises:
+            Refusal: another length, a matrix that is no rotation, or numbers that no record may have.
+        """
+        first, *others = self.lengths
+        if first == "T":
+            return transforms(values, 1, self.name)[0]
+        if first == "6":
+            return usable_covariance(flat_array(values, (6, 6), self.name), counters)
+        width = [_SIZES[each] if each in _SIZES else lengths[each] for each in others]
+        count = lengths.setdefault(first, len(values) // max(math.prod(width), 1))
+        if "T" in others:
+            return transforms(values, count, self.name)
+        if self.cast is not str:
+            return flat_array(values, (count, *width), self.name, self._dtype)
+        if len(values) != count:
+            raise Refusal("lengths disagree", f"{self.name}: {len(values)} for {count}")
+        return tuple(values)
+
+
+class Codec:
+    """Translates one kind of record into its message, and back.
+
+    ``shapes``: of the fields that are arrays or tuples; the first with a letter sets the length that it stands for.
+    """
+
+    def __init__(self, record: type, message_class: Any, **shapes: str) -> None:
+        self.message_class = message_class
+        self._record = record
+        fields = message_class.DESCRIPTOR.fields_by_name
+        names = [*shapes, *(f.name for f in dataclasses.fields(record) if f.name not in shapes)]
+        self._fields = [_Field(name, fields[_MESSAGE_FIELDS.get(name, name)], shapes.get(name, "")) for name in names]
+
+    def encode(self, record: Any) -> Message:
+        """The message of ``record``."""
+        values = ((field, getattr(record, field.name)) for field in self._fields)
+        message: Message = self.message_class(
+            **{field.message_name: field.encode(value) for field, value in values if value is not None}
+        )
+        return message
+
+    def decode(self, message: Any, counters: Counter[str]) -> Any:
+        """The record of ``message``; ``counters`` counts covariances that are left out.
+
+        Raises:
+            Refusal: lengths that disagree, or numbers that no record may have.
+        """
+        values = self.values(message, counters)
+        for name, value in values.items():
+            if isinstance(value, np.ndarray):
+                _check_array(name, value)
+        return self._record(**values)
+
+    def values(self, message: Any, counters: Counter[str]) -> dict[str, Any]:
+        """The arguments of the record of ``message``, whose numbers may be any.
+
+        Raises:
+            Refusal: lengths that disagree, or a matrix that is no rotation.
+        """
+        values: dict[str, Any] = {}
+        lengths: dict[str, int] = {}
+        for field in self._fields:
+            value = getattr(message, field.message_name)
+            if field.is_map:  # its order is arbitrary; sorted, a record is the same in every run
+                values[field.name] = dict(sorted(value.items()))
+            elif field.lengths:
+                if len(value) or not field.may_be_empty:
+                    values[field.name] = field.decode(value, lengths, counters)
+            elif not field.is_optional or message.HasField(field.message_name):
+                values[field.name] = value
+        return values
+
+
+def _check_array(name: str, array: NDArray[Any]) -> None:
+    if array.dtype == np.float64:
+        if not np.isfinite(array).all():
+            raise Refusal("number is not finite", name)
+        if (np.abs(array) > _LARGEST).any():
+            raise Refusal("number is out of range", name)
+    elif name.endswith("_ns") and len(array):
+        earliest_ns = -1 if name == "keyframe_stamps_ns" else 0  # keyframes of a prior map have no time
+        if not earliest_ns <= array.min() <= array.max() <= LAST_NS:
+            raise Refusal("time out of range", name)
+
+
+CODECS: Mapping[type, Codec] = {
+    m.ObjectDetections: Codec(
+        m.ObjectDetections,
+        pb.ObjectDetections,
+        labels="N",
+        positions="N 3",
+        scores="N",
+        covariances="N 3 3?",
+        sizes="N 3?",
+        track_ids="N?",
+    ),
+    m.DetectionTruth: Codec(m.DetectionTruth, pb.DetectionTruth, object_ids="N"),
+    m.DetectionAssociations: Codec(m.DetectionAssociations, pb.DetectionAssociations, landmark_ids="N", created="N"),
+    m.ObjectMapRecord: Codec(
+        m.ObjectMapRecord,
+        pb.ObjectMap,
+        ids="N",
+        vocabulary="C",
+        positions="N 3",
+        covariances="N 3 3",
+        class_probabilities="N C",
+        states="N",
+        reasons="N",
+        observation_counts="N",
+        first_seen_ns="N",
+        last_seen_ns="N",
+        merged_into="N?",
+    ),
+    m.TrajectoryRecord: Codec(m.TrajectoryRecord, pb.Trajectory, stamps_ns="N", T_map_body="N T"),
+    m.FactorGraphRecord: Codec(
+        m.FactorGraphRecord,
+        pb.FactorGraph,
+        keyframe_ids="K",
+        keyframe_stamps_ns="K",
+        T_map_body="K T",
+        edge_kinds="E",
+        edge_keyframe_ids="E 2",
+        edge_transforms="E T",
+        edge_covariances="E 6 6",
+        observation_landmark_ids="O",
+        observation_keyframe_ids="O",
+        observation_positions="O 3",
+        observation_covariances="O 3 3",
+        pose_covariances="P 6 6",
+        observation_redundancies="O?",
+    ),
+    m.LoopClosureRecord: Codec(m.LoopClosureRecord, pb.LoopClosure, T_reference_query="T?", covariance="6 6?"),
+    m.RelocalizationRecord: Codec(m.RelocalizationRecord, pb.Relocalization, T_map_body="T?", covariance="6 6?"),
+    m.StatusRecord: Codec(m.StatusRecord, pb.Status),
+}
