@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from tools.arguments import Json, NewLog, check_outputs
 from tools.importers import clouds, maps
-
-if TYPE_CHECKING:
-    from logs.importers.imported_log import ImportSummary
-    from logs.importers.text_log import TextLogSummary
+from tools.importers.drives import write_drive
 
 app = typer.Typer(
     help="Turn data of others into a log that 'dslam replay' reads, or into a map for its --map.", no_args_is_help=True
@@ -49,21 +46,17 @@ def kitti_objects(
     --times times.txt --ground-truth poses/00.txt
     """
     check_outputs([output], [detections, odometry, calib, times, ground_truth])
-    from logs.importers.kitti_objects import import_kitti_objects
+    from logs.importers.kitti_objects import read_kitti_objects
 
-    tell(
-        output,
-        import_kitti_objects(
-            output,
-            detections=detections,
-            odometry=odometry,
-            calib=calib,
-            times=times,
-            ground_truth=ground_truth,
-            sequence=sequence,
-        ),
-        json=json,
+    drive = read_kitti_objects(
+        detections=detections,
+        odometry=odometry,
+        calib=calib,
+        times=times,
+        ground_truth=ground_truth,
+        sequence=sequence,
     )
+    write_drive(output, drive.records(), drive.source, json=json)
 
 
 @app.command("victoria-park")
@@ -79,9 +72,10 @@ def victoria_park(
     Example: dslam import victoria-park park.mcap
     """
     check_outputs([output], [file])
-    from logs.importers.victoria_park import import_victoria_park
+    from logs.importers.victoria_park import read_victoria_park
 
-    tell(output, import_victoria_park(output, path=file), json=json)
+    park = read_victoria_park(file)
+    write_drive(output, park.records(), park.source, json=json)
 
 
 @app.command("csv")
@@ -115,13 +109,12 @@ def csv(
     Example: dslam import csv drive.mcap --odometry odometry.tum --detections detections.csv.gz
     """
     check_outputs([output], [odometry, detections, ground_truth, times, calib])
-    from logs.importers.text_log import import_text_log
+    from logs.importers.text_log import read_text_log
     from logs.importers.trajectory_files import TrajectoryFormat
 
     if pose_format is not None and pose_format not in list(TrajectoryFormat):
         raise typer.BadParameter(f"{pose_format!r} is none of {', '.join(TrajectoryFormat)}.", param_hint="--format")
-    summary = import_text_log(
-        output,
+    drive = read_text_log(
         odometry=odometry,
         detections=detections,
         ground_truth=ground_truth,
@@ -129,51 +122,10 @@ def csv(
         calib=calib,
         format=TrajectoryFormat(pose_format) if pose_format is not None else None,
     )
-    tell(output, summary.written, json=json, text=summary)
-
-
-def tell(output: Path, summary: ImportSummary, *, json: bool, text: TextLogSummary | None = None) -> None:
-    """Print what was written."""
-    from tools import console
-
-    duration_s = ((summary.last_stamp_ns or 0) - (summary.first_stamp_ns or 0)) * 1e-9
-    if json:
-        console.show_json(
-            {
-                "output": str(output),
-                "duration_s": duration_s,
-                "detection_count": summary.detection_count,
-                "message_counts": summary.message_counts,
-                **_text_fields(text),
-            }
-        )
-        return
-    console.show(
-        f"{output}: {duration_s:.0f} s",
-        console.pairs({f"  {topic}": f"{count} messages" for topic, count in summary.message_counts.items()}),
-        f"  {summary.detection_count} objects detected",
-        *_text_lines(text, duration_s),
-    )
-
-
-def _text_fields(text: TextLogSummary | None) -> dict[str, object]:
-    if text is None:
-        return {}
-    return {
-        "odometry_format": text.odometry_format,
-        "odometry_length_m": text.odometry_length_m,
-        "columns_left_out": list(text.columns_left_out),
-        "notes": list(text.notes),
+    about = {
+        "odometry_format": drive.odometry.format.value,
+        "odometry_length_m": drive.odometry.length_m,
+        "columns_left_out": list(drive.detections.left_out),
+        "notes": list(drive.notes),
     }
-
-
-def _text_lines(text: TextLogSummary | None, duration_s: float) -> list[str]:
-    if text is None:
-        return []
-    speed = f" ({text.odometry_length_m / duration_s:.2f} m/s)" if duration_s > 0.0 else ""
-    left_out = [f"  columns left out: {', '.join(text.columns_left_out)}"] if text.columns_left_out else []
-    return [
-        f"  odometry in {text.odometry_format} format, {text.odometry_length_m:.0f} m{speed}",
-        *left_out,
-        *(f"  note: {note}" for note in text.notes),
-    ]
+    write_drive(output, drive.records(), drive.source, json=json, about=about)

@@ -34,7 +34,7 @@ def urban_objects(cloud: LabelledCloud, source: str, sha256: str) -> tuple[MapOb
     without what moves or may move, what is unknown, bollards, and surfaces.
 
     Raises:
-        DatasetError: Open3D is missing, or fewer than four objects are left.
+        DatasetError: fewer than four objects are left.
     """
     return _objects(cloud, source, sha256, urban_name, why_left_out)
 

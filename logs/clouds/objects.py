@@ -17,8 +17,8 @@ from logs.messages import FloatArray, IntArray, ObjectDetections
 NOMINAL_REACH_M = 60.0
 """Reach of the sensor for which the lengths of the settings are meant, where they are not given."""
 REACH_QUANTILE = 0.99
-FEWEST_POINTS = 5
-MOST_VOXELS = 2**20
+MIN_POINTS = 5
+MAX_VOXELS = 2**20
 """Along an axis, so that the places of all voxels can be numbered: 100 km of those of 0.1 m."""
 
 
@@ -46,7 +46,7 @@ class CloudObjects:
     """N objects in the frame of the cloud.
 
     positions (N, 3) m; covariances (N, 3, 3) m^2; sizes (N, 3) m: length and width along the horizontal main axes, and
-    height; labels (N,); instances (N,), 0 for a cluster; voxels: the (M_i, 3) m of each. ``left_out``: how many were
+    height; labels (N,); instances (N,), 0 for a cluster. ``left_out``: how many were
     too "small" or too "long".
     """
 
@@ -55,7 +55,6 @@ class CloudObjects:
     sizes: FloatArray
     labels: tuple[str, ...]
     instances: IntArray
-    voxels: tuple[FloatArray, ...]
     left_out: Mapping[str, int]
 
     def detections(self, stamp_ns: int, frame_id: str) -> ObjectDetections:
@@ -96,61 +95,41 @@ def find_objects(
         The objects, by class and instance or the order of their points; none of an empty cloud.
 
     Raises:
-        DatasetError: Open3D is missing, or points lie more than 2^20 voxels apart.
+        DatasetError: points lie more than 2^20 voxels apart.
     """
     settings = settings or CloudSettings()
     cloud = cloud.finite()
     scale = _scale(cloud, viewpoint)
     voxel_m = settings.voxel_m or 0.1 * scale
     _check_extent(cloud, voxel_m)
-    fewest = FEWEST_POINTS
+    min_points = MIN_POINTS
     if viewpoint is not None:
-        fewest = max(fewest, int(np.ceil(settings.min_share * len(cloud.positions))))
-    found = _Found()
+        min_points = max(min_points, int(np.ceil(settings.min_share * len(cloud.positions))))
+    left_out: Counter[str] = Counter()
+    found: list[tuple[str, int, Centre, FloatArray]] = []
     for label, instance, points in _parts(cloud, names, settings, settings.gap_m or 0.5 * scale, voxel_m):
-        if len(points) < fewest:
-            found.left_out["small"] += 1
+        if len(points) < min_points:
+            left_out["small"] += 1
             continue
         voxels = voxel_means(points, voxel_m)
         size = _size(voxels)
         if viewpoint is None:
             centre = seen_from_all_sides(voxels, voxel_m)
+        elif size[0] > (settings.max_extent_m or 15.0 * scale):
+            left_out["long"] += 1
+            continue
         else:
             spacing_m = _spacing_m(points, viewpoint)
             centre = seen_from_one_side(voxels, viewpoint, voxel_m, upright=settings.upright, spacing_m=spacing_m)
-            if size[0] > (settings.max_extent_m or 15.0 * scale):
-                found.left_out["long"] += 1
-                continue
-        found.add(label, instance, voxels, centre, size)
-    return found.objects()
-
-
-class _Found:
-    def __init__(self) -> None:
-        self.left_out: Counter[str] = Counter()
-        self._labels: list[str] = []
-        self._instances: list[int] = []
-        self._voxels: list[FloatArray] = []
-        self._centres: list[Centre] = []
-        self._sizes: list[FloatArray] = []
-
-    def add(self, label: str, instance: int, voxels: FloatArray, centre: Centre, size: FloatArray) -> None:
-        self._labels.append(label)
-        self._instances.append(instance)
-        self._voxels.append(voxels)
-        self._centres.append(centre)
-        self._sizes.append(size)
-
-    def objects(self) -> CloudObjects:
-        return CloudObjects(
-            np.array([c.position for c in self._centres]).reshape(-1, 3),
-            np.array([c.covariance for c in self._centres]).reshape(-1, 3, 3),
-            np.array(self._sizes).reshape(-1, 3),
-            tuple(self._labels),
-            np.array(self._instances, dtype=np.int64),
-            tuple(self._voxels),
-            dict(self.left_out),
-        )
+        found.append((label, instance, centre, size))
+    return CloudObjects(
+        np.array([centre.position for _, _, centre, _ in found]).reshape(-1, 3),
+        np.array([centre.covariance for _, _, centre, _ in found]).reshape(-1, 3, 3),
+        np.array([size for *_, size in found]).reshape(-1, 3),
+        tuple(label for label, *_ in found),
+        np.array([instance for _, instance, _, _ in found], dtype=np.int64),
+        dict(left_out),
+    )
 
 
 def _scale(cloud: LabelledCloud, viewpoint: FloatArray | None) -> float:
@@ -165,11 +144,11 @@ def _check_extent(cloud: LabelledCloud, voxel_m: float) -> None:
     if len(cloud.positions) == 0:
         return
     low, high = cloud.positions.min(axis=0), cloud.positions.max(axis=0)
-    astray = ~((high - low) / voxel_m < MOST_VOXELS) | ~(np.maximum(-low, high) / voxel_m < 2.0**62)
+    astray = ~((high - low) / voxel_m < MAX_VOXELS) | ~(np.maximum(-low, high) / voxel_m < 2.0**62)
     if astray.any():
         axis = int(astray.argmax())
         raise DatasetError(
-            f"a cloud reaches from {'xyz'[axis]} = {low[axis]:g} m to {high[axis]:g} m, more than {MOST_VOXELS} voxels "
+            f"a cloud reaches from {'xyz'[axis]} = {low[axis]:g} m to {high[axis]:g} m, more than {MAX_VOXELS} voxels "
             f"of {voxel_m:g} m; remove the points that lie astray"
         )
 
@@ -197,13 +176,9 @@ def _parts(
 
 def _split(points: FloatArray, gap_m: float, voxel_m: float, *, flat: bool) -> list[FloatArray]:
     """The points of each cluster, as seen from above if ``flat``: beams lie wide apart in height."""
-    places = points * [1.0, 1.0, 0.0] if flat else points
-    corner = np.floor(places / voxel_m).astype(np.int64)
-    corner -= corner.min(axis=0)
-    extent = corner.max(axis=0) + 1
-    _, first, cell = np.unique(np.ravel_multi_index(tuple(corner.T), tuple(extent)), True, True)
-    centres = np.asarray((corner[first] + 0.5) * voxel_m, dtype=np.float64)
-    cluster = clusters(centres, max(gap_m, 1.5 * voxel_m))[cell.ravel()]
+    corners = np.floor(points[:, : 2 if flat else 3] / voxel_m).astype(np.int64)
+    cells, cell = np.unique(corners, axis=0, return_inverse=True)
+    cluster = clusters(voxel_m * cells.astype(np.float64), max(gap_m, 1.5 * voxel_m))[cell.ravel()]
     order = np.argsort(cluster, kind="stable")
     return np.split(points[order], np.flatnonzero(np.diff(cluster[order])) + 1)
 

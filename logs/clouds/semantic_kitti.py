@@ -13,10 +13,9 @@ from logs.clouds.labelled_cloud import LabelledCloud
 from logs.clouds.objects import CloudSettings, find_objects
 from logs.clouds.residuals import check_poses
 from logs.errors import DatasetError
-from logs.importers.imported_log import ImportedRecord, ImportSummary, write_imported_log
-from logs.importers.kitti_poses import body_poses, parse_calibration, parse_poses, parse_times
-from logs.importers.text_files import read_text_file, sha256_of
-from logs.messages import FloatArray, GroundTruthPose, ObjectDetections, Odometry
+from logs.importers.imported_log import ImportedRecord
+from logs.importers.kitti import KittiDrive, read_drive
+from logs.messages import ObjectDetections
 from logs.storage.regular_file import read_regular
 
 _SENSOR = np.zeros(3)
@@ -24,37 +23,43 @@ _SENSOR = np.zeros(3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SemanticKitti:
-    """The files of one sequence: scans by number, their stamps and poses; body, odom and world as in KITTI objects."""
+    """The files of one sequence: the row of the drive of each scan, its points and its labels."""
 
+    drive: KittiDrive
     scans: tuple[tuple[int, Path, Path], ...]
-    stamps_ns: tuple[int, ...]
-    T_odom_body: FloatArray
-    T_world_body: FloatArray | None
-    source: dict[str, str]
 
     def detections(
         self, settings: CloudSettings | None = None, progress: Callable[[float], None] | None = None
     ) -> list[ObjectDetections]:
-        """The objects of each scan."""
+        """The objects of each scan.
+
+        Raises:
+            DatasetError: a scan that is damaged, or objects that do not stand still under the poses of the drive.
+        """
         found = []
-        for done, (number, points, labels) in enumerate(self.scans, start=1):
+        for done, (row, points, labels) in enumerate(self.scans, start=1):
             cloud = read_semantic_kitti_scan(points, labels)
             try:
                 objects = find_objects(cloud, SEMANTIC_KITTI_OBJECTS, settings, viewpoint=_SENSOR)
             except DatasetError as error:
                 raise DatasetError(f"{points}: {error}") from error
-            found.append(objects.detections(self.stamps_ns[number], "base_link"))
+            found.append(objects.detections(int(self.drive.stamps_ns[row]), "base_link"))
             if progress is not None:
                 progress(done / len(self.scans))
+        poses = self.drive.T_odom_body[[row for row, _, _ in self.scans]]
+        check_poses(found, poses, f"{self.drive.source['calib']} and {self.drive.source['odometry']}")
         return found
 
-    def records(self, detections: list[ObjectDetections]) -> Iterator[ImportedRecord]:
-        """For each scan in the order of time: odometry, detections, truth where known."""
-        for (number, _, _), found in zip(self.scans, detections, strict=True):
-            yield Odometry(found.stamp_ns, self.T_odom_body[number])
-            yield found
-            if self.T_world_body is not None:
-                yield GroundTruthPose(found.stamp_ns, self.T_world_body[number])
+    def records(
+        self, settings: CloudSettings | None = None, progress: Callable[[float], None] | None = None
+    ) -> Iterator[ImportedRecord]:
+        """For each scan in the order of time: odometry, detections, truth where known.
+
+        Raises:
+            DatasetError: as :meth:`detections`.
+        """
+        found = self.detections(settings, progress)
+        return self.drive.records(zip((row for row, _, _ in self.scans), found, strict=True))
 
 
 def read_semantic_kitti_scan(points: Path, labels: Path) -> LabelledCloud:
@@ -88,53 +93,8 @@ def read_semantic_kitti(
     Raises:
         DatasetError: a file that is missing or wrong, or numbers that do not fit together.
     """
-    texts = {"odometry": read_text_file(odometry), "calib": read_text_file(calib), "times": read_text_file(times)}
-    if ground_truth is not None:
-        texts["ground_truth"] = read_text_file(ground_truth)
-    stamps_ns = parse_times(texts["times"])
-    T_camera_velodyne = parse_calibration(texts["calib"])
-    bodies = {}
-    for role in ("odometry", "ground_truth"):
-        if role in texts:
-            bodies[role] = body_poses(parse_poses(texts[role]), T_camera_velodyne)
-            if len(bodies[role]) != len(stamps_ns):
-                raise DatasetError(
-                    f"{len(bodies[role])} poses in {texts[role].name}, {len(stamps_ns)} times in {times.name}: the "
-                    "numbers must be equal; give files of one sequence"
-                )
-    source = {"dataset": "semantic-kitti"}
-    for role, text in texts.items():
-        source |= {role: Path(text.name).name, f"{role}_sha256": sha256_of([text])}
-    found = tuple(_pairs(scans, labels, len(stamps_ns)))
-    return SemanticKitti(found, tuple(stamps_ns), bodies["odometry"], bodies.get("ground_truth"), source)
-
-
-def import_semantic_kitti(
-    output: Path,
-    *,
-    scans: Path,
-    labels: Path,
-    odometry: Path,
-    calib: Path,
-    times: Path,
-    ground_truth: Path | None = None,
-    settings: CloudSettings | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> ImportSummary:
-    """Write a sequence (see :func:`read_semantic_kitti`) as a log with /odom, /detections and, with truth, its poses.
-
-    Raises:
-        DatasetError: the input is missing or wrong, its objects do not stand still under its poses, or Open3D is
-            missing; nothing is written then.
-        UnwritableLogError: the log cannot be written.
-    """
-    sequence = read_semantic_kitti(
-        scans=scans, labels=labels, odometry=odometry, calib=calib, times=times, ground_truth=ground_truth
-    )
-    detections = sequence.detections(settings, progress)
-    poses = sequence.T_odom_body[[number for number, _, _ in sequence.scans]]
-    check_poses(detections, poses, f"{calib.name} and {odometry.name}")
-    return write_imported_log(output, sequence.records(detections), sequence.source)
+    drive = read_drive("semantic-kitti", odometry, calib, times, ground_truth, {})
+    return SemanticKitti(drive, tuple(_pairs(scans, labels, len(drive.stamps_ns))))
 
 
 def _read(path: Path, dtype: str, width: int) -> np.ndarray:

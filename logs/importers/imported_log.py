@@ -23,12 +23,11 @@ TOPICS: dict[type[ImportedRecord], str] = {
 
 @dataclass(frozen=True, slots=True)
 class ImportSummary:
-    """What was written: messages a topic, objects detected, first and last stamp (None where there is no record)."""
+    """What was written: messages a topic, objects detected, seconds from the first record to the last."""
 
     message_counts: dict[str, int]
     detection_count: int
-    first_stamp_ns: int | None
-    last_stamp_ns: int | None
+    duration_s: float
 
 
 def write_imported_log(output: Path, records: Iterable[ImportedRecord], source: Mapping[str, str]) -> ImportSummary:
@@ -39,15 +38,14 @@ def write_imported_log(output: Path, records: Iterable[ImportedRecord], source: 
     """
     message_counts: Counter[str] = Counter()
     detection_count = 0
-    first_stamp_ns = last_stamp_ns = None
+    stamps_ns = [0, 0]
     with LogWriter(output) as writer:
         writer.add_metadata("source", dict(source))
         for record in records:
             topic = TOPICS[type(record)]
             writer.write(topic, record, record.stamp_ns)
+            stamps_ns = [stamps_ns[0] if message_counts else record.stamp_ns, record.stamp_ns]
             message_counts[topic] += 1
             if isinstance(record, ObjectDetections):
                 detection_count += len(record.labels)
-            first_stamp_ns = record.stamp_ns if first_stamp_ns is None else first_stamp_ns
-            last_stamp_ns = record.stamp_ns
-    return ImportSummary(dict(message_counts), detection_count, first_stamp_ns, last_stamp_ns)
+    return ImportSummary(dict(message_counts), detection_count, (stamps_ns[1] - stamps_ns[0]) * 1e-9)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bz2
 import gzip
+import hashlib
 import lzma
 import os
 import re
@@ -18,16 +19,16 @@ from zlib import error as ZlibError  # noqa: N812 - a class, whatever zlib calls
 import numpy as np
 
 from logs.errors import DatasetError
-from logs.importers.text_files import LONGEST_NUMBER, TextFile, parse_numbers, sha256_of
+from logs.importers.text_files import MAX_DIGITS, source_text
 from logs.messages import FloatArray
-from logs.storage.regular_file import MOST_BYTES, most_unpacked, open_regular, read_regular
+from logs.storage.regular_file import MAX_BYTES, max_unpacked_bytes, open_regular, read_regular
 
 LABELS = ("vehicle", "trunk", "pole")
 """The classes in the order in which ``bow.txt`` counts them."""
 
 _WANTED = re.compile(r"(?:^|/)(?:bow\.txt|centroids/[0-9]{1,18}\.txt)$")
-
 _OPENERS: Mapping[bytes, Callable[..., Any]] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ": lzma.open}
+_DAMAGE = (OSError, EOFError, ValueError, OverflowError, tarfile.TarError, lzma.LZMAError, ZlibError)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +49,7 @@ def read_object_scans(path: Path, *, sequence: str | None = None) -> ObjectScans
     """Read ``bow.txt`` and ``centroids/NNNNNN.txt`` from an archive (.tar, .tar.gz, .tar.xz) or a folder.
 
     The sequence is the folder that has ``bow.txt``, wherever it lies; where several have one, ``sequence`` names it.
-    Nothing is extracted to disk: members are read in memory, and what is not a plain file is passed over.
+    Nothing is extracted to disk: members are read in memory, and other members than plain files are ignored.
 
     Raises:
         DatasetError: nothing readable there, no or several sequences, a scan without its file, counts that disagree, or
@@ -56,51 +57,52 @@ def read_object_scans(path: Path, *, sequence: str | None = None) -> ObjectScans
     """
     files = _read_folder(path) if path.is_dir() else _read_archive(path)
     folder = _sequence_folder(path, files, sequence)
-    name = folder.name or (path.resolve().name if path.is_dir() else ".")
-    bow = files[str(folder / "bow.txt")]
-    counts = [(number, _class_counts(bow.name, number, line)) for number, line in bow.lines()]
-    scans = _scan_files(path, files, folder, len(counts))
+    separator = "/" if path.is_dir() else ":"
+    bow_name = str(folder / "bow.txt")
+    bow = source_text(f"{path.name}{separator}{bow_name}", files[bow_name])
+    counts = [(line, _class_counts(bow.name, line, text)) for line, text in bow.lines()]
+    names = _scan_names(path, files, folder, len(counts))
     positions, labels = [], []
-    for index, ((number, count), file) in enumerate(zip(counts, scans, strict=True)):
-        points = [parse_numbers(file.name, i, line.split(), 3) for i, line in file.lines()]
+    for index, ((line, count), name) in enumerate(zip(counts, names, strict=True)):
+        file = source_text(f"{path.name}{separator}{name}", files[name])
+        _, points = file.numbers(3)
         if len(points) != sum(count):
+            told = ", ".join(f"{n} {label}" for n, label in zip(count, LABELS, strict=True))
             raise DatasetError(
-                f"scan {index}: {file.name} has {len(points)} centroids, but {bow.name}, line {number} counts "
-                f"{sum(count)} ({', '.join(f'{n} {label}' for n, label in zip(count, LABELS, strict=True))})"
+                f"scan {index}: {file.name} has {len(points)} centroids, but {bow.name}, line {line} counts "
+                f"{sum(count)} ({told})"
             )
-        positions.append(np.asarray(points, dtype=np.float64).reshape(-1, 3))
-        labels.append(tuple(label for label, n in zip(LABELS, count, strict=True) for _ in range(n)))
-    return ObjectScans(name, tuple(positions), tuple(labels), sha256_of([bow, *scans]))
+        positions.append(points)
+        labels.append(tuple(np.repeat(LABELS, count).tolist()))
+    digest = hashlib.sha256(b"".join(files[name] for name in (bow_name, *names)))
+    name = folder.name or (path.resolve().name if path.is_dir() else ".")
+    return ObjectScans(name, tuple(positions), tuple(labels), digest.hexdigest())
 
 
-def _read_folder(path: Path) -> dict[str, TextFile]:
-    files = {}
-    for file in sorted(path.rglob("*.txt")):
-        relative = file.relative_to(path).as_posix()
-        if _WANTED.search(relative) and file.is_file():
-            try:
-                files[relative] = TextFile(f"{path.name}/{relative}", read_regular(file))
-            except OSError as error:
-                raise DatasetError(f"{file}: cannot be read ({error.strerror})") from error
-    return files
+def _read_folder(path: Path) -> dict[str, bytes]:
+    names = {file.relative_to(path).as_posix(): file for file in sorted(path.rglob("*.txt"))}
+    try:
+        return {name: read_regular(file) for name, file in names.items() if _WANTED.search(name) and file.is_file()}
+    except OSError as error:
+        raise DatasetError(f"{error.filename}: cannot be read ({error.strerror})") from error
 
 
-def _read_archive(path: Path) -> dict[str, TextFile]:
+def _read_archive(path: Path) -> dict[str, bytes]:
     files = {}
     held = 0
     try:
         with tarfile.open(fileobj=BytesIO(_unpacked(path)), tarinfo=_Member) as archive:
             for member in archive:
-                relative = PurePosixPath(member.name).as_posix()
-                if not member.isfile() or not _WANTED.search(relative):
+                name = PurePosixPath(member.name).as_posix()
+                if not member.isfile() or not _WANTED.search(name):
                     continue
                 held += member.size  # of a sparse file more than the archive holds
-                if held > MOST_BYTES:
+                if held > MAX_BYTES:
                     raise tarfile.TarError(f"{held} bytes in its files")
                 content = archive.extractfile(member)
                 if content is not None:
-                    files[relative] = TextFile(f"{path.name}:{relative}", content.read())
-    except (OSError, EOFError, ValueError, OverflowError, tarfile.TarError, lzma.LZMAError, ZlibError) as error:
+                    files[name] = content.read()
+    except _DAMAGE as error:
         raise DatasetError(
             f"{path}: cannot be read as an archive ({error}); expected a .tar.xz or .tar.gz, or a folder"
         ) from error
@@ -112,7 +114,7 @@ def _unpacked(path: Path) -> bytes:
     with open_regular(path) as packed:
         magic = packed.read(max(map(len, _OPENERS)))
         packed.seek(0)
-        limit = most_unpacked(os.fstat(packed.fileno()).st_size)
+        limit = max_unpacked_bytes(os.fstat(packed.fileno()).st_size)
         opener = next((each for start, each in _OPENERS.items() if magic.startswith(start)), None)
         content: bytes = packed.read() if opener is None else opener(packed).read(limit + 1)
     if opener is not None and len(content) > limit:
@@ -129,7 +131,7 @@ class _Member(tarfile.TarInfo):
         return int(super()._block(count))  # type: ignore[misc]
 
 
-def _sequence_folder(path: Path, files: dict[str, TextFile], sequence: str | None) -> PurePosixPath:
+def _sequence_folder(path: Path, files: Mapping[str, bytes], sequence: str | None) -> PurePosixPath:
     folders = sorted(PurePosixPath(name).parent for name in files if PurePosixPath(name).name == "bow.txt")
     if not folders:
         raise DatasetError(f"{path}: no bow.txt in it; expected <sequence>/bow.txt and <sequence>/centroids/NNNNNN.txt")
@@ -144,25 +146,24 @@ def _sequence_folder(path: Path, files: dict[str, TextFile], sequence: str | Non
     return folders[0]
 
 
-def _class_counts(name: str, number: int, line: str) -> tuple[int, int, int]:
-    fields = [field.strip() for field in line.split(",")]
-    if len(fields) != len(LABELS) or not all(field.isdecimal() and len(field) <= LONGEST_NUMBER for field in fields):
-        raise DatasetError(
-            f"{name}, line {number}: {line!r} is not '{','.join(f'{label}s' for label in LABELS)}' counts"
-        )
-    vehicles, trunks, poles = (int(field) for field in fields)
-    return vehicles, trunks, poles
+def _class_counts(name: str, line: int, text: str) -> list[int]:
+    fields = [field.strip() for field in text.split(",")]
+    if len(fields) != len(LABELS) or not all(field.isdecimal() and len(field) <= MAX_DIGITS for field in fields):
+        expected = ",".join(f"{label}s" for label in LABELS)
+        raise DatasetError(f"{name}, line {line}: {text!r} is not '{expected}' counts")
+    return [int(field) for field in fields]
 
 
-def _scan_files(path: Path, files: dict[str, TextFile], folder: PurePosixPath, scan_count: int) -> list[TextFile]:
-    by_scan: dict[int, TextFile] = {}
-    for name, file in sorted(files.items()):
+def _scan_names(path: Path, files: Mapping[str, bytes], folder: PurePosixPath, scan_count: int) -> list[str]:
+    """Name of the file of each scan."""
+    by_scan: dict[int, str] = {}
+    for name in sorted(files):
         member = PurePosixPath(name)
         if member.parent == folder / "centroids":
             index = int(member.stem)
             if index in by_scan:
-                raise DatasetError(f"scan {index}: both {by_scan[index].name} and {file.name} hold it")
-            by_scan[index] = file
+                raise DatasetError(f"{path}: scan {index}: both {by_scan[index]} and {name} hold it")
+            by_scan[index] = name
     missing = [index for index in range(scan_count) if index not in by_scan]
     extra = sorted(index for index in by_scan if index >= scan_count)
     if missing or extra:

@@ -1,87 +1,27 @@
-"""Rows under named columns, from CSV with a header or JSON lines; what is wrong is told with its line and column."""
+"""Rows under named columns, from CSV with a header or JSON lines; faults are reported with their line and column."""
 
 from __future__ import annotations
 
 import csv
-import gzip
-import hashlib
 import json
-import math
 import re
-import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from io import BytesIO
-from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logs.container.json_text import parse_json
 from logs.errors import DatasetError
-from logs.importers.text_files import read_text_file
+from logs.importers.text_files import SourceText, is_number
 from logs.messages import FloatArray
-from logs.storage.regular_file import most_unpacked
 
 LENGTH_UNITS: Mapping[str, float] = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3}
 """Suffix of a column -> metres."""
-
 NO_UNITS: Mapping[str, float] = {"": 1.0}
 
-_GZIP = b"\x1f\x8b"
 _DELIMITERS = (",", ";", "\t")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
-
-
-@dataclass(frozen=True, slots=True)
-class SourceText:
-    """A text file in memory; ``name`` is what messages call it, ``sha256`` that of the file as it is, packed or not."""
-
-    name: str
-    text: str
-    sha256: str
-
-    def lines(self) -> list[tuple[int, str]]:
-        """Number (from 1) and text of each line that is neither blank nor a comment (#)."""
-        stripped = ((i, line.strip()) for i, line in enumerate(self.text.splitlines(), start=1))
-        return [(i, line) for i, line in stripped if line and not line.startswith("#")]
-
-    def header_above(self, line: int) -> str | None:
-        """The comment nearest above ``line`` that may name columns; None for none."""
-        above = self.text.splitlines()[: line - 1]
-        return next((text for text in reversed(above) if any(delimiter in text for delimiter in _DELIMITERS)), None)
-
-
-def read_source_text(path: Path) -> SourceText:
-    """The file at ``path`` as text, unpacked if it is gzip.
-
-    Raises:
-        DatasetError: it is missing, cannot be read or unpacked, or is no UTF-8 text.
-    """
-    content = read_text_file(path).content
-    digest = hashlib.sha256(content).hexdigest()
-    if content.startswith(_GZIP):
-        content = _unpacked(path, content)
-    try:
-        return SourceText(str(path), content.decode("utf-8-sig"), digest)
-    except UnicodeDecodeError as error:
-        raise DatasetError(
-            f"{path}: not a text file in UTF-8 (byte {error.start}); save it as UTF-8, or give CSV, JSON lines or poses"
-        ) from error
-
-
-def _unpacked(path: Path, packed: bytes) -> bytes:
-    limit = most_unpacked(len(packed))
-    try:
-        with gzip.open(BytesIO(packed)) as stream:
-            content = stream.read(limit + 1)
-    except (OSError, EOFError, zlib.error) as error:
-        raise DatasetError(f"{path}: cannot be unpacked ({error}); copy or pack it again") from error
-    if len(content) > limit:
-        raise DatasetError(
-            f"{path}: its {len(packed)} bytes unpack to more than {limit / 1e6:.0f} MB, which no table or path does; "
-            "unpack it and give the file itself if it is one"
-        )
-    return content
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +52,7 @@ class Table:
         found = [Column(name, wanted[_plain(name)]) for name in self.columns if _plain(name) in wanted]
         if len(found) > 1:
             names = " and ".join(column.name for column in found)
-            raise DatasetError(f"{self.name}: columns {names} say the same; remove or rename all but one")
+            raise DatasetError(f"{self.name}: columns {names} have the same meaning; remove or rename all but one")
         return found[0] if found else None
 
     def need(self, what: str, example: str, fields: Iterable[str], units: Iterable[str] = ("",)) -> Column:
@@ -133,10 +73,8 @@ class Table:
         Raises:
             DatasetError: a cell is no finite number.
         """
-        values = self._parse(column, units, "correct or remove the line")
-        empty = np.flatnonzero(np.isnan(values))
-        if len(empty):
-            raise self.error(int(empty[0]), column, "empty; give a number, or remove the line")
+        values = self.optional_numbers(column, units, remedy="correct or remove the line")
+        self.refuse(np.isnan(values), column, "empty; give a number, or remove the line")
         return values
 
     def optional_numbers(
@@ -151,16 +89,22 @@ class Table:
         Raises:
             DatasetError: a cell that is not empty is no finite number.
         """
-        return self._parse(column, units, remedy)
+        cells = self.columns[column.name]
+        wrong = next((row for row, cell in enumerate(cells) if cell and not is_number(cell)), None)
+        if wrong is not None:
+            cell = cells[wrong]
+            raise self.error(wrong, column, f"{cell!r} is not a finite number; {decimal_remedy(cell, remedy)}")
+        return np.array([float(cell or "nan") for cell in cells]) * units[column.unit]
 
-    def _parse(self, column: Column, units: Mapping[str, float], remedy: str) -> FloatArray:
-        values = np.full(len(self.lines), np.nan)
-        for row, cell in enumerate(self.columns[column.name]):
-            if cell and not _is_number(cell):
-                raise self.error(row, column, f"{cell!r} is not a finite number; {decimal_remedy(cell, remedy)}")
-            if cell:
-                values[row] = float(cell)
-        return values * units[column.unit]
+    def refuse(self, wrong: NDArray[np.bool_], column: Column, fault: str) -> None:
+        """See that none of the rows is ``wrong`` (R,); in ``fault``, "CELL" stands for the cell of the first that is.
+
+        Raises:
+            DatasetError: one is.
+        """
+        if wrong.any():
+            row = int(wrong.argmax())
+            raise self.error(row, column, fault.replace("CELL", self.columns[column.name][row], 1))
 
     def error(self, row: int, columns: Column | str, fault: str) -> DatasetError:
         """What is wrong with a cell (or with several columns of a row), with its place."""
@@ -189,46 +133,47 @@ def table_of_rows(source: SourceText, names: Sequence[str], rows: Iterable[tuple
     Raises:
         DatasetError: a row has another number of cells than there are names.
     """
-    lines, cells = [], []
-    for line, row in rows:
-        if len(row) != len(names):
-            raise DatasetError(
-                f"{source.name}, line {line}: {len(row)} values where {len(names)} are expected ({', '.join(names)})"
-            )
-        lines.append(line)
-        cells.append(row)
-    columns = {name: [row[i].strip() for row in cells] for i, name in enumerate(names)}
-    return Table(source.name, columns, lines)
+    kept = list(rows)
+    wrong = next(((line, len(row)) for line, row in kept if len(row) != len(names)), None)
+    if wrong is not None:
+        raise DatasetError(
+            f"{source.name}, line {wrong[0]}: {wrong[1]} values where {len(names)} are expected ({', '.join(names)})"
+        )
+    columns = {name: [row[i].strip() for _, row in kept] for i, name in enumerate(names)}
+    return Table(source.name, columns, [line for line, _ in kept])
+
+
+def header_above(source: SourceText, line: int) -> str | None:
+    """The comment nearest above ``line`` that may name columns; None for none."""
+    above = source.text.splitlines()[: line - 1]
+    return next((text for text in reversed(above) if any(delimiter in text for delimiter in _DELIMITERS)), None)
 
 
 def _read_csv(source: SourceText) -> Table:
     line, first = next(iter(source.lines()), (0, ""))
     if not line:
         raise DatasetError(f"{source.name}: no line in it; expected a header and at least one line")
-    above = source.header_above(line) if _is_number(re.split(r"[,;\t]", first)[0].strip()) else None
+    above = header_above(source, line) if is_number(re.split(r"[,;\t]", first)[0]) else None
     header = first if above is None else above.strip().lstrip("#")
     lines, delimiter = source.text.splitlines(), max(_DELIMITERS, key=header.count)
     if delimiter not in header:
         header, lines, delimiter = ",".join(header.split()), [",".join(each.split()) for each in lines], ","
+    passed = line if above is None else line - 1
+    reader = csv.reader([header, *lines[passed:]], delimiter=delimiter)
     try:
-        names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
-    except csv.Error as error:
-        raise DatasetError(f"{source.name}, line {line}: not CSV ({error})") from error
-    if not names or _is_number(names[0]):
-        raise DatasetError(
-            f"{source.name}, line {line}: numbers where the names of the columns are expected; "
-            "begin the file with a header such as stamp_s,label,x_m,y_m,z_m"
-        )
-    twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
-    if twice is not None:
-        raise DatasetError(f"{source.name}, line {line}: column {twice} stands there twice; rename or remove one")
-    passed = line - 1 if above is not None else line
-    reader = csv.reader(lines[passed:], delimiter=delimiter)
-    rows = ((passed + reader.line_num, row) for row in reader if row and not row[0].lstrip().startswith("#"))
-    try:
+        names = [name.strip() for name in next(reader)]
+        if not names or is_number(names[0]):
+            raise DatasetError(
+                f"{source.name}, line {line}: numbers where the names of the columns are expected; "
+                "begin the file with a header such as stamp_s,label,x_m,y_m,z_m"
+            )
+        twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+        if twice is not None:
+            raise DatasetError(f"{source.name}, line {line}: column {twice} stands there twice; rename or remove one")
+        rows = ((passed + reader.line_num - 1, row) for row in reader if row and not row[0].lstrip().startswith("#"))
         return table_of_rows(source, names, rows)
     except csv.Error as error:
-        raise DatasetError(f"{source.name}, line {passed + reader.line_num}: not CSV ({error})") from error
+        raise DatasetError(f"{source.name}, line {passed + reader.line_num - 1}: not CSV ({error})") from error
 
 
 def _read_json_lines(source: SourceText) -> Table:
@@ -251,10 +196,8 @@ def _read_json_lines(source: SourceText) -> Table:
 
 
 def _cell(source: SourceText, line: int, key: str, value: object) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, str):
-        return value
+    if value is None or isinstance(value, str):
+        return value or ""
     raise DatasetError(
         f"{source.name}, line {line}, column {key}: {json.dumps(value)[:40]} is neither a number nor a text; "
         "write each number under a name of its own, such as x_m, y_m and z_m"
@@ -268,12 +211,4 @@ def decimal_remedy(cell: str, otherwise: str) -> str:
 
 def _plain(name: str) -> str:
     """The name in the form in which columns are compared."""
-    words = re.findall(r"[a-z0-9]+", name.lower())
-    return "_".join(words)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return math.isfinite(float(text))
-    except ValueError:
-        return False
+    return "_".join(re.findall(r"[a-z0-9]+", name.lower()))

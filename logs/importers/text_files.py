@@ -1,80 +1,118 @@
-"""Lines of numbers in foreign text files, read so that whatever is wrong is reported with its file and line."""
+"""Foreign text files, read so that whatever is wrong is reported with its file and line."""
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import math
-from collections.abc import Iterable
+import zlib
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
-from logs.errors import DatasetError
-from logs.storage.regular_file import read_regular
+import numpy as np
 
-LONGEST_NUMBER = 18
-"""Digits of a whole number, so that 64 bits hold it."""
+from logs.errors import DatasetError
+from logs.messages import FloatArray
+from logs.storage.regular_file import max_unpacked_bytes, read_regular
+
+MAX_DIGITS = 18
+"""Of a whole number, so that 64 bits hold it."""
+_GZIP = b"\x1f\x8b"
 
 
 @dataclass(frozen=True, slots=True)
-class TextFile:
-    """One file of a dataset in memory; ``name`` is what messages call it."""
+class SourceText:
+    """A text file in memory; ``name`` is what messages call it, ``sha256`` that of the file as it is, packed or not."""
 
     name: str
-    content: bytes
+    text: str
+    sha256: str
 
-    def lines(self) -> Iterable[tuple[int, str]]:
-        """Number (from 1) and text of each line that is not blank.
+    def lines(self) -> list[tuple[int, str]]:
+        """Number (from 1) and text of each line that is neither blank nor a comment (#)."""
+        stripped = ((i, line.strip()) for i, line in enumerate(self.text.splitlines(), start=1))
+        return [(i, line) for i, line in stripped if line and not line.startswith("#")]
+
+    def numbers(self, count: int) -> tuple[list[int], FloatArray]:
+        """The number of each line, and its ``count`` numbers: (R,) and (R, ``count``).
 
         Raises:
-            DatasetError: the content is not ASCII text.
+            DatasetError: a line holds another count, or what is no finite number.
         """
-        try:
-            text = self.content.decode("ascii")
-        except UnicodeDecodeError as error:
-            raise DatasetError(
-                f"{self.name}: not a text file (byte {error.start}); expected lines of numbers"
-            ) from error
-        for number, line in enumerate(text.splitlines(), start=1):
-            if line.strip():
-                yield number, line.strip()
+        rows = [(line, parse_numbers(self.name, line, text.split(), count)) for line, text in self.lines()]
+        values = np.array([row for _, row in rows], dtype=np.float64).reshape(-1, count)
+        return [line for line, _ in rows], values
 
 
-def read_text_file(path: Path) -> TextFile:
-    """The file at ``path``, called by its path in messages.
+def read_source_text(path: Path) -> SourceText:
+    """The file at ``path`` as text, unpacked if it is gzip.
 
     Raises:
-        DatasetError: it is missing or cannot be read.
+        DatasetError: it is missing, cannot be read or unpacked, or is no UTF-8 text.
     """
     try:
-        return TextFile(str(path), read_regular(path))
+        return source_text(str(path), read_regular(path))
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror}); give the path of the dataset's file") from error
 
 
-def parse_numbers(name: str, line: int, fields: Iterable[str], count: int) -> list[float]:
+def source_text(name: str, content: bytes) -> SourceText:
+    """The content of a file as text, unpacked if it is gzip.
+
+    Raises:
+        DatasetError: it cannot be unpacked, or is no UTF-8 text.
+    """
+    plain = _unpacked(name, content) if content.startswith(_GZIP) else content
+    try:
+        return SourceText(name, plain.decode("utf-8-sig"), hashlib.sha256(content).hexdigest())
+    except UnicodeDecodeError as error:
+        raise DatasetError(
+            f"{name}: not a text file in UTF-8 (byte {error.start}); save it as UTF-8, or give CSV, JSON lines or poses"
+        ) from error
+
+
+def _unpacked(name: str, packed: bytes) -> bytes:
+    limit = max_unpacked_bytes(len(packed))
+    try:
+        with gzip.open(BytesIO(packed)) as stream:
+            content = stream.read(limit + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        raise DatasetError(f"{name}: cannot be unpacked ({error}); copy or pack it again") from error
+    if len(content) > limit:
+        raise DatasetError(
+            f"{name}: its {len(packed)} bytes unpack to more than {limit / 1e6:.0f} MB, which no table or path does; "
+            "unpack it and give the file itself if it is one"
+        )
+    return content
+
+
+def parse_numbers(name: str, line: int, fields: Sequence[str], count: int) -> list[float]:
     """``count`` finite numbers.
 
     Raises:
         DatasetError: another count, or a field that is no finite number; names the file and the line.
     """
-    texts = list(fields)
-    if len(texts) != count:
-        raise DatasetError(f"{name}, line {line}: {len(texts)} values where {count} are expected")
-    numbers = []
-    for text in texts:
-        try:
-            number = float(text)
-        except ValueError as error:
-            raise DatasetError(f"{name}, line {line}: {text!r} is not a number") from error
-        if not math.isfinite(number):
-            raise DatasetError(f"{name}, line {line}: {text!r} is not a finite number")
-        numbers.append(number)
-    return numbers
+    if len(fields) != count:
+        raise DatasetError(f"{name}, line {line}: {len(fields)} values where {count} are expected")
+    wrong = next((field for field in fields if not is_number(field)), None)
+    if wrong is not None:
+        raise DatasetError(f"{name}, line {line}: {wrong!r} is not a finite number")
+    return [float(field) for field in fields]
 
 
-def sha256_of(files: Iterable[TextFile]) -> str:
-    """SHA-256 over the contents one after the other; of a single file it is what ``sha256sum`` prints."""
-    digest = hashlib.sha256()
-    for file in files:
-        digest.update(file.content)
-    return digest.hexdigest()
+def is_number(text: str) -> bool:
+    """Whether ``text`` is a finite number."""
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def describe_sources(dataset: str, sources: Iterable[tuple[str, SourceText]]) -> dict[str, str]:
+    """What the metadata of an imported log say of its files: by role the name, without folders, and the SHA-256."""
+    described = {"dataset": dataset}
+    for role, source in sources:
+        described |= {role: Path(source.name).name, f"{role}_sha256": source.sha256}
+    return described

@@ -13,9 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from logs.errors import DatasetError
 from logs.importers.detection_tables import BODY_FRAME, ONLY_LABEL, DetectionTable, read_detections
-from logs.importers.imported_log import ImportedRecord, ImportSummary, write_imported_log
+from logs.importers.imported_log import ImportedRecord
 from logs.importers.stamps import match_clock, snap_to_span
-from logs.importers.tables import SourceText, read_source_text, read_table
+from logs.importers.tables import read_table
+from logs.importers.text_files import SourceText, describe_sources, read_source_text
 from logs.importers.trajectory_files import Trajectory, TrajectoryFormat, read_trajectory
 from logs.messages import GroundTruthPose, IntArray, Odometry
 
@@ -36,35 +37,14 @@ class TextLog:
 
     def records(self) -> Iterator[ImportedRecord]:
         """Everything in the order of the stamps; at one stamp odometry, detections, the true pose, the true objects."""
-        streams: list[Iterable[ImportedRecord]] = [self._odometry(), self._detections(), self._truth()]
+        odometry = (Odometry(stamp_ns, T) for stamp_ns, T in self.odometry.poses())
+        truth = self.ground_truth.poses() if self.ground_truth is not None else ()
+        streams: list[Iterable[ImportedRecord]] = [
+            odometry,
+            (record for pair in self.detections.scans(self.stamps_ns) for record in pair if record is not None),
+            (GroundTruthPose(stamp_ns, T) for stamp_ns, T in truth),
+        ]
         return merge(*streams, key=lambda record: record.stamp_ns)
-
-    def _odometry(self) -> Iterator[Odometry]:
-        for stamp_ns, T in zip(self.odometry.stamps.stamps_ns.tolist(), self.odometry.T_world_body, strict=True):
-            yield Odometry(stamp_ns, T)
-
-    def _truth(self) -> Iterator[GroundTruthPose]:
-        if self.ground_truth is not None:
-            truth = self.ground_truth
-            for stamp_ns, T in zip(truth.stamps.stamps_ns.tolist(), truth.T_world_body, strict=True):
-                yield GroundTruthPose(stamp_ns, T)
-
-    def _detections(self) -> Iterator[ImportedRecord]:
-        for detections, truth in self.detections.scans(self.stamps_ns):
-            yield detections
-            if truth is not None:
-                yield truth
-
-
-@dataclass(frozen=True, slots=True)
-class TextLogSummary:
-    """What was written, and what a user should know of it."""
-
-    written: ImportSummary
-    odometry_format: str
-    odometry_length_m: float
-    columns_left_out: tuple[str, ...]
-    notes: tuple[str, ...]
 
 
 def read_text_log(
@@ -108,51 +88,10 @@ def read_text_log(
     inside = match_clock(table.stamps, path.stamps)
     if truth is not None:
         match_clock(truth.stamps, path.stamps)
-    source = {"dataset": "text"}
-    for role, text in sources.items():
-        source |= {role: Path(text.name).name, f"{role}_sha256": text.sha256}
+    source = describe_sources("text", sources.items())
     stamps_ns = snap_to_span(table.stamps.stamps_ns, inside, path.stamps)
-    notes = (
-        *_outside_note(table, inside),
-        *_label_note(table),
-        *_frame_note(table),
-        *_camera_note(sources, path),
-        *_order_note(path),
-    )
+    notes = (*_table_notes(table, inside), *_pose_notes(path, has_calib=calib is not None))
     return TextLog(path, table, stamps_ns, truth, source, notes)
-
-
-def import_text_log(
-    output: Path,
-    *,
-    odometry: Path,
-    detections: Path,
-    ground_truth: Path | None = None,
-    times: Path | None = None,
-    calib: Path | None = None,
-    format: TrajectoryFormat | None = None,
-) -> TextLogSummary:
-    """Write a drive (see :func:`read_text_log`) as a log, with the names and the SHA-256 of its files.
-
-    Raises:
-        DatasetError: the input is missing or wrong; nothing is written then.
-        UnwritableLogError: the log cannot be written.
-    """
-    drive = read_text_log(
-        odometry=odometry,
-        detections=detections,
-        ground_truth=ground_truth,
-        times=times,
-        calib=calib,
-        format=format,
-    )
-    return TextLogSummary(
-        written=write_imported_log(output, drive.records(), drive.source),
-        odometry_format=drive.odometry.format.value,
-        odometry_length_m=drive.odometry.length_m,
-        columns_left_out=drive.detections.left_out,
-        notes=drive.notes,
-    )
 
 
 def _check_used(sources: dict[str, SourceText], trajectories: list[Trajectory]) -> None:
@@ -164,43 +103,31 @@ def _check_used(sources: dict[str, SourceText], trajectories: list[Trajectory]) 
             )
 
 
-def _outside_note(table: DetectionTable, inside: NDArray[np.bool_]) -> list[str]:
-    outside = np.flatnonzero(~inside)
-    if len(outside) == 0:
-        return []
-    row = int(outside[0])
-    text = table.stamps.table
-    return [
-        f"{text.name}, line {text.lines[row]}, column {table.stamps.column.name}: {len(outside)} of {len(inside)} "
-        "detections, this one first, are outside the odometry's time; a replay leaves them out"
-    ]
-
-
-def _label_note(table: DetectionTable) -> list[str]:
-    count = table.unlabelled_count
-    return (
-        [f"{count} of {len(table.labels)} detections have no label and are of the class {ONLY_LABEL}"] if count else []
-    )
-
-
-def _frame_note(table: DetectionTable) -> list[str]:
+def _table_notes(table: DetectionTable, inside: NDArray[np.bool_]) -> list[str]:
+    notes = []
+    if not inside.all():
+        row, text = int(inside.argmin()), table.stamps.table
+        notes.append(
+            f"{text.name}, line {text.lines[row]}, column {table.stamps.column.name}: {np.count_nonzero(~inside)} of "
+            f"{len(inside)} detections, this one first, are outside the odometry's time; a replay leaves them out"
+        )
+    if table.unlabelled_count:
+        counts = f"{table.unlabelled_count} of {len(table.labels)} detections"
+        notes.append(f"{counts} have no label and are of the class {ONLY_LABEL}")
     frames = sorted(set(table.frames) - {BODY_FRAME})
-    if not frames:
-        return []
-    return [
-        f"detections are in {', '.join(frames)}, but these files do not tell where that sits on the body: replay with "
-        "--set calibration.detection.assume_body_frame=true if it is the body"
-    ]
+    if frames:
+        notes.append(
+            f"detections are in {', '.join(frames)}, whose place on the body is not in these files: replay with "
+            "--set calibration.detection.assume_body_frame=true if it is the body"
+        )
+    return notes
 
 
-def _camera_note(sources: dict[str, SourceText], path: Trajectory) -> list[str]:
-    if path.format != TrajectoryFormat.KITTI or "calib" in sources:
-        return []
-    return ["poses are taken for those of the body (x forward, z up); give --calib if they are of KITTI's left camera"]
-
-
-def _order_note(path: Trajectory) -> list[str]:
-    """Quaternions of TUM's format that keep the body upright only if they are read as w, x, y, z."""
+def _pose_notes(path: Trajectory, *, has_calib: bool) -> list[str]:
+    if path.format == TrajectoryFormat.KITTI and not has_calib:
+        return [
+            "poses are taken for those of the body (x forward, z up); give --calib if they are of KITTI's left camera"
+        ]
     if path.format != TrajectoryFormat.TUM:
         return []
     q = np.asarray(Rotation.from_matrix(path.T_world_body[:, :3, :3]).as_quat())

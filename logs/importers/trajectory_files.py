@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -11,26 +11,27 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from logs.errors import DatasetError
-from logs.importers.kitti_poses import body_poses, parse_calibration, parse_poses
+from logs.importers.kitti import body_poses, parse_calibration, parse_poses, read_times
 from logs.importers.stamps import Stamps, read_stamps
-from logs.importers.tables import LENGTH_UNITS, Column, SourceText, Table, read_table, table_of_rows
-from logs.importers.text_files import TextFile
+from logs.importers.tables import LENGTH_UNITS, Table, header_above, read_table, table_of_rows
+from logs.importers.text_files import SourceText, is_number
 from logs.messages import FloatArray
 from logs.validation import LARGEST_M, QUATERNION_NORM_TOLERANCE
 
-SLOWEST_STEP_S = 20.0
-"""A median step longer than that is no odometry: a replay takes every such gap for a break (odometry.max_gap_s)."""
+MAX_STEP_S = 20.0
+"""A longer median step is not that of an odometry: a replay takes every such gap for a break (odometry.max_gap_s)."""
 
-FASTEST_STEP_S = 1e-6
-"""A median step shorter than that is that of no sensor."""
+MIN_STEP_S = 1e-6
+"""A shorter median step is not that of a sensor."""
 
-GREATEST_SPEED_MPS = 100.0
-"""A median speed beyond it is that of no robot on the ground; a replay takes steps faster than 60 m/s for jumps."""
+MAX_SPEED_MPS = 100.0
+"""A faster body, by the median, is no robot on the ground; a replay takes steps faster than 60 m/s for jumps."""
 
-_TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
-_EUROC = ("stamp_ns", "x", "y", "z", "qw", "qx", "qy", "qz")
+_COLUMNS = {
+    "tum": ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw"),
+    "euroc": ("stamp_ns", "x", "y", "z", "qw", "qx", "qy", "qz"),
+}
 _EUROC_NAME = "p_rs_r_x"
-_QUATERNION = ("qx", "qy", "qz", "qw")
 _SEPARATORS = re.compile(r"\s*[,;]\s*|\s+")
 _ANGLE_UNITS = {"": 1.0, "rad": 1.0, "deg": np.pi / 180.0}
 
@@ -39,7 +40,7 @@ class TrajectoryFormat(StrEnum):
     """How a trajectory is written.
 
     TUM: ``stamp_s x y z qx qy qz qw``. KITTI: 12 numbers, the rows of a 3x4 pose, times apart. EuRoC: CSV of
-    ``stamp_ns, x, y, z, qw, qx, qy, qz``, more columns being passed over. CSV: a header names stamp, x, y, z and
+    ``stamp_ns, x, y, z, qw, qx, qy, qz``, further columns are ignored. CSV: a header names stamp, x, y, z and
     qx, qy, qz, qw or yaw (radians; yaw_deg: degrees).
     """
 
@@ -58,6 +59,10 @@ class Trajectory:
     stamps: Stamps
     T_world_body: FloatArray
     format: TrajectoryFormat
+
+    def poses(self) -> Iterator[tuple[int, FloatArray]]:
+        """Stamp [ns] and pose (4, 4) of each."""
+        return zip(self.stamps.stamps_ns.tolist(), self.T_world_body, strict=True)
 
     @property
     def length_m(self) -> float:
@@ -105,14 +110,14 @@ def find_format(source: SourceText) -> TrajectoryFormat:
     """
     line, first = next(iter(source.lines()), (0, ""))
     fields = _SEPARATORS.split(first)
-    if first.startswith("{") or (len(fields) >= len("txy") and not _are_numbers(fields[:1])):
-        return TrajectoryFormat.EUROC if _EUROC_NAME in first.lower() else TrajectoryFormat.CSV
-    header = source.header_above(line) if "," in first or ";" in first else None
+    header = header_above(source, line) if "," in first or ";" in first else None
+    if first.startswith("{") or (len(fields) >= len("txy") and not is_number(fields[0])):
+        header = first
     if header is not None:
         return TrajectoryFormat.EUROC if _EUROC_NAME in header.lower() else TrajectoryFormat.CSV
-    if len(fields) == len(_TUM) and ("," not in first or _has_fractions(source)):
+    if len(fields) == 8 and ("," not in first or _has_fractions(source)):
         return TrajectoryFormat.TUM
-    if "," in first and len(fields) >= len(_EUROC):
+    if "," in first and len(fields) >= 8:
         return TrajectoryFormat.EUROC
     if len(fields) == 12 and "," not in first:
         return TrajectoryFormat.KITTI
@@ -128,24 +133,13 @@ def _has_fractions(source: SourceText) -> bool:
     return any("." in _SEPARATORS.split(line)[0] for _, line in source.lines())
 
 
-def _are_numbers(fields: list[str]) -> bool:
-    try:
-        return all(np.isfinite(float(field)) for field in fields)
-    except ValueError:
-        return False
-
-
 def _pose_table(source: SourceText, format: TrajectoryFormat) -> Table:
-    if format == TrajectoryFormat.TUM:
-        rows = ((i, _SEPARATORS.split(line)) for i, line in source.lines())
-        return _some_rows(source, table_of_rows(source, _TUM, rows))
-    if format == TrajectoryFormat.EUROC:
-        cells = ((i, line.split(",")) for i, line in source.lines() if _EUROC_NAME not in line.lower())
-        return _some_rows(source, table_of_rows(source, _EUROC, ((i, row[: len(_EUROC)]) for i, row in cells)))
-    return read_table(source)
-
-
-def _some_rows(source: SourceText, table: Table) -> Table:
+    names = _COLUMNS.get(format)
+    if names is None:
+        return read_table(source)
+    rows = [(i, _SEPARATORS.split(line)) for i, line in source.lines() if _EUROC_NAME not in line.lower()]
+    count = len(names) if format == TrajectoryFormat.EUROC else None
+    table = table_of_rows(source, names, ((i, row[:count]) for i, row in rows))
     if not table.lines:
         raise DatasetError(f"{source.name}: no pose in it")
     return table
@@ -163,9 +157,8 @@ def _poses(table: Table) -> FloatArray:
         column = table.find((name, f"position_{name}", f"p{name}", f"t{name}"), LENGTH_UNITS)
         if column is not None:
             T[:, i, 3] = table.numbers(column, LENGTH_UNITS)
-            if (far := np.abs(T[:, i, 3]) > LARGEST_M).any():
-                row = int(far.argmax())
-                raise table.error(row, column, f"{T[row, i, 3]:g} m is no place; correct it, or leave the line out")
+            too_far = np.abs(T[:, i, 3]) > LARGEST_M
+            table.refuse(too_far, column, "CELL m is no place; correct it, or leave the line out")
         elif name != "z":
             table.need(name, f"{name}_m", (name,), LENGTH_UNITS)
     T[:, :3, :3] = _rotations(table)
@@ -176,34 +169,20 @@ def _rotations(table: Table) -> FloatArray:
     yaw = table.find(("yaw", "heading", "theta"), _ANGLE_UNITS)
     if yaw is not None and table.find(("qw",)) is None:
         yaw_rad = table.numbers(yaw, _ANGLE_UNITS)
-        _check_radians(table, yaw, yaw_rad)
+        # Headings that are wrapped lie within one turn, and others change by less from pose to pose.
+        jumps_rad = np.abs(np.diff(yaw_rad, prepend=yaw_rad[:1])) * (yaw.unit != "deg")
+        fault = f"the heading changes by {jumps_rad.max():.4g} rad from the pose before, more than a whole turn"
+        table.refuse(jumps_rad > 2.0 * np.pi, yaw, f"{fault}; if these are degrees, call the column yaw_deg")
         return np.asarray(Rotation.from_euler("z", yaw_rad[:, None]).as_matrix())
-    columns = [table.need(f"the quaternion's {name}", name, (name, f"orientation_{name[1]}")) for name in _QUATERNION]
+    columns = [table.need(f"the quaternion's {q}", q, (q, f"orientation_{q[1]}")) for q in ("qx", "qy", "qz", "qw")]
     q_xyzw = np.stack([table.numbers(column) for column in columns], axis=1)
     norms = np.linalg.norm(q_xyzw, axis=1)
     wrong = np.abs(norms - 1.0) > QUATERNION_NORM_TOLERANCE
     if wrong.any():
-        row = int(np.argmax(wrong))
-        raise table.error(
-            row,
-            " ".join(column.name for column in columns),
-            f"a quaternion of norm {norms[row]:.4g} is no rotation; its norm must be 1",
-        )
+        row = int(wrong.argmax())
+        fault = f"a quaternion of norm {norms[row]:.4g} is no rotation; its norm must be 1"
+        raise table.error(row, " ".join(column.name for column in columns), fault)
     return np.asarray(Rotation.from_quat(q_xyzw).as_matrix())
-
-
-def _check_radians(table: Table, yaw: Column, yaw_rad: FloatArray) -> None:
-    """Headings that are wrapped lie within one turn, and others change by less from pose to pose."""
-    steps = np.abs(np.diff(yaw_rad))
-    if yaw.unit == "deg" or steps.max(initial=0.0) <= 2.0 * np.pi:
-        return
-    row = int(np.argmax(steps > 2.0 * np.pi)) + 1
-    raise table.error(
-        row,
-        yaw,
-        f"the heading changes by {steps[row - 1]:.4g} rad from the pose before, more than a whole turn; if these are "
-        "degrees, call the column yaw_deg",
-    )
 
 
 def _read_kitti(source: SourceText, times: SourceText | None, calib: SourceText | None) -> Trajectory:
@@ -211,24 +190,15 @@ def _read_kitti(source: SourceText, times: SourceText | None, calib: SourceText 
         raise DatasetError(
             f"{source.name}: poses in KITTI's format have no stamps; give the file of their times (--times)"
         )
-    T = parse_poses(_plain_file(source))
-    table = table_of_rows(times, ("stamp_s",), ((line, [text]) for line, text in times.lines()))
-    if len(T) != len(table.lines) or not len(T):
+    T = parse_poses(source)
+    stamps = read_times(times)
+    if len(T) != len(stamps.stamps_ns):
         raise DatasetError(
-            f"{source.name} has {len(T)} poses, {times.name} {len(table.lines)} times; give files of one drive"
+            f"{source.name} has {len(T)} poses, {times.name} {len(stamps.stamps_ns)} times; give files of one drive"
         )
-    stamps = read_stamps(table)
-    stamps.check_increasing(strictly=True)
     if calib is not None:
-        T = body_poses(T, parse_calibration(_plain_file(calib)))
-    lines = [line for line, _ in source.lines()]
-    return Trajectory(source.name, lines, stamps, T, TrajectoryFormat.KITTI)
-
-
-def _plain_file(source: SourceText) -> TextFile:
-    """For the parsers of KITTI's files: without comments, each line in its place."""
-    lines = ("" if line.lstrip().startswith("#") else line for line in source.text.splitlines())
-    return TextFile(source.name, "\n".join(lines).encode("utf-8"))
+        T = body_poses(T, parse_calibration(calib))
+    return Trajectory(source.name, [line for line, _ in source.lines()], stamps, T, TrajectoryFormat.KITTI)
 
 
 def _check_steps(trajectory: Trajectory) -> None:
@@ -236,23 +206,23 @@ def _check_steps(trajectory: Trajectory) -> None:
     if len(stamps.stamps_ns) < 2:
         raise DatasetError(f"{trajectory.name}: one pose only; a drive has at least two")
     median_s = float(np.median(np.diff(stamps.stamps_ns))) * 1e-9
-    if FASTEST_STEP_S <= median_s <= SLOWEST_STEP_S:
-        return
-    raise stamps.table.error(
-        1,
-        stamps.column,
-        f"poses are {median_s:.3g} s apart (median), which no odometry is; give the stamps in {stamps.unit_name}, or "
-        "name the columns and call this one by its unit: stamp_s, stamp_ms, stamp_us or stamp_ns",
-    )
+    if not MIN_STEP_S <= median_s <= MAX_STEP_S:
+        raise stamps.table.error(
+            1,
+            stamps.column,
+            f"poses are {median_s:.3g} s apart (median), unlike those of any odometry; give the stamps in "
+            f"{stamps.unit_name}, or name the columns and call this one by its unit: stamp_s, stamp_ms, stamp_us or "
+            "stamp_ns",
+        )
 
 
 def _check_speed(trajectory: Trajectory) -> None:
     moved_m = _steps_m(trajectory.T_world_body)
     moving = np.flatnonzero(moved_m > 0.0)
     speeds_mps = moved_m[moving] / (np.diff(trajectory.stamps.stamps_ns)[moving] * 1e-9)
-    if not len(moving) or np.median(speeds_mps) <= GREATEST_SPEED_MPS:
+    if not len(moving) or np.median(speeds_mps) <= MAX_SPEED_MPS:
         return
-    line = trajectory.lines[int(moving[np.argmax(speeds_mps > GREATEST_SPEED_MPS)]) + 1]
+    line = trajectory.lines[int(moving[np.argmax(speeds_mps > MAX_SPEED_MPS)]) + 1]
     raise DatasetError(
         f"{trajectory.name}, line {line}, columns x y z: the body moves at {np.median(speeds_mps):.4g} m/s (median); "
         "positions are metres: divide them by 1000 if these are millimetres, and see that the stamps are right"

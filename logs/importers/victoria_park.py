@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 
 from logs.errors import DatasetError
-from logs.importers.imported_log import ImportSummary, write_imported_log
-from logs.importers.text_files import LONGEST_NUMBER, TextFile, parse_numbers, read_text_file, sha256_of
+from logs.importers.imported_log import ImportedRecord
+from logs.importers.text_files import MAX_DIGITS, describe_sources, parse_numbers, read_source_text
 from logs.messages import DetectionTruth, FloatArray, ObjectDetections, Odometry
 
-DEFAULT_STEP_S = 0.2
+STEP_NS = 200_000_000
 """Time between poses. The file has no stamps; the laser scans to which its poses belong came about every 0.21 s."""
 
 _FIELD_COUNTS = {"ODOMETRY": 11, "LANDMARK": 7}
@@ -45,22 +45,13 @@ class VictoriaPark:
     sightings: tuple[tuple[Sighting, ...], ...]
     source: dict[str, str]
 
-    def records(self, *, step_s: float = DEFAULT_STEP_S) -> Iterator[Odometry | ObjectDetections | DetectionTruth]:
+    def records(self) -> Iterator[ImportedRecord]:
         """Odometry for each pose; detections and their truth for each pose from which a tree was seen.
 
-        Stamps start at 0 and are ``step_s`` apart, because the file has none.
-
-        Raises:
-            DatasetError: ``step_s`` is not a positive time.
+        Stamps start at 0 and are ``STEP_NS`` apart, because the file has none.
         """
-        step_ns = round(step_s * 1e9) if np.isfinite(step_s) else 0
-        if step_ns <= 0:
-            raise DatasetError(f"step_s = {step_s:g} is not a positive time; the file's poses are about 0.2 s apart")
-        return self._records(step_ns)
-
-    def _records(self, step_ns: int) -> Iterator[Odometry | ObjectDetections | DetectionTruth]:
         for i, sightings in enumerate(self.sightings):
-            stamp_ns = i * step_ns
+            stamp_ns = i * STEP_NS
             yield Odometry(stamp_ns, self.T_odom_body[i])
             if sightings:
                 positions = np.stack([sighting.position for sighting in sightings])
@@ -94,49 +85,38 @@ def read_victoria_park(path: Path | None = None) -> VictoriaPark:
     Raises:
         DatasetError: the file is missing, or a line is damaged, out of order, or of a pose that does not exist.
     """
-    file = read_text_file(bundled_victoria_park() if path is None else path)
+    file = read_source_text(bundled_victoria_park() if path is None else path)
     poses: list[FloatArray] = [np.eye(4)]
     pose_key: int | None = None
     sightings: list[list[Sighting]] = [[]]
     for number, line in file.lines():
+        where = f"{file.name}, line {number}"
         tag, *fields = line.split()
         if tag not in _FIELD_COUNTS:
-            raise DatasetError(f"{file.name}, line {number}: {tag!r} is neither ODOMETRY nor LANDMARK")
+            raise DatasetError(f"{where}: {tag!r} is neither ODOMETRY nor LANDMARK")
         values = parse_numbers(file.name, number, fields, _FIELD_COUNTS[tag])
-        first, second = _key(file, number, fields[0]), _key(file, number, fields[1])
-        if pose_key is None:
-            pose_key = first
-        if first != pose_key:
+        first, second = _key(where, fields[0]), _key(where, fields[1])
+        if first != (first if pose_key is None else pose_key):
             raise DatasetError(
-                f"{file.name}, line {number}: {tag} from pose {first}, but the drive is at pose {pose_key}; "
-                "lines must stand in the order of the drive"
+                f"{where}: {tag} from pose {first}, but the drive is at pose {pose_key}; lines must stand in the order "
+                "of the drive"
             )
+        pose_key = first
         if tag == "ODOMETRY":
             poses.append(poses[-1] @ _planar_transform(*values[2:5]))
             sightings.append([])
             pose_key = second
         else:
-            sightings[-1].append(_sighting(file, number, str(second), values))
+            sightings[-1].append(_sighting(where, str(second), values))
     if len(poses) == 1:
         raise DatasetError(f"{file.name}: no ODOMETRY line; give GTSAM's victoria_park.txt")
-    source = {"dataset": "victoria-park", "graph": Path(file.name).name, "graph_sha256": sha256_of([file])}
-    return VictoriaPark(np.stack(poses), tuple(tuple(seen) for seen in sightings), source)
+    source = describe_sources("victoria-park", [("graph", file)])
+    return VictoriaPark(np.stack(poses), tuple(map(tuple, sightings)), source)
 
 
-def import_victoria_park(output: Path, *, path: Path | None = None, step_s: float = DEFAULT_STEP_S) -> ImportSummary:
-    """Write the drive (see ``read_victoria_park``) as a log with /odom, /detections and /ground_truth/detections.
-
-    Raises:
-        DatasetError: the input is missing or wrong; nothing is written then.
-        UnwritableLogError: the log cannot be written.
-    """
-    park = read_victoria_park(path)
-    return write_imported_log(output, park.records(step_s=step_s), {**park.source, "step_s": f"{step_s:g}"})
-
-
-def _key(file: TextFile, number: int, text: str) -> int:
-    if not (text.isdecimal() and len(text) <= LONGEST_NUMBER):
-        raise DatasetError(f"{file.name}, line {number}: {text!r} is not the number of a pose or tree")
+def _key(where: str, text: str) -> int:
+    if not (text.isdecimal() and len(text) <= MAX_DIGITS):
+        raise DatasetError(f"{where}: {text!r} is not the number of a pose or tree")
     return int(text)
 
 
@@ -145,9 +125,9 @@ def _planar_transform(dx_m: float, dy_m: float, dtheta_rad: float) -> FloatArray
     return np.array([[c, -s, 0.0, dx_m], [s, c, 0.0, dy_m], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
-def _sighting(file: TextFile, number: int, tree_id: str, values: list[float]) -> Sighting:
+def _sighting(where: str, tree_id: str, values: list[float]) -> Sighting:
     x_m, y_m, xx, xy, yy = values[2:]
     if not (xx > 0.0 and xx * yy > xy * xy):
-        raise DatasetError(f"{file.name}, line {number}: covariance ({xx:g}, {xy:g}, {yy:g}) is not positive definite")
+        raise DatasetError(f"{where}: covariance ({xx:g}, {xy:g}, {yy:g}) is not positive definite")
     covariance = np.array([[xx, xy, 0.0], [xy, yy, 0.0], [0.0, 0.0, 0.5 * (xx + yy)]])
     return Sighting(tree_id, np.array([x_m, y_m, 0.0]), covariance)

@@ -16,7 +16,7 @@ from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
 from logs.storage.bag_folder import METADATA_FILE, find_bag_files
 from logs.storage.mcap_file import McapFile
-from logs.storage.regular_file import most_unpacked, open_regular
+from logs.storage.regular_file import max_unpacked_bytes, open_regular
 from logs.storage.storage import Storage
 
 SQLITE_MAGIC = b"SQLite format 3\x00"
@@ -97,7 +97,7 @@ def _unpack(path: Path, folder: Path) -> Path:
     _log.info("unpacking %s", path)
     try:
         with open_regular(path) as packed, open(unpacked, "wb") as stream:
-            limit = most_unpacked(os.fstat(packed.fileno()).st_size)
+            limit = max_unpacked_bytes(os.fstat(packed.fileno()).st_size)
             reader = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
             for piece in iter(partial(reader.read, _PIECE_BYTES), b""):
                 stream.write(piece)

@@ -7,15 +7,15 @@ import os
 import stat
 from io import BufferedReader
 
-MOST_BYTES = 1_000_000_000
+MAX_BYTES = 1_000_000_000
 """Of a file that is read as a whole: a day of detections as a table."""
-_UNPACKED_TIMES, _UNPACKED_BYTES = 100, 64_000_000
+_MAX_EXPANSION, _MIN_UNPACKED_BYTES = 100, 64_000_000
 """Logs, tables and paths pack to a tenth or so; what unpacks to far more only fills memory or disk."""
 
 
-def most_unpacked(packed_bytes: int) -> int:
+def max_unpacked_bytes(packed_bytes: int) -> int:
     """Bytes that a file of ``packed_bytes`` may unpack to."""
-    return max(_UNPACKED_TIMES * packed_bytes, _UNPACKED_BYTES)
+    return max(_MAX_EXPANSION * packed_bytes, _MIN_UNPACKED_BYTES)
 
 
 def open_regular(path: str | os.PathLike[str]) -> BufferedReader:
@@ -35,14 +35,14 @@ def open_regular(path: str | os.PathLike[str]) -> BufferedReader:
 
 
 def read_regular(path: str | os.PathLike[str]) -> bytes:
-    """The bytes of a file of at most ``MOST_BYTES``.
+    """The bytes of a file of at most ``MAX_BYTES``.
 
     Raises:
         OSError: it cannot be read, is larger, or is a pipe, a device or a socket.
     """
     with open_regular(path) as stream:
-        if os.fstat(stream.fileno()).st_size > MOST_BYTES:
-            raise OSError(errno.EFBIG, f"larger than {MOST_BYTES / 1e6:.0f} MB", os.fspath(path))
+        if os.fstat(stream.fileno()).st_size > MAX_BYTES:
+            raise OSError(errno.EFBIG, f"larger than {MAX_BYTES / 1e6:.0f} MB", os.fspath(path))
         return stream.read()
 
 

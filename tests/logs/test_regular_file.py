@@ -17,10 +17,10 @@ from logs.digest import file_sha256
 from logs.errors import DatasetError, LogError, UnreadableLogError
 from logs.importers.maps.object_table import read_object_table
 from logs.importers.object_scans import read_object_scans
-from logs.importers.tables import read_source_text
+from logs.importers.text_files import read_source_text
 from logs.reader import LogReader
 from logs.storage import regular_file
-from logs.storage.regular_file import most_unpacked, open_regular, read_regular
+from logs.storage.regular_file import max_unpacked_bytes, open_regular, read_regular
 from slam.common.config import load_config
 from slam.common.errors import InputDataError, SlamError
 from slam.fleet.logs import find_logs
@@ -66,7 +66,7 @@ def test_a_name_with_a_zero_byte_is_no_file() -> None:
 def test_a_file_that_is_read_as_a_whole_may_not_be_larger_than_the_limit(tmp_path: Path) -> None:
     path = tmp_path / "large.csv"
     with path.open("wb") as stream:
-        stream.truncate(regular_file.MOST_BYTES + 1)  # of no blocks
+        stream.truncate(regular_file.MAX_BYTES + 1)  # of no blocks
     with pytest.raises(OSError, match="larger than 1000 MB"):
         read_regular(path)
     with pytest.raises(DatasetError, match=r"large\.csv: cannot be read \(larger than 1000 MB\)"):
@@ -78,21 +78,21 @@ def test_a_file_that_is_read_as_a_whole_may_not_be_larger_than_the_limit(tmp_pat
 def test_a_pose_graph_has_no_endless_line(tmp_path: Path) -> None:
     path = tmp_path / "graph.g2o"
     with path.open("wb") as stream:
-        stream.truncate(10 * regular_file.MOST_BYTES)
+        stream.truncate(10 * regular_file.MAX_BYTES)
     with pytest.raises(InputDataError, match="a line of 100000 characters or more"):
         read_pose_graph(path)
 
 
 @pytest.fixture
 def small_limits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(regular_file, "_UNPACKED_BYTES", 10_000)
+    monkeypatch.setattr(regular_file, "_MIN_UNPACKED_BYTES", 10_000)
 
 
 @pytest.mark.usefixtures("small_limits")
 def test_a_log_that_unpacks_to_far_more_than_any_is_not_unpacked(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap.zstd"
     path.write_bytes(zstandard.compress(b"\0" * 10_000_000))
-    assert most_unpacked(path.stat().st_size) < 1_000_000
+    assert max_unpacked_bytes(path.stat().st_size) < 1_000_000
     with pytest.raises(UnreadableLogError, match=r"unpacks to more than 0 MB, which no log does; unpack it"):
         LogReader(path)
 

@@ -11,7 +11,8 @@ import pytest
 from google.protobuf.json_format import MessageToJson
 
 from logs.decoders.protobuf import DECODERS
-from logs.importers.text_log import import_text_log
+from logs.importers.imported_log import write_imported_log
+from logs.importers.text_log import read_text_log
 from logs.messages import FloatArray, GroundTruthPose, ObjectDetections, Odometry
 from logs.topics import Channel, Schema
 from logs.validation import quaternion_xyzw
@@ -25,7 +26,6 @@ from slam.simulation.config import DriveConfig, SimulationConfig
 from tests.helpers.ray_casting import GROUND, Solid, beams, cast
 from tests.helpers.ros2_logs import Message, header, ros2_messages, write_bag
 from tests.helpers.short_drives import Entry, block_world, drive, keep_until, raw_messages, records_of, write_log
-from tests.logs.clouds.clouds import needs_open3d
 
 SECONDS = 25.0
 SIZES = {"bench": (1.8, 0.6, 0.9), "lamp": (0.2, 0.2, 5.0), "tree": (0.4, 0.4, 4.0), "vehicle": (2.0, 1.2, 1.4)}
@@ -64,7 +64,8 @@ def as_csv(entries: list[Entry], folder: Path) -> Path:
     (folder / "odometry.tum").write_text("\n".join(poses) + "\n")
     (folder / "detections.csv").write_text("\n".join(rows) + "\n")
     output = folder / "drive.mcap"
-    import_text_log(output, odometry=folder / "odometry.tum", detections=folder / "detections.csv")
+    text = read_text_log(odometry=folder / "odometry.tum", detections=folder / "detections.csv")
+    write_imported_log(output, text.records(), text.source)
     return output
 
 
@@ -131,7 +132,6 @@ def point_cloud(stamp_ns: int, frame: str, points: FloatArray, classes: np.ndarr
     }
 
 
-@needs_open3d
 @pytest.mark.slow
 def test_labelled_clouds_of_a_drive_map_it_as_well_as_its_detections(tmp_path: Path) -> None:
     simulation = SimulationConfig(drive=DriveConfig(rate_hz=5.0))

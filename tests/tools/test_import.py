@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.logs.clouds.clouds import needs_open3d
 from tests.logs.clouds.test_cloud_files import street, write_ply
 from tests.logs.importers.text_drives import DETECTIONS, TextDrive
 from tests.tools.runs import ROOT, Run, assert_refused
@@ -83,7 +82,6 @@ def test_the_help_names_the_columns(dslam: Run, word: str) -> None:
     assert word in dslam("import", "csv", "--help").out
 
 
-@needs_open3d
 @pytest.mark.slow
 def test_a_labelled_cloud_becomes_a_map(dslam: Run, tmp_path: Path) -> None:
     cloud = write_ply(tmp_path / "Lille1.ply", street("class", "label"))

@@ -46,7 +46,7 @@ def semantic_kitti(
     ] = None,
     json: Json = False,
 ) -> None:
-    """SemanticKITTI: objects of labelled LiDAR scans. Needs the extra "clouds" (Open3D).
+    """SemanticKITTI: objects of labelled LiDAR scans.
 
     Poses that do not fit the scans, because of a wrong calibration, are refused.
 
@@ -60,22 +60,16 @@ def semantic_kitti(
         )
     paths = [given if given is not None else (sequence or Path()) / name for name, given in names.items()]
     check_outputs([output], [*paths, ground_truth])
-    from logs.clouds.semantic_kitti import import_semantic_kitti
+    from logs.clouds.semantic_kitti import read_semantic_kitti
     from tools import console
-    from tools.import_logs import tell
+    from tools.importers.drives import write_drive
 
+    sequence_files = read_semantic_kitti(
+        scans=paths[0], labels=paths[1], odometry=paths[2], calib=paths[3], times=paths[4], ground_truth=ground_truth
+    )
     with console.progress_bar("finding objects", "writing the log") as progress:
-        summary = import_semantic_kitti(
-            output,
-            scans=paths[0],
-            labels=paths[1],
-            odometry=paths[2],
-            calib=paths[3],
-            times=paths[4],
-            ground_truth=ground_truth,
-            progress=progress,
-        )
-    tell(output, summary, json=json)
+        records = sequence_files.records(progress=progress)
+    write_drive(output, records, sequence_files.drive.source, json=json)
 
 
 def paris_lille(
@@ -84,7 +78,7 @@ def paris_lille(
     """A map of the objects of Paris-Lille-3D: a file of 50 classes, with the fields class and label (the object).
 
     What moves or may move, what is unknown, bollards and surfaces are left out, as in "Descriptellation" (Xing et al.);
-    printed is how many objects and classes there were and are left, as in its Table II. Needs the extra "clouds".
+    printed is how many objects and classes there were and are left, as in its Table II.
 
     Example: dslam import paris-lille lille_map.mcap --file training_50_classes/Lille1.ply
     """
@@ -113,7 +107,7 @@ def ply(
     sigma: Sigma = SURVEYED_SIGMA_M,
     json: Json = False,
 ) -> None:
-    """A map of the objects of any labelled cloud of a whole place, from a PLY file. Needs the extra "clouds".
+    """A map of the objects of any labelled cloud of a whole place, from a PLY file.
 
     Example: dslam import ply town_map.mcap --file town.ply --name 80=pole --name 71=trunk
     """
@@ -128,7 +122,7 @@ def pcd(
     sigma: Sigma = SURVEYED_SIGMA_M,
     json: Json = False,
 ) -> None:
-    """A map of the objects of any labelled cloud of a whole place, from a PCD file. Needs the extra "clouds".
+    """A map of the objects of any labelled cloud of a whole place, from a PCD file.
 
     Example: dslam import pcd town_map.mcap --file town.pcd --name 80=pole --name 71=trunk
     """

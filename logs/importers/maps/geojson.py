@@ -14,7 +14,7 @@ from logs.container.json_text import parse_json
 from logs.errors import DatasetError
 from logs.importers.maps.map_objects import MapObjects, check_degrees, distinct
 from logs.importers.maps.object_table import CLASS_NAMES, ID_NAMES, UNKNOWN
-from logs.importers.tables import read_source_text
+from logs.importers.text_files import read_source_text
 
 _LONGEST_KIND = 30
 _GLOBAL_CRS = ("CRS84", "4326", "WGS84", "4979")

@@ -8,7 +8,8 @@ import numpy as np
 
 from logs.errors import DatasetError
 from logs.importers.maps.map_objects import MapObjects, check_degrees, distinct
-from logs.importers.tables import LENGTH_UNITS, Table, read_source_text, read_table
+from logs.importers.tables import LENGTH_UNITS, Table, read_table
+from logs.importers.text_files import read_source_text
 
 CLASS_NAMES = ("class", "label", "category", "type", "kind", "species")
 ID_NAMES = ("id", "object_id", "uid", "name")

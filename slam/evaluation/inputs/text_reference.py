@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.importers.tables import SourceText, read_source_text
+from logs.importers.text_files import SourceText, read_source_text
 from logs.importers.trajectory_files import Trajectory, TrajectoryFormat, find_format, read_trajectory
 from logs.messages import GroundTruthPose
 from slam.common.errors import EvaluationError

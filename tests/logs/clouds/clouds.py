@@ -1,4 +1,4 @@
-"""Labelled clouds for tests: poles and boxes of which a sensor sees one side, and what needs Open3D."""
+"""Labelled clouds for tests: poles and boxes of which a sensor sees one side."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ DATA = Path(os.environ.get("DSLAM_DATA", Path(__file__).resolve().parents[4] / "
 SCANS, KITTI = DATA / "scans", DATA / "kitti00"
 
 
-needs_open3d = pytest.mark.usefixtures("open3d")
 needs_scans = pytest.mark.skipif(
     not SCANS.is_dir() or not KITTI.is_dir(), reason=f"no scans in {DATA}; set DSLAM_DATA to the folder that holds them"
 )

@@ -14,11 +14,9 @@ from logs.clouds.class_names import BOLLARD
 from logs.clouds.cloud_files import ANY, IQMULUS, PARIS_LILLE, CloudFields, read_cloud
 from logs.clouds.labelled_cloud import LabelledCloud
 from logs.clouds.map_of_cloud import named_objects, urban_objects
-from logs.clouds.objects import find_objects
-from logs.clouds.occlusion import visible_objects
 from logs.errors import DatasetError
 from logs.messages import FloatArray
-from tests.logs.clouds.clouds import cloud, needs_open3d, post
+from tests.logs.clouds.clouds import cloud, post
 
 _CODES = {"f4": "float", "f8": "double", "u4": "uint", "i4": "int", "u1": "uchar"}
 LAMP, SIGN, TREE, PERSON, ROAD = 302_020_400, 302_020_600, 304_020_000, 303_020_000, 202_020_000
@@ -87,7 +85,6 @@ def test_a_label_alone_is_the_class_and_the_instance_may_be_in_its_upper_half(tm
     assert read_cloud(write_ply(tmp_path / "cloud.ply", points)).instances is None
 
 
-@needs_open3d
 @pytest.mark.slow
 def test_the_preprocessing_of_the_paper(tmp_path: Path) -> None:
     found = read_cloud(write_ply(tmp_path / "Lille1.ply", street("class", "label")), PARIS_LILLE)
@@ -99,7 +96,6 @@ def test_the_preprocessing_of_the_paper(tmp_path: Path) -> None:
     assert len(set(objects.ids)) == 6
 
 
-@needs_open3d
 def test_classes_can_be_named_and_others_are_left_out(tmp_path: Path) -> None:
     found = read_cloud(write_ply(tmp_path / "cloud.ply", street("class", "id")))
     objects, summary = named_objects(found, "cloud.ply", "", {LAMP: "lamp", SIGN: "sign"})
@@ -283,14 +279,3 @@ def test_points_that_lie_astray_are_told(tmp_path: Path, astray: float) -> None:
 def wall(x_m: float, width_m: float) -> FloatArray:
     y, z = np.meshgrid(np.arange(-width_m / 2, width_m / 2, 0.1), np.arange(-1.0, 3.0, 0.1))
     return np.column_stack([np.full(y.size, x_m), y.ravel(), z.ravel()])
-
-
-@needs_open3d
-def test_what_stands_behind_a_wall_is_not_seen() -> None:
-    town = cloud([(1, 1, wall(10.0, 12.0)), (2, 2, post(15.0, 0.0)), (2, 3, post(8.0, 20.0)), (2, 4, post(80.0, 0.0))])
-    objects = find_objects(town)
-    seen = visible_objects(objects, np.zeros(3), range_m=40.0)
-    assert [objects.instances[row] for row in seen] == [1, 3]
-    around = visible_objects(objects, np.array([20.0, 0.0, 0.0]), range_m=40.0)
-    assert 2 in [objects.instances[row] for row in around]
-    assert len(visible_objects(objects, np.array([500.0, 0.0, 0.0]), range_m=40.0)) == 0

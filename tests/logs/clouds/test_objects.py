@@ -1,20 +1,15 @@
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 
-from logs.clouds import geometry
 from logs.clouds.labelled_cloud import LabelledCloud
 from logs.clouds.objects import CloudSettings, find_objects
 from logs.errors import DatasetError
-from tests.logs.clouds.clouds import FAR, cloud, needs_open3d, post
+from tests.logs.clouds.clouds import FAR, cloud, post
 
 ORIGIN = np.zeros(3)
 NAMES = {80: "pole", 71: "trunk", 10: "car"}
-
-pytestmark = needs_open3d
 
 
 def test_clusters_of_a_class_are_objects_where_there_are_no_instances() -> None:
@@ -82,19 +77,3 @@ def test_beams_that_hit_nothing_and_empty_clouds_are_no_objects() -> None:
 def test_labels_must_be_as_many_as_points() -> None:
     with pytest.raises(DatasetError, match="3 points has 2 labels; give one for each point"):
         LabelledCloud(np.zeros((3, 3)), np.zeros(2, dtype=np.int64))
-
-
-def test_what_stands_behind_something_is_hidden() -> None:
-    wall = np.stack(np.meshgrid([4.0], np.linspace(-2.0, 2.0, 60), np.linspace(-2.0, 2.0, 60)), axis=-1).reshape(-1, 3)
-    points = np.concatenate([wall, post(8.0, 0.0, height_m=1.0), post(0.0, 8.0, height_m=1.0)])
-    seen = geometry.visible(points, ORIGIN)
-    behind = slice(len(wall), len(wall) + len(post(8.0, 0.0, height_m=1.0)))
-    assert seen[: len(wall)].mean() > 0.9
-    assert not seen[behind].any()
-    assert seen[behind.stop :].any()
-
-
-def test_without_open3d_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(DatasetError, match=r"pip install 'descriptellation-slam\[clouds\]'"):
-        find_objects(cloud([(80, 0, post(8.0, 0.0))]), NAMES)

@@ -5,7 +5,8 @@ import pytest
 
 from logs.errors import DatasetError
 from logs.importers.detection_tables import DetectionTable, read_detections
-from logs.importers.tables import SourceText, read_table
+from logs.importers.tables import read_table
+from logs.importers.text_files import SourceText
 
 
 def read(text: str) -> DetectionTable:
@@ -115,7 +116,7 @@ ROW = "stamp_s,label,x_m,y_m,z_m,score,diameter_m\n0,a,1,2,3,0.5,0.2\n"
         ("label,x_m,y_m\na,1,2\n", r"det\.csv: no column for the stamp among .*; call .* stamp_s"),
         ("stamp_s,x_m,y_m," + "9" * 200_000 + "\n0,1,2,3\n", r"det\.csv, line 1: not CSV \(field larger"),
         ("stamp_s,x_m,x_m,y_m\n0,1,1,2\n", r"det\.csv, line 1: column x_m stands there twice"),
-        ("stamp_s,time,x_m,y_m\n0,0,1,2\n", r"det\.csv: columns stamp_s and time say the same"),
+        ("stamp_s,time,x_m,y_m\n0,0,1,2\n", r"det\.csv: columns stamp_s and time have the same meaning"),
         (ROW + "0,a,1,2\n", r"det\.csv, line 3: 4 values where 7 are expected"),
         (ROW + "0,a,1,two,3,0.5,0.2\n", r"det\.csv, line 3, column y_m: 'two' is not a finite number; correct"),
         (ROW + "0,a,1,inf,3,0.5,0.2\n", r"det\.csv, line 3, column y_m: 'inf' is not a finite number"),

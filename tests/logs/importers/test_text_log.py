@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from logs.errors import DatasetError
-from logs.importers.text_log import import_text_log, read_text_log
+from logs.importers.imported_log import ImportSummary, write_imported_log
+from logs.importers.text_log import read_text_log
 from logs.importers.trajectory_files import TrajectoryFormat
 from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, Odometry
 from logs.reader import LogReader
@@ -19,6 +20,11 @@ from logs.selection import select_topics
 from tests.logs.importers.text_drives import DETECTIONS, TUM, TextDrive
 
 ROBOTS = Path(os.environ.get("DSLAM_DATA", Path(__file__).parents[3] / ".." / "shared" / "data")) / "robots"
+
+
+def write(output: Path, files: dict[str, Path]) -> ImportSummary:
+    log = read_text_log(**files)  # type: ignore[arg-type]
+    return write_imported_log(output, log.records(), log.source)
 
 
 @pytest.fixture
@@ -41,16 +47,17 @@ def test_records_come_in_the_order_of_time_and_rows_of_one_stamp_are_one_scan(dr
 
 
 def test_log_reads_back_and_names_its_files_without_folders(drive: TextDrive) -> None:
-    summary = import_text_log(drive.output, **drive.files())
+    summary = write(drive.output, drive.files())
     with LogReader(drive.output) as reader:
         entries = list(reader.records(select_topics(reader.topics())))
         source = reader.metadata()["source"]
     expected = list(read_text_log(**drive.files()).records())
     assert [(type(e.record), e.record.stamp_ns) for e in entries] == [(type(r), r.stamp_ns) for r in expected]
-    assert summary.written.message_counts == {
+    assert summary.message_counts == {
         "/odom": 5, "/detections": 3, "/ground_truth/detections": 3, "/ground_truth": 5
     }  # fmt: skip
-    assert (summary.odometry_format, summary.odometry_length_m, summary.notes) == ("tum", 4.0, ())
+    log = read_text_log(**drive.files())
+    assert (log.odometry.format, log.odometry.length_m, log.notes) == ("tum", 4.0, ())
     assert source["detections"] == "detections.csv"
     assert source["detections_sha256"] == hashlib.sha256(DETECTIONS.encode()).hexdigest()
     assert not any(str(drive.root) in value for value in source.values())
@@ -60,9 +67,9 @@ def test_packed_files_give_the_same_records_and_the_same_bytes_each_time(drive: 
     drive.write("odometry.tum.gz", TUM)
     drive.write("detections.csv.gz", DETECTIONS)
     packed = drive.files(odometry="odometry.tum.gz", detections="detections.csv.gz")
-    import_text_log(drive.output, **packed)
+    write(drive.output, packed)
     first = drive.output.read_bytes()
-    import_text_log(drive.output, **packed)
+    write(drive.output, packed)
     assert drive.output.read_bytes() == first
     plain, unpacked = (list(read_text_log(**files).records()) for files in (drive.files(), packed))
     for a, b in zip(plain, unpacked, strict=True):
@@ -91,8 +98,8 @@ def test_an_archive_that_is_far_larger_inside_is_refused_before_it_fills_the_mem
 
 
 def test_truth_may_be_missing(drive: TextDrive) -> None:
-    summary = import_text_log(drive.output, **drive.files(ground_truth=None))
-    assert "/ground_truth" not in summary.written.message_counts
+    summary = write(drive.output, drive.files(ground_truth=None))
+    assert "/ground_truth" not in summary.message_counts
 
 
 def test_a_stamp_that_only_rounding_puts_outside_becomes_the_end_of_the_odometry(drive: TextDrive) -> None:
@@ -164,9 +171,9 @@ def test_a_truth_of_another_time_is_refused(drive: TextDrive) -> None:
 
 def test_columns_without_a_place_are_named(drive: TextDrive) -> None:
     drive.write("detections.csv", "stamp_s,x_m,y_m,yaw,colour\n100,1,2,0.5,red\n")
-    summary = import_text_log(drive.output, **drive.files())
-    assert summary.columns_left_out == ("yaw", "colour")
-    assert summary.notes == ("1 of 1 detections have no label and are of the class object",)
+    log = read_text_log(**drive.files())
+    assert log.detections.left_out == ("yaw", "colour")
+    assert log.notes == ("1 of 1 detections have no label and are of the class object",)
 
 
 def test_a_frame_whose_place_is_unknown_is_told(drive: TextDrive) -> None:
@@ -196,7 +203,7 @@ def test_kitti_without_a_calibration_is_told_to_be_the_body(drive: TextDrive) ->
 
 def test_a_missing_file_is_refused_and_nothing_is_written(drive: TextDrive) -> None:
     with pytest.raises(DatasetError, match=r"nowhere\.csv: cannot be read"):
-        import_text_log(drive.output, **drive.files(detections="nowhere.csv"))
+        write(drive.output, drive.files(detections="nowhere.csv"))
     assert not list(drive.root.glob("out.mcap*"))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from logs.errors import DatasetError
-from logs.importers.tables import SourceText
+from logs.importers.text_files import SourceText
 from logs.importers.trajectory_files import TrajectoryFormat, read_trajectory
 
 TUM = "0.1 1 2 3 0 0 0.6 0.8\n0.2 1 2 4 0 0 0 1\n"
@@ -88,16 +88,16 @@ def test_stamps_keep_every_digit() -> None:
         (TUM + "0.3 1 2 three 0 0 0 1\n", r"poses\.txt, line 3, column z: 'three' is not a finite number; correct"),
         (TUM + "0.3 1 nan 3 0 0 0 1\n", r"poses\.txt, line 3, column y: 'nan' is not a finite number"),
         (TUM + "# pause\nnow 1 2 3 0 0 0 1\n", r"poses\.txt, line 4, column stamp: 'now' is not a time"),
-        (TUM + "0.3 1 -1e308 3 0 0 0 1\n", r"poses\.txt, line 3, column y: -1e\+308 m is no place; correct it"),
+        (TUM + "0.3 1 -1e308 3 0 0 0 1\n", r"poses\.txt, line 3, column y: -1e308 m is no place; correct it"),
         (TUM + "0.3 1 2 3 0 0 0 0.5\n", r"poses\.txt, line 3, column qx qy qz qw: a quaternion of norm 0\.5"),
         (TUM + "0.15 1 2 3 0 0 0 1\n", r"poses\.txt, line 3, column stamp: 0\.15 comes after 0\.2; sort"),
-        (TUM + "0.2 1 2 3 0 0 0 1\n", r"poses\.txt, line 3, column stamp: 0\.2 stands there twice; remove"),
+        (TUM + "0.2 1 2 3 0 0 0 1\n", r"poses\.txt, line 3, column stamp: 0\.2 occurs twice; remove"),
         ("-1 0 0 0 0 0 0 1\n" + TUM, r"poses\.txt, line 1, column stamp: -1 is before 0.*add a constant"),
         ("0.1 0 0 0 0 0 0 1\n", r"poses\.txt: one pose only"),
         ("stamp_s,x_m,z_m,yaw\n0,1,2,3\n", r"poses\.txt: no column for y among stamp_s, x_m, z_m, yaw; call .* y_m"),
         ("stamp_s,x_m,y_m\n0,1,2\n", r"poses\.txt: no column for the quaternion's qx"),
         ("when,x_m,y_m,yaw\n0,1,2,3\n", r"poses\.txt: no column for the stamp among when, .*call .*stamp_s"),
-        ("stamp_s,x,x_m,y,yaw\n0,1,1,2,3\n", r"poses\.txt: columns x and x_m say the same"),
+        ("stamp_s,x,x_m,y,yaw\n0,1,1,2,3\n", r"poses\.txt: columns x and x_m have the same meaning"),
         ("0.1,1,2,3,1,0,0,0,9\n0.2,1,2,3,1,0,0,0,9\n", r"line 1, column stamp_ns: 0\.1 are no whole nanoseconds"),
         ("t;x;y;yaw\n0,1;1;2;3\n", r"line 2, column t: '0,1' is not a time; write numbers with a decimal point"),
         ("t;x;y;yaw\n0;1,5;2;3\n", r"line 2, column x: '1,5' is not a finite number; write .* decimal point"),
