@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.importers.kitti_objects import import_kitti_objects
+from logs.importers.imported_log import write_imported_log
+from logs.importers.kitti_objects import read_kitti_objects
 from slam.simulation.config import load_simulation_config
 from slam.simulation.simulation import write_simulation
 from slam.simulation.street_grid import generate_street_grid
@@ -34,14 +35,14 @@ def _write_city(log: Path, data: Path, *, city: str, thinned: float) -> None:
 
 def _write_kitti(log: Path, data: Path) -> None:
     folder = data / "kitti00"
-    import_kitti_objects(
-        log,
+    drive = read_kitti_objects(
         detections=folder / "gosmatch_00.tar.xz",
         odometry=folder / "KITTI_00_SPTAM.txt",
         calib=folder / "calib.txt",
         times=folder / "KITTI_00_gt_times.txt",
         ground_truth=folder / "KITTI_00_gt.txt",
     )
+    write_imported_log(log, drive.records(), drive.source)
 
 
 def _write_robot(log: Path, data: Path, *, name: str) -> None:

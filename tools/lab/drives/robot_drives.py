@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from logs.importers.text_log import import_text_log
+from logs.importers.imported_log import write_imported_log
+from logs.importers.text_log import read_text_log
 from slam.common.errors import InputDataError
 
 
@@ -53,7 +54,8 @@ def import_drive(drive: RobotDrive, log: Path) -> None:
     """
     if drive.detections is None:
         raise InputDataError(f"{drive.odometry.parent}: no file detections.*, so there is nothing to map")
-    import_text_log(log, odometry=drive.odometry, detections=drive.detections, ground_truth=drive.ground_truth)
+    text = read_text_log(odometry=drive.odometry, detections=drive.detections, ground_truth=drive.ground_truth)
+    write_imported_log(log, text.records(), text.source)
 
 
 def _is_in(drive: RobotDrive, name: str) -> bool:
