@@ -69,7 +69,9 @@ class _Field:
         if first == "6":
             return usable_covariance(flat_array(values, (6, 6), self.name), counters)
         width = [_SIZES[each] if each in _SIZES else lengths[each] for each in others]
-        count = lengths.setdefault(first, len(values) // max(math.prod(width), 1))
+        if first not in lengths:
+            lengths[first] = len(values) // max(math.prod(width), 1)
+        count = lengths[first]
         if "T" in others:
             return transforms(values, count, self.name)
         if self.cast is not str:

@@ -131,7 +131,8 @@ class LogReader:
             UnreadableLogError: chunks overlap in time, and more than the limit waits in memory for its turn.
         """
         streams = [storage.messages(topics, without_content) for storage in self._storages]
-        for raw in heapq.merge(*streams, key=lambda message: message.log_time_ns):
+        in_order = heapq.merge(*streams, key=lambda message: message.log_time_ns) if len(streams) > 1 else streams[0]
+        for raw in in_order:
             # rosbag2 can compress each message by itself.
             if raw.data.startswith(ZSTD_MAGIC) and raw.channel.message_encoding == "cdr":
                 yield _unpacked(raw, self._limits.message_bytes)

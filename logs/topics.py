@@ -75,7 +75,7 @@ class RawMessage:
 class TopicInfo:
     """What a log holds on one topic; ``kinds`` are those that its messages can be decoded to, () for none.
 
-    The first and last log times are None where the file has an index that does not tell them.
+    Its messages lie between the first and the last log time, which are None without messages.
     """
 
     topic: str

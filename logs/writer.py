@@ -16,7 +16,6 @@ from google.protobuf.message import Message
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from logs.container.attachments import OVERHEAD
 from logs.encoders import encode, encode_path
 from logs.errors import InvalidRecordError, UnwritableLogError
 from logs.messages import Record, TrajectoryRecord
@@ -29,6 +28,7 @@ PARTIAL_SUFFIX = ".part"
 _CHUNK_BYTES = 256 * 1024
 _LAST_NS = 2**63 - 1
 _ARRAY_MEDIA_TYPE = "application/x-npy"
+_ATTACHMENT_HEAD_BYTES = 41  # opcode, length, two times, and the lengths of name, media type and content
 _LIBRARY = "dslam"  # fixed: the library's own version must not change the bytes of a log
 
 
@@ -122,14 +122,14 @@ class LogWriter:
         self._writer.add_metadata(name, {key: _encodable(text) for key, text in sorted(values.items())})
 
     def add_array(self, name: str, array: NDArray[Any]) -> None:
-        """Attach ``array`` in NumPy's file format, for :func:`logs.container.attachments.read_arrays`.
+        """Attach ``array`` in NumPy's file format, for :func:`logs.storage.arrays.read_arrays`.
 
         The media type ends in as many blanks as make its values begin at a multiple of 64 bytes in the file.
         """
         self.flush()
         payload = BytesIO()
         np.lib.format.write_array(payload, np.ascontiguousarray(array), allow_pickle=False)
-        begin = self._stream.tell() + OVERHEAD + len(name.encode()) + len(_ARRAY_MEDIA_TYPE)
+        begin = self._stream.tell() + _ATTACHMENT_HEAD_BYTES + len(name.encode()) + len(_ARRAY_MEDIA_TYPE)
         media_type = _ARRAY_MEDIA_TYPE + " " * (-begin % np.lib.format.ARRAY_ALIGN)
         self._writer.add_attachment(0, 0, name, media_type, payload.getvalue())
 

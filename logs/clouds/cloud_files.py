@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.clouds.labelled_cloud import LabelledCloud
-from logs.clouds.pcd import read_pcd
-from logs.clouds.ply import read_ply
+from logs.clouds.point_files import read_points
 from logs.errors import DatasetError
 
 _PREFIX = "scalar_"
@@ -44,8 +43,7 @@ def read_cloud(path: Path, fields: CloudFields = ANY) -> LabelledCloud:
     Raises:
         DatasetError: the file cannot be read, or has no positions, or no classes; names the fields that it has.
     """
-    columns = read_pcd(path) if path.suffix.lower() == ".pcd" else read_ply(path)
-    return labelled_cloud(columns, fields, str(path))
+    return labelled_cloud(read_points(path), fields, str(path))
 
 
 def labelled_cloud(columns: Mapping[str, NDArray[Any]], fields: CloudFields, name: str) -> LabelledCloud:

@@ -5,20 +5,32 @@ from __future__ import annotations
 import heapq
 import logging
 import os
+from array import array
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
+import numpy as np
 from mcap import records as mcap_records
+from mcap.opcode import Opcode
 
-from logs.blocks import Block
-from logs.container.file_index import DAMAGE, IndexedFile
 from logs.container.limits import MEGABYTE, ReadingLimits
-from logs.container.pending import PendingMessages
 from logs.errors import UnreadableLogError
+from logs.storage.mcap_index import (
+    DAMAGE,
+    HEADER,
+    MESSAGE_HEADER,
+    Block,
+    OversizedChunkError,
+    read_block,
+    read_index,
+    records,
+    stream_of,
+)
 from logs.storage.regular_file import open_regular
 from logs.storage.storage import ChannelInfo
 from logs.topics import Channel, RawMessage
+from logs.validation import LAST_NS
 
 _log = logging.getLogger(__name__)
 
@@ -28,10 +40,9 @@ class McapFile:
 
     Messages come in the order of log time, those of equal time in the order of the file. A chunk is held in memory only
     while log time passes through it, so memory is that of the chunks that overlap in time; a chunk without messages of
-    the wanted topics is not read where the index tells. A file without a usable
-    index (cut off, not closed, unchunked) is walked through once when it is opened and then read the same way, as far
-    as it is intact; a damaged chunk is left out, and so is what is larger than ``limits`` allow. ``counters`` tells
-    what was lost.
+    the wanted topics is not read where the index tells. A file without a usable index (cut off, not closed, unchunked)
+    is walked through once when it is opened and then read the same way, as far as it is intact; damaged chunks are left
+    out, and so is what is larger than ``limits`` allow.
 
     Raises:
         UnreadableLogError: it cannot be read, or is beyond the limits; ``name`` is what the message calls it.
@@ -40,20 +51,19 @@ class McapFile:
     def __init__(self, path: Path, name: str, limits: ReadingLimits) -> None:
         self._name = name
         self._limits = limits
+        self._reading_counters: Counter[str] = Counter()
+        self._reported: set[str] = set()
         try:
             self._stream = open_regular(path)
-            size = os.fstat(self._stream.fileno()).st_size
         except OSError as error:
             raise UnreadableLogError(f"cannot read {name}: {error.strerror}; check the path") from error
-        self._reading_counters: Counter[str] = Counter()
-        self._told: set[str] = set()
         try:
-            self._file = IndexedFile(name, self._stream, size, self._limits)
+            self._index = read_index(name, self._stream, os.fstat(self._stream.fileno()).st_size, limits)
         except UnreadableLogError:
             self._stream.close()
             raise
-        self._index = self._file.index
-        self._tell_of_chunks()
+        for size in self._index.oversized.values():
+            self._report(f"a chunk of {size / MEGABYTE:.0f} MB", "chunk_mb")
 
     def close(self) -> None:
         """Close the file."""
@@ -64,27 +74,31 @@ class McapFile:
         """``lost_chunks``, ``lost_bytes``, ``truncated`` (1: it ends before its end mark), ``chunks_too_large``; of the
         latest pass over messages ``messages_too_large`` and ``messages_without_time``.
         """
-        counters = Counter(self._reading_counters)
-        counters["lost_chunks"] = len(self._index.lost_blocks)
-        counters["lost_bytes"] = self._index.lost_tail_bytes + sum(self._index.lost_blocks.values())
-        counters["truncated"] = int(not self._index.is_complete)
-        counters["chunks_too_large"] = len(self._index.oversized)
-        return counters
+        index = self._index
+        return {
+            **self._reading_counters,
+            "lost_chunks": len(index.lost_blocks),
+            "lost_bytes": index.lost_tail_bytes + sum(index.lost_blocks.values()),
+            "truncated": int(not index.is_complete),
+            "chunks_too_large": len(index.oversized),
+        }
 
     def channels(self) -> list[ChannelInfo]:
         """The channels, and what is known of their messages."""
-        index = self._index
-        return [
-            ChannelInfo(c, index.message_counts[c.id], index.first_ns.get(c.id), index.last_ns.get(c.id))
-            for c in index.channels.values()
-        ]
+        counts = self._index.message_counts
+        return [ChannelInfo(c, counts[c.id], *self._span(c.id)) for c in self._index.channels.values()]
+
+    def _span(self, channel_id: int) -> tuple[int, int] | tuple[None, None]:
+        """First and last log time of the blocks that may hold messages of a channel."""
+        blocks = [b for b in self._index.blocks if b.channel_ids is None or channel_id in b.channel_ids]
+        if not blocks or not self._index.message_counts[channel_id]:
+            return None, None
+        return min(b.start_ns for b in blocks), min(max(b.end_ns for b in blocks), LAST_NS)
 
     def messages(
         self, topics: Collection[str] | None = None, without_content: Collection[str] = ()
     ) -> Iterator[RawMessage]:
-        """Undecoded messages of ``topics`` (None: of all), in the order of log time.
-
-        Those of the topics ``without_content`` come empty, for who only wants their times.
+        """Undecoded messages of ``topics`` (None: of all), in the order of log time; some of them without content.
 
         Raises:
             UnreadableLogError: chunks overlap in time, and more than the limit waits in memory for its turn.
@@ -92,79 +106,127 @@ class McapFile:
         self._reading_counters.clear()
         wanted = {c.id: c for c in self._index.channels.values() if topics is None or c.topic in topics}
         empty = {id for id, channel in wanted.items() if channel.topic in without_content}
-        waiting = [
-            b for b in reversed(self._index.blocks) if b.channel_ids is None or not b.channel_ids.isdisjoint(wanted)
-        ]
+        waiting = [b for b in self._index.blocks if b.channel_ids is None or not b.channel_ids.isdisjoint(wanted)]
+        waiting.reverse()
         # (log time, offset of its block) is unique, so that messages are never compared.
-        heap: list[tuple[int, int, PendingMessages]] = []
+        heap: list[tuple[int, int, _PendingMessages]] = []
         held_bytes = 0
         while waiting or heap:
             while waiting and (not heap or waiting[-1].start_ns <= heap[0][0]):
                 block = waiting.pop()
-                pending = self._pending(block, wanted, empty)
-                if pending is not None:
+                pending = self._read(block, wanted, empty)
+                if pending is not None and pending.next_ns is not None:
                     held_bytes += pending.size_bytes
                     heapq.heappush(heap, (pending.next_ns, block.offset, pending))
-                    if len(heap) > 1:
-                        self._check_held(held_bytes)
+                    self._check_held(held_bytes if len(heap) > 1 else 0)
             if not heap:
                 continue
             _, offset, pending = heap[0]
             message = pending.take()
-            if len(pending):
-                heapq.heapreplace(heap, (pending.next_ns, offset, pending))
-            else:
+            if pending.next_ns is None:
                 heapq.heappop(heap)
                 held_bytes -= pending.size_bytes
+            else:
+                heapq.heapreplace(heap, (pending.next_ns, offset, pending))
             yield message
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """Metadata by name; of several under one name the last. What goes beyond limits.metadata_mb is left out."""
         found: dict[str, dict[str, str]] = {}
-        left = self._limits.metadata_bytes
+        left = round(self._limits.metadata_mb * MEGABYTE)
         for offset in self._index.metadata_offsets:
-            length = self._file.length_at(offset)
-            if length > left:
-                self._tell(f"metadata of {length} bytes", "limits.metadata_mb", self._limits.metadata_mb)
+            try:
+                self._stream.seek(offset)
+                _, length = HEADER.unpack(self._stream.read(HEADER.size))
+                if length > left:
+                    self._report(f"metadata of {length} bytes", "metadata_mb")
+                    continue
+                record = mcap_records.Metadata.read(stream_of(self._stream.read(length)))
+            except (*DAMAGE, OSError):
+                self._index.lost_blocks[offset] = 0
                 continue
-            record = self._file.read_record(offset, mcap_records.Metadata.read, left)
-            if record is not None:
-                left -= length
-                found[record.name] = record.metadata
+            left -= length
+            found[record.name] = record.metadata
         return found
 
-    def _pending(self, block: Block, wanted: Mapping[int, Channel], empty: Collection[int]) -> PendingMessages | None:
-        """The wanted messages of ``block``; None, counted, if it is damaged, or where there are none."""
-        content = self._file.load(block)
-        self._tell_of_chunks()
-        if content is None:
-            return None
+    def _read(self, block: Block, wanted: Mapping[int, Channel], empty: Collection[int]) -> _PendingMessages | None:
+        """The wanted messages of ``block``; None, counted, if it is damaged."""
         try:
-            pending = PendingMessages(content, wanted, empty, self._limits.message_bytes)
+            content = read_block(self._stream, block, self._limits.chunk_bytes)
+            pending = _PendingMessages(content, wanted, empty, self._limits.message_bytes)
+        except OSError as error:
+            raise UnreadableLogError(f"cannot read on in {self._name}: {error.strerror}; check the disk") from error
+        except OversizedChunkError as error:
+            self._index.oversized[block.offset] = error.size
+            self._report(f"a chunk of {error.size / MEGABYTE:.0f} MB", "chunk_mb")
+            return None
         except DAMAGE:
             self._index.lost_blocks[block.offset] = block.length
             return None
         self._reading_counters["messages_without_time"] += pending.without_time
         if pending.oversized:
             self._reading_counters["messages_too_large"] += pending.oversized
-            self._tell("a message", "limits.message_mb", self._limits.message_mb)
-        return pending if len(pending) else None
+            self._report("a message", "message_mb")
+        return pending
 
-    def _tell_of_chunks(self) -> None:
-        for size in self._index.oversized.values():
-            self._tell(f"a chunk of {size / MEGABYTE:.0f} MB", "limits.chunk_mb", self._limits.chunk_mb)
-
-    def _tell(self, what: str, limit: str, value: float) -> None:
+    def _report(self, what: str, limit: str) -> None:
         """Warn once of what goes beyond a limit."""
-        if limit not in self._told:
-            self._told.add(limit)
-            _log.warning(
-                "%s: %s goes beyond %s = %g and is left out; more is only counted", self._name, what, limit, value
-            )
+        if limit not in self._reported:
+            self._reported.add(limit)
+            value = getattr(self._limits, limit)
+            text = "%s: %s goes beyond limits.%s = %g and is left out; more is only counted"
+            _log.warning(text, self._name, what, limit, value)
 
     def _check_held(self, held_bytes: int) -> None:
-        if held_bytes > self._limits.waiting_bytes:
+        if held_bytes > self._limits.waiting_mb * MEGABYTE:
             raise UnreadableLogError(
                 f"{self._name}: chunks that overlap in time hold more than {self._limits.waiting_mb:g} MB of messages "
                 "until their turn comes; write the log again in the order of time, or raise limits.waiting_mb"
             )
+
+
+class _PendingMessages:
+    """The messages on the channels ``wanted`` among the records of a block, in the order of log time, held as bytes.
+
+    Those on channels in ``empty`` come without content. ``oversized`` and ``without_time`` count those that were left
+    out because they have more than ``max_bytes``, or a time after :data:`LAST_NS`. ``next_ns``: log time of the next
+    message, None after the last.
+    """
+
+    def __init__(self, content: bytes, wanted: Mapping[int, Channel], empty: Collection[int], max_bytes: int) -> None:
+        self.oversized = self.without_time = 0
+        self._wanted = wanted
+        kept, ends, times = bytearray(), array("q", [0]), array("q")
+        view = memoryview(content)
+        for opcode, begin, end in records(content):
+            if opcode != Opcode.MESSAGE:
+                continue
+            id, _, log_time_ns, _ = MESSAGE_HEADER.unpack_from(content, begin)
+            if id not in wanted:
+                continue
+            if log_time_ns > LAST_NS:
+                self.without_time += 1
+            elif end - begin > max_bytes and id not in empty:
+                self.oversized += 1
+            else:
+                kept += view[begin : begin + MESSAGE_HEADER.size if id in empty else end]
+                ends.append(len(kept))
+                times.append(log_time_ns)
+        order = np.argsort(np.frombuffer(times, dtype=np.int64), kind="stable") if times else ()
+        rows = array("q", order)
+        self.size_bytes = len(kept) + 24 * len(times)
+        self._messages = self._in_order(bytes(kept), ends, rows)
+        self._times_ns = (times[row] for row in rows)
+        self.next_ns = next(self._times_ns, None)
+
+    def take(self) -> RawMessage:
+        """The next message."""
+        self.next_ns = next(self._times_ns, None)
+        return next(self._messages)
+
+    def _in_order(self, content: bytes, ends: array[int], rows: array[int]) -> Iterator[RawMessage]:
+        for row in rows:
+            start, end = ends[row], ends[row + 1]
+            id, sequence, log_time_ns, publish_time_ns = MESSAGE_HEADER.unpack_from(content, start)
+            data = content[start + MESSAGE_HEADER.size : end]
+            yield RawMessage(self._wanted[id], log_time_ns, publish_time_ns, sequence, data)

@@ -11,11 +11,11 @@ from tempfile import TemporaryDirectory
 
 import zstandard
 
-from logs import blocks
 from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
 from logs.storage.bag_folder import METADATA_FILE, find_bag_files
 from logs.storage.mcap_file import McapFile
+from logs.storage.mcap_index import MAGIC
 from logs.storage.regular_file import max_unpacked_bytes, open_regular
 from logs.storage.storage import Storage
 
@@ -49,7 +49,7 @@ def is_log(path: Path) -> bool:
             magic = stream.read(len(SQLITE_MAGIC))
     except OSError:
         return True
-    return not magic or magic.startswith((blocks.MAGIC, SQLITE_MAGIC, ZSTD_MAGIC))
+    return not magic or magic.startswith((MAGIC, SQLITE_MAGIC, ZSTD_MAGIC))
 
 
 def open_storage(path: Path, limits: ReadingLimits, until_closed: ExitStack) -> Storage:
@@ -73,7 +73,7 @@ def _open(path: Path, name: str, limits: ReadingLimits, until_closed: ExitStack)
         scratch = until_closed.enter_context(TemporaryDirectory(prefix="dslam-"))
         return _open(_unpack(path, Path(scratch)), name, limits, until_closed)
     storage: Storage | None = None
-    if magic.startswith(blocks.MAGIC):
+    if magic.startswith(MAGIC):
         storage = McapFile(path, name, limits)
     elif magic == SQLITE_MAGIC:
         from logs.storage.sqlite_file import SqliteFile  # loads rosbags

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from logs.container.attachments import read_arrays
 from logs.container.json_text import parse_json
 from logs.errors import LogError
 from logs.reader import LogReader
+from logs.storage.arrays import read_arrays
 from logs.writer import LogWriter
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import GeometryError, SavedMapError

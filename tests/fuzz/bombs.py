@@ -13,7 +13,7 @@ from pathlib import Path
 import lz4.frame
 import zstandard
 
-from logs.blocks import MAGIC, MESSAGE_HEADER
+from logs.storage.mcap_index import MAGIC, MESSAGE_HEADER
 from tests.fuzz.mcap_file import _U32, _U64, Layout, McapFile, Message, _channel, _record, _text, write_file
 
 GIGABYTE = 10**9

@@ -6,7 +6,7 @@ import json
 import re
 from pathlib import Path
 
-from logs.blocks import MAGIC
+from logs.storage.mcap_index import MAGIC
 from tests.fuzz.sandbox import CRASHED, Limits, Outcome
 
 _FINE = (0, 1, 2)

@@ -10,8 +10,8 @@ import lz4.frame
 import numpy as np
 import zstandard
 
-from logs.blocks import MAGIC, MESSAGE_HEADER
 from logs.reader import LogReader
+from logs.storage.mcap_index import MAGIC, MESSAGE_HEADER
 
 _U8, _U16, _U32, _U64 = (struct.Struct(f"<{letter}").pack for letter in "BHIQ")
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
-from logs.blocks import MAGIC
+from logs.storage.mcap_index import MAGIC
 from tests.kills.commands import Command, execute
 
 

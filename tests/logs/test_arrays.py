@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs.container.attachments import read_arrays
 from logs.errors import UnreadableLogError
 from logs.reader import LogReader
+from logs.storage.arrays import read_arrays
 from logs.writer import LogWriter
 
 ARRAYS: dict[str, np.ndarray] = {

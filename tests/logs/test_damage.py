@@ -5,13 +5,15 @@ import zlib
 
 import numpy as np
 import pytest
+from mcap.opcode import Opcode
 from mcap.writer import CompressionType, IndexType, Writer
 
-from logs import blocks
 from logs import messages as m
+from logs.container.limits import ReadingLimits
 from logs.errors import LogError, UnreadableLogError
 from logs.reader import LogReader
 from logs.selection import Selection, select_all
+from logs.storage.mcap_index import MAGIC, read_index
 from logs.writer import LogWriter
 from tests.logs.examples import random_detections, random_transform
 
@@ -42,7 +44,7 @@ def chunk_offsets(data, tmp_path):
     path = tmp_path / "for_offsets.mcap"
     path.write_bytes(data)
     with open(path, "rb") as stream:
-        return [block for block in blocks.walk(stream, len(data)).blocks if block.is_chunk]
+        return [block for block in read_index("", stream, len(data), ReadingLimits()).blocks if block.is_chunk]
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -60,7 +62,7 @@ def test_a_truncated_log_gives_a_prefix_of_its_records(whole, tmp_path, seed):
 def test_cuts_at_the_ends(whole, tmp_path, cut):
     path = tmp_path / "cut.mcap"
     path.write_bytes(whole[:cut])
-    if 0 <= cut < len(blocks.MAGIC):
+    if 0 <= cut < len(MAGIC):
         with pytest.raises(UnreadableLogError, match=r"cut\.mcap"):
             LogReader(path)
         return
@@ -70,7 +72,7 @@ def test_cuts_at_the_ends(whole, tmp_path, cut):
 
 def test_a_log_without_its_summary_is_read_whole(whole, tmp_path):
     path = tmp_path / "log.mcap"
-    path.write_bytes(whole[: whole.rindex(struct.pack("<BQ", blocks.DATA_END, 4))])
+    path.write_bytes(whole[: whole.rindex(struct.pack("<BQ", Opcode.DATA_END, 4))])
     with LogReader(path) as reader:
         assert [info.message_count for info in reader.topics()] == [COUNT // 100, COUNT]
         assert reader.metadata() == {"configuration": {"a": "1"}}

@@ -16,7 +16,6 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from logs.clouds.cloud_files import read_cloud
-from logs.container.attachments import read_arrays
 from logs.container.json_text import parse_json
 from logs.decoders.decode import decode
 from logs.errors import DatasetError, InvalidRecordError, UnreadableLogError
@@ -24,6 +23,7 @@ from logs.importers.maps.geojson import read_geojson
 from logs.importers.object_scans import read_object_scans
 from logs.importers.text_log import read_text_log
 from logs.reader import LogReader
+from logs.storage.arrays import read_arrays
 from logs.storage.bag_folder import find_bag_files
 from logs.topics import Channel, RawMessage, RecordKind, Schema
 from logs.writer import LogWriter

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 import zstandard
 
-from logs.blocks import MAGIC, MESSAGE_HEADER
 from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
 from logs.messages import ObjectDetections, Odometry
 from logs.reader import LogReader
 from logs.selection import Selection
+from logs.storage.mcap_index import MAGIC, MESSAGE_HEADER
 from logs.summary import summarize
 from logs.writer import LogWriter
 from tests.fuzz.mcap_file import Layout, McapFile, Message, read_file, write_file
@@ -71,12 +71,12 @@ def test_a_chunk_that_holds_more_or_less_than_it_says_is_left_out(file, tmp_path
 
 @pytest.mark.parametrize("compress", [zstandard.compress, lz4.frame.compress])
 def test_no_more_is_decompressed_than_a_chunk_says(monkeypatch, tmp_path, compress):
-    from logs.container import chunks
+    from logs.storage import mcap_index
 
     name = "zstd" if compress is zstandard.compress else "lz4"
     sizes = []
-    inner = getattr(chunks, f"_decompress_{name}")
-    monkeypatch.setattr(chunks, f"_decompress_{name}", lambda *a: sizes.append(len(found := inner(*a))) or found)  # type: ignore[func-returns-value]
+    inner = mcap_index.decompress
+    monkeypatch.setattr(mcap_index, "decompress", lambda *a: sizes.append(len(found := inner(*a))) or found)  # type: ignore[func-returns-value]
     data = compress(b"\0" * 50_000_000)
     head = struct.pack("<QQQI", 0, 1, 1000, 0) + struct.pack("<I", len(name)) + name.encode()
     chunk = head + struct.pack("<Q", len(data)) + data

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import zstandard
 
-from logs.clouds.ply import read_ply
+from logs.clouds.point_files import read_points
 from logs.digest import file_sha256
 from logs.errors import DatasetError, LogError, UnreadableLogError
 from logs.importers.maps.object_table import read_object_table
@@ -31,7 +31,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "digest": file_sha256,
     "table": read_source_text,
     "archive": read_object_scans,
-    "cloud": read_ply,
+    "cloud": read_points,
     "settings": load_config,
     "objects": read_object_table,
     "pose graph": read_pose_graph,

@@ -268,7 +268,7 @@ def test_no_file_of_the_input_is_overwritten(bags: dict[str, Path], tmp_path: Pa
 
 
 def test_chunks_without_a_wanted_topic_are_not_decompressed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from logs.container import file_index
+    from logs.storage import mcap_file
 
     picture = {"height": 1, "width": 500_000, "step": 500_000, "encoding": "rgb8", "data": np.zeros(500_000)}
     messages: list[Message] = []
@@ -278,13 +278,13 @@ def test_chunks_without_a_wanted_topic_are_not_decompressed(tmp_path: Path, monk
         messages.append(("/image", "sensor_msgs/msg/Image", i, picture))
     bag = write_bag(tmp_path / "bag", messages)
     loaded = []
-    inner = getattr(file_index, "read_chunk")  # noqa: B009
+    inner = mcap_file.read_block  # type: ignore[attr-defined]
 
-    def read_chunk(*args):
-        loaded.append(args[1].offset)
-        return inner(*args)
+    def read_block(stream, block, max_bytes):
+        loaded.append(block.offset)
+        return inner(stream, block, max_bytes)
 
-    monkeypatch.setattr(file_index, "read_chunk", read_chunk)
+    monkeypatch.setattr(mcap_file, "read_block", read_block)
     with LogReader(bag) as reader:
         assert len(list(reader.messages({"/odom"}))) == 3
         assert len(set(loaded)) == 3

@@ -201,7 +201,7 @@ def test_pcd_that_open3d_packed(open3d: Any, tmp_path: Path) -> None:
         ("WIDTH 2", "WIDTH -2", "-2 points"),
         ("WIDTH 2", f"WIDTH {2**62}", "points are there; it is cut off"),
         ("WIDTH 2", "WIDTH " + "9" * 5000, "no PCD file that can be read"),
-        ("FIELDS x y z", "FIELDS x y y", "two of its FIELDS have one name"),
+        ("FIELDS x y z", "FIELDS x y y", "two of its fields have one name"),
         ("label instance", "a b", "no field tells the class"),
     ],
 )
@@ -241,9 +241,9 @@ def damaged(path: Path, kind: str) -> Path:
     [
         ("no class", "no field tells the class of a point .*; it has x, y, z"),
         ("no positions", "no fields x, y and z; it has class"),
-        ("cut off", "of .* vertices are there; it is cut off"),
-        ("huge", "of 9.* vertices are there; it is cut off"),
-        ("two of a name", "two properties of a vertex are called 'x'"),
+        ("cut off", "of .* points are there; it is cut off"),
+        ("huge", "of 9.* points are there; it is cut off"),
+        ("two of a name", "two of its fields have one name"),
         ("no ply", "does not begin with 'ply'"),
         ("no end", "no PLY file that can be read"),
         ("a list", "which is no number"),

@@ -1,0 +1,77 @@
+"""Arrays attached to an MCAP file, in NumPy's file format, mapped into memory."""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Collection
+from pathlib import Path
+from tokenize import TokenError
+from typing import Any, BinaryIO, Literal
+
+import numpy as np
+from mcap.records import AttachmentIndex
+from numpy.typing import NDArray
+
+from logs.container.limits import ReadingLimits
+from logs.errors import UnreadableLogError
+from logs.storage.mcap_index import DAMAGE, HEADER, read_index
+
+_CHECKSUM = struct.Struct("<I")
+_NO_HEADER = (TypeError, SyntaxError, TokenError)  # NumPy reads a header as an expression of Python
+_PIECE_BYTES = 1 << 20
+
+
+def read_arrays(path: Path, *, checked: Collection[str] = ()) -> dict[str, NDArray[Any]]:
+    """The arrays attached to a file, by name: of each only the pages that are used are read.
+
+    Args:
+        path: an MCAP file.
+        checked: names of those that are read once now and compared with their checksums.
+
+    Raises:
+        UnreadableLogError: the file ends early, an attachment is no array, or one that is checked is damaged.
+    """
+    found = {}
+    try:
+        with path.open("rb") as stream:
+            size = os.fstat(stream.fileno()).st_size
+            attachments = read_index(str(path), stream, size, ReadingLimits()).attachments
+            if attachments is None:
+                raise UnreadableLogError(f"{path} is damaged: it ends early")
+            for place in attachments:
+                if place.name in checked and not _is_intact(stream, place):
+                    raise UnreadableLogError(f"{path} is damaged: array {place.name} has another checksum")
+                found[place.name] = _map_array(path, stream, place)
+    except (*DAMAGE, *_NO_HEADER, OSError) as error:
+        raise UnreadableLogError(f"{path} is damaged: an attachment cannot be read as an array ({error})") from error
+    return found
+
+
+def _is_intact(stream: BinaryIO, place: AttachmentIndex) -> bool:
+    """Whether an attachment has the checksum that follows it; 0 stands for none."""
+    stream.seek(place.offset + HEADER.size)
+    left, checksum = place.length - HEADER.size - _CHECKSUM.size, 0
+    while left > 0 and (data := stream.read(min(left, _PIECE_BYTES))):
+        checksum = zlib.crc32(data, checksum)
+        left -= len(data)
+    (written,) = _CHECKSUM.unpack(stream.read(_CHECKSUM.size))
+    return left == 0 and written in (0, checksum)
+
+
+def _map_array(path: Path, stream: BinaryIO, place: AttachmentIndex) -> NDArray[Any]:
+    """The content of an attachment, mapped into memory.
+
+    Raises:
+        ValueError: it is no array in NumPy's format, or one of objects, or longer than the attachment.
+    """
+    end = place.offset + place.length - _CHECKSUM.size
+    stream.seek(end - place.data_size)
+    np.lib.format.read_magic(stream)
+    shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+    begin, size = stream.tell(), int(np.prod(shape, dtype=object)) * dtype.itemsize
+    if dtype.hasobject or begin + size > end:
+        raise ValueError(f"array {place.name[:40]!r} of {dtype} and shape {shape}")
+    order: Literal["F", "C"] = "F" if is_fortran else "C"
+    return np.memmap(path, dtype, "r", begin, shape, order) if size else np.zeros(shape, dtype)
