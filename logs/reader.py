@@ -16,7 +16,7 @@ from typing import NamedTuple
 import zstandard
 
 from logs.container.limits import ReadingLimits
-from logs.decoders.record_decoder import DecodedMessages, RecordDecoder
+from logs.decoders.record_decoder import RecordDecoder
 from logs.decoders.registry import kinds_of
 from logs.digest import file_sha256
 from logs.messages import Record
@@ -59,7 +59,6 @@ class LogReader:
         self._limits = limits or ReadingLimits()
         self.files = find_files(self.path)
         self._decoding_counters: Counter[str] = Counter()
-        self._decoded: tuple[Selection, DecodedMessages] | None = None
         with ExitStack() as until_closed:
             self._storages: list[Storage] = [open_storage(file, self._limits, until_closed) for file in self.files]
             self._until_closed = until_closed.pop_all()
@@ -140,23 +139,14 @@ class LogReader:
                 yield raw
 
     def items(
-        self,
-        selection: Selection,
-        copy: Collection[str] = (),
-        times_of: Collection[str] = (),
-        *,
-        again_follows: bool = False,
+        self, selection: Selection, copy: Collection[str] = (), times_of: Collection[str] = ()
     ) -> Iterator[LogItem]:
         """One pass over the selected topics, decoded, and the topics in ``copy``, raw; a topic may be in both.
 
         Messages of the topics in ``times_of`` that are neither come without their content. A message that no record
-        may be made of is counted and comes without records. ``again_follows``: the next pass is over the same
-        selection, and takes over what this one decodes, as far as it is kept.
+        may be made of is counted and comes without records.
         """
-        known = self._decoded[1] if self._decoded is not None and self._decoded[0] == selection else None
-        kept = DecodedMessages() if again_follows else None
-        self._decoded = None if kept is None else (selection, kept)
-        decoder = RecordDecoder(selection, self._limits, known=known, kept=kept)
+        decoder = RecordDecoder(selection, self._limits)
         self._decoding_counters = decoder.counters
         read = {*selection.topics, *copy}
         for raw in self.messages({*read, *times_of}, without_content=set(times_of) - read):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 import re
 from array import array
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,16 +23,17 @@ from logs.topics import RawMessage, RecordKind, TopicInfo
 GAP_FACTOR = 5.0
 """A pause is a gap when it is longer than this many median periods of its topic."""
 
-MOST_CLASSES = 20_000
+MAX_CLASSES = 20_000
 """More are too many to count each; the rarest are counted as one."""
 OTHER_CLASSES = "(other classes)"
-MOST_FRAMES = 100
+MAX_FRAMES = 100
 """Names of frames that are kept for a topic."""
-MOST_CLOSURES = 100_000
+MAX_CLOSURES = 100_000
 """Later records of loop closures are not kept."""
-MOST_PERIODS = 1_000_000
+MAX_PERIODS = 1_000_000
 """The median period is taken over at most that many, evenly."""
 
+_FRAMES = ("frame_id", "child_frame_id", "parent_frame_id")
 _NUMBER = re.compile(r"(?:(?<!\w)-)?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
@@ -111,12 +112,10 @@ def summarize(
         except TopicSelectionError as error:
             selection, obstacle = None, str(error)
         gathering = _Gathering(_odometry_topic(selection, topics))
-        everything = select_all(topics)
-        if selection is not None:
-            everything = Selection({**everything.kinds, **selection.kinds})
-        # A graph is large, and nothing of it is told.
-        told = {topic: kinds for topic, kinds in everything.kinds.items() if kinds != (RecordKind.FACTOR_GRAPH,)}
-        for item in reader.items(Selection(told), times_of=[info.topic for info in topics]):
+        everything = {**select_all(topics).kinds, **(selection.kinds if selection is not None else {})}
+        # A graph is large, and nothing of it is shown.
+        shown = {topic: kinds for topic, kinds in everything.items() if kinds != (RecordKind.FACTOR_GRAPH,)}
+        for item in reader.items(Selection(shown), times_of=[info.topic for info in topics]):
             gathering.add(item.raw, item.records)
         candidates = find_final_decisions(gathering.closures)
         return LogSummary(
@@ -124,7 +123,7 @@ def summarize(
             size_bytes=reader.size_bytes,
             start_ns=gathering.start_ns or 0,
             end_ns=gathering.end_ns,
-            topics=tuple(gathering.topic_summary(info) for info in topics),
+            topics=tuple(gathering.topics[info.topic, info.schema_name].summary(info) for info in topics),
             class_counts=dict(sorted(gathering.class_counts.items(), key=lambda pair: (-pair[1], pair[0]))),
             odometry_length_m=gathering.odometry_length_m(),
             selection=selection,
@@ -155,8 +154,36 @@ def _odometry_topic(selection: Selection | None, topics: list[TopicInfo]) -> str
     return next(iter(selection.topics_of(RecordKind.ODOMETRY)), None)
 
 
+class _TopicGathering:
+    """The times and the frames of one topic: eight bytes a message."""
+
+    def __init__(self) -> None:
+        self.times_ns: array[int] = array("q")
+        self.frames: set[str] = set()
+
+    def summary(self, info: TopicInfo) -> TopicSummary:
+        times_ns = np.array(self.times_ns, dtype=np.int64)
+        out_of_order = int((times_ns[1:] < np.maximum.accumulate(times_ns)[:-1]).sum())
+        times_ns.sort()
+        gap_count, longest_gap_s, duplicates = _gaps(times_ns)
+        span_ns = int(times_ns[-1] - times_ns[0]) if len(times_ns) else 0
+        return TopicSummary(
+            topic=info.topic,
+            schema_name=info.schema_name,
+            encoding=info.encoding,
+            kinds=info.kinds,
+            message_count=len(times_ns),
+            rate_hz=(len(times_ns) - 1) / (span_ns * 1e-9) if span_ns else None,
+            gap_count=gap_count,
+            longest_gap_s=longest_gap_s,
+            duplicate_stamps=duplicates,
+            out_of_order_stamps=out_of_order,
+            frames=tuple(sorted(self.frames - {""})),
+        )
+
+
 class _Gathering:
-    """What accumulates in the pass: eight bytes a message, and the positions of the odometry."""
+    """What accumulates in the pass: the times of topics, and the positions of the odometry."""
 
     def __init__(self, odometry_topic: str | None) -> None:
         self.start_ns: int | None = None
@@ -165,50 +192,38 @@ class _Gathering:
         self.closures: list[m.LoopClosureRecord] = []
         self.first_stamp_ns: int | None = None
         self.status: m.StatusRecord | None = None
+        self.topics: dict[tuple[str, str], _TopicGathering] = defaultdict(_TopicGathering)
         self._odometry_topic = odometry_topic
         self._odometry_xyz = array("d")
-        self._times_ns: dict[tuple[str, str], array[int]] = {}
-        self._counts: Counter[tuple[str, str]] = Counter()
-        self._frames: dict[tuple[str, str], set[str]] = {}
 
     def add(self, raw: RawMessage, records: tuple[m.Record, ...]) -> None:
         self.start_ns = raw.log_time_ns if self.start_ns is None else min(self.start_ns, raw.log_time_ns)
         self.end_ns = max(self.end_ns, raw.log_time_ns)
-        key = (raw.topic, raw.channel.schema_name)
-        self._counts[key] += 1
-        if records and not isinstance(records[0], m.Transform):
-            self._times_ns.setdefault(key, array("q")).append(records[0].stamp_ns)
-        else:
-            self._times_ns.setdefault(key, array("q")).append(raw.log_time_ns)
-        frames = self._frames.setdefault(key, set())
+        topic = self.topics[raw.topic, raw.channel.schema_name]
+        is_stamped = bool(records) and not isinstance(records[0], m.Transform)
+        topic.times_ns.append(records[0].stamp_ns if is_stamped else raw.log_time_ns)
         for record in records:
-            self._add_record(raw.topic, record, frames if len(frames) < MOST_FRAMES else set())
+            if len(topic.frames) < MAX_FRAMES:
+                topic.frames.update(getattr(record, f.name) for f in fields(record) if f.name in _FRAMES)
+            self._add_record(raw.topic, record)
 
-    def _add_record(self, topic: str, record: m.Record, frames: set[str]) -> None:
+    def _add_record(self, topic: str, record: m.Record) -> None:
         if isinstance(record, (m.Odometry, m.SlamPose)):
             first = self.first_stamp_ns
             self.first_stamp_ns = record.stamp_ns if first is None else min(first, record.stamp_ns)
-        if isinstance(record, m.Odometry):
-            frames.update((record.frame_id, record.child_frame_id))
-            if topic == self._odometry_topic:
-                self._odometry_xyz.extend(record.T_odom_body[:3, 3].tolist())
+        if isinstance(record, m.Odometry) and topic == self._odometry_topic:
+            self._odometry_xyz.extend(record.T_odom_body[:3, 3].tolist())
         elif isinstance(record, m.ObjectDetections):
-            frames.add(record.frame_id)
             self._count_classes(record.labels)
-        elif isinstance(record, m.Transform):
-            frames.update((record.parent_frame_id, record.child_frame_id))
-        elif isinstance(record, m.LoopClosureRecord):
-            if len(self.closures) < MOST_CLOSURES:
-                self.closures.append(record)
+        elif isinstance(record, m.LoopClosureRecord) and len(self.closures) < MAX_CLOSURES:
+            self.closures.append(record)
         elif isinstance(record, m.StatusRecord):
             self.status = record
-        elif isinstance(record, (m.GroundTruthPose, m.ObjectMapRecord, m.TrajectoryRecord)):
-            frames.add(record.frame_id)
 
     def _count_classes(self, labels: tuple[str, ...]) -> None:
         self.class_counts.update(labels)
-        if len(self.class_counts) > MOST_CLASSES:  # each may be an identity of its own
-            kept = self.class_counts.most_common(MOST_CLASSES // 2)
+        if len(self.class_counts) > MAX_CLASSES:  # each may be an identity of its own
+            kept = self.class_counts.most_common(MAX_CLASSES // 2)
             gone = self.class_counts.total() - sum(count for _, count in kept)
             self.class_counts = Counter(dict(kept))
             self.class_counts[OTHER_CLASSES] += gone
@@ -219,27 +234,6 @@ class _Gathering:
         xyz = np.frombuffer(self._odometry_xyz, dtype=np.float64).reshape(-1, 3)
         return float(np.linalg.norm(np.diff(xyz, axis=0), axis=1).sum())
 
-    def topic_summary(self, info: TopicInfo) -> TopicSummary:
-        key = (info.topic, info.schema_name)
-        times_ns = np.array(self._times_ns.pop(key, ()), dtype=np.int64)
-        out_of_order = int((times_ns[1:] < np.maximum.accumulate(times_ns)[:-1]).sum())
-        times_ns.sort()
-        gap_count, longest_gap_s, duplicates = _gaps(times_ns)
-        span_ns = int(times_ns[-1] - times_ns[0]) if len(times_ns) else 0
-        return TopicSummary(
-            topic=info.topic,
-            schema_name=info.schema_name,
-            encoding=info.encoding,
-            kinds=info.kinds,
-            message_count=self._counts[key],
-            rate_hz=(len(times_ns) - 1) / (span_ns * 1e-9) if span_ns else None,
-            gap_count=gap_count,
-            longest_gap_s=longest_gap_s,
-            duplicate_stamps=duplicates,
-            out_of_order_stamps=out_of_order,
-            frames=tuple(sorted(self._frames.get(key, set()) - {""})),
-        )
-
 
 def _gaps(times_ns: NDArray[np.int64]) -> tuple[int, float, int]:
     """Number of gaps, the longest pause in seconds, and the number of duplicates, of sorted times (N,)."""
@@ -248,5 +242,5 @@ def _gaps(times_ns: NDArray[np.int64]) -> tuple[int, float, int]:
     periods_ns = periods_ns[periods_ns > 0] if duplicates else periods_ns
     if len(periods_ns) == 0:
         return 0, 0.0, duplicates
-    usual_ns = np.median(periods_ns[:: 1 + len(periods_ns) // MOST_PERIODS])
+    usual_ns = np.median(periods_ns[:: 1 + len(periods_ns) // MAX_PERIODS])
     return int((periods_ns > GAP_FACTOR * usual_ns).sum()), float(periods_ns.max() * 1e-9), duplicates

@@ -45,22 +45,19 @@ class LogWriter:
     calls give the same bytes: there is no wall clock, and ids count up in the order of first use.
 
     Args:
-        path: the log to write.
-        overwrite: replace an existing file; otherwise it is an error.
+        path: the log to write; an existing file is replaced.
 
     Raises:
         UnwritableLogError: by every method, when the file cannot be created, written or finished.
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, overwrite: bool = True) -> None:
+    def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         self.partial_path = partial_path(self.path)
         if self.path.is_dir():
             raise UnwritableLogError(f"{self.path} is a folder; give the name of a file to write")
         if is_special(self.path):
             raise UnwritableLogError(f"cannot write {self.path}: {SPECIAL}")
-        if not overwrite and self.path.exists():
-            raise UnwritableLogError(f"{self.path} exists already; remove it or choose another name")
         self._stream = _OutputStream(self.partial_path)
         try:
             self._writer = Writer(self._stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)  # type: ignore[arg-type]

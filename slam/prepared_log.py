@@ -176,7 +176,7 @@ def _survey(reader: LogReader, log: PreparedLog, max_detections: int) -> tuple[S
     inputs, drift = log.inputs(), NO_DRIFT
     while True:
         clocks = StampClocks(drift)
-        items = reader.items(log.mapped, again_follows=True)
+        items = reader.items(log.mapped)
         records = inputs.prepare(record for item in items for record in clocks.follow(item))
         with threadpool_limits(1, user_api="blas"):
             surveyed = SurveyedLog.of(records, log.frames, max_detections=max_detections)

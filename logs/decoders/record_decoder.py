@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from dataclasses import dataclass, field
 
 from logs.container.limits import ReadingLimits
 from logs.decoders.decode import decode
@@ -16,20 +15,8 @@ from logs.topics import RawMessage, Schema
 
 MAX_DEFINITIONS = 32
 """Different definitions of messages in one log; further ones are not read, as each takes time and memory."""
-KEPT_BYTES = 32 * 2**20
-"""Size of the messages, as they stand in the log, whose records are kept for the next pass."""
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(slots=True, eq=False)
-class DecodedMessages:
-    """Records of the first messages of a pass by their number, as many as ``KEPT_BYTES`` allow, and of each a count of
-    what was left out.
-    """
-
-    messages: dict[int, tuple[tuple[Record, ...], Counter[str]]] = field(default_factory=dict)
-    bytes_left: int = field(default_factory=lambda: KEPT_BYTES)
 
 
 class RecordDecoder:
@@ -39,20 +26,9 @@ class RecordDecoder:
     ``dropped_objects``, ``ignored_covariances``, ``ignored_sizes``.
     """
 
-    def __init__(
-        self,
-        selection: Selection,
-        limits: ReadingLimits | None = None,
-        *,
-        known: DecodedMessages | None = None,
-        kept: DecodedMessages | None = None,
-    ) -> None:
-        """``known``: what an earlier pass over the same messages has decoded; ``kept``: where this one keeps it."""
+    def __init__(self, selection: Selection, limits: ReadingLimits | None = None) -> None:
         self._selection = selection
         self._limits = limits or ReadingLimits()
-        self._known = known or DecodedMessages()
-        self._kept = kept
-        self._number = -1
         self._definitions: set[Schema] = set()
         self._reported: set[tuple[str, str]] = set()
         self.counters: Counter[str] = Counter()
@@ -69,28 +45,17 @@ class RecordDecoder:
         if not kinds or not self._is_readable(raw.channel.schema):
             self.counters["undecodable"] += 1
             return ()
-        self._number += 1
-        known = self._known.messages.pop(self._number, None)
-        records, left_out = known or ((), Counter[str]())
+        records: tuple[Record, ...] = ()
         try:
-            for kind in kinds if known is None else ():
-                records += decode(raw, kind, left_out, self._limits)
-            if self._kept is not None:
-                self._keep(self._kept, len(raw.data), records, left_out)
+            for kind in kinds:
+                records += decode(raw, kind, self.counters, self._limits)
         except InvalidRecordError as error:
-            records = ()
             self.counters["invalid_messages"] += 1
             if (raw.topic, error.reason) not in self._reported:
                 self._reported.add((raw.topic, error.reason))
                 _log.warning("%s; more of the same on this topic is only counted", error)
-        if left_out:
-            self.counters.update(left_out)
+            return ()
         return records
-
-    def _keep(self, kept: DecodedMessages, size: int, records: tuple[Record, ...], left_out: Counter[str]) -> None:
-        kept.bytes_left -= size
-        if kept.bytes_left >= 0:
-            kept.messages[self._number] = records, left_out
 
     def _is_readable(self, schema: Schema | None) -> bool:
         if schema is None or schema in self._definitions:

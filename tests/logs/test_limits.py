@@ -180,7 +180,7 @@ def test_a_class_with_an_endless_name_is_left_out(tmp_path):
 
 
 def test_the_summary_counts_the_rarest_of_too_many_classes_as_one(tmp_path, monkeypatch):
-    monkeypatch.setattr("logs.summary.MOST_CLASSES", 10)
+    monkeypatch.setattr("logs.summary.MAX_CLASSES", 10)
     labels = [("tree", *(f"class {i}" for i in range(k, k + 8))) for k in range(0, 80, 8)]
     counts = summarize(objects_log(tmp_path / "log.mcap", labels)).class_counts
     assert counts["tree"] == 10

@@ -45,6 +45,26 @@ def test_each_detection_is_in_the_frame_and_at_the_stamp_of_its_own_header() -> 
     assert found[SECOND, "left"].labels == ("tree", "pole")
 
 
+def test_class_of_the_best_result_at_its_box_or_else_at_its_pose() -> None:
+    P = np.diag([0.1, 0.2, 0.3, 0.0, 0.0, 0.0])
+    pole, tree = (
+        {"hypothesis": {"class_id": name, "score": score}, "pose": {"pose": at(7, 2, 3), "covariance": P}}
+        for name, score in (("pole", 0.2), ("tree", 0.7))
+    )
+    center, size = at(1, 2, 3), vector(1, 1, 2)
+    values = {"detections": [{"results": [pole, tree], "bbox": {"center": center, "size": size}, "id": "7"}]}
+    (record,) = decoded("vision_msgs/msg/Detection3DArray", values)
+    assert (record.labels, record.track_ids, record.scores.tolist()) == (("tree",), ("7",), [0.7])
+    np.testing.assert_array_equal(record.positions, [[1, 2, 3]])
+    np.testing.assert_array_equal(record.sizes, [[1, 1, 2]])
+    np.testing.assert_allclose(record.covariances, [P[:3, :3]])
+    lost = {"bbox": {"center": at(np.nan, 0, 0)}}
+    values = {"detections": [{"results": [tree]}, {"bbox": {"center": at(1, 0, 0)}}, lost]}
+    (record,) = decoded("vision_msgs/msg/Detection3DArray", values, dropped_objects=1)
+    assert (record.labels, record.sizes, record.track_ids) == (("tree", "unknown"), None, None)
+    np.testing.assert_array_equal(record.positions, [[7, 2, 3], [1, 0, 0]])
+
+
 def test_an_array_whose_detections_have_other_frames_gives_no_empty_record() -> None:
     values = {"detections": [detection3d((1, 0, 0), "tree", header=header(SECOND, "left"))]}
     (record,) = decoded("vision_msgs/msg/Detection3DArray", values)

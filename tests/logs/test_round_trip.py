@@ -1,5 +1,4 @@
 import tempfile
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import messages as m
-from logs.decoders import record_decoder
 from logs.reader import LogReader
 from logs.selection import Selection, select_all
 from logs.validation import LAST_NS
@@ -185,42 +183,6 @@ def test_one_pass_decodes_and_copies(tmp_path):
                 b.data,
             )
             assert a.channel.schema.data == b.channel.schema.data
-
-
-def test_a_further_pass_takes_over_what_was_decoded(tmp_path, monkeypatch):
-    rng = np.random.default_rng(8)
-    unknown = random_detections(rng, 3, stamp_ns=7)
-    unknown.covariances[1] = np.diag([1.0, -1.0, 1.0])  # counted, and left out
-    with LogWriter(tmp_path / "log.mcap") as writer:
-        for i in range(40):
-            writer.write("/odom", m.Odometry(i + 1, random_transform(rng)), 1 + i)
-            writer.write("/detections", unknown, 1 + i)
-    selection = Selection.of({"/odom": "odometry", "/detections": "detections"})
-    with LogReader(tmp_path / "log.mcap") as reader:
-        first = [item.records for item in reader.items(selection, again_follows=True)]
-        counters = reader.counters
-        assert counters["ignored_covariances"] == 40
-        monkeypatch.setattr(record_decoder, "decode", lambda *_: pytest.fail("decoded again"))
-        second = [item.records for item in reader.items(selection, copy=["/odom"], again_follows=True)]
-        third = [item.records for item in reader.items(selection)]
-        assert [*map(id, chain(*first))] == [*map(id, chain(*second))] == [*map(id, chain(*third))]
-        assert reader.counters == counters
-        monkeypatch.undo()
-        assert len([item.records for item in reader.items(selection)]) == 80  # nothing is kept any longer
-
-
-def test_what_is_decoded_is_kept_up_to_a_limit(tmp_path, monkeypatch):
-    rng = np.random.default_rng(8)
-    with LogWriter(tmp_path / "log.mcap") as writer:
-        for i in range(50):
-            writer.write("/odom", m.Odometry(i + 1, random_transform(rng)))
-    with LogReader(tmp_path / "log.mcap") as reader:
-        size = max(len(raw.data) for raw in reader.messages())
-        monkeypatch.setattr(record_decoder, "KEPT_BYTES", 10 * size)
-        first = [item.records[0] for item in reader.items(Selection.of({"/odom": "odometry"}), again_follows=True)]
-        again = [item.records[0] for item in reader.items(Selection.of({"/odom": "odometry"}))]
-    assert [one is other for one, other in zip(first, again, strict=True)] == [True] * 10 + [False] * 40
-    assert [each.stamp_ns for each in again] == list(range(1, 51))
 
 
 def test_metadata_and_digest(tmp_path):
