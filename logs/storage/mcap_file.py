@@ -195,7 +195,6 @@ class _PendingMessages:
 
     def __init__(self, content: bytes, wanted: Mapping[int, Channel], empty: Collection[int], max_bytes: int) -> None:
         self.oversized = self.without_time = 0
-        self._wanted = wanted
         kept, ends, times = bytearray(), array("q", [0]), array("q")
         view = memoryview(content)
         for opcode, begin, end in records(content):
@@ -215,7 +214,7 @@ class _PendingMessages:
         order = np.argsort(np.frombuffer(times, dtype=np.int64), kind="stable") if times else ()
         rows = array("q", order)
         self.size_bytes = len(kept) + 24 * len(times)
-        self._messages = self._in_order(bytes(kept), ends, rows)
+        self._messages = _in_order(bytes(kept), ends, rows, wanted)
         self._times_ns = (times[row] for row in rows)
         self.next_ns = next(self._times_ns, None)
 
@@ -224,9 +223,13 @@ class _PendingMessages:
         self.next_ns = next(self._times_ns, None)
         return next(self._messages)
 
-    def _in_order(self, content: bytes, ends: array[int], rows: array[int]) -> Iterator[RawMessage]:
-        for row in rows:
-            start, end = ends[row], ends[row + 1]
-            id, sequence, log_time_ns, publish_time_ns = MESSAGE_HEADER.unpack_from(content, start)
-            data = content[start + MESSAGE_HEADER.size : end]
-            yield RawMessage(self._wanted[id], log_time_ns, publish_time_ns, sequence, data)
+
+def _in_order(
+    content: bytes, ends: array[int], rows: array[int], channels: Mapping[int, Channel]
+) -> Iterator[RawMessage]:
+    """The messages of ``content`` that end at ``ends``, in the order of ``rows``."""
+    for row in rows:
+        start, end = ends[row], ends[row + 1]
+        id, sequence, log_time_ns, publish_time_ns = MESSAGE_HEADER.unpack_from(content, start)
+        data = content[start + MESSAGE_HEADER.size : end]
+        yield RawMessage(channels[id], log_time_ns, publish_time_ns, sequence, data)

@@ -137,10 +137,9 @@ def read_block(stream: BinaryIO, block: Block, max_bytes: int) -> bytes:
         return stream.read(block.length)
     if block.length > max_bytes:
         raise OversizedChunkError(block.length)
-    content = stream.read(block.length)
-    if HEADER.unpack_from(content) != (Opcode.CHUNK, block.length - HEADER.size):
+    if HEADER.unpack(stream.read(HEADER.size)) != (Opcode.CHUNK, block.length - HEADER.size):
         raise ValueError(f"no chunk of {block.length} bytes at {block.offset}")
-    chunk = mcap_records.Chunk.read(stream_of(content[HEADER.size :]))
+    chunk = mcap_records.Chunk.read(stream_of(stream.read(block.length - HEADER.size)))
     if chunk.uncompressed_size > max_bytes:
         raise OversizedChunkError(chunk.uncompressed_size)
     data = decompress(chunk.data, chunk.compression, chunk.uncompressed_size)

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 from google.protobuf.json_format import MessageToDict
-from mcap_ros2.writer import Writer
 
 from logs.decoders.protobuf import DECODERS
 from logs.reader import LogReader
@@ -21,18 +20,13 @@ from slam.formats.g2o import write_pose_graph
 from tests.fuzz.dataset_cases import NETWORKS, make_trainings_small, training_arguments
 from tests.fuzz.mcap_file import McapFile, Message, read_file
 from tests.helpers.pose_graphs import with_false
-from tests.helpers.ros2_logs import write_bag
+from tests.helpers.ros2_logs import at, detection3d, encoded, header, tf, write_bag
 from tests.logs.examples import every_kind
-from tests.logs.test_ros2 import DETECTIONS, TF, definition, detection, header, pose, result
 from tests.tools.runs import SAMPLE
 from tools import cli
 
 _SECONDS = 2.0
 WEIGHTS = Path(str(resources.files("descriptors"))) / "weights" / "descriptellation_lr.safetensors"
-_ODOMETRY = definition(
-    "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n"
-    "geometry_msgs/PoseWithCovariance twist"
-)
 
 
 @dataclass(frozen=True)
@@ -145,28 +139,19 @@ def _write_kinds(path: Path) -> None:
 def _write_ros(path: Path) -> None:
     rng = np.random.default_rng(4)
     objects = rng.uniform(-20.0, 20.0, size=(30, 3)) * (1.0, 1.0, 0.05)
-    with open(path, "wb") as stream, Writer(stream) as writer:
-        odometry = writer.register_msgdef("nav_msgs/msg/Odometry", _ODOMETRY)
-        detections = writer.register_msgdef("vision_msgs/msg/Detection3DArray", DETECTIONS)
-        tf = writer.register_msgdef("tf2_msgs/msg/TFMessage", TF)
+    mounted = np.eye(4)
+    mounted[2, 3] = 1.0
+    with LogWriter(path) as writer:
         for i in range(20):
-            x, stamp = 0.3 * i, (1000 + i // 10, 100_000_000 * (i % 10))
-            now = 10**12 + i * 10**8
-            covariance = {"pose": pose(x, 0.0, 0.0), "covariance": (0.01 * np.eye(6)).ravel().tolist()}
-            content = {"header": header(stamp), "child_frame_id": "base_link", "pose": covariance, "twist": covariance}
-            writer.write_message("/odom", odometry, content, log_time=now, publish_time=now)
-            seen = [
-                detection([result(f"class {k % 4}", 0.9)], center=tuple(p - (x, 0.0, 0.0)), id=str(k))
-                for k, p in enumerate(objects)
-            ]
-            content = {"header": header(stamp, "base_link"), "detections": seen}
-            writer.write_message("/objects", detections, content, log_time=now, publish_time=now)
-            frame = {
-                "header": header(stamp, "base_link"),
-                "child_frame_id": "lidar",
-                "transform": {"translation": {"x": 0.0, "y": 0.0, "z": 1.0}, "rotation": pose()["orientation"]},
-            }
-            writer.write_message("/tf", tf, {"transforms": [frame]}, log_time=now, publish_time=now)
+            x, now = 0.3 * i, 10**12 + i * 10**8
+            placed = {"pose": at(x, 0.0, 0.0), "covariance": 0.01 * np.eye(6)}
+            odometry = {"header": header(now, "odom"), "child_frame_id": "base_link", "pose": placed}
+            seen = [detection3d(p - (x, 0.0, 0.0), f"class {k % 4}", 0.9, id=str(k)) for k, p in enumerate(objects)]
+            scan = {"header": header(now, "base_link"), "detections": seen}
+            writer.write_raw(encoded(("/odom", "nav_msgs/msg/Odometry", now, odometry)))
+            writer.write_raw(encoded(("/objects", "vision_msgs/msg/Detection3DArray", now, scan)))
+            frames = {"transforms": [tf(now, "base_link", "lidar", mounted)]}
+            writer.write_raw(encoded(("/tf", "tf2_msgs/msg/TFMessage", now, frames)))
 
 
 def _detections_table(drive: Path) -> str:

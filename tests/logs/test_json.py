@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from google.protobuf.json_format import MessageToDict
-from mcap.writer import Writer
 
 from logs.decoders.decode import decode
 from logs.decoders.protobuf import DECODERS
 from logs.errors import InvalidRecordError
 from logs.messages import Record
 from logs.reader import LogReader
-from logs.selection import select_topics
 from logs.topics import Channel, RawMessage, Schema
 from logs.writer import LogWriter
 from tests.logs.examples import assert_same_record, every_kind
@@ -60,32 +58,8 @@ def test_every_message_is_the_same_as_in_protobuf(tmp_path: Path, index: int, st
     assert_same_record(found, expected, tolerance=0.0)
 
 
-def scene() -> dict[str, Any]:
-    def pose(x: float) -> dict[str, Any]:
-        return {"position": {"x": x, "y": 0, "z": 0}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}}
-
-    size = {"x": 1, "y": 1, "z": 2}
-    entity = {"timestamp": {"sec": 1, "nsec": 5}, "frame_id": "lidar", "id": "tree/4"}
-    return {
-        "deletions": [],
-        "entities": [
-            {**entity, "cubes": [{"pose": pose(1), "size": size, "color": {"r": 1, "g": 0, "b": 0, "a": 1}}]},
-            {**entity, "id": "car/1", "models": [{"pose": pose(2), "scale": size, "url": "car.glb"}]},
-            {**entity, "id": "ball", "spheres": [{"pose": pose(3), "size": size}]},
-            {**entity, "id": "x", "metadata": [{"key": "label", "value": "pole"}], "texts": [{"pose": pose(4)}]},
-        ],
-    }
-
-
 def decoded(values: Any) -> tuple[Record, ...]:
     return decode(as_json("foxglove.SceneUpdate", values), "detections")  # type: ignore[arg-type]
-
-
-def test_cubes_models_and_spheres_of_a_scene() -> None:
-    (record,) = decoded(scene())
-    assert (record.stamp_ns, record.frame_id) == (1_000_000_005, "lidar")
-    assert record.labels == ("tree", "car", "ball", "pole")
-    np.testing.assert_array_equal(record.positions, [[1, 0, 0], [2, 0, 0], [3, 0, 0], [4, 0, 0]])
 
 
 @pytest.mark.parametrize("values", [[], 3, {"entities": 4}, {"entities": [{"cubes": [{"pose": {"position": 3}}]}]}])
@@ -99,22 +73,3 @@ def test_bytes_that_are_no_json_are_refused(data: bytes) -> None:
     raw = as_json("foxglove.SceneUpdate", {})
     with pytest.raises(InvalidRecordError, match="JSON does not decode"):
         decode(RawMessage(raw.channel, 7, 7, 0, data), "detections")  # type: ignore[arg-type]
-
-
-def test_a_log_in_json_is_selected(tmp_path: Path) -> None:
-    odometry = {"timestamp": {"sec": 1, "nsec": 0}, "frame_id": "odom", "body_frame_id": "base_link"}
-    odometry["pose"] = {"position": {}, "orientation": {"w": 1}}  # type: ignore[assignment]
-    with open(tmp_path / "log.mcap", "wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        for topic, name, values in (
-            ("/pose", "foxglove.Odometry", odometry),
-            ("/scene", "foxglove.SceneUpdate", scene()),
-        ):
-            schema = writer.register_schema(name, "jsonschema", b"{}")
-            channel = writer.register_channel(topic, "json", schema)
-            writer.add_message(channel, 9, json.dumps(values).encode(), 9)
-        writer.finish()
-    with LogReader(tmp_path / "log.mcap") as reader:
-        selection = select_topics(reader.topics())
-        assert [type(entry.record).__name__ for entry in reader.records(selection)] == ["Odometry", "ObjectDetections"]

@@ -16,7 +16,6 @@ from logs.selection import select_topics
 from logs.summary import summarize
 from slam.common.config import Config
 from slam.replay import replay
-from tests.helpers.data import NAV2, needs_nav2
 from tests.helpers.ros2_logs import Message, ros2_messages, write_bag
 from tests.helpers.short_drives import drive, keep_until, raw_messages
 
@@ -61,30 +60,6 @@ def test_a_file_of_a_bag_can_be_given_alone(bags: dict[str, Path]) -> None:
         found = contents(path)
         assert found == expected[: len(found)]
         assert len(found) in (len(expected), len(expected) // 2)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["split", "file_zstd", "db3"])
-def test_a_bag_maps_as_its_mcap_does(bags: dict[str, Path], name: str, tmp_path: Path) -> None:
-    trajectories = []
-    for bag in (next(bags["mcap"].glob("*.mcap")), bags[name]):
-        replay(bag, tmp_path / "out.mcap", Config())
-        with LogReader(tmp_path / "out.mcap") as reader:
-            trajectories.append([raw.data for raw in reader.messages({"/slam/trajectory_stamped", "/slam/map"})])
-    assert len(trajectories[0]) == 2
-    assert trajectories[0] == trajectories[1]
-
-
-@pytest.mark.slow
-@needs_nav2
-@pytest.mark.parametrize("name", ["db3", "split"])
-def test_a_real_recording_as_a_folder(name: str, tmp_path: Path) -> None:
-    raws = raw_messages(NAV2)
-    bag = write_bag(tmp_path / name, raws, **BAGS[name])
-    assert contents(bag) == [(raw.topic, raw.log_time_ns, raw.data) for raw in raws]
-    whole, folder = summarize(NAV2), summarize(bag)
-    assert folder.odometry_length_m == whole.odometry_length_m
-    assert [replace(topic, frames=()) for topic in folder.topics] == [replace(t, frames=()) for t in whole.topics]
 
 
 def test_the_summary_of_a_bag(bags: dict[str, Path]) -> None:

@@ -58,8 +58,9 @@ def test_class_of_the_best_result_at_its_box_or_else_at_its_pose() -> None:
     np.testing.assert_array_equal(record.positions, [[1, 2, 3]])
     np.testing.assert_array_equal(record.sizes, [[1, 1, 2]])
     np.testing.assert_allclose(record.covariances, [P[:3, :3]])
-    lost = {"bbox": {"center": at(np.nan, 0, 0)}}
-    values = {"detections": [{"results": [tree]}, {"bbox": {"center": at(1, 0, 0)}}, lost]}
+    lost: dict[str, Any] = {"bbox": {"center": at(np.nan, 0, 0)}}
+    unlabelled: dict[str, Any] = {"bbox": {"center": at(1, 0, 0)}}
+    values = {"detections": [{"results": [tree]}, unlabelled, lost]}
     (record,) = decoded("vision_msgs/msg/Detection3DArray", values, dropped_objects=1)
     assert (record.labels, record.sizes, record.track_ids) == (("tree", "unknown"), None, None)
     np.testing.assert_array_equal(record.positions, [[7, 2, 3], [1, 0, 0]])
@@ -86,22 +87,6 @@ def test_zeros_in_a_covariance_are_what_was_not_estimated() -> None:
     assert record.covariances is not None
     np.testing.assert_allclose(record.covariances[0], [[0.04, 0.01, 0.0], [0.01, 0.09, 0.0], [0.0, 0.0, 0.09]])
     assert not record.covariances[1:].any()
-
-
-@pytest.mark.parametrize("given", [(0, 1, 5), (0,), ()])
-def test_zeros_in_the_covariance_of_a_pose_are_not_counted_as_ignored(given: tuple[int, ...]) -> None:
-    covariance = np.zeros((6, 6))
-    covariance[given, given] = 0.1
-    values = {"pose": {"pose": at(1, 2, 0), "covariance": covariance}}
-    counters: Counter[str] = Counter()
-    raw = encoded(("/pose", "geometry_msgs/msg/PoseWithCovarianceStamped", 1, values))
-    (record,) = decode(raw, "odometry", counters=counters)
-    assert record.covariance is None  # type: ignore[union-attr]
-    assert not counters
-    covariance[0, 0] = -1.0
-    raw = encoded(("/pose", "geometry_msgs/msg/PoseWithCovarianceStamped", 1, values))
-    decode(raw, "odometry", counters=counters)
-    assert counters == {"ignored_covariances": 1}
 
 
 @pytest.mark.parametrize("package", ["autoware_perception_msgs", "autoware_auto_perception_msgs"])

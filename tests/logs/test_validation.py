@@ -44,7 +44,7 @@ def test_numbers_that_are_not_finite_are_refused(bad, field):
     assert caught.value.reason in ("position is not finite", "quaternion is no rotation")
 
 
-@pytest.mark.parametrize("qw", [0.0, 0.5, 1.02, 0.98, 1e200])
+@pytest.mark.parametrize("qw", [0.0, 0.5, 1.02, 0.98, 1e154, -1.7e308])
 def test_quaternions_that_are_none_are_refused(qw):
     with pytest.raises(InvalidRecordError, match="quaternion is no rotation"):
         decode(pose(qw=qw), "odometry")
@@ -120,7 +120,7 @@ def test_objects_without_a_position_are_dropped_and_counted():
     message = pb.ObjectDetections(
         stamp_ns=1,
         frame_id="lidar",
-        positions=[0, 0, 0, math.nan, 0, 0, 1, 1, math.inf, 2, 2, 2],
+        positions=[0, 0, 0, math.nan, 0, 0, 1, 1, 2e9, 2, 2, 2],
         labels=["a", "b", "c", "d"],
         scores=[0.5, 0.5, 0.5, 7.0],
         covariances=np.tile(np.eye(3), (4, 1, 1)).ravel().tolist(),
@@ -221,12 +221,6 @@ def test_positions_beyond_the_moon_are_refused(far):
         decode(pose(x=far), "odometry")
 
 
-@pytest.mark.parametrize("q", [1e154, 1.7e308, -1.7e308])
-def test_quaternions_near_the_end_of_the_numbers_are_refused(q):
-    with pytest.raises(InvalidRecordError, match="quaternion is no rotation"):
-        decode(pose(qx=q), "odometry")
-
-
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("absurd", [1e19, 1.7e308, -1.7e308])
 def test_covariances_near_the_end_of_the_numbers_are_unknown(absurd):
@@ -235,19 +229,6 @@ def test_covariances_near_the_end_of_the_numbers_are_unknown(absurd):
     P[1, 2] = P[2, 1] = absurd
     assert validation.usable_covariance(P, counters) is None
     assert counters["ignored_covariances"] == 1
-
-
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("absurd", [2e9, 1.7e308])
-def test_objects_beyond_the_moon_are_left_out(absurd):
-    counters = Counter()
-    message = pb.ObjectDetections(
-        stamp_ns=1, frame_id="lidar", labels=["a", "b"], positions=[1, 2, 3, absurd, 0, 0], scores=[1, 1],
-        sizes=[1, 1, 1, absurd, 1, 1],
-    )  # fmt: skip
-    (record,) = decode(raw(message), "detections", counters)
-    assert record.labels == ("a",)
-    assert counters["dropped_objects"] == 1
 
 
 @pytest.mark.parametrize("stamp_ns", [-1, 2**62, 2**63 - 1])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import struct
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from logs.clouds.cloud_files import ANY, IQMULUS, PARIS_LILLE, CloudFields, read
 from logs.clouds.labelled_cloud import LabelledCloud
 from logs.clouds.map_of_cloud import named_objects, urban_objects
 from logs.errors import DatasetError
-from logs.messages import FloatArray
 from tests.logs.clouds.clouds import cloud, post
 
 _CODES = {"f4": "float", "f8": "double", "u4": "uint", "i4": "int", "u1": "uchar"}
@@ -177,18 +175,6 @@ def test_pcd_with_gaps_between_its_fields(tmp_path: Path, storage: str) -> None:
         read_cloud(path)
 
 
-def test_pcd_that_open3d_packed(open3d: Any, tmp_path: Path) -> None:
-    rng = np.random.default_rng(3)
-    positions = np.repeat(rng.normal(size=(200, 3)), 10, axis=0).astype(np.float32)
-    cloud = open3d.t.geometry.PointCloud(open3d.core.Tensor(positions))
-    cloud.point["label"] = open3d.core.Tensor(rng.integers(0, 5, (2000, 1)).astype(np.int32))
-    path = tmp_path / "cloud.pcd"
-    open3d.t.io.write_point_cloud(str(path), cloud, compressed=True)
-    assert b"binary_compressed" in path.read_bytes()[:500]
-    np.testing.assert_array_equal(read_cloud(path).positions, positions)
-    np.testing.assert_array_equal(read_cloud(path).classes, cloud.point["label"].numpy()[:, 0])
-
-
 @pytest.mark.parametrize(
     ("right", "wrong", "fault"),
     [
@@ -274,8 +260,3 @@ def test_points_that_lie_astray_are_told(tmp_path: Path, astray: float) -> None:
         DatasetError, match=r"a\.ply: a cloud reaches from y = .* m, more than 1048576 voxels of 0\.1 m"
     ):
         named_objects(labelled, "a.ply", "")
-
-
-def wall(x_m: float, width_m: float) -> FloatArray:
-    y, z = np.meshgrid(np.arange(-width_m / 2, width_m / 2, 0.1), np.arange(-1.0, 3.0, 0.1))
-    return np.column_stack([np.full(y.size, x_m), y.ravel(), z.ravel()])

@@ -15,8 +15,6 @@ from logs.importers.imported_log import ImportSummary, write_imported_log
 from logs.messages import FloatArray, GroundTruthPose, ObjectDetections, Odometry
 from logs.reader import LogReader
 from logs.selection import select_topics
-from slam.registration.parameters import RegistrationConfig
-from slam.registration.registration import register
 from tests.logs.clouds.clouds import KITTI, SCANS, needs_scans, post
 
 R_CAMERA_VELODYNE = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -162,20 +160,3 @@ def test_objects_of_real_scans_are_those_that_were_published() -> None:
                 apart = np.linalg.norm(theirs[:, None] - ours[None], axis=2)
                 assert np.mean(apart.min(axis=1) < 0.5) >= 0.9
                 assert np.mean(apart.min(axis=0) < 0.5) >= 0.9
-
-
-@needs_scans
-def test_real_scans_of_one_place_register() -> None:
-    reference, query = real_objects("000052"), real_objects("004501")
-    same = np.array(query.labels)[:, None] == np.array(reference.labels)[None]
-    found = register(
-        query.positions,
-        reference.positions,
-        np.argwhere(same),
-        RegistrationConfig(),
-        query_sigmas=np.full(len(query.labels), 0.3),
-        reference_sigmas=np.full(len(reference.labels), 0.3),
-    )[0].T_reference_query
-    assert found is not None
-    assert np.linalg.norm(found[:2, 3] - [2.95, 0.13]) < 0.3
-    assert abs(np.rad2deg(np.arctan2(found[1, 0], found[0, 0]))) < 1.0

@@ -1,10 +1,8 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import tracemalloc
 import zlib
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +16,6 @@ from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, Odo
 from logs.reader import LogReader
 from logs.selection import select_topics
 from tests.logs.importers.text_drives import DETECTIONS, TUM, TextDrive
-
-ROBOTS = Path(os.environ.get("DSLAM_DATA", Path(__file__).parents[3] / ".." / "shared" / "data")) / "robots"
 
 
 def write(output: Path, files: dict[str, Path]) -> ImportSummary:
@@ -205,31 +201,3 @@ def test_a_missing_file_is_refused_and_nothing_is_written(drive: TextDrive) -> N
     with pytest.raises(DatasetError, match=r"nowhere\.csv: cannot be read"):
         write(drive.output, drive.files(detections="nowhere.csv"))
     assert not list(drive.root.glob("out.mcap*"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "pose_count", "detection_count", "length_m", "object_count"),
-    [
-        ("lost_in_the_woods", 12609, 61_086, 341.9, 17),
-        ("mrclam6/robot1", 20595, 1534, 48.4, 15),
-        ("evo", 2335, 118_149, 1530.1, 0),
-    ],
-)
-def test_real_drives(name: str, pose_count: int, detection_count: int, length_m: float, object_count: int) -> None:
-    folder = ROBOTS / name
-    if not folder.is_dir():
-        pytest.skip(f"no drive in {folder}; set DSLAM_DATA to the folder that holds robots")
-    log = read_text_log(
-        odometry=folder / "odometry.tum.gz",
-        detections=folder / "detections.csv.gz",
-        ground_truth=folder / "groundtruth.tum.gz",
-    )
-    records = list(log.records())
-    assert sum(isinstance(record, Odometry) for record in records) == pose_count
-    assert sum(len(record.labels) for record in records if isinstance(record, ObjectDetections)) == detection_count
-    assert log.odometry.length_m == pytest.approx(length_m, abs=0.1)
-    truths = [record.object_ids for record in records if isinstance(record, DetectionTruth)]
-    assert len({name for ids in truths for name in ids}) == object_count
-    assert (log.notes, log.detections.left_out) == ((), ())
-    assert all(a.stamp_ns <= b.stamp_ns for a, b in pairwise(records))

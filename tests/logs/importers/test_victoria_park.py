@@ -10,11 +10,8 @@ import numpy as np
 import pytest
 
 from logs.errors import DatasetError
-from logs.importers.imported_log import write_imported_log
 from logs.importers.victoria_park import VictoriaPark, read_victoria_park
 from logs.messages import DetectionTruth, ObjectDetections, Odometry
-from logs.reader import LogReader
-from logs.selection import select_topics
 
 MADE_UP = """ODOMETRY 0 1 2 0 1.5707963267948966 0.0001 0 0 4e-06 0 4e-06
 LANDMARK 1 7 3 -1 0.4 0.1 0.3
@@ -89,23 +86,6 @@ def _jumps_m(park: VictoriaPark, T_odom_body: np.ndarray) -> np.ndarray:
             if j - i <= 10
         ]
     )
-
-
-def test_log_reads_back(tmp_path: Path) -> None:
-    graph, output = tmp_path / "park.txt", tmp_path / "park.mcap"
-    graph.write_text(MADE_UP)
-    park = read_victoria_park(graph)
-    summary = write_imported_log(output, park.records(), park.source)
-    assert summary.message_counts == {"/odom": 3, "/detections": 2, "/ground_truth/detections": 2}
-    assert summary.detection_count == 3
-    with LogReader(output) as reader:
-        records = [entry.record for entry in reader.records(select_topics(reader.topics()))]
-        source = reader.metadata()["source"]
-    detections = [record for record in records if isinstance(record, ObjectDetections)]
-    assert detections[0].labels == ("tree", "tree")
-    assert detections[0].covariances is not None
-    np.testing.assert_allclose(detections[0].covariances[0], [[0.4, 0.1, 0.0], [0.1, 0.3, 0.0], [0.0, 0.0, 0.35]])
-    assert source["graph"] == "park.txt"
 
 
 @pytest.mark.parametrize(
