@@ -38,7 +38,7 @@ ROS2_DETECTIONS = (
     "apriltag_msgs/msg/AprilTagDetectionArray",
     "sensor_msgs/msg/PointCloud2",
 )
-_DEFINITIONS = ("ros2msg", "ros2idl")
+_DEFINITIONS = {"cdr": ("ros2msg", "ros2idl"), "ros1": ("ros1msg",)}
 
 _MESSAGES: dict[str, tuple[RecordKind, ...]] = {
     "foxglove.Odometry": _POSE,
@@ -62,18 +62,23 @@ _ROS2 = {
     "geometry_msgs/msg/PoseStamped": _POSE,
     "geometry_msgs/msg/PoseWithCovarianceStamped": _POSE,
     "tf2_msgs/msg/TFMessage": _FRAMES,
+    "tf/msg/tfMessage": _FRAMES,
     **dict.fromkeys(ROS2_DETECTIONS, (RecordKind.DETECTIONS,)),
     "sensor_msgs/msg/NavSatFix": (RecordKind.GNSS,),
     "sensor_msgs/msg/CameraInfo": (RecordKind.CAMERA_INFO,),
     "sensor_msgs/msg/Image": (RecordKind.DEPTH,),
 }
-_ENCODINGS = {"protobuf": ("protobuf", _MESSAGES), "json": ("protobuf", _MESSAGES), "cdr": ("ros2", _ROS2)}
+_ENCODINGS = {
+    **dict.fromkeys(("protobuf", "json"), ("protobuf", _MESSAGES)),
+    **dict.fromkeys(("cdr", "ros1"), ("ros2", _ROS2)),
+}
 """Encoding -> the module that decodes it, and the kinds by schema."""
 
 
 def kinds_of(channel: Channel) -> tuple[RecordKind, ...]:
     """What the messages of ``channel`` can be decoded to; () for a schema or an encoding that is not known."""
-    if channel.message_encoding == "cdr" and (channel.schema is None or channel.schema.encoding not in _DEFINITIONS):
+    needed = _DEFINITIONS.get(channel.message_encoding)
+    if needed is not None and (channel.schema is None or channel.schema.encoding not in needed):
         return ()
     return _ENCODINGS.get(channel.message_encoding, ("", {}))[1].get(channel.schema_name, ())
 

@@ -1,4 +1,4 @@
-"""ROS 2 messages, read by the definitions that the log itself carries."""
+"""Messages of ROS 2 and ROS 1, read by the definitions that the log itself carries."""
 
 from __future__ import annotations
 
@@ -66,6 +66,7 @@ _DECODERS: dict[str, Callable[[Any, Context], Records]] = {
     "geometry_msgs/msg/PoseStamped": lambda m, context: pose_records(context, place_of(m.header, context), m.pose),
     "geometry_msgs/msg/PoseWithCovarianceStamped": _pose_with_covariance,
     "tf2_msgs/msg/TFMessage": _tf,
+    "tf/msg/tfMessage": _tf,
     "sensor_msgs/msg/NavSatFix": _fix,
     "vision_msgs/msg/Detection3DArray": objects.detections_3d,
     "autoware_perception_msgs/msg/DetectedObjects": objects.autoware_objects,

@@ -118,12 +118,12 @@ def best_result(detection: Any) -> Any:
 
 
 def hypothesis_of(result: Any) -> tuple[str, float]:
-    """Class and score of a result, "" and 1 of None; the first versions of vision_msgs have them in the result."""
+    """Class and score of a result, "" and 1 of None; vision_msgs of ROS 1 has them, the class by its number, in it."""
     if result is None:
         return "", 1.0
     hypothesis = getattr(result, "hypothesis", result)
     label = getattr(hypothesis, "class_id", None)
-    return (hypothesis.id if label is None else label), hypothesis.score
+    return (str(hypothesis.id) if label is None else label), hypothesis.score
 
 
 def position_covariance(values: Any) -> FloatArray | None:

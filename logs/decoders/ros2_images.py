@@ -57,12 +57,14 @@ def tags(message: Any, context: Context) -> Records:
 
 def camera_info(message: Any, context: Context) -> Records:
     """The record of a CameraInfo; none where the camera was not calibrated."""
-    K = np.array(message.k, dtype=np.float64).reshape(3, 3)
+    is_ros1 = context.raw.channel.message_encoding == "ros1"
+    k, d = (message.K, message.D) if is_ros1 else (message.k, message.d)
+    K = np.array(k, dtype=np.float64).reshape(3, 3)
     if not K.any():
         return ()
     if not (np.isfinite(K).all() and K[0, 0] > 0.0 and K[1, 1] > 0.0):
         raise Refusal("camera matrix is none", f"k={K.ravel().tolist()}")
-    return (CameraModel(*place_of(message.header, context), K, _finite(message.d), message.distortion_model),)
+    return (CameraModel(*place_of(message.header, context), K, _finite(d), message.distortion_model),)
 
 
 def depth_image(message: Any, context: Context) -> Records:

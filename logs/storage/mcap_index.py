@@ -303,7 +303,9 @@ class _Indexing:
         index, limits = self._index, self._limits
         if isinstance(definition, mcap_records.Schema):
             limits.check_name(self._name, "a schema", definition.name)
-            schema = Schema(definition.id, definition.name, definition.encoding, definition.data)
+            is_ros1 = definition.encoding == "ros1msg"  # its names lack the folder that those of ROS 2 have
+            name = definition.name.replace("/", "/msg/") if is_ros1 else definition.name
+            schema = Schema(definition.id, name, definition.encoding, definition.data)
             index.schemas[definition.id] = schema
         else:
             limits.check_name(self._name, "a topic", definition.topic)

@@ -20,8 +20,9 @@ from logs.storage.regular_file import max_unpacked_bytes, open_regular
 from logs.storage.storage import Storage
 
 SQLITE_MAGIC = b"SQLite format 3\x00"
+ROS1_MAGIC = b"#ROSBAG V"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-_SUFFIXES = (".mcap", ".db3", ".zstd")
+_SUFFIXES = (".mcap", ".db3", ".bag", ".zstd")
 _PIECE_BYTES = 2**20
 
 _log = logging.getLogger(__name__)
@@ -49,7 +50,7 @@ def is_log(path: Path) -> bool:
             magic = stream.read(len(SQLITE_MAGIC))
     except OSError:
         return True
-    return not magic or magic.startswith((MAGIC, SQLITE_MAGIC, ZSTD_MAGIC))
+    return not magic or magic.startswith((MAGIC, SQLITE_MAGIC, ROS1_MAGIC, ZSTD_MAGIC))
 
 
 def open_storage(path: Path, limits: ReadingLimits, until_closed: ExitStack) -> Storage:
@@ -79,6 +80,10 @@ def _open(path: Path, name: str, limits: ReadingLimits, until_closed: ExitStack)
         from logs.storage.sqlite_file import SqliteFile  # loads rosbags
 
         storage = SqliteFile(path, name, limits)
+    elif magic.startswith(ROS1_MAGIC):
+        from logs.storage.ros1_file import Ros1File  # loads rosbags
+
+        storage = Ros1File(path, name, limits)
     if storage is not None:
         until_closed.callback(storage.close)
         return storage
@@ -86,8 +91,8 @@ def _open(path: Path, name: str, limits: ReadingLimits, until_closed: ExitStack)
         raise UnreadableLogError(f"{name} describes a rosbag2 recording; give the folder that it is in")
     what = "is no MCAP file (it does not begin with the MCAP signature)" if magic else "is empty"
     raise UnreadableLogError(
-        f"{name} {what}; give a log that was recorded as MCAP, or a rosbag2 folder or file (.mcap, .db3, .zstd). "
-        "Text files and point clouds become a log by 'dslam import'"
+        f"{name} {what}; give a log that was recorded as MCAP, a rosbag2 folder or file (.mcap, .db3, .zstd), or a "
+        "bag of ROS 1. Text files and point clouds become a log by 'dslam import'"
     )
 
 
