@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from logs.encoders import encode, encode_path
 from logs.errors import InvalidRecordError, UnwritableLogError
 from logs.messages import Record, TrajectoryRecord
+from logs.record_checks import check_record
 from logs.storage.placement import SPECIAL, is_special, put_in_place
 from logs.topics import RawMessage
 
@@ -41,8 +42,9 @@ class LogWriter:
     """Writes records and raw messages to ``path``; a context manager.
 
     Everything goes to ``path`` + ".part" and is renamed when the ``with`` block ends without an exception, so that
-    a file under its own name is always whole. After an exception the partial file stays, closed and readable. The same
-    calls give the same bytes: there is no wall clock, and ids count up in the order of first use.
+    a file under its own name is always whole. After an exception the partial file stays, closed and readable, if it
+    holds any message. The same calls give the same bytes: there is no wall clock, and ids count up in the order of
+    first use.
 
     Args:
         path: the log to write; an existing file is replaced.
@@ -79,7 +81,9 @@ class LogWriter:
             self.close()
         else:
             self.abandon()
-            if error is not None:
+            if isinstance(error, Exception) and not self._channel_ids:
+                self.partial_path.unlink(missing_ok=True)
+            elif error is not None:
                 error.add_note(f"what was written until then is left in {self.partial_path}")
 
     def write(self, topic: str, record: Record, log_time_ns: int | None = None) -> None:
@@ -87,8 +91,9 @@ class LogWriter:
 
         Raises:
             TypeError: ``record`` is none of ``logs.messages``.
-            InvalidRecordError: a time that a log cannot hold.
+            InvalidRecordError: a time that a log cannot hold, or a pose or detections of another shape than documented.
         """
+        check_record(record)
         message = encode(record)
         self._write_message(topic, message, _checked(topic, record.stamp_ns, log_time_ns))
 

@@ -20,6 +20,7 @@ from logs.messages import (
     StatusRecord,
     Transform,
 )
+from logs.record_checks import check_record
 from slam.assessment import assess
 from slam.backend.batch_solver import Optimization
 from slam.backend.factor_graph import FactorGraph
@@ -114,7 +115,8 @@ class Slam:
         return self._graph.solver_seconds
 
     def process(self, record: Record) -> list[Record]:
-        """Take in the next record in the order of the log; returns what it made known."""
+        """Process the next record of the log; returns what it led to, or raises InvalidRecordError for wrong shapes."""
+        check_record(record)
         if isinstance(record, Transform):
             self._frames.add(record)
         elif isinstance(record, GeodeticFix):

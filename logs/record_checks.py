@@ -1,0 +1,72 @@
+"""What a program may get wrong in the records that it makes: shapes, types and transforms.
+
+Numbers that are not finite pass: a log holds what a sensor said, and its reader leaves such messages out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from logs import messages as m
+from logs.errors import InvalidRecordError
+
+ROTATION_TOLERANCE = 1e-3
+"""Largest |R^T R - I| of a rotation: float32 and rounding to four digits stay below it."""
+
+_COUNT = -1
+"""Length of an array that has a row for each label."""
+_SHAPES: Mapping[type, Mapping[str, tuple[int, ...]]] = {
+    m.Odometry: {"T_odom_body": (4, 4), "covariance": (6, 6)},
+    m.Transform: {"T_parent_child": (4, 4)},
+    m.GroundTruthPose: {"T_world_body": (4, 4)},
+    m.SlamPose: {"T_map_body": (4, 4), "T_map_odom": (4, 4)},
+    m.ObjectDetections: {
+        "positions": (_COUNT, 3),
+        "scores": (_COUNT,),
+        "covariances": (_COUNT, 3, 3),
+        "sizes": (_COUNT, 3),
+    },
+}
+_OPTIONAL = ("covariance", "T_map_odom", "covariances", "sizes")
+
+
+def check_record(record: m.Record) -> None:
+    """See that a pose or detections have the arrays that :mod:`logs.messages` documents.
+
+    Raises:
+        InvalidRecordError: another shape or type, or a matrix that is no rigid transform; names the field and the
+            remedy.
+    """
+    if type(record) not in _SHAPES:
+        return
+    if type(record.stamp_ns) is not int and not isinstance(record.stamp_ns, np.integer):
+        raise _error(record, "stamp_ns", f"{record.stamp_ns!r:.40}; give a whole number of nanoseconds")
+    labels = record.labels if isinstance(record, m.ObjectDetections) else ()
+    if not isinstance(labels, tuple) or not all(isinstance(label, str) for label in labels):
+        raise _error(record, "labels", "no tuple of texts; give one for each position")
+    for name, shape in _SHAPES[type(record)].items():
+        value = getattr(record, name)
+        if value is None and name in _OPTIONAL:
+            continue
+        wanted = tuple(len(labels) if length == _COUNT else length for length in shape)
+        if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or value.shape != wanted:
+            found = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
+            raise _error(record, name, f"{found}; give a float64 array of shape {wanted}")
+        if shape == (4, 4):
+            _check_transform(record, name, value)
+
+
+def _check_transform(record: m.Record, name: str, T: Any) -> None:
+    R = T[:3, :3]
+    error = float(np.abs(R.T @ R - np.eye(3)).max())
+    if error > ROTATION_TOLERANCE or np.linalg.det(R) < 0.0:
+        raise _error(record, name, f"no rotation (|R^T R - I| = {error:.3g}); give one without scale or mirror")
+    if np.any(T[3] != (0.0, 0.0, 0.0, 1.0)):
+        raise _error(record, name, f"a last row {T[3].tolist()}; give 0 0 0 1: a transform maps columns")
+
+
+def _error(record: m.Record, name: str, fault: str) -> InvalidRecordError:
+    return InvalidRecordError(f"{type(record).__name__} at {record.stamp_ns!r:.40} ns: {name} is {fault}")
