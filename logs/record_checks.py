@@ -14,7 +14,7 @@ from logs import messages as m
 from logs.errors import InvalidRecordError
 
 ROTATION_TOLERANCE = 1e-3
-"""Largest |R^T R - I| of a rotation: float32 and rounding to four digits stay below it."""
+"""Of squared lengths and angles [rad] of the rows of a rotation: float32 and four digits stay below it."""
 
 _COUNT = -1
 """Length of an array that has a row for each label."""
@@ -45,7 +45,7 @@ def check_record(record: m.Record) -> None:
     if type(record.stamp_ns) is not int and not isinstance(record.stamp_ns, np.integer):
         raise _error(record, "stamp_ns", f"{record.stamp_ns!r:.40}; give a whole number of nanoseconds")
     labels = record.labels if isinstance(record, m.ObjectDetections) else ()
-    if not isinstance(labels, tuple) or not all(isinstance(label, str) for label in labels):
+    if not isinstance(labels, tuple) or not {*map(type, labels)} <= {str, np.str_}:
         raise _error(record, "labels", "no tuple of texts; give one for each position")
     for name, shape in _SHAPES[type(record)].items():
         value = getattr(record, name)
@@ -60,12 +60,15 @@ def check_record(record: m.Record) -> None:
 
 
 def _check_transform(record: m.Record, name: str, T: Any) -> None:
-    R = T[:3, :3]
-    error = float(np.abs(R.T @ R - np.eye(3)).max())
-    if error > ROTATION_TOLERANCE or np.linalg.det(R) < 0.0:
-        raise _error(record, name, f"no rotation (|R^T R - I| = {error:.3g}); give one without scale or mirror")
-    if np.any(T[3] != (0.0, 0.0, 0.0, 1.0)):
-        raise _error(record, name, f"a last row {T[3].tolist()}; give 0 0 0 1: a transform maps columns")
+    (a, b, c, _), (d, e, f, _), (g, h, i, _), last = T.tolist()
+    lengths = a * a + b * b + c * c, d * d + e * e + f * f, g * g + h * h + i * i  # squared, of the rows
+    volume = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    # Rows are perpendicular where their volume is the product of their lengths (Hadamard), mirrored where it is < 0.
+    shear = 1.0 - volume * abs(volume) / max(lengths[0] * lengths[1] * lengths[2], 1e-300)
+    if max(abs(length - 1.0) for length in lengths) > ROTATION_TOLERANCE or shear > ROTATION_TOLERANCE**2:
+        raise _error(record, name, f"no rotation (rows of squared lengths {lengths}, volume {volume:.4g}); give one")
+    if last != [0.0, 0.0, 0.0, 1.0]:
+        raise _error(record, name, f"a matrix with the last row {last}; give 0 0 0 1: a transform maps columns")
 
 
 def _error(record: m.Record, name: str, fault: str) -> InvalidRecordError:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 from types import TracebackType
@@ -103,17 +104,10 @@ class LogWriter:
 
     def write_raw(self, raw: RawMessage) -> None:
         """Copy a message of another log unchanged: topic, schema, times, sequence number and bytes."""
-        channel = raw.channel
-        schema = channel.schema
-        meaning = None if schema is None else (schema.name, schema.encoding, schema.data)  # ids differ between files
-        key = (channel.topic, channel.message_encoding, meaning, tuple(sorted(channel.metadata.items())))
-        channel_id = self._channel_ids.get(key)
-        if channel_id is None:
-            schema_id = 0 if schema is None else self._schema_id(schema.name, schema.encoding, schema.data)
-            channel_id = self._writer.register_channel(
-                channel.topic, channel.message_encoding, schema_id, dict(sorted(channel.metadata.items()))
-            )
-            self._channel_ids[key] = channel_id
+        channel, schema = raw.channel, raw.channel.schema
+        definition = None if schema is None else (schema.name, schema.encoding, schema.data)  # ids differ between files
+        metadata = tuple(sorted(channel.metadata.items()))
+        channel_id = self._channel_id(channel.topic, channel.message_encoding, definition, metadata)
         self._writer.add_message(channel_id, raw.log_time_ns, raw.data, raw.publish_time_ns, raw.sequence)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
@@ -169,19 +163,23 @@ class LogWriter:
             self._stream.close()
 
     def _write_message(self, topic: str, message: Message, log_time_ns: int) -> None:
-        channel_id = self._channel_ids.get((topic, type(message)))
-        if channel_id is None:
-            descriptor = message.DESCRIPTOR
-            schema_id = self._schema_id(descriptor.full_name, "protobuf", _definition(descriptor.file))
-            channel_id = self._writer.register_channel(topic, "protobuf", schema_id)
-            self._channel_ids[topic, type(message)] = channel_id
+        channel_id = self._channel_id(topic, "protobuf", _definition(message.DESCRIPTOR))
         self._writer.add_message(channel_id, log_time_ns, message.SerializeToString(deterministic=True), log_time_ns)
 
-    def _schema_id(self, name: str, encoding: str, data: bytes) -> int:
-        key = (name, encoding, data)
-        if key not in self._schema_ids:
-            self._schema_ids[key] = self._writer.register_schema(name, encoding, data)
-        return self._schema_ids[key]
+    def _channel_id(
+        self,
+        topic: str,
+        encoding: str,
+        definition: tuple[str, str, bytes] | None,
+        metadata: tuple[tuple[str, str], ...] = (),
+    ) -> int:
+        key = (topic, encoding, definition, metadata)
+        if key not in self._channel_ids:
+            if definition is not None and definition not in self._schema_ids:
+                self._schema_ids[definition] = self._writer.register_schema(*definition)
+            schema_id = 0 if definition is None else self._schema_ids[definition]
+            self._channel_ids[key] = self._writer.register_channel(topic, encoding, schema_id, dict(metadata))
+        return self._channel_ids[key]
 
 
 class _OutputStream:
@@ -190,18 +188,14 @@ class _OutputStream:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._offset = 0
-        try:
+        with self._refusing():
             self._file: BinaryIO = open(path, "wb")  # noqa: SIM115  closed by the writer
-        except OSError as error:
-            raise self._unwritable(error) from error
 
     def write(self, data: bytes) -> int:
-        try:
+        with self._refusing():
             self._file.write(data)
             # The library hands over whole chunks, so this is rare; without it a killed run would lose finished chunks.
             self._file.flush()
-        except OSError as error:
-            raise self._unwritable(error) from error
         self._offset += len(data)
         return len(data)
 
@@ -212,22 +206,22 @@ class _OutputStream:
         pass
 
     def sync(self) -> None:
-        try:
+        with self._refusing():
             os.fsync(self._file.fileno())
-        except OSError as error:
-            raise self._unwritable(error) from error
 
     def close(self) -> None:
-        try:
+        with self._refusing():
             self._file.close()
-        except OSError as error:
-            raise self._unwritable(error) from error
 
-    def _unwritable(self, error: OSError) -> UnwritableLogError:
-        return UnwritableLogError(
-            f"cannot write {self._path}: {error.strerror}; "
-            "check that the folder exists, that it may be written to, and that the disk has room"
-        )
+    @contextlib.contextmanager
+    def _refusing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise UnwritableLogError(
+                f"cannot write {self._path}: {error.strerror}; "
+                "check that the folder exists, that it may be written to, and that the disk has room"
+            ) from error
 
 
 def _checked(topic: str, stamp_ns: int, log_time_ns: int | None) -> int:
@@ -238,21 +232,21 @@ def _checked(topic: str, stamp_ns: int, log_time_ns: int | None) -> int:
     return int(stamp_ns if log_time_ns is None else log_time_ns)
 
 
-def _definition(file: Any) -> bytes:
-    """FileDescriptorSet of the file descriptor ``file``, dependencies first, in the order of their import."""
+@cache
+def _definition(message_type: Any) -> tuple[str, str, bytes]:
+    """Name, encoding and FileDescriptorSet of a message, dependencies first, in the order of their import."""
     definition = FileDescriptorSet()
     seen: set[str] = set()
 
-    def add(descriptor: Any) -> None:
-        if descriptor.name in seen:
-            return
-        seen.add(descriptor.name)
-        for dependency in descriptor.dependencies:
-            add(dependency)
-        descriptor.CopyToProto(definition.file.add())
+    def add(file: Any) -> None:
+        if file.name not in seen:
+            seen.add(file.name)
+            for dependency in file.dependencies:
+                add(dependency)
+            file.CopyToProto(definition.file.add())
 
-    add(file)
-    return definition.SerializeToString(deterministic=True)
+    add(message_type.file)
+    return message_type.full_name, "protobuf", definition.SerializeToString(deterministic=True)
 
 
 def _sync_folder(folder: Path) -> None:

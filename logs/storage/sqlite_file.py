@@ -92,56 +92,41 @@ class SqliteFile:
         self._database.close()
 
     def _read_channels(self) -> dict[int, ChannelInfo]:
-        if missing := {"messages", "topics"} - self._tables():
+        tables = {name for (name,) in self._database.execute(_TABLES)}
+        if missing := {"messages", "topics"} - tables:
             raise sqlite3.DatabaseError(f"no table {' and '.join(sorted(missing))}")
-        topics = self._read_topics()
-        spans = {
-            topic_id: (count, first_ns, last_ns)
-            for topic_id, count, first_ns, last_ns in self._database.execute(
-                "SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages "
-                f"WHERE typeof(timestamp) = 'integer' AND topic_id IN ({_marks(topics)}) GROUP BY topic_id",
-                tuple(topics),
-            )
-        }
-        definitions = self._read_definitions()
-        channels = {}
-        for id, (topic, type_name, encoding) in topics.items():
-            definition = definitions.get(type_name) or known_definition(type_name)
-            schema = Schema(id, type_name, *definition)
-            channels[id] = ChannelInfo(Channel(id, topic, encoding, schema), *spans.get(id, (0, None, None)))
-        return channels
-
-    def _read_topics(self) -> dict[int, tuple[str, str, str]]:
-        """Number -> topic, type and encoding."""
-        topics: dict[int, tuple[str, str, str]] = {}
-        for id, topic, type_name, encoding in self._database.execute(
-            "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
-        ):
-            if not isinstance(id, int) or not all(isinstance(text, str) for text in (topic, type_name, encoding)):
-                raise sqlite3.DatabaseError(f"topic {topic!r} of type {type_name!r} in {encoding!r}")
+        definitions = self._read_definitions() if "message_definitions" in tables else {}
+        channels: dict[int, ChannelInfo] = {}
+        for id, *texts in self._database.execute("SELECT id, name, type, serialization_format FROM topics ORDER BY id"):
+            if not isinstance(id, int) or not all(isinstance(text, str) for text in texts):
+                raise sqlite3.DatabaseError(f"topic {texts[0]!r} of type {texts[1]!r} in {texts[2]!r}")
+            topic, type_name, encoding = texts
             self._limits.check_name(self._name, "a topic", topic)
             self._limits.check_name(self._name, "a type", type_name)
-            topics[id] = topic, type_name, encoding
-            self._limits.check_channels(self._name, len(topics))
-        return topics
+            schema = Schema(id, type_name, *(definitions.get(type_name) or known_definition(type_name)))
+            channels[id] = ChannelInfo(Channel(id, topic, encoding, schema), 0, None, None)
+            self._limits.check_channels(self._name, len(channels))
+        spans = self._database.execute(
+            "SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages "
+            f"WHERE typeof(timestamp) = 'integer' AND topic_id IN ({_marks(channels)}) GROUP BY topic_id",
+            tuple(channels),
+        )
+        for id, count, first_ns, last_ns in spans:
+            channels[id] = ChannelInfo(channels[id].channel, count, first_ns, last_ns)
+        return channels
 
     def _read_definitions(self) -> dict[str, tuple[str, bytes]]:
         """Type name -> (encoding, definition)."""
-        if "message_definitions" not in self._tables():
-            return {}
+        rows = self._database.execute(
+            "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions "
+            "WHERE length(encoded_message_definition) <= ? ORDER BY id",
+            (self._limits.message_bytes,),
+        )
         return {
             type_name: (encoding, text.encode())
-            for type_name, encoding, text in self._database.execute(
-                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions "
-                "WHERE length(encoded_message_definition) <= ? ORDER BY id",
-                (self._limits.message_bytes,),
-            )
+            for type_name, encoding, text in rows
             if isinstance(encoding, str) and isinstance(text, str)
         }
-
-    def _tables(self) -> set[str]:
-        """Those that hold rows; views, virtual tables and generated columns may compute without end."""
-        return {name for (name,) in self._database.execute(_TABLES)}
 
 
 def _marks(parameters: Collection[int]) -> str:
