@@ -101,6 +101,7 @@ def select_topics(
             that does not exist, or a topic that is not there or does not decode to it.
     """
     there = sorted(topics, key=lambda info: info.topic)
+    inputs = [info for info in there if _is_input(info.topic)]
     chosen: dict[RecordKind, list[str]] = {}
     for name, topic in (overrides or {}).items():
         kind = _kind(name)
@@ -109,17 +110,16 @@ def select_topics(
             raise TopicSelectionError(f"--topic {kind}={topic}: a robot has one odometry; name one topic")
     for kind in _SCHEMAS:
         if kind not in chosen:
-            chosen[kind] = _only_one(there, kind, _candidates(there, kind), is_needed=kind in needed)
+            chosen[kind] = _strongest(there, inputs, kind, is_needed=kind in needed)
     in_images = {info.topic for info in there if info.schema_name in IN_IMAGES}
     for kind in (RecordKind.CAMERA_INFO, RecordKind.DEPTH):
         chosen.setdefault(kind, _of_cameras(there, kind) if in_images & {*chosen[RecordKind.DETECTIONS]} else [])
     for kind, topic in _DEFAULT_TOPICS.items():
         chosen.setdefault(kind, [info.topic for info in there if info.topic == topic and kind in info.kinds])
-    inputs = [info for info in there if not _is_truth(info.topic) and not info.topic.startswith(OUTPUT_PREFIX)]
     chosen.setdefault(RecordKind.TRANSFORMS, [info.topic for info in inputs if RecordKind.TRANSFORMS in info.kinds])
     for kind in map(RecordKind, needed):
         if not chosen.get(kind):
-            raise _nothing_fits(there, kind)
+            raise _nothing_fits(there, inputs, kind)
     kinds: dict[str, tuple[RecordKind, ...]] = {}
     for kind in RecordKind:
         for topic in chosen.get(kind, []):
@@ -150,17 +150,21 @@ def _is_truth(topic: str) -> bool:
     return topic.startswith(GROUND_TRUTH_TOPIC)
 
 
-def _candidates(there: list[TopicInfo], kind: RecordKind) -> list[str]:
-    fitting = [
-        info
-        for info in there
-        if info.message_count and not _is_truth(info.topic) and not info.topic.startswith(OUTPUT_PREFIX)
-    ]
-    for schemas in _SCHEMAS[kind]:
-        strongest = sorted({info.topic for info in fitting if info.schema_name in schemas})
-        if strongest:
-            return strongest
-    return []
+def _is_input(topic: str) -> bool:
+    return not _is_truth(topic) and not topic.startswith(OUTPUT_PREFIX)
+
+
+def _strongest(there: list[TopicInfo], inputs: list[TopicInfo], kind: RecordKind, *, is_needed: bool) -> list[str]:
+    """The one topic of the strongest schema that any has; none, or an error if one is needed, where several have it."""
+    ranked = ({i.topic for i in inputs if i.message_count and i.schema_name in schemas} for schemas in _SCHEMAS[kind])
+    fitting = sorted(next(filter(None, ranked), ()))
+    if len(fitting) > 1 and is_needed:
+        every = f", or use all: --topic {kind}={','.join(fitting)}" if kind == RecordKind.DETECTIONS else ""
+        raise TopicSelectionError(
+            f"{len(fitting)} topics could be the {kind}: {', '.join(fitting)}; choose one with "
+            f"--topic {kind}={fitting[0]}{every}. {_listing(there)}"
+        )
+    return fitting if len(fitting) == 1 else []
 
 
 def _of_cameras(there: list[TopicInfo], kind: RecordKind) -> list[str]:
@@ -170,16 +174,6 @@ def _of_cameras(there: list[TopicInfo], kind: RecordKind) -> list[str]:
         topics = [topic for topic in topics if "depth" in topic.lower()]
         topics = [topic for topic in topics if "aligned" in topic.lower()] or topics
     return topics
-
-
-def _only_one(there: list[TopicInfo], kind: RecordKind, fitting: list[str], *, is_needed: bool) -> list[str]:
-    if len(fitting) > 1 and is_needed:
-        every = f", or use all: --topic {kind}={','.join(fitting)}" if kind == RecordKind.DETECTIONS else ""
-        raise TopicSelectionError(
-            f"{len(fitting)} topics could be the {kind}: {', '.join(fitting)}; choose one with "
-            f"--topic {kind}={fitting[0]}{every}. {_listing(there)}"
-        )
-    return fitting if len(fitting) == 1 else []
 
 
 def _kind(name: str) -> RecordKind:
@@ -202,13 +196,9 @@ def _overridden(there: list[TopicInfo], kind: RecordKind, topic: str) -> str:
     return topic
 
 
-def _nothing_fits(there: list[TopicInfo], kind: RecordKind) -> TopicSelectionError:
-    fitting = [
-        info.topic
-        for info in there
-        if kind in info.kinds and not _is_truth(info.topic) and not info.topic.startswith(OUTPUT_PREFIX)
-    ]
-    schemas = ", ".join(schema for tier in _SCHEMAS.get(kind, ()) for schema in tier)
+def _nothing_fits(there: list[TopicInfo], inputs: list[TopicInfo], kind: RecordKind) -> TopicSelectionError:
+    fitting = [info.topic for info in inputs if kind in info.kinds]
+    schemas = ", ".join(schema for rank in _SCHEMAS.get(kind, ()) for schema in rank)
     remedy = f"record a topic with a schema that does ({schemas})" if schemas else "record a topic that does"
     if fitting:
         remedy = f"if one of {', '.join(fitting)} is meant, say --topic {kind}={fitting[0]}"

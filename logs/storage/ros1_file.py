@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bz2
-import struct
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
@@ -14,20 +13,11 @@ from rosbags.rosbag1 import Reader, ReaderError
 
 from logs.container.limits import ReadingLimits
 from logs.errors import UnreadableLogError
+from logs.storage.mcap_index import DAMAGE
 from logs.storage.storage import ChannelInfo
 from logs.topics import Channel, RawMessage, Schema
 
-_DAMAGE = (
-    ReaderError,
-    AssertionError,
-    ValueError,
-    KeyError,
-    IndexError,
-    OverflowError,
-    MemoryError,
-    struct.error,
-    EOFError,
-)
+_DAMAGE = (*DAMAGE, ReaderError, AssertionError, LookupError)
 
 
 class Ros1File:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from google.protobuf.json_format import MessageToDict
+from rosbags.rosbag1 import Writer as Ros1Writer
 
 from logs.decoders.protobuf import DECODERS
 from logs.reader import LogReader
@@ -20,7 +21,8 @@ from slam.formats.g2o import write_pose_graph
 from tests.fuzz.dataset_cases import NETWORKS, make_trainings_small, training_arguments
 from tests.fuzz.mcap_file import McapFile, Message, read_file
 from tests.helpers.pose_graphs import with_false
-from tests.helpers.ros2_logs import at, detection3d, encoded, header, tf, write_bag
+from tests.helpers.ros2_logs import Message as RosMessage
+from tests.helpers.ros2_logs import at, detection3d, encoded, header, tf, write_bag, write_ros1_bag
 from tests.logs.examples import every_kind
 from tests.tools.runs import SAMPLE
 from tools import cli
@@ -63,7 +65,7 @@ def make_seeds(folder: Path) -> Seeds:
     return Seeds(
         logs={**logs, "json": _as_json(logs["drive"])},
         files={name: (folder / name).read_bytes() for name in texts},
-        bag={path.name: path.read_bytes() for path in _write_bag(folder).iterdir()},
+        bag={path.name: path.read_bytes() for path in (*_write_bag(folder).iterdir(), folder / "drive.bag")},
         trainings={name: _checkpoint(folder, name) for name in NETWORKS},
     )
 
@@ -137,21 +139,26 @@ def _write_kinds(path: Path) -> None:
 
 
 def _write_ros(path: Path) -> None:
+    """The same drive as MCAP with messages of ROS 2 and as a bag of ROS 1, beside it."""
     rng = np.random.default_rng(4)
     objects = rng.uniform(-20.0, 20.0, size=(30, 3)) * (1.0, 1.0, 0.05)
     mounted = np.eye(4)
     mounted[2, 3] = 1.0
+    messages: list[RosMessage] = []
+    for i in range(20):
+        x, now = 0.3 * i, 10**12 + i * 10**8
+        placed = {"pose": at(x, 0.0, 0.0), "covariance": 0.01 * np.eye(6)}
+        odometry = {"header": header(now, "odom"), "child_frame_id": "base_link", "pose": placed}
+        seen = [detection3d(p - (x, 0.0, 0.0), f"class {k % 4}", 0.9, id=str(k)) for k, p in enumerate(objects)]
+        scan = {"header": header(now, "base_link"), "detections": seen}
+        messages.append(("/odom", "nav_msgs/msg/Odometry", now, odometry))
+        messages.append(("/objects", "vision_msgs/msg/Detection3DArray", now, scan))
+        frames = {"transforms": [tf(now, "base_link", "lidar", mounted)]}
+        messages.append(("/tf", "tf2_msgs/msg/TFMessage", now, frames))
     with LogWriter(path) as writer:
-        for i in range(20):
-            x, now = 0.3 * i, 10**12 + i * 10**8
-            placed = {"pose": at(x, 0.0, 0.0), "covariance": 0.01 * np.eye(6)}
-            odometry = {"header": header(now, "odom"), "child_frame_id": "base_link", "pose": placed}
-            seen = [detection3d(p - (x, 0.0, 0.0), f"class {k % 4}", 0.9, id=str(k)) for k, p in enumerate(objects)]
-            scan = {"header": header(now, "base_link"), "detections": seen}
-            writer.write_raw(encoded(("/odom", "nav_msgs/msg/Odometry", now, odometry)))
-            writer.write_raw(encoded(("/objects", "vision_msgs/msg/Detection3DArray", now, scan)))
-            frames = {"transforms": [tf(now, "base_link", "lidar", mounted)]}
-            writer.write_raw(encoded(("/tf", "tf2_msgs/msg/TFMessage", now, frames)))
+        for message in messages:
+            writer.write_raw(encoded(message))
+    write_ros1_bag(path.with_name("drive.bag"), messages, Ros1Writer.CompressionFormat.LZ4)
 
 
 def _detections_table(drive: Path) -> str:
