@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
+from logs.decoders.field_mapping import FieldMapping
 from logs.errors import TopicSelectionError
 from logs.topics import RecordKind, TopicInfo
 
@@ -49,11 +50,18 @@ _SCHEMAS: dict[RecordKind, tuple[tuple[str, ...], ...]] = {
 }
 
 
+_MAPPING_HINT = "; name its fields, for example --topic 'detections=/plants:plants[] position=position label=kind'"
+
+
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """The kinds of records to read from each topic; a topic may play several parts."""
+    """The kinds of records to read from each topic; a topic may play several parts.
+
+    ``mappings``: by topic, where the fields of detections are in messages of other schemas than those that are known.
+    """
 
     kinds: Mapping[str, tuple[RecordKind, ...]] = field(default_factory=dict)
+    mappings: Mapping[str, FieldMapping] = field(default_factory=dict)
 
     @staticmethod
     def of(topics: Mapping[str, str]) -> Selection:
@@ -67,12 +75,12 @@ class Selection:
 
     def only(self, kind: RecordKind) -> Selection:
         """The topics that play the part ``kind``, in that part alone."""
-        return Selection(dict.fromkeys(self.topics_of(kind), (kind,)))
+        return Selection(dict.fromkeys(self.topics_of(kind), (kind,)), self.mappings)
 
     def without(self, kind: RecordKind) -> Selection:
         """The same without the part ``kind``."""
         rest = {topic: tuple(k for k in kinds if k != kind) for topic, kinds in self.kinds.items()}
-        return Selection({topic: kinds for topic, kinds in rest.items() if kinds})
+        return Selection({topic: kinds for topic, kinds in rest.items() if kinds}, self.mappings)
 
     def topics_of(self, kind: str) -> tuple[str, ...]:
         """The topics that play the part ``kind``, sorted; () for none."""
@@ -93,7 +101,8 @@ def select_topics(
 
     Args:
         topics: what the log holds.
-        overrides: kind -> topic, or several separated by commas, which replaces the choice for that kind.
+        overrides: kind -> topic, or several separated by commas, which replaces the choice for that kind. Detections in
+            messages of an unknown schema: "/topic:" and their fields, see :mod:`logs.decoders.field_mapping`.
         needed: kinds without which the log is of no use.
 
     Raises:
@@ -103,9 +112,10 @@ def select_topics(
     there = sorted(topics, key=lambda info: info.topic)
     inputs = [info for info in there if _is_input(info.topic)]
     chosen: dict[RecordKind, list[str]] = {}
+    mappings: dict[str, FieldMapping] = {}
     for name, topic in (overrides or {}).items():
         kind = _kind(name)
-        chosen[kind] = [_overridden(there, kind, name.strip()) for name in topic.split(",")]
+        chosen[kind] = [_overridden(there, kind, each.strip(), mappings) for each in topic.split(",")]
         if len(chosen[kind]) > 1 and kind == RecordKind.ODOMETRY:
             raise TopicSelectionError(f"--topic {kind}={topic}: a robot has one odometry; name one topic")
     for kind in _SCHEMAS:
@@ -124,7 +134,7 @@ def select_topics(
     for kind in RecordKind:
         for topic in chosen.get(kind, []):
             kinds[topic] = (*kinds.get(topic, ()), kind)
-    return Selection(kinds)
+    return Selection(kinds, mappings)
 
 
 def select_all(topics: Iterable[TopicInfo]) -> Selection:
@@ -184,14 +194,17 @@ def _kind(name: str) -> RecordKind:
         raise TopicSelectionError(f"--topic {name}=...: there is no such part; the parts are {kinds}") from None
 
 
-def _overridden(there: list[TopicInfo], kind: RecordKind, topic: str) -> str:
+def _overridden(there: list[TopicInfo], kind: RecordKind, text: str, mappings: dict[str, FieldMapping]) -> str:
+    topic, _, fields = text.partition(":")
     of_topic = [info for info in there if info.topic == topic]
     if not of_topic:
         raise TopicSelectionError(f"--topic {kind}={topic}: the log has no such topic. {_listing(there)}")
-    if not any(kind in info.kinds for info in of_topic):
+    if fields and kind == RecordKind.DETECTIONS:
+        mappings[topic] = FieldMapping.parse(fields)
+    elif not any(kind in info.kinds for info in of_topic):
         raise TopicSelectionError(
             f"--topic {kind}={topic}: {of_topic[0].schema_name or 'a topic without a schema'} does not decode to "
-            f"{kind}. {_listing(there)}"
+            f"{kind}{_MAPPING_HINT if kind == RecordKind.DETECTIONS else ''}. {_listing(there)}"
         )
     return topic
 

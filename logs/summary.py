@@ -113,9 +113,10 @@ def summarize(
             selection, obstacle = None, str(error)
         gathering = _Gathering(_odometry_topic(selection, topics))
         everything = {**select_all(topics).kinds, **(selection.kinds if selection is not None else {})}
+        mappings = selection.mappings if selection is not None else {}
         # A graph is large, and nothing of it is shown.
         shown = {topic: kinds for topic, kinds in everything.items() if kinds != (RecordKind.FACTOR_GRAPH,)}
-        for item in reader.items(Selection(shown), times_of=[info.topic for info in topics]):
+        for item in reader.items(Selection(shown, mappings), times_of=[info.topic for info in topics]):
             gathering.add(item.raw, item.records)
         candidates = find_final_decisions(gathering.closures)
         return LogSummary(

@@ -110,7 +110,8 @@ def _open(reader: LogReader, config: Config, topics: Mapping[str, str] | None, c
     """The log with the calibration that was given."""
     selection = select_topics(reader.topics(), {**config.topics, **(topics or {})})
     copied = _copied_topics(reader, selection, copy)
-    mapped = Selection({topic: kinds for topic, kinds in selection.kinds.items() if set(kinds) & set(_MAPPED)})
+    used = {topic: kinds for topic, kinds in selection.kinds.items() if set(kinds) & set(_MAPPED)}
+    mapped = Selection(used, selection.mappings)
     first_ns, last_ns = _span(reader, mapped)
     # Where the sensors are is read beforehand: between two transforms only when the later one is known, too.
     frames = _read_frames(reader, mapped)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from logs.container.limits import ReadingLimits
-from logs.decoders.registry import decoder_for, kinds_of
+from logs.decoders.registry import Decoder, decoder_for, kinds_of
 from logs.errors import InvalidRecordError
 from logs.messages import ImageDetections, LabelledScan, ObjectDetections, Odometry, Record, Transform
 from logs.topics import RawMessage, RecordKind
@@ -25,7 +25,11 @@ _NAMES = {
 
 
 def decode(
-    raw: RawMessage, kind: RecordKind, counters: Counter[str] | None = None, limits: ReadingLimits | None = None
+    raw: RawMessage,
+    kind: RecordKind,
+    counters: Counter[str] | None = None,
+    limits: ReadingLimits | None = None,
+    decoder: Decoder | None = None,
 ) -> tuple[Record, ...]:
     """The records of ``raw`` when its topic plays the part ``kind``; a message may hold none, one or several.
 
@@ -34,20 +38,22 @@ def decode(
         kind: one of ``kinds_of`` its channel.
         counters: counts what was left out of records that are otherwise good.
         limits: of objects, and of the length of names.
+        decoder: instead of that of the schema.
 
     Raises:
         InvalidRecordError: the bytes are no such message, or hold values that no record may have, or more than the
             limits allow; names topic and time.
         KeyError: the schema is unknown or has no such kind.
     """
-    if kind not in kinds_of(raw.channel):
+    if decoder is None and kind not in kinds_of(raw.channel):
         raise KeyError(f"{raw.topic}: {raw.channel.schema_name!r} does not decode to {kind}")
     limits = limits or ReadingLimits()
     try:
         is_large = kind in _LARGE or raw.channel.schema_name == _CLOUD
         if not is_large and len(raw.data) > limits.input_bytes:
             raise Refusal("too many bytes for limits.objects", f"{len(raw.data)}, more than {limits.input_bytes}")
-        records = decoder_for(raw.channel)(raw, kind, Counter() if counters is None else counters)
+        decoder = decoder or decoder_for(raw.channel)
+        records = decoder(raw, kind, Counter() if counters is None else counters)
         for record in records:
             _check(record, limits)
         return records

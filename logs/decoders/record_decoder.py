@@ -41,14 +41,15 @@ class RecordDecoder:
         wanted = self._selection.kinds.get(raw.topic, ())
         if not wanted:
             return ()
-        kinds = [kind for kind in wanted if kind in kinds_of(raw.channel)]
+        mapping = self._selection.mappings.get(raw.topic)
+        kinds = [kind for kind in wanted if mapping is not None or kind in kinds_of(raw.channel)]
         if not kinds or not self._is_readable(raw.channel.schema):
             self.counters["undecodable"] += 1
             return ()
         records: tuple[Record, ...] = ()
         try:
             for kind in kinds:
-                records += decode(raw, kind, self.counters, self._limits)
+                records += decode(raw, kind, self.counters, self._limits, None if mapping is None else mapping.decode)
         except InvalidRecordError as error:
             self.counters["invalid_messages"] += 1
             if (raw.topic, error.reason) not in self._reported:

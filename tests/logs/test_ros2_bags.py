@@ -285,7 +285,8 @@ def test_bag_of_ros1_gives_the_same_records(
         assert reader.counters == {}
     with LogWriter(tmp_path / "drive.mcap") as writer:
         for raw in raw_messages(path):
-            schema = replace(raw.channel.schema, name=raw.channel.schema.name.replace("/msg/", "/"))
+            assert raw.channel.schema is not None
+            schema = replace(raw.channel.schema, name=raw.channel.schema_name.replace("/msg/", "/"))
             writer.write_raw(replace(raw, channel=replace(raw.channel, schema=schema)))
     with LogReader(path) as bag, LogReader(tmp_path / "drive.mcap") as mcap:
         assert select_topics(bag.topics()) == select_topics(mcap.topics())

@@ -143,7 +143,8 @@ def _selection(reader: LogReader, cases: Sequence[FaultCase], topics: Mapping[st
             raise SimulationError(
                 f"{topic} is {' and '.join(kinds)} in one and cannot be rewritten; record a topic for each"
             )
-    return Selection({topic: kinds for topic, kinds in selection.kinds.items() if used & set(kinds)})
+    kept = {topic: kinds for topic, kinds in selection.kinds.items() if used & set(kinds)}
+    return Selection(kept, selection.mappings)
 
 
 def _read(reader: LogReader, selection: Selection, progress: Callable[[float], None] | None) -> Iterator[Entry]:

@@ -1,0 +1,112 @@
+"""Detections in messages of any schema, by the names of their fields: "plants[] position=position label=kind".
+
+Before the first blank stands the field with the list of objects (nothing, for a message that is one object), then for
+each part of a detection the field that holds it: ``position`` (x, y and z in it, or three numbers), or ``x``, ``y`` and
+``z``; and perhaps ``label``, ``score``, ``size`` (as the position) and ``track_id``. A field in a field is "a.b". Stamp
+and frame are those of the field ``header``, as ROS has it, else the log time and the body.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from logs.decoders.parts import Detection, Records, detection_records
+from logs.errors import TopicSelectionError
+from logs.topics import RawMessage, RecordKind
+from logs.validation import Refusal, stamp_ns
+
+_PARTS = ("position", "x", "y", "z", "label", "score", "size", "track_id")
+_OTHER_TYPE = (TypeError, ValueError, OverflowError, RecursionError)
+
+
+@dataclass(frozen=True, slots=True)
+class FieldMapping:
+    """Where the detections of a message are: the field with their list, and the field of each of their parts."""
+
+    objects: str
+    fields: Mapping[str, str]
+
+    @staticmethod
+    def parse(text: str) -> FieldMapping:
+        """The mapping that ``text`` describes.
+
+        Raises:
+            TopicSelectionError: it names no position, or an unknown part.
+        """
+        objects, *pairs = text.split(" ")
+        fields = {part: field for part, _, field in (pair.partition("=") for pair in pairs if pair)}
+        unknown = next((part for part in fields if part not in _PARTS), None)
+        if unknown is not None or not ({"position"} <= fields.keys() or {"x", "y"} <= fields.keys()):
+            raise TopicSelectionError(
+                f"{text!r} is no mapping of fields; write for example 'plants[] position=position label=kind' with the "
+                f"parts {', '.join(_PARTS)}"
+            )
+        return FieldMapping(objects.removesuffix("[]"), fields)
+
+    def decode(self, raw: RawMessage, kind: RecordKind, counters: Counter[str]) -> Records:
+        """The record of ``raw``; see :class:`logs.decoders.registry.Decoder`.
+
+        Raises:
+            Refusal: bytes that are no such message, or fields that are not there or of other types.
+        """
+        try:
+            message = _tree(raw)
+            objects = _field(message, self.objects) if self.objects else [message]
+            found = [self._detection(each) for each in objects]
+            header = _field(message, "header", None)
+            place = raw.log_time_ns, ""
+            if header is not None:
+                seconds, nanoseconds = _field(header, "stamp.sec"), _field(header, "stamp.nanosec")
+                place = stamp_ns(seconds, nanoseconds, raw.log_time_ns), str(_field(header, "frame_id"))
+        except _OTHER_TYPE as error:
+            raise error if isinstance(error, Refusal) else Refusal("fields of other types", str(error)[:200]) from error
+        return detection_records({place: found}, counters)
+
+    def _detection(self, item: Any) -> Detection:
+        def part(name: str, otherwise: Any) -> Any:
+            return _field(item, self.fields[name]) if name in self.fields else otherwise
+
+        position = part("position", None)
+        size = part("size", None)
+        return Detection(
+            (float(part("x", 0)), float(part("y", 0)), float(part("z", 0))) if position is None else _xyz(position),
+            str(part("label", "")),
+            float(part("score", 1.0)),
+            size=None if size is None else _xyz(size),
+            track_id=str(part("track_id", "")),
+        )
+
+
+def _tree(raw: RawMessage) -> Any:
+    if raw.channel.message_encoding == "json":
+        return json.loads(raw.data)
+    if raw.channel.schema is None or raw.channel.message_encoding not in ("cdr", "ros1"):
+        raise Refusal("fields are mapped in JSON and ROS messages", f"encoding {raw.channel.message_encoding!r}")
+    from logs.decoders.cdr import parse  # loads rosbags
+
+    return parse(raw.channel.schema, raw.data)
+
+
+_MISSING = object()
+
+
+def _field(value: Any, path: str, otherwise: Any = _MISSING) -> Any:
+    for name in path.split("."):
+        there = value if isinstance(value, dict) else vars(value)
+        if name not in there:
+            if otherwise is not _MISSING:
+                return otherwise
+            raise Refusal("no such field", f"{name!r} among {', '.join(map(str, there))}"[:200])
+        value = there[name]
+    return value
+
+
+def _xyz(value: Any) -> tuple[float, float, float]:
+    if isinstance(value, list | tuple) or hasattr(value, "tolist"):
+        x, y, z = (float(number) for number in value)
+        return x, y, z
+    return float(_field(value, "x")), float(_field(value, "y")), float(_field(value, "z", 0.0))
