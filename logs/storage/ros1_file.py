@@ -38,10 +38,14 @@ class Ros1File:
             self._reader.open()
         except (*_DAMAGE, OSError) as error:
             raise UnreadableLogError(f"cannot read {name}: {error}; 'rosbag reindex' mends a damaged bag") from error
-        limits.check_channels(name, len(self._reader.connections))
-        for connection in self._reader.connections:
-            limits.check_name(name, "a topic", connection.topic)
-            limits.check_name(name, "a type", connection.msgtype)
+        try:
+            limits.check_channels(name, len(self._reader.connections))
+            for connection in self._reader.connections:
+                limits.check_name(name, "a topic", connection.topic)
+                limits.check_name(name, "a type", connection.msgtype)
+        except UnreadableLogError:
+            self._reader.close()
+            raise
         self._channels = {connection.id: _channel(connection) for connection in self._reader.connections}
         for offset, chunk in self._reader.chunks.items():
             self._reader.chunks[offset] = chunk._replace(decompressor=self._decompress)
