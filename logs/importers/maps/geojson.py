@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from logs.importers.maps.map_objects import MapObjects, check_degrees, distinct
 from logs.importers.maps.object_table import CLASS_NAMES, ID_NAMES, UNKNOWN
 from logs.importers.text_files import read_source_text
 
-_LONGEST_KIND = 30
+_MAX_KIND_LENGTH = 30
 _GLOBAL_CRS = ("CRS84", "4326", "WGS84", "4979")
 
 
@@ -31,23 +31,23 @@ def read_geojson(path: Path, *, class_property: str | None = None) -> MapObjects
         DatasetError: no GeoJSON, no point in it, coordinates that are no degrees, or no such property.
     """
     source = read_source_text(path)
-    features = _features(path, source.text)
     positions, labels, ids, others = list[list[float]](), list[str](), list[str](), Counter[str]()
-    for number, feature in enumerate(features, start=1):
-        points = list(_points(path, number, feature))
-        if not points:
-            others[_geometry_of(feature)] += 1
+    for number, feature in enumerate(_features(path, source.text), start=1):
+        geometry, properties = _part(feature, "geometry"), _part(feature, "properties")
+        kind = geometry.get("type")
+        if kind not in ("Point", "MultiPoint"):
+            others[kind[:_MAX_KIND_LENGTH] if isinstance(kind, str) else "without geometry"] += 1
             continue
-        properties = feature.get("properties")
-        properties = properties if isinstance(properties, dict) else {}
-        label = _first(properties, (class_property,) if class_property else CLASS_NAMES)
-        for part, point in enumerate(points):
-            positions.append(point)
-            labels.append(label or UNKNOWN)
-            name = str(feature.get("id") or _first(properties, ID_NAMES) or number)
+        label = _first(properties, (class_property,) if class_property else CLASS_NAMES) or UNKNOWN
+        name = str(feature.get("id") or _first(properties, ID_NAMES) or number)
+        coordinates = geometry.get("coordinates")
+        points = coordinates if kind == "MultiPoint" else [coordinates]
+        for part, point in enumerate(points if isinstance(points, list) else []):
+            positions.append(_position(path, number, point))
+            labels.append(label)
             ids.append(name if part == 0 else f"{name}/{part}")
     kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(others.items()))
-    if features and not positions:
+    if others and not positions:
         raise DatasetError(f"{path}: none of its features is a point ({kinds}); export points, for example centroids")
     geodetic = np.array(positions).reshape(-1, 3)
     check_degrees(str(path), geodetic)
@@ -55,6 +55,20 @@ def read_geojson(path: Path, *, class_property: str | None = None) -> MapObjects
         raise DatasetError(f"{path}: no feature has a property {class_property!r}; see the properties of the layer")
     notes = (f"{others.total()} features that are no points were left out ({kinds})",) if others else ()
     return MapObjects(str(path), geodetic, tuple(labels), distinct(ids), True, source.sha256, notes)
+
+
+def _part(feature: Any, name: str) -> dict[str, Any]:
+    """An object in a feature; an empty one where there is none."""
+    part = feature.get(name) if isinstance(feature, dict) else None
+    return part if isinstance(part, dict) else {}
+
+
+def _position(path: Path, number: int, point: Any) -> list[float]:
+    try:
+        longitude, latitude, *height = (float(value) for value in point)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise DatasetError(f"{path}, feature {number}: {point!r:.60} is no position; give [lon, lat]") from error
+    return [latitude, longitude, height[0] if height else 0.0]
 
 
 def _features(path: Path, text: str) -> list[Any]:
@@ -92,26 +106,6 @@ def _parsed(path: Path, text: str, *, first_line: int = 1) -> Any:
         raise DatasetError(
             f"{path}: nested too deeply, or numbers too long ({error}); export the layer again"
         ) from error
-
-
-def _geometry_of(feature: Any) -> str:
-    geometry = feature.get("geometry") if isinstance(feature, dict) else None
-    kind = geometry.get("type") if isinstance(geometry, dict) else None
-    return kind[:_LONGEST_KIND] if isinstance(kind, str) else "without geometry"
-
-
-def _points(path: Path, number: int, feature: Any) -> Iterator[list[float]]:
-    geometry = feature.get("geometry") if isinstance(feature, dict) else None
-    if not isinstance(geometry, dict) or geometry.get("type") not in ("Point", "MultiPoint"):
-        return
-    coordinates: Any = geometry.get("coordinates")
-    points = coordinates if geometry["type"] == "MultiPoint" else [coordinates]
-    for point in points if isinstance(points, list) else []:
-        try:
-            longitude, latitude, *height = (float(value) for value in point)
-        except (TypeError, ValueError, OverflowError) as error:
-            raise DatasetError(f"{path}, feature {number}: {point!r:.60} is no position; give [lon, lat]") from error
-        yield [latitude, longitude, height[0] if height else 0.0]
 
 
 def _first(properties: Mapping[str, Any], names: tuple[str, ...]) -> str:
