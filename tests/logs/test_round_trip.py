@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 
 from logs import messages as m
@@ -47,25 +49,16 @@ def test_the_parts_of_topics_follow_from_their_names(tmp_path):
 
 
 def test_empty_records_come_back(tmp_path):
-    rng = np.random.default_rng(4)
-    record = random_detections(rng, 0, full=False, stamp_ns=5)
-    empty_map = m.ObjectMapRecord(
-        stamp_ns=6,
-        frame_id="map",
-        vocabulary=(),
-        ids=(),
-        positions=np.zeros((0, 3)),
-        covariances=np.zeros((0, 3, 3)),
-        class_probabilities=np.zeros((0, 0)),
-        states=(),
-        reasons=(),
-        observation_counts=np.zeros(0, dtype=np.int64),
-        first_seen_ns=np.zeros(0, dtype=np.int64),
-        last_seen_ns=np.zeros(0, dtype=np.int64),
-    )
-    empty_path = m.TrajectoryRecord(7, "map", np.zeros(0, dtype=np.int64), np.zeros((0, 4, 4)))
-    write(tmp_path / "log.mcap", [("/d", record), ("/m", empty_map), ("/t", empty_path)])
-    for entry, expected in zip(read(tmp_path / "log.mcap"), [record, empty_map, empty_path], strict=True):
+    records = [random_detections(np.random.default_rng(4), 0, full=False, stamp_ns=5)]
+    for _, kind, record in every_kind(np.random.default_rng(4)):
+        if kind in ("object_map", "trajectory"):
+            values = {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}
+            records.append(dataclasses.replace(record, **{
+                name: value[:0] for name, value in values.items() if isinstance(value, np.ndarray | tuple)
+            }))  # fmt: skip
+    records[1] = dataclasses.replace(records[1], class_probabilities=np.zeros((0, 0)))
+    write(tmp_path / "log.mcap", [(f"/{i}", record) for i, record in enumerate(records)])
+    for entry, expected in zip(read(tmp_path / "log.mcap"), records, strict=True):
         assert_same_record(entry.record, expected, tolerance=0.0)
 
 
