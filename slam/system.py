@@ -20,7 +20,6 @@ from logs.messages import (
     StatusRecord,
     Transform,
 )
-from logs.record_checks import check_record
 from slam.assessment import assess
 from slam.backend.batch_solver import Optimization
 from slam.backend.factor_graph import FactorGraph
@@ -115,8 +114,7 @@ class Slam:
         return self._graph.solver_seconds
 
     def process(self, record: Record) -> list[Record]:
-        """Process the next record of the log; returns what it led to, or raises InvalidRecordError for wrong shapes."""
-        check_record(record)
+        """Take in the next record in the order of the log; returns what it made known."""
         if isinstance(record, Transform):
             self._frames.add(record)
         elif isinstance(record, GeodeticFix):
