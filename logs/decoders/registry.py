@@ -90,4 +90,4 @@ def decoder_for(channel: Channel) -> Decoder:
 
 @cache
 def _load_decoder(encoding: str) -> Decoder:
-    return cast(Decoder, import_module(f"logs.decoders.{_ENCODINGS[encoding][0]}").decode)
+    return cast(Decoder, import_module(f".{_ENCODINGS[encoding][0]}", __package__).decode)

@@ -45,7 +45,7 @@ class Frontend:
         self._counters = counters
         self._waiting: deque[int] = deque()
         self._placed_ns = 0
-        self._attempts = 0
+        self._untold: list[tuple[Scan, int]] = []
         self._is_broken = False
 
     @property
@@ -80,7 +80,11 @@ class Frontend:
             return
         for detections in self._scans.take(self.latest_ns):
             yield from self._place(detections)
-        yield from self._poses_until(self.latest_ns - round(MAX_GAP_S * 1e9))
+        overdue_ns = self.latest_ns - round(MAX_GAP_S * 1e9)
+        if self._untold and self._untold[0][1] <= overdue_ns:
+            self._is_broken = True
+            yield from self._map_untold()
+        yield from self._poses_until(overdue_ns)
 
     def finish(self) -> Iterator[OdometryPose | DetectionAssociations]:
         """The same at the end of the drive, when no scan can come any more.
@@ -90,6 +94,8 @@ class Frontend:
         """
         self._wait_for([pose.stamp_ns for pose in self._track.finish()])
         yield from self.advance()
+        self._is_broken = True
+        yield from self._map_untold()
         yield from self._poses_until(self.latest_ns)
         self._counters["detections_without_odometry"] += len(self._scans)
         if (missing := self._placer.describe_missing()) and not self._counters["detections_used"]:
@@ -111,31 +117,45 @@ class Frontend:
         scan = self._scan(detections, pose)
         if scan is None:
             return
-        segment, tracked = self._mapper.segment, None
-        if segment is not None and pose.segment > segment and not self._is_broken:
-            tracked = self._rejoined(scan, pose)
-            if tracked is None and not self._is_broken:
-                return
-        if tracked is None:
-            if pose.segment != segment:
-                yield from self._poses_until(pose.stamp_ns)
-            pose = self._loosened(pose)
-            tracked = self._mapper.locate(scan, pose)
+        segment = self._mapper.segment
+        if segment is None or pose.segment <= segment or self._is_broken or not self._mapper.has_local_map:
+            yield from self._map(scan, pose)
+            return
+        tracked = self._mapper.rejoin(scan, pose)
+        if tracked is not None:
+            self._untold = []
+            yield from self._corrected(tracked, pose, segment)
+            return
+        self._untold.append((scan, pose.stamp_ns))
+        if len(self._untold) == REJOINING_SCANS:
+            self._is_broken = True
+            yield from self._map_untold()
+
+    def _map_untold(self) -> Iterator[OdometryPose | DetectionAssociations]:
+        """Map the scans that did not show that a step was none."""
+        untold, self._untold = self._untold, []
+        for scan, stamp_ns in untold:
+            pose = self._track.at(stamp_ns)
+            if pose is not None:
+                yield from self._map(scan, pose)
+
+    def _map(self, scan: Scan, pose: OdometryPose) -> Iterator[OdometryPose | DetectionAssociations]:
+        """Place a scan where the odometry has it, or near there."""
+        if pose.segment != self._mapper.segment:
+            yield from self._poses_until(pose.stamp_ns)
+        pose = self._loosened(pose)
+        yield from self._corrected(self._mapper.locate(scan, pose), pose, pose.segment)
+
+    def _corrected(
+        self, tracked: Tracked, pose: OdometryPose, segment: int
+    ) -> Iterator[OdometryPose | DetectionAssociations]:
+        """Map a placed scan, with the odometry corrected by it, which is right up to a ``segment``."""
         if tracked.correction is not None:
-            right = pose.segment if segment is None else segment
-            self._track.correct(self._placed_ns, pose.stamp_ns, tracked.correction, segment=right)
+            self._track.correct(self._placed_ns, pose.stamp_ns, tracked.correction, segment=segment)
             pose = self._mapper.tracked_pose(pose)
         self._placed_ns = pose.stamp_ns
         yield from self._poses_until(pose.stamp_ns)
         yield self._mapper.add_scan(tracked, pose)
-
-    def _rejoined(self, scan: Scan, pose: OdometryPose) -> Tracked | None:
-        """The scan among the landmarks from before a step that no body can have made, if it shows that it is none."""
-        tracked = self._mapper.rejoin(scan, pose)
-        self._attempts = 0 if tracked is not None else self._attempts + 1
-        if self._attempts == REJOINING_SCANS:
-            self._is_broken, self._attempts = True, 0
-        return tracked
 
     def _loosened(self, pose: OdometryPose) -> OdometryPose:
         """The pose with the variance by which the odometry errs more than its noise explains."""

@@ -39,7 +39,9 @@ class LocalMap:
 
     def start(self, T_odom_body: FloatArray) -> None:
         """Begin anew at a pose, without landmarks, as after a discontinuity of the odometry."""
-        self._T = T_odom_body
+        # Positions inside are relative to the start, so that lever arms stay short wherever the odometry begins.
+        self._origin = T_odom_body[:3, 3].copy()
+        self._T = make_transform(T_odom_body[:3, :3], np.zeros(3))
         self._P = np.zeros((POSE, POSE))
         self._ids = np.zeros(0, dtype=np.int64)
         self._slots: dict[int, int] = {}
@@ -53,12 +55,12 @@ class LocalMap:
     @property
     def positions(self) -> FloatArray:
         """Positions (L, 3) m of all landmarks held, local frame."""
-        return self._positions
+        return self._positions + self._origin
 
     @property
     def T_local_body(self) -> FloatArray:
-        """Pose (4, 4) of the body; another array once any estimate or covariance has changed."""
-        return self._T
+        """Pose (4, 4) of the body."""
+        return make_transform(self._T[:3, :3], self._T[:3, 3] + self._origin)
 
     def slots(self, ids: IntArray) -> IntArray:
         """Where ids (K,) stand in the state; -1 for one that is not held."""
@@ -81,7 +83,8 @@ class LocalMap:
         """Move the body by ``T_correction`` (4, 4) of the local frame, and let its pose be less certain by
         ``covariance`` (6, 6), rotation before translation, local axes.
         """
-        self._T = rigid(T_correction @ self._T)
+        moved = rigid(T_correction @ self.T_local_body)
+        self._T = make_transform(moved[:3, :3], moved[:3, 3] - self._origin)
         self.advance(np.eye(4), covariance_in_axes(covariance, self._T[:3, :3]))
 
     def predict(self, slots: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -89,7 +92,7 @@ class LocalMap:
         columns = POSE + 3 * slots[:, None] + np.arange(3)
         own = self._P[columns[:, :, None], columns[:, None, :]]
         cross = self._P[3:POSE][:, columns].transpose(1, 0, 2)
-        return self._positions[slots], own + self._P[3:POSE, 3:POSE] - cross - cross.transpose(0, 2, 1)
+        return self._positions[slots] + self._origin, own + self._P[3:POSE, 3:POSE] - cross - cross.transpose(0, 2, 1)
 
     def relative_covariance(self, slots: IntArray) -> FloatArray:
         """Joint covariance (3 K, 3 K) m^2 of the offsets of landmarks from the body, local axes."""

@@ -73,6 +73,11 @@ class Mapper:
         """Segment of the last keyframe; None before the first."""
         return self.keyframes[-1].odometry.segment if self.keyframes else None
 
+    @property
+    def has_local_map(self) -> bool:
+        """Whether there are landmarks around that a scan can be placed among."""
+        return self._tracker.is_tracking
+
     def tracked_pose(self, pose: OdometryPose) -> OdometryPose:
         """A pose of the odometry as the last scan corrected it."""
         return replace(pose, T_odom_body=self._active.T_odom_body)

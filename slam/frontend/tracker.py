@@ -83,6 +83,11 @@ class Tracker:
         self._speeds = deque([np.zeros(2)], maxlen=RECENT_STEPS)  # rad/s, m/s
         self._velocity = np.eye(4), 1.0  # a motion of the body, and how many seconds it took
 
+    @property
+    def is_tracking(self) -> bool:
+        """Whether scans have been placed since the last restart, and landmarks are active."""
+        return self._T_local_body is not None and len(self._active.rows) > 1
+
     def restart(self) -> None:
         """Forget the motion, as after a discontinuity of the odometry."""
         self._T_local_body = None
@@ -111,7 +116,7 @@ class Tracker:
 
         What was seen in the scans since that step counts, too, as the odometry has it around the body now.
         """
-        if self._T_local_body is None or len(self._active.rows) < 2:
+        if not self.is_tracking:
             return None
         T_reported = self._active.T_local_odom @ pose.T_odom_body
         self._active.advance(self._expected(pose))

@@ -129,7 +129,7 @@ def test_the_output_says_what_it_was_made_from(noisy_log, noisy_output):
 
 @pytest.mark.slow
 def test_what_is_not_to_be_calibrated_is_mapped_with_the_settings_as_they_are(noisy_log, tmp_path):
-    config = Config.model_validate({"calibration": {"enabled": False}, "keyframe": {"distance_m": 3.0}})
+    config = Config.model_validate({"calibrate": False, "keyframe": {"distance_m": 3.0}})
     replay(noisy_log, tmp_path / "out.mcap", config)
     with LogReader(tmp_path / "out.mcap") as reader:
         assert Config.model_validate_json(reader.metadata()["dslam"]["configuration"]) == config

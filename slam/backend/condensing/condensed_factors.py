@@ -108,8 +108,8 @@ def condensed_factors(
                 moved.append(attached.observation(factor))
             case Edge() if factor.from_keyframe in anchors or factor.to_keyframe in anchors:
                 gone.append(number)
-                if _stays(factor, anchors):
-                    edge = attached.edge(factor)
+                edge = attached.edge(factor)
+                if _stays(factor, anchors) and edge.from_keyframe != edge.to_keyframe:
                     kind = EdgeKind.CONDENSED if factor.kind == EdgeKind.ODOMETRY else factor.kind
                     edges.append(Edge(edge.from_keyframe, edge.to_keyframe, edge.T_from_to, edge.covariance, kind))
     return gone, edges, moved

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from plotly.io import to_html
 from plotly.offline import get_plotlyjs
 
@@ -191,7 +191,7 @@ def _make_panel(name: str, chart: Chart | None, absent: str) -> Panel:
 
 def _render(title: str, *, tables: Mapping[str, pd.DataFrame], **parts: Any) -> str:
     environment = Environment(
-        loader=PackageLoader("slam.evaluation.page", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     environment.finalize = lambda value: visible(value) if type(value) is str else value
     html = {name: frame.map(visible).to_html(border=0) for name, frame in tables.items()}

@@ -96,7 +96,7 @@ def test_viewer_has_whole_map_after_seek(logs, fraction):
 def test_the_status_is_told_as_text(logs):
     first, last = Player.played(logs[1], 2**62).texts
     assert first == "mapping: first odometry"
-    assert last.startswith("mapping: optimised; landmarks contradict the heading of the odometry")  # which drifts
+    assert last.startswith("mapping: optimised")
 
 
 def test_closures_are_shown_as_lines_and_points():
