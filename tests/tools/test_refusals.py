@@ -100,7 +100,7 @@ class TestRefusals:
     def test_import_without_its_files(self, dslam: Run, tmp_path: Path) -> None:
         assert_refused(dslam("import", "victoria-park", tmp_path / "out.mcap", "--file", tmp_path / "none"), "none")
         files = ("--detections", "a.tar", "--odometry", "b.txt", "--calib", "c.txt", "--times", "d.txt")
-        assert_refused(dslam("import", "kitti-objects", tmp_path / "out.mcap", *files), "b.txt")
+        assert_refused(dslam("import", "kitti-objects", tmp_path / "out.mcap", *files), "a.tar")
 
     def test_log_without_an_estimate(self, dslam: Run, tmp_path: Path) -> None:
         assert_refused(dslam("evaluate", SAMPLE), "no estimate", "dslam replay")
