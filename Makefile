@@ -13,7 +13,7 @@ help:
 	@echo 'make demo     simulate a drive, map it, evaluate it; leaves out/demo*.mcap, out/demo.html and out/demo.png'
 	@echo 'make check    lint, types and the tests that are not slow: about a minute'
 	@echo 'make test     lint, types and all tests'
-	@echo 'make bench-check  the headline figures against their bands, in docs/results/headline.md (minutes; needs ../shared/data)'
+	@echo 'make bench-check  the headline figures against their bands, in docs/results/drives.md (minutes; needs ../shared/data)'
 	@echo 'make lint     only ruff and mypy'
 	@echo 'make ci       lint, types, all tests, 2,000 mutated files of seed 0 (2 min at most), audit'
 	@echo 'make audit    known weaknesses of the dependencies; skipped where the database cannot be reached'
@@ -24,7 +24,7 @@ help:
 	@echo 'make soak     replay LAPS=40 laps of a town in HOURS=24 in one go; prints memory and time per lap'
 	@echo 'make fuzz     run N=200 mutated files of SEED=0 through all commands; those that fail stay in out/fuzz'
 	@echo 'make docs     the documentation as a site, in build/site'
-	@echo 'make results  run the commands of docs/results again (hours; goes on where it was); LIST=1 only lists them'
+	@echo 'make results  run the commands of docs/results that have no output yet, and write it there; LIST=1 only lists them'
 	@echo 'make schemas  generate the Python modules of logs/schemas/*.proto again'
 	@echo 'make clean    remove what the others made, .venv included'
 	@echo 'PYTHON=/path/to/python chooses the interpreter (3.11 or newer).'
@@ -73,7 +73,7 @@ test: lint
 	$(BIN)/pytest -n auto --dist loadfile
 
 bench-check: $(INSTALLED)
-	OMP_NUM_THREADS=1 $(BIN)/python docs/run_results.py headline --again
+	OMP_NUM_THREADS=1 $(BIN)/python docs/run_results.py --check kitti00 hamburg robot5
 
 N ?= 200
 SEED ?= 0

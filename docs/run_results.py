@@ -1,7 +1,8 @@
-"""Runs the commands of docs/results/*.md again, block by block: ``make results``.
+"""Runs the commands of docs/results/*.md and writes what they print below them: ``make results``.
 
-A block is skipped when its output is there and its commands are the same, so that an interrupted run continues where it
-was. Outputs are in out/results/PAGE-NUMBER.txt; the tables of the pages are written from them.
+A block of commands is followed by ``<!-- output of NAME -->`` and ``<!-- end -->``; between these marks stand the
+version, the date and what the commands print. ``README.md`` beside the pages lists the main figures, which are read
+from these blocks. A block that was run before with the same commands is not run again, unless it is named.
 """
 
 from __future__ import annotations
@@ -11,78 +12,155 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-_FIRST = ("replay", "loop_closure", "evaluation")
-PAGES = sorted(
-    (path.stem for path in (ROOT / "docs" / "results").glob("*.md")),
-    key=lambda page: (_FIRST.index(page) if page in _FIRST else len(_FIRST), page),
+PAGES = ROOT / "docs" / "results"
+FIRST = "drives"
+"""The page whose logs other pages use."""
+_BLOCK = re.compile(
+    r"^```\n(?P<commands>(?:(?!```)[^\n]*\n)+)```\n\n<!-- output of (?P<name>\S+) -->\n(?P<output>.*?)<!-- end -->",
+    re.DOTALL | re.MULTILINE,
 )
-"""All of them; the first ones make logs that others use."""
-_BLOCK = re.compile(r"^```\n(.*?)^```", re.DOTALL | re.MULTILINE)
-_DATA = re.compile(r"`D=(\.\./[\w/]+)`")
+_TABLE = re.compile(r"(?<=<!-- figures -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
 @dataclass(frozen=True)
 class Block:
-    """Commands of one page, and the folder ``$D`` that they read."""
+    """Commands of a page, and what they printed when they were last run."""
 
+    page: Path
     name: str
     commands: str
-    data: Path
+    output: str = ""
 
 
-def read_blocks(page: str) -> list[Block]:
-    """The fenced blocks of ``docs/results/PAGE.md``, top to bottom."""
-    text = (ROOT / "docs" / "results" / f"{page}.md").read_text(encoding="utf-8")
-    found = _DATA.search(text)
-    data = (ROOT / (found[1] if found else "../shared/data")).resolve()
-    return [Block(f"{page}-{number}", commands, data) for number, commands in enumerate(_BLOCK.findall(text), start=1)]
+@dataclass(frozen=True)
+class Figure:
+    """A figure of the summary: the group of the ``pattern`` in the output of a block."""
+
+    drive: str
+    name: str
+    block: str
+    pattern: str
 
 
-def run(block: Block, folder: Path, *, again: bool = False) -> int:
-    """Run the commands, if they were not run before or are wanted ``again``; returns the exit code.
+ATE, ODOMETRY = r"ATE (\S+ m), odometry", r"ATE \S+ m, odometry (\S+ m)"
+PRECISION, RECALL = r"accepted, precision (\S+ %)", r"recall (\S+ % of \d+) revisits"
+FIGURES = (
+    Figure("KITTI 00", "ATE", "kitti00", ATE),
+    Figure("", "ATE of the odometry", "kitti00", ODOMETRY),
+    Figure("", "precision of closures", "kitti00", PRECISION),
+    Figure("", "recall of revisits", "kitti00", RECALL),
+    Figure("", "kidnapped robots found within 40 m", "relocalization-kitti00", r"everywhere +\d+ +(\S+)"),
+    Figure(
+        "", "places retrieved first, by descriptors alone", "retrieval", r"kitti00 +descriptellation_lr +\d+ +(\S+)"
+    ),
+    Figure("hamburg", "ATE", "hamburg", ATE),
+    Figure("", "ATE of the odometry", "hamburg", ODOMETRY),
+    Figure("", "recall of revisits", "hamburg", RECALL),
+    Figure("", "precision of associations", "hamburg", r"associations +precision (\S+ %)"),
+    Figure("villeurbanne", "kidnappings detected despite smooth odometry", "kidnapping", r": (\S+ %) of \d+ kidnap"),
+    Figure("", "travel until then, median", "kidnapping", r"median (\S+ m)"),
+    Figure("mrclam6, robot 5", "ATE", "robot5", ATE),
+    Figure("", "precision of associations", "robot5", r"associations +precision (\S+ %)"),
+    Figure("forest evo", "ATE", "robots", r"evo +\S+ +(\S+)"),
+    Figure("forest wild03", "ATE", "robots", r"wild03 +\S+ +(\S+)"),
+    Figure("lost_in_the_woods", "ATE", "robots", r"lost_in_the_woods +\S+ +(\S+)"),
+    Figure("helsinki, imported", "robots found within 60 m", "relocalization-city", r"everywhere +\d+ +(\S+)"),
+    Figure("10,000 street trees", "places retrieved first", "recall", r"descriptellation_lr +10000 .*?\d+ +\d+ +(\S+)"),
+    Figure("demo, 0.5 s late", "ATE", "faults", r"time_offset=0.5 +(\S+)"),
+)
 
-    The commands stand above their output.
-    """
-    done, part = folder / f"{block.name}.txt", folder / f"{block.name}.part"
-    head = f"{block.commands}\n----\n"
-    if not again and done.is_file() and done.read_text(encoding="utf-8").startswith(head):
-        print(f"{block.name}: there already")
-        return 0
-    print(f"{block.name}: {done}", flush=True)
-    environment = os.environ | {"D": str(block.data), "PYTHONPATH": str(ROOT)}
+
+def read_blocks(page: Path) -> list[Block]:
+    """The blocks of a page, top to bottom."""
+    found = _BLOCK.finditer(page.read_text(encoding="utf-8"))
+    return [Block(page, each["name"], each["commands"], each["output"]) for each in found]
+
+
+def all_blocks() -> list[Block]:
+    """The blocks of all pages, in the order in which they can be run."""
+    pages = sorted(PAGES.glob("*.md"), key=lambda page: (page.stem != FIRST, page.stem))
+    return [block for page in pages for block in read_blocks(page)]
+
+
+def run(block: Block, folder: Path, data: Path) -> str | None:
+    """What the commands print, run in ``folder`` with ``$D`` set to ``data``; None if one of them failed."""
+    environment = os.environ | {"D": str(data), "PYTHONPATH": str(ROOT)}
     environment["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{environment['PATH']}"
-    with part.open("w", encoding="utf-8") as out:
-        out.write(head)
-        out.flush()
-        command = ["bash", "-euo", "pipefail", "-c", block.commands]
-        code = subprocess.run(command, cwd=folder, env=environment, stdout=out, stderr=subprocess.STDOUT).returncode
-    if code == 0:
-        part.rename(done)
-    return code
+    command = ["bash", "-euo", "pipefail", "-c", block.commands]
+    done = subprocess.run(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True)
+    return done.stdout if done.returncode == 0 else None
+
+
+def write_output(block: Block, printed: str) -> None:
+    """Put what was printed below the commands, with version and date."""
+    date = datetime.now(tz=UTC).date()
+    head = f"Version {version('descriptellation-slam')}, {date}:\n\n"
+    text = block.page.read_text(encoding="utf-8")
+    begin = f"<!-- output of {block.name} -->\n"
+    before, _, rest = text.partition(begin)
+    after = rest[rest.index("<!-- end -->") :]
+    block.page.write_text(f"{before}{begin}{head}```text\n{printed.strip()}\n```\n{after}", encoding="utf-8")
+
+
+def figure_rows(outputs: Mapping[str, Block]) -> Iterator[str]:
+    """The summary as lines of Markdown: the figures of the blocks that were run.
+
+    Raises:
+        ValueError: the block of a figure does not hold it.
+    """
+    yield "| | figure | value | made by |"
+    yield "|---|---|---|---|"
+    for figure in FIGURES:
+        block = outputs[figure.block]
+        if not block.output:
+            continue
+        found = re.search(figure.pattern, block.output)
+        if found is None:
+            raise ValueError(f"{block.page.name}: the output of {block.name} has no {figure.name} of {figure.drive}")
+        commands = block.commands.replace("\\\n", " ").splitlines()
+        command = " ".join(next(line for line in reversed(commands) if "dslam " in line).split()[:3])
+        yield f"| {figure.drive} | {figure.name} | {found[1]} | `{command}`, [{block.page.stem}]({block.page.name}) |"
+
+
+def write_summary() -> None:
+    """Collect the main figures from the blocks into ``README.md``."""
+    page = PAGES / "README.md"
+    rows = "\n".join(figure_rows({block.name: block for block in all_blocks()}))
+    page.write_text(_TABLE.sub(f"\n{rows}\n\n", page.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run or list the blocks; 1 if any failed."""
+    """Run blocks and write their output; 1 if one failed."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("pages", nargs="*", choices=[[], *PAGES], default=[], help="all by default")
+    parser.add_argument("names", nargs="*", help="blocks to run, also those run before; all that were not, by default")
     parser.add_argument("--list", action="store_true", help="print the commands instead")
-    parser.add_argument("--again", action="store_true", help="run also what was run before")
+    parser.add_argument("--check", action="store_true", help="print the output, and leave the pages as they are")
+    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data", help="the folder $D")
     chosen = parser.parse_args(arguments)
-    blocks = [block for page in chosen.pages or PAGES for block in read_blocks(page)]
-    if chosen.list:
-        for block in blocks:
-            print(f"# {block.name}\n{block.commands}")
-        return 0
+    blocks = [each for each in all_blocks() if each.name in chosen.names or not (chosen.names or each.output)]
     folder = ROOT / "out" / "results"
     folder.mkdir(parents=True, exist_ok=True)
-    failed = [block.name for block in blocks if run(block, folder, again=chosen.again) != 0]
+    failed = []
+    for block in blocks:
+        print(f"# {block.name}\n{block.commands}", flush=True)
+        printed = "" if chosen.list else run(block, folder, chosen.data.resolve())
+        if printed is None:
+            failed.append(block.name)
+        elif chosen.check:
+            print(printed)
+        elif not chosen.list:
+            write_output(block, printed)
     if failed:
-        print(f"failed: {', '.join(failed)}; their output is in {folder}/NAME.part", file=sys.stderr)
+        print(f"failed: {', '.join(failed)}", file=sys.stderr)
+    elif not (chosen.list or chosen.check):
+        write_summary()
     return int(bool(failed))
 
 

@@ -112,19 +112,35 @@ def test_commands_are_found_in_blocks() -> None:
         parse(["flly"])
 
 
-def test_results_are_run_from_the_pages_themselves(tmp_path: Path) -> None:
+@pytest.fixture
+def results(tmp_path: Path) -> dict[str, Any]:
+    """The runner of docs/results, on pages of its own."""
+    runner = runpy.run_path(str(ROOT / "docs" / "run_results.py"))
+    (tmp_path / "drives.md").write_text(
+        "```\nno output\n```\n\n```\necho $D\n```\n\n<!-- output of a -->\n<!-- end -->\ntext\n", encoding="utf-8"
+    )
+    return runner
+
+
+def test_results_stand_below_the_commands_that_print_them(results: dict[str, Any], tmp_path: Path) -> None:
+    page = tmp_path / "drives.md"
+    (block,) = results["read_blocks"](page)
+    assert (block.name, block.commands, block.output) == ("a", "echo $D\n", "")
+    results["write_output"](block, results["run"](block, tmp_path, tmp_path / "data"))
+    (written,) = results["read_blocks"](page)
+    assert re.fullmatch(rf"Version \S+, [\d-]+:\n\n```text\n{tmp_path}/data\n```\n", written.output)
+    assert page.read_text(encoding="utf-8").endswith("<!-- end -->\ntext\n")
+    assert results["run"](replace(block, commands="false\n"), tmp_path, tmp_path) is None
+
+
+def test_summary_of_results_holds_the_figures_of_the_pages() -> None:
     results = runpy.run_path(str(ROOT / "docs" / "run_results.py"))
-    assert results["PAGES"][0] == "replay"
-    assert {f"{page}.md" for page in results["PAGES"]} == {path.name for path in (ROOT / "docs/results").glob("*.md")}
-    block = results["Block"]("page-1", "echo $D; echo once >> times\n", tmp_path)
-    assert results["run"](block, tmp_path) == results["run"](block, tmp_path) == 0
-    assert (tmp_path / "times").read_text() == "once\n"
-    assert results["run"](block, tmp_path, again=True) == 0
-    assert (tmp_path / "times").read_text() == "once\nonce\n"
-    assert (tmp_path / "page-1.txt").read_text().endswith(f"----\n{tmp_path}\n")
-    failing = results["Block"]("page-2", "false\n", tmp_path)
-    assert results["run"](failing, tmp_path) == 1
-    assert not (tmp_path / "page-2.txt").exists()
+    blocks = {block.name: block for block in results["all_blocks"]()}
+    rows = list(results["figure_rows"](blocks))
+    assert len(rows) == 2 + sum(bool(blocks[figure.block].output) for figure in results["FIGURES"]) > 2
+    assert "\n".join(rows) in (ROOT / "docs/results/README.md").read_text(encoding="utf-8")
+    with pytest.raises(ValueError, match="has no ATE of KITTI 00"):
+        list(results["figure_rows"](blocks | {"kitti00": replace(blocks["kitti00"], output="nothing")}))
 
 
 def expanded(block: str) -> Iterator[str]:
@@ -158,16 +174,15 @@ def files_of(arguments: list[str]) -> tuple[set[str], set[str]]:
 def test_what_commands_of_results_read_is_data_or_made_before(wrong: str) -> None:
     """Block by block, in the order in which they are run."""
     results = runpy.run_path(str(ROOT / "docs" / "run_results.py"))
-    blocks = [block for page in results["PAGES"] for block in results["read_blocks"](page)]
+    blocks, data = results["all_blocks"](), ROOT.parent / "shared" / "data"
     made, missing = set[str](), list[str]()
     for block in [*blocks, replace(blocks[0], commands=wrong)]:
-        texts = [text.replace("$D", str(block.data)) for text in expanded(block.commands)]
+        texts = [text.replace("$D", str(data)) for text in expanded(block.commands)]
         used = [files_of(arguments) for text in texts for arguments in commands(text, variables=False)]
-        scripts = re.findall(r"^python - (.*) <<", block.commands, flags=re.MULTILINE)
-        made.update(*(writes for _, writes in used), *(script.split() for script in scripts))
+        made.update(*(writes for _, writes in used))
         read = set[str]().union(*(reads for reads, _ in used)) - made
-        is_data = {each for each in read if each.startswith(str(block.data))}
-        there = {each for each in is_data if Path(each).is_file() or not block.data.is_dir()}
+        is_data = {each for each in read if each.startswith(str(data))}
+        there = {each for each in is_data if Path(each).is_file() or not data.is_dir()}
         missing += [f"{block.name}: {each}" for each in sorted(read - there)]
     assert len(missing) == bool(wrong), missing
 
