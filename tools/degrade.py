@@ -30,7 +30,7 @@ def _list_faults(wanted: bool) -> None:
 
 _FieldOfView = Annotated[
     str | None,
-    typer.Option(metavar="DEG", help="Angle of view about straight ahead, up to 360.", rich_help_panel=_VIEW),
+    typer.Option(metavar="DEG", help="Field of view, centred ahead, up to 360.", rich_help_panel=_VIEW),
 ]
 _MaxRange = Annotated[
     str | None,
@@ -42,7 +42,7 @@ _KeepLabel = Annotated[
 ]
 _DropLabel = Annotated[
     list[str] | None,
-    typer.Option(metavar="NAME", help="Take out objects of that class. Repeatable.", rich_help_panel=_VIEW),
+    typer.Option(metavar="NAME", help="Remove objects of that class. Repeatable.", rich_help_panel=_VIEW),
 ]
 _Dropout = Annotated[
     str | None,
@@ -142,7 +142,7 @@ def degrade(
     }
     options = {name: value for name, value in given.items() if value is not None}
     if not options and not fault:
-        raise typer.BadParameter("nothing to do; say how to degrade the log, for example by --dropout 0.3")
+        raise typer.BadParameter("nothing to do; give a degradation, for example --dropout 0.3")
     chosen = parse_topics(topics)
     check_outputs([output], [source])
     from slam.simulation.faults.fault import FaultCase

@@ -23,7 +23,7 @@ def fleet(
         list[str] | None, typer.Argument(metavar="[LOG]...", help="Logs, by path or URL.", show_default=False)
     ] = None,
     folder: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Where maps and report go; what is finished is kept.")
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of maps and report; finished maps are kept.")
     ] = Path("fleet"),
     manifest: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Paths or URLs of more logs, one a line.", show_default=False)
@@ -32,11 +32,12 @@ def fleet(
         int | None, typer.Option(min=1, help="Tasks at a time. \\[default: one a core]", show_default=False)
     ] = None,
     address: Annotated[
-        str | None, typer.Option(metavar="HOST:PORT", help="A Ray cluster that runs already.", show_default=False)
+        str | None, typer.Option(metavar="HOST:PORT", help="Address of a running Ray cluster.", show_default=False)
     ] = None,
     only: Annotated[bool, typer.Option("--only", help="Forget the logs of earlier runs that are not named.")] = False,
     origin: Annotated[
-        str | None, typer.Option(metavar="LAT,LON", help="Where on earth the first log began.", show_default=False)
+        str | None,
+        typer.Option(metavar="LAT,LON", help="Position on earth at which the first log begins.", show_default=False),
     ] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,

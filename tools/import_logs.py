@@ -12,7 +12,7 @@ from tools.importers import clouds, maps
 from tools.importers.drives import write_drive
 
 app = typer.Typer(
-    help="Turn data of others into a log that 'dslam replay' reads, or into a map for its --map.", no_args_is_help=True
+    help="Convert other data to a log for 'dslam replay', or to a map for its --map.", no_args_is_help=True
 )
 app.command()(maps.osm)
 app.command()(maps.geojson)
@@ -37,7 +37,7 @@ def kitti_objects(
     ground_truth: Annotated[
         Path | None, typer.Option(metavar="POSES", help="True poses of the left camera; for evaluation only.")
     ] = None,
-    sequence: Annotated[str | None, typer.Option(help="Which sequence, where there are several.")] = None,
+    sequence: Annotated[str | None, typer.Option(help="Sequence, if there are several.")] = None,
     json: Json = False,
 ) -> None:
     """KITTI odometry with objects that were clustered in its scans.
@@ -97,7 +97,9 @@ def csv(
     ] = None,
     pose_format: Annotated[
         str | None,
-        typer.Option("--format", metavar="tum|kitti|euroc|csv", help="Of the poses; else found in the files."),
+        typer.Option(
+            "--format", metavar="tum|kitti|euroc|csv", help="Format of the poses; by default found from their content."
+        ),
     ] = None,
     json: Json = False,
 ) -> None:

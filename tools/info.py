@@ -49,7 +49,7 @@ def info(
     topics: Topics = None,
     settings: Settings = None,
 ) -> None:
-    """Tell what a log holds, and what a replay would use of it or why it cannot.
+    """Show what a log holds, and what a replay would use of it.
 
     Example: dslam info drive.mcap --topic odometry=/wheel_odometry
 
@@ -156,7 +156,7 @@ def _show_closures(
         console.show("", "no loop-closure candidate in the log")
         return
     if not candidates:
-        console.show(f"keyframe {keyframe} is the query of no loop-closure candidate: it was compared with no other")
+        console.show(f"keyframe {keyframe} is not the query of a loop-closure candidate")
         return
     if keyframe is None:
         console.show("", _closure_table(summary), "")

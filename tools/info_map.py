@@ -103,7 +103,7 @@ def _imported_rows(path: Path, imported: ImportedMap) -> dict[str, str]:
     width_m, height_m = plain["extent_m"]
     origin = plain["origin"]
     return {
-        "imported map": f"from {plain['source'] or 'an unknown source'}; nobody drove it",
+        "imported map": f"from {plain['source'] or 'an unknown source'}; without a trajectory",
         "landmarks": f"{len(imported)} of {len(frequent)} classes: {classes}",
         "accuracy": f"standard deviation of {imported.sigma_m:g} m",
         "index": f"{plain['quad_count']} quads of neighbouring landmarks",

@@ -21,10 +21,12 @@ def optimize(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.g2o", help="The pose graph to write.")],
     weights: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Where the closures' weights go; OUT.json if not given.", show_default=False),
+        typer.Option(metavar="FILE", help="File of the closures' weights; by default OUT.json.", show_default=False),
     ] = None,
     plain: Annotated[bool, typer.Option("--plain", help="Trust all closures: ordinary least squares.")] = False,
-    max_iterations: Annotated[int, typer.Option(min=1, max=10**9, help="Of one solution; there are several.")] = 100,
+    max_iterations: Annotated[
+        int, typer.Option(min=1, max=10**9, help="Iterations of each of several solutions.")
+    ] = 100,
     json: Json = False,
 ) -> None:
     """Optimise a pose graph (g2o, SE(2) or SE(3)) in which loop closures may be false.

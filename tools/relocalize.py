@@ -46,7 +46,7 @@ def relocalize(
     json: Json = False,
     picture: Picture = None,
 ) -> None:
-    """Find a robot in a saved or imported map, and follow it there; the map stays as it is.
+    """Localize a robot in a saved or imported map, which is not changed.
 
     With --near only places count that are within 3.5 SIGMA and as far as the robot has gone since, and, where YAW is
     given, within 52 deg of the heading that follows from it.

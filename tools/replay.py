@@ -49,7 +49,7 @@ def replay(
     map_log: Annotated[
         Path | None,
         typer.Option(
-            "--map", metavar="MAP.mcap", help="Find the robot in that map, and go on from it.", show_default=False
+            "--map", metavar="MAP.mcap", help="Localize the robot in that map, and extend it.", show_default=False
         ),
     ] = None,
     save_map: Annotated[

@@ -18,14 +18,12 @@ def simulate(
     trajectory: Annotated[Path | None, typer.Option(metavar="CSV", help="Tour through that world: x_m,y_m.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the town and of all errors.")] = 0,
     speed: Annotated[float | None, typer.Option(metavar="M/S", help="Cruising speed; drive.speed_mps.")] = None,
-    length: Annotated[float | None, typer.Option(metavar="M", help="Drive only that much of the tour.")] = None,
+    length: Annotated[float | None, typer.Option(metavar="M", help="Length of the drive.")] = None,
     kidnap: Annotated[
         str | None,
         typer.Option(metavar="FROM_M:TO_M", help="Carry the robot off from one place of the tour to another."),
     ] = None,
-    moving: Annotated[
-        int | None, typer.Option(metavar="N", help="Vehicles that drive about; traffic.vehicles.")
-    ] = None,
+    moving: Annotated[int | None, typer.Option(metavar="N", help="Moving vehicles; traffic.vehicles.")] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,
     json: Json = False,

@@ -24,10 +24,12 @@ MAX_ROWS = 20
 def train(
     folder: Annotated[
         Path,
-        typer.Argument(metavar="FOLDER", help="For the checkpoint, the curves and the weights.", show_default=False),
+        typer.Argument(
+            metavar="FOLDER", help="Folder of the checkpoint, the curves and the weights.", show_default=False
+        ),
     ],
     network: Annotated[
-        str, typer.Option(metavar="descriptellation_lr|descriptellation|pointnet|sgnet", help="What is trained.")
+        str, typer.Option(metavar="descriptellation_lr|descriptellation|pointnet|sgnet", help="The network to train.")
     ] = LIKELIHOOD,
     maps: Annotated[
         list[Path] | None,
@@ -43,7 +45,7 @@ def train(
         typer.Option(
             "--input",
             metavar="embedding|one_hot|integer|position",
-            help="What descriptellation is given of an object; position leaves its class out.",
+            help="Input of descriptellation for each object; position has no class.",
             show_default=False,
         ),
     ] = None,
@@ -57,9 +59,11 @@ def train(
     anew: Annotated[
         bool, typer.Option("--anew", help="With --maps: begin with random weights instead of the shipped ones.")
     ] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Of the data and of the first weights.")] = 0,
-    device: Annotated[str, typer.Option(help="As torch names it: cpu, cuda, ...; descriptellation_lr: cpu.")] = "cpu",
-    threads: Annotated[int, typer.Option(min=1, help="Of a CPU; another number gives slightly other weights.")] = 2,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the data and of the initial weights.")] = 0,
+    device: Annotated[str, typer.Option(help="Device of torch: cpu, cuda, ...; descriptellation_lr: cpu.")] = "cpu",
+    threads: Annotated[
+        int, typer.Option(min=1, help="Threads of the CPU; their number changes the weights slightly.")
+    ] = 2,
     json: Json = False,
 ) -> None:
     """Train a descriptor network on simulated maps, and descriptellation_lr on maps of your own, too.

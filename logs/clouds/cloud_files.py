@@ -62,7 +62,7 @@ def labelled_cloud(columns: Mapping[str, NDArray[Any]], fields: CloudFields, nam
     class_field = _first(plain, fields.classes)
     if class_field is None:
         raise DatasetError(
-            f"{name}: no field tells the class of a point ({' or '.join(fields.classes)}); it has {there}"
+            f"{name}: no field holds the class of a point ({' or '.join(fields.classes)}); it has {there}"
         )
     positions = np.stack([plain[axis].astype(np.float64) for axis in "xyz"], axis=1)
     classes = _whole(plain[class_field], f"{name}: field {class_field}")

@@ -30,7 +30,7 @@ def open_regular(path: str | os.PathLike[str]) -> BufferedReader:
         raise OSError(errno.EINVAL, str(error), os.fspath(path)) from error
     if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
         stream.close()
-        raise OSError(errno.EINVAL, "a pipe, a device or a socket; copy what it tells to a file", os.fspath(path))
+        raise OSError(errno.EINVAL, "a pipe, a device or a socket; copy its content to a file", os.fspath(path))
     return stream
 
 

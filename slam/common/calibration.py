@@ -130,7 +130,7 @@ class ObjectCalibration(Branch):
         default=0.85, gt=0, lt=1, description="probability that a detection has the right label"
     )
     max_classes: int = Field(
-        default=256, ge=1, le=10_000, description="classes that are told apart; all that come later are one class"
+        default=256, ge=1, le=10_000, description="classes that are distinguished; later ones share one class"
     )
     detection_probability: float = Field(
         default=1.0, gt=0, le=1, description="probability that an object in view is detected in a scan"

@@ -45,10 +45,10 @@ class LocalizationConfig(Branch):
         "a drive, 0.0001 is one false closure in a hundred drives",
     )
     failures_per_km: float = Field(
-        default=1e-3, gt=0, description="undetected failures of the odometry on a kilometre of travel [1/km]"
+        default=1e-3, gt=0, description="undetected failures of the odometry per kilometre [1/km]"
     )
     max_hypotheses: int = Field(
-        default=5, ge=0, description="hypotheses that are carried from keyframe to keyframe, the likeliest ones"
+        default=5, ge=0, description="most likely hypotheses that are propagated from keyframe to keyframe"
     )
 
 
@@ -64,7 +64,7 @@ class LoopClosureConfig(Branch):
     min_travel_m: float | None = Field(
         default=None,
         gt=0,
-        description="least travel between the two keyframes of a closure; not set: 10/3 of the sensor range [m]",
+        description="minimum travel between the two keyframes of a closure; not set: 10/3 of the sensor range [m]",
     )
     top_k: int = Field(default=6, ge=1, description="nearest neighbours in descriptor space for each object")
     max_candidates: int = Field(
@@ -118,7 +118,7 @@ class Config(Branch):
         default=_LIMITS.chunk_mb,
         gt=0,
         le=1e5,
-        description="how much of a log is held at a time: one chunk, decompressed; one message takes a quarter of it, "
+        description="memory for reading a log: one chunk, decompressed; one message takes a quarter of it, "
         "and names, channels and objects of a message are limited in proportion [MB]",
     )
     calibration: Calibration = Calibration()

@@ -60,7 +60,7 @@ def why_not_recognised(
             "in [labels]"
         )
     if shared.sum() < FEWEST_LANDMARKS:
-        return f"{shared.sum()} landmarks of a class of the map were seen, too few to tell a place; drive on"
+        return f"{shared.sum()} landmarks of a class of the map were seen, too few for a fix; drive on"
     if not isinstance(known, ImportedMap):
         return f"none of its places fits the {shared.sum()} landmarks seen: a map of another place, or one that changed"
     nearest = np.argsort(np.linalg.norm(seen[shared][:, :2], axis=1), kind="stable")[:MOST_LANDMARKS]
@@ -107,7 +107,7 @@ def _why_not_in_imported(known: ImportedMap, positions: FloatArray, names: np.nd
         return MIRRORED
     where = f"at the best place {met} of {len(labels)} landmarks meet an object of their class"
     if 2 * met > len(labels):
-        return f"{where}, which chance finds among {len(known)} objects, too; drive on, or tell the place by --near"
+        return f"{where}, which chance finds among {len(known)} objects; drive on, or give the place by --near"
     return f"{where}: a map of another place, one that changed much, or one whose unit is not the metre"
 
 

@@ -169,7 +169,7 @@ class LoopCloser:
         return [
             self._verifier.verify(query, place)
             if self._is_plausible(query, place)
-            else query.refusal(Stage.RETRIEVAL, "not where the robot is said to be", rank=place.rank)
+            else query.refusal(Stage.RETRIEVAL, "outside the prior of the pose", rank=place.rank)
             for place in places
         ]
 

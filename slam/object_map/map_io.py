@@ -158,7 +158,7 @@ def load_map(path: Path) -> SavedMap:
                 f"{path} is a map of format version {version}, this program reads {FORMAT_VERSION}; {MAKE_IT}"
             )
         if metadata.get("gravity") != GRAVITY:
-            raise SavedMapError(f"{path} does not say which way is up in it; {MAKE_IT}")
+            raise SavedMapError(f"{path} does not hold the direction of gravity; {MAKE_IT}")
         wanted = Selection({OBJECTS_TOPIC: (RecordKind.OBJECT_MAP,), GRAPH_TOPIC: (RecordKind.FACTOR_GRAPH,)})
         try:
             records = [entry.record for entry in reader.records(wanted)]

@@ -10,7 +10,7 @@ from slam.common.arrays import FloatArray
 from slam.common.geometry import yaw_rad
 
 GATE_SIGMAS = 3.5
-"""A place beyond that many standard deviations is not where the robot is said to be: 2 in 1000 are, in the plane."""
+"""A place beyond that many standard deviations is outside the prior of the pose: 2 in 1000 are, in the plane."""
 YAW_SIGMA_RAD = np.pi / 12.0
 """Standard deviation of a heading that a person gives; that of RViz's pose estimate."""
 

@@ -30,7 +30,7 @@ class RegistrationConfig(Branch):
     min_baseline_m: float = Field(
         default=3.0, gt=0, description="least horizontal distance of two objects that propose a heading [m]"
     )
-    min_inliers: int = Field(default=3, ge=2, description="least pairs of objects that support a pose")
+    min_inliers: int = Field(default=3, ge=2, description="minimum number of pairs of objects that support a pose")
     search_radius_m: float = Field(
         default=3.0, gt=0, description="refinement from an approximate pose looks that far for partners at first [m]"
     )

@@ -273,7 +273,7 @@ def test_clouds_whose_points_have_a_class() -> None:
 
 def test_clouds_without_a_class_or_cut_off_are_refused() -> None:
     points = np.zeros(3, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
-    with pytest.raises(InvalidRecordError, match=r"no field tells the class of a point .*; it has x, y, z, intensity"):
+    with pytest.raises(InvalidRecordError, match=r"no field holds the class of a point .*; it has x, y, z, intensity"):
         scan_of(cloud(points))
     with pytest.raises(InvalidRecordError, match="lengths disagree"):
         scan_of(cloud(points, width=4))

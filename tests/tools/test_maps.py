@@ -306,7 +306,7 @@ class TestBadMaps:
             ("log", ("is a log, but no map", "--save-map")),
             ("output", ("is a log, but no map", "--save-map")),
             ("version", ("format version 9", "this program reads 1")),
-            ("gravity", ("does not say which way is up",)),
+            ("gravity", ("does not hold the direction of gravity",)),
             ("empty", ("holds 0 object maps and 0 graphs",)),
             ("drives", ("list of drives",)),
         ],

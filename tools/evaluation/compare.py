@@ -52,7 +52,7 @@ def compare(
         ),
     ] = None,
 ) -> None:
-    """Evaluate several maps and set them side by side.
+    """Evaluate several maps, and print them side by side.
 
     Runs of one version and configuration are taken as its repetitions, and
     differences that exceed their spread are marked.

@@ -40,7 +40,7 @@ def evaluate(
     picture: Picture = None,
     page: Annotated[
         Path | None,
-        typer.Option("--html", metavar="FILE.html", help="Write a page to look at, which needs nothing beside it."),
+        typer.Option("--html", metavar="FILE.html", help="Write a self-contained page with charts."),
     ] = None,
     map_run: MapRun = None,
     protocol: Protocols = None,

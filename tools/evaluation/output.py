@@ -28,7 +28,7 @@ Reference = Annotated[
 ]
 ClosureReference = Annotated[
     Path | None,
-    typer.Option(metavar="LOG|POSES", help="Measure closures by another truth than the rest.", show_default=False),
+    typer.Option(metavar="LOG|POSES", help="Measure closures by another ground truth.", show_default=False),
 ]
 Times = Annotated[
     Path | None,
@@ -60,11 +60,11 @@ Protocols = Annotated[
     typer.Option(
         "--protocol",
         metavar="NAME=NUMBER",
-        help="A threshold of the evaluation (--rules tells all), e.g. closure_translation_m=4. Repeatable.",
+        help="A threshold of the evaluation (--rules lists them), e.g. closure_translation_m=4. Repeatable.",
         show_default=False,
     ),
 ]
-Rules = Annotated[bool, typer.Option("--rules", help="Also print by which rules everything is measured.")]
+Rules = Annotated[bool, typer.Option("--rules", help="Also print the rules of the evaluation.")]
 
 
 @dataclass(frozen=True, slots=True)

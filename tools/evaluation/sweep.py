@@ -15,7 +15,7 @@ from tools.evaluation.output import Findings, JsonFile, Require, Rules, report
 def sweep(
     log: InputLog,
     folder: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Where results go; what is finished is kept.")
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results; finished ones are kept.")
     ],
     degrade: Annotated[
         list[str] | None,
@@ -45,7 +45,7 @@ def sweep(
 ) -> None:
     """Degrade, map and evaluate a drive again and again, for each --degrade, --variant and seed.
 
-    If it is killed, the same command goes on where it was.
+    After an interruption, the same command continues.
 
     Example: dslam sweep drive.mcap -o out/sweep --degrade dropout=0.5 --degrade dropout=0.8,max_range=30
 

@@ -21,7 +21,9 @@ AnyCloud = Annotated[
 ]
 Names = Annotated[
     list[str] | None,
-    typer.Option("--name", metavar="NUMBER=CLASS", help="What is an object, instead of all but 0. Repeatable."),
+    typer.Option(
+        "--name", metavar="NUMBER=CLASS", help="Number and name of a class; by default all but 0. Repeatable."
+    ),
 ]
 
 _LONGEST_NUMBER = 18

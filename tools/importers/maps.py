@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 NewMap = Annotated[Path, typer.Argument(metavar="MAP.mcap", help="The map to write.", show_default=False)]
 Origin = Annotated[
     str | None,
-    typer.Option(metavar="LAT,LON", help="Where the map has its origin; by default the middle of objects in degrees."),
+    typer.Option(metavar="LAT,LON", help="Origin of the map; by default the median of objects in degrees."),
 ]
 Label = Annotated[str | None, typer.Option("--class", metavar="NAME", help="Take all objects to be of that class.")]
 Sigma = Annotated[
@@ -32,7 +32,9 @@ def osm(
     file: Annotated[Path, typer.Option(metavar="FILE", help="An extract: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")],
     tag: Annotated[
         list[str] | None,
-        typer.Option("--tag", metavar="KEY[=VALUE]", help="What is an object, not street furniture. Repeatable."),
+        typer.Option(
+            "--tag", metavar="KEY[=VALUE]", help="Tag of the objects, instead of street furniture. Repeatable."
+        ),
     ] = None,
     origin: Origin = None,
     label: Label = None,
@@ -55,7 +57,7 @@ def geojson(
     output: NewMap,
     file: Annotated[Path, typer.Option(metavar="FILE", help="A FeatureCollection with points in WGS 84; also .gz.")],
     class_property: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Property that tells the class; by default class, label, ...")
+        str | None, typer.Option(metavar="NAME", help="Property that holds the class; by default class, label, ...")
     ] = None,
     origin: Origin = None,
     label: Label = None,

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from slam.localization.prior_map import PriorMap
     from slam.object_map.map_io import SavedMap
 
-app = typer.Typer(help="Look into saved maps, cut a part out of one, make one of several.", no_args_is_help=True)
+app = typer.Typer(help="Show, crop and merge saved maps.", no_args_is_help=True)
 
 SavedMapFile = Annotated[Path, typer.Argument(metavar="MAP.mcap", help="A saved or imported map.", show_default=False)]
 Output = Annotated[Path, typer.Option("-o", "--output", metavar="NEW.mcap", help="The map to write.")]
@@ -25,7 +25,7 @@ Output = Annotated[Path, typer.Option("-o", "--output", metavar="NEW.mcap", help
 
 @app.command()
 def info(map_log: SavedMapFile, json: Json = False) -> None:
-    """Show the contents of a map, and what a drive could do with it.
+    """Show the contents of a map.
 
     Example: dslam map info town.mcap
     """
@@ -42,12 +42,10 @@ def crop(
     map_log: SavedMapFile,
     output: Output,
     box: Annotated[str | None, typer.Option(metavar="XMIN,YMIN,XMAX,YMAX", help="A rectangle [m].")] = None,
-    circle: Annotated[str | None, typer.Option(metavar="X,Y,RADIUS", help="All around a place [m].")] = None,
-    polygon: Annotated[
-        str | None, typer.Option(metavar='"X,Y X,Y X,Y ..."', help="The corners of an area [m].")
-    ] = None,
+    circle: Annotated[str | None, typer.Option(metavar="X,Y,RADIUS", help="A circle [m].")] = None,
+    polygon: Annotated[str | None, typer.Option(metavar='"X,Y X,Y X,Y ..."', help="Corners of a polygon [m].")] = None,
 ) -> None:
-    """Keep the landmarks and keyframes in an area of the map frame; they stay where they are.
+    """Keep the landmarks and keyframes in an area of the map frame; coordinates do not change.
 
     Example: dslam map crop town.mcap -o square.mcap --circle 120,40,60
     """
@@ -79,7 +77,7 @@ def merge(
     ],
     output: Output,
 ) -> None:
-    """Make one map of several, in the frame of the first one, with each object once.
+    """Merge several maps in the frame of the first one.
 
     Maps that drives made are joined where places of one are recognised in another, or else by the georeferences of
     both; imported maps by their georeferences.

@@ -163,7 +163,7 @@ class _Source:
         for values in self._metadata.values():
             if "georeference" in values:
                 return Georeference.from_json(values["georeference"])
-        raise InputDataError(f"{self._log} does not tell where on earth its map is; give --origin LAT,LON[,ALT[,YAW]]")
+        raise InputDataError(f"{self._log} has no georeference; give --origin LAT,LON[,ALT[,YAW]]")
 
     @cached_property
     def _metadata(self) -> dict[str, dict[str, str]]:

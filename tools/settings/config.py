@@ -18,17 +18,17 @@ def config(
     config_file: ConfigFile = None,
     settings: Settings = None,
     json: Json = False,
-    toml: Annotated[bool, typer.Option("--toml", help="Print TOML; this is what happens anyway.")] = False,
+    toml: Annotated[bool, typer.Option("--toml", help="Print TOML, the default.")] = False,
     made_from: Annotated[
         Path | None,
         typer.Option(
             "--from",
             metavar="MAP.mcap",
-            help="Print that by which this map or log was made, with its calibration, instead.",
+            help="Print the configuration of this map or log, with its calibration.",
             show_default=False,
         ),
     ] = None,
-    simulation: Annotated[bool, typer.Option("--simulation", help="The settings of 'dslam simulate' instead.")] = False,
+    simulation: Annotated[bool, typer.Option("--simulation", help="Print the settings of 'dslam simulate'.")] = False,
 ) -> None:
     """Print the effective configuration with units and meaning, as TOML that --config reads back.
 

@@ -46,7 +46,7 @@ class RetrievalQuality:
     def note(self) -> str:
         """Why a recall is undefined; "" where none is."""
         if not self.query_count:
-            return "descriptors were asked at no revisit"
+            return "no revisit was looked up by descriptors"
         unknown = [str(k) for k in RECALL_AT if k > self.place_count]
         if not unknown:
             return ""

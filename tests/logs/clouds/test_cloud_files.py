@@ -188,7 +188,7 @@ def test_pcd_with_gaps_between_its_fields(tmp_path: Path, storage: str) -> None:
         ("WIDTH 2", f"WIDTH {2**62}", "points are there; it is cut off"),
         ("WIDTH 2", "WIDTH " + "9" * 5000, "no PCD file that can be read"),
         ("FIELDS x y z", "FIELDS x y y", "two of its fields have one name"),
-        ("label instance", "a b", "no field tells the class"),
+        ("label instance", "a b", "no field holds the class"),
     ],
 )
 def test_faults_of_pcd_are_one_line_with_the_file(tmp_path: Path, right: str, wrong: str, fault: str) -> None:
@@ -225,7 +225,7 @@ def damaged(path: Path, kind: str) -> Path:
 @pytest.mark.parametrize(
     ("kind", "fault"),
     [
-        ("no class", "no field tells the class of a point .*; it has x, y, z"),
+        ("no class", "no field holds the class of a point .*; it has x, y, z"),
         ("no positions", "no fields x, y and z; it has class"),
         ("cut off", "of .* points are there; it is cut off"),
         ("huge", "of 9.* points are there; it is cut off"),

@@ -448,7 +448,7 @@ def test_places_where_the_robot_is_said_not_to_be_are_left_out(parts):
     parts.llrs = {FIRST: SURE_LLR, FIRST + 1: SURE_LLR}
     drive.closer.place_prior = PlacePrior(np.array([5000.0, 0.0]), 10.0)
     (record,) = drive.close(FIRST)
-    assert record.reason == "not where the robot is said to be"
+    assert record.reason == "outside the prior of the pose"
     drive.closer.place_prior = PlacePrior(np.array([-300.0, 0.0]), 10.0)
     assert accepted(drive.close(FIRST + 1))
 

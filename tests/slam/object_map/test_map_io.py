@@ -195,7 +195,7 @@ def test_half_a_map_is_none(path: Path, share: float) -> None:
     ("change", "reason"),
     [
         ({"format_version": "7"}, "format version 7"),
-        ({"gravity": "down"}, "which way is up"),
+        ({"gravity": "down"}, "direction of gravity"),
     ],
 )
 def test_another_format_is_refused(first: FinalMap, tmp_path: Path, change: dict[str, str], reason: str) -> None:

@@ -111,7 +111,7 @@ def make_shifted_closures(T_world_body_gt: FloatArray, count: int, rng: np.rando
     """
     revisits = find_revisits(T_world_body_gt, 0.0)
     if len(revisits) == 0:
-        raise EvaluationError("the drive comes back to no place; there is no closure that could be shifted")
+        raise EvaluationError("the drive has no revisit, so no closure can be shifted")
     rows = np.sort(rng.choice(len(revisits), size=count, replace=count > len(revisits)))
     shifts = np.tile(np.eye(4), (count, 1, 1))
     shifts[:, 0, 3] = rng.uniform(*SHIFT_M, count) * rng.choice([-1.0, 1.0], count)

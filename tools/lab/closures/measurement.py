@@ -120,7 +120,7 @@ def benchmark_closures(
             raise EvaluationError(
                 "the log has no true closure; make them from the truth by --from-truth 10"
                 if spacing_m is None
-                else "the drive comes back to no place, so it has no true closure; give one that does"
+                else "the drive has no revisit, so it has no true closure; give one that has"
             )
         yield _run(drive, "clean", seed, right, no_closures)
         for kind in kinds:

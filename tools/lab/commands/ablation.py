@@ -43,7 +43,7 @@ def ablation(
         Path, typer.Argument(metavar="DATA", help="Folder with cities, kitti00 and robots.", show_default=False)
     ],
     folder: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Where results go; what is finished is kept.")
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results; finished ones are kept.")
     ],
     page: Annotated[
         Path | None,

@@ -17,8 +17,10 @@ if TYPE_CHECKING:
 def closures(
     log: SlamLog,
     false_share: Annotated[float, typer.Option(help="Share of all closures, above 0 and below 1.")] = 0.75,
-    kind: Annotated[str, typer.Option(metavar="random|aliased|shifted|all", help="How they are wrong.")] = "all",
-    seeds: Annotated[int, typer.Option(min=1, help="How often, each time with other closures.")] = 3,
+    kind: Annotated[
+        str, typer.Option(metavar="random|aliased|shifted|all", help="Kind of the false closures.")
+    ] = "all",
+    seeds: Annotated[int, typer.Option(min=1, help="Repetitions, each with other closures.")] = 3,
     from_truth: Annotated[
         float | None,
         typer.Option(

@@ -36,7 +36,7 @@ def descriptors(
     descriptor: Methods = None,
     neighbours: Neighbours = 6,
     queries: Annotated[int, typer.Option(min=1, help="For each scenario and seed.")] = 500,
-    seeds: Annotated[int, typer.Option(min=1, help="How often, each time with other queries.")] = 5,
+    seeds: Annotated[int, typer.Option(min=1, help="Repetitions, each with other queries.")] = 5,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")] = False,
     json: Json = False,
 ) -> None:

@@ -12,14 +12,14 @@ from tools.arguments import Json
 
 
 def fleet(
-    folder: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Where logs and maps go.")],
+    folder: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of logs and maps.")],
     city: Annotated[
         list[Path] | None,
         typer.Option(metavar="DIR", help="Folder with objects.csv and trajectory.csv. Repeatable.", show_default=False),
     ] = None,
-    drives: Annotated[int, typer.Option(min=1, help="In each city and in the generated town.")] = 8,
+    drives: Annotated[int, typer.Option(min=1, help="Drives in each city and in the generated town.")] = 8,
     length: Annotated[float, typer.Option(min=50.0, help="Of a drive [m].")] = 250.0,
-    months: Annotated[int, typer.Option(min=1, help="Over which they are spread.")] = 4,
+    months: Annotated[int, typer.Option(min=1, help="Months over which the drives are spread.")] = 4,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Tasks at a time. \\[default: one a core]", show_default=False)
     ] = None,

@@ -22,7 +22,7 @@ def kidnapping(
     settings: Settings = None,
     json: Json = False,
 ) -> None:
-    """Carry the robot off while its odometry goes on, and measure how soon it is noticed.
+    """Kidnap the robot while its odometry continues, and measure how soon it is detected.
 
     Each time it drives 150 m, is carried elsewhere on the tour, without a gap or a jump of the odometry, and drives on
     for 60 m.

@@ -48,9 +48,7 @@ Noise = Annotated[
     float, typer.Option(min=0.0, max=10.0, help="Factor on the errors of the sensor after the map was made.")
 ]
 Changed = Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of the objects replaced after the map was made.")]
-Thin = Annotated[
-    float, typer.Option(metavar="FACTOR", min=1.0, help="One of so many objects is left before the map is made.")
-]
+Thin = Annotated[float, typer.Option(metavar="FACTOR", min=1.0, help="Keep one of N objects before the map is made.")]
 WithOracle = Annotated[
     bool, typer.Option("--oracle", help="Also measure what could be found: all poses, all observations of 40 m.")
 ]
@@ -245,7 +243,7 @@ def _show_elsewhere(result: LoggedRelocalization) -> None:
     from tools import console
 
     if not result.elsewhere:
-        console.show("the rest of the drive was never far from the map, so nothing can be said of fixes elsewhere")
+        console.show("the rest of the drive stays near the map, so fixes elsewhere cannot be measured")
         return
     console.show(f"where the map has never been: {result.false_fixes} false fixes in {len(result.elsewhere)} drives")
 

@@ -22,7 +22,7 @@ def retrieval(
     ] = None,
     neighbours: Annotated[
         int | None,
-        typer.Option(min=1, help="Matches of each object; by default loop_closure.top_k.", show_default=False),
+        typer.Option(min=1, help="Matches for each object; by default loop_closure.top_k.", show_default=False),
     ] = None,
     spacing: Annotated[float, typer.Option(metavar="M", min=0.0, help="Least travel between two queries.")] = 4.75,
     config_file: ConfigFile = None,

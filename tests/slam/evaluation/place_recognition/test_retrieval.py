@@ -79,7 +79,7 @@ def test_recall_beyond_verified_places_is_undefined() -> None:
 def test_never_asked() -> None:
     found = measure([])
     assert (found.query_count, found.recall_at(1)) == (0, None)
-    assert "asked at no revisit" in found.note
+    assert "no revisit was looked up" in found.note
 
 
 def test_queries_that_were_not_looked_up_were_not_asked() -> None:
