@@ -32,10 +32,10 @@ if TYPE_CHECKING:
     from slam.evaluation.result import Evaluation
     from slam.final_map import FinalMap
     from slam.library import calibrate, evaluate_log, landmark_table, read_map, read_trajectory
+    from slam.live_slam import LiveSlam as Slam
     from slam.object_map.map_io import SavedMap, load_map
     from slam.replay import ReplaySummary, replay
     from slam.scan_localization import ScanLocalization, ScanLocalizer
-    from slam.system import Slam
 
 __all__ = [
     "Calibration",
@@ -98,19 +98,21 @@ _NAMES_OF_MODULES = {
     "slam.replay": ("ReplaySummary", "replay"),
     "slam.scan_localization": ("ScanLocalization", "ScanLocalizer"),
     "slam.final_map": ("FinalMap",),
-    "slam.system": ("Slam",),
+    "slam.live_slam": ("LiveSlam",),
 }
-_MODULE_OF = {name: module for module, names in _NAMES_OF_MODULES.items() for name in names}
+_PLACE_OF = {name: (module, name) for module, names in _NAMES_OF_MODULES.items() for name in names}
+# To map a robot needs no calibration beforehand.
+_PLACE_OF["Slam"] = _PLACE_OF.pop("LiveSlam")
 
 _IS_INSTALLED = bool(__package__)
 """In a wheel this file is the package ``dslam``, and the folders beside it are its sub-packages; see ``setup.py``."""
 
 
 def __getattr__(name: str) -> object:
-    if name not in _MODULE_OF:
+    if name not in _PLACE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = import_module(f"dslam.{_MODULE_OF[name]}" if _IS_INSTALLED else _MODULE_OF[name])
-    return getattr(module, name)
+    module, attribute = _PLACE_OF[name]
+    return getattr(import_module(f"dslam.{module}" if _IS_INSTALLED else module), attribute)
 
 
 def __dir__() -> list[str]:

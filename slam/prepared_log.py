@@ -65,9 +65,15 @@ class PreparedLog:
 
 
 def prepare_log(
-    reader: LogReader, config: Config, *, topics: Mapping[str, str] | None, copy: Collection[str]
+    reader: LogReader,
+    config: Config,
+    *,
+    topics: Mapping[str, str] | None,
+    copy: Collection[str],
+    is_surveyed: bool = True,
 ) -> PreparedLog:
-    """Choose the topics of a log, read all frames, and estimate what was not given of its calibration.
+    """Choose the topics of a log, read all frames, and estimate what was not given of its calibration, if it
+    ``is_surveyed``.
 
     Args:
         reader: of the log.
@@ -80,7 +86,7 @@ def prepare_log(
         SlamError: its transforms contradict one another.
     """
     log = _open(reader, config, topics, copy)
-    if not config.calibrate or config.calibration.is_complete:
+    if not is_surveyed or not config.calibrate or config.calibration.is_complete:
         return log
     surveyed, delays, drift = _survey(reader, log, MAX_DETECTIONS)
     found = survey([surveyed], config.calibration)

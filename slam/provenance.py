@@ -10,13 +10,19 @@ from slam.common.config import Config
 from slam.common.config_tree import CHANGED_SETTINGS, changed_settings
 from slam.localization.prior_map import PriorMap
 from slam.prepared_log import PreparedLog
+from slam.self_calibration.calibration import CalibratedLog
 
 
 def provenance_of(
-    reader: LogReader, config: Config, prepared: PreparedLog, prior_map: PriorMap | None, *, extend: bool
+    reader: LogReader,
+    config: Config,
+    prepared: PreparedLog,
+    calibration: CalibratedLog,
+    prior_map: PriorMap | None,
+    *,
+    extend: bool,
 ) -> dict[str, str]:
     """The version, the settings as given and as estimated, the input and the map, as text and JSON."""
-    calibration = prepared.calibration
     about = {
         "version": version("descriptellation-slam"),
         "configuration": config.model_dump_json(),

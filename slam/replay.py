@@ -27,6 +27,7 @@ from slam.display.drive_display import DriveDisplay
 from slam.final_map import FinalMap
 from slam.frontend.input.label_map import LabelMap
 from slam.frontend.input.stamp_clocks import StampClocks
+from slam.live_slam import LiveSlam
 from slam.localization.gnss import find_georeference
 from slam.localization.prior_map import PriorMap
 from slam.localization.unrecognised_map import why_doubtful, why_not_recognised
@@ -36,6 +37,7 @@ from slam.place_recognition.imported_map import ImportedMap
 from slam.place_recognition.place_prior import PlacePrior
 from slam.prepared_log import PreparedLog, prepare_log
 from slam.provenance import provenance_of
+from slam.self_calibration.calibration import CalibratedLog
 from slam.system import Slam
 
 DEFAULTS = Config()
@@ -75,6 +77,7 @@ def replay(
     prior_map: PriorMap | None = None,
     place_prior: PlacePrior | None = None,
     extend: bool = True,
+    online: bool = False,
     map_path: Path | None = None,
     copy: Collection[str] = (),
     view: Callable[[str, Record, int], None] | None = None,
@@ -90,6 +93,8 @@ def replay(
         prior_map: a map to localize in.
         place_prior: where in it the robot starts.
         extend: go on from that map and improve it; else it stays as it is.
+        online: calibrate the robot during the drive, by what it has seen so far, as a live robot is, instead of by the
+            whole log before it.
         map_path: where to save the map, for later drives.
         copy: further topics of the input, for example of cameras, that go into the output as they are.
         view: called with topic, record and log time of all that is written, while the drive is mapped.
@@ -106,24 +111,39 @@ def replay(
     started = time.perf_counter()
     with LogReader(source, config.reading_limits) as reader:
         _check_drive(reader, source, output)
-        prepared = prepare_log(reader, config, topics=topics, copy=copy)
-        estimated = prepared.calibration.config
-        slam = Slam(estimated, prior_map, extend=extend, place_prior=place_prior, frames=prepared.frames)
-        provenance = provenance_of(reader, config, prepared, prior_map, extend=extend)
+        prepared = prepare_log(reader, config, topics=topics, copy=copy, is_surveyed=not online)
+        clocks = StampClocks(prepared.drift, keeps_delays=online)
+        slam = _make_slam(prepared, clocks, prior_map, place_prior, extend=extend, online=online)
         display = DriveDisplay(
-            estimated.calibration.detection.sensor_range_m, _ground_truth(source, config, prepared.selection)
+            prepared.calibration.config.sensor_range_m, _ground_truth(source, config, prepared.selection)
         )
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output) as writer:
-            writer.add_metadata("dslam", provenance)
             georeference = prior_map.georeference if isinstance(prior_map, ImportedMap) else None
-            drive = _Drive(slam, prepared, OutputLog(writer, display, view, georeference))
+            drive = _Drive(slam, prepared, clocks, OutputLog(writer, display, view, georeference))
             final = drive.map(reader, writer, progress)
+            provenance = provenance_of(reader, config, prepared, drive.calibration, prior_map, extend=extend)
+            writer.add_metadata("dslam", provenance)
             if prior_map is None:
                 georeference = find_georeference(final.trajectory, drive.fixes)
             drive.log.write_final(final, georeference, prepared.last_ns)
         unsaved = 0 if map_path is None else _save(map_path, output, slam, final, provenance, prior_map)
     return _summarize(drive, final, _about_the_map(drive, prior_map, final, config), unsaved, started)
+
+
+def _make_slam(
+    prepared: PreparedLog,
+    clocks: StampClocks,
+    prior_map: PriorMap | None,
+    place_prior: PlacePrior | None,
+    *,
+    extend: bool,
+    online: bool,
+) -> Slam | LiveSlam:
+    config, frames = prepared.calibration.config, prepared.frames
+    if not online:
+        return Slam(config, prior_map, extend=extend, place_prior=place_prior, frames=frames)
+    return LiveSlam(config, prior_map, extend=extend, place_prior=place_prior, frames=frames, delays=clocks.delays)
 
 
 class _Drive:
@@ -132,14 +152,19 @@ class _Drive:
     ``fixes``: those of a satellite receiver; ``max_message_latency_s``: longest processing time of a message.
     """
 
-    def __init__(self, slam: Slam, prepared: PreparedLog, log: OutputLog) -> None:
+    def __init__(self, slam: Slam | LiveSlam, prepared: PreparedLog, clocks: StampClocks, log: OutputLog) -> None:
         self.slam = slam
         self.prepared = prepared
         self.log = log
-        self.clocks = StampClocks(prepared.drift, keeps_delays=False)
+        self.clocks = clocks
         self.fixes: list[GeodeticFix] = []
         self.max_message_latency_s = 0.0
         self._inputs = prepared.inputs()
+
+    @property
+    def calibration(self) -> CalibratedLog:
+        """By which the map is built."""
+        return self.slam.calibration if isinstance(self.slam, LiveSlam) else self.prepared.calibration
 
     def map(self, reader: LogReader, writer: LogWriter, progress: Callable[[float], None] | None) -> FinalMap:
         """Map the whole log, and write what each message makes known, and the topics that are copied."""
@@ -153,6 +178,8 @@ class _Drive:
                 progress(min(max(done, 0.0), 1.0))
         self._take(list(self.clocks.finish()), prepared.last_ns)
         self._inputs.check()
+        if isinstance(self.slam, LiveSlam):
+            self.log.write_updates(self.slam.catch_up(), prepared.last_ns)
         self.slam.counters.update(Counter(reader.counters) + Counter(prepared.lost) + Counter(self._inputs.counters))
         return self.slam.finish()
 
@@ -179,8 +206,8 @@ def _summarize(
         loop_closure_median_s=float(np.median(slam.closing_seconds)) if slam.closing_seconds else 0.0,
         final_status=final.status.message,
         notes=(
-            *prepared.calibration.notes,
-            *prepared.calibration.suspicions,
+            *drive.calibration.notes,
+            *drive.calibration.suspicions,
             *([str(prepared.drift)] if prepared.drift.rate else []),
             *map(str, drive.clocks.steps),
             *about_the_map,
@@ -203,7 +230,12 @@ def _check_drive(reader: LogReader, source: Path, output: Path) -> None:
 
 
 def _save(
-    map_path: Path, output: Path, slam: Slam, final: FinalMap, provenance: dict[str, str], prior_map: PriorMap | None
+    map_path: Path,
+    output: Path,
+    slam: Slam | LiveSlam,
+    final: FinalMap,
+    provenance: dict[str, str],
+    prior_map: PriorMap | None,
 ) -> int:
     """Save the map of a drive; returns how many keyframes only a discontinuity connects to it."""
     if prior_map is not None and not slam.fixes:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 
 from logs.messages import (
     DetectionAssociations,
@@ -39,6 +38,7 @@ from slam.localization.prior_map import PriorMap, relocalizations, restore_prior
 from slam.localization.state import Fix, LocalizationState, State
 from slam.loop_closure.loop_closer import LoopCloser
 from slam.object_map.landmarks import LandmarkState, ObjectMap
+from slam.odometry.calibrated_odometry import CalibratedOdometry
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.path import OdometryPath
 from slam.odometry.pose import OdometryPose
@@ -87,7 +87,7 @@ class Slam:
         if isinstance(prior_map, ImportedMap) and prior_map.georeference is not None and place_prior is None:
             self._gnss = GnssPrior(prior_map.georeference)
         self._localization = LocalizationState(has_prior_map=prior_map is not None)
-        self._odometry_offset_ns = round(config.calibration.odometry.time_offset_s * 1e9)
+        self._odometry = CalibratedOdometry(config.calibration.odometry)
         self._path, self._output = OdometryPath(), PoseOutput()
         self._schedule = SnapshotSchedule(self._first_keyframe, UPDATE_KEYFRAMES)
         self.closing_seconds: list[float] = []
@@ -97,6 +97,11 @@ class Slam:
     def first_stamp_ns(self) -> int:
         """When the drive began."""
         return self._path.first_stamp_ns
+
+    @property
+    def latest_ns(self) -> int:
+        """Stamp of the latest pose; 0 before the first."""
+        return self._frontend.latest_ns
 
     @property
     def state(self) -> State:
@@ -123,7 +128,8 @@ class Slam:
         elif isinstance(record, ObjectDetections):
             self._frontend.add_detections(record)
         elif isinstance(record, Odometry):
-            return self._follow(replace(record, stamp_ns=record.stamp_ns + self._odometry_offset_ns))
+            corrected = self._odometry.correct(record)
+            return [] if corrected is None else self._follow(corrected)
         return self._advance()
 
     def snapshot(self) -> MapSnapshot | None:

@@ -88,7 +88,7 @@ LAYERS = (
     {"display", "map_joining", "scan_localization"},
     {"final_map", "assessment", "graph_condenser"},
     {"system", "output_log", "prepared_log"},
-    {"provenance"},
+    {"live_slam", "provenance"},
     {"replay"},
     {"simulation", "evaluation"},
     {"sweeps", "library"},

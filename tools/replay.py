@@ -34,6 +34,7 @@ _USED = (
     "keyframes_recognised",
     "keyframes_condensed",
     "batch_iterations",
+    "calibrations",
 )
 _SHOWN = ("landmarks_", "closures_", "relocalizations")
 _LANDMARK_STATES = ("confirmed", "tentative", "retired")
@@ -56,6 +57,10 @@ def replay(
         Path | None,
         typer.Option("--save-map", metavar="MAP.mcap", help="Save the map for later drives.", show_default=False),
     ] = None,
+    online: Annotated[
+        bool,
+        typer.Option("--online", help="Calibrate the robot during the drive, by what it has seen so far."),
+    ] = False,
     copy: Annotated[
         list[str] | None,
         typer.Option("--copy", metavar="/TOPIC", help="Copy that topic too, of a camera for example. Repeatable."),
@@ -85,6 +90,7 @@ def replay(
             config,
             topics=chosen,
             prior_map=prior_map,
+            online=online,
             map_path=save_map,
             copy=copy or (),
             view=show,

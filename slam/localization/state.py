@@ -5,8 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+from logs.messages import DetectionAssociations, LoopClosureRecord, RelocalizationRecord
 from slam.odometry.keyframe import Keyframe
 
+CALIBRATIONS = "calibrations"
+"""Counter of a status: how often the map was built anew by another calibration. What was made known of an earlier map
+is replaced by what follows.
+"""
+OF_ONE_MAP = (DetectionAssociations, LoopClosureRecord, RelocalizationRecord)
+"""Records that name landmarks or keyframes of a map."""
 CONTRADICTED = "localization lost: observations are inconsistent with the map"
 
 

@@ -44,8 +44,6 @@ FRAMES = "assume_body_frame", "assume_odometry_frame"
 """Settings that take detections to be in another frame than their messages name."""
 ANGLES = {"roll_rad": "roll_deg", "pitch_rad": "pitch_deg", "yaw_rad": "yaw_deg"}
 TURNS = "odometry.turn_scale"
-AS_READ = {"odometry.length_scale": 1.0, TURNS: 1.0, "detection.range_scale": 1.0}
-"""Scales that were given are in the records already."""
 SAME_HEADING_RAD = 1e-6
 """Headings of an odometry without orientations differ by rounding only."""
 ROUNDS = 10
@@ -103,8 +101,8 @@ def survey(logs: Sequence[SurveyedLog], given: Calibration | None = None) -> Sur
     """
     given = given or Calibration()
     detour = max((log.detour() for log in logs), default=1.0)
-    two_sources = [log.follow_one_source() for log in logs]
-    known = given.with_values(AS_READ)
+    two_sources = [log.follow_one_source(is_known=given.odometry.sources > 1) for log in logs]
+    known = given
     corrected = _frame(logs, known, given)
     labels = _label_noise(logs, known.with_values(corrected))
     if labels.is_useless:

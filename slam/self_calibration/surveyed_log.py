@@ -12,7 +12,7 @@ from logs.messages import ObjectDetections, Odometry, Record, Transform
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import Calibration
 from slam.common.geometry import apply, interpolate, invert, transform_from_xyz_yaw, yaw_rad
-from slam.frontend.input.scan import is_wanted
+from slam.frontend.input.scan import in_metres, is_wanted
 from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
 from slam.odometry.scaled_odometry import ScaledOdometry
 from slam.odometry.sources import FollowedSource
@@ -65,13 +65,15 @@ class SurveyedLog:
         full_m, half_m = _path_length(poses), _path_length(poses[::2])
         return full_m / half_m if half_m > 0.0 else 1.0
 
-    def follow_one_source(self) -> bool:
-        """Keep the odometry of one of two sources, if both together make a detour and that alone makes none."""
-        if self.detour() <= MAX_DETOUR:
+    def follow_one_source(self, *, is_known: bool = False) -> bool:
+        """Keep the odometry of one of two sources, if that ``is_known`` to be right, or both together make a detour and
+        that alone makes none.
+        """
+        if not is_known and self.detour() <= MAX_DETOUR:
             return False
         both, source = self._odometry, FollowedSource()
         self._odometry = [odometry for odometry in both if source.follows(odometry)]
-        if self.detour() > MAX_DETOUR:
+        if not is_known and self.detour() > MAX_DETOUR:
             self._odometry = both
         return len(self._odometry) < len(both)
 
@@ -194,6 +196,7 @@ def _upright_scan(
     vocabulary: dict[str, int],
     calibration: Calibration,
 ) -> SurveyScan:
+    detections = in_metres(detections, calibration.detection)
     positions = apply(T_upright_sensor, detections.positions)
     used = np.isfinite(positions).all(axis=1) & is_wanted(detections, calibration.detection)
     variances = np.full(len(positions), np.nan)

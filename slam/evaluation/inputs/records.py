@@ -34,6 +34,7 @@ from logs.topics import RecordKind, TopicInfo
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses, series_of
 from slam.evaluation.inputs.text_reference import TextReference
+from slam.localization.state import CALIBRATIONS, OF_ONE_MAP
 
 _ESTIMATED_KINDS = frozenset(
     {
@@ -152,11 +153,15 @@ def collect_records(records: Iterable[tuple[str, Record]]) -> EvaluationRecords:
     An object map on a topic under ``/slam/`` is the estimate, on any other it is the truth.
     """
     of_kind: defaultdict[type[Record], list[Any]] = defaultdict(list)
-    estimated_maps, true_maps = list[ObjectMapRecord](), list[ObjectMapRecord]()
+    estimated_maps, true_maps, calibrations = list[ObjectMapRecord](), list[ObjectMapRecord](), 0
     for topic, record in records:
         if isinstance(record, ObjectMapRecord):
             (estimated_maps if topic.startswith(OUTPUT_PREFIX) else true_maps).append(record)
         else:
+            if isinstance(record, StatusRecord) and record.counters.get(CALIBRATIONS, 0) > calibrations:
+                calibrations = record.counters[CALIBRATIONS]
+                for kind in OF_ONE_MAP:
+                    of_kind[kind].clear()
             of_kind[type(record)].append(record)
     return EvaluationRecords(
         trajectory=_last(of_kind[TrajectoryRecord]),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -15,8 +14,6 @@ from slam.frontend.input.image_detections import ImageLifter
 from slam.frontend.input.label_map import LabelMap
 from slam.frontend.input.scan_objects import ScanObjects
 from slam.frontend.input.sensor_frames import SensorFrames
-from slam.odometry.scaled_odometry import ScaledOdometry
-from slam.odometry.sources import FollowedSource
 
 _REMEDIES = {
     "objects_without_camera_info": "no CameraInfo has their frame: record it, or choose it with "
@@ -38,11 +35,6 @@ class InputRecords:
         self._labels = labels
         self._scans = scans or ScanObjects(labels, frames)
         self._lifter = ImageLifter(config.calibration.detection, frames)
-        self._source = FollowedSource() if config.calibration.odometry.sources > 1 else None
-        odometry = config.calibration.odometry
-        self._scaled = ScaledOdometry(length_scale=odometry.length_scale, turn_scale=odometry.turn_scale)
-        self._is_scaled = (odometry.length_scale, odometry.turn_scale) != (1.0, 1.0)
-        self._range_scale = config.calibration.detection.range_scale
         self._frame = ""
         self._placed = 0
         self._repeated = 0
@@ -74,22 +66,12 @@ class InputRecords:
         elif isinstance(record, Odometry):
             self._lifter.body_frame = record.child_frame_id
             self._T_odom_body = record.T_odom_body
-            if self._source is not None and not self._source.follows(record):
-                return None
-            return self._scaled.correct(record) if self._is_scaled else record
         if not isinstance(record, ObjectDetections):
             return record
         if self._repeats(record):
             self._repeated += 1
             return None
-        return self._labels.apply(self._in_metres(record))
-
-    def _in_metres(self, scan: ObjectDetections) -> ObjectDetections:
-        scale = self._range_scale
-        if scale == 1.0:
-            return scan
-        covariances = None if scan.covariances is None else scale**2 * scan.covariances
-        return replace(scan, positions=scale * scan.positions, covariances=covariances)
+        return self._labels.apply(record)
 
     def _repeats(self, scan: ObjectDetections) -> bool:
         """Whether a scan has the objects of the one before from its sensor to the last digit, though the body moved:

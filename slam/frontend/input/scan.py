@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import compress
 
 import numpy as np
@@ -80,6 +80,15 @@ def is_wanted(detections: ObjectDetections, config: DetectionCalibration) -> NDA
     """(M,): which detections of a message neither the settings of labels nor that of scores leave out."""
     is_kept = np.array([label != DROPPED for label in detections.labels], dtype=np.bool_)
     return is_kept & (detections.scores >= config.min_score)
+
+
+def in_metres(detections: ObjectDetections, config: DetectionCalibration) -> ObjectDetections:
+    """The detections with their ranges corrected by the scale of the calibration."""
+    scale = config.range_scale
+    if scale == 1.0:
+        return detections
+    covariances = None if detections.covariances is None else scale**2 * detections.covariances
+    return replace(detections, positions=scale * detections.positions, covariances=covariances)
 
 
 def make_scan(

@@ -7,7 +7,7 @@ import logging
 from logs.messages import ObjectDetections, Odometry
 from slam.common.arrays import FloatArray
 from slam.common.calibration import DetectionCalibration
-from slam.frontend.input.scan import Scan, make_scan
+from slam.frontend.input.scan import Scan, in_metres, make_scan
 from slam.frontend.input.sensor_frames import SensorFrames, find_sensor
 from slam.odometry.pose import OdometryPose
 
@@ -32,7 +32,7 @@ class ScanPlacer:
         T_body_sensor = self._sensor_pose(detections, pose)
         if T_body_sensor is None:
             return None
-        return make_scan(detections, T_body_sensor, self._config, pose.T_odom_body[2, :3])
+        return make_scan(in_metres(detections, self._config), T_body_sensor, self._config, pose.T_odom_body[2, :3])
 
     def _sensor_pose(self, detections: ObjectDetections, pose: OdometryPose) -> FloatArray | None:
         """``T_body_sensor`` at the stamp of the detections; None where the log has no transform."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from logs.messages import ObjectDetections, Odometry
@@ -46,25 +44,3 @@ def test_scans_of_other_sensors_empty_scans_and_copies_of_messages_are_no_repeti
     assert prepared(scan(1, ROW), scan(2, ROW, "rear"), scan(3, [])) == ([1, 2, 3], {})
     assert prepared(scan(1, []), scan(2, [])) == ([1, 2], {})
     assert prepared(scan(1, ROW), scan(1, ROW)) == ([1, 1], {})
-
-
-def test_of_two_sources_of_odometry_that_of_the_first_message_is_used() -> None:
-    poses = [transform_from_xyz_yaw(np.array([0.1 * row, 5.0 * (row % 2), 0.0]), 0.0) for row in range(20)]
-    messages = [Odometry(row, T) for row, T in enumerate(poses)]
-    for sources, step in ((1, 1), (2, 2)):
-        config = Config().calibrated({"odometry.sources": sources})
-        inputs = InputRecords(config, LabelMap(config.labels), SensorFrames())
-        assert list(inputs.prepare(messages)) == messages[::step]
-
-
-def test_lengths_are_scaled_as_the_settings_say() -> None:
-    poses = [transform_from_xyz_yaw(np.array([float(row), 0.0, 0.0]), 0.0) for row in range(3)]
-    seen = replace(scan(5, ROW), covariances=np.tile(np.eye(3), (2, 1, 1)))
-    config = Config().calibrated({"odometry.length_scale": 1.5, "detection.range_scale": 0.5})
-    inputs = InputRecords(config, LabelMap(config.labels), SensorFrames())
-    *moved, found = inputs.prepare([*(Odometry(row, T) for row, T in enumerate(poses)), seen])
-    assert [each.T_odom_body[0, 3] for each in moved if isinstance(each, Odometry)] == [0.0, 1.5, 3.0]
-    assert isinstance(found, ObjectDetections)
-    np.testing.assert_allclose(found.positions, 0.5 * np.array(ROW))
-    assert found.covariances is not None
-    np.testing.assert_allclose(found.covariances[0], 0.25 * np.eye(3))

@@ -8,7 +8,7 @@ import pytest
 from logs.messages import ObjectDetections
 from slam.common.calibration import DetectionCalibration
 from slam.common.geometry import apply, make_transform
-from slam.frontend.input.scan import make_scan
+from slam.frontend.input.scan import in_metres, make_scan
 from tests.logs.examples import random_detections, random_transform
 
 
@@ -104,3 +104,11 @@ def test_what_messages_claim_is_scaled_by_how_much_they_understate():
     config = DetectionCalibration(claimed_sigma_factor=3.0, sensor_range_m=300.0)
     scan = make_scan(detections([[10, 0, 0]], covariances=0.2**2 * np.eye(3)[None]), np.eye(4), config)
     np.testing.assert_allclose(scan.covariances[0], (0.6**2 + 0.1**2) * np.eye(3))
+
+
+def test_the_scale_of_ranges_applies_to_positions_and_their_covariances():
+    seen = detections([[4.0, 0.0, 2.0]], covariances=np.eye(3)[None])
+    scaled = in_metres(seen, DetectionCalibration(range_scale=0.5))
+    np.testing.assert_allclose(scaled.positions, [[2.0, 0.0, 1.0]])
+    np.testing.assert_allclose(scaled.covariances, 0.25 * np.eye(3)[None])
+    assert in_metres(seen, DetectionCalibration()) is seen

@@ -1,0 +1,174 @@
+"""Maps a drive of a robot that is not calibrated: by what has been seen so far, and by nothing that comes later."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from logs.messages import (
+    ObjectDetections,
+    Record,
+    StatusRecord,
+    Transform,
+)
+from slam.common.calibration import Calibration
+from slam.common.config import Config
+from slam.display.snapshot import MapSnapshot
+from slam.final_map import FinalMap
+from slam.frontend.input.sensor_frames import SensorFrames
+from slam.frontend.input.stamp_clocks import LoggingDelays
+from slam.localization.prior_map import PriorMap
+from slam.localization.state import CALIBRATIONS, OF_ONE_MAP, Fix, State
+from slam.place_recognition.place_prior import PlacePrior
+from slam.self_calibration.calibration import CalibratedLog, calibrate
+from slam.self_calibration.survey import survey
+from slam.self_calibration.surveyed_log import MAX_DETECTIONS, SurveyedLog
+from slam.system import Slam
+
+CAUGHT_UP_RECORDS = 4
+"""Records of the past that a new map is built from while one new record comes: it has caught up a third later."""
+
+
+class LiveSlam:
+    """Maps a drive, record by record, as :class:`slam.system.Slam` does, and calibrates the robot meanwhile.
+
+    Each time twice as many scans have come, what was not given of the calibration is estimated from all of them, and a
+    second map is built by it, a few records of the past with each new one. Once it has caught up, it takes the place
+    of the first. So nothing depends on the clock, and the same records give the same results.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        prior_map: PriorMap | None = None,
+        *,
+        calibration: Calibration | None = None,
+        extend: bool = True,
+        place_prior: PlacePrior | None = None,
+        frames: SensorFrames | None = None,
+        delays: Callable[[], LoggingDelays] = LoggingDelays,
+    ) -> None:
+        """As those of ``Slam``. What was given of ``calibration``, or else of that of ``config``, is kept; if
+        ``config.calibrate`` is off, all of it. ``delays``: how long after their stamps messages were logged so far.
+        """
+        self._given = config if calibration is None else config.model_copy(update={"calibration": calibration})
+        self._prior_map, self._extend, self._place_prior = prior_map, extend, place_prior
+        self._frames = frames or SensorFrames()
+        self._delays = delays
+        self.calibration = CalibratedLog(self._given)
+        """By which the map is built now, and what it corrects."""
+        self._slam = self._build(self._given)
+        self._successor: _Successor | None = None
+        self._is_estimating = config.calibrate and not self._given.calibration.is_complete
+        self._records: list[Record] = []
+        self._scans = self._detections = self._surveyed = 0
+
+    @property
+    def counters(self) -> Counter[str]:
+        """What was done and what was dropped since the start, for the map as it is now."""
+        return self._slam.counters
+
+    @property
+    def state(self) -> State:
+        """The localization state of the robot."""
+        return self._slam.state
+
+    @property
+    def fixes(self) -> Sequence[Fix]:
+        """The relocalizations so far."""
+        return self._slam.fixes
+
+    @property
+    def first_stamp_ns(self) -> int:
+        """When the drive began."""
+        return self._slam.first_stamp_ns
+
+    @property
+    def solver_seconds(self) -> float:
+        """Time spent inside GTSAM for the map as it is now."""
+        return self._slam.solver_seconds
+
+    @property
+    def closing_seconds(self) -> list[float]:
+        """Time that looking for loops took, keyframe by keyframe."""
+        return self._slam.closing_seconds
+
+    def snapshot(self) -> MapSnapshot | None:
+        """The map as it is known now, for viewers; None if too few keyframes brought it up to date since the last."""
+        return self._slam.snapshot()
+
+    def process(self, record: Record) -> list[Record]:
+        """Take in the next record in the order of the log; returns what it made known."""
+        if isinstance(record, Transform):
+            self._frames.add(record)
+            return []
+        if not self._is_estimating:
+            return self._slam.process(record)
+        self._records.append(record)
+        if self._successor is not None and self._successor.follow(self._records, CAUGHT_UP_RECORDS):
+            return self._succeed(self._successor)
+        updates = self._slam.process(record)
+        if isinstance(record, ObjectDetections):
+            self._scans += 1
+            self._detections += len(record.positions)
+            if self._scans >= 2 * self._surveyed and self._successor is None:
+                self._calibrate()
+        return updates
+
+    def catch_up(self) -> list[Record]:
+        """Let a map that is being built catch up at once, as at the end of a drive; returns what that made known."""
+        if self._successor is None:
+            return []
+        self._successor.follow(self._records, len(self._records))
+        return self._succeed(self._successor)
+
+    def finish(self) -> FinalMap:
+        """Close the last keyframe, optimise everything at once and hand out the result.
+
+        Raises:
+            InputDataError: there was nothing to map.
+        """
+        self.catch_up()
+        return self._slam.finish()
+
+    def _build(self, config: Config) -> Slam:
+        return Slam(config, self._prior_map, extend=self._extend, place_prior=self._place_prior, frames=self._frames)
+
+    def _calibrate(self) -> None:
+        """Estimate the calibration from all records so far, and begin a map by it."""
+        found = survey([SurveyedLog.of(self._records, self._frames)], self._given.calibration)
+        if found is None:
+            return
+        self._surveyed = self._scans
+        calibration = calibrate(self._given, found, self._delays())
+        self._successor = _Successor(self._build(calibration.config), calibration)
+        self._successor.slam.counters[CALIBRATIONS] = self._slam.counters[CALIBRATIONS] + 1
+
+    def _succeed(self, successor: _Successor) -> list[Record]:
+        self._slam, self.calibration, self._successor = successor.slam, successor.calibration, None
+        if self._detections >= MAX_DETECTIONS:
+            self._is_estimating, self._records = False, []
+        counters = {key: int(value) for key, value in sorted(self.counters.items())}
+        message = f"calibrated by {self._surveyed} scans: the map was built anew"
+        stamp_ns = successor.slam.latest_ns
+        return [StatusRecord(stamp_ns, self.state.value, "info", message, counters), *successor.updates]
+
+
+@dataclass(slots=True)
+class _Successor:
+    """A map that is built from the records so far by a newer calibration; ``updates``: what readers must know of it."""
+
+    slam: Slam
+    calibration: CalibratedLog
+    updates: list[Record] = field(default_factory=list)
+    _mapped: int = 0
+
+    def follow(self, records: Sequence[Record], count: int) -> bool:
+        """Map so many further ones of the records; returns whether it has caught up. Poses of the past are left out."""
+        for record in records[self._mapped : self._mapped + count]:
+            self._mapped += 1
+            updates = self.slam.process(record)
+            is_newest = self._mapped == len(records)
+            self.updates += [update for update in updates if is_newest or isinstance(update, OF_ONE_MAP)]
+        return self._mapped == len(records)

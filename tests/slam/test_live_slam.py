@@ -1,0 +1,85 @@
+"""A map of a robot that is calibrated during its drive."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from logs.messages import ObjectDetections, Record, SlamPose, StatusRecord
+from slam.common.calibration import Calibration
+from slam.common.config import Config
+from slam.evaluation.inputs.records import collect_records
+from slam.live_slam import LiveSlam
+from slam.localization.state import CALIBRATIONS
+from slam.simulation.config import SimulationConfig
+from slam.system import Slam
+from tests.helpers.short_drives import block_world, drive, keep_until
+
+SECONDS = 6.0
+
+
+@cache
+def records() -> tuple[Record, ...]:
+    """The input of a short drive with noise."""
+    entries = keep_until(drive(SimulationConfig(), world=block_world()), SECONDS)
+    return tuple(record for topic, _, record in entries if not topic.startswith("/ground_truth"))
+
+
+@cache
+def live_updates() -> tuple[tuple[Record, ...], ...]:
+    """What each of the records made known."""
+    slam = LiveSlam(Config())
+    return tuple(tuple(slam.process(record)) for record in records())
+
+
+def poses(updates: tuple[tuple[Record, ...], ...]) -> list[tuple[int, bytes]]:
+    return [
+        (each.stamp_ns, each.T_map_body.tobytes()) for step in updates for each in step if isinstance(each, SlamPose)
+    ]
+
+
+def test_live_estimates_do_not_depend_on_what_comes_later():
+    slam, half = LiveSlam(Config()), len(records()) // 2
+    first = tuple(tuple(slam.process(record)) for record in records()[:half])
+    assert poses(first) == poses(live_updates()[:half])
+
+
+def test_calibration_is_estimated_each_time_that_scans_have_doubled():
+    statuses = [each for step in live_updates() for each in step if isinstance(each, StatusRecord)]
+    counts = [each.counters[CALIBRATIONS] for each in statuses if each.counters.get(CALIBRATIONS)]
+    scans = sum(isinstance(record, ObjectDetections) for record in records())
+    assert max(counts) == np.floor(np.log2(scans * 3 / 4))
+    assert sorted(set(counts)) == list(range(1, max(counts) + 1))
+
+
+def test_one_pose_is_published_for_each_odometry_message():
+    stamps = [stamp_ns for stamp_ns, _ in poses(live_updates())]
+    assert len(stamps) == len(set(stamps))
+
+
+def test_map_is_the_one_that_the_last_calibration_makes_of_all_records():
+    slam = LiveSlam(Config())
+    for record in records():
+        slam.process(record)
+    final = slam.finish()
+    again = Slam(slam.calibration.config)
+    for record in records():
+        again.process(record)
+    assert slam.calibration.estimated
+    np.testing.assert_array_equal(final.object_map.positions, again.finish().object_map.positions)
+
+
+def test_calibration_that_is_complete_is_kept():
+    calibration = Calibration.model_validate(Calibration().model_dump(exclude_none=True))
+    live, known = LiveSlam(Config(), calibration=calibration), Slam(Config(), calibration=calibration)
+    updates = tuple(tuple(live.process(record)) for record in records())
+    assert poses(updates) == poses(tuple(tuple(known.process(record)) for record in records()))
+    assert live.calibration.config.calibration == calibration
+
+
+def test_evaluation_takes_associations_and_closures_of_the_last_map_only():
+    found = collect_records(("/slam", each) for step in live_updates() for each in step)
+    stamps = [each.stamp_ns for each in found.associations]
+    assert len(stamps) == len(set(stamps))
+    assert len(stamps) == sum(isinstance(record, ObjectDetections) for record in records())
