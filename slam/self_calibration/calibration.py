@@ -63,6 +63,8 @@ MAX_SCALE = 1e30
 _MEANINGS = {
     "odometry.time_offset_s": "odometry messages are {:+.3f} s off their stamps",
     "detection.time_offset_s": "detections are {:+.3f} s off their stamps",
+    "odometry.length_scale": "the lengths of the odometry are to be multiplied by {:.3f}, if ranges of detections are "
+    "right (else give calibration.detection.range_scale)",
     "odometry.turn_scale": "the turns of the odometry are to be multiplied by {:.3f}",
     "odometry.sources": "{:.0f} sources publish on the topic of the odometry: that of the first message is used",
     "detection.roll_deg": "detections are to be turned by a roll of {:.1f} deg: check the frames",
@@ -79,7 +81,7 @@ _SUSPICIONS = {
     "pitch_rad": "a sensor that pitches by {:.3f} rad",
     "yaw_rad": "a sensor that is turned by {:.3f} rad",
     "length_share": "lengths of the odometry that are too short by a share of {:.3f}, or ranges of detections that "
-    "are too long (give calibration.odometry.length_scale or calibration.detection.range_scale),",
+    "are too long,",
     "turn_share": "turns of the odometry that are too small by a share of {:.3f}",
 }
 

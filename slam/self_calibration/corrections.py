@@ -9,9 +9,10 @@ velocity and rate of turn of the body, h the angle that it turned so far, u = x 
     W + tau (v + omega J x) + R phi x x + R e + s P + g (h J x + integral of h J v) + b u + c |x| z
 
 which does not move. Robust regression (Cauchy's weights) of the apparent motion between scans on the differences of all
-terms finds them. A term is *earned* if the regression with all terms predicts blocks of the log that it was not fitted
-to better than that without the term, which all others may replace: by a share of what is left without it, and more
-surely than chance, which gives each block's gain either sign (the sign-flip test).
+terms finds them. A term is *earned* if blocks of the log that the regression was not fitted to are predicted better
+with the term: among all others, which may replace it, and alone, since several terms together fit what none of them
+explains; by a share of what is left, and more surely than chance, which gives each block's gain either sign (the
+sign-flip test).
 """
 
 from __future__ import annotations
@@ -68,8 +69,8 @@ class BodyMotion:
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """The ``value`` of a term with its standard ``error``; ``gain``: share of the held-out motion that it explains;
-    ``is_sure``: whether that is more than chance gains.
+    """The ``value`` of a term with its standard ``error``; ``gain``: share of the held-out motion that it explains,
+    among all others and alone, the smaller one; ``is_sure``: whether both are more than chance gains, of one sign.
     """
 
     term: str
@@ -80,7 +81,7 @@ class Correction:
 
     @property
     def is_earned(self) -> bool:
-        """Whether it predicts what is held out better than all other terms, by much and surely."""
+        """Whether it predicts what is held out, by much and surely, with and without all other terms."""
         return self.is_sure and self.gain >= MIN_GAIN
 
     @property
@@ -102,16 +103,26 @@ def estimate_corrections(tracks: ObjectTracks, motion: BodyMotion) -> tuple[Corr
     sums = _block_sums(X / scale, y, block)
     everything = np.ones(len(TERMS), dtype=np.bool_)
     parts, with_all = _held_out(*sums, everything)
+    _, with_none = _held_out(*sums, ~everything)
     errors = np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((parts - parts.mean(axis=0)) ** 2, axis=0)) / scale
     found = []
     for number, term in enumerate(TERMS):
-        _, without = _held_out(*sums, everything & (np.arange(len(TERMS)) != number))
-        gains = without - with_all
-        gain = float(gains.sum() / max(float(without.sum()), 1e-300))
-        is_sure = bool(np.mean(_SIGNS @ gains >= gains.sum() * (1.0 - 1e-12)) <= CHANCE)
+        is_term = np.arange(len(TERMS)) == number
+        _, without = _held_out(*sums, everything & ~is_term)
+        alone, with_it = _held_out(*sums, is_term)
+        gain, is_sure = _gain(without, with_all)
+        gain_alone, is_sure_alone = _gain(with_none, with_it)
         value = float(parts.mean(axis=0)[number] / scale[number])
-        found.append(Correction(term, value, float(errors[number]), gain, is_sure))
+        is_sure = is_sure and is_sure_alone and value * float(alone.mean(axis=0)[number]) > 0.0
+        found.append(Correction(term, value, float(errors[number]), min(gain, gain_alone), is_sure))
     return tuple(sorted(found, key=lambda each: -each.gain))
+
+
+def _gain(before: FloatArray, after: FloatArray) -> tuple[float, bool]:
+    """The share by which squared residuals (B,) of blocks are less, and whether that is more than chance."""
+    gains = before - after
+    is_sure = bool(np.mean(_SIGNS @ gains >= gains.sum() * (1.0 - 1e-12)) <= CHANCE)
+    return float(gains.sum() / max(float(before.sum()), 1e-300)), is_sure
 
 
 def _lagged(tracks: ObjectTracks) -> tuple[IntArray, IntArray]:

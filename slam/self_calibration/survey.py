@@ -43,7 +43,7 @@ MAX_REPEATED = 16
 FRAMES = "assume_body_frame", "assume_odometry_frame"
 """Settings that take detections to be in another frame than their messages name."""
 ANGLES = {"roll_rad": "roll_deg", "pitch_rad": "pitch_deg", "yaw_rad": "yaw_deg"}
-TURNS = "odometry.turn_scale"
+SCALES = {"length_share": "odometry.length_scale", "turn_share": "odometry.turn_scale"}
 SAME_HEADING_RAD = 1e-6
 """Headings of an odometry without orientations differ by rounding only."""
 ROUNDS = 10
@@ -145,7 +145,8 @@ def _first_change(
 ) -> dict[str, float]:
     """The values that change by the first of the corrections that is earned, large enough, and not given by hand.
 
-    Lengths of the odometry never do: ranges of detections that are wrong by a share explain the same.
+    Ranges of detections that are too long explain the same as lengths of the odometry that are too short. The map
+    takes its scale from the ranges, which outnumber the steps, so that the odometry is the one to fit them.
     """
     for each in found:
         if each.is_earned and each.term == "delay_s":
@@ -153,11 +154,13 @@ def _first_change(
         if each.is_earned and each.term in ANGLES and _is_large(each) and not _is_turned_by_hand(given):
             axis = np.eye(3)[list(ANGLES).index(each.term)]
             return _angles(Rotation.from_rotvec(each.value * axis).as_matrix() @ _turned(now.detection))
-        if each.term == "turn_share" and not given.is_given(TURNS) and abs(each.value) < MAX_SHARE:
+        key = SCALES.get(each.term, "")
+        if key and not given.is_given(key):
+            scale = getattr(now.odometry, key.split(".")[1]) * (1.0 + each.value)
             # What is left of a correction is small, and needs to be sure only.
-            is_rest = TURNS in corrected and each.is_sure and abs(each.value) > MIN_REST
-            if is_rest or (each.is_earned and _is_large(each)):
-                return {TURNS: now.odometry.turn_scale * (1.0 + each.value)}
+            is_rest = key in corrected and each.is_sure and abs(each.value) > MIN_REST
+            if (is_rest or (each.is_earned and _is_large(each))) and abs(scale - 1.0) < MAX_SHARE:
+                return {key: scale}
     return {}
 
 

@@ -76,6 +76,14 @@ def test_each_error_is_told_from_the_others(term):
     assert (first.term, first.value) == (term, pytest.approx(0.1, abs=0.015))
 
 
+def test_term_that_has_the_other_sign_alone_is_earned_after_what_hides_it_is_corrected():
+    motion, made = replace(weaving(), headings=weaving().headings + 1.0), tracks(weaving())
+    yaw, turn = (_effects(made, motion)[:, :2, TERMS.index(term)] for term in ("yaw_rad", "turn_share"))
+    turned = replace(made, points=made.points - 0.05 * yaw)
+    assert set(earned(replace(turned, points=turned.points + 0.2 * turn), motion)) == {"turn_share"}
+    assert earned(turned, motion) == {"yaw_rad": pytest.approx(0.05, abs=0.01)}
+
+
 def test_an_error_of_one_part_of_the_log_does_not_predict_the_others():
     """The stamps of one stretch alone are wrong."""
     motion, made, late = weaving(), tracks(weaving()), tracks(weaving(), delay_s=0.3)

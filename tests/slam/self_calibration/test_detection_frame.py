@@ -65,7 +65,7 @@ def test_a_frame_that_was_set_by_hand_is_kept(drive):
     by_hand = DetectionCalibration(assume_body_frame=True)
     found = surveyed(fixed(drive.scans), "base_link", by_hand)
     assert "detection.assume_odometry_frame" not in found.corrected
-    assert found.max_range_m > 2.0 * drive.range_m
+    assert found.max_range_m > 1.1 * drive.range_m  # in the right frame it is less
 
 
 @pytest.mark.slow

@@ -212,13 +212,11 @@ def scaled_records(length: float, turn: float) -> list[Record]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("length", "is_suspected"), [(1.0, False), (1.2, True), (0.8, True)])
-def test_lengths_are_suspected_and_kept_because_ranges_explain_the_same(length, is_suspected):
+@pytest.mark.parametrize("length", [1.0, 1.2, 0.8])
+def test_lengths_of_the_odometry_are_corrected(length):
     found = survey(scaled_records(length, 1.0), ON_BODY)
-    assert found.corrected == {}
-    assert [each.term for each in found.suspected] == ["length_share"] * is_suspected
-    if is_suspected:
-        assert found.suspected[0].value == pytest.approx(1.0 / length - 1.0, abs=0.02)
+    assert found.corrected.get("odometry.length_scale", 1.0) == pytest.approx(1.0 / length, abs=0.01)
+    assert found.suspected == ()
 
 
 @pytest.mark.slow

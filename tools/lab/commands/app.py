@@ -11,6 +11,7 @@ from tools.lab.commands import (
     faults,
     fleet,
     kidnapping,
+    live,
     map_size,
     recall,
     registration,
@@ -27,6 +28,7 @@ app.command()(faults.faults)
 app.command()(fleet.fleet)
 app.command()(kidnapping.kidnapping)
 app.command()(ablation.ablation)
+app.command()(live.live)
 app.command("map-size")(map_size.map_size)
 app.command()(recall.recall)
 app.command()(registration.registration)

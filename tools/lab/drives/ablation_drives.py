@@ -13,7 +13,7 @@ from logs.importers.kitti_objects import read_kitti_objects
 from slam.simulation.config import load_simulation_config
 from slam.simulation.simulation import write_simulation
 from slam.simulation.street_grid import generate_street_grid
-from slam.simulation.world import load_world
+from slam.simulation.world import World, load_world
 from tools.lab.drives.robot_drives import find_drives, import_drive
 from tools.lab.relocalization.kidnaps import thin_world
 
@@ -33,6 +33,30 @@ def _write_city(log: Path, data: Path, *, city: str, thinned: float) -> None:
     write_simulation(log, world, load_simulation_config(), seed=SEED)
 
 
+def _write_greenhouse(log: Path, data: Path) -> None:
+    """A slow robot that sees 5 m, twice through all lanes between rows of plants."""
+    rng = np.random.default_rng(SEED)
+    rows = [(x, 2.0 * row) for row in range(9) for x in np.arange(0.0, 40.0, 1.5) if rng.random() < 0.9]
+    plants = np.pad(np.array(rows) + rng.normal(scale=0.1, size=(len(rows), 2)), ((0, 0), (0, 1)))
+    lanes = [[(-2.0, y), (42.0, y)][:: 1 if lane % 2 == 0 else -1] for lane, y in enumerate(np.arange(1.0, 17.0, 2.0))]
+    tour = np.array([point for lane in 2 * lanes for point in lane])
+    labels = tuple(rng.choice(["tomato", "pepper", "post"], len(plants), p=[0.5, 0.4, 0.1]).tolist())
+    world = World("greenhouse", tuple(f"plant {k}" for k in range(len(plants))), plants, labels, tour)
+    config = load_simulation_config(
+        overrides=(
+            "drive.speed_mps=0.8",
+            "drive.rate_hz=5",
+            "drive.corner_smoothing_m=0.4",
+            "odometry.scale_drift_percent=3",
+            "odometry.heading_drift_deg_per_100m=8",
+            "sensor.max_range_m=5",
+            "sensor.noise_base_m=0.03",
+            "sensor.covariances=false",
+        )
+    )
+    write_simulation(log, world, config, seed=SEED)
+
+
 def _write_kitti(log: Path, data: Path) -> None:
     folder = data / "kitti00"
     drive = read_kitti_objects(
@@ -50,9 +74,10 @@ def _write_robot(log: Path, data: Path, *, name: str) -> None:
     import_drive(drive, log)
 
 
-ROBOTS = ("evo", "wild03", "lost_in_the_woods", "mrclam6/robot1", "tags", "cones")
+ROBOTS = ("evo", "wild03", "lost_in_the_woods", "mrclam6/robot1", "mrclam6/robot2", "tags", "cones")
 DRIVES: dict[str, Callable[[Path, Path], None]] = {
     "demo": _write_town,
+    "greenhouse": _write_greenhouse,
     "kitti00": _write_kitti,
     "villeurbanne": partial(_write_city, city="villeurbanne", thinned=1.0),
     "villeurbanne, a tenth": partial(_write_city, city="villeurbanne", thinned=10.0),

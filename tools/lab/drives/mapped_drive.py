@@ -7,15 +7,17 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from logs.errors import LogError
 from slam.common.config import Config
 from slam.common.errors import SlamError
 from slam.evaluation.evaluate import evaluate
-from slam.evaluation.inputs.records import read_records
+from slam.evaluation.inputs.records import EvaluationRecords, read_records
 from slam.replay import ReplaySummary, replay
 from slam.simulation.faults.faulty_log import write_faulty
 from slam.simulation.faults.registry import parse_faults
@@ -26,7 +28,8 @@ from slam.sweeps.workers import Death, compute_all
 class DriveTask:
     """A log, the faults that it gets first with a seed, and how it is mapped.
 
-    ``scratch``: folder in which a process that is killed may leave logs behind.
+    ``scratch``: folder in which a process that is killed may leave logs behind. ``online``: calibrate the robot during
+    the drive; ``online_from``: share of the way from which online poses are evaluated.
     """
 
     name: str
@@ -37,6 +40,8 @@ class DriveTask:
     faults: tuple[str, ...] = ()
     seed: int = 0
     is_evaluated: bool = True
+    online: bool = False
+    online_from: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,12 +96,12 @@ def _map(task: DriveTask, folder: Path) -> MappedDrive:
         source = folder / "faulty.mcap"
         write_faulty(task.log, source, parse_faults(task.faults), seed=task.seed, topics=task.topics)
     started = time.perf_counter()
-    summary = replay(source, mapped, task.config, topics=task.topics)
+    summary = replay(source, mapped, task.config, topics=task.topics, online=task.online)
     seconds, peak = time.perf_counter() - started, _peak_memory_bytes()
     if not task.is_evaluated:
         return MappedDrive(task.name, summary, peak_memory_bytes=peak, seconds=seconds)
     # The replay copies the truth, so that the truth of a scaled log is the scaled one.
-    records = read_records(mapped)
+    records = _with_online_from(read_records(mapped), task.online_from)
     warnings = dict.fromkeys(status.message for status in records.statuses if status.level != "info")
     evaluation = evaluate(records)
     objects = evaluation.associations.object_detection_counts if evaluation.associations else None
@@ -109,6 +114,16 @@ def _map(task: DriveTask, folder: Path) -> MappedDrive:
         None if objects is None else len(objects),
         seconds,
     )
+
+
+def _with_online_from(records: EvaluationRecords, share: float) -> EvaluationRecords:
+    """The records without the online poses before that share of the way by the odometry."""
+    if share == 0.0 or not records.odometry:
+        return records
+    path = records.odometry_path
+    travel_m = np.cumsum(np.linalg.norm(np.diff(path.positions, axis=0, prepend=path.positions[:1]), axis=1))
+    first_ns = path.stamps_ns[np.searchsorted(travel_m, share * travel_m[-1])]
+    return replace(records, online_poses=tuple(each for each in records.online_poses if each.stamp_ns >= first_ns))
 
 
 def _peak_memory_bytes() -> int:
