@@ -11,7 +11,6 @@ from tools.lab.commands import (
     faults,
     fleet,
     kidnapping,
-    live,
     map_size,
     recall,
     registration,
@@ -20,6 +19,7 @@ from tools.lab.commands import (
     retrieval,
     robots,
 )
+from tools.lab.live.command import live
 
 app = typer.Typer(help="Measure speed, memory and success.", no_args_is_help=True)
 app.command()(closures.closures)
@@ -28,7 +28,7 @@ app.command()(faults.faults)
 app.command()(fleet.fleet)
 app.command()(kidnapping.kidnapping)
 app.command()(ablation.ablation)
-app.command()(live.live)
+app.command()(live)
 app.command("map-size")(map_size.map_size)
 app.command()(recall.recall)
 app.command()(registration.registration)

@@ -12,7 +12,7 @@ from tools.arguments import ConfigFile, Json, Settings
 from tools.lab.tables import Row, number, show, to_markdown
 
 if TYPE_CHECKING:
-    from tools.lab.drives.live_runs import LiveRuns
+    from tools.lab.live.live_runs import LiveRuns
 
 DEFAULT_DRIVES = ("demo", "greenhouse", "lost_in_the_woods", "mrclam6/robot2", "wild03", "kitti00")
 NOTE = """\
@@ -41,7 +41,7 @@ def live(
     from slam.common.config import load_config
     from tools import console
     from tools.lab.drives.ablation_drives import DRIVES
-    from tools.lab.drives.live_runs import run_live
+    from tools.lab.live.live_runs import run_live
 
     config = load_config(config_file, settings or ())
     for name in drive or ():
@@ -65,7 +65,7 @@ def live(
 
 
 def _rows(found: list[LiveRuns]) -> Iterator[Row]:
-    from tools.lab.drives.live_runs import rows_of
+    from tools.lab.live.live_runs import rows_of
 
     for runs in found:
         final, online, final_uncalibrated, online_uncalibrated = runs.ratios()

@@ -1,0 +1,1 @@
+"""Drives mapped live, and what that costs against a replay."""
