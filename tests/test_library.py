@@ -42,7 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_public_name_is_typed_and_found() -> None:
     tree = ast.parse((ROOT / "dslam.py").read_text(encoding="utf-8"))
     typed = {
-        name.name
+        name.asname or name.name
         for block in tree.body
         if isinstance(block, ast.If)
         for node in ast.walk(block)
