@@ -100,7 +100,8 @@ def draw_map(path_png: str | Path, picture: MapPicture, *, width_px: int = 1600)
     # A dollar sign in a name is one.
     with rc_context({"text.parse_math": False, "font.family": fonts or ["sans-serif"]}):
         height_in = float(min(12.2 * (high - low)[1] / (high - low)[0] + 1.5, 16.0))
-        figure = Figure(figsize=(16.0, height_in), dpi=width_px / 16.0, facecolor="white", layout="constrained")
+        figure = Figure(figsize=(16.0, height_in), dpi=width_px / 16.0, facecolor="white")
+        figure.set_layout_engine("constrained", h_pad=0.15, w_pad=0.15)
         axes = figure.add_subplot()
         _prepare(axes, low, high)
         _draw_landmarks(axes, picture)

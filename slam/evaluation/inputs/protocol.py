@@ -114,32 +114,32 @@ class Protocol:
         return {
             "time": "The truth is interpolated at the stamps of the estimate, inside its span and not across gaps of "
             f"more than {self.max_truth_gap_s:g} s.",
-            "alignment": "Umeyama SE(3), no scale, over all compared positions; on a straight line (spread across it "
-            f"below {STRAIGHT_LINE_RATIO:g} of that along it) yaw and translation only.",
+            "alignment": "Umeyama SE(3) without scale over all compared positions; on a straight line (lateral spread "
+            f"below {STRAIGHT_LINE_RATIO:g} of the longitudinal one) yaw and translation only.",
             "ate": "Distances between aligned estimated and true positions of the body; ate_m is their RMSE, ate_yaw_m "
-            "that after the alignment of yaw and translation only, as z is up in both.",
+            "the RMSE after the alignment of yaw and translation only.",
             "rpe": f"KITTI: stretches of {lengths} m of true path, starting at every {self.relative_start_step}th "
             "compared pose and divided by the nominal length; the averages are over all stretches.",
-            "short_rpe": f"Stretches of {short} m likewise, divided by the path that each really measures.",
-            "landmark_identity": "A landmark shows the object that most of its detections show, false positives "
-            "counted as one candidate; a tie goes to the first. Detections of a merged landmark count for the one that "
-            "it became.",
-            "lengths": f"Lengths of places, closures, revisits and windows are those of papers for a sensor that sees "
-            f"{RANGE_M:g} m, in proportion to the range that the run went by: here a revisit comes after "
+            "short_rpe": f"The same over stretches of {short} m, divided by their actual length.",
+            "landmark_identity": "A landmark shows the true object of most of its detections; false positives count as "
+            "one candidate, and a tie goes to the first. Detections of a merged landmark count for the one it was "
+            "merged into.",
+            "lengths": f"Lengths of places, closures, revisits and windows are those usual for a sensor range of "
+            f"{RANGE_M:g} m, scaled by the sensor range of the run: here a revisit comes after "
             f"{self.revisit_m:g} m.",
             "association_precision": "Assignments to an existing landmark whose detection shows that landmark's "
             "object; a false positive is wrong.",
-            "association_recall": f"Detections of an object that an earlier frame showed within the last "
-            f"{self.revisit_m:g} m of travel, assigned to an existing landmark that shows the object.",
+            "association_recall": f"Detections of an object that was also detected within the last "
+            f"{self.revisit_m:g} m of travel: the share assigned to an existing landmark of this object.",
             "landmark_error": f"Confirmed landmarks, grouped by first observation into windows of {self.window_m:g} m "
             f"of true path every {self.window_stride_m:g} m; yaw and translation aligned in each window with at least "
             f"{self.window_least_landmarks} landmarks; statistics over the residuals of all windows.",
             "landmark_global_error": "Confirmed landmarks after the alignment of the trajectory.",
-            "landmark_matching": "By the identity above; without a truth of the detections, the nearest true object of "
+            "landmark_matching": "By landmark_identity; without a truth of the detections, the nearest true object of "
             f"the same class within {self.match_distance_m:g} m after the alignment of the trajectory.",
             "landmark_precision": "Confirmed landmarks that show an object.",
-            "landmark_recall": f"True objects detected at least {self.least_detections} times that a confirmed "
-            "landmark shows.",
+            "landmark_recall": f"True objects that were detected at least {self.least_detections} times: the share "
+            "shown by a confirmed landmark.",
             "class_accuracy": "Confirmed landmarks whose most probable class is that of their object.",
             **self._describe_closures(),
             **self._describe_literature_protocols(),
@@ -154,33 +154,34 @@ class Protocol:
             "closure_true": f"The transform is within {self.closure_translation_m:g} m and "
             f"{self.closure_rotation_deg:g} deg (whole angle of rotation) of the true relative pose; undecided where "
             "it or the truth at one of the two stamps is missing.",
-            "closure_precision": "True among the accepted closures that are decided, of whatever keyframe.",
+            "closure_precision": "The share of true closures among the accepted ones that are decided, at all "
+            "keyframes.",
             "query_keyframes": f"Keyframes with truth, the first and then each at least {least_m:g} m of true travel "
             f"after the one before ({self.query_spacing_m:g} m less {100.0 * SPACING_TOLERANCE:g} %).",
             "revisit": f"A query keyframe within {self.revisit_distance_m:g} m (between true positions, 3-D) of any "
             f"keyframe at least {self.revisit_m:g} m of true travel before. The angle between the forward axes of it "
             f"and the nearest such keyframe makes it same (up to {self.same_heading_deg:g} deg), opposite (beyond "
             f"{self.opposite_heading_deg:g} deg) or crossing.",
-            "closure_recall": "Revisits with at least one accepted true closure of that very keyframe; one of a "
-            "neighbour that was thinned out does not count for it.",
-            "closure_recognised": "Revisits that are recalled, or at which the landmarks of the earlier traversal are "
-            "still associated and the pose by them is true: there a closure would add nothing.",
-            "reliability": "The likeliest candidate of each query that no other closure predicted, by its posterior "
-            "probability against being somewhere new, rivals apart: how many of them are right.",
-            "closure_missed": "Where a revisit was missed: the farthest stage that a true candidate of it reached.",
-            "closure_error": "Accepted true closures, in the place and in the whole angle of the query keyframe.",
+            "closure_recall": "Revisits with at least one accepted true closure at the same keyframe; closures at "
+            "neighbouring keyframes do not count.",
+            "closure_recognised": "Revisits that are recalled, or at which landmarks of the earlier traversal are "
+            "still associated and their pose is true, so that no closure is needed.",
+            "reliability": "The likeliest candidate of each query that was not predicted by another closure, binned by "
+            "its posterior probability against a new place, without rivals: the number of right ones in each bin.",
+            "closure_missed": "The last stage that a true candidate of a missed revisit reached.",
+            "closure_error": "Errors of the accepted true closures: position and rotation angle of the query keyframe.",
             "within_revisit_spread": f"Accepted true closures less than {self.closure_run_gap_m:g} m of true travel "
             "apart form a run; the median, over runs of at least two, of the standard deviation of the error vectors "
             "(world frame) about their mean.",
-            "closure_score": "The best-scoring decided candidate of each query keyframe, accepted from a threshold on; "
-            "equal scores together, and of equal best ones of a keyframe a false one. Average precision is the sum of "
-            "(R_n - R_(n-1)) P_n as in scikit-learn, with recall over all revisits.",
-            "extended_precision": "Half the sum of the precision at the highest score and of the largest recall at "
-            "full precision (Ferrarini et al., 2020); the latter is 0 where the best score is false. Without a "
-            "candidate it is undefined, as average precision and F1 are.",
-            "retrieval": "Revisits at which descriptors were asked for the place, with a right one among their first "
-            f"k proposals: the reference keyframe within {self.revisit_distance_m:g} m of the query by the truth, or "
-            "the transform true. Undefined for k above the number of proposals that the run verified for each "
+            "closure_score": "A threshold is moved over the score of the best decided candidate of each query "
+            "keyframe; equal scores are accepted together, and ties within a keyframe are scored pessimistically. "
+            "Average precision is the sum of (R_n - R_(n-1)) P_n as in scikit-learn, with recall over all revisits.",
+            "extended_precision": "The mean of the precision at the highest score and the largest recall at full "
+            "precision (Ferrarini et al., 2020); the latter is 0 if the best score is false. Undefined without a "
+            "candidate, as average precision and F1 are.",
+            "retrieval": "Revisits at which descriptors proposed places: the share with a right one among the first "
+            f"k, which is a reference keyframe within {self.revisit_distance_m:g} m of the query by the truth, or "
+            "a true transform. Undefined for k above the number of proposals that the run verified at each "
             "keyframe (loop_closure.max_candidates).",
         }
 
@@ -188,39 +189,38 @@ class Protocol:
         apart = f"more than {self.pair_frames} frames apart (odometry messages, or keyframes where the log has none)"
         return {
             "literature_pairs": f"Pairs of keyframes: positive less than {self.pair_positive_m:g} m and {apart}, "
-            f"negative more than {self.pair_negative_m:g} m apart, between true positions in 3-D; others do not "
-            "count. A pair has the score of the best candidate of the later keyframe that puts it, composed with the "
-            f"final map, less than {self.pair_positive_m:g} m from the earlier one; all other pairs together the "
-            "lowest score. Papers take every frame, and score every pair by its similarity.",
-            "literature_online": f"Each keyframe as a query against all earlier ones {apart}. Its answer is the one of "
-            "those nearest to where its best-scoring candidate puts it in the final map, none if that is "
-            f"{self.pair_positive_m:g} m away or more; right if they are less than {self.pair_positive_m:g} m apart "
-            "by the truth. Recall is over the queries that have such a keyframe, recall at 1 whatever the score. "
+            f"negative more than {self.pair_negative_m:g} m apart, between true positions in 3-D; others are "
+            "ignored. A pair has the score of the best candidate that places the later keyframe in the final map "
+            f"less than {self.pair_positive_m:g} m from the earlier one; all other pairs share the "
+            "lowest score. Papers use every frame, and score every pair by its similarity.",
+            "literature_online": f"Each keyframe is a query against all earlier ones {apart}. Its answer is the "
+            "keyframe nearest to the pose of its best-scoring candidate in the final map, or none if it is "
+            f"{self.pair_positive_m:g} m away or more; it is right if both are less than {self.pair_positive_m:g} m "
+            "apart by the truth. Recall is over the queries with such a keyframe; recall at 1 ignores the score. "
             "Papers query every frame, and each has an answer.",
         }
 
     def _describe_relocalization(self) -> dict[str, str]:
         return {
-            "relocalization_loss": "From the first status in state LOST, also at the start of a drive in a given "
-            "map, to the next in state RELOCALIZED. Time and travel (along the truth, or the odometry where there is "
-            "none) are those of all fixes, right or wrong; the share lost is of the time of the drive.",
+            "relocalization_loss": "A loss lasts from the first status in state LOST, also at the start of a drive in "
+            "a given map, to the next status RELOCALIZED (a fix). Time and travel (along the truth, else the odometry) "
+            "include wrong fixes; lost_time_ratio is a share of the duration of the drive.",
             "relocalization_error": "Method closure, without a given map: the error of the last closure accepted up "
-            "to the fix with a reference from before the loss. With a given map the error of the first pose on "
-            "/slam/pose from the fix on; method map: laid on the truth as the final trajectory of the drive that "
-            "made the map is; method trajectory: by the alignment of the trajectory that is evaluated, which hides "
-            "an offset that all of it shares.",
+            "to the fix whose reference is from before the loss. With a given map: the error of the first pose on "
+            "/slam/pose after the fix, aligned by the drive that made the map (method map) or by the evaluated "
+            "trajectory itself (method trajectory), which hides a common offset.",
             "relocalization_right": f"Within {self.relocalization_translation_m:g} m and "
             f"{self.relocalization_rotation_deg:g} deg (whole angle of rotation). The success rate is the share of "
-            "losses with a right fix, the wrong rate that with a wrong one; a fix without truth is left out.",
+            "losses with a right fix, the wrong rate that of losses with a wrong one; fixes without truth are ignored.",
         }
 
     def _describe_calibration(self) -> dict[str, str]:
         return {
-            "calibration": "The NEES e^T P^-1 e of an error e by its covariance P, a degree of freedom (1 is right, "
-            f"more is overconfident), and the share of errors in the {100.0 * self.coverage_probability:g} % region of "
-            "the chi-squared distribution. Covariances are in the map frame, which the first keyframe fixes, so the "
-            "truth is tied to the estimate there, and errors are taken without any other alignment. Errors of one run "
-            "share their causes: judge the coverage over several.",
+            "calibration": "The NEES e^T P^-1 e of an error e with the covariance P, per degree of freedom (1 is "
+            f"right, more is overconfident), and the share of errors in the {100.0 * self.coverage_probability:g} % "
+            "region of the chi-squared distribution. Covariances are in the map frame, which the first keyframe fixes, "
+            "so the truth is aligned with the estimate there and nowhere else. Errors of one run are correlated: judge "
+            "the coverage over several runs.",
             "calibration_of_poses": "All other keyframes with truth: six degrees of freedom about the axes of the "
             "body; planar: heading, forward and left.",
             "calibration_of_landmarks": "Confirmed landmarks that show an object by the truth of their detections: "

@@ -83,7 +83,7 @@ def draw_error_along_path(records: EvaluationRecords, evaluation: Evaluation) ->
     traces: list[Trace] = []
     for path, errors, name, color in (
         (records.odometry_path, evaluation.odometry, "odometry", palette.ODOMETRY),
-        (records.online_path, evaluation.online, "estimate at its time", "#64748b"),
+        (records.online_path, evaluation.online, "online estimate", "#64748b"),
         (records.final_path, evaluation.estimate, "estimate", palette.ESTIMATE),
     ):
         poses = match_poses(path, records.true_path, evaluation)
@@ -156,7 +156,7 @@ def draw_calibration(quality: CalibrationQuality | None) -> Chart | None:
     if quality is None:
         return None
     probabilities = np.linspace(0.0, 1.0, 51)
-    traces = [draw_line(probabilities, probabilities, "right covariances", "#8a94a3", 1.2, dash="dot")]
+    traces = [draw_line(probabilities, probabilities, "consistent covariances", "#8a94a3", 1.2, dash="dot")]
     for name, part in quality.parts.items():
         kind = name.removeprefix("planar_")
         within = np.sort(chdtr(part.dimension, part.squares))

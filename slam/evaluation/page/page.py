@@ -48,9 +48,9 @@ _COUNTED = {"keyframes": "keyframes", "landmarks_confirmed": "landmarks"}
 _PANELS = {
     "trajectory": (
         "Trajectory",
-        "Odometry and estimate from the same start, the truth aligned with the estimate. A line is broken where the "
-        "robot was carried off or the odometry jumped. A dot is a keyframe at which a loop was closed, its stroke "
-        "leads to the earlier keyframe.",
+        "Odometry and estimate have the same start; the truth is aligned with the estimate. Lines are interrupted "
+        "where the robot was kidnapped or the odometry jumped. A dot is a keyframe at which a loop was closed; its "
+        "stroke leads to the earlier keyframe.",
     ),
     "objects": (
         "Object map",
@@ -58,7 +58,7 @@ _PANELS = {
     ),
     "precision-recall": (
         "Precision and recall",
-        "If the best candidate of each keyframe were accepted from a score on; the mark is what was accepted.",
+        "Of the best candidate of each keyframe, for every threshold on its score; the mark is what the run accepted.",
     ),
     "error": (
         "Error along the path",
@@ -66,15 +66,15 @@ _PANELS = {
     ),
     "candidates": (
         "Candidates over time",
-        "Each by its score (0 before it has one), coloured by the stage at which it was decided: dots are true by the "
+        "The score of each candidate (0 if it has none), coloured by the stage that decided it: dots are true by the "
         "ground truth, crosses false, rings undecided. A click shows the candidate on the object map: a line between "
-        "its keyframes, and the landmarks around the later one, as rings, where the candidate puts them. If it is "
-        "true, rings lie around dots.",
+        "its keyframes, and the landmarks around the later one, as rings, at the pose of the candidate. Rings around "
+        "dots show a true candidate.",
     ),
     "calibration": (
         "Calibration",
-        "Errors by the covariances of the map. Below the dotted line the map is overconfident (NEES above 1), above it "
-        "too careful.",
+        "Share of the errors within the confidence regions of the map. Below the dotted line the map is overconfident "
+        "(NEES above 1), above it underconfident.",
     ),
 }
 """Heading of each chart, and how to read it."""

@@ -77,7 +77,7 @@ SUMMARY = {
         "; {closures.independent_count} independent: at most {closures.largest_false_share:.0%} false",
     ),
     "relocalization": (
-        "lost {relocalization.loss_count}, found {relocalization.fix_count}",
+        "{relocalization.fix_count} fixes after {relocalization.loss_count} losses or starts in a map",
         ", right {relocalization.right_count}, wrong {relocalization.wrong_count}",
         "; median travel to a fix {relocalization.median_distance_m:.1f} m",
     ),
@@ -123,7 +123,8 @@ TILES = {
     "Relocalization": (
         "{relocalization.success_rate:.2%}",
         (
-            "lost {relocalization.loss_count}; fixes: {relocalization.right_count} right",
+            "{relocalization.fix_count} fixes after {relocalization.loss_count} losses or starts in a map: "
+            "{relocalization.right_count} right",
             ", {relocalization.wrong_count} wrong",
             "; median travel to a fix {relocalization.median_distance_m:.1f} m",
         ),

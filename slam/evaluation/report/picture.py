@@ -17,18 +17,13 @@ from slam.evaluation.place_recognition.closure_labels import JudgedClosures
 from slam.evaluation.place_recognition.closures import ClosureQuality
 from slam.evaluation.result import Evaluation
 
-_USUAL_SHARE, _LEAP_STEPS = 0.9, 10.0
-"""A leap is that many times as long as that share of all steps with motion."""
-_LEAP_SHARE = 0.02
-"""And that long, in parts of the extent of the path: shorter ones are not seen."""
-
 
 def compose_picture(records: EvaluationRecords, evaluation: Evaluation, *, title: str = "Object map") -> MapPicture:
     """Bring the odometry into the map frame by its first pose, the truth by the alignment of the estimate.
 
-    A closure joins the estimated positions of its two keyframes. The poses as they were at their time stand for a
-    final trajectory that is missing. Truth that could not be aligned is left out. A path is broken, by a row of NaN,
-    at a discontinuity of the odometry and at a step that no robot makes. A robot that has no first fix yet is not lost.
+    A closure joins the estimated positions of its two keyframes. Without a final trajectory the online poses are drawn.
+    Truth that could not be aligned is left out. Paths are broken, by a row of NaN, at discontinuities of the odometry.
+    A robot without a first fix is not marked as lost.
     """
     estimate = estimated_path(records)
     errors = evaluation.estimate or evaluation.online
@@ -41,7 +36,7 @@ def compose_picture(records: EvaluationRecords, evaluation: Evaluation, *, title
     return MapPicture(
         estimate=_broken(estimate.stamps_ns, estimate.positions, spans_ns),
         odometry=_broken(odometry.stamps_ns, _in_map(odometry, estimate), spans_ns),
-        truth=_broken(truth.stamps_ns, apply(invert(errors.alignment.T_world_map), truth.positions), spans_ns[:0])
+        truth=_broken(truth.stamps_ns, apply(invert(errors.alignment.T_world_map), truth.positions), spans_ns)
         if errors
         else np.zeros((0, 3)),
         lost=_known(positions_at(estimate, [loss.lost_ns for loss in losses if loss.lost_ns > start_ns])),
@@ -117,22 +112,12 @@ def _discontinuities(graph: FactorGraphRecord | None) -> IntArray:
 
 
 def _broken(stamps_ns: IntArray, positions: FloatArray, spans_ns: IntArray) -> FloatArray:
-    """A path with a row of NaN in the longest step within each span (J, 2), and in each leap."""
+    """A path with a row of NaN in the longest step within each span (J, 2)."""
     steps_m = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    jumps = _leaps(positions, steps_m).tolist()
+    jumps = list[int]()
     for first_ns, last_ns in spans_ns:
         begin = max(int(np.searchsorted(stamps_ns, first_ns, side="right")) - 1, 0)
         within = steps_m[begin : np.searchsorted(stamps_ns, last_ns)]
         if len(within) and first_ns < last_ns:
             jumps.append(begin + int(np.argmax(within)))
     return np.insert(positions, np.unique(np.array(jumps, dtype=np.int64)) + 1, np.nan, axis=0)
-
-
-def _leaps(positions: FloatArray, steps_m: FloatArray) -> IntArray:
-    """Rows before steps of a path (N, 3) that are far longer than the others, and long on the map."""
-    moving_m = steps_m[steps_m > 0.0]
-    if not len(moving_m):
-        return np.zeros(0, dtype=np.int64)
-    extent_m = float(np.linalg.norm(np.ptp(positions, axis=0)))
-    usual_m = float(np.quantile(moving_m, _USUAL_SHARE))
-    return np.flatnonzero(steps_m > max(_LEAP_STEPS * usual_m, _LEAP_SHARE * extent_m))

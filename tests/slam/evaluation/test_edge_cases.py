@@ -64,21 +64,6 @@ def test_ground_truth_of_another_rate_and_in_another_frame() -> None:
         assert ate_m == pytest.approx(at_json(plain, "trajectory.ate_m"), abs=0.02)
 
 
-def test_ground_truth_with_gaps() -> None:
-    known = np.r_[0:40, 60:200]
-    truth = EvaluationRecords(true_poses=poses_of(TRUTH.stamps_ns[known], TRUTH.T_world_body[known]))
-    result = evaluate(drive(RIGHT, truth=truth))
-    # Of the queries 168 to 198 at 72 m to 42 m those within 5 m of a keyframe up to 38 m or from 60 m on.
-    assert at_json(result, "closures.revisit_count") == 10
-    # The closures of 168 to 180 refer to 72 m to 60 m; all others lack the truth of one of the two.
-    assert at_json(result, "closures.true_count") == 7
-    assert at_json(result, "closures.undecided_count") == len(RIGHT) - 7
-    assert at_json(result, "closures.recall") == 0.7
-    assert at_json(result, "closures.precision") == 1.0
-    assert at_json(result, "trajectory.estimate.gap_count") == 20
-    assert at_json(result, "trajectory.estimate.outside_count") == 41
-
-
 def test_one_pose() -> None:
     one = drive()
     assert one.trajectory is not None
@@ -96,22 +81,6 @@ def test_one_pose() -> None:
     assert at_json(result, "literature_protocols.pairs.negative_count") == 0
     assert at_json(result, "relocalization.lost_time_ratio") is None
     assert printed(result)
-
-
-def test_duplicated_stamps_change_nothing_but_their_count() -> None:
-    records, plain = drive(RIGHT), evaluate(drive(RIGHT))
-    doubled = replace(
-        records,
-        true_poses=tuple(pose for pose in records.true_poses for _ in range(2)),
-        odometry=tuple(pose for pose in records.odometry for _ in range(2)),
-        online_poses=tuple(pose for pose in records.online_poses for _ in range(2)),
-        closures=tuple(record for record in records.closures for _ in range(2)),
-    )
-    result = evaluate(doubled)
-    assert at_json(result, "trajectory.estimate.duplicate_count") == 241
-    for part in ("closures", "retrieval", "literature_protocols", "relocalization"):
-        assert at_json(result, part) == at_json(plain, part)
-    assert at_json(result, "trajectory.ate_m") == at_json(plain, "trajectory.ate_m")
 
 
 def test_every_key_about_places_is_documented() -> None:

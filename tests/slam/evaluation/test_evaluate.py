@@ -25,7 +25,7 @@ from slam.evaluation.inputs.records import EvaluationRecords, collect_records, r
 from slam.evaluation.report.picture import compose_picture
 from tests.slam.evaluation.drives import stamps, winding_path
 from tests.slam.evaluation.maps import frames, object_map
-from tests.slam.evaluation.results import at_json, graph, printed
+from tests.slam.evaluation.results import at_json, graph
 
 COUNT = 400
 PARTS = {
@@ -208,15 +208,6 @@ def test_from_a_file_and_a_reference(tmp_path: Path) -> None:
     for path in ("trajectory.odometry_ate_m", "associations.recall", "landmarks.class_accuracy"):
         assert at_json(from_file, path) == pytest.approx(at_json(in_memory, path), rel=1e-6)
     assert "--reference" in evaluate(read_records(out)).unavailable["trajectory"]
-
-
-@pytest.mark.parametrize("records", [EvaluationRecords(), collect_records(made_log())])
-def test_the_report_can_be_printed(records: EvaluationRecords) -> None:
-    result = evaluate(records)
-    text = printed(result)
-    assert "nan" not in text.lower().split()
-    if result.closures is not None:
-        assert "recall 95.00 %" in text
 
 
 def test_the_picture_is_in_the_map_frame() -> None:

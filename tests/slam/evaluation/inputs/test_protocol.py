@@ -49,6 +49,7 @@ def test_with_thresholds_replaces_thresholds():
         ({"relative_lengths_m": 1.0}, "no threshold relative_lengths_m"),
         ({"pair_frames": 1.5}, "whole number"),
         ({"closure_translation_m": -1.0}, "must be positive"),
+        ({"coverage_probability": 1.0}, "coverage_probability"),
     ],
 )
 def test_a_threshold_that_makes_no_sense_is_refused(thresholds, told):

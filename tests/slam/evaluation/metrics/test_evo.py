@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from logs.messages import GroundTruthPose, TrajectoryRecord
 from slam.common.arrays import FloatArray, IntArray
@@ -56,12 +55,6 @@ def measure(evo: Path, program: str, *arguments: str | Path) -> dict[str, float]
     with zipfile.ZipFile(result) as archive:
         statistics: dict[str, float] = json.loads(archive.read("stats.json"))
     return statistics
-
-
-def write_tum(path: Path, stamps_s: FloatArray, T_world_body: FloatArray) -> Path:
-    rows = np.column_stack([stamps_s, T_world_body[:, :3, 3], Rotation.from_matrix(T_world_body[:, :3, :3]).as_quat()])
-    np.savetxt(path, rows, fmt="%.17g")
-    return path
 
 
 def mean_step_errors(T_est: FloatArray, T_gt: FloatArray) -> tuple[float, float]:
@@ -127,25 +120,3 @@ def test_relative_errors_of_kitti_00(evo: Path, sptam: FloatArray, truth: FloatA
     ]
     rows = np.arange(len(truth)) if unit == "f" else chain(truth, delta)
     assert mean_step_errors(sptam[rows], truth[rows]) == pytest.approx(theirs, abs=1e-6)
-
-
-@pytest.mark.parametrize("offset_s", [0.0, 12.345, -3600.25])
-def test_tum_files_with_a_time_offset(
-    evo: Path, sptam: FloatArray, truth: FloatArray, times_s: FloatArray, tmp_path: Path, offset_s: float
-) -> None:
-    """The estimate has a third of the truth's rate, begins and ends within it, and its clock is ``offset_s`` ahead."""
-    rows = np.arange(40, len(times_s) - 60, 3)
-    reference = write_tum(tmp_path / "truth.txt", times_s, truth)
-    estimate = write_tum(tmp_path / "estimate.txt", times_s[rows] + offset_s, sptam[rows])
-    matching = ["--t_offset", str(-offset_s), "--t_max_diff", "0.001"]
-    ape = measure(evo, "evo_ape", "tum", reference, estimate, "--align", *matching)
-    rpe = [
-        measure(evo, "evo_rpe", "tum", reference, estimate, "--pose_relation", relation, *matching)["mean"]
-        for relation in ("trans_part", "angle_deg")
-    ]
-    truth_ns = np.round(times_s * 1e9).astype(np.int64)
-    offset_ns = round(offset_s * 1e9)
-    ours = evaluate_ate(truth_ns[rows] + offset_ns, sptam[rows], truth_ns + offset_ns, truth)
-    assert ours["count"] == len(rows)
-    assert {name: ours[name] for name in PARTS} == pytest.approx({k: ape[v] for k, v in PARTS.items()}, abs=1e-6)
-    assert mean_step_errors(sptam[rows], truth[rows]) == pytest.approx(rpe, abs=1e-6)

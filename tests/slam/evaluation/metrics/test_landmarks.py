@@ -52,15 +52,6 @@ def test_a_path_with_a_jump_takes_no_longer() -> None:
     assert jumped.window_count + jumped.skipped_window_count == 4e13 + 7
 
 
-def test_a_single_window_by_hand() -> None:
-    # Four corners of a square, pushed out from their centre by 0.5 m.
-    square = np.array([[1.0, 0, 0], [0, 1.0, 0], [-1.0, 0, 0], [0, -1.0, 0]])
-    errors = compute_windowed_errors(1.5 * square, square, np.zeros(4), 10.0)
-    np.testing.assert_allclose(errors.residuals_m, 0.5)
-    np.testing.assert_allclose(errors.horizontal_residuals_m, 0.5)
-    assert errors.window_count == 1
-
-
 def test_windows_cover_the_path_and_overlap_by_half() -> None:
     seen = np.array([10.0, 30.0, 60.0, 99.9])
     points = np.repeat(np.array([[0.0, 0, 0], [1.0, 0, 0], [0, 1.0, 0]]), 4, axis=0)

@@ -94,7 +94,7 @@ def test_losses_by_hand() -> None:
     assert found.median_error_m == pytest.approx(0.0, abs=1e-9)
 
 
-def test_never_lost() -> None:
+def test_drives_without_loss_or_fix() -> None:
     found = measure(made((0, "MAPPING")))
     assert (found.loss_count, found.lost_time_ratio, found.success_rate, found.false_relocalization_rate) == (
         0,
@@ -103,12 +103,8 @@ def test_never_lost() -> None:
         None,
     )
     assert found.median_seconds is found.median_error_m is None
-
-
-def test_never_found() -> None:
-    found = measure(made((0, "LOST")))
-    assert (found.loss_count, found.fix_count, found.success_rate, found.false_relocalization_rate) == (1, 0, 0.0, 0.0)
-    assert found.lost_time_ratio == 1.0
+    lost = measure(made((0, "LOST")))
+    assert (lost.loss_count, lost.fix_count, lost.success_rate, lost.lost_time_ratio) == (1, 0, 0.0, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -183,23 +179,6 @@ def test_a_robot_that_is_kidnapped_while_it_maps(kidnapped: EvaluationRecords) -
         value = at_json(result, f"relocalization.{key}")
         assert isinstance(value, float)
         assert low <= value < high
-
-
-def test_false_closure_across_break_is_wrong_fix(kidnapped: EvaluationRecords) -> None:
-    off = transform_from_xyz_yaw(np.array([6.0, 0.0, 0.0]), 0.0)
-    closures = tuple(
-        c if c.T_reference_query is None else replace(c, T_reference_query=c.T_reference_query @ off)
-        for c in kidnapped.closures
-    )
-    result = evaluate(replace(kidnapped, closures=closures))
-    assert at_json(result, "relocalization.success_rate") == 0.0
-    assert at_json(result, "relocalization.wrong_count") == 1
-
-
-def test_a_log_says_whether_there_was_a_prior_map(relocalized: Relocalized, kidnapped: EvaluationRecords) -> None:
-    assert relocalized.found.has_prior_map
-    assert not relocalized.mapping.has_prior_map
-    assert not kidnapped.has_prior_map
 
 
 def test_a_robot_that_finds_itself_in_a_map(relocalized: Relocalized) -> None:

@@ -76,20 +76,9 @@ def test_recall_beyond_verified_places_is_undefined() -> None:
     assert measure([*records, closure(100, 20, truth=TRUTH, rank=25)], place_count=None).recall_at(25) == 1.0
 
 
-def test_never_asked() -> None:
-    found = measure([])
-    assert (found.query_count, found.recall_at(1)) == (0, None)
-    assert "no revisit was looked up" in found.note
-
-
 def test_queries_that_were_not_looked_up_were_not_asked() -> None:
     found = measure([closure(200, -1, stage="retrieval"), closure(210, -1, stage="repeated")])
     assert found.query_count == 1
-
-
-def test_nothing_was_ever_proposed() -> None:
-    found = measure([closure(200, -1, stage="retrieval"), closure(210, -1, stage="retrieval")])
-    assert (found.query_count, found.recall_at(1), found.recall_at(25)) == (2, 0.0, 0.0)
 
 
 def test_logs_without_ranks_are_refused() -> None:

@@ -34,13 +34,6 @@ def brute_force(T_world_body: FloatArray, travelled_m: FloatArray) -> list[int]:
     return nearest
 
 
-def test_there_and_back() -> None:
-    found = find(there_and_back(), range(0, 241, 2))
-    assert found.keyframe_ids.tolist() == list(range(0, 241, 2))
-    assert found.keyframe_ids[found.is_revisit].tolist() == list(THERE_AND_BACK_REVISITS)
-    assert set(found.directions[found.is_revisit]) == {DIRECTIONS.index("opposite")}
-
-
 @pytest.mark.parametrize(
     ("heading_deg", "direction"),
     [(0, "same"), (-44.9, "same"), (45.1, "crossing"), (-134.9, "crossing"), (135.1, "opposite"), (180, "opposite")],

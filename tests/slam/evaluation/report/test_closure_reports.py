@@ -9,10 +9,9 @@ import pytest
 
 from logs.messages import FactorGraphRecord, GroundTruthPose, LoopClosureRecord, Record, TrajectoryRecord
 from slam.evaluation.evaluate import evaluate
-from slam.evaluation.inputs.records import EvaluationRecords, collect_records
+from slam.evaluation.inputs.records import collect_records
 from slam.evaluation.report.figures import summarize
 from slam.evaluation.report.picture import compose_picture
-from slam.evaluation.requirements import parse_requirement
 from tests.slam.evaluation.loops import closure, there_and_back
 from tests.slam.evaluation.results import at_json, graph, printed
 
@@ -90,15 +89,6 @@ def test_verified_candidates_are_listed_with_truth() -> None:
     assert "verified_candidates" not in printed(result)
 
 
-def test_revisits_without_a_candidate_are_missed() -> None:
-    log = [(t, r) for t, r in there_and_back_log() if not isinstance(r, LoopClosureRecord)]
-    result = evaluate(collect_records(log))
-    assert at_json(result, "closures.candidate_count") == 0
-    assert at_json(result, "closures.recall") == 0.0
-    assert at_json(result, "closures.precision") is None
-    assert "recall 0.00 % of 37 revisits" in printed(result)
-
-
 @pytest.mark.parametrize(
     ("left_out", "reason"), [(GroundTruthPose, "ground truth"), (FactorGraphRecord, "/slam/graph")]
 )
@@ -108,15 +98,6 @@ def test_missing_input_of_revisits_is_named(left_out: type, reason: str) -> None
     assert at_json(result, "closures.candidate_count") == 3
     assert at_json(result, "closures.recall") is None
     assert at_json(result, "closures.missed_by_stage") == {}
-
-
-def test_requirements_of_loop_closures() -> None:
-    found = evaluate(collect_records(there_and_back_log())).to_json_dict()
-    none = evaluate(EvaluationRecords()).to_json_dict()
-    assert parse_requirement("closures.precision>=0.5").shortfall(found) == ""
-    assert "is 0.5" in parse_requirement("closures.precision>=0.99").shortfall(found)
-    assert "undefined" in parse_requirement("closures.precision>=0.99").shortfall(none)
-    assert parse_requirement("closures.missed_by_stage.consistency<=1").shortfall(found) == ""
 
 
 def test_picture_labels_closures_by_truth() -> None:
