@@ -6,11 +6,12 @@ import difflib
 import math
 import operator
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from slam.common.errors import EvaluationError
+from slam.evaluation.report.figures import leaves
 
 _COMPARISONS: dict[str, Callable[[float, float], bool]] = {
     "<=": operator.le,
@@ -32,7 +33,7 @@ class Requirement:
 
     def shortfall(self, results: Mapping[str, Any]) -> str:
         """What is wrong with ``results``; "" where they meet the bar. An unknown or undefined value is wrong."""
-        numbers = dict(_numbers(results))
+        numbers = _numbers(results)
         if self.key not in numbers:
             near = difflib.get_close_matches(self.key, numbers, n=1)
             return f"{self.key}: there is no such value" + (f", did you mean {near[0]}?" if near else "")
@@ -45,7 +46,7 @@ class Requirement:
 
     def describe(self, results: Mapping[str, Any]) -> str:
         """The value and the bar that it meets."""
-        return f"{self.key} is {dict(_numbers(results))[self.key]:g} {self.sign} {self.bar:g}"
+        return f"{self.key} is {_numbers(results)[self.key]:g} {self.sign} {self.bar:g}"
 
 
 def parse_requirement(text: str) -> Requirement:
@@ -64,9 +65,10 @@ def parse_requirement(text: str) -> Requirement:
     return Requirement(match["key"], match["sign"], bar)
 
 
-def _numbers(results: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, float | None]]:
-    for name, value in results.items():
-        if isinstance(value, Mapping):
-            yield from _numbers(value, f"{prefix}{name}.")
-        elif value is None or (isinstance(value, (int, float)) and not isinstance(value, bool)):
-            yield f"{prefix}{name}", value
+def _numbers(results: Mapping[str, Any]) -> dict[str, float | None]:
+    """All numbers of an evaluation by their dotted keys; None where one is undefined."""
+    return {
+        key: value
+        for key, value in leaves(results)
+        if value is None or (isinstance(value, int | float) and not isinstance(value, bool))
+    }

@@ -13,7 +13,7 @@ from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.metrics.association import AssociationQuality
 from slam.evaluation.metrics.calibration import CALIBRATED, CalibrationQuality
 from slam.evaluation.metrics.landmarks import LandmarkQuality
-from slam.evaluation.metrics.relocalization import RelocalizationQuality
+from slam.evaluation.metrics.relocalization import PERCENTILES, RelocalizationQuality
 from slam.evaluation.metrics.trajectory import TrajectoryErrors
 from slam.evaluation.place_recognition.closure_labels import JudgedClosures
 from slam.evaluation.place_recognition.closures import ClosureErrors, ClosureQuality, RevisitQuality
@@ -78,6 +78,7 @@ class Evaluation:
                 "online": _swept_dict(OnlineQuality, self.online_queries),
             },
             "relocalization": _members(RelocalizationQuality, self.relocalization)
+            | (self.relocalization.percentiles() if self.relocalization else dict.fromkeys(PERCENTILES))
             | ({} if self.relocalization else {"losses": []}),
             "calibration": _calibration_dict(self.calibration),
             "counters": dict(self.counters),

@@ -19,6 +19,17 @@ from slam.evaluation.metrics.relocalization_errors import FixError, Span, measur
 
 LOST = "LOST"
 Method = Literal["closure", "map", "trajectory"]
+PERCENTILES = {
+    "median_seconds": ("seconds", 50.0),
+    "max_seconds": ("seconds", 100.0),
+    "median_distance_m": ("distance_m", 50.0),
+    "max_distance_m": ("distance_m", 100.0),
+    "median_error_m": ("error_m", 50.0),
+    "p95_error_m": ("error_m", 95.0),
+    "median_error_deg": ("error_deg", 50.0),
+    "p95_error_deg": ("error_deg", 95.0),
+}
+"""Figure -> column of :class:`Loss`, and percentile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,45 +96,13 @@ class RelocalizationQuality:
         """Losses with a wrong fix among those that were not undecided; None where there is none."""
         return self._rate(self.wrong_count)
 
-    @property
-    def median_seconds(self) -> float | None:
-        """Median time from being lost to the fix, right or wrong; None without a fix."""
-        return _percentile((loss.seconds for loss in self.losses), 50.0)
-
-    @property
-    def max_seconds(self) -> float | None:
-        """Longest such time."""
-        return _percentile((loss.seconds for loss in self.losses), 100.0)
-
-    @property
-    def median_distance_m(self) -> float | None:
-        """Median travel from being lost to the fix, right or wrong; None without a fix."""
-        return _percentile((loss.distance_m for loss in self.losses), 50.0)
-
-    @property
-    def max_distance_m(self) -> float | None:
-        """Longest such travel."""
-        return _percentile((loss.distance_m for loss in self.losses), 100.0)
-
-    @property
-    def median_error_m(self) -> float | None:
-        """Median error in place of all fixes that could be compared; None without one."""
-        return _percentile((loss.error_m for loss in self.losses), 50.0)
-
-    @property
-    def p95_error_m(self) -> float | None:
-        """95th percentile of that error."""
-        return _percentile((loss.error_m for loss in self.losses), 95.0)
-
-    @property
-    def median_error_deg(self) -> float | None:
-        """Median error in the whole angle of rotation."""
-        return _percentile((loss.error_deg for loss in self.losses), 50.0)
-
-    @property
-    def p95_error_deg(self) -> float | None:
-        """95th percentile of that error."""
-        return _percentile((loss.error_deg for loss in self.losses), 95.0)
+    def percentiles(self) -> dict[str, float | None]:
+        """Figures of all fixes, right or wrong, by the names of :data:`PERCENTILES`; None where no fix has them."""
+        figures: dict[str, float | None] = {}
+        for name, (column, percent) in PERCENTILES.items():
+            known = [value for loss in self.losses if (value := getattr(loss, column)) is not None]
+            figures[name] = float(np.percentile(known, percent)) if known else None
+        return figures
 
     def _rate(self, count: int) -> float | None:
         decided = self.loss_count - self.undecided_count
@@ -226,8 +205,3 @@ def _share_lost(records: EvaluationRecords, spans: Sequence[Span]) -> float | No
     first_ns, last_ns = min(stamps, default=0), max(stamps, default=0)
     lost_ns = sum((last_ns if fix_ns is None else fix_ns) - from_ns for from_ns, fix_ns in spans)
     return lost_ns / (last_ns - first_ns) if last_ns > first_ns else None
-
-
-def _percentile(values: Iterable[float | None], percent: float) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.percentile(known, percent)) if known else None

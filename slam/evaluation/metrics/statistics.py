@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from statistics import fmean, stdev
 
 UNDEFINED = "–"
 
@@ -26,15 +26,8 @@ class Spread:
         """The spread of the values that are defined."""
         every = list(values)
         defined = [value for value in every if value is not None]
-        count = len(defined)
-        if count == 0:
-            return Spread(None, None, 0, len(every))
-        mean = math.fsum(defined) / count
-        if count == 1:
-            return Spread(mean, None, 1, len(every))
-        # Equal values have a mean that is off by a rounding; their deviation is 0.
-        squares = 0.0 if min(defined) == max(defined) else math.fsum((value - mean) ** 2 for value in defined)
-        return Spread(mean, math.sqrt(squares / (count - 1)), count, len(every))
+        mean = fmean(defined) if defined else None
+        return Spread(mean, stdev(defined) if len(defined) > 1 else None, len(defined), len(every))
 
     def text(self, digits: int) -> str:
         """ "1.27 ± 0.03"; with the number of runs in which it is defined, where that is not all."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import pandas as pd
 
 from slam.evaluation.metrics.statistics import UNDEFINED
-from slam.evaluation.report.figures import format_number
+from slam.evaluation.report.figures import format_number, leaves
 
 _TRAJECTORIES = ("estimate", "odometry", "online", "closure_reference")
 _RELATIVE = {"translation_percent": "%", "rotation_deg_per_100m": "deg/100 m"}
@@ -22,8 +22,8 @@ def make_tables(results: Mapping[str, Any]) -> dict[str, pd.DataFrame]:
         results: as :meth:`slam.evaluation.result.Evaluation.to_json_dict` returns it.
     """
     trajectories = {name: results["trajectory"][name] for name in _TRAJECTORIES if results["trajectory"][name]}
-    absolute = {name: dict(_leaves(errors)) for name, errors in trajectories.items()}
-    parts = {name: dict(_leaves(values)) for name, values in results.items() if name not in _APART}
+    absolute = {name: dict(leaves(errors)) for name, errors in trajectories.items()}
+    parts = {name: dict(leaves(values)) for name, values in results.items() if name not in _APART}
     frames = {
         "trajectory": pd.DataFrame(absolute),
         "relative error over stretches of path": _relative_table(trajectories),
@@ -42,15 +42,6 @@ def _relative_table(trajectories: Mapping[str, Mapping[str, Any]]) -> pd.DataFra
             columns[f"{name} {unit}"] = {title: row[key] for title, row in rows.items()}
         columns.setdefault("stretches", {title: row["stretch_count"] for title, row in rows.items()})
     return pd.DataFrame(columns)
-
-
-def _leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Numbers and texts by their dotted keys; lists, which are curves or tables of their own, are left out."""
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(value, f"{prefix}{key}.")
-        elif not isinstance(value, list):
-            yield prefix + key, value
 
 
 def _text(value: Any) -> str:
