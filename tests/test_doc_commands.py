@@ -32,11 +32,9 @@ SHORTER = {
 }
 """Of an option that comes twice, the last one counts."""
 ELSEWHERE = {
-    r"import kitti-objects|kitti00": "KITTI is not here; its importer has tests of its own",
-    r"import semantic-kitti": "so has this one",
+    r"import semantic-kitti": "its importer has tests of its own",
     r"import osm": "pyosmium may not be here; tests/logs/importers/maps",
     r"^view map\.mcap$|--view|\.rrd": "needs Rerun or opens a window; tests/slam/display draws without one",
-    r"^--": "acts on the shell of who types it",
     r"my_package": "tests/descriptors/test_registry.py has a class",
     r"relocalize .*trees_map|places.csv": "the drives have no satellite fixes; tests/slam/localization/test_gnss.py",
     r"^train|out/mine": "takes minutes; tests/tools/test_train.py",
