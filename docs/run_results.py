@@ -56,9 +56,9 @@ FIGURES = (
     Figure("", "ATE of the odometry", "kitti00", ODOMETRY),
     Figure("", "precision of closures", "kitti00", PRECISION),
     Figure("", "recall of revisits", "kitti00", RECALL),
-    Figure("", "kidnapped robots found within 40 m", "relocalization-kitti00", r"everywhere +\d+ +(\S+)"),
+    Figure("", "kidnapped robots found within 40 m, %", "relocalization-kitti00", r"everywhere +\d+ +(\S+)"),
     Figure(
-        "", "places retrieved first, by descriptors alone", "retrieval", r"kitti00 +descriptellation_lr +\d+ +(\S+)"
+        "", "places retrieved first, by descriptors alone, %", "retrieval", r"kitti00 +descriptellat\S* +\d+ +(\S+)"
     ),
     Figure("hamburg", "ATE", "hamburg", ATE),
     Figure("", "ATE of the odometry", "hamburg", ODOMETRY),
@@ -68,12 +68,14 @@ FIGURES = (
     Figure("", "travel until then, median", "kidnapping", r"median (\S+ m)"),
     Figure("mrclam6, robot 5", "ATE", "robot5", ATE),
     Figure("", "precision of associations", "robot5", r"associations +precision (\S+ %)"),
-    Figure("forest evo", "ATE", "forests", r"evo +\S+ +(\S+)"),
-    Figure("forest wild03", "ATE", "forests", r"wild03 +\S+ +(\S+)"),
-    Figure("lost_in_the_woods", "ATE", "robots", r"lost_in_the_woods +\S+ +(\S+)"),
-    Figure("helsinki, imported", "robots found within 60 m", "relocalization-city", r"everywhere +\d+ +(\S+)"),
-    Figure("10,000 street trees", "places retrieved first", "recall", r"descriptellation_lr +10000 .*?\d+ +\d+ +(\S+)"),
-    Figure("demo, 0.5 s late", "ATE", "faults", r"time_offset=0.5 +(\S+)"),
+    Figure("forest evo", "ATE m", "forests", r"evo +\S+ +(\S+)"),
+    Figure("forest wild03", "ATE m", "forests", r"wild03 +\S+ +(\S+)"),
+    Figure("lost_in_the_woods", "ATE m", "robots", r"lost_in_the_woods +\S+ +(\S+)"),
+    Figure("helsinki, imported", "robots found within 60 m, %", "relocalization-city", r"everywhere +\d+ +(\S+)"),
+    Figure(
+        "10,000 street trees", "places retrieved first, %", "recall", r"descriptellat\S* +10000 +\S+ +\d+ +\d+ +(\S+)"
+    ),
+    Figure("demo, 0.5 s late", "ATE m", "faults", r"time_offset=0.5 +(\S+)"),
 )
 
 
