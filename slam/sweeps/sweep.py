@@ -127,6 +127,7 @@ def run_sweep(
     topics: Mapping[str, str] | None = None,
     variants: Mapping[str, Config] | None = None,
     on_progress: Callable[[float], None] | None = None,
+    compute: Callable[[CellTask], CellResult] = compute_cell,
 ) -> Sweep:
     """Degrade, map and evaluate a drive again and again.
 
@@ -143,6 +144,7 @@ def run_sweep(
         topics: kind -> topic, where the log leaves a choice.
         variants: configurations by name, to be compared over the same degraded drives.
         on_progress: called with the fraction of the cells done, in [0, 1].
+        compute: a function of a module that computes a cell; results of several need a folder each.
 
     Raises:
         LogError: the input cannot be read or the folder cannot be written.
@@ -162,7 +164,7 @@ def run_sweep(
     with CellFolder(folder).opened() as kept:
         results = {cell: result for cell in cells if (result := kept.finished(cell)) is not None}
         tasks = [CellTask(cell, kept.scratch) for cell in cells if cell not in results]
-        with closing(compute_all(compute_cell, tasks, jobs=jobs)) as outcomes:
+        with closing(compute_all(compute, tasks, jobs=jobs)) as outcomes:
             for task, outcome in outcomes:
                 result = _after_death(outcome) if isinstance(outcome, Death) else outcome
                 kept.keep(task.cell, result)

@@ -11,30 +11,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings
+from tools.lab.tables import Row, number, to_markdown
 
 if TYPE_CHECKING:
     from slam.common.config import Config
+    from slam.evaluation.report.figures import Figure
     from slam.sweeps.sweep import Sweep, SweepRow
-
-DEFAULT = "nothing"
-PARTS: dict[str, tuple[str, ...]] = {
-    DEFAULT: (),
-    "descriptor: random vectors": ("loop_closure.descriptor=random",),
-    "propagation of closures": ("loop_closure.propagation_distance_m=0",),
-    "hypotheses": ("localization.max_hypotheses=0",),
-    "posterior: first candidate": ("localization.error_probability=0.999999",),
-    "loop closures": ("loop_closure.enabled=false",),
-    "weight of landmarks": ("calibration.detection.covariance_inflation=1000000",),
-    "labels": ("calibration.objects.max_classes=1",),
-    "calibration": ("calibrate=false",),
-}
-"""Settings that switch a part off."""
 
 NOISE = "position_noise=0.001,odometry_translation_noise=0.001"
 """Of each copy: far below that of any sensor, so that copies differ only by chance."""
 
 FIGURES = ("trajectory.ate_m", "closures.precision", "closures.recall", "relocalization.success_rate",
            "associations.precision")  # fmt: skip
+CHANGED = "beyond the spread"
 BEGIN, END = "<!-- begin of dslam benchmark ablation -->\n", "<!-- end of dslam benchmark ablation -->\n"
 
 
@@ -72,21 +61,22 @@ def ablation(
     from slam.common.config import load_config
     from tools import console
     from tools.lab.drives.ablation_drives import DRIVES
+    from tools.lab.drives.ablation_parts import DEFAULT, PARTS
 
     drives = _chosen(drive, DRIVES, "--drive")
-    parts = [DEFAULT, *(name for name in _chosen(part, PARTS, "--part") if name != DEFAULT)]
-    variants = {name: load_config(config_file, [*(settings or ()), *PARTS[name]]) for name in parts}
-    sweeps = dict[str, "Sweep"]()
-    for name, sweep in _run(drives, data, folder, variants, copies, jobs or os.cpu_count() or 1):
-        sweeps[name] = sweep
-        if page is not None:  # after each drive, for they may take hours
-            write_text(page, _with_block(page, "\n".join([_conditions(copies, settings or ()), "", *_table(sweeps)])))
+    parts = list(dict.fromkeys([DEFAULT, *_chosen(part, PARTS, "--part")]))
+    configs = {name: load_config(config_file, [*(settings or ()), *PARTS[name].settings]) for name in parts}
+    sweeps = dict[tuple[str, str], "Sweep"]()
+    for key, sweep in _run(drives, data, folder, configs, copies, jobs or os.cpu_count() or 1):
+        sweeps[key] = sweep
+        if page is not None:  # after each row, for they may take hours
+            write_text(page, _with_block(page, f"{_conditions(copies, settings or ())}\n\n{_table(sweeps)}"))
         for failure in sweep.failures:
-            typer.echo(f"{name}: {failure}", err=True)
+            typer.echo(f"{key[0]}: {failure}", err=True)
     if json:
-        console.show_json({name: sweep.to_json_dict() for name, sweep in sweeps.items()})
+        console.show_json([{"drive": drive, **sweep.to_json_dict()} for (drive, _), sweep in sweeps.items()])
     elif page is None:
-        typer.echo("\n".join(_table(sweeps)))
+        typer.echo(_table(sweeps))
 
 
 def _chosen(names: Sequence[str] | None, there: Mapping[str, object], option: str) -> list[str]:
@@ -98,77 +88,91 @@ def _chosen(names: Sequence[str] | None, there: Mapping[str, object], option: st
 
 
 def _run(
-    drives: Sequence[str], data: Path, folder: Path, variants: Mapping[str, Config], copies: int, jobs: int
-) -> Iterator[tuple[str, Sweep]]:
-    """Sweep over each drive: the log is written once, and each cell that is finished is kept in ``folder``."""
+    drives: Sequence[str], data: Path, folder: Path, configs: Mapping[str, Config], copies: int, jobs: int
+) -> Iterator[tuple[tuple[str, str], Sweep]]:
+    """A sweep for each drive and part; ``folder`` keeps the log of the drive and each cell that is finished."""
     from slam.sweeps.degradations import parse_degradations
     from slam.sweeps.sweep import run_sweep
     from tools import console
     from tools.lab.drives.ablation_drives import DRIVES
+    from tools.lab.drives.ablation_parts import compute_without
 
     noise = [each for each in parse_degradations([NOISE]) if not each.is_undegraded]
-    for name in drives:
-        own = folder / re.sub(r"\W+", "_", name)
+    for drive in drives:
+        own = folder / _file_name(drive)
         own.mkdir(parents=True, exist_ok=True)
         log = own / "drive.mcap"
         if not log.exists():
-            DRIVES[name](log, data)
-        with console.progress_bar(name, name) as move:
-            all_parts = variants[DEFAULT]
-            yield (
-                name,
-                run_sweep(log, own, noise, all_parts, seeds=copies, jobs=jobs, variants=variants, on_progress=move),
-            )
+            DRIVES[drive](log, data)
+        for part, config in configs.items():
+            with console.progress_bar(drive, part) as move:
+                sweep = run_sweep(
+                    log,
+                    own / _file_name(part),
+                    noise,
+                    config,
+                    seeds=copies,
+                    jobs=jobs,
+                    variants={part: config},
+                    on_progress=move,
+                    compute=compute_without,
+                )
+            yield (drive, part), sweep
 
 
-def _table(sweeps: Mapping[str, Sweep]) -> Iterator[str]:
-    """Rows of Markdown: drive, part that is off, mean and worst of each figure, and the figures that it changes."""
-    from slam.evaluation.report.figures import HEADLINE_FIGURES
-
-    headings = [figure.heading for figure in HEADLINE_FIGURES if figure.key in FIGURES]
-    yield f"| drive | off | {' | '.join(headings)} | beyond the spread |"
-    yield f"|---|---|{'---:|' * len(headings)}---|"
-    for name, sweep in sweeps.items():
-        for row in sweep.rows:
-            yield f"| {name} | {row.variant} | {' | '.join(_figures(row))} | {_changed(sweep.rows[0], row)} |"
+def _file_name(name: str) -> str:
+    return re.sub(r"\W+", "_", name)
 
 
-def _figures(row: SweepRow) -> Iterator[str]:
+def _table(sweeps: Mapping[tuple[str, str], Sweep]) -> str:
+    """Markdown: drive, part that is off, mean and worst of each figure, and the figures that it changes."""
+    from tools.lab.drives.ablation_parts import DEFAULT
+
+    rows = [
+        {"drive": drive, "off": part, **_figures(sweep.rows[0]),
+         CHANGED: _changed(sweeps[drive, DEFAULT].rows[0], sweep.rows[0])}
+        for (drive, part), sweep in sweeps.items()
+    ]  # fmt: skip
+    return to_markdown(rows, texts=("off", CHANGED))
+
+
+def _figures(row: SweepRow) -> Row:
     """Mean and worst of each figure; of how many copies, where it is not defined in all."""
-    from slam.evaluation.metrics.statistics import UNDEFINED
-    from slam.evaluation.report.figures import HEADLINE_FIGURES
-
+    cells = {}
     evaluations = [result.evaluation or {} for _, result in row.results]
-    for figure in HEADLINE_FIGURES:
-        if figure.key not in FIGURES:
-            continue
+    for figure in _headline_figures():
         values = [value for each in evaluations if (value := figure.of(each)) is not None]
-        if not values:
-            yield UNDEFINED
-            continue
-        worst = max(values) if figure.is_error else min(values)
-        part = "" if len(values) == len(evaluations) else f" ({len(values)} of {len(evaluations)})"
-        yield f"{sum(values) / len(values):.{figure.digits}f}, {worst:.{figure.digits}f}{part}"
+        mean = sum(values) / len(values) if values else None
+        worst = (max if figure.is_error else min)(values, default=None)
+        part = "" if len(values) in (0, len(evaluations)) else f" ({len(values)} of {len(evaluations)})"
+        both = f"{number(mean, figure.digits)}, {number(worst, figure.digits)}{part}"
+        cells[figure.heading] = both if values else number(None, 0)
+    return cells
 
 
 def _changed(default: SweepRow, row: SweepRow) -> str:
     """The figures whose means differ by more than the spread of the copies explains, by how much."""
     from slam.evaluation.comparison import Run, compare_runs
-    from slam.evaluation.report.figures import HEADLINE_FIGURES
 
     runs = [
-        Run(f"{each.variant} {number}", result.evaluation, f'{{"variant": "{each.variant}"}}')
+        Run(f"{each.variant} {copy}", result.evaluation, f'{{"variant": "{each.variant}"}}')
         for each in (default, row)
-        for number, (_, result) in enumerate(each.results)
+        for copy, (_, result) in enumerate(each.results)
         if result.evaluation is not None
     ]
     if row is default or len(runs) < 2:
         return ""
-    figures = {figure.key: figure for figure in HEADLINE_FIGURES if figure.key in FIGURES}
+    figures = {figure.key: figure for figure in _headline_figures()}
     return ", ".join(
         f"{figures[each.key].heading} {each.difference:+.{figures[each.key].digits}f}"
         for each in compare_runs(runs, tuple(figures.values())).marked
     )
+
+
+def _headline_figures() -> list[Figure]:
+    from slam.evaluation.report.figures import HEADLINE_FIGURES
+
+    return [figure for figure in HEADLINE_FIGURES if figure.key in FIGURES]
 
 
 def _conditions(copies: int, settings: Sequence[str]) -> str:

@@ -74,17 +74,17 @@ def _write_robot(log: Path, data: Path, *, name: str) -> None:
     import_drive(drive, log)
 
 
-ROBOTS = ("evo", "wild03", "lost_in_the_woods", "mrclam6/robot1", "mrclam6/robot2", "tags", "cones")
+ROBOTS = ("lost_in_the_woods", "mrclam6/robot1", "mrclam6/robot2", "tags", "cones", "evo", "wild03")
 DRIVES: dict[str, Callable[[Path, Path], None]] = {
     "demo": _write_town,
     "greenhouse": _write_greenhouse,
-    "kitti00": _write_kitti,
-    "villeurbanne": partial(_write_city, city="villeurbanne", thinned=1.0),
-    "villeurbanne, a tenth": partial(_write_city, city="villeurbanne", thinned=10.0),
     **{name: partial(_write_robot, name=name) for name in ROBOTS},
     "kidnapped": lambda log, data: _write_town(log, data, "kidnap.from_m=900", "kidnap.to_m=300"),
     "kidnapped silently": lambda log, data: _write_town(
         log, data, "kidnap.from_m=900", "kidnap.to_m=300", "kidnap.silent=true"
     ),
+    "villeurbanne, a tenth": partial(_write_city, city="villeurbanne", thinned=10.0),
+    "villeurbanne": partial(_write_city, city="villeurbanne", thinned=1.0),
+    "kitti00": _write_kitti,
 }
-"""Functions that write the log of a drive (first path) from a folder of data (second path)."""
+"""Functions that write the log of a drive (first path) from a folder of data (second path), the cheap ones first."""

@@ -1,0 +1,99 @@
+"""Parts of the method that an ablation switches off, one at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+from slam.sweeps.cells import CellResult, CellTask, compute_cell
+
+DEFAULT = "nothing"
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What switches a part off: ``settings`` ("key=value"), and ``replaced``, functions and constants by their full
+    names with what stands for them, where there is no setting.
+    """
+
+    settings: tuple[str, ...] = ()
+    replaced: Mapping[str, Any] = field(default_factory=dict)
+
+
+def _uniform_clutter(query: Any, reference: Any, offsets: Any, distances: Any, *rest: Any) -> Any:
+    """The clutter density of the whole reference, the same for all objects of a class."""
+    area_m2 = np.prod(np.ptp(reference.positions[:, :2], axis=0) + 1.0)
+    return (0.5 + np.sum(reference.labels[:, None] == query.labels[None, :], axis=0)) / area_m2
+
+
+PARTS: dict[str, Part] = {
+    DEFAULT: Part(),
+    "descriptor: random vectors": Part(("loop_closure.descriptor=random",)),
+    "propagation of closures": Part(("loop_closure.propagation_distance_m=0",)),
+    "hypotheses": Part(("localization.max_hypotheses=0",)),
+    "posterior: first candidate": Part(("localization.error_probability=0.999999",)),
+    "loop closures": Part(("loop_closure.enabled=false",)),
+    "weight of landmarks": Part(("calibration.detection.covariance_inflation=1000000",)),
+    "labels": Part(("calibration.objects.max_classes=1",)),
+    "calibration": Part(("calibrate=false",)),
+    "mode search in tracking": Part(
+        replaced={
+            "slam.frontend.tracker.Tracker._decided": lambda self, tracked, modes: tracked,
+            "slam.frontend.tracker.Tracker._sure_mode": lambda self, tracked, modes: None,
+        }
+    ),
+    "existence of landmarks": Part(
+        replaced={"slam.frontend.mapper.which_exist": lambda landmarks, seen, scan: np.ones(len(seen), dtype=np.bool_)}
+    ),
+    "tracked places": Part(
+        replaced={"slam.loop_closure.verification.Verifier.tracked_place": lambda self, query: None}
+    ),
+    "association after a loop": Part(
+        replaced={
+            "slam.loop_closure.closure_graph.ClosedLoops._merge_landmarks": lambda self, loop: None,
+            "slam.graph_condenser.fuse_duplicate_landmarks": lambda *each, radius_m: 0,
+        }
+    ),
+    "clutter around each object": Part(
+        replaced={"slam.loop_closure.likelihood_ratio._clutter_densities": _uniform_clutter}
+    ),
+    "landmarks that were missed": Part(
+        replaced={
+            "slam.loop_closure.verification.expected_log_likelihood_ratios": lambda *each, **named: (
+                np.zeros(0, dtype=np.int64),
+                np.zeros(0),
+            )
+        }
+    ),
+    "robust back end": Part(
+        replaced={
+            "slam.backend.factors.CLOSURE_KERNEL_WIDTH": 1e6,
+            "slam.backend.covariance.marginals.CLOSURE_KERNEL_WIDTH": 1e6,
+            "slam.loop_closure.accepted_closures.AcceptedClosures.reject_outliers": lambda self: ([], ""),
+        }
+    ),
+    "kidnappings noticed by landmarks": Part(
+        replaced={"slam.localization.continuity_monitor.ContinuityMonitor.update": lambda self, keyframe, seen: None}
+    ),
+}
+"""By name, in the order of the table."""
+
+
+@contextmanager
+def switched_off(part: Part) -> Iterator[None]:
+    """Replace what ``part`` replaces, in this process, until the end of the block."""
+    with ExitStack() as stack:
+        for name, value in part.replaced.items():
+            stack.enter_context(patch(name, value))
+        yield
+
+
+def compute_without(task: CellTask) -> CellResult:
+    """The cell with the part off that its variant names."""
+    with switched_off(PARTS[task.cell.drive.variant]):
+        return compute_cell(task)
