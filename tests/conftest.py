@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -22,15 +20,6 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     if config.getoption("markexpr") != "not slow" or not collection_path.match("test_*.py"):
         return None
     return True if _ALL_SLOW.search(collection_path.read_text(encoding="utf-8")) else None
-
-
-@pytest.fixture(scope="session")
-def open3d() -> Any:
-    """Imported by the first test that needs it, which takes seconds."""
-    try:
-        return importlib.import_module("open3d")
-    except (ImportError, OSError) as error:
-        pytest.skip(f"Open3D cannot be imported: {error}")
 
 
 @pytest.fixture(scope="session")

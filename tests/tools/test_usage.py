@@ -13,7 +13,7 @@ from tests.tools.runs import ROOT, SAMPLE, Run, assert_refused
 COMMANDS = (
     *("simulate", "degrade", "import kitti-objects", "import victoria-park", "info", "replay", "evaluate"),
     *("compare", "sweep"),
-    *("optimize", "view", "export", "config", "benchmark registration", "benchmark closures"),
+    *("optimize", "view", "export", "config"),
     *("relocalize", "train", "benchmark replay", "benchmark descriptors", "benchmark map-size"),
     *("benchmark relocalization", "benchmark faults", "benchmark ablation"),
     *("benchmark robots", "benchmark recall", "benchmark retrieval", "benchmark fleet", "benchmark kidnapping"),

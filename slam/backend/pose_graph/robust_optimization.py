@@ -1,7 +1,4 @@
-"""Batch optimisation of a graph in which some factors are loop closures, and some of these are false.
-
-``dslam benchmark closures`` measures how well it does so.
-"""
+"""Batch optimisation of a graph in which some factors are loop closures, and some of these are false."""
 
 from __future__ import annotations
 

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from itertools import pairwise
 
@@ -17,15 +16,7 @@ from slam.common.geometry import apply, invert, make_transform, transform_from_x
 from slam.registration.parameters import RegistrationConfig
 from slam.registration.refinement import least_squares, make_columns
 from slam.registration.registration import Registration, refine, refine_many, register
-from tools.lab.descriptors.registration import (
-    FALSE_SHARES,
-    METHODS,
-    Problem,
-    benchmark_registration,
-    draw_problem,
-    measure_method,
-    street_objects,
-)
+from tests.helpers.registration_problems import Problem, draw_problem, street_objects
 
 SIGMA_M = 0.2
 CONFIG = RegistrationConfig(height_sigma_m=0.05)
@@ -496,25 +487,3 @@ def test_refinement_of_nothing() -> None:
         from_near(SQUARE, same, SQUARE, same, np.full((1, 4, 4), np.nan))
     with pytest.raises(GeometryError):
         from_near(SQUARE * np.nan, same, SQUARE, same, np.eye(4)[None])
-
-
-@pytest.mark.slow
-def test_the_benchmark_goes_on_without_its_peers() -> None:
-    result = benchmark_registration(seed=0, trials=1, correspondences=())
-    assert result.cells == ()
-    assert set(result.unavailable) <= set(METHODS) - {"dslam"}
-
-
-def test_a_missing_peer_is_an_import_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "kiss_matcher", None)
-    with pytest.raises(ImportError):
-        measure_method("KISS-Matcher", 0, 1, (100,))
-
-
-def test_the_benchmark_tells_what_was_solved() -> None:
-    cells = measure_method("dslam", 0, 2, (100,))
-    assert [cell.false_share for cell in cells] == list(FALSE_SHARES)
-    assert [cell.success for cell in cells[:4]] == [1.0] * 4
-    assert cells[-1].true_correspondences == 1
-    assert cells[-1].success == 0.0
-    assert cells[-1].median_error_m is None

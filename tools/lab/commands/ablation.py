@@ -74,7 +74,7 @@ def ablation(
         for failure in sweep.failures:
             typer.echo(f"{key[0]}: {failure}", err=True)
     if json:
-        console.show_json([{"drive": drive, **sweep.to_json_dict()} for (drive, _), sweep in sweeps.items()])
+        console.show_json({"rows": [{"drive": name, **each.to_json_dict()} for (name, _), each in sweeps.items()]})
     elif page is None:
         typer.echo(_table(sweeps))
 

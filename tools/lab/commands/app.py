@@ -6,14 +6,12 @@ import typer
 
 from tools.lab.commands import (
     ablation,
-    closures,
     descriptors,
     faults,
     fleet,
     kidnapping,
     map_size,
     recall,
-    registration,
     relocalization,
     replay,
     retrieval,
@@ -22,7 +20,6 @@ from tools.lab.commands import (
 from tools.lab.live.command import live
 
 app = typer.Typer(help="Measure speed, memory and success.", no_args_is_help=True)
-app.command()(closures.closures)
 app.command()(descriptors.descriptors)
 app.command()(faults.faults)
 app.command()(fleet.fleet)
@@ -31,7 +28,6 @@ app.command()(ablation.ablation)
 app.command()(live)
 app.command("map-size")(map_size.map_size)
 app.command()(recall.recall)
-app.command()(registration.registration)
 app.command()(relocalization.relocalization)
 app.command()(replay.replay)
 app.command()(retrieval.retrieval)

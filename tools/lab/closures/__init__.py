@@ -1,1 +1,0 @@
-"""False closures, and what they do to a trajectory."""
