@@ -55,6 +55,24 @@ def test_links_lead_to_files_and_headings(name: str) -> None:
         assert not anchor or file.suffix != ".md" or anchor in anchors(file), f"{name}: {target}"
 
 
+def reader_questions() -> list[str]:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    section = text.split("## Where to look\n")[1].split("\n## ")[0]
+    return [line for line in section.splitlines()[3:] if line.startswith("|")]
+
+
+def test_ten_questions_of_readers_have_answers() -> None:
+    assert len(reader_questions()) == 10
+
+
+@pytest.mark.parametrize("row", reader_questions(), ids=lambda row: row.split("|")[1].strip())
+def test_answer_is_in_at_most_three_files(row: str) -> None:
+    files = [(ROOT / target).read_text(encoding="utf-8") for target in LINK.findall(row)]
+    assert 1 <= len(files) <= 3
+    for name in re.findall(r"`(\w+)`", row):
+        assert re.search(rf"^ *(?:def|class) {name}\b", "\n".join(files), re.MULTILINE), name
+
+
 def blocks_of(name: str) -> list[str]:
     """The fenced blocks of a page that are of no other language than shell."""
     text = (ROOT / name).read_text(encoding="utf-8")
