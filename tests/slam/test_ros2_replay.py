@@ -72,20 +72,6 @@ def test_a_swinging_sensor_is_followed(tmp_path: Path, own_frame: bool) -> None:
 
 
 @pytest.mark.slow
-def test_a_frame_that_nothing_connects_is_named_with_its_tree(tmp_path: Path) -> None:
-    messages = swinging(told=False)
-    extra = [_tf(messages[0][2], "tower", "mast", np.eye(4)), _tf(messages[0][2], "base_link", "imu", np.eye(4))]
-    with pytest.raises(InputDataError, match=r"from mast to base_link \(.*: base_link, imu; mast, tower\).*tf_static"):
-        replayed(tmp_path, messages + extra)
-
-
-def test_transforms_in_a_loop_are_named(tmp_path: Path) -> None:
-    messages = swinging()
-    with pytest.raises(InputDataError, match="form a loop: base_link -> mast -> base_link"):
-        replayed(tmp_path, [*messages, _tf(messages[0][2], "mast", "base_link", np.eye(4))])
-
-
-@pytest.mark.slow
 def test_detections_without_any_frame_are_told(tmp_path: Path) -> None:
     messages = ros2_messages(keep_until(drive(), SECONDS))
     for _, type_name, _, values in messages:

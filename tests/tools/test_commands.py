@@ -98,13 +98,6 @@ class TestFromEndToEnd:
         assert "VERTEX_TRACKXYZ" in g2o.read_text()
         assert not list(tmp_path.glob("*.part"))
 
-    def test_the_same_seed_gives_the_same_bytes(self, dslam: Run, tmp_path: Path) -> None:
-        for name in ("a", "b"):
-            assert dslam("simulate", tmp_path / f"{name}.mcap", "--length", 30, "--seed", 5).code == 0
-            assert dslam("replay", tmp_path / f"{name}.mcap", "-o", tmp_path / f"{name}_map.mcap").code == 0
-        assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
-        assert (tmp_path / "a_map.mcap").read_bytes() == (tmp_path / "b_map.mcap").read_bytes()
-
     def test_info_of_an_input(self, dslam: Run) -> None:
         result = dslam("info", SAMPLE)
         assert result.code == 0

@@ -107,16 +107,6 @@ class TestRefusals:
         assert_refused(dslam("export", SAMPLE, "--tum", tmp_path / "out.txt"), "no final trajectory")
         assert_refused(dslam("export", SAMPLE), "--tum")
 
-    def test_no_detection_can_be_placed(self, dslam: Run, tmp_path: Path) -> None:
-        log = tmp_path / "log.mcap"
-        with LogWriter(log) as writer:
-            for stamp_ns in range(0, 10**9, 10**8):
-                writer.write("/odom", Odometry(stamp_ns, np.eye(4)))
-                record = ObjectDetections(stamp_ns, "lidar", np.array([[5.0, 0.0, 0.0]]), ("tree",), np.ones(1))
-                writer.write("/objects", record)
-        assert_refused(dslam("replay", log, "-o", tmp_path / "out.mcap"), "lidar", "/tf_static")
-        assert not (tmp_path / "out.mcap").exists()
-
     def test_an_error_that_nobody_expected(self, dslam: Run, monkeypatch: pytest.MonkeyPatch) -> None:
         def fail(*_: object) -> None:
             raise ZeroDivisionError("one\nof ours")

@@ -54,21 +54,6 @@ def test_a_table_for_people(dslam: Run) -> None:
     assert "time to index the map: onion" in result.out
 
 
-@pytest.mark.slow
-def test_a_table_in_markdown(dslam: Run) -> None:
-    result = benchmark(dslam, "--descriptor", "ring_likelihood", "--descriptor", "exhaustive search", "--markdown")
-    assert result.code == 0
-    lines = [line for line in result.out.splitlines() if line.startswith("|")]
-    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
-    assert len(cells) == 2 + 2 * 3
-    assert {len(row) for row in cells} == {9}
-    assert cells[0][:3] == ["descriptor", "scenario", "success %"]
-    assert set(cells[1]) == {"---", "---:"}
-    assert [row[1] for row in cells[2:]] == list(SCENARIOS) * 2
-    assert cells[2][2:5] == ["100.0 ± 0.0", "100.0", "100.0"]
-    assert cells[5][7] == "–"
-
-
 def test_a_map_of_one_s_own(dslam: Run, tmp_path: Path) -> None:
     files = write_world(tmp_path)
     result = benchmark(dslam, *files, "--descriptor", "ring_likelihood", "--neighbours", 7, "--json")
@@ -76,14 +61,6 @@ def test_a_map_of_one_s_own(dslam: Run, tmp_path: Path) -> None:
     told = json.loads(result.out)
     assert (told["map"], told["objects"], told["classes"], told["neighbours"]) == (tmp_path.name, 60, 3, 7)
     assert told["cells"][0]["ceiling"] == 1.0
-
-
-def test_a_map_in_which_nothing_can_be_localized_is_measured_too(dslam: Run, tmp_path: Path) -> None:
-    files = write_world(tmp_path)
-    (tmp_path / "objects.csv").write_text("x_m,y_m,z_m,class,id\n40,5,0,tree,n1\n")
-    for form in ((), ("--markdown",), ("--json",)):
-        result = benchmark(dslam, *files, "--descriptor", "onion", *form)
-        assert result.code == 0, result.err
 
 
 @pytest.mark.parametrize("which", [0, 2])

@@ -68,19 +68,6 @@ def test_json_has_every_figure(dslam: Run, files: tuple[object, ...], tmp_path: 
     assert all(outcome["distance_m"] is None or outcome["distance_m"] <= 25.0 for outcome in told["outcomes"])
 
 
-@pytest.mark.slow
-def test_a_table_for_people_and_settings_of_the_estimator(dslam: Run, files: tuple[object, ...]) -> None:
-    settings = ("--set", "loop_closure.enabled=false")
-    result = dslam("benchmark", "relocalization", *files, "--kidnaps", 1, "--max-travel", 10, *settings)
-    assert (result.code, result.err) == (0, "")
-    everywhere = next(line.split() for line in result.out.splitlines() if line.startswith("everywhere"))
-    # Whoever does not look for loops is lost for good.
-    assert everywhere == ["everywhere", "1", "0.0", "0.0", "0.0", "0.0", "100.0", *["–"] * 7]
-    assert "opposite direction" in result.out
-    assert "loading the map" in result.out
-    assert all(len(line) <= 120 for line in result.out.splitlines())
-
-
 def test_what_cannot_be_is_refused(dslam: Run, files: tuple[object, ...], tmp_path: Path) -> None:
     command = ("benchmark", "relocalization", *files)
     for option, value in (
@@ -92,12 +79,3 @@ def test_what_cannot_be_is_refused(dslam: Run, files: tuple[object, ...], tmp_pa
     assert_refused(dslam(*command, "--set", "loop_closure.topk=3"), "loop_closure.top_k")
     (tmp_path / "trajectory.csv").write_text("x_m,y_m\n0,0\n0,0\n")
     assert_refused(dslam(*command), "tour")
-
-
-@pytest.mark.slow
-def test_without_a_world_it_goes_through_a_generated_town(dslam: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    town = one_block().shortened(120.0)
-    monkeypatch.setattr("slam.simulation.street_grid.generate_street_grid", lambda *, rng: town)
-    result = dslam("benchmark", "relocalization", "--kidnaps", 1, "--max-travel", 10, "--json")
-    assert result.code == 0
-    assert json.loads(result.out)["world"] == town.name

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy import stats
 
 from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
-from slam.common.geometry import apply, yaw_rad
+from slam.common.geometry import apply
 from tests.helpers.long_street import generate_street
-from tests.slam.simulation.worlds import straight_street
 from tools.lab.descriptors.queries import SCENARIOS, LabelledMap, draw_queries, labelled_map, visible
 
 SELF, FEWER, NOISY = SCENARIOS
@@ -46,17 +43,6 @@ def test_what_is_right_behind_another_object_is_hidden(bearing_deg):
     offsets = polar([5.0, 20.0, 8.0, 8.0, 8.0], [bearing_deg, bearing_deg, 90.0, 210.0, 330.0])
     assert visible(offsets).tolist() == [True, False, True, True, True]
     assert visible(offsets[::-1]).tolist() == [True, True, True, False, True]
-
-
-def test_turning_and_the_order_hide_nothing_else():
-    rng = np.random.default_rng(1)
-    offsets = rng.uniform(-30.0, 30.0, (200, 2))
-    shown = visible(offsets)
-    assert 20 < shown.sum() < 190
-    order = rng.permutation(200)
-    turn = np.array([[np.cos(1.0), -np.sin(1.0)], [np.sin(1.0), np.cos(1.0)]])
-    assert visible(offsets[order] @ turn.T).tolist() == shown[order].tolist()
-    assert np.hypot(*offsets[shown].T).mean() < np.hypot(*offsets[~shown].T).mean()
 
 
 @pytest.mark.parametrize(
@@ -95,17 +81,6 @@ def test_nothing_beyond_the_radius_is_seen_and_nothing_near_is_left_out_but_for_
         assert set(query.objects) == set(near[visible(offsets[near])])
         hidden += len(near) - len(query)
     assert hidden > 0
-
-
-def test_queries_are_spread_along_the_tour_by_length_with_any_yaw():
-    world = straight_street(length_m=200.0)
-    tour = np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.0], [200.0, 0.0]])  # by points, most would be at the start
-    queries = draw_queries(labelled_map(world), tour, SELF, count=500, rng=np.random.default_rng(3))
-    places = np.array([query.T_map_query_gt[:3, 3] for query in queries])
-    yaws = np.array([yaw_rad(query.T_map_query_gt) for query in queries])
-    assert np.abs(places[:, 1:]).max() == 0.0
-    assert stats.kstest(places[:, 0], "uniform", args=(0.0, 200.0)).pvalue > 1e-3
-    assert stats.kstest(yaws, "uniform", args=(-np.pi, 2.0 * np.pi)).pvalue > 1e-3
 
 
 # The noise.
@@ -156,14 +131,6 @@ def test_a_wrong_class_is_any_other_one_and_twice_as_frequent_at_twice_the_range
     assert stats.chisquare(np.bincount(step, minlength=classes)[1:]).pvalue > 1e-3
 
 
-def test_how_high_the_map_lies_changes_nothing():
-    objects, tour = ring(count=60)
-    high = LabelledMap(objects.positions + np.array([0.0, 0.0, 250.0]), objects.labels, objects.vocabulary)
-    queries = [draw_queries(each, tour, NOISY, count=5, rng=np.random.default_rng(2)) for each in (objects, high)]
-    for low_query, high_query in zip(*queries, strict=True):
-        np.testing.assert_allclose(low_query.positions, high_query.positions, atol=1e-9)
-
-
 def test_displacements_are_uniform_along_each_axis_and_scales_are_uniform_and_common():
     objects, tour = ring(count=60)
     errors, scales = [], []
@@ -198,24 +165,3 @@ def test_a_tour_without_length_is_refused(tour):
     objects, _ = ring()
     with pytest.raises(SimulationError, match="no length"):
         draw_queries(objects, np.array(tour), SELF, count=3, rng=np.random.default_rng(0))
-
-
-def test_a_stretch_with_nothing_in_sight_gives_empty_queries():
-    objects, _ = ring()
-    tour = np.array([[0.0, 0.0], [500.0, 0.0]])
-    queries = draw_queries(objects, tour, NOISY, count=40, rng=np.random.default_rng(0))
-    sizes = np.array([len(query) for query in queries])
-    assert (sizes == 0).any()
-    assert (sizes > 0).any()
-    empty = queries[int(np.argmin(sizes))]
-    assert (empty.positions.shape, empty.labels.shape, empty.objects.shape) == ((0, 3), (0,), (0,))
-
-
-def test_a_map_numbers_its_classes_by_their_sorted_names():
-    world = straight_street()
-    objects = labelled_map(world)
-    assert objects.vocabulary == ("bench", "lamp", "tree")
-    assert len(objects) == len(world.labels)
-    assert tuple(objects.vocabulary[label] for label in objects.labels) == world.labels
-    shuffled = labelled_map(replace(world, labels=world.labels[::-1]))
-    np.testing.assert_array_equal(shuffled.labels, objects.labels[::-1])
