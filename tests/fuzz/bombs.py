@@ -12,19 +12,22 @@ from pathlib import Path
 
 import lz4.frame
 import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Chunk, DataEnd, Footer, Header
+from mcap.records import Message as MessageRecord
 
-from logs.storage.mcap_index import MAGIC, MESSAGE_HEADER
-from tests.fuzz.mcap_file import _U32, _U64, Layout, McapFile, Message, _channel, _record, _text, write_file
+from logs.storage.mcap_index import MAGIC
+from tests.fuzz.mcap_file import Layout, McapFile, Message, channel_record, encoded, write_file
 
 GIGABYTE = 10**9
 _SPARSE = b"\0" * 10**7
-_END = _record(0x0F, _U32(0)) + _record(0x02, _U64(0) + _U64(0) + _U32(0)) + MAGIC
-_START = MAGIC + _record(0x01, _text("") + _text("bomb"))
+_END = encoded(DataEnd(0), Footer(0, 0, 0)) + MAGIC
+_START = MAGIC + encoded(Header("", "bomb"))
 
 
 def _chunk_of(compressed: bytes, compression: str, size: int) -> bytes:
-    head = _U64(0) + _U64(1) + _U64(size) + _U32(0) + _text(compression) + _U64(len(compressed))
-    return _START + _record(0x06, head + compressed) + _END
+    return _START + encoded(Chunk(compression, compressed, 1, 0, 0, size)) + _END
 
 
 def _zeros(size: int) -> Iterator[bytes]:
@@ -61,8 +64,7 @@ def declared_2_to_the_60() -> bytes:
 
 
 def channels_1e6() -> bytes:
-    channels = b"".join(_channel(i % 65_536, (0, f"/topic_{i}", "json")) for i in range(10**6))
-    return _START + channels + _END
+    return _START + encoded(*(channel_record(i % 65_536, 0, f"/topic_{i}", "json") for i in range(10**6))) + _END
 
 
 def channels_65e3_with_index() -> bytes:
@@ -71,11 +73,9 @@ def channels_65e3_with_index() -> bytes:
 
 
 def empty_messages_1e7(topic: str = "/topic", encoding: str = "json") -> bytes:
-    record = _record(0x05, MESSAGE_HEADER.pack(1, 0, 5, 5))
-    content = _channel(1, (0, topic, encoding)) + record * 100_000
-    compressed = zstandard.compress(content)
-    head = _U64(5) + _U64(5) + _U64(len(content)) + _U32(0) + _text("zstd") + _U64(len(compressed))
-    return _START + _record(0x06, head + compressed) * 100 + _END
+    content = encoded(channel_record(1, 0, topic, encoding)) + encoded(MessageRecord(1, 5, b"", 5, 0)) * 100_000
+    chunk = Chunk("zstd", zstandard.compress(content), 5, 5, 0, len(content))
+    return _START + encoded(chunk) * 100 + _END
 
 
 def attachment_2gb() -> bytes:
@@ -103,11 +103,19 @@ def write_bomb(path: Path, make: Callable[[], bytes]) -> None:
         path.write_bytes(make())
         return
     size = 2 * GIGABYTE
-    head = _U64(1) + _U64(1) + _text("big") + _text("x") + _U64(size)
+    head = RecordBuilder()
+    for time_ns in (1, 1):
+        head.write8(time_ns)
+    for text in ("big", "x"):
+        head.write_prefixed_string(text)
+    head.write8(size)
+    start = RecordBuilder()
+    start.write1(Opcode.ATTACHMENT)
+    start.write8(head.count + size + 4)
     with path.open("wb") as stream:
-        stream.write(_START + b"\x09" + _U64(len(head) + size + 4) + head)
+        stream.write(_START + start.end() + head.end())
         stream.seek(size + 4, os.SEEK_CUR)
-        stream.write(_channel(1, (0, "/topic", "json")) + _record(0x05, MESSAGE_HEADER.pack(1, 0, 5, 5)) + _END)
+        stream.write(encoded(channel_record(1, 0, "/topic", "json"), MessageRecord(1, 5, b"", 5, 0)) + _END)
 
 
 def main() -> int:

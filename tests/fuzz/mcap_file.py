@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
-import struct
 import zlib
+from collections import Counter
 from dataclasses import dataclass, field, replace
 
 import lz4.frame
 import numpy as np
 import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.records import (
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    MessageIndex,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
+from mcap.records import Message as MessageRecord
 
 from logs.reader import LogReader
-from logs.storage.mcap_index import MAGIC, MESSAGE_HEADER
-
-_U8, _U16, _U32, _U64 = (struct.Struct(f"<{letter}").pack for letter in "BHIQ")
+from logs.storage.mcap_index import MAGIC
 
 
 @dataclass(frozen=True)
@@ -67,27 +81,16 @@ def read_file(path: str) -> McapFile:
     return file
 
 
-def _text(value: str | bytes) -> bytes:
-    data = value if isinstance(value, bytes) else value.encode(errors="surrogatepass")
-    return _U32(len(data)) + data
+def encoded(*records: McapRecord) -> bytes:
+    """The bytes of records, one after the other."""
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return builder.end()
 
 
-def _map(values: dict[str, str]) -> bytes:
-    return _text(b"".join(_text(k) + _text(v) for k, v in values.items()))
-
-
-def _record(opcode: int, content: bytes) -> bytes:
-    return _U8(opcode) + _U64(len(content)) + content
-
-
-def _schema(id: int, schema: tuple[str, str, bytes]) -> bytes:
-    name, encoding, data = schema
-    return _record(0x03, _U16(id) + _text(name) + _text(encoding) + _text(data))
-
-
-def _channel(id: int, channel: tuple[int, str, str]) -> bytes:
-    schema_id, topic, encoding = channel
-    return _record(0x04, _U16(id) + _U16(schema_id) + _text(topic) + _text(encoding) + _map({}))
+def channel_record(id: int, schema: int, topic: str, encoding: str) -> Channel:
+    return Channel(id, topic, encoding, {}, schema)
 
 
 def compress(data: bytes, compression: str) -> bytes:
@@ -98,66 +101,75 @@ def compress(data: bytes, compression: str) -> bytes:
 
 def write_file(file: McapFile, layout: Layout) -> bytes:
     """The bytes of ``file``, whole and valid but for the lies of ``layout``."""
-    out = bytearray(MAGIC + _record(0x01, _text("") + _text("fuzz")))
-    definitions = b"".join(_schema(*item) for item in file.schemas.items())
-    definitions += b"".join(_channel(*item) for item in file.channels.items())
-    indexes: list[bytes] = []
-    for start in range(0, len(file.messages), layout.messages_per_chunk):
-        messages = file.messages[start : start + layout.messages_per_chunk]
-        content = bytearray(definitions)
-        entries: dict[int, list[tuple[int, int]]] = {}
-        for m in messages:
-            entries.setdefault(m.channel, []).append((m.log_time_ns, len(content)))
-            head = MESSAGE_HEADER.pack(m.channel, m.sequence, m.log_time_ns, m.log_time_ns)
-            content += _record(0x05, head + m.data)
-        times = [m.log_time_ns for m in messages]
-        first_ns, last_ns = layout.chunk_times or (min(times), max(times))
-        size = len(content) if layout.declared_size is None else layout.declared_size
-        compressed = compress(bytes(content), layout.compression)
-        crc = zlib.crc32(bytes(content))
-        offset = len(out)
-        out += _record(
-            0x06,
-            _U64(first_ns) + _U64(last_ns) + _U64(size) + _U32(crc) + _text(layout.compression) + _U64(len(compressed))
-            + compressed,
-        )  # fmt: skip
-        chunk_length = len(out) - offset
-        places = b""
-        index_start = len(out)
-        for channel, pairs in entries.items():
-            places += _U16(channel) + _U64(len(out))
-            pairs = pairs * 2 if layout.doubled_index else pairs
-            out += _record(0x07, _U16(channel) + _text(b"".join(_U64(t) + _U64(p) for t, p in pairs)))
-        indexes.append(
-            _record(
-                0x08,
-                _U64(first_ns) + _U64(last_ns) + _U64(offset) + _U64(chunk_length) + _text(places)
-                + _U64(len(out) - index_start) + _text(layout.compression) + _U64(len(compressed)) + _U64(size),
-            )
-        )  # fmt: skip
-    metadata_indexes = []
-    for name, values in file.metadata:
-        offset = len(out)
-        out += _record(0x0C, _text(name) + _map(values))
-        metadata_indexes.append(_record(0x0D, _U64(offset) + _U64(len(out) - offset) + _text(name)))
-    out += _record(0x0F, _U32(0))
+    out = bytearray(MAGIC + encoded(Header("", "fuzz")))
+    definitions = encoded(
+        *(Schema(id, data, encoding, name) for id, (name, encoding, data) in file.schemas.items()),
+        *(channel_record(id, *channel) for id, channel in file.channels.items()),
+    )
+    chunks = [
+        _append_chunk(out, definitions, file.messages[start : start + layout.messages_per_chunk], layout)
+        for start in range(0, len(file.messages), layout.messages_per_chunk)
+    ]
+    metadata = [_append_metadata(out, *each) for each in file.metadata]
+    out += encoded(DataEnd(0))
     summary_start = len(out)
     if layout.has_index:
-        counts: dict[int, int] = {}
-        for m in file.messages:
-            counts[m.channel] = counts.get(m.channel, 0) + 1
-        times = [m.log_time_ns for m in file.messages] or [0]
-        statistics = (
-            _U64(len(file.messages)) + _U16(len(file.schemas)) + _U32(len(file.channels)) + _U32(0)
-            + _U32(len(file.metadata)) + _U32(len(indexes)) + _U64(min(times)) + _U64(max(times))
-            + _text(b"".join(_U16(c) + _U64(n) for c, n in counts.items()))
-        )  # fmt: skip
-        repeated = indexes * 2 if layout.doubled_index else indexes
-        out += definitions + b"".join(repeated) + b"".join(metadata_indexes) + _record(0x0B, statistics)
+        repeated = chunks * 2 if layout.doubled_index else chunks
+        out += definitions + encoded(*repeated, *metadata, _statistics(file, len(chunks)))
     start = layout.summary_start if layout.summary_start is not None else (summary_start if layout.has_index else 0)
-    footer = _U64(start) + _U64(0)
-    crc = zlib.crc32(bytes(out[summary_start:]) + _U8(0x02) + _U64(20) + footer) if layout.has_index else 0
-    return bytes(out + _record(0x02, footer + _U32(crc)) + MAGIC)
+    crc = zlib.crc32(bytes(out[summary_start:]) + encoded(Footer(start, 0, 0))[:-4]) if layout.has_index else 0
+    return bytes(out + encoded(Footer(start, 0, crc)) + MAGIC)
+
+
+def _append_chunk(out: bytearray, definitions: bytes, messages: list[Message], layout: Layout) -> ChunkIndex:
+    """Write a chunk and the index of its messages; returns what the summary says of it."""
+    content = bytearray(definitions)
+    entries: dict[int, list[tuple[int, int]]] = {}
+    for m in messages:
+        entries.setdefault(m.channel, []).append((m.log_time_ns, len(content)))
+        content += encoded(MessageRecord(m.channel, m.log_time_ns, m.data, m.log_time_ns, m.sequence))
+    times = [m.log_time_ns for m in messages]
+    first_ns, last_ns = layout.chunk_times or (min(times), max(times))
+    size = len(content) if layout.declared_size is None else layout.declared_size
+    compressed = compress(bytes(content), layout.compression)
+    offset = len(out)
+    out += encoded(Chunk(layout.compression, compressed, last_ns, first_ns, zlib.crc32(bytes(content)), size))
+    index_start, offsets = len(out), {}
+    for channel, pairs in entries.items():
+        offsets[channel] = len(out)
+        out += encoded(MessageIndex(channel, pairs * 2 if layout.doubled_index else pairs))
+    return ChunkIndex(
+        chunk_length=index_start - offset,
+        chunk_start_offset=offset,
+        compression=layout.compression,
+        compressed_size=len(compressed),
+        message_end_time=last_ns,
+        message_index_length=len(out) - index_start,
+        message_index_offsets=offsets,
+        message_start_time=first_ns,
+        uncompressed_size=size,
+    )
+
+
+def _append_metadata(out: bytearray, name: str, values: dict[str, str]) -> MetadataIndex:
+    offset = len(out)
+    out += encoded(Metadata(name, values))
+    return MetadataIndex(offset, len(out) - offset, name)
+
+
+def _statistics(file: McapFile, chunks: int) -> Statistics:
+    times = [m.log_time_ns for m in file.messages] or [0]
+    return Statistics(
+        attachment_count=0,
+        channel_count=len(file.channels),
+        channel_message_counts=Counter(m.channel for m in file.messages),
+        chunk_count=chunks,
+        message_count=len(file.messages),
+        message_end_time=max(times),
+        message_start_time=min(times),
+        metadata_count=len(file.metadata),
+        schema_count=len(file.schemas),
+    )
 
 
 def odd_layout(rng: np.random.Generator) -> Layout:
