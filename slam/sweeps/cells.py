@@ -8,8 +8,6 @@ import json
 import os
 import re
 import shutil
-import tempfile
-import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -17,16 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from logs.container.json_text import parse_json
-from logs.errors import LogError, UnwritableLogError
+from logs.errors import UnwritableLogError
 from logs.storage.placement import write_text
 from slam.common.config import Config
-from slam.common.errors import EvaluationError, SlamError
-from slam.evaluation.evaluate import evaluate
+from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.protocol import Protocol
-from slam.evaluation.inputs.records import read_records
-from slam.replay import replay
-from slam.simulation.faults.faulty_log import write_faulty
 from slam.sweeps.degradations import Degradation
+from slam.sweeps.mapped_drive import DriveTask, map_drive
 
 _KEY_DIGITS = 16
 _NAME_LENGTH = 80
@@ -84,8 +79,11 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class CellResult:
-    """The ``evaluation`` of a cell as JSON, or why there is none; ``times``: seconds by what they were spent on,
-    ``cpu_s`` those of the processor, which do not depend on how busy the machine is."""
+    """The ``evaluation`` of a cell as JSON, or why there is none.
+
+    ``times``: seconds of the replay (``replay_s``), seconds of the processor for everything (``cpu_s``), which do not
+    depend on how busy the machine is, and the ``real_time_factor``.
+    """
 
     evaluation: Mapping[str, Any] | None
     error: str
@@ -102,36 +100,13 @@ class CellTask:
 
 def compute_cell(task: CellTask) -> CellResult:
     """Degrade, map and evaluate; raises nothing, for one cell must not stop the others."""
-    times: dict[str, float] = {}
-    try:
-        with tempfile.TemporaryDirectory(dir=task.scratch, prefix="cell-") as folder:
-            evaluation = _compute(task.cell, Path(folder), times)
-    except (LogError, SlamError, OSError) as error:
-        return CellResult(None, str(error), times)
-    except Exception as error:
-        return CellResult(None, f"this should not happen: {type(error).__name__}: {error}", times)
-    return CellResult(evaluation, "", times)
-
-
-def _compute(cell: Cell, folder: Path, times: dict[str, float]) -> dict[str, Any]:
-    drive = cell.drive
-    source, mapped = drive.path, folder / "map.mcap"
-    topics = dict(drive.topics)
-    started, began_s = time.perf_counter(), time.process_time()
-    if not cell.degradation.is_undegraded:
-        source = folder / "degraded.mcap"
-        write_faulty(drive.path, source, cell.degradation.cases, seed=cell.seed, topics=topics)
-    degraded = time.perf_counter()
-    summary = replay(source, mapped, drive.config, topics=topics)
-    replayed = time.perf_counter()
-    evaluation = evaluate(read_records(mapped)).to_json_dict()
-    times["degrade_s"] = degraded - started
-    times["replay_s"] = replayed - degraded
-    times["evaluate_s"] = time.perf_counter() - replayed
-    times["cpu_s"] = time.process_time() - began_s
-    if summary.wall_s > 0.0:
-        times["real_time_factor"] = summary.log_s / summary.wall_s
-    return evaluation
+    cell, drive = task.cell, task.cell.drive
+    faults = tuple(case.name for case in cell.degradation.cases)
+    run = map_drive(DriveTask(cell.name, drive.path, drive.config, task.scratch, dict(drive.topics), faults, cell.seed))
+    times = {"replay_s": run.seconds, "cpu_s": run.cpu_s}
+    if run.summary is not None and run.seconds > 0.0:
+        times["real_time_factor"] = run.summary.log_s / run.seconds
+    return CellResult(run.evaluation or None, run.error, times)
 
 
 class CellFolder:

@@ -164,7 +164,7 @@ def test_compute_cell_records_unexpected_error(
     def fail(*_: object, **__: object) -> None:
         raise ZeroDivisionError("ours")
 
-    monkeypatch.setattr("slam.sweeps.cells.replay", fail)
+    monkeypatch.setattr("slam.sweeps.mapped_drive.replay", fail)
     result = compute_cell(CellTask(finished[1].rows[1].results[0][0], tmp_path))
     assert result.evaluation is None
     assert result.error == "this should not happen: ZeroDivisionError: ours"

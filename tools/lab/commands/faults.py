@@ -14,7 +14,7 @@ from tools.lab.tables import number, show, to_markdown
 from tools.replay import noted_counters, rejected_by_odometry_note
 
 if TYPE_CHECKING:
-    from tools.lab.drives.mapped_drive import MappedDrive
+    from slam.sweeps.mapped_drive import MappedDrive
 
 CLEAN = "none"
 
@@ -52,8 +52,8 @@ def faults(
     from slam.common.errors import EvaluationError
     from slam.evaluation.inputs.records import read_records
     from slam.simulation.faults.registry import all_cases
+    from slam.sweeps.mapped_drive import DriveTask, map_drives
     from tools import console
-    from tools.lab.drives.mapped_drive import DriveTask, map_drives
 
     config = load_config(config_file, settings or ())
     names = [CLEAN, *(case.name for case in all_cases(only or ()))]

@@ -52,7 +52,7 @@ def _measure(log: Path, config: Config, runs: int) -> dict[str, float | str]:
     from tempfile import TemporaryDirectory
 
     from slam.common.errors import SlamError
-    from tools.lab.drives.mapped_drive import DriveTask, map_drives
+    from slam.sweeps.mapped_drive import DriveTask, map_drives
 
     with TemporaryDirectory() as folder:
         task = DriveTask(str(log), log, config, Path(folder), is_evaluated=False)

@@ -15,7 +15,7 @@ from tools.replay import noted_counters
 
 if TYPE_CHECKING:
     from slam.common.config import Config
-    from tools.lab.drives.mapped_drive import MappedDrive
+    from slam.sweeps.mapped_drive import MappedDrive
     from tools.lab.drives.robot_drives import RobotDrive
 
 EXPLANATION = """\
@@ -87,7 +87,7 @@ def map_robot(drive: RobotDrive, config: Config) -> MappedDrive:
 
     from logs.errors import LogError
     from slam.common.errors import SlamError
-    from tools.lab.drives.mapped_drive import DriveTask, MappedDrive, map_drives
+    from slam.sweeps.mapped_drive import DriveTask, MappedDrive, map_drives
     from tools.lab.drives.robot_drives import import_drive
 
     with TemporaryDirectory() as folder:

@@ -10,10 +10,10 @@ import pytest
 
 from logs.reader import LogReader
 from slam.simulation.faults.registry import FAULTS
+from slam.sweeps.mapped_drive import MappedDrive
 from tests.helpers.short_drives import Entry, keep_until, write_log
 from tests.tools.runs import SAMPLE, Run, assert_refused
 from tools.lab.commands.faults import report_of
-from tools.lab.drives.mapped_drive import MappedDrive
 
 
 @pytest.fixture(scope="module")

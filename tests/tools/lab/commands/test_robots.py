@@ -8,9 +8,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from slam.sweeps.mapped_drive import MappedDrive
 from tests.tools.runs import Run, assert_refused
 from tools.lab.commands import robots
-from tools.lab.drives.mapped_drive import MappedDrive
 
 COUNTERS = {"odometry_used": 5, "landmarks_confirmed": 37, "odometry_breaks": 2, "closures_accepted": 3}
 EVALUATION = {

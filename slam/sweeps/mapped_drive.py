@@ -49,7 +49,8 @@ class MappedDrive:
     """What the replay reported and, as ``evaluation``, the JSON of 'dslam evaluate'; or why there is none.
 
     ``warnings``: messages of the log at the level of a warning or an error, each once. ``peak_memory_bytes``: most
-    memory of the process until the end of the replay; ``object_count``: true objects that were detected.
+    memory of the process until the end of the replay; ``object_count``: true objects that were detected; ``seconds``
+    of the replay, ``cpu_s`` of the processor for all.
     """
 
     name: str
@@ -59,6 +60,7 @@ class MappedDrive:
     peak_memory_bytes: int = 0
     object_count: int | None = None
     seconds: float = 0.0
+    cpu_s: float = 0.0
     error: str = ""
 
     def figure(self, key: str) -> float | None:
@@ -91,7 +93,7 @@ def map_drive(task: DriveTask) -> MappedDrive:
 
 
 def _map(task: DriveTask, folder: Path) -> MappedDrive:
-    source, mapped = task.log, folder / "map.mcap"
+    source, mapped, began_s = task.log, folder / "map.mcap", time.process_time()
     if task.faults:
         source = folder / "faulty.mcap"
         write_faulty(task.log, source, parse_faults(task.faults), seed=task.seed, topics=task.topics)
@@ -113,6 +115,7 @@ def _map(task: DriveTask, folder: Path) -> MappedDrive:
         peak,
         None if objects is None else len(objects),
         seconds,
+        time.process_time() - began_s,
     )
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from slam.common.config import Config
+from slam.sweeps import mapped_drive
+from slam.sweeps.mapped_drive import DriveTask, map_drive, map_drives
 from tests.helpers.short_drives import Entry, keep_until, write_log
 from tests.logs.importers.text_drives import TextDrive
 from tools.lab.commands.robots import figures_of, map_robot
-from tools.lab.drives import mapped_drive
-from tools.lab.drives.mapped_drive import DriveTask, map_drive, map_drives
 from tools.lab.drives.robot_drives import RobotDrive, find_drives
 
 pytestmark = pytest.mark.slow
