@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -56,12 +56,13 @@ def robots(
 
     from logs.storage.placement import write_text
     from slam.common.config import Config, load_config
+    from slam.common.config_tree import changes
     from tools import console
     from tools.lab.drives.robot_drives import find_drives
 
     check_outputs([output], [config_file])
     config = load_config(config_file, settings or ())
-    changed = dict(_differences(config.model_dump(mode="json"), Config().model_dump(mode="json")))
+    changed = changes(Config(), config.model_dump_json())
     drives = find_drives(data, drive or ())
     command = _command(data, drive or (), config_file, settings or ())
     runs: list[MappedDrive] = []
@@ -173,19 +174,10 @@ def _command(data: Path, names: Sequence[str], config_file: Path | None, setting
     return shlex.join(["dslam", "benchmark", "robots", data.name, *options])
 
 
-def _differences(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """The settings that are not the default, by their dotted names."""
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            yield from ((f"{name}.{key}", each) for key, each in _differences(value, defaults[name]))
-        elif value != defaults[name]:
-            yield name, value
-
-
-def _page(runs: Sequence[MappedDrive], command: str, changed: Mapping[str, Any]) -> str:
+def _page(runs: Sequence[MappedDrive], command: str, changed: Sequence[str]) -> str:
     from importlib.metadata import version
 
-    settings = ", ".join(f"`{name}={value}`" for name, value in changed.items()) or "all default"
+    settings = ", ".join(f"`{each}`" for each in changed) or "all default"
     rows = [{**_row(run, in_full=True), "warnings": "; ".join(_notes(run)) or "none"} for run in runs]
     head = f"Version {version('descriptellation-slam')}; settings: {settings}.\n\n```\n{command}\n```"
     return "\n\n".join(["# Drives of several robots", head, to_markdown(rows, texts=["warnings"]), EXPLANATION])
