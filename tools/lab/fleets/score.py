@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from logs.messages import ObjectMapRecord
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply
+from slam.evaluation.metrics.alignment import align_yaw_translation
 from slam.fleet.changes import Change
 from slam.fleet.fleet import Fleet
 from slam.map_joining.joint_map import JointMap
@@ -139,7 +140,7 @@ def _fit(objects: ObjectMapRecord, first: TrueDrive, world: _Objects) -> _Fit:
         landmarks, matched = _matches(apply(T, objects.positions), objects.labels, world)
         if len(landmarks) < 3:
             return _Fit(np.zeros(0), 0, T)
-        T = _aligned(objects.positions[landmarks], world.positions[matched])
+        T = align_yaw_translation(objects.positions[landmarks], world.positions[matched]).T_world_map
     offsets = apply(T, objects.positions[landmarks]) - world.positions[matched]
     return _Fit(np.hypot(offsets[:, 0], offsets[:, 1]), len(matched) - len(np.unique(matched)), T)
 
@@ -156,18 +157,6 @@ def _matches(positions: FloatArray, labels: Sequence[str], world: _Objects) -> t
         matched.append(theirs[np.asarray(nearest)[near]])
     empty = [np.zeros(0, np.int64)]
     return np.concatenate(landmarks or empty), np.concatenate(matched or empty)
-
-
-def _aligned(source: FloatArray, target: FloatArray) -> FloatArray:
-    """The motion in the plane (4, 4) that carries points onto others with least squares."""
-    a, b = source[:, :2] @ [1.0, 1.0j], target[:, :2] @ [1.0, 1.0j]
-    turn = np.vdot(a - a.mean(), b - b.mean())
-    turn /= abs(turn)
-    shift = b.mean() - turn * a.mean()
-    T = np.eye(4)
-    T[:2, :2] = [[turn.real, -turn.imag], [turn.imag, turn.real]]
-    T[:3, 3] = [shift.real, shift.imag, float(np.median(target[:, 2] - source[:, 2]))]
-    return T
 
 
 def _false_joins(part: JointMap, drives: Sequence[TrueDrive], T_world_map: FloatArray) -> int:
