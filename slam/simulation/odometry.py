@@ -30,7 +30,7 @@ def drifting_odometry(T_world_body: FloatArray, config: OdometryConfig, *, rng: 
     """
     step = invert(T_world_body[:-1]) @ T_world_body[1:]  # (K - 1, 4, 4) T_previous_next
     path_m = np.linalg.norm(step[:, :3, 3], axis=1)
-    # Both streams are drawn whatever the configuration, so that one drift does not change with the other's setting.
+    # Both streams are always drawn, so that one drift does not change with the other's setting.
     heading_normals, scale_normals = rng.standard_normal((2, len(step)))
     sigma_heading = np.deg2rad(config.heading_drift_deg_per_100m)
     turn = yaw_rad(step) + heading_normals * sigma_heading * np.sqrt(path_m / REFERENCE_PATH_M)

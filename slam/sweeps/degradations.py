@@ -33,7 +33,7 @@ class Degradation:
 
     @property
     def is_undegraded(self) -> bool:
-        """Whether the log stays as it is."""
+        """Whether the log is not changed."""
         return self.name == UNDEGRADED
 
     @property
@@ -52,7 +52,7 @@ class Degradation:
 
 
 def parse_degradations(specifications: Sequence[str]) -> list[Degradation]:
-    """The log as it is, then each degradation once, in the order given.
+    """The undegraded log, then each degradation once, in the order given.
 
     Raises:
         ConfigurationError: a fault that does not exist, or a value that is not allowed.

@@ -132,7 +132,7 @@ def run_sweep(
     """Degrade, map and evaluate a drive again and again.
 
     A cell that ``folder`` holds already, of the same input, degradation, seed, configuration, version and protocol, is
-    not computed again; one that failed is. A degradation without anything random has one cell, whatever ``seeds`` is.
+    not computed again; one that failed is. A degradation without random numbers has one cell, not ``seeds`` of them.
 
     Args:
         source: a log that can be mapped, with the truth.

@@ -21,7 +21,7 @@ EVERYTHING = (*ODOMETRY, *SCANS, *TRANSFORMS, *TRUTH)
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """Values that a parameter may have, and its unit or, without one, what it is."""
+    """Values that a parameter may have, and its unit or kind."""
 
     unit: str
     min: float = 0.0

@@ -40,9 +40,9 @@ def apply_faults(stream: Sequence[Entry], cases: Sequence[FaultCase], *, seed: i
     """The messages with the faults, one after the other.
 
     Args:
-        stream: all messages of a log; it stays as it is.
+        stream: all messages of a log, which is not changed.
         cases: what to do. Random numbers are those of the seed, of the name of the fault, and of how often it came
-            before, whatever other faults there are.
+            before; they do not depend on other faults.
         seed: 0 or more.
 
     Raises:
@@ -148,7 +148,7 @@ def _selection(reader: LogReader, cases: Sequence[FaultCase], topics: Mapping[st
 
 
 def _read(reader: LogReader, selection: Selection, progress: Callable[[float], None] | None) -> Iterator[Entry]:
-    """The messages of the selected topics; one that no record is made of stays as it is."""
+    """The messages of the selected topics; one that gives no record is kept raw."""
     topics = {info.topic for info in reader.topics()}
     total = max(sum(info.message_count for info in reader.topics()), 1)
     items = reader.items(selection, copy=list(selection.kinds), times_of=topics - set(selection.kinds))

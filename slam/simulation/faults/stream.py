@@ -73,7 +73,7 @@ def odometry_of(stream: Stream) -> tuple[IntArray, FloatArray]:
     """Stamps (N,) and poses T_odom_body (N, 4, 4) of the odometry, in the order of the log.
 
     Raises:
-        SimulationError: there is none.
+        SimulationError: the log holds no odometry.
     """
     found = [e.content for e in stream if isinstance(e.content, Odometry)]
     if not found:

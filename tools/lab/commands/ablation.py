@@ -52,7 +52,7 @@ def ablation(
 ) -> None:
     """Map drives with one part of the method off at a time, and compare with all parts.
 
-    Each drive is mapped with several copies of little noise, so that an effect can be told from a draw. If it is
+    Each drive is mapped with several copies of little noise, so that an effect can be told from chance. If it is
     killed, the same command continues where it was.
 
     Example: dslam benchmark ablation data -o out/ablation --drive demo --part calibration --copies 3
@@ -190,7 +190,7 @@ def _conditions(copies: int, settings: Sequence[str]) -> str:
 
 
 def _with_block(page: Path, block: str) -> str:
-    """The text of the page with the block between its marks; a new page where there is none."""
+    """The text of the page with the block between its marks; a new page if it does not exist."""
     text = page.read_text(encoding="utf-8") if page.exists() else f"# Ablation\n\n{BEGIN}{END}"
     before, begin, rest = text.partition(BEGIN)
     _, end, after = rest.partition(END)

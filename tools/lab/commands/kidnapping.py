@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def kidnapping(
     objects: Annotated[Path, typer.Option(metavar="CSV", help="Objects of a world: x_m,y_m,z_m,class,id.")],
     trajectory: Annotated[Path, typer.Option(metavar="CSV", help="Tour through it: x_m,y_m.")],
-    kidnaps: Annotated[int, typer.Option(min=1, help="How often the robot is carried off.")] = 20,
+    kidnaps: Annotated[int, typer.Option(min=1, help="Number of kidnappings.")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the places and of all errors.")] = 0,
     config_file: ConfigFile = None,
     settings: Settings = None,

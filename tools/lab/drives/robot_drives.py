@@ -29,7 +29,7 @@ def find_drives(folder: Path, names: Sequence[str] = ()) -> list[RobotDrive]:
         names: take these only, each a drive or a folder of drives.
 
     Raises:
-        InputDataError: there is none, or none of a name that is asked for.
+        InputDataError: the folder holds no drive, or none of a given name.
     """
     found = {path.parent for path in folder.glob("**/odometry.*") if path.is_file()}
     drives = sorted((_drive(folder, each) for each in found), key=lambda drive: drive.name)

@@ -85,7 +85,7 @@ class Figures:
     are wrong by that measure.
     Distance and time are those of the right fixes, late ones included; errors those of all fixes, wrong ones included.
     ``kept_rate``: share of the right fixes that are still right 10 m later; ``revoked_rate``: share of the
-    wrong fixes that are revoked, or have become right, by then.
+    wrong fixes that are revoked, or have become right, 10 m later.
     """
 
     kidnaps: int

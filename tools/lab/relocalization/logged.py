@@ -65,7 +65,7 @@ def benchmark_log(
     topics: Mapping[str, str] | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> LoggedRelocalization:
-    """Map the first part of a drive with truth, and be put down at places of the rest, evenly spread.
+    """Map the first part of a drive with truth, and relocalize at places of the rest, evenly spread.
 
     Args:
         path: the log.

@@ -1,4 +1,4 @@
-"""How soon a robot that makes its map notices that it was carried off while the odometry went on.
+"""How soon a mapping robot detects a kidnapping that its odometry does not show.
 
 ``benchmark_silent_kidnapping`` is where to begin reading.
 """

@@ -66,9 +66,9 @@ def benchmark_relocalization(
     prior_map: PriorMap | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> RelocalizationBenchmark:
-    """Map the tour of ``world`` once, and then be put down somewhere on it again and again.
+    """Map the tour of ``world`` once, then relocalize at places drawn from it.
 
-    The same arguments give the same places, drives and verdicts, whatever ``jobs`` is; only times differ.
+    The same arguments give the same places, drives and verdicts for any number of ``jobs``; only times differ.
 
     Args:
         world: with a tour.
@@ -76,7 +76,7 @@ def benchmark_relocalization(
         kidnaps: how often.
         seed: of the drive that makes the map, of the places and of what changes; the drives after that follow from it.
         noise: factor on the errors of the sensor that searches.
-        changed: share of the objects near the tour that are others by then.
+        changed: share of the objects near the tour that are replaced after mapping.
         thin: one of so many objects of the world is left, before the map is made.
         oracle: also ask what could have been found; see :mod:`tools.lab.relocalization.oracle`.
         max_travel_m: length of each search.

@@ -1,4 +1,4 @@
-"""One kidnapping: the robot is put down somewhere and drives until it is relocalized."""
+"""One kidnapping: the robot starts at an unknown place and drives until it is relocalized."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from tools.lab.relocalization.known_map import KnownMap, truth_of
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drive:
-    """What is perceived from where the robot is put down, and the truth, in the order of a log.
+    """Measurements from the start of the search on, and the truth, in the order of a log.
 
     ``start_m`` along the whole tour; ``is_along``: in the direction of the drive that made the map; ``objects``: in
     reach at the start.

@@ -94,7 +94,7 @@ class _Asking:
         self._object_hits: list[FloatArray] = []
 
     def ask(self, place: AskedPlace) -> None:
-        """Take in what the index has by then, and propose places of a query."""
+        """Add the landmarks that were mapped before a query to the index, and propose places of the query."""
         for part in self._recorded.parts[self._parts : place.parts]:
             started = time.perf_counter()
             self._index.add(self._gather(part.positions, part.labels, part.vocabulary, part.centres))

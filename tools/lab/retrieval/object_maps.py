@@ -109,7 +109,7 @@ def measure_recall(
                 chosen = everything.first(round(share * size))
                 if not drawn:
                     names = [chosen.vocabulary[label] for label in chosen.labels.tolist()]
-                    paths = np.random.default_rng((seed, 1))  # the same paths, whatever the classes
+                    paths = np.random.default_rng((seed, 1))  # the same paths for any number of classes
                     drawn = draw_path_queries(chosen.positions, names, queries, rng=paths)
                 for name in descriptors:
                     figures.append(_measure(name, chosen, drawn))

@@ -41,8 +41,8 @@ INDEX_EVERY_RANGES = 10.0 / 30.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapPart:
-    """Landmarks that an index takes in at once: ``centres`` (B,) of the landmarks around, which are at ``positions``
-    (N, 3) m in the local frame and have ``labels`` (N,) in ``vocabulary``.
+    """Landmarks that are added to an index together: ``centres`` (B,) of the landmarks around, which are at
+    ``positions`` (N, 3) m in the local frame and have ``labels`` (N,) in ``vocabulary``.
     """
 
     positions: FloatArray
