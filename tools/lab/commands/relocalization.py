@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,11 +13,17 @@ from tools.arguments import ConfigFile, Json, Settings, Topics, parse_topics
 from tools.lab.tables import number, percent, show
 
 if TYPE_CHECKING:
-    from slam.common.config import Config
     from tools.lab.relocalization.figures import Figures, RelocalizationBenchmark
     from tools.lab.relocalization.logged import LoggedRelocalization
 
 RIGHT = (4.0, 10.0)
+_ALWAYS = {"kidnaps", "max_travel", "config_file", "settings", "json"}
+MODES = {
+    "--log": _ALWAYS | {"log", "map_until", "right", "topics"},
+    "--map": _ALWAYS | {"map_log", "seed", "noise", "changed"},
+    "--objects": _ALWAYS | {"objects", "trajectory", "map_log", "seed", "noise", "changed", "thin", "oracle", "jobs"},
+}
+"""The parameters of the command that go with each way to measure; without any of these options, with --objects."""
 
 
 Objects = Annotated[
@@ -56,6 +64,7 @@ MaxTravel = Annotated[float, typer.Option("--max-travel", metavar="METRES", min=
 
 
 def relocalization(
+    context: typer.Context,
     objects: Objects = None,
     trajectory: Trajectory = None,
     map_log: MapLog = None,
@@ -101,154 +110,104 @@ def relocalization(
     Example: dslam benchmark relocalization --log kitti00.mcap --map-until 311 --kidnaps 40
     """
     from slam.common.config import load_config
+    from tools import console
 
-    chosen = parse_topics(topics)
+    mode = "--log" if log is not None else "--map" if map_log is not None and objects is None else "--objects"
+    _refuse_options_of_other_modes(context, mode)
     config = load_config(config_file, settings or ())
-    conditions = {"seed": seed, "noise": noise, "changed": changed, "thin": thin, "oracle": oracle}
-    conditions["max_travel_m"] = max_travel
+    chances = {"seed": seed, "noise": noise, "changed": changed}
+    run: Callable[..., RelocalizationBenchmark | LoggedRelocalization]
     if log is not None:
-        if objects is not None or trajectory is not None or map_log is not None or map_until is None:
-            raise typer.BadParameter(
-                "it goes with --map-until, and without --objects, --trajectory and --map.", param_hint="--log"
-            )
-        _check_log(right, conditions, jobs)
-        _run_log(log, config, map_until, kidnaps, max_travel, right, chosen, as_json=json)
-        return
-    if (objects is None) != (trajectory is None):
-        raise typer.BadParameter("give both, or none for a generated town.", param_hint="--objects and --trajectory")
-    if objects is None and map_log is not None:
-        if topics or right != RIGHT or (map_until, thin, oracle, jobs) != (None, 1.0, False, 1):
-            raise typer.BadParameter("they go with --objects or --log.", param_hint="--thin, --oracle, --jobs, ...")
-        chances = {"seed": seed, "noise": noise, "changed": changed, "max_travel_m": max_travel}
-        _run_map(map_log, config, kidnaps, chances, as_json=json)
-        return
-    if map_until is not None or topics or right != RIGHT:
-        raise typer.BadParameter("they go with --log.", param_hint="--map-until, --right and --topic")
-    _run_world(objects, trajectory, map_log, config, kidnaps, jobs, conditions, as_json=json)
+        conditions: dict[str, Any] = {"map_until_s": map_until, "right": list(right)}
+        run = _on_log(log, map_until, right, parse_topics(topics))
+    elif mode == "--map":
+        conditions, run = chances, partial(_in_map(map_log), **chances)
+    else:
+        conditions = {**chances, "thin": thin, "oracle": oracle}
+        run = partial(_in_world(objects, trajectory, map_log, seed), jobs=jobs, **conditions)
+    with console.progress_bar("relocalizing", "relocalizing") as move:
+        result = run(config, kidnaps=kidnaps, max_travel_m=max_travel, on_progress=move)
+    _tell(result, conditions | {"max_travel_m": max_travel}, as_json=json)
 
 
-def _check_log(right: tuple[float, float], conditions: dict[str, Any], jobs: int) -> None:
-    """Refuse options that do not go with --log."""
-    as_it_is = {"seed": 0, "noise": 1.0, "changed": 0.0, "thin": 1.0, "oracle": False}
-    if jobs != 1 or any(conditions[name] != value for name, value in as_it_is.items()):
-        raise typer.BadParameter("a log is as it is; they go with --objects.", param_hint="--seed, --noise, ...")
+def _refuse_options_of_other_modes(context: typer.Context, mode: str) -> None:
+    wrong = [
+        parameter.opts[0]
+        for parameter in context.command.params
+        if parameter.name is not None
+        and parameter.name not in MODES[mode]
+        and getattr(context.get_parameter_source(parameter.name), "name", "") == "COMMANDLINE"
+    ]
+    if wrong:
+        why = "only with --log" if mode == "--objects" else f"not with {mode}"
+        raise typer.BadParameter(f"{why}.", param_hint=", ".join(wrong))
+
+
+def _on_log(
+    log: Path, map_until_s: float | None, right: tuple[float, float], topics: dict[str, str]
+) -> Callable[..., LoggedRelocalization]:
+    from tools.lab.relocalization.figures import Tolerance
+    from tools.lab.relocalization.logged import benchmark_log
+
+    if map_until_s is None:
+        raise typer.BadParameter("it goes with --map-until.", param_hint="--log")
     if not min(right) > 0.0:
         raise typer.BadParameter(f"{right[0]:g} m and {right[1]:g} deg must be above 0.", param_hint="--right")
+    return partial(benchmark_log, log, map_until_s=map_until_s, tolerance=Tolerance(*right), topics=topics)
 
 
-def _run_world(
-    objects: Path | None,
-    trajectory: Path | None,
-    map_log: Path | None,
-    config: Config,
-    kidnaps: int,
-    jobs: int,
-    conditions: dict[str, Any],
-    *,
-    as_json: bool,
-) -> None:
+def _in_map(map_log: Path | None) -> Callable[..., RelocalizationBenchmark]:
+    from slam.localization.prior_map import load_prior_map
+    from tools.lab.relocalization.unknown_streets import benchmark_in_map
+
+    assert map_log is not None
+    return partial(benchmark_in_map, load_prior_map(map_log))
+
+
+def _in_world(
+    objects: Path | None, trajectory: Path | None, map_log: Path | None, seed: int
+) -> Callable[..., RelocalizationBenchmark]:
     import numpy as np
 
     from slam.localization.prior_map import load_prior_map
     from slam.simulation.street_grid import generate_street_grid
     from slam.simulation.world import load_world
-    from tools import console
     from tools.lab.relocalization.simulated import benchmark_relocalization
 
     if objects is not None and trajectory is not None:
         world = load_world(objects, trajectory)
+    elif objects is None and trajectory is None:
+        world = generate_street_grid(rng=np.random.default_rng(seed))
     else:
-        world = generate_street_grid(rng=np.random.default_rng(conditions["seed"]))
-    with console.progress_bar("carrying off", "carrying off") as move:
-        result = benchmark_relocalization(
-            world,
-            config,
-            kidnaps=kidnaps,
-            jobs=jobs,
-            prior_map=load_prior_map(map_log) if map_log is not None else None,
-            on_progress=move,
-            **conditions,
-        )
-    _tell(result, conditions, as_json=as_json)
+        raise typer.BadParameter("give both, or none for a generated town.", param_hint="--objects and --trajectory")
+    prior_map = None if map_log is None else load_prior_map(map_log)
+    return partial(benchmark_relocalization, world, prior_map=prior_map)
 
 
-def _run_map(map_log: Path, config: Config, kidnaps: int, conditions: dict[str, Any], *, as_json: bool) -> None:
-    from slam.localization.prior_map import load_prior_map
-    from tools import console
-    from tools.lab.relocalization.unknown_streets import benchmark_in_map
-
-    known = load_prior_map(map_log)
-    with console.progress_bar("carrying off", "carrying off") as move:
-        result = benchmark_in_map(known, config, kidnaps=kidnaps, on_progress=move, **conditions)
-    _tell(result, conditions, as_json=as_json)
-
-
-def _tell(result: RelocalizationBenchmark, conditions: dict[str, Any], *, as_json: bool) -> None:
-    if as_json:
-        _show_json(result, conditions)
-    else:
-        _show(result, f"noise x {conditions['noise']:g}, {100 * conditions['changed']:g} % of the objects changed")
-
-
-def _run_log(
-    log: Path,
-    config: Config,
-    map_until_s: float,
-    kidnaps: int,
-    max_travel_m: float,
-    right: tuple[float, float],
-    topics: dict[str, str],
-    *,
-    as_json: bool,
-) -> None:
+def _tell(result: RelocalizationBenchmark | LoggedRelocalization, conditions: dict[str, Any], *, as_json: bool) -> None:
     from dataclasses import asdict
 
     from tools import console
-    from tools.lab.relocalization.figures import Tolerance
-    from tools.lab.relocalization.logged import benchmark_log
+    from tools.lab.relocalization.logged import LoggedRelocalization
 
-    with console.progress_bar("carrying off", "carrying off") as move:
-        result = benchmark_log(
-            log,
-            config,
-            map_until_s=map_until_s,
-            kidnaps=kidnaps,
-            max_travel_m=max_travel_m,
-            tolerance=Tolerance(*right),
-            topics=topics,
-            on_progress=move,
-        )
-    if as_json:
+    mapped = result.mapped if isinstance(result, LoggedRelocalization) else result
+    elsewhere, notes = dict[str, Any](), list[str]()
+    if isinstance(result, LoggedRelocalization):
+        count = len(result.elsewhere)
         elsewhere = {
-            "elsewhere_kidnaps": len(result.elsewhere),
+            "elsewhere_kidnaps": count,
             "elsewhere_fixes": result.false_fixes,
             "elsewhere_outcomes": [asdict(each) for each in result.elsewhere],
         }
-        _show_json(
-            result.mapped, {"map_until_s": map_until_s, "max_travel_m": max_travel_m, "right": list(right), **elsewhere}
-        )
-        return
-    _show(result.mapped, f"right within {right[0]:g} m and {right[1]:g} deg")
-    _show_elsewhere(result)
+        notes = [f"where the map has never been: {result.false_fixes} false fixes in {count} drives"]
+    if as_json:
+        figures = mapped.to_json_dict()
+        console.show_json({**figures.pop("total"), **conditions, **elsewhere, **figures})
+    else:
+        _show(mapped, ", ".join(f"{name} {value}" for name, value in conditions.items()), notes)
 
 
-def _show_json(result: RelocalizationBenchmark, conditions: dict[str, Any]) -> None:
-    from tools import console
-
-    figures = result.to_json_dict()
-    console.show_json({**figures.pop("total"), **conditions, **figures})
-
-
-def _show_elsewhere(result: LoggedRelocalization) -> None:
-    from tools import console
-
-    if not result.elsewhere:
-        console.show("the rest of the drive stays near the map, so fixes elsewhere cannot be measured")
-        return
-    console.show(f"where the map has never been: {result.false_fixes} false fixes in {len(result.elsewhere)} drives")
-
-
-def _show(result: RelocalizationBenchmark, conditions: str) -> None:
+def _show(result: RelocalizationBenchmark, conditions: str, notes: list[str]) -> None:
     from slam.evaluation.place_recognition.reliability import SURE
 
     title = (
@@ -265,6 +224,7 @@ def _show(result: RelocalizationBenchmark, conditions: str) -> None:
         f"the map: {result.reliability.sure_right}",
         *([] if result.oracle_rate is None else [f"could be found: {100 * result.oracle_rate:.1f} %"]),
         f"loading the map: {1e3 * result.load_s:.0f} ms; a search: {number(result.query_ms, 1)} ms",
+        *notes,
         title=title,
     )
 

@@ -79,3 +79,17 @@ def test_what_cannot_be_is_refused(dslam: Run, files: tuple[object, ...], tmp_pa
     assert_refused(dslam(*command, "--set", "loop_closure.topk=3"), "loop_closure.top_k")
     (tmp_path / "trajectory.csv").write_text("x_m,y_m\n0,0\n0,0\n")
     assert_refused(dslam(*command), "tour")
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--log", "x.mcap"), "--map-until"),
+        (("--log", "x.mcap", "--map-until", 9, "--seed", 3), "--seed: not with --log"),
+        (("--log", "x.mcap", "--map-until", 9, "--right", 0, 1), "must be above 0"),
+        (("--map", "m.mcap", "--thin", 2), "--thin: not with --map"),
+        (("--map-until", 3), "--map-until: only with --log"),
+    ],
+)
+def test_options_of_another_mode_are_refused(dslam: Run, options: tuple[object, ...], told: str) -> None:
+    assert_refused(dslam("benchmark", "relocalization", *options), told)
