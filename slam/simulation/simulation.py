@@ -35,7 +35,7 @@ SimulatedRecord = Odometry | ObjectDetections | GroundTruthPose | DetectionTruth
 ODOMETRY_TOPIC = "/odom"
 DETECTIONS_TOPIC = "/detections"
 
-SHORTEST_TOUR_M = 2.0
+MIN_TOUR_M = 2.0
 DAY_NS = 86_400 * 10**9
 
 
@@ -127,10 +127,10 @@ def _drives(plan: DrivePlan, config: SimulationConfig) -> list[Drive]:
         resume_ns = int(before.stamps_ns[-1]) + round(gap_s * 1e9)
         drives = [before, plan.sample(kidnap.to_m, last_m, start_ns=resume_ns)]
     fewest = min(len(drive.stamps_ns) for drive in drives)
-    if plan.length_m < SHORTEST_TOUR_M or fewest < 2:
+    if plan.length_m < MIN_TOUR_M or fewest < 2:
         raise SimulationError(
             f"a tour of {plan.length_m:g} m whose shortest stretch has {fewest} scans is too short; give it at least "
-            f"{SHORTEST_TOUR_M:g} m, and two scans before and after a kidnapping (drive.rate_hz scans a second)"
+            f"{MIN_TOUR_M:g} m, and two scans before and after a kidnapping (drive.rate_hz scans a second)"
         )
     return drives
 

@@ -18,7 +18,7 @@ BLOCK_M = (65.0, 130.0)
 CROSSING_SHIFT_M = 5.0
 CLOSED_STREETS = 2
 
-SHORTEST_TOUR_M, LONGEST_TOUR_M = 1500.0, 2000.0
+MIN_TOUR_M, MAX_TOUR_M = 1500.0, 2000.0
 REVISITED_STREETS = (2, 5)
 """Least and greatest number of streets driven again in the same direction; the same for the opposite one."""
 TOUR_ATTEMPTS = 20_000
@@ -98,7 +98,7 @@ def _draw_tour(streets: _Streets, rng: np.random.Generator) -> list[Crossing]:
     crossings = list(streets.places)
     for _ in range(TOUR_ATTEMPTS):
         tour = [crossings[int(rng.integers(len(crossings)))]]
-        target_m, length_m = rng.uniform(SHORTEST_TOUR_M, LONGEST_TOUR_M), 0.0
+        target_m, length_m = rng.uniform(MIN_TOUR_M, MAX_TOUR_M), 0.0
         while True:
             onward = [other for other in streets.neighbours[tour[-1]] if len(tour) < 2 or other != tour[-2]]
             following = onward[int(rng.integers(len(onward)))]
@@ -109,7 +109,7 @@ def _draw_tour(streets: _Streets, rng: np.random.Generator) -> list[Crossing]:
         same, opposite = _revisits(tour)
         least, most = REVISITED_STREETS
         driven_m = sum(streets.length_m(a, b) for a, b in pairwise(tour))
-        if driven_m >= SHORTEST_TOUR_M and least <= same <= most and least <= opposite <= most:
+        if driven_m >= MIN_TOUR_M and least <= same <= most and least <= opposite <= most:
             return tour
     raise SimulationError(f"no tour with enough revisits among {TOUR_ATTEMPTS}; take another seed")
 

@@ -23,9 +23,6 @@ from slam.evaluation.inputs.protocol import Protocol
 from slam.sweeps.degradations import Degradation
 from slam.sweeps.mapped_drive import DriveTask, map_drive
 
-_KEY_DIGITS = 16
-_NAME_LENGTH = 80
-
 
 @dataclass(frozen=True, slots=True)
 class Drive:
@@ -73,8 +70,8 @@ class Cell:
     @property
     def file_name(self) -> str:
         """For people the degradation and the seed, for the program the key."""
-        safe_name = re.sub(r"[^\w.,=+-]", "_", self.degradation.name)[:_NAME_LENGTH]
-        return f"{safe_name}_seed{self.seed}_{self.key[:_KEY_DIGITS]}.json"
+        safe_name = re.sub(r"[^\w.,=+-]", "_", self.degradation.name)[:80]
+        return f"{safe_name}_seed{self.seed}_{self.key[:16]}.json"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What is run on what: command lines, and the mutated files that they read."""
+"""Command lines of the fuzzer, and the mutated files that they read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Command lines in which one name is none of a file, or of a file of another kind."""
+"""Command lines in which one name is missing, no file, or a file of another kind."""
 
 from __future__ import annotations
 

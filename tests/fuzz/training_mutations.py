@@ -11,7 +11,7 @@ import numpy as np
 from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes
 from tests.fuzz.log_mutations import mutate_json
 
-_MOST_HEADER = 10**6
+_MAX_HEADER = 10**6
 
 
 def mutate_checkpoint(content: bytes, rng: np.random.Generator) -> bytes:
@@ -34,7 +34,7 @@ def mutate_checkpoint(content: bytes, rng: np.random.Generator) -> bytes:
 def mutate_weights(content: bytes, rng: np.random.Generator) -> bytes:
     """Weights whose header is altered as the JSON that it is, or whose tensors are, with the right length of either."""
     size = int.from_bytes(content[:8], "little")
-    if rng.random() < 0.2 or size > _MOST_HEADER:
+    if rng.random() < 0.2 or size > _MAX_HEADER:
         return mutate_bytes(content, rng)
     header, tensors = content[8 : 8 + size], content[8 + size :]
     match int(rng.integers(3)):

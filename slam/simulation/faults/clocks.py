@@ -28,7 +28,6 @@ from slam.simulation.faults.stream import (
     stamp_at,
 )
 
-_NS_PER_US = 1000
 _Ppm = Annotated[float, Range("ppm", min=-1e6, max=1e6)]
 
 
@@ -74,7 +73,7 @@ def stamps_coarse(stream: Stream, seconds: Duration = 1.0) -> list[Entry]:
 @fault(SCANS)
 def stamps_in_microseconds(stream: Stream) -> list[Entry]:
     """Stamps of detections are in microseconds instead of nanoseconds."""
-    return restamp_scans(stream, lambda stamp_ns: stamp_ns // _NS_PER_US)
+    return restamp_scans(stream, lambda stamp_ns: stamp_ns // 1000)
 
 
 @fault(SCANS, cases=("1", "0.5"))

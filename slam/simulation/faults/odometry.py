@@ -36,7 +36,6 @@ from slam.simulation.faults.stream import (
     true_poses_at,
 )
 
-_NO_TURN = 0.0
 _Rate = Annotated[float, Range("deg/s", min=-1e4, max=1e4)]
 _TranslationNoise = Annotated[float, Range("m / sqrt(m)", max=10.0)]
 _YawNoise = Annotated[float, Range("rad / sqrt(m)", max=1.0)]
@@ -185,7 +184,7 @@ def odometry_interleaved(stream: Stream, offset_m: Metres = 1.0) -> list[Entry]:
     stamps_ns, T_odom_body = odometry_of(stream)
     middles_ns = stamps_ns[:-1] + np.diff(stamps_ns) // 2
     messages = [(e, e.content) for e in stream if isinstance(e.content, Odometry)]
-    T_second_odom = transform_from_xyz_yaw(np.array([0.0, offset_m, 0.0]), _NO_TURN)
+    T_second_odom = transform_from_xyz_yaw(np.array([0.0, offset_m, 0.0]), 0.0)
     added = []
     T_second_odom_body = T_second_odom @ poses_at(stamps_ns, T_odom_body, middles_ns)
     for i, ((entry, before), (later, _)) in enumerate(pairwise(messages)):
@@ -236,7 +235,7 @@ def _redirected(T_odom_body: FloatArray, row: int, T_jump: FloatArray) -> FloatA
 
 def _planar_shift(distance_m: float, direction_rad: float) -> FloatArray:
     xyz = np.array([distance_m * np.cos(direction_rad), distance_m * np.sin(direction_rad), 0.0])
-    return transform_from_xyz_yaw(xyz, _NO_TURN)
+    return transform_from_xyz_yaw(xyz, 0.0)
 
 
 def _steps(T_odom_body: FloatArray) -> FloatArray:

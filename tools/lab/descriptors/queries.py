@@ -56,21 +56,21 @@ class LabelledMap:
 class Scenario:
     """How a query differs from the map (Section IV-B): visual range and, where ``noisy``, the noise as written.
 
-    With noise every coordinate becomes ``p + |p| e`` with e ~ U(0, 0.1); one object in ten is missed; an object is
-    taken for another class with probability 0.2 |p| / max |p|; the whole is scaled by U(0.9, 1.1).
+    With noise every coordinate becomes ``p + |p| e`` with e ~ U(0, ``translation_noise``); a share ``dropout`` of the
+    objects is missed; an object is taken for another class with probability ``misclassification`` |p| / max |p|; the
+    whole is scaled by U(1 - ``scale``, 1 + ``scale``).
     """
 
     name: str
     radius_m: float = 30.0
     noisy: bool = False
+    translation_noise: float = 0.1
+    dropout: float = 0.1
+    misclassification: float = 0.2
+    scale: float = 0.1
 
 
 SCENARIOS = (Scenario("self"), Scenario("fewer objects", radius_m=20.0), Scenario("added noise", noisy=True))
-
-TRANSLATION_NOISE = 0.1
-DROPOUT = 0.1
-MISCLASSIFICATION = 0.2
-SCALE = (0.9, 1.1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,18 +128,20 @@ def _observe(objects: LabelledMap, T_map_query: FloatArray, scenario: Scenario, 
     positions = apply(invert(T_map_query), objects.positions[seen])
     labels = objects.labels[seen]
     if scenario.noisy and len(seen):
-        kept = rng.random(len(seen)) >= DROPOUT
+        kept = rng.random(len(seen)) >= scenario.dropout
         seen, positions, labels = seen[kept], positions[kept], labels[kept]
-        labels = _misclassified(positions, labels, len(objects.vocabulary), rng)
+        labels = _misclassified(positions, labels, len(objects.vocabulary), scenario.misclassification, rng)
         ranges = np.linalg.norm(positions, axis=1, keepdims=True)
-        positions = positions + ranges * rng.uniform(0.0, TRANSLATION_NOISE, positions.shape)
-        positions = positions * rng.uniform(*SCALE)
+        positions = positions + ranges * rng.uniform(0.0, scenario.translation_noise, positions.shape)
+        positions = positions * rng.uniform(1.0 - scenario.scale, 1.0 + scenario.scale)
     return LocalQuery(positions, labels, seen, T_map_query)
 
 
-def _misclassified(positions: FloatArray, labels: IntArray, classes: int, rng: np.random.Generator) -> IntArray:
+def _misclassified(
+    positions: FloatArray, labels: IntArray, classes: int, share: float, rng: np.random.Generator
+) -> IntArray:
     ranges = np.linalg.norm(positions, axis=1)
-    wrong = rng.random(len(labels)) < MISCLASSIFICATION * ranges / ranges.max(initial=1e-9)
+    wrong = rng.random(len(labels)) < share * ranges / ranges.max(initial=1e-9)
     step = rng.integers(1, max(classes, 2), len(labels))
     return np.where(wrong, (labels + step) % classes, labels)
 
