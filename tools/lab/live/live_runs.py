@@ -12,7 +12,7 @@ from logs.topics import RecordKind
 from logs.writer import LogWriter
 from slam.common.config import Config
 from slam.prepared_log import calibrate_logs
-from tools.lab.drives.mapped_drive import DriveTask, MappedDrive, map_drives
+from slam.sweeps.mapped_drive import DriveTask, MappedDrive, map_drives
 
 SETTLED_SHARE = 0.2
 """Share of the way after which a robot that nobody calibrated is to be as good as one that was calibrated."""
