@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
@@ -15,6 +16,7 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
 
 from logs import messages as m
@@ -46,6 +48,23 @@ def encode_path(trajectory: m.TrajectoryRecord) -> Message:
         frame_id=trajectory.frame_id,
         poses=[_pose(T) for T in trajectory.T_map_body],
     )
+
+
+@cache
+def definition_of(message_type: Any) -> tuple[str, str, bytes]:
+    """Name, encoding and FileDescriptorSet of a message, dependencies first, in the order of their import."""
+    definition = FileDescriptorSet()
+    seen: set[str] = set()
+
+    def add(file: Any) -> None:
+        if file.name not in seen:
+            seen.add(file.name)
+            for dependency in file.dependencies:
+                add(dependency)
+            file.CopyToProto(definition.file.add())
+
+    add(message_type.file)
+    return message_type.full_name, "protobuf", definition.SerializeToString(deterministic=True)
 
 
 def _pose(T: FloatArray) -> Pose:

@@ -299,6 +299,23 @@ class StatusRecord:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LocalizationRecord:
+    """How well the robot knows where it is, at a scan; ``state`` is that of StatusRecord.
+
+    ``lost_probability``: that it is not where it is taken to be. innovation_ratios (S,): of ``sources`` ("odometry",
+    "detections") the squared innovation by its variance and the gate: below 0.5 is normal, above 1 the source is
+    rejected. covariance (6, 6): of the pose against the landmarks in view, None before three were seen.
+    """
+
+    stamp_ns: int
+    state: str
+    lost_probability: float
+    sources: tuple[str, ...]
+    innovation_ratios: FloatArray
+    covariance: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SceneMarkers:
     """Objects as a viewer shows them: shapes of one class share a colour and a text.
 
@@ -377,6 +394,7 @@ Record = (
     | LoopClosureRecord
     | RelocalizationRecord
     | StatusRecord
+    | LocalizationRecord
     | SceneMarkers
     | SceneLines
     | ScenePoints

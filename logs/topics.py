@@ -27,6 +27,7 @@ class RecordKind(StrEnum):
     LOOP_CLOSURES = "loop_closures"
     RELOCALIZATIONS = "relocalizations"
     STATUS = "status"
+    LOCALIZATION = "localization"
 
 
 @dataclass(frozen=True, slots=True)

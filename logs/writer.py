@@ -5,19 +5,17 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Iterator, Mapping
-from functools import cache
 from io import BytesIO
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO
 
 import numpy as np
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from logs.encoders import encode, encode_path
+from logs.encoders import definition_of, encode, encode_path
 from logs.errors import InvalidRecordError, UnwritableLogError
 from logs.messages import Record, TrajectoryRecord
 from logs.record_checks import check_record
@@ -163,7 +161,7 @@ class LogWriter:
             self._stream.close()
 
     def _write_message(self, topic: str, message: Message, log_time_ns: int) -> None:
-        channel_id = self._channel_id(topic, "protobuf", _definition(message.DESCRIPTOR))
+        channel_id = self._channel_id(topic, "protobuf", definition_of(message.DESCRIPTOR))
         self._writer.add_message(channel_id, log_time_ns, message.SerializeToString(deterministic=True), log_time_ns)
 
     def _channel_id(
@@ -230,23 +228,6 @@ def _checked(topic: str, stamp_ns: int, log_time_ns: int | None) -> int:
         if time_ns is not None and not 0 <= time_ns <= _LAST_NS:
             raise InvalidRecordError(f"{topic}: a log cannot hold the time {time_ns} ns; times count up from 0")
     return int(stamp_ns if log_time_ns is None else log_time_ns)
-
-
-@cache
-def _definition(message_type: Any) -> tuple[str, str, bytes]:
-    """Name, encoding and FileDescriptorSet of a message, dependencies first, in the order of their import."""
-    definition = FileDescriptorSet()
-    seen: set[str] = set()
-
-    def add(file: Any) -> None:
-        if file.name not in seen:
-            seen.add(file.name)
-            for dependency in file.dependencies:
-                add(dependency)
-            file.CopyToProto(definition.file.add())
-
-    add(message_type.file)
-    return message_type.full_name, "protobuf", definition.SerializeToString(deterministic=True)
 
 
 def _sync_folder(folder: Path) -> None:

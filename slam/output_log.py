@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from logs.messages import (
     DetectionAssociations,
     GeodeticFix,
+    LocalizationRecord,
     LoopClosureRecord,
     Record,
     RelocalizationRecord,
@@ -25,6 +26,7 @@ _TOPICS: Mapping[type[Record], str] = {
     SlamPose: "/slam/pose",
     DetectionAssociations: "/slam/associations",
     StatusRecord: "/slam/status",
+    LocalizationRecord: "/slam/localization",
     LoopClosureRecord: "/slam/closures",
     RelocalizationRecord: "/slam/relocalizations",
 }
@@ -33,13 +35,13 @@ _TOPICS: Mapping[type[Record], str] = {
 class OutputLog:
     """Writes what the estimator makes known, on the clock of the input, whatever its stamps are.
 
-    ``view`` is called with topic, record and log time of all of it; ``georeference``: where on earth the map is, if
-    that is known; ``tracked`` counts the poses in the map.
+    ``writer``: None where nothing is to be written. ``view`` is called with topic, record and log time of all of it;
+    ``georeference``: where on earth the map is, if that is known; ``tracked`` counts the poses in the map.
     """
 
     def __init__(
         self,
-        writer: LogWriter,
+        writer: LogWriter | None,
         display: DriveDisplay,
         view: Callable[[str, Record, int], None] | None,
         georeference: Georeference | None,
@@ -69,9 +71,10 @@ class OutputLog:
 
     def write_final(self, final: FinalMap, georeference: Georeference | None, log_time_ns: int) -> None:
         """Write the results of the drive; ``georeference``: as it is known now."""
-        if georeference is not None:
+        if georeference is not None and self._writer is not None:
             self._writer.add_metadata("dslam_georeference", {"georeference": georeference.to_json()})
-        self._writer.write_path("/slam/trajectory", final.trajectory, log_time_ns)
+        if self._writer is not None:
+            self._writer.write_path("/slam/trajectory", final.trajectory, log_time_ns)
         for topic, record in _final_records(final):
             self._write(topic, record, log_time_ns)
         shown = [*self._display.show(final.status), *self._display.show_map(final.snapshot, is_final=True)]
@@ -79,7 +82,8 @@ class OutputLog:
             self._write(topic, message, log_time_ns)
 
     def _write(self, topic: str, record: Record, log_time_ns: int) -> None:
-        self._writer.write(topic, record, log_time_ns)
+        if self._writer is not None:
+            self._writer.write(topic, record, log_time_ns)
         if self._view is not None:
             self._view(topic, record, log_time_ns)
 

@@ -9,9 +9,12 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 
+import numpy as np
+
 from logs.messages import (
     DetectionAssociations,
     GeodeticFix,
+    LocalizationRecord,
     LoopClosureRecord,
     ObjectDetections,
     Odometry,
@@ -215,7 +218,21 @@ class Slam:
         return [record for placed in self._frontend.advance() for record in self._take(placed)]
 
     def _take(self, placed: OdometryPose | DetectionAssociations) -> list[Record]:
-        return self._step(placed) if isinstance(placed, OdometryPose) else [placed]
+        return (
+            self._step(placed) if isinstance(placed, OdometryPose) else [placed, self._localization_at(placed.stamp_ns)]
+        )
+
+    def _localization_at(self, stamp_ns: int) -> LocalizationRecord:
+        """How well the robot knows its pose at a scan."""
+        ratios = self._mapper.innovation_ratios
+        return LocalizationRecord(
+            stamp_ns,
+            self.state.value,
+            1.0 if self.state == State.LOST else self._closer.kidnapping_probability,
+            tuple(ratios),
+            np.array(list(ratios.values())),
+            self._mapper.pose_covariance,
+        )
 
     def _step(self, pose: OdometryPose) -> list[Record]:
         breaks = self._path.latest is not None and self._path.latest.segment != pose.segment

@@ -32,6 +32,7 @@ _COMMANDS = {
     "info": "info:info",
     "calibrate": "settings.calibrate:calibrate",
     "replay": "replay:replay",
+    "live": "live:live",
     "relocalize": "relocalize:relocalize",
     "fleet": "fleet:fleet",
     "map": "maps.commands:app",

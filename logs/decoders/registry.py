@@ -56,6 +56,7 @@ _MESSAGES: dict[str, tuple[RecordKind, ...]] = {
     "dslam.LoopClosure": (RecordKind.LOOP_CLOSURES,),
     "dslam.Relocalization": (RecordKind.RELOCALIZATIONS,),
     "dslam.Status": (RecordKind.STATUS,),
+    "dslam.Localization": (RecordKind.LOCALIZATION,),
 }
 _ROS2 = {
     "nav_msgs/msg/Odometry": _POSE,

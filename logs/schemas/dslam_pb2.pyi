@@ -202,3 +202,31 @@ class Status(_message.Message):
     message: str
     counters: _containers.ScalarMap[str, int]
     def __init__(self, stamp_ns: _Optional[int] = ..., state: _Optional[str] = ..., level: _Optional[str] = ..., message: _Optional[str] = ..., counters: _Optional[_Mapping[str, int]] = ...) -> None: ...
+
+class Localization(_message.Message):
+    __slots__ = ("stamp_ns", "state", "lost_probability", "sources", "innovation_ratios", "covariance")
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    LOST_PROBABILITY_FIELD_NUMBER: _ClassVar[int]
+    SOURCES_FIELD_NUMBER: _ClassVar[int]
+    INNOVATION_RATIOS_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    stamp_ns: int
+    state: str
+    lost_probability: float
+    sources: _containers.RepeatedScalarFieldContainer[str]
+    innovation_ratios: _containers.RepeatedScalarFieldContainer[float]
+    covariance: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, stamp_ns: _Optional[int] = ..., state: _Optional[str] = ..., lost_probability: _Optional[float] = ..., sources: _Optional[_Iterable[str]] = ..., innovation_ratios: _Optional[_Iterable[float]] = ..., covariance: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class StreamMessage(_message.Message):
+    __slots__ = ("topic", "schema", "log_time_ns", "data")
+    TOPIC_FIELD_NUMBER: _ClassVar[int]
+    SCHEMA_FIELD_NUMBER: _ClassVar[int]
+    LOG_TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    DATA_FIELD_NUMBER: _ClassVar[int]
+    topic: str
+    schema: str
+    log_time_ns: int
+    data: bytes
+    def __init__(self, topic: _Optional[str] = ..., schema: _Optional[str] = ..., log_time_ns: _Optional[int] = ..., data: _Optional[bytes] = ...) -> None: ...

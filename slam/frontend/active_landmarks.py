@@ -11,10 +11,10 @@ import numpy as np
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
-from slam.common.geometry import invert, relative, rigid
-from slam.frontend.data_association import Objects
+from slam.common.geometry import covariance_in_axes, invert, relative, rigid
+from slam.frontend.data_association import Objects, squared_distances
 from slam.frontend.input.scan import MIN_SIGMA_RANGES, Scan
-from slam.frontend.local_map import LocalMap
+from slam.frontend.local_map import GATE, LocalMap
 from slam.frontend.pose_posterior import KnownLandmarks, ModeSearch, PriorComponent, common_error, fit_of, probabilities
 from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.noise import SLIP_INFLATION, covariance_of, model_variances
@@ -62,6 +62,10 @@ class ActiveLandmarks:
         inflation = UNIQUE_INFLATION if config.calibration.has_unique_objects else SLIP_INFLATION
         self._least_noise = inflation**2
         self._noise = NoiseScale(self._least_noise)
+        self.detections_innovation_ratio = 0.0
+        """The last median squared distance of detections from their landmarks, by its variance and the gate."""
+        self.pose_covariance: FloatArray | None = None
+        """(6, 6) of the body's pose against the landmarks in view, axes of the body; None before three were seen."""
 
     @property
     def rows(self) -> IntArray:
@@ -159,6 +163,11 @@ class ActiveLandmarks:
                 there are too few confirmed ones. They may be of moving objects.
         """
         landmarks, indices = self._map.rows[rows], self._local.slots(rows)
+        if len(rows):
+            positions, covariances = self._local.predict(indices)
+            seen = scan.seen_from(self.T_local_body)
+            distances, _ = squared_distances(seen.positions - positions, covariances + seen.covariances + common)
+            self.detections_innovation_ratio = float(np.median(distances)) / GATE
         corrects = landmarks["state"] == LandmarkState.CONFIRMED
         if is_uncertain and np.count_nonzero(corrects) < FIXING_LANDMARKS:
             corrects = (landmarks["state"] != LandmarkState.RETIRED) & ~landmarks["velocity_local"].any(axis=1)
@@ -180,8 +189,9 @@ class ActiveLandmarks:
         joint = self._local.relative_covariance(slots)
         self._local.update(slots, offsets, covariances)
         after = (self._local.positions[slots] - self.T_local_body[:3, 3]) @ self.T_local_body[:3, :3] @ R.T
-        fit = fit_of(before)
-        reduction = fit @ (joint - self._local.relative_covariance(slots)) @ fit.T
+        fit, corrected = fit_of(before), self._local.relative_covariance(slots)
+        reduction = fit @ (joint - corrected) @ fit.T
+        self.pose_covariance = covariance_in_axes(fit @ corrected @ fit.T, R)
         self._noise.add(fit @ (after - before).ravel(), reduction)
 
     def correct_odometry(self, T_local_odom: FloatArray) -> FloatArray:
@@ -193,6 +203,11 @@ class ActiveLandmarks:
         T_odom_correction = rigid(T_odom_body @ invert(self._pose.T_odom_body))
         self._pose = replace(self._pose, T_odom_body=rigid(T_odom_correction @ self._pose.T_odom_body))
         return T_odom_correction
+
+    @property
+    def odometry_innovation_ratio(self) -> float:
+        """The last squared correction of the odometry by its variance and the gate."""
+        return self._noise.innovation_ratio
 
     @property
     def is_odometry_doubtful(self) -> bool:

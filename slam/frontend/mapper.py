@@ -78,6 +78,19 @@ class Mapper:
         """Whether there are landmarks around that a scan can be placed among."""
         return self._tracker.is_tracking
 
+    @property
+    def innovation_ratios(self) -> dict[str, float]:
+        """By source, the last squared innovation by its variance and the gate: above 1 the source is contradicted."""
+        return {
+            "odometry": self._active.odometry_innovation_ratio,
+            "detections": self._active.detections_innovation_ratio,
+        }
+
+    @property
+    def pose_covariance(self) -> FloatArray | None:
+        """(6, 6) of the pose against the landmarks in view, axes of the body; None before three were seen."""
+        return self._active.pose_covariance
+
     def tracked_pose(self, pose: OdometryPose) -> OdometryPose:
         """A pose of the odometry as the last scan corrected it."""
         return replace(pose, T_odom_body=self._active.T_odom_body)

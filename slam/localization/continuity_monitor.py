@@ -17,6 +17,7 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import expit
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import LocalizationConfig
@@ -95,9 +96,10 @@ class ContinuityMonitor:
 
     def __init__(self, config: LocalizationConfig, sensor_range_m: float) -> None:
         self.memory_m = 2.0 * sensor_range_m
-        self._least_llr = -log_odds_of(config.error_probability) - float(
-            np.log(failure_probability(config.failures_per_km, self.memory_m))
-        )
+        self._log_prior = float(np.log(failure_probability(config.failures_per_km, self.memory_m)))
+        self._least_llr = -log_odds_of(config.error_probability) - self._log_prior
+        self.kidnapping_probability = 0.0
+        """Posterior probability of the likeliest kidnapping at the last keyframe."""
         self._visibility = Visibility(sensor_range_m)
         self._counts = np.array([[PRIOR_SEEN, PRIOR_MISSED], [PRIOR_SEEN, PRIOR_MISSED]])
         self._steps: deque[_Step] = deque()
@@ -129,6 +131,7 @@ class ContinuityMonitor:
             return None
         sides = self._sides(landmarks, times_m)
         llrs = self._log_likelihood_ratios(sides)
+        self.kidnapping_probability = float(expit(llrs.max() + self._log_prior))
         missed = ((sides.in_view[0] > 0.5) & (sides.seen[0] == 0.0)).sum(axis=1)
         new = (landmarks.first_seen_m > times_m[:, None]).sum(axis=1)
         noticed = np.flatnonzero((llrs >= self._least_llr) & (np.minimum(missed, new) >= LEAST_LANDMARKS))

@@ -82,6 +82,11 @@ class LoopCloser:
         """Keyframes with a candidate that would have been accepted if the odometry had predicted nothing."""
         return sum(not self.closures.is_closed(each) for each in self._rejected_by_odometry)
 
+    @property
+    def kidnapping_probability(self) -> float:
+        """Probability that the robot was carried off lately, by the landmarks around."""
+        return self._continuity.kidnapping_probability
+
     def missing_landmarks(self) -> IntArray:
         """Rows (K,) of landmarks that the robot passed and never saw."""
         return self._missing.rows()

@@ -13,6 +13,8 @@ from slam.common.arrays import FloatArray
 
 WINDOW = 20
 """Corrections after which the scale is estimated anew."""
+GATE = 11.34
+"""Chi-squared with 3 degrees of freedom at 99 %: larger corrections contradict the odometry."""
 SURE_SIGMAS = 6.0
 """A ratio that is so many standard deviations above 1 changes the scale before the window ends."""
 AXES = (slice(3, 6), slice(0, 2), slice(2, 3))
@@ -27,13 +29,18 @@ class NoiseScale:
     def __init__(self, least: float) -> None:
         self._least = least
         self.factors = np.full(3, least)
+        self.innovation_ratio = 0.0
+        """The last squared correction by its variance and the gate, the largest of the three."""
         self._squares, self._expected, self._count = np.zeros(3), np.zeros(3), 0
 
     def add(self, correction: FloatArray, reduction: FloatArray) -> None:
         """Add a correction (6,) of the pose and by how much (6, 6) it reduces the covariance of the error."""
         variances = np.diagonal(reduction)
-        self._squares += [float(correction[axes] @ correction[axes]) for axes in AXES]
-        self._expected += [float(variances[axes].sum()) for axes in AXES]
+        squares = np.array([float(correction[axes] @ correction[axes]) for axes in AXES])
+        expected = np.array([float(variances[axes].sum()) for axes in AXES])
+        self.innovation_ratio = float(np.max(squares / np.maximum(expected, 1e-300))) / GATE
+        self._squares += squares
+        self._expected += expected
         self._count += 1
         ratios = np.where(self._expected > 0.0, self._squares / np.maximum(self._expected, 1e-300), 1.0)
         excessive = ratios > 1.0 + SURE_SIGMAS * np.sqrt(2.0 / self._count)

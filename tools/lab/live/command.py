@@ -47,7 +47,7 @@ def live(
     for name in drive or ():
         if name not in DRIVES:
             raise typer.BadParameter(f"there is no {name!r}; there are: {'; '.join(DRIVES)}.", param_hint="--drive")
-    found = list[LiveRuns]()
+    found: list[LiveRuns] = []
     for name in drive or DEFAULT_DRIVES:
         with TemporaryDirectory() as folder:
             found.append(run_live(name, DRIVES[name], data, config, Path(folder)))

@@ -1,0 +1,69 @@
+"""Messages of a log as a stream of bytes, from standard input or a socket: each after its length as a varint."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+from google.protobuf.message import DecodeError
+from google.protobuf.proto import parse_length_prefixed, serialize_length_prefixed
+
+from logs.container.limits import ReadingLimits
+from logs.decoders.decode import decode
+from logs.decoders.registry import kinds_of
+from logs.encoders import encode
+from logs.errors import InvalidRecordError, UnreadableLogError
+from logs.messages import Record
+from logs.reader import LogItem
+from logs.schemas.dslam_pb2 import StreamMessage
+from logs.topics import Channel, RawMessage, RecordKind, Schema
+
+INPUT_KINDS = RecordKind.TRANSFORMS, RecordKind.ODOMETRY, RecordKind.DETECTIONS, RecordKind.GNSS
+"""A message is decoded to the first of these that its schema may be."""
+
+
+def read_stream(stream: Any, counters: Counter[str], limits: ReadingLimits | None = None) -> Iterator[LogItem]:
+    """The messages of a binary ``stream`` until its end; ``counters`` counts those that are no input of a map.
+
+    Raises:
+        UnreadableLogError: bytes that are no stream of messages.
+    """
+    limits = limits or ReadingLimits()
+    while True:
+        try:
+            message = parse_length_prefixed(StreamMessage, stream)
+        except (DecodeError, ValueError) as error:
+            raise UnreadableLogError(
+                f"the stream holds bytes that are no dslam.StreamMessage after its length: {error}"
+            ) from error
+        if message is None:
+            return
+        schema = Schema(0, message.schema, "protobuf", b"")
+        channel = Channel(0, message.topic, "protobuf", schema)
+        raw = RawMessage(channel, message.log_time_ns, message.log_time_ns, 0, message.data)
+        yield LogItem(raw, _records(raw, counters, limits))
+
+
+def write_stream(stream: Any, topic: str, record: Record, log_time_ns: int) -> None:
+    """Append a record to a binary ``stream``."""
+    encoded = encode(record)
+    message = StreamMessage(
+        topic=topic,
+        schema=encoded.DESCRIPTOR.full_name,
+        log_time_ns=log_time_ns,
+        data=encoded.SerializeToString(deterministic=True),
+    )
+    serialize_length_prefixed(message, stream)
+
+
+def _records(raw: RawMessage, counters: Counter[str], limits: ReadingLimits) -> tuple[Record, ...]:
+    kinds = [kind for kind in INPUT_KINDS if kind in kinds_of(raw.channel)]
+    if not kinds:
+        counters["undecodable"] += 1
+        return ()
+    try:
+        return decode(raw, kinds[0], counters, limits, None)
+    except InvalidRecordError:
+        counters["invalid_messages"] += 1
+        return ()

@@ -1,0 +1,61 @@
+"""Estimates for Foxglove over a WebSocket, while the robot drives."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Any
+
+from logs.encoders import definition_of, encode, encode_path
+from logs.messages import Record, TrajectoryRecord
+from slam.common.errors import ViewerError
+
+NAME = "dslam"
+
+
+class FoxgloveFeed:
+    """Publishes records on a WebSocket server, each topic as in an output log; a context manager."""
+
+    def __init__(self, host: str, port: int) -> None:
+        """Start the server; ``port`` 0 takes a free one.
+
+        Raises:
+            ViewerError: foxglove-sdk is not installed.
+        """
+        self._sdk = _import_sdk()
+        self._context = self._sdk.Context()
+        self._server = self._sdk.start_server(name=NAME, host=host, port=port, context=self._context)
+        self._channels: dict[str, Any] = {}
+
+    @property
+    def port(self) -> int:
+        """The port that the server listens on."""
+        return int(self._server.port)
+
+    def __enter__(self) -> FoxgloveFeed:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._server.stop()
+
+    def show(self, topic: str, record: Record, log_time_ns: int) -> None:
+        """Publish a record."""
+        message = encode_path(record) if isinstance(record, TrajectoryRecord) else encode(record)
+        if topic not in self._channels:
+            name, encoding, data = definition_of(message.DESCRIPTOR)
+            schema = self._sdk.Schema(name=name, encoding=encoding, data=data)
+            self._channels[topic] = self._sdk.Channel(
+                topic, schema=schema, message_encoding="protobuf", context=self._context
+            )
+        self._channels[topic].log(message.SerializeToString(deterministic=True), log_time=log_time_ns)
+
+
+def _import_sdk() -> Any:
+    try:
+        import foxglove
+    except ImportError as error:
+        raise ViewerError(
+            "Foxglove's live view needs foxglove-sdk: pip install 'descriptellation-slam[live]'"
+        ) from error
+    return foxglove
