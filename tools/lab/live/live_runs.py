@@ -48,7 +48,7 @@ class LiveRuns:
         )
 
 
-def run_live(name: str, write: Callable[[Path, Path], None], data: Path, config: Config, scratch: Path) -> LiveRuns:
+def run_live(name: str, write: Callable[[Path, Path], object], data: Path, config: Config, scratch: Path) -> LiveRuns:
     """Map a drive that ``write`` writes as a log from a folder of ``data``, in each of the four ways, in ``scratch``.
 
     Raises:
