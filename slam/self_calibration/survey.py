@@ -159,8 +159,9 @@ def _first_change(
             scale = getattr(now.odometry, key.split(".")[1]) * (1.0 + each.value)
             # What is left of a correction is small, and needs to be sure only.
             is_rest = key in corrected and each.is_sure and abs(each.value) > MIN_REST
-            if (is_rest or (each.is_earned and _is_large(each))) and abs(scale - 1.0) < MAX_SHARE:
-                return {key: scale}
+            if is_rest or (each.is_earned and _is_large(each)):
+                # Objects that seem to move with the body are in another frame than is believed.
+                return {key: scale} if abs(scale - 1.0) < MAX_SHARE else {}
     return {}
 
 

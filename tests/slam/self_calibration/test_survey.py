@@ -12,6 +12,7 @@ from logs.messages import ObjectDetections, Odometry, Record, Transform
 from slam.common.calibration import Calibration, DetectionCalibration, ObjectCalibration, OdometryCalibration
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.odometry.scaled_odometry import ScaledOdometry
+from slam.self_calibration.corrections import Correction
 from slam.self_calibration.survey import Survey, summarize
 from slam.self_calibration.survey import survey as survey_logs
 from slam.self_calibration.surveyed_log import SurveyedLog
@@ -225,6 +226,15 @@ def test_survey_applies_the_scales_that_were_given():
     found = survey(scaled_records(1.2, 1.0), ON_BODY, odometry=given)
     assert found.travel_m == pytest.approx(survey(scaled_records(1.0, 1.0), ON_BODY).travel_m)
     assert found.suspected == ()
+
+
+def test_nothing_is_corrected_where_objects_seem_to_move_with_the_body(monkeypatch):
+    """As in optical axes that nothing tells: a pitch fits besides."""
+    found = Correction("length_share", -0.63, 0.01, 0.64, True), Correction("pitch_rad", 0.37, 0.01, 0.34, True)
+    monkeypatch.setattr("slam.self_calibration.survey.estimate_corrections", lambda *_: found)
+    surveyed = survey(turned_records(0.0), ON_BODY)
+    assert surveyed.corrected == {}
+    assert [each.term for each in surveyed.suspected] == ["length_share", "pitch_rad"]
 
 
 def winding_records(turn: float) -> list[Record]:
