@@ -33,7 +33,7 @@ SAME_VIEW_RAD = 0.05
 """Change of the viewing direction within which scans may repeat the errors of one another: what errs by the view is a
 variance component of its own.
 """
-MIN_ANGLE_RAD, MIN_SHARE, MAX_SHARE = 0.09, 0.03, 0.5
+MIN_ANGLE_RAD, MIN_SHARE, MAX_SHARE = 0.09, 0.03, 1.0 / 3.0
 """A sensor that is turned by more, and turns of the odometry that are wrong by such a share, are corrected: less may be
 the road's, more is no matter of calibration.
 """
