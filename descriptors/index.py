@@ -29,6 +29,11 @@ class ConstellationIndex(Protocol):
         """How far neighbours count."""
         ...
 
+    @property
+    def nbytes(self) -> int:
+        """Memory of the entries."""
+        ...
+
     def __len__(self) -> int:
         """How many entries there are."""
         ...
@@ -63,6 +68,12 @@ class VectorIndex:
     def radius_m(self) -> float:
         """How far neighbours count."""
         return self._descriptor.radius_m
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the vectors, their squares and the classes, without what is reserved."""
+        row = self._vectors[:1].nbytes + self._squares.itemsize + self._labels.itemsize
+        return self._size * row
 
     def add(self, constellations: Constellations) -> NDArray[np.int64]:
         """Add entries; returns their numbers (B,)."""

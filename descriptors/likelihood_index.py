@@ -65,6 +65,11 @@ class LikelihoodIndex:
         """How far neighbours count."""
         return self._descriptor.radius_m
 
+    @property
+    def nbytes(self) -> int:
+        """Memory of the tables and of the numbers of their columns, without what is reserved."""
+        return sum(shelf.nbytes for shelf in self._shelves.values())
+
     def __len__(self) -> int:
         return self._size
 
@@ -151,6 +156,11 @@ class _Shelf:
         self.zero = round(-min_nats / STEP_NATS)
         self._table = np.zeros((0, 4), dtype=np.uint8)  # few, as there may be many classes
         self.numbers = np.zeros(0, dtype=np.int64)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the columns and their numbers."""
+        return len(self.numbers) * (self._table.shape[0] * self._table.itemsize + self.numbers.itemsize)
 
     def add(self, nats: NDArray[np.float32], numbers: NDArray[np.int64]) -> None:
         """Vectors (B, cells), no shorter than those before, under their numbers (B,)."""

@@ -14,7 +14,7 @@ COMMANDS = (
     *("simulate", "degrade", "import kitti-objects", "import victoria-park", "info", "replay", "evaluate"),
     *("compare", "sweep"),
     *("optimize", "view", "export", "config"),
-    *("relocalize", "train", "benchmark replay", "benchmark descriptors", "benchmark map-size"),
+    *("relocalize", "train", "benchmark replay", "benchmark descriptors"),
     *("benchmark relocalization", "benchmark faults", "benchmark ablation"),
     *("benchmark robots", "benchmark recall", "benchmark retrieval", "benchmark fleet", "benchmark kidnapping"),
 )

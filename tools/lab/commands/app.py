@@ -10,7 +10,6 @@ from tools.lab.commands import (
     faults,
     fleet,
     kidnapping,
-    map_size,
     recall,
     relocalization,
     replay,
@@ -26,7 +25,6 @@ app.command()(fleet.fleet)
 app.command()(kidnapping.kidnapping)
 app.command()(ablation.ablation)
 app.command()(live)
-app.command("map-size")(map_size.map_size)
 app.command()(recall.recall)
 app.command()(relocalization.relocalization)
 app.command()(replay.replay)

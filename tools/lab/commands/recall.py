@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,14 +12,21 @@ from tools.arguments import Json
 from tools.lab.tables import number, percent, show, to_markdown
 
 if TYPE_CHECKING:
-    from tools.lab.retrieval.object_maps import MapRecall
+    from tools.lab.retrieval.path_queries import Scenario
+
+RESULTS, PICTURE = "contest.csv", "contest.png"
 
 
 def recall(
-    objects: Annotated[Path, typer.Option(metavar="CSV", help="Objects: x_m,y_m,z_m,class.", show_default=False)],
+    objects: Annotated[
+        list[Path],
+        typer.Option(metavar="CSV", help="Objects: x_m,y_m,z_m,class. Repeatable: side by side.", show_default=False),
+    ],
     descriptor: Annotated[
         list[str] | None,
-        typer.Option("--descriptor", metavar="NAME", help="Only these; weights or module:Class too. Repeatable."),
+        typer.Option(
+            "--descriptor", metavar="NAME", help="Only these; 'quads', weights or module:Class too. Repeatable."
+        ),
     ] = None,
     size: Annotated[
         list[int] | None, typer.Option(min=1, metavar="N", help="Objects nearest to one of them. Repeatable.")
@@ -30,62 +38,110 @@ def recall(
         list[int] | None,
         typer.Option(min=1, metavar="N", help="The commonest of them, and one for all others. Repeatable."),
     ] = None,
-    queries: Annotated[int, typer.Option(min=1, help="In each map.")] = 60,
+    missing: Annotated[
+        list[float] | None, typer.Option(min=0.0, max=0.9, metavar="S", help="Of the objects in range. Repeatable.")
+    ] = None,
+    clutter: Annotated[
+        list[float] | None, typer.Option(min=0.0, max=0.9, metavar="S", help="Of the objects seen. Repeatable.")
+    ] = None,
+    noise: Annotated[
+        list[float] | None, typer.Option(min=0.0, metavar="M", help="Of each coordinate of a query. Repeatable.")
+    ] = None,
+    seen: Annotated[
+        list[int] | None,
+        typer.Option(min=3, metavar="N", help="Objects of a query; by default those of 50 m. Repeatable."),
+    ] = None,
+    queries: Annotated[int, typer.Option(min=1, help="In each map and scenario.")] = 60,
     seed: Annotated[int, typer.Option(min=0, help="Of the place, the thinning and the queries.")] = 0,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FOLDER", help="For the table and the picture; what is there is not measured again."
+        ),
+    ] = None,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")] = False,
     json: Json = False,
 ) -> None:
-    """Ask descriptors for the place in maps of objects, by their number, density and classes.
+    """Contest of descriptors, and of the quads of imported maps: who finds the place in a map of objects.
 
     A robot has driven 50 m anywhere; it misses a tenth of the objects within 30 m, a tenth of what it has is clutter,
-    and positions have 0.2 m of noise. Places: queries with a right pose (4 m, 10 deg) among the first 1, 5 and 25 that
-    the registration finds among the matches. Times are of the processor.
+    and positions have 0.2 m of noise. Several values of one of these are varied one at a time, beside the first of all
+    others. Places: queries with a right pose (4 m, 10 deg) among the first 1, 5 and 25 proposals; right: after the
+    verification of the first proposals; wrong: accepted and wrong. Times are of the processor.
 
     Example: dslam benchmark recall --objects trees.csv --size 10000 --size 50000 --descriptor descriptellation_lr
     """
-    from dataclasses import asdict
-
     from descriptors.registry import DESCRIPTOR_NAMES
     from logs.importers.maps.object_table import read_object_table
     from tools import console
-    from tools.lab.retrieval.object_maps import measure_recall
+    from tools.lab.retrieval.contest import Contest, run_contest, side_by_side
+    from tools.lab.retrieval.contest_picture import draw_contest
+    from tools.lab.retrieval.proposers import QUADS
 
-    names = descriptor or list(DESCRIPTOR_NAMES)
-    sizes, shares, counts = size or [10_000], share or [1.0], classes or [20]
-    total = len(names) * len(sizes) * len(shares) * len(counts)
+    contest = Contest(
+        proposers=tuple(descriptor or [*DESCRIPTOR_NAMES, QUADS]),
+        sizes=tuple(size or [10_000]),
+        shares=tuple(share or [1.0]),
+        classes=tuple(classes or [20]),
+        scenarios=_scenarios(missing or [0.1], clutter or [0.1], noise or [0.2], seen or [None]),
+        queries=queries,
+        seed=seed,
+    )
+    if output is not None:
+        output.mkdir(parents=True, exist_ok=True)
     with console.progress_line("measuring") as progress:
 
         def report(done: int) -> None:
             if progress is not None:
-                progress(done / total, f"{done} of {total}")
+                progress(done / contest.cells, f"{done} of {contest.cells}")
 
-        figures = measure_recall(
-            read_object_table(objects),
-            names,
-            sizes=sizes,
-            shares=shares,
-            classes=counts,
-            queries=queries,
-            seed=seed,
+        cells = run_contest(
+            side_by_side([read_object_table(path) for path in objects]),
+            contest,
+            results=None if output is None else output / RESULTS,
             on_progress=report,
         )
+    if output is not None:
+        draw_contest(output / PICTURE, cells)
+    rows = [_row(each) for each in cells.to_dict("records")]
     if json:
-        console.show_json({"figures": [asdict(each) for each in figures]})
+        console.show_json({"figures": cells.to_dict("records")})
     elif markdown:
-        typer.echo(to_markdown([_row(each) for each in figures]))
+        typer.echo(to_markdown(rows))
     else:
-        show([_row(each) for each in figures])
+        show(rows)
 
 
-def _row(figures: MapRecall) -> dict[str, str]:
+def _scenarios(
+    missing: Sequence[float], clutter: Sequence[float], noise_m: Sequence[float], objects: Sequence[int | None]
+) -> tuple[Scenario, ...]:
+    """The first values of all, and each other one of them beside the first of the others."""
+    from dataclasses import replace
+
+    from tools.lab.retrieval.path_queries import Scenario
+
+    first = Scenario(missing[0], clutter[0], noise_m[0], objects[0])
+    others = [replace(first, missing=value) for value in missing[1:]]
+    others += [replace(first, clutter=value) for value in clutter[1:]]
+    others += [replace(first, noise_m=value) for value in noise_m[1:]]
+    others += [replace(first, objects=value) for value in objects[1:]]
+    return (first, *others)
+
+
+def _row(cell: dict[str, Any]) -> dict[str, str]:
+    seen = f"{cell['objects']} objects" if cell["objects"] else "50 m"
     return {
-        "descriptor": figures.descriptor,
-        "objects": str(figures.objects),
-        "neighbours": number(figures.neighbours, 1),
-        "classes": str(figures.classes),
-        "queries": str(figures.queries),
-        **{f"places @{k} %": percent(share) for k, share in figures.places.items()},
-        "map s": number(figures.index_s, 1),
-        "match ms": number(figures.match_ms, 1),
-        "verify ms": number(figures.verify_ms, 1),
+        "descriptor": cell["proposer"],
+        "map": f"{cell['map_objects']} of {cell['map_classes']}",
+        "query": f"{seen}, -{cell['missing']:.0%} +{cell['clutter']:.0%}, {cell['noise_m']:g} m",
+        "@1 %": percent(cell["at_1"]),
+        "@5 %": percent(cell["at_5"]),
+        "@25 %": percent(cell["at_25"]),
+        "right %": percent(cell["right"]),
+        "wrong %": percent(cell["wrong"]),
+        "ms": number(cell["propose_ms"], 1),
+        "95 % ms": number(cell["propose_p95_ms"], 1),
+        "verify ms": number(cell["verify_ms"], 1),
+        "B/object": number(cell["bytes_per_object"], 0),
+        "build s": number(cell["build_s"], 1),
     }

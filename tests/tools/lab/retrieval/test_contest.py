@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from descriptors.errors import DescriptorError
+from logs.importers.maps.map_objects import MapObjects
+from slam.common.errors import SimulationError
+from tests.tools.lab.retrieval.test_path_queries import forest
+from tools.lab.retrieval import contest as contest_module
+from tools.lab.retrieval.contest import GAP_M, Contest, run_contest, side_by_side
+from tools.lab.retrieval.contest_picture import draw_contest
+from tools.lab.retrieval.path_queries import Scenario
+
+
+def town(count: int, extent_m: float, *, is_geodetic: bool = False) -> MapObjects:
+    """Objects of six classes, the first as frequent as all others together."""
+    labels = np.random.default_rng(1).choice(6, count, p=[0.5, 0.1, 0.1, 0.1, 0.1, 0.1])
+    names = tuple(str(row) for row in range(count))
+    return MapObjects("town", forest(count, extent_m), tuple(f"class {label}" for label in labels), names, is_geodetic, "")
+
+
+def test_descriptor_and_quads_find_more_places_than_chance_in_each_map() -> None:
+    proposers = ("descriptellation_lr", "quads", "random")
+    contest = Contest(proposers, sizes=(400, 1000), shares=(1.0, 0.5), classes=(4,), queries=4)
+    cells = run_contest(town(1500, 700.0), contest)
+    assert cells["proposer"].tolist() == list(proposers) * 4
+    assert set(cells["map_classes"]) == {4}
+    full, thinned = cells.iloc[3], cells.iloc[9]
+    assert full["map_objects"] == 1000
+    assert 0.4 < thinned["neighbours"] / full["neighbours"] < 0.6
+    by_proposer = cells.set_index("proposer")
+    chance = by_proposer.loc["random", "at_1"].to_numpy()
+    for name in proposers[:2]:
+        assert (by_proposer.loc[name, "at_1"].to_numpy() > chance).all()
+    assert (cells["at_1"] <= cells["at_5"]).all()
+    assert (cells["at_5"] <= cells["at_25"]).all()
+    assert (cells["wrong"] == 0.0).all()
+    assert cells["right"].iloc[0] == 1.0
+    assert (cells[["bytes_per_object", "build_s", "propose_ms"]] > 0.0).all(axis=None)
+
+
+def test_rare_classes_become_one() -> None:
+    cells = run_contest(town(600, 400.0), Contest(("random",), sizes=(10_000,), classes=(1,), queries=1))
+    assert cells[["map_objects", "map_classes"]].to_numpy().tolist() == [[600, 1]]
+
+
+def test_the_same_paths_are_asked_with_any_classes() -> None:
+    contest = Contest(("descriptellation_lr",), sizes=(600,), classes=(6,), queries=3)
+    alone = run_contest(town(600, 400.0), contest).iloc[0]
+    after_another = run_contest(town(600, 400.0), replace(contest, classes=(1, 6))).iloc[1]
+    same = ["map_classes", "at_1", "right", "neighbours"]
+    assert alone[same].tolist() == after_another[same].tolist()
+
+
+def test_measured_cells_are_not_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    objects, results = town(600, 400.0), tmp_path / "contest.csv"
+    first = Contest(("random",), sizes=(300,), queries=1)
+    run_contest(objects, first, results=results)
+    made = list[str]()
+    make = contest_module.make_proposer
+    monkeypatch.setattr(contest_module, "make_proposer", lambda name, o: made.append(name) or make(name, o))  # type: ignore[func-returns-value]
+    wider = replace(first, proposers=("random", "quads"), scenarios=(Scenario(), Scenario(missing=0.3)))
+    cells = run_contest(objects, wider, results=results)
+    assert made == ["random", "quads"]  # random for the second scenario alone
+    assert len(pd.read_csv(results)) == len(cells) == 4
+    assert run_contest(objects, wider, results=results)["proposer"].tolist() == cells["proposer"].tolist()
+    assert len(made) == 2
+    assert len(run_contest(objects, first, results=results)) == 1
+
+
+def test_maps_side_by_side_do_not_meet() -> None:
+    both = side_by_side([town(50, 100.0), town(60, 100.0)])
+    x = np.sort(both.positions[:, 0])
+    assert len(both) == len(set(both.ids)) == 110
+    assert np.diff(x).max() == pytest.approx(GAP_M, abs=20.0)
+
+
+def test_degrees_and_unknown_descriptors_are_refused() -> None:
+    contest = Contest(("random",), sizes=(10,), queries=1)
+    with pytest.raises(SimulationError, match="metres"):
+        run_contest(town(50, 1.0, is_geodetic=True), contest)
+    with pytest.raises(SimulationError, match="metres"):
+        side_by_side([town(50, 1.0, is_geodetic=True)])
+    with pytest.raises(DescriptorError, match="rings"):
+        run_contest(town(50, 100.0), replace(contest, proposers=("rings",)))
+
+
+def test_picture_shows_each_scenario(tmp_path: Path) -> None:
+    contest = Contest(("random", "quads"), sizes=(100, 200), scenarios=(Scenario(), Scenario(missing=0.3)), queries=1)
+    draw_contest(tmp_path / "contest.png", run_contest(town(300, 250.0), contest))
+    assert (tmp_path / "contest.png").stat().st_size > 10_000

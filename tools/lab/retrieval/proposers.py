@@ -1,0 +1,128 @@
+"""What proposes places in a map of objects: a descriptor with its index, or the index of quads of imported maps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from descriptors.constellation import gather_constellations
+from descriptors.registry import make_index
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.config import Config
+from slam.object_map.submap import Submap
+from slam.place_recognition.quad_index import build_quad_index
+from slam.registration.parameters import registration_config
+from slam.registration.registration import register
+
+QUADS = "quads"
+MAP_SIGMA_M = 0.3
+"""Standard deviation of a coordinate of an object of the map."""
+ADDED_AT_ONCE = 50_000
+"""Objects whose neighbours are in memory at the same time."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelledObjects:
+    """A map: ``positions`` (N, 3) m, z up, and ``labels`` (N,) in ``vocabulary``."""
+
+    positions: FloatArray
+    labels: IntArray
+    vocabulary: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def first(self, count: int) -> LabelledObjects:
+        """Those up to a number."""
+        return LabelledObjects(self.positions[:count], self.labels[:count], self.vocabulary)
+
+
+class Proposer(Protocol):
+    """An index of a map that proposes poses of queries in it."""
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the index, without the map."""
+        ...
+
+    def propose(self, query: Submap, count: int) -> FloatArray:
+        """Poses (H, 4, 4) of a query in the map, ``count`` at most, the likeliest first."""
+        ...
+
+
+def make_proposer(name: str, objects: LabelledObjects) -> Proposer:
+    """The index of a map: :data:`QUADS`, or a descriptor by its name in the registry.
+
+    Raises:
+        DescriptorError: a descriptor that does not exist.
+    """
+    return QuadProposer(objects) if name == QUADS else DescriptorProposer(name, objects)
+
+
+class DescriptorProposer:
+    """Matches each object of a query with its nearest descriptors, and registers the matches, as loop closing does."""
+
+    def __init__(self, name: str, objects: LabelledObjects) -> None:
+        self._objects = objects
+        self._config = Config()
+        self._index = make_index(name)
+        for start in range(0, len(objects), ADDED_AT_ONCE):
+            centres = np.arange(start, min(start + ADDED_AT_ONCE, len(objects)))
+            self._index.add(
+                gather_constellations(
+                    objects.positions,
+                    objects.labels,
+                    objects.vocabulary,
+                    radius_m=self._index.radius_m,
+                    centres=centres,
+                )
+            )
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the vectors."""
+        return self._index.nbytes
+
+    def propose(self, query: Submap, count: int) -> FloatArray:
+        """Poses (H, 4, 4) on which most matches agree."""
+        asked = gather_constellations(
+            query.positions, query.labels, self._objects.vocabulary, radius_m=self._index.radius_m
+        )
+        everything = np.ones(len(self._index), dtype=np.bool_)
+        matches = self._index.search(asked, self._config.loop_closure.top_k, everything)
+        if not len(matches.queries):
+            return np.zeros((0, 4, 4))
+        entries, references = np.unique(matches.entries, return_inverse=True)
+        found = register(
+            query.positions,
+            self._objects.positions[entries],
+            np.column_stack([matches.queries, references]),
+            registration_config(self._config),
+            query_sigmas=query.sigmas,
+            reference_sigmas=np.full(len(entries), MAP_SIGMA_M),
+            count=count,
+        )
+        poses = [each.T_reference_query for each in found if each.T_reference_query is not None]
+        return np.array(poses).reshape(-1, 4, 4)
+
+
+class QuadProposer:
+    """Poses on which quads of the query and of the map agree, as in imported maps."""
+
+    def __init__(self, objects: LabelledObjects) -> None:
+        self._objects = objects
+        self._quads = build_quad_index(objects.positions, objects.labels, sigma_m=MAP_SIGMA_M)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the quads."""
+        return self._quads.vertices.nbytes + self._quads.starts.nbytes
+
+    def propose(self, query: Submap, count: int) -> FloatArray:
+        """Poses (H, 4, 4) with most votes of quads."""
+        sigma_m = float(np.hypot(np.median(query.sigmas), MAP_SIGMA_M))
+        return self._quads.find_poses(
+            query.positions, query.labels, self._objects.positions, sigma_m=sigma_m, count=count
+        )
