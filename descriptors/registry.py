@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from descriptors.errors import DescriptorError
 from descriptors.index import ConstellationIndex, VectorIndex
 from descriptors.learned.weights import read_weights
 from descriptors.likelihood_index import LikelihoodIndex
+from descriptors.own_class import OwnDescriptor, is_own_class
 from descriptors.random_vector import RandomVector
 from descriptors.ring_likelihood import RingLikelihood
 
@@ -47,7 +47,8 @@ def shipped_weights(name: str) -> Path:
 def make_descriptor(name: str) -> Descriptor:
     """A descriptor: one of :data:`DESCRIPTOR_NAMES`, a file of weights, or a class of one's own as ``module:Class``.
 
-    A class of one's own is imported and made without arguments; it does what :class:`Descriptor` says.
+    A class of one's own is imported, from the current folder too, and made without arguments; it does what
+    :class:`Descriptor` says.
 
     Raises:
         DescriptorError: there is none of that name, weights that do not fit, or a class that cannot be made.
@@ -58,8 +59,8 @@ def make_descriptor(name: str) -> Descriptor:
         return _from_weights(shipped_weights(name))
     if name.endswith(WEIGHTS_SUFFIX):
         return _from_weights(Path(name))
-    if ":" in name:
-        return _from_class(name)
+    if is_own_class(name):
+        return OwnDescriptor(name)
     if name in RENAMED:
         raise DescriptorError(f"no descriptor {name!r}; it is called {RENAMED[name]!r} now")
     raise DescriptorError(
@@ -92,18 +93,3 @@ def _from_weights(path: Path) -> Descriptor:
     from descriptors.learned.descriptor import LearnedDescriptor  # loads torch
 
     return LearnedDescriptor(path)
-
-
-def _from_class(name: str) -> Descriptor:
-    module, _, attribute = name.partition(":")
-    try:
-        made = getattr(importlib.import_module(module), attribute)()
-    except Exception as error:  # user code raises anything
-        raise DescriptorError(f"{name}: cannot be made: {type(error).__name__}: {error}") from error
-    lacking = [part for part in ("name", "radius_m", "describe") if not hasattr(made, part)]
-    if lacking:
-        raise DescriptorError(
-            f"{name}: is no descriptor, it lacks {', '.join(lacking)}; see descriptors.descriptor.Descriptor"
-        )
-    descriptor: Descriptor = made
-    return descriptor

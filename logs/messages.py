@@ -232,6 +232,11 @@ class FactorGraphRecord:
     observation_redundancies: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
+PROPOSERS = ("descriptor", "map index", "hypothesis", "prediction", "association")
+"""Who proposes places: descriptors of what was seen before, the index of an imported map, hypotheses and closures that
+the odometry carries on, landmarks that data association never lost."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopClosureRecord:
     """One loop-closure candidate and its decision, accepted or not. ``T_reference_query`` is None before registration.
@@ -240,7 +245,7 @@ class LoopClosureRecord:
     query keyframe. A later record about the same two keyframes replaces an earlier one. ``inserted``: the closure is
     a factor of the graph; an accepted one that repeats what another says already is none. ``rank``: place of the
     proposal, from 1, among those that descriptors made for this query; 0 where another closure predicted the place or
-    nothing was proposed.
+    nothing was proposed. ``proposer``: who proposed the place, one of :data:`PROPOSERS`, "" if nobody did.
 
     What the decision is made from, None where it was not computed; log-likelihood ratios in nats:
     ``log_likelihood_ratio`` of the place against chance; ``odometry_penalty``: the negative log-likelihood of the
@@ -272,6 +277,7 @@ class LoopClosureRecord:
     best_rival_log_likelihood_ratio: float | None = None
     seed_query_keyframe_id: int | None = None
     represented_by_keyframe_id: int | None = None
+    proposer: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,13 +1,14 @@
 """The networks there are, by name, how one is built, and how it describes constellations.
 
 A new one: a frozen dataclass with ``name``, ``vocabulary_size`` and ``length`` and with defaults that JSON can hold, a
-module that takes it and keeps it as ``architecture``, and their line in ``NETWORKS``.
+module that takes it and keeps it as ``architecture``, and their line in ``NETWORKS``. One of a user's own is a module
+as ``file:Class`` that takes nothing and has a ``length``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -22,6 +23,7 @@ from descriptors.descriptellation.network import Descriptellation, Descriptellat
 from descriptors.errors import DescriptorError, WeightsError
 from descriptors.learned.padded import PaddedConstellations
 from descriptors.learned.weights import Weights, check_tensors, make_architecture, read_weights
+from descriptors.own_class import is_own_class, make_own
 
 BATCH = 256
 """Constellations that are described at a time."""
@@ -70,6 +72,8 @@ def default_architecture(name: str, **settings: object) -> Architecture:
     Raises:
         DescriptorError: a name that does not exist, or settings that are unknown or of the wrong type.
     """
+    if is_own_class(name):
+        return read_architecture({**asdict(OwnArchitecture(name, int(_made(name).length))), **settings})  # type: ignore[arg-type]
     return read_architecture({**asdict(_named(name)[0]()), **settings})
 
 
@@ -111,6 +115,27 @@ def tensors_of(constellations: PaddedConstellations, device: torch.device) -> tu
     )
 
 
+def vectors_of(network: nn.Module, constellations: PaddedConstellations, device: torch.device) -> Tensor:
+    """Vectors (B, length) of a network.
+
+    Raises:
+        DescriptorError: it returns anything else, or numbers that are not finite.
+    """
+    architecture: Architecture = network.architecture  # type: ignore[assignment]
+    try:
+        vectors: Tensor = network(*tensors_of(constellations, device))
+        shape, expected = tuple(vectors.shape), (len(constellations), architecture.length)
+    except (RuntimeError, AttributeError, TypeError, IndexError) as error:
+        raise DescriptorError(f"{architecture.name}: fails: {str(error).splitlines()[0]}") from error
+    if shape != expected:
+        raise DescriptorError(
+            f"{architecture.name}: returns shape {shape} for {len(constellations)} constellations; give {expected}"
+        )
+    if not bool(torch.isfinite(vectors).all()):
+        raise DescriptorError(f"{architecture.name}: returns numbers that are not finite")
+    return vectors
+
+
 def describe_padded(
     network: nn.Module, constellations: PaddedConstellations, device: torch.device
 ) -> NDArray[np.float32]:
@@ -120,14 +145,47 @@ def describe_padded(
     described = [np.zeros((0, int(network.architecture.length)), dtype=np.float32)]  # type: ignore[union-attr, arg-type]
     with torch.no_grad():
         for start in range(0, len(order), BATCH):
-            vectors = network(*tensors_of(constellations[order[start : start + BATCH]], device))
+            vectors = vectors_of(network, constellations[order[start : start + BATCH]], device)
             described.append(vectors.cpu().numpy().astype(np.float32))
     ranks = np.empty_like(order)
     ranks[order] = np.arange(len(order))
     return np.asarray(np.concatenate(described)[ranks])
 
 
-def _named(name: object) -> tuple[type[Any], type[nn.Module]]:
+@dataclass(frozen=True, slots=True)
+class OwnArchitecture:
+    """A module of a user's own, ``name`` as ``file:Class``."""
+
+    name: str
+    length: int
+    vocabulary_size: int = 64
+
+
+def _own_network(architecture: OwnArchitecture) -> nn.Module:
+    network = _made(architecture.name)
+    network.architecture = architecture  # type: ignore[assignment]
+    return network
+
+
+def _made(name: str) -> nn.Module:
+    """The module of that name.
+
+    Raises:
+        DescriptorError: it cannot be made, is no module, or has no length.
+    """
+    network = make_own(name)
+    if not isinstance(network, nn.Module):
+        raise DescriptorError(f"{name}: is no torch.nn.Module")
+    if not any(True for _ in network.parameters()):
+        raise DescriptorError(f"{name}: has no weights to train")
+    if not isinstance(getattr(network, "length", None), int):
+        raise DescriptorError(f"{name}: has no length, how many numbers a descriptor has")
+    return network
+
+
+def _named(name: object) -> tuple[type[Any], Callable[[Any], nn.Module]]:
+    if isinstance(name, str) and is_own_class(name):
+        return OwnArchitecture, _own_network
     if isinstance(name, str) and name in NETWORKS:
         return NETWORKS[name]
     if isinstance(name, str) and name in _FORMER:

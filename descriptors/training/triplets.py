@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from descriptors.descriptellation.network import DescriptellationArchitecture
-from descriptors.learned.networks import Architecture, describe_padded, make_network, tensors_of
+from descriptors.learned.networks import Architecture, describe_padded, make_network, vectors_of
 from descriptors.training.augmentation import AugmentationRates
 from descriptors.training.dataset import ConstellationDataset, DatasetConfig, make_dataset
 from descriptors.training.folder import Epoch
@@ -73,7 +73,7 @@ class TripletRecipe(Recipe):
     def loss(self, batch: tuple[ConstellationDataset, NDArray[np.int64]]) -> Tensor:
         """The batch triplet loss."""
         dataset, rows = batch
-        vectors = self.network(*tensors_of(dataset.constellations[rows], self.device))
+        vectors = vectors_of(self.network, dataset.constellations[rows], self.device)
         anchors = torch.as_tensor(dataset.anchors[rows], device=self.device)
         return batch_triplet_loss(vectors, anchors, self._config.margin)
 

@@ -61,6 +61,17 @@ class Group:
     changes: tuple[str, ...]
     spreads: Mapping[str, Spread]
 
+    @property
+    def descriptor(self) -> str:
+        """That of the configuration; "" where the log did not record it."""
+        configuration = self.runs[0].configuration
+        return str(parse_json(configuration)["loop_closure"]["descriptor"]) if configuration else ""
+
+    @property
+    def closure_keys(self) -> list[str]:
+        """Figures of closures that are defined."""
+        return [key for key, spread in self.spreads.items() if key.startswith("closures.") and spread.mean is not None]
+
 
 @dataclass(frozen=True, slots=True)
 class Difference:
@@ -102,6 +113,20 @@ class Comparison:
             name = "mean ± deviation" if is_one_group else f"{group.label} ({len(group.runs)} runs)"
             columns[name] = [group.spreads[f.key].text(f.digits) + self._mark(f, number) for f in defined]
         return pd.DataFrame(columns, index=[figure.heading for figure in defined])
+
+    @property
+    def descriptor_verdict(self) -> str:
+        """Which groups have the closures of the first with another descriptor; "" where none has."""
+        first = self.groups[0]
+        alike = [
+            group.label
+            for group in self.groups[1:]
+            if group.descriptor != first.descriptor
+            and all(group.spreads[key].mean == first.spreads[key].mean for key in first.closure_keys)
+        ]
+        if not alike or not first.closure_keys:
+            return ""
+        return f"The descriptor decided nothing: {first.label} and {', '.join(alike)} have the same closures."
 
     def _mark(self, figure: Figure, number: int) -> str:
         """How the group differs from the first in that figure; "" where it does not."""

@@ -139,8 +139,8 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _met(imported: ImportedMap, positions: FloatArray, labels: IntArray, sigma_m: float) -> int:
-    """How many of the landmarks meet an object of their class, at the best of the poses that their quads propose."""
-    poses = imported.quads.find_poses(positions, labels, imported.positions, sigma_m=sigma_m, count=PLACES)
+    """How many of the landmarks meet an object of their class, at the best of their likeliest poses."""
+    poses = imported.search().find_poses(positions, labels, sigma_m=sigma_m, count=PLACES)
     tolerance_m = TOLERANCE_SIGMAS * sigma_m
     best = 0
     for T_map_query in poses:

@@ -10,6 +10,7 @@ from slam.backend.factors import Edge, EdgeKind
 from slam.common.arrays import FloatArray, IntArray
 from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
+from slam.place_recognition.place import Place
 
 NOWHERE = -1
 
@@ -37,9 +38,9 @@ class Candidate:
     inliers, as confirmed landmarks of the query and of the reference.
     ``odometry_penalty`` is -log pi of the pose's prior, ``unpredicted_penalty`` the same if the odometry told nothing;
     see :mod:`slam.localization.pose_prior`. ``seed_closure``: the keyframe whose closure predicted this one, -1 if
-    retrieval found it; ``rank``: as in :class:`slam.place_recognition.place.Place`. ``posterior_log_odds`` and
-    ``best_rival_llr``: as in :class:`logs.messages.LoopClosureRecord`, None until they are computed. ``is_tracked``:
-    most inliers are one landmark on both sides, which data association never let go.
+    retrieval found it; ``rank`` and ``proposer``: as in :class:`slam.place_recognition.place.Place`.
+    ``posterior_log_odds`` and ``best_rival_llr``: as in :class:`logs.messages.LoopClosureRecord`, None until they are
+    computed. ``is_tracked``: most inliers are one landmark on both sides, which data association never lost.
     """
 
     query: int
@@ -59,6 +60,7 @@ class Candidate:
     retrieval_distance: float
     seed_closure: int = -1
     rank: int = 0
+    proposer: str = ""
     posterior_log_odds: float | None = None
     best_rival_llr: float | None = None
     is_tracked: bool = False
@@ -102,6 +104,7 @@ class Candidate:
             reference_stamp_ns=self.reference_stamp_ns,
             inserted=inserted,
             rank=self.rank,
+            proposer=self.proposer,
             log_likelihood_ratio=self.log_likelihood_ratio,
             odometry_penalty=self.odometry_penalty,
             posterior_log_odds=self.posterior_log_odds,
@@ -139,7 +142,7 @@ class Query:
         return self.keyframe.odometry.travel_m
 
     def refusal(
-        self, stage: Stage, reason: str, reference: Keyframe | None = None, *, rank: int = 0
+        self, stage: Stage, reason: str, reference: Keyframe | None = None, *, place: Place | None = None
     ) -> LoopClosureRecord:
         """The record of a candidate that was rejected before it had a pose."""
         return LoopClosureRecord(
@@ -151,5 +154,6 @@ class Query:
             reason=reason,
             retrieval_distance=float("inf"),
             reference_stamp_ns=reference.odometry.stamp_ns if reference else 0,
-            rank=rank,
+            rank=place.rank if place else 0,
+            proposer=place.proposer if place else "",
         )

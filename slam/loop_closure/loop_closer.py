@@ -174,7 +174,7 @@ class LoopCloser:
         return [
             self._verifier.verify(query, place)
             if self._is_plausible(query, place)
-            else query.refusal(Stage.RETRIEVAL, "outside the prior of the pose", rank=place.rank)
+            else query.refusal(Stage.RETRIEVAL, "outside the prior of the pose", place=place)
             for place in places
         ]
 

@@ -79,7 +79,7 @@ class Verifier:
         T_seed_query = invert(gravity_frame(seed.T_local_body)) @ query.T_local_gravity
         T_local_query = np.asarray(seed_closure.T_local_query @ T_seed_query)
         reference_pose = self._keyframes[seed_closure.reference].odometry
-        place = Place(T_local_query, reference_pose.travel_m, reference_pose.segment, 0.0)
+        place = Place(T_local_query, reference_pose.travel_m, reference_pose.segment, 0.0, "prediction")
         reference = self._nearest(place, query, within_m=self._sensor_range_m)
         return replace(place, travel_m=reference.odometry.travel_m) if reference else None
 
@@ -88,7 +88,7 @@ class Verifier:
         found = self._track.nearest(T_local_query[:3, 3], segment=segment, from_m=-np.inf, to_m=self.latest_m(query))
         if found is None:
             return None
-        return Place(T_local_query, self._keyframes[found[0]].odometry.travel_m, segment, np.inf)
+        return Place(T_local_query, self._keyframes[found[0]].odometry.travel_m, segment, np.inf, "hypothesis")
 
     def tracked_place(self, query: Query) -> Place | None:
         """Where the query is by the landmarks of an earlier traversal that data association still follows.
@@ -104,7 +104,8 @@ class Verifier:
         )
         if found is None:
             return None
-        return Place(query.T_local_gravity, self._keyframes[found[0]].odometry.travel_m, segment, 0.0)
+        travel_m = self._keyframes[found[0]].odometry.travel_m
+        return Place(query.T_local_gravity, travel_m, segment, 0.0, "association")
 
     def verify(self, query: Query, place: Place, *, seed_closure: int = NOWHERE) -> Candidate | LoopClosureRecord:
         """The candidate at a place, or the record with the reason for its rejection."""
@@ -114,7 +115,7 @@ class Verifier:
         registration = _register(query.submap, reference_submap, place.T_local_query, self._registration)
         if registration.T_reference_query is None:
             reference = self._nearest(place, query, within_m=self._sensor_range_m)
-            return query.refusal(Stage.REGISTRATION, registration.reason, reference, rank=place.rank)
+            return query.refusal(Stage.REGISTRATION, registration.reason, reference, place=place)
         registered = replace(place, T_local_query=registration.T_reference_query)
         reference = self._nearest(registered, query, within_m=self._sensor_range_m)
         if reference is None:
@@ -176,7 +177,7 @@ class Verifier:
     def rivals(self, query: Query, candidate: Candidate) -> list[Candidate]:
         """Candidates at other poses where objects that stand in rows, or in a repeated pattern, would fit as well."""
         reference = self._keyframes[candidate.reference].odometry
-        place = Place(candidate.T_local_query, reference.travel_m, reference.segment, 0.0)
+        place = Place(candidate.T_local_query, reference.travel_m, reference.segment, 0.0, candidate.proposer)
         reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
         shifted = shifted_along_track(query.submap, reference_submap, place.T_local_query, self._sensor_range_m)
         repeated = place.T_local_query @ self._retriever.self_similar_poses(query.submap)
@@ -236,6 +237,7 @@ class Verifier:
             retrieval_distance=place.retrieval_distance,
             seed_closure=seed_closure,
             rank=place.rank,
+            proposer=place.proposer,
             is_tracked=2 * int(np.sum(seen == met)) > len(seen),
         )
 
@@ -258,7 +260,7 @@ class Verifier:
 
     def _out_of_reach(self, query: Query, place: Place) -> LoopClosureRecord:
         reason = f"no earlier keyframe within {self._sensor_range_m:g} m of the place"
-        return query.refusal(Stage.REGISTRATION, reason, rank=place.rank)
+        return query.refusal(Stage.REGISTRATION, reason, place=place)
 
     def _nearest(self, place: Place, query: Query, *, within_m: float) -> Keyframe | None:
         """The nearest keyframe of the reference traversal, if it is so near.

@@ -15,6 +15,7 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.object_map.map_io import SavedMap
 from slam.object_map.submap import Submap
 from slam.place_recognition.imported_map import ImportedMap, make_imported_map
+from slam.place_recognition.map_search import MapSearch
 
 OFFSETS, PITCH = "offsets", "pitch_m"
 
@@ -29,9 +30,12 @@ class FoundPlace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceIndex:
-    """``objects`` of all maps; ``offsets`` (M, 3) m: where the origin of each lies, in a square of ``pitch_m``."""
+    """``objects`` of all maps, and their ``search``; ``offsets`` (M, 3) m: where the origin of each lies, in a square
+    of ``pitch_m``.
+    """
 
     objects: ImportedMap
+    search: MapSearch
     offsets: FloatArray
     pitch_m: float
 
@@ -53,13 +57,12 @@ class PlaceIndex:
         return np.array([number.get(name, -1) for name in names], dtype=np.int64)
 
     def find(self, query: Submap, *, count: int, besides: int = -1) -> list[FoundPlace]:
-        """The ``count`` poses with most votes of a query in its gravity frame, in maps other than ``besides``."""
+        """The ``count`` likeliest poses of a query in its gravity frame, in maps other than ``besides``."""
         known = np.flatnonzero(query.labels >= 0)
         sigma_m = float(np.hypot(np.median(query.sigmas), self.objects.sigma_m)) if len(known) else 0.0
-        poses = self.objects.quads.find_poses(
+        poses = self.search.find_poses(
             query.positions[known],
             query.labels[known],
-            self.objects.positions,
             sigma_m=sigma_m,
             count=count,
             is_excluded=lambda rows: self.maps_of(self.objects.positions[rows].astype(np.float64)) == besides,
@@ -107,13 +110,13 @@ def make_place_index(maps: Sequence[SavedMap], *, sigma_m: float) -> PlaceIndex:
     labels = [label for each in maps for label in each.objects.labels]
     ids = [f"{number}/{name}" for number, each in enumerate(maps) for name in each.objects.ids]
     source = {OFFSETS: json.dumps(offsets.tolist()), PITCH: repr(pitch_m)}
-    return PlaceIndex(make_imported_map(positions, labels, ids, sigma_m=sigma_m, source=source), offsets, pitch_m)
+    return opened_place_index(make_imported_map(positions, labels, ids, sigma_m=sigma_m, source=source))
 
 
 def opened_place_index(objects: ImportedMap) -> PlaceIndex:
     """The index whose objects were saved as an imported map."""
     about = objects.metadata
-    return PlaceIndex(objects, np.array(json.loads(about[OFFSETS])), float(about[PITCH]))
+    return PlaceIndex(objects, objects.search(), np.array(json.loads(about[OFFSETS])), float(about[PITCH]))
 
 
 def _side(count: int) -> int:

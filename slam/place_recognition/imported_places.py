@@ -1,7 +1,7 @@
 """Places of a query in an imported map, whose landmarks are loaded only around these.
 
-Quads of the query propose poses by votes; the landmarks of the map around a pose, where it is verified and while the
-robot is tracked there, become landmarks of the object map, tile by tile.
+Quads of the query propose poses, the likelihood of its objects orders them. The landmarks of the map around a pose,
+where it is verified and while the robot is tracked there, become landmarks of the object map, tile by tile.
 """
 
 from __future__ import annotations
@@ -53,6 +53,7 @@ class ImportedPlaces:
         self._is_flat = is_flat(imported)
         self._class_shares = imported.class_shares()
         imported.quads.read_ahead()
+        self._search = imported.search()
         self._is_loaded = np.zeros(len(imported), dtype=np.bool_)
         self.prior = prior
 
@@ -67,14 +68,12 @@ class ImportedPlaces:
         return np.asarray(self._imported.positions[:, :2])
 
     def propose(self, query: Submap, *, count: int) -> list[Place]:
-        """The ``count`` places with most votes of the quads of a query, given in its gravity frame."""
+        """The ``count`` likeliest places of a query, given in its gravity frame."""
         # The errors that grow with the distance from the robot are common to the corners of a quad.
         sigma_m = float(np.hypot(query.sigmas.min(initial=np.inf), self._imported.sigma_m)) if len(query) else 0.0
         known = np.flatnonzero(query.labels < len(self._imported.vocabulary))
-        poses = self._imported.quads.find_poses(
-            query.positions[known], query.labels[known], self._imported.positions, sigma_m=sigma_m, count=count
-        )
-        return [Place(T_local_query, TRAVEL_M, SEGMENT, np.inf) for T_local_query in poses]
+        poses = self._search.find_poses(query.positions[known], query.labels[known], sigma_m=sigma_m, count=count)
+        return [Place(T_local_query, TRAVEL_M, SEGMENT, np.inf, "map index") for T_local_query in poses]
 
     def load_landmarks_near(self, place: FloatArray, radius_m: float) -> None:
         """Make landmarks of the objects of the map within ``radius_m`` of a place (3,) m, where they are none yet."""

@@ -16,6 +16,7 @@ class Place:
     of a ``segment``.
 
     ``retrieval_distance``: mean distance of the agreeing matches in descriptor space, infinite where none was compared;
+    ``proposer``: one of :data:`logs.messages.PROPOSERS`;
     ``rank``: from 1, among the places retrieved for a query, 0 for a place that was not retrieved.
     """
 
@@ -23,6 +24,7 @@ class Place:
     travel_m: float
     segment: int
     retrieval_distance: float
+    proposer: str
     rank: int = 0
 
 

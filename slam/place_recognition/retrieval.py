@@ -164,7 +164,7 @@ class PlaceRetriever:
     def _place(self, T_local_query: FloatArray, rows: IntArray, distances: NDArray[np.float32]) -> Place:
         """The place of a pose on which matches with the landmarks ``rows`` (K,) agree."""
         segment, travel_m = traversal_of(self._map, rows, extent_m=self._extent_m)
-        return Place(T_local_query, travel_m, segment, float(distances.mean()))
+        return Place(T_local_query, travel_m, segment, float(distances.mean()), "descriptor")
 
     def first_seen_travels_m(self, submap: Submap) -> FloatArray:
         """Travel [m] at which each landmark (N,) of a submap was first seen."""

@@ -93,7 +93,7 @@ def compare_logs(logs: Sequence[Path], truth: Truth, tables: Sequence[Path] = ()
     members = [f"{group.label}: {', '.join(run.name for run in group.runs)}" for group in groups]
     return Findings(
         results=comparison.to_json_dict(),
-        parts=[console.frame(table), "", *members, note],
+        parts=[console.frame(table), "", *members, note, *filter(None, [comparison.descriptor_verdict])],
         runs=evaluations,
         rules=runs[0].results["protocol"]["rules"],
     )

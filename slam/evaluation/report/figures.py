@@ -74,6 +74,7 @@ SUMMARY = {
         ", recall {closures.recall:.2%} of {closures.revisit_count} revisits",
         " ({closures.recognised:.2%} with data association)",
         "; {closures.found_count} retrieved, {closures.followed_count} propagated, {closures.led_back_count} back",
+        ", {closures.descriptor_verdict}",
         "; {closures.independent_count} independent: at most {closures.largest_false_share:.0%} false",
     ),
     "relocalization": (

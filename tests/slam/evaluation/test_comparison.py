@@ -158,3 +158,19 @@ def test_table_has_a_column_for_each_group_and_marks_differences() -> None:
     alone = compare_runs(several[:3]).to_table()
     assert list(alone.columns) == ["10", "11", "12", "mean ± deviation"]
     assert alone.loc["ATE m"].tolist()[:3] == ["1.000", "1.010", "1.020"]
+
+
+class TestDescriptorVerdict:
+    CLOSURES = Figure("closures.recall", "recall", 3, is_error=False)
+
+    def verdict(self, recall: float, *overrides: str) -> str:
+        first = Run("a", {"closures": {"recall": 0.9}}, configuration(), "1")
+        other = Run("b", {"closures": {"recall": recall}}, configuration(*overrides), "1")
+        return compare_runs([first, other], [self.CLOSURES]).descriptor_verdict
+
+    def test_says_that_another_descriptor_has_the_same_closures(self) -> None:
+        assert self.verdict(0.9, "loop_closure.descriptor=random").startswith("The descriptor decided nothing: ")
+
+    def test_is_silent_where_closures_differ_or_the_descriptor_does_not(self) -> None:
+        assert self.verdict(0.8, "loop_closure.descriptor=random") == ""
+        assert self.verdict(0.9, "loop_closure.top_k=15") == ""

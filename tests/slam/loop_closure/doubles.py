@@ -60,4 +60,4 @@ class Patterns:
         return self.alike
 
     def place_at(self, query: Query, T_local_query: FloatArray, segment: int) -> Place | None:
-        return Place(T_local_query, 0.0, segment, np.inf)
+        return Place(T_local_query, 0.0, segment, np.inf, "hypothesis")

@@ -37,6 +37,10 @@ def descriptors(
     neighbours: Neighbours = 6,
     queries: Annotated[int, typer.Option(min=1, help="For each scenario and seed.")] = 500,
     seeds: Annotated[int, typer.Option(min=1, help="Repetitions, each with other queries.")] = 5,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FOLDER", help="Also for CSV, LaTeX (the best in bold) and a figure."),
+    ] = None,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")] = False,
     json: Json = False,
 ) -> None:
@@ -47,19 +51,23 @@ def descriptors(
     a pose that is accepted and less than 1 m off, misplaced one that is accepted and more than 10 m off, likeliest
     the likeliest candidate less than 1 m off, accepted or not. The ceiling is that of a weighted fit to the true
     correspondences; top 5 the share of objects whose counterpart is among their five nearest.
-    Without CSV files the map is the generated town of 'dslam simulate --seed 0'.
+    Without CSV files the map is the generated town of 'dslam simulate --seed 0'. Random vectors are always measured.
 
     Example: dslam benchmark descriptors --descriptor descriptellation_lr --descriptor onion --queries 100 --seeds 1
     """
     from dataclasses import asdict
 
+    from descriptors.random_vector import RandomVector
     from descriptors.registry import DESCRIPTOR_NAMES
     from tools import console
+    from tools.lab.descriptors.comparison import write_comparison
     from tools.lab.descriptors.experiment import EXHAUSTIVE, benchmark_descriptors
     from tools.lab.descriptors.queries import labelled_map
 
     world = _world(objects, trajectory)
-    methods = descriptor or [*DESCRIPTOR_NAMES, EXHAUSTIVE]
+    methods = list(descriptor or [*DESCRIPTOR_NAMES, EXHAUSTIVE])
+    if RandomVector.name not in methods:
+        methods.append(RandomVector.name)
     with console.progress_bar("localizing", "localizing") as move:
         result = benchmark_descriptors(
             labelled_map(world),
@@ -70,6 +78,8 @@ def descriptors(
             seeds=seeds,
             on_progress=_counted(move, 3 * len(methods)),
         )
+    if output is not None:
+        write_comparison(output, world.name, result)
     if json:
         console.show_json({"map": world.name, **asdict(result)})
         return

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tools.arguments import Json
+from tools.lab.pages import with_block
 from tools.lab.tables import number, percent, show, to_markdown
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ def recall(
     descriptor: Annotated[
         list[str] | None,
         typer.Option(
-            "--descriptor", metavar="NAME", help="Only these; 'quads', weights or module:Class too. Repeatable."
+            "--descriptor", metavar="NAME", help="Only these; quads, weights or module:Class, too. Repeatable."
         ),
     ] = None,
     size: Annotated[
@@ -56,8 +57,14 @@ def recall(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", metavar="FOLDER", help="For the table and the picture; what is there is not measured again."
+            "--output",
+            "-o",
+            metavar="FOLDER",
+            help="For the table and the picture; what is there is not measured again.",
         ),
+    ] = None,
+    page: Annotated[
+        Path | None, typer.Option(metavar="PAGE.md", help="Put the tables into that page, between its marks.")
     ] = None,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")] = False,
     json: Json = False,
@@ -67,19 +74,25 @@ def recall(
     A robot has driven 50 m anywhere; it misses a tenth of the objects within 30 m, a tenth of what it has is clutter,
     and positions have 0.2 m of noise. Several values of one of these are varied one at a time, beside the first of all
     others. Places: queries with a right pose (4 m, 10 deg) among the first 1, 5 and 25 proposals; right: after the
-    verification of the first proposals; wrong: accepted and wrong. Times are of the processor.
+    verification of the first proposals; wrong: accepted and wrong. Random vectors are always measured. Times are of
+    the processor.
 
     Example: dslam benchmark recall --objects trees.csv --size 10000 --size 50000 --descriptor descriptellation_lr
     """
+    from descriptors.random_vector import RandomVector
     from descriptors.registry import DESCRIPTOR_NAMES
     from logs.importers.maps.object_table import read_object_table
+    from logs.storage.placement import write_text
     from tools import console
     from tools.lab.retrieval.contest import Contest, run_contest, side_by_side
-    from tools.lab.retrieval.contest_picture import draw_contest
+    from tools.lab.retrieval.contest_page import draw_contest, to_page
     from tools.lab.retrieval.proposers import QUADS
 
+    proposers = list(descriptor or [*DESCRIPTOR_NAMES, QUADS])
+    if RandomVector.name not in proposers:
+        proposers.append(RandomVector.name)
     contest = Contest(
-        proposers=tuple(descriptor or [*DESCRIPTOR_NAMES, QUADS]),
+        proposers=tuple(proposers),
         sizes=tuple(size or [10_000]),
         shares=tuple(share or [1.0]),
         classes=tuple(classes or [20]),
@@ -103,6 +116,8 @@ def recall(
         )
     if output is not None:
         draw_contest(output / PICTURE, cells)
+    if page is not None:
+        write_text(page, with_block(page, "dslam benchmark recall", to_page(cells)))
     rows = [_row(each) for each in cells.to_dict("records")]
     if json:
         console.show_json({"figures": cells.to_dict("records")})
@@ -129,11 +144,12 @@ def _scenarios(
 
 
 def _row(cell: dict[str, Any]) -> dict[str, str]:
-    seen = f"{cell['objects']} objects" if cell["objects"] else "50 m"
+    from tools.lab.retrieval.contest_page import describe_query
+
     return {
         "descriptor": cell["proposer"],
         "map": f"{cell['map_objects']} of {cell['map_classes']}",
-        "query": f"{seen}, -{cell['missing']:.0%} +{cell['clutter']:.0%}, {cell['noise_m']:g} m",
+        "query": describe_query(cell["objects"], cell["missing"], cell["clutter"], cell["noise_m"]),
         "@1 %": percent(cell["at_1"]),
         "@5 %": percent(cell["at_5"]),
         "@25 %": percent(cell["at_25"]),

@@ -174,7 +174,7 @@ def _search(localizer: ScanLocalizer, search: ExhaustiveSearch, query: Query) ->
     submap = query.submap
     found = search.localize(submap.positions, submap.labels, sigmas=submap.sigmas)
     poses = [each.T_reference_query for each in found if each.T_reference_query is not None]
-    return localizer.verify(query, [Place(T, TRAVEL_M, SEGMENT, np.inf) for T in poses[:TOP]])
+    return localizer.verify(query, [Place(T, TRAVEL_M, SEGMENT, np.inf, EXHAUSTIVE) for T in poses[:TOP]])
 
 
 def _answer(localizer: ScanLocalizer, query: Query, propose: Callable[[Query], list[Verified]]) -> Answer:

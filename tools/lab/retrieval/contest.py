@@ -30,7 +30,7 @@ from slam.registration.parameters import registration_config
 from slam.registration.registration import refine
 from tools.lab.retrieval.measurement import RECALL_AT, is_right
 from tools.lab.retrieval.path_queries import PathQuery, Scenario, draw_path_queries
-from tools.lab.retrieval.proposers import MAP_SIGMA_M, QUADS, LabelledObjects, Proposer, make_proposer
+from tools.lab.retrieval.proposers import MAP_SIGMA_M, QUADS, VOTES, LabelledObjects, Proposer, make_proposer
 
 KEY = ["world", "proposer", "size", "share", "most_classes", "objects", "missing", "clutter", "noise_m", "queries",
        "seed"]  # fmt: skip
@@ -147,7 +147,7 @@ def run_contest(
     if objects.is_geodetic:
         raise SimulationError("objects in degrees; give metres")
     for name in contest.proposers:  # what cannot be made is refused before anything is measured
-        if name != QUADS:
+        if name not in (QUADS, VOTES):
             make_index(name)
     known = _read(results)
     measured = [known] if len(known) else []
@@ -223,9 +223,7 @@ def _measure_proposer(
     ]
 
 
-def _ask(
-    proposer: Proposer, objects: LabelledObjects, tree: cKDTree, queries: Sequence[PathQuery]
-) -> dict[str, float]:
+def _ask(proposer: Proposer, objects: LabelledObjects, tree: cKDTree, queries: Sequence[PathQuery]) -> dict[str, float]:
     """Shares and times of a cell."""
     hits = np.zeros(len(RECALL_AT))
     right, wrong, times = 0, 0, []
@@ -252,9 +250,7 @@ def _ask(
     }
 
 
-def verify(
-    query: Submap, poses: FloatArray, objects: LabelledObjects, tree: cKDTree
-) -> tuple[FloatArray | None, bool]:
+def verify(query: Submap, poses: FloatArray, objects: LabelledObjects, tree: cKDTree) -> tuple[FloatArray | None, bool]:
     """The pose (4, 4) with the highest log-likelihood ratio of those proposed (H, 4, 4), each registered, and whether
     its posterior probability suffices to accept it.
     """

@@ -17,7 +17,7 @@ from slam.object_map.submap import SUBMAP_RANGES, Submap
 MIN_OBJECTS = 8
 """A path with fewer objects is no query."""
 MAX_TRAVEL_SUBMAPS = 10
-"""A robot that has not seen the objects of a scenario after the travel of so many submaps stands where there are none."""
+"""Travel of so many submaps after which a robot that has not seen the objects of a scenario gives up."""
 STEP_RANGES = 1.0 / 6.0
 """Distance between two scans, in sensor ranges."""
 

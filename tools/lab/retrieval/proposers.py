@@ -1,4 +1,4 @@
-"""What proposes places in a map of objects: a descriptor with its index, or the index of quads of imported maps."""
+"""What proposes places in a map of objects: a descriptor with its index, or the quads of imported maps."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from descriptors.registry import make_index
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.object_map.submap import Submap
+from slam.place_recognition.map_search import MapSearch
 from slam.place_recognition.quad_index import build_quad_index
 from slam.registration.parameters import registration_config
 from slam.registration.registration import register
 
-QUADS = "quads"
+QUADS, VOTES = "quads", "quads without likelihood"
 MAP_SIGMA_M = 0.3
 """Standard deviation of a coordinate of an object of the map."""
 ADDED_AT_ONCE = 50_000
@@ -53,12 +54,14 @@ class Proposer(Protocol):
 
 
 def make_proposer(name: str, objects: LabelledObjects) -> Proposer:
-    """The index of a map: :data:`QUADS`, or a descriptor by its name in the registry.
+    """The index of a map: :data:`QUADS`, :data:`VOTES`, or a descriptor by its name in the registry.
 
     Raises:
         DescriptorError: a descriptor that does not exist.
     """
-    return QuadProposer(objects) if name == QUADS else DescriptorProposer(name, objects)
+    if name in (QUADS, VOTES):
+        return QuadProposer(objects, by_likelihood=name == QUADS)
+    return DescriptorProposer(name, objects)
 
 
 class DescriptorProposer:
@@ -109,11 +112,15 @@ class DescriptorProposer:
 
 
 class QuadProposer:
-    """Poses on which quads of the query and of the map agree, as in imported maps."""
+    """Poses on which quads of the query and of the map agree: ``by_likelihood`` the likeliest first, as in imported
+    maps, else those with most votes.
+    """
 
-    def __init__(self, objects: LabelledObjects) -> None:
+    def __init__(self, objects: LabelledObjects, *, by_likelihood: bool) -> None:
         self._objects = objects
         self._quads = build_quad_index(objects.positions, objects.labels, sigma_m=MAP_SIGMA_M)
+        self._search = MapSearch(self._quads, objects.positions, objects.labels, len(objects.vocabulary))
+        self._by_likelihood = by_likelihood
 
     @property
     def nbytes(self) -> int:
@@ -121,8 +128,9 @@ class QuadProposer:
         return self._quads.vertices.nbytes + self._quads.starts.nbytes
 
     def propose(self, query: Submap, count: int) -> FloatArray:
-        """Poses (H, 4, 4) with most votes of quads."""
+        """Poses (H, 4, 4), best first."""
         sigma_m = float(np.hypot(np.median(query.sigmas), MAP_SIGMA_M))
-        return self._quads.find_poses(
-            query.positions, query.labels, self._objects.positions, sigma_m=sigma_m, count=count
-        )
+        positions, labels = query.positions, query.labels
+        if self._by_likelihood:
+            return self._search.find_poses(positions, labels, sigma_m=sigma_m, count=count)
+        return self._quads.find_poses(positions, labels, self._objects.positions, sigma_m=sigma_m, count=count)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from tests.tools.runs import Result, Run, assert_refused
@@ -33,10 +34,10 @@ def test_json_has_every_measure_of_every_scenario(dslam: Run) -> None:
     told = json.loads(result.out)
     assert (told["map"], told["objects"], told["classes"]) == ("street-grid", 699, 16)
     assert (told["queries"], told["seeds"], told["neighbours"]) == (5, 1, 6)
-    assert set(told["build_s"]) == {"ring_likelihood", "exhaustive search"}
+    assert set(told["build_s"]) == {"ring_likelihood", "exhaustive search", "random"}
     cells = {(cell["method"], cell["scenario"]): cell for cell in told["cells"]}
     assert list(cells) == [
-        (name, scenario) for name in ("ring_likelihood", "exhaustive search") for scenario in SCENARIOS
+        (name, scenario) for name in ("ring_likelihood", "exhaustive search", "random") for scenario in SCENARIOS
     ]
     for cell in cells.values():
         assert set(cell) == {"method", "scenario"} | MEASURES
@@ -80,17 +81,35 @@ def test_what_cannot_be_is_refused(dslam: Run, tmp_path: Path) -> None:
     assert_refused(benchmark(dslam, "--objects", tmp_path / "none.csv", *files[2:]), "none.csv")
 
 
-def test_recall_in_maps_of_objects(dslam: Run, tmp_path: Path) -> None:
+def test_comparison_is_written_as_csv_latex_and_figure(dslam: Run, tmp_path: Path) -> None:
+    files = write_world(tmp_path)
+    result = benchmark(dslam, *files, "--descriptor", "ring_likelihood", "-o", tmp_path / "out")
+    assert result.code == 0, result.err
+    frame = pd.read_csv(tmp_path / "out" / "descriptors.csv")
+    assert frame["method"].tolist() == ["ring_likelihood"] * 3 + ["random"] * 3
+    latex = (tmp_path / "out" / "descriptors.tex").read_text()
+    best = frame[frame["scenario"] == "self"]["success"].max()
+    assert rf"ring\_likelihood & \textbf{{{100 * best:.1f}}}" in latex
+    assert r"\caption" in latex
+    assert r"\label" in latex
+    assert (tmp_path / "out" / "descriptors.png").stat().st_size > 5000
+
+
+def test_contest_in_maps_of_objects(dslam: Run, tmp_path: Path) -> None:
     _, objects, *_ = write_world(tmp_path)
     asked = ("benchmark", "recall", "--objects", objects, "--size", 50, "--classes", 1, "--classes", 3, "--queries", 2)
-    result = dslam(*asked, "--descriptor", "random", "--json")
+    result = dslam(*asked, "--descriptor", "quads", "--json")
     assert (result.code, result.err) == (0, "")
     figures = json.loads(result.out)["figures"]
-    assert [(each["descriptor"], each["objects"], each["classes"]) for each in figures] == [
+    assert [(each["proposer"], each["map_objects"], each["map_classes"]) for each in figures] == [
+        ("quads", 50, 1),
         ("random", 50, 1),
+        ("quads", 50, 3),
         ("random", 50, 3),
     ]
-    table = dslam(*asked, "--descriptor", "random", "--markdown").out.splitlines()
-    assert [len(line.split("|")) for line in table if line.startswith("|")] == [13] * 4
-    assert "places @1 %" in dslam(*asked, "--descriptor", "random").out
+    again = dslam(*asked, "--descriptor", "random", "--missing", 0.1, "--missing", 0.2, "--markdown", "-o", tmp_path)
+    assert len([line for line in again.out.splitlines() if line.startswith("|")]) == 2 + 4
+    assert "20% missing, 10% clutter, 0.2 m" in again.out
+    assert (tmp_path / "contest.csv").is_file()
+    assert (tmp_path / "contest.png").is_file()
     assert_refused(dslam(*asked, "--descriptor", "rings"), "rings")

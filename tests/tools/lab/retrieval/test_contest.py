@@ -13,7 +13,7 @@ from slam.common.errors import SimulationError
 from tests.tools.lab.retrieval.test_path_queries import forest
 from tools.lab.retrieval import contest as contest_module
 from tools.lab.retrieval.contest import GAP_M, Contest, run_contest, side_by_side
-from tools.lab.retrieval.contest_picture import draw_contest
+from tools.lab.retrieval.contest_page import draw_contest, to_page
 from tools.lab.retrieval.path_queries import Scenario
 
 
@@ -21,7 +21,9 @@ def town(count: int, extent_m: float, *, is_geodetic: bool = False) -> MapObject
     """Objects of six classes, the first as frequent as all others together."""
     labels = np.random.default_rng(1).choice(6, count, p=[0.5, 0.1, 0.1, 0.1, 0.1, 0.1])
     names = tuple(str(row) for row in range(count))
-    return MapObjects("town", forest(count, extent_m), tuple(f"class {label}" for label in labels), names, is_geodetic, "")
+    return MapObjects(
+        "town", forest(count, extent_m), tuple(f"class {label}" for label in labels), names, is_geodetic, ""
+    )
 
 
 def test_descriptor_and_quads_find_more_places_than_chance_in_each_map() -> None:
@@ -90,7 +92,13 @@ def test_degrees_and_unknown_descriptors_are_refused() -> None:
         run_contest(town(50, 100.0), replace(contest, proposers=("rings",)))
 
 
-def test_picture_shows_each_scenario(tmp_path: Path) -> None:
+def test_page_has_right_poses_and_cost_of_each_proposer_in_each_map(tmp_path: Path) -> None:
     contest = Contest(("random", "quads"), sizes=(100, 200), scenarios=(Scenario(), Scenario(missing=0.3)), queries=1)
-    draw_contest(tmp_path / "contest.png", run_contest(town(300, 250.0), contest))
+    cells = run_contest(town(300, 250.0), contest)
+    draw_contest(tmp_path / "contest.png", cells)
     assert (tmp_path / "contest.png").stat().st_size > 10_000
+    text = to_page(cells)
+    assert text.count("right poses, %") == 2
+    assert text.count("| objects of 50 m, 30% missing, 10% clutter, 0.2 m |") == 2
+    assert text.count("\n| quads |") == 2
+    assert text.count("| query | random | quads |") == 2

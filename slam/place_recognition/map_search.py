@@ -1,0 +1,175 @@
+"""Where in a map of any size a query may be: quads propose poses, the likelihood of all objects orders them.
+
+Poses with many votes of quads (:mod:`slam.place_recognition.quad_index`) are often wrong where a query has few right
+quads: some of its objects are missing from the map, others are clutter, or noise moves them. Each pose is therefore
+fitted to all objects that meet one of their class there, and scored by their log-likelihood ratio: an object that meets
+one counts by how exactly it does, one that meets none costs little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from slam.common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from slam.common.geometry import transform_from_xyz_yaw
+from slam.place_recognition.quad_index import QuadIndex
+
+COMPARED = 200
+"""Poses with most votes that are scored; with 600 no more places are found."""
+MATCH_ODDS = 3.0
+"""Of an object of a query to be one of the map: three of four are, the others are missing there or clutter."""
+REACH_SIGMAS = 3.5
+"""Farther apart no two observations of one object are: 2 in 1000 pairs, in the plane."""
+VOTED_VARIANCE = 1.5
+"""Of an object at a voted pose, by that of a coordinate: its own, and half of it from the pose's place."""
+FITTED_VARIANCE = 1.4
+"""The same at a pose that is fitted to several objects."""
+MIN_FITTED = 3
+"""A pose is fitted to so many objects at least; two always fit."""
+CLASS_PITCH_SPACINGS = 1e6
+"""Objects of different classes are that far apart on a third axis: farther than any map is wide."""
+SAME_TURN_RAD = 0.2
+"""Poses that differ by less than that, and by less than half a spacing, are one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Query:
+    """Objects about the ``middle`` of a query, complex metres, (N,), their ``labels`` (N,), and the standard deviations
+    (N,) m of each at a pose that was voted for, and at one that is fitted.
+    """
+
+    middle: complex
+    objects: ComplexArray
+    labels: IntArray
+    voted_sigmas_m: FloatArray
+    fitted_sigmas_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Poses:
+    """H poses: where the ``middles`` of the query are (H,), complex metres, and the rotations ``turns`` (H,)."""
+
+    middles: ComplexArray
+    turns: ComplexArray
+
+    def __getitem__(self, rows: IntArray) -> _Poses:
+        return _Poses(self.middles[rows], self.turns[rows])
+
+
+class MapSearch:
+    """A map that can be searched.
+
+    Args:
+        quads: the index of the map.
+        positions: (M, 3) m, z up.
+        classes: (M,) numbers of classes, below ``class_count``.
+    """
+
+    def __init__(self, quads: QuadIndex, positions: FloatArray, classes: IntArray, class_count: int) -> None:
+        self._quads = quads
+        self._positions = positions
+        plane = np.asarray(positions[:, :2], dtype=np.float64)
+        self._plane = plane[:, 0] + 1j * plane[:, 1]
+        numbers = np.asarray(classes, dtype=np.int64)
+        nearest_m = np.asarray(cKDTree(plane).query(plane, k=2)[0])[:, 1] if len(plane) > 1 else np.ones(1)
+        self._spacing_m = max(float(np.median(nearest_m)), np.finfo(np.float32).eps)
+        self._pitch_m = CLASS_PITCH_SPACINGS * self._spacing_m
+        self._tree = cKDTree(np.column_stack([plane, self._pitch_m * numbers]))
+        # Half of the objects of a Poisson process of this density have another one within the median spacing.
+        density = np.log(2.0) / (np.pi * self._spacing_m**2)
+        self._densities = density * np.maximum(np.bincount(numbers, minlength=class_count), 1) / max(len(numbers), 1)
+
+    def find_poses(
+        self,
+        positions: FloatArray,
+        labels: IntArray,
+        *,
+        sigma_m: float,
+        count: int,
+        is_excluded: Callable[[IntArray], BoolArray] | None = None,
+    ) -> FloatArray:
+        """The likeliest poses (H, 4, 4) of a query in the map, at most ``count``, best first.
+
+        Args:
+            positions: (N, 3) m of the query, z up.
+            labels: (N,) classes, numbered as in the map.
+            sigma_m: of a coordinate of an object, of query and map together.
+            count: how many poses are wanted.
+            is_excluded: which objects (K,) of the map, by their rows, make no match.
+        """
+        T_voted = self._quads.find_poses(
+            positions, labels, self._positions, sigma_m=sigma_m, count=max(count, COMPARED), is_excluded=is_excluded
+        )
+        if not len(T_voted):
+            return T_voted
+        query = _query(positions, labels, sigma_m)
+        turns = T_voted[:, 0, 0] + 1j * T_voted[:, 1, 0]
+        voted = _Poses(T_voted[:, 0, 3] + 1j * T_voted[:, 1, 3] + turns * query.middle, turns)
+        fitted = self._fitted(voted, query, query.voted_sigmas_m)
+        scores = self._log_likelihood_ratios(fitted, query)
+        chosen = self._distinct(fitted, scores, count)
+        best = self._fitted(fitted[chosen], query, query.fitted_sigmas_m)
+        origins = best.middles - best.turns * query.middle
+        places = np.column_stack([origins.real, origins.imag, T_voted[chosen, 2, 3]])
+        return transform_from_xyz_yaw(places, np.angle(best.turns))
+
+    def _met(self, poses: _Poses, query: _Query, sigmas_m: FloatArray) -> tuple[FloatArray, ComplexArray]:
+        """Distance [m] of each object of a query at each pose to the nearest of its class, and where that is: (H, N)
+        each, infinite and 0 where there is none in reach.
+        """
+        placed = poses.middles[:, None] + poses.turns[:, None] * query.objects
+        classes = np.broadcast_to(self._pitch_m * query.labels, placed.shape)
+        asked = np.stack([placed.real, placed.imag, classes], axis=-1).reshape(-1, 3)
+        # No farther than the next object of the map, or chance would draw the fit.
+        reach_m = np.minimum(REACH_SIGMAS * sigmas_m, self._spacing_m)
+        found = self._tree.query(asked, distance_upper_bound=float(reach_m.max()))
+        apart_m, rows = (np.reshape(each, placed.shape) for each in found)
+        is_met = apart_m <= reach_m
+        return np.where(is_met, apart_m, np.inf), np.append(self._plane, 0.0)[np.where(is_met, rows, -1)]
+
+    def _fitted(self, poses: _Poses, query: _Query, sigmas_m: FloatArray) -> _Poses:
+        """The poses by weighted least squares over what the query meets there; those that meet little as they are."""
+        apart_m, met = self._met(poses, query, sigmas_m)
+        weights = np.where(np.isfinite(apart_m), 1.0 / sigmas_m**2, 0.0)
+        has_enough = (weights > 0.0).sum(axis=1) >= MIN_FITTED
+        weights[~has_enough] = 1.0
+        weights /= weights.sum(axis=1, keepdims=True)
+        mean_query, mean_met = weights @ query.objects, (weights * met).sum(axis=1)
+        turns = (weights * (met - mean_met[:, None]) * (query.objects - mean_query[:, None]).conj()).sum(axis=1)
+        has_enough &= np.abs(turns) > 0.0
+        turns = np.where(has_enough, turns / np.maximum(np.abs(turns), np.finfo(np.float64).tiny), poses.turns)
+        return _Poses(np.where(has_enough, mean_met - turns * mean_query, poses.middles), turns)
+
+    def _log_likelihood_ratios(self, poses: _Poses, query: _Query) -> FloatArray:
+        """Of the objects of a query being those of the map at each pose, against any others, up to a constant: (H,)."""
+        apart_m, _ = self._met(poses, query, query.fitted_sigmas_m)
+        variance = query.fitted_sigmas_m**2
+        density = np.exp(-0.5 * apart_m**2 / variance) / (2.0 * np.pi * variance)
+        return np.asarray(np.log1p(MATCH_ODDS * density / self._densities[query.labels]).sum(axis=1))
+
+    def _distinct(self, poses: _Poses, scores: FloatArray, count: int) -> IntArray:
+        """Rows of the poses with the highest scores, ``count`` at most; of those that are one, the first."""
+        chosen = list[int]()
+        for row in np.argsort(-scores, kind="stable").tolist():
+            near = np.abs(poses.middles[chosen] - poses.middles[row]) < 0.5 * self._spacing_m
+            near &= np.abs(np.angle(poses.turns[chosen] * poses.turns[row].conj())) < SAME_TURN_RAD
+            if not near.any():
+                chosen.append(row)
+            if len(chosen) == count:
+                break
+        return np.array(chosen, dtype=np.int64)
+
+
+def _query(positions: FloatArray, labels: IntArray, sigma_m: float) -> _Query:
+    plane = positions[:, 0] + 1j * positions[:, 1]
+    middle = complex(plane.mean())
+    from_middle = np.abs(plane - middle)
+    radius_m = max(float(np.sqrt(np.mean(from_middle**2))), np.finfo(np.float64).tiny)
+    # The heading of a voted pose moves objects the more, the farther from the middle they are.
+    voted = sigma_m * np.sqrt(VOTED_VARIANCE + 2.0 * (from_middle / radius_m) ** 2)
+    fitted = np.full(len(plane), sigma_m * np.sqrt(FITTED_VARIANCE))
+    return _Query(middle, plane - middle, labels, voted, fitted)

@@ -1,0 +1,132 @@
+"""A descriptor of a user's own: the page's example, and what is refused."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from descriptors.constellation import gather_constellations
+from descriptors.descriptellation.network import DescriptellationArchitecture
+from descriptors.errors import DescriptorError
+from descriptors.learned.networks import default_architecture
+from descriptors.registry import make_descriptor, make_index
+from descriptors.training.dataset import DatasetConfig
+from descriptors.training.trainer import train
+from descriptors.training.triplets import TripletRecipe, TripletTraining
+from tests.descriptors.constellations import VOCABULARY, scattered
+
+PAGE = Path(__file__).parents[2] / "docs" / "descriptors.md"
+EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+
+
+@pytest.fixture
+def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The current folder with ``mine.py`` as the page has it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [folder for folder in sys.path if folder])
+    (tmp_path / "mine.py").write_text("\n\n".join(EXAMPLES))
+    yield tmp_path
+    sys.modules.pop("mine", None)
+
+
+def described(name: str) -> np.ndarray:
+    descriptor = make_descriptor(name)
+    positions, labels = scattered(20, seed=3)
+    return descriptor.describe(gather_constellations(positions, labels, VOCABULARY, radius_m=descriptor.radius_m))
+
+
+@pytest.mark.usefixtures("mine")
+def test_example_of_the_page_is_found_in_the_current_folder_and_finds_objects() -> None:
+    assert all(len(code.strip().splitlines()) <= 20 for code in EXAMPLES)
+    index = make_index("mine:Rings")
+    positions, labels = scattered(60, seed=1)
+    constellations = gather_constellations(positions, labels, VOCABULARY, radius_m=index.radius_m)
+    index.add(constellations)
+    matches = index.search(constellations, 1, np.ones(60, dtype=bool))
+    assert np.mean(matches.entries == np.arange(60)) > 0.9
+
+
+@pytest.mark.parametrize(
+    ("members", "message"),
+    [
+        ("radius_m = 20.0\n    def describe(self, c): return 1", "lacks name"),
+        ("name = 'a'\n    radius_m = 20.0\n    def describe(self, c): return [0.0] * len(c)", r"shape \(20,\) for 20"),
+        ("name = 'a'\n    radius_m = 20.0\n    def describe(self, c): return [[1.0]]", r"shape \(1, 1\) for 20"),
+        (
+            "name = 'a'\n    radius_m = 20.0\n    def describe(self, c): return [[float('nan')]] * len(c)",
+            "0 is not finite",
+        ),
+        ("name = 'a'\n    radius_m = 20.0\n    def describe(self, c): return c.nothing", "AttributeError"),
+        ("name = 'a'\n    radius_m = 'far'\n    def describe(self, c): return 1", "no length"),
+        ("name = 'a'\n    radius_m = 0.0\n    def describe(self, c): return 1", "above 0"),
+    ],
+)
+def test_class_that_is_no_descriptor_is_refused_by_its_name(mine: Path, members: str, message: str) -> None:
+    (mine / "mine.py").write_text(f"class Bad:\n    {members}\n")
+    with pytest.raises(DescriptorError, match=rf"^mine:Bad: .*{message}"):
+        described("mine:Bad")
+
+
+def test_vectors_whose_length_changes_are_refused(mine: Path) -> None:
+    (mine / "mine.py").write_text(
+        "import numpy as np\n\nclass Bad:\n    name, radius_m = 'bad', 20.0\n"
+        "    def describe(self, c): return np.zeros((len(c), len(c)))\n"
+    )
+    index = make_index("mine:Bad")
+    for count in (5, 6):
+        positions, labels = scattered(count, seed=1)
+        constellations = gather_constellations(positions, labels, VOCABULARY, radius_m=20.0)
+        if count == 5:
+            index.add(constellations)
+    with pytest.raises(DescriptorError, match=r"mine:Bad: .* 6 numbers after some of 5"):
+        index.add(constellations)
+
+
+def small_training(name: str) -> TripletTraining:
+    architecture = default_architecture(name)
+    return TripletTraining(architecture=architecture, dataset=DatasetConfig(anchors=32, positives=2), epochs=1)
+
+
+def test_network_of_the_page_is_trained_and_its_weights_describe(mine: Path) -> None:
+    train(TripletRecipe(small_training("mine:Net")), mine / "out", threads=1)
+    vectors = described(str(mine / "out" / "weights.safetensors"))
+    assert vectors.shape == (20, 32)
+    np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), 1.0, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        (
+            "length = 4\n    def forward(self, p, l, m): return p.sum(dim=(1, 2))[:, None]",
+            r"returns shape \(.*give \(.*, 4\)",
+        ),
+        ("length = 3\n    def forward(self, p, l, m): return p.sum(dim=1) / 0.0", "not finite"),
+        ("length = 3\n    def forward(self, p, l, m): return p @ l", "fails"),
+        ("def forward(self, p, l, m): return p", "no length"),
+        ("weights = None\n    length = 3", "no weights"),
+    ],
+)
+def test_network_that_gives_no_vectors_is_refused_by_its_name(mine: Path, body: str, message: str) -> None:
+    weights = "" if "weights" in body else "        self.weights = nn.Linear(1, 1)\n"
+    (mine / "mine.py").write_text(
+        "from torch import nn\n\nclass Net(nn.Module):\n    def __init__(self):\n        super().__init__()\n"
+        f"{weights}    {body}\n"
+    )
+    with pytest.raises(DescriptorError, match=rf"^mine:Net: .*{message}"):
+        train(TripletRecipe(small_training("mine:Net")), mine / "out", threads=1)
+
+
+def test_class_that_is_no_network_is_refused(mine: Path) -> None:
+    (mine / "mine.py").write_text("class Net:\n    length = 3\n")
+    with pytest.raises(DescriptorError, match=r"mine:Net: is no torch.nn.Module"):
+        small_training("mine:Net")
+
+
+def test_architecture_of_a_named_network_is_unchanged() -> None:
+    assert default_architecture("descriptellation") == DescriptellationArchitecture()

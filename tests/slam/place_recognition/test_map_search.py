@@ -1,0 +1,106 @@
+"""Poses in a map: quads propose, the likelihood of all objects decides."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.common.arrays import FloatArray, IntArray
+from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.place_recognition.map_search import MapSearch
+from slam.place_recognition.quad_index import build_quad_index
+
+SIGMA_M = 0.2
+
+
+def town(count: int = 3000, *, classes: int = 1, seed: int = 0) -> tuple[FloatArray, IntArray]:
+    rng = np.random.default_rng(seed)
+    positions = np.column_stack([rng.uniform(0.0, 10.0 * np.sqrt(count), (count, 2)), np.full(count, 3.0)])
+    return positions, rng.integers(classes, size=count)
+
+
+def searched(positions: FloatArray, labels: IntArray, classes: int = 1) -> MapSearch:
+    return MapSearch(build_quad_index(positions, labels, sigma_m=SIGMA_M), positions, labels, classes)
+
+
+def observed(
+    positions: FloatArray, centre: tuple[float, float], rng: np.random.Generator, *, missing: float, clutter: int
+) -> tuple[FloatArray, IntArray, FloatArray]:
+    """Objects (N, 3) within 30 m of a robot, their rows (N,), -1 of clutter, and the robot's pose (4, 4)."""
+    T_map_query = transform_from_xyz_yaw(np.array([*centre, 2.0]), float(rng.uniform(-np.pi, np.pi)))
+    rows = np.flatnonzero(np.hypot(*(positions[:, :2] - centre).T) < 30.0)
+    rows = rows[rng.random(len(rows)) >= missing]
+    local = apply(invert(T_map_query), positions[rows])
+    local[:, :2] += rng.normal(0.0, SIGMA_M, (len(rows), 2))
+    of_nothing = np.column_stack([rng.uniform(-30.0, 30.0, (clutter, 2)), np.full(clutter, local[0, 2])])
+    return np.concatenate([local, of_nothing]), np.append(rows, np.full(clutter, -1)), T_map_query
+
+
+def is_near(T: FloatArray, T_gt: FloatArray, *, within_m: float = 0.5) -> bool:
+    return bool(np.linalg.norm((T - T_gt)[:3, 3]) < within_m) and bool(np.allclose(T[:3, :3], T_gt[:3, :3], atol=0.1))
+
+
+def test_likelihood_finds_more_of_the_places_where_much_is_missing_or_clutter_than_votes_do() -> None:
+    positions, labels = town()
+    search, quads = searched(positions, labels), build_quad_index(positions, labels, sigma_m=SIGMA_M)
+    rng = np.random.default_rng(1)
+    by_likelihood, by_votes = 0, 0
+    for _ in range(40):
+        centre = tuple(rng.uniform(100.0, 450.0, 2).tolist())
+        seen, rows, T_gt = observed(positions, centre, rng, missing=0.5, clutter=12)
+        of_class = np.zeros(len(rows), dtype=np.int64)
+        likeliest = search.find_poses(seen, of_class, sigma_m=2**0.5 * SIGMA_M, count=1)
+        voted = quads.find_poses(seen, of_class, positions, sigma_m=2**0.5 * SIGMA_M, count=1)
+        by_likelihood += any(is_near(each, T_gt, within_m=2.0) for each in likeliest)
+        by_votes += any(is_near(each, T_gt, within_m=2.0) for each in voted)
+    assert by_likelihood >= 32
+    assert by_likelihood >= by_votes + 6
+
+
+def test_pose_is_fitted_to_all_objects_in_view() -> None:
+    positions, labels = town()
+    seen, rows, T_gt = observed(positions, (300.0, 300.0), np.random.default_rng(2), missing=0.0, clutter=0)
+    T = searched(positions, labels).find_poses(seen, labels[rows], sigma_m=SIGMA_M, count=5)
+    assert len(T) == 5
+    assert np.linalg.norm((T[0] - T_gt)[:2, 3]) < 3.0 * SIGMA_M / np.sqrt(len(rows))
+    assert T[0, 2, 3] == pytest.approx(2.0, abs=1e-6)
+    assert not any(is_near(each, T_gt) for each in T[1:])
+
+
+def test_only_objects_of_the_same_class_are_met() -> None:
+    positions, labels = town(classes=2)
+    search = searched(positions, labels, classes=2)
+    seen, rows, T_gt = observed(positions, (300.0, 300.0), np.random.default_rng(3), missing=0.1, clutter=0)
+    assert is_near(search.find_poses(seen, labels[rows], sigma_m=SIGMA_M, count=1)[0], T_gt)
+    wrong = search.find_poses(seen, 1 - labels[rows], sigma_m=SIGMA_M, count=5)
+    assert not any(is_near(each, T_gt) for each in wrong)
+
+
+def test_excluded_objects_make_no_match() -> None:
+    positions, labels = town()
+    seen, rows, T_gt = observed(positions, (300.0, 300.0), np.random.default_rng(4), missing=0.1, clutter=0)
+    elsewhere = searched(positions, labels).find_poses(
+        seen,
+        labels[rows],
+        sigma_m=SIGMA_M,
+        count=5,
+        is_excluded=lambda asked: np.hypot(*(positions[asked, :2] - 300.0).T) < 60.0,
+    )
+    assert not any(is_near(each, T_gt) for each in elsewhere)
+
+
+@pytest.mark.parametrize("count", [0, 3])
+def test_query_of_too_few_objects_has_no_pose(count: int) -> None:
+    positions, labels = town(50)
+    found = searched(positions, labels).find_poses(np.zeros((count, 3)), labels[:count], sigma_m=SIGMA_M, count=5)
+    assert found.shape == (0, 4, 4)
+
+
+def test_class_without_objects_meets_nothing() -> None:
+    positions, labels = town(200)
+    search = searched(positions, labels, classes=3)
+    rng = np.random.default_rng(5)
+    seen, rows, _ = observed(positions, (70.0, 70.0), rng, missing=0.0, clutter=0)
+    mixed = np.where(rng.random(len(rows)) < 0.5, 2, 0)
+    poses = search.find_poses(seen, mixed, sigma_m=SIGMA_M, count=5)
+    assert np.isfinite(poses).all()
