@@ -64,7 +64,10 @@ def recall(
         ),
     ] = None,
     page: Annotated[
-        Path | None, typer.Option(metavar="PAGE.md", help="Put the tables into that page, between its marks.")
+        Path | None,
+        typer.Option(
+            metavar="PAGE.md", help="Put the tables of all that is in the folder into that page, at its marks."
+        ),
     ] = None,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")] = False,
     json: Json = False,
@@ -84,7 +87,7 @@ def recall(
     from logs.importers.maps.object_table import read_object_table
     from logs.storage.placement import write_text
     from tools import console
-    from tools.lab.retrieval.contest import Contest, run_contest, side_by_side
+    from tools.lab.retrieval.contest import Contest, read_results, run_contest, side_by_side
     from tools.lab.retrieval.contest_page import draw_contest, to_page
     from tools.lab.retrieval.proposers import QUADS
 
@@ -117,7 +120,8 @@ def recall(
     if output is not None:
         draw_contest(output / PICTURE, cells)
     if page is not None:
-        write_text(page, with_block(page, "dslam benchmark recall", to_page(cells)))
+        measured = cells if output is None else read_results(output / RESULTS)
+        write_text(page, with_block(page, "dslam benchmark recall", to_page(measured)))
     rows = [_row(each) for each in cells.to_dict("records")]
     if json:
         console.show_json({"figures": cells.to_dict("records")})

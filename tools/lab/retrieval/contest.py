@@ -149,7 +149,7 @@ def run_contest(
     for name in contest.proposers:  # what cannot be made is refused before anything is measured
         if name not in (QUADS, VOTES):
             make_index(name)
-    known = _read(results)
+    known = read_results(results)
     measured = [known] if len(known) else []
     done = 0
     with threadpool_limits(limits=1):
@@ -295,7 +295,8 @@ def _of_scenario(scenario: Scenario) -> tuple[int, float, float, float]:
     return scenario.objects or 0, scenario.missing, scenario.clutter, scenario.noise_m
 
 
-def _read(results: Path | None) -> pd.DataFrame:
+def read_results(results: Path | None) -> pd.DataFrame:
+    """The cells in a CSV file; none without a file."""
     if results is not None and results.exists():
         return pd.read_csv(results)
     return pd.DataFrame(columns=[field.name for field in fields(Cell)])

@@ -8,7 +8,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from slam.display.map_picture import save_figure
-from tools.lab.tables import number, percent, to_markdown
+from tools.lab.tables import UNDEFINED, number, percent, to_markdown
 
 _GRID = "#e5e7eb"
 _MAP = ["map_objects", "map_classes"]
@@ -22,17 +22,27 @@ def to_page(cells: pd.DataFrame) -> str:
     Args:
         cells: as :func:`tools.lab.retrieval.contest.run_contest` returns them.
     """
-    parts = []
-    for (objects, classes), of_map in cells.groupby(_MAP, sort=False):
+    parts = list[str]()
+    for (world, objects, classes), of_map in cells.groupby(["world", *_MAP], sort=False):
+        right = {
+            (describe_query(*query), proposer): percent(rows["right"].iloc[0], 0)
+            for (*query, proposer), rows in of_map.groupby([*_QUERY, "proposer"], sort=False)
+        }
+        proposers = of_map["proposer"].unique()
         queries = [
-            {"query": describe_query(*query)}
-            | {row["proposer"]: percent(row["right"], 0) for _, row in rows.iterrows()}
-            for query, rows in of_map.groupby(_QUERY, sort=False)
+            {"query": query} | {proposer: right.get((query, proposer), UNDEFINED) for proposer in proposers}
+            for query in dict.fromkeys(query for query, _ in right)
         ]
         costs = [_cost(row) for _, row in of_map.drop_duplicates("proposer").iterrows()]
-        title = f"**{objects:,} objects, {classes} {'class' if classes == 1 else 'classes'}**: right poses, %"
+        kinds = "1 class" if classes == 1 else f"{classes} classes"
+        title = f"**{_names_of(world)}: {objects:,} objects of {kinds}**; right poses, %"
         parts += [title, "", to_markdown(queries), "", to_markdown(costs), ""]
     return "\n".join(parts).rstrip()
+
+
+def _names_of(world: str) -> str:
+    """The files of a world with their folders."""
+    return ", ".join("/".join(Path(source).parts[-2:]) for source in world.split(" + "))
 
 
 def _cost(cell: pd.Series) -> dict[str, str]:
@@ -64,7 +74,7 @@ def draw_contest(path_png: Path, cells: pd.DataFrame) -> None:
         UnwritableLogError: the picture cannot be written.
     """
     groups = list(cells.groupby(_SCENARIO, sort=False))
-    figure = Figure(figsize=(1.5 + 3.0 * len(groups), 6.0), layout="constrained", dpi=100)
+    figure = Figure(figsize=(1.5 + 2.2 * len(groups), 6.0), layout="constrained", dpi=100)
     axes = figure.subplots(2, len(groups), sharex=True, sharey="row", squeeze=False)
     for column, (scenario, of_scenario) in enumerate(groups):
         above, below = axes[:, column]
