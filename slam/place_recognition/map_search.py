@@ -76,7 +76,7 @@ class MapSearch:
         self._plane = plane[:, 0] + 1j * plane[:, 1]
         numbers = np.asarray(classes, dtype=np.int64)
         nearest_m = np.asarray(cKDTree(plane).query(plane, k=2)[0])[:, 1] if len(plane) > 1 else np.ones(1)
-        self._spacing_m = max(float(np.median(nearest_m)), np.finfo(np.float32).eps)
+        self._spacing_m = max(float(np.median(nearest_m)), float(np.finfo(np.float32).eps))
         self._pitch_m = CLASS_PITCH_SPACINGS * self._spacing_m
         self._tree = cKDTree(np.column_stack([plane, self._pitch_m * numbers]))
         # Half of the objects of a Poisson process of this density have another one within the median spacing.
@@ -168,7 +168,7 @@ def _query(positions: FloatArray, labels: IntArray, sigma_m: float) -> _Query:
     plane = positions[:, 0] + 1j * positions[:, 1]
     middle = complex(plane.mean())
     from_middle = np.abs(plane - middle)
-    radius_m = max(float(np.sqrt(np.mean(from_middle**2))), np.finfo(np.float64).tiny)
+    radius_m = max(float(np.sqrt(np.mean(from_middle**2))), float(np.finfo(np.float64).tiny))
     # The heading of a voted pose moves objects the more, the farther from the middle they are.
     voted = sigma_m * np.sqrt(VOTED_VARIANCE + 2.0 * (from_middle / radius_m) ** 2)
     fitted = np.full(len(plane), sigma_m * np.sqrt(FITTED_VARIANCE))
