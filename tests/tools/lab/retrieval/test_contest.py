@@ -11,10 +11,10 @@ from descriptors.errors import DescriptorError
 from logs.importers.maps.map_objects import MapObjects
 from slam.common.errors import SimulationError
 from tests.tools.lab.retrieval.test_path_queries import forest
-from tools.lab.retrieval import contest as contest_module
 from tools.lab.retrieval.contest import GAP_M, Contest, run_contest, side_by_side
 from tools.lab.retrieval.contest_page import draw_contest, to_page
 from tools.lab.retrieval.path_queries import Scenario
+from tools.lab.retrieval.proposers import LabelledObjects, Proposer, make_proposer
 
 
 def town(count: int, extent_m: float, *, is_geodetic: bool = False) -> MapObjects:
@@ -64,8 +64,12 @@ def test_measured_cells_are_not_measured_again(tmp_path: Path, monkeypatch: pyte
     first = Contest(("random",), sizes=(300,), queries=1)
     run_contest(objects, first, results=results)
     made = list[str]()
-    make = contest_module.make_proposer
-    monkeypatch.setattr(contest_module, "make_proposer", lambda name, o: made.append(name) or make(name, o))  # type: ignore[func-returns-value]
+
+    def make(name: str, objects: LabelledObjects) -> Proposer:
+        made.append(name)
+        return make_proposer(name, objects)
+
+    monkeypatch.setattr("tools.lab.retrieval.contest.make_proposer", make)
     wider = replace(first, proposers=("random", "quads"), scenarios=(Scenario(), Scenario(missing=0.3)))
     cells = run_contest(objects, wider, results=results)
     assert made == ["random", "quads"]  # random for the second scenario alone
