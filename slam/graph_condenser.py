@@ -12,7 +12,7 @@ from logs.messages import LoopClosureRecord
 from slam.backend.condensing.anchors import find_anchors
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Observation
-from slam.backend.solver_options import FactorGraphConfig
+from slam.backend.solver_options import GROUP_KEYFRAMES
 from slam.common.config import Config
 from slam.loop_closure.accepted_closures import AcceptedClosures
 from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
@@ -44,7 +44,7 @@ class GraphCondenser:
         """``counters``: where it counts the keyframes that are attached, and the closures that it rejects."""
         self._min_travel_m = config.closure_travel_m
         self._radius_m = 2.0 * config.calibration.objects.landmark_sigma_m
-        self._anchor_every = FactorGraphConfig().observed_keyframes
+        self._anchor_every = GROUP_KEYFRAMES
         self._map = object_map
         self._graph = graph
         self._keyframes = keyframes

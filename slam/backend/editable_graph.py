@@ -35,10 +35,6 @@ from slam.common.errors import FactorGraphError
 class EditableGraph:
     """Factors by numbers that never change, each as a record and as a factor of the solver in use.
 
-    Observations that are not summed up over several keyframes are only used by the batch solution, but for those from
-    one keyframe in ``observed_keyframes``: neighbouring keyframes see the same landmarks, to which the local map has
-    fitted them already, and the memory of iSAM2 grows with the keyframes that are tied to many landmarks.
-
     ``prior_sigma_m``: standard deviation of what is fixed.
     """
 
@@ -50,7 +46,6 @@ class EditableGraph:
         self._solver: IncrementalSolver | BatchSolver = self._incremental_solver()
         self._factors: dict[int, Factor] = {}
         self._next_factor = 0
-        self._waiting: dict[int, gtsam.NonlinearFactor] = {}  # for the batch solution
         self._keyframes: list[int] = []
         self._attached = AttachedKeyframes()
         self._fixed_poses: dict[int, FloatArray] = {}
@@ -157,7 +152,7 @@ class EditableGraph:
         self._aliases = dict(aliases)
         factors, positions = self._observation_factors(observations), self._positions_map(observations)
         for number in moved:
-            self._withdraw(number)
+            self._solver.remove(number)
         for landmark in {each.landmark: None for each in observations}:
             del self._observations[landmark]
         self._insert(moved, factors, positions)
@@ -217,29 +212,13 @@ class EditableGraph:
                 prior = self._known[variable]
                 self._solver.insert(L(variable), prior.position)
                 self._priors[variable] = self._add(prior)
-            if self._waits(number):
-                self._waiting[number] = factor
-            else:
-                self._hold(number, factor, variable, position)
-
-    def _hold(self, number: int, factor: gtsam.NonlinearFactor, variable: int, position: FloatArray) -> None:
-        if not self._solver.holds(L(variable)):
-            self._solver.insert(L(variable), position)
-        self._solver.add(number, factor)
-
-    def _waits(self, number: int) -> bool:
-        """Whether a factor is one for the batch solution only."""
-        factor = self._factors[number]
-        is_skipped = isinstance(factor, Observation) and factor.keyframe % self._config.observed_keyframes != 0
-        return is_skipped and isinstance(self._solver, IncrementalSolver)
-
-    def _withdraw(self, number: int) -> None:
-        if self._waiting.pop(number, None) is None:
-            self._solver.remove(number)
+            if not self._solver.holds(L(variable)):
+                self._solver.insert(L(variable), position)
+            self._solver.add(number, factor)
 
     def _remove(self, numbers: Iterable[int]) -> None:
         for number in list(numbers):
-            self._withdraw(number)
+            self._solver.remove(number)
             factor = self._factors.pop(number)
             if isinstance(factor, Observation):
                 remaining = self._observations[factor.landmark]

@@ -108,18 +108,11 @@ class FactorGraph(EditableGraph):
             solver.restart(solver.values(), {**solver.factors, **factors})
 
     def settle(self) -> BatchSolver:
-        """End the incremental estimate: from now on all observations are used, and updates are steps in batch."""
+        """End the incremental estimate: from now on updates are steps in batch."""
         self.update()
         if isinstance(self._solver, IncrementalSolver):
-            factors, waiting = self._solver.factors, sorted(self._waiting)
-            solver = BatchSolver({n: factors[n] for n in sorted(factors)}, self._solver.values(), self._calls)
-            self._solver = solver
-            observations = [each for number in waiting if isinstance(each := self._factors[number], Observation)]
-            held = [self._waiting.pop(number) for number in waiting]
-            for number, factor, each, position in zip(
-                waiting, held, observations, self._positions_map(observations), strict=True
-            ):
-                self._hold(number, factor, self._variable_of(each.landmark), position)
+            factors = self._solver.factors
+            self._solver = BatchSolver({n: factors[n] for n in sorted(factors)}, self._solver.values(), self._calls)
         return self._solver
 
     def optimize(self, *, roughly: bool = False) -> Optimization:
@@ -150,9 +143,7 @@ class FactorGraph(EditableGraph):
         self.add_observations(summed_at_estimate(moved, T_map_body, points, self._config))
         self._remove(gone)
         self._solver = self._incremental_solver()
-        self._waiting = {number: factor for number, factor in solver.factors.items() if self._waits(number)}
-        held = {number: factor for number, factor in solver.factors.items() if number not in self._waiting}
-        self._solver.restart(solver.values(), held)
+        self._solver.restart(solver.values(), solver.factors)
 
     def poses(self, keyframes: IntArray | None = None) -> FloatArray:
         """``T_map_body`` (K, 4, 4) of all keyframes, in the order of ``keyframes``, or of some (K,)."""

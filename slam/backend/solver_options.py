@@ -10,16 +10,14 @@ class FactorGraphConfig:
     """``observation_kernel_width``: of the Cauchy kernel of observations, in standard deviations;
     ``relinearize_threshold``: of iSAM2, the change of a variable that relinearises it, and
     ``relinearize_skip``, the updates between checks for it.
-
-    ``observed_keyframes`` in a row observe a landmark once where the odometry between them is far better than a
-    detection; elsewhere iSAM2 gets one keyframe in so many, and the batch solution all.
     """
 
     observation_kernel_width: float = 1.5
     relinearize_threshold: float = 0.05
     relinearize_skip: int = 10
-    observed_keyframes: int = 4
 
 
+GROUP_KEYFRAMES = 4
+"""Keyframes in a row that observe a landmark once, where the odometry between them is far better than a detection."""
 UPDATE_KEYFRAMES = 5
 """Keyframes between two updates of iSAM2; in between only the local map follows."""

@@ -78,8 +78,10 @@ class DetectionCalibration(Branch):
     common_sigma_m: float = Field(
         default=0.4,
         ge=0,
-        description="error that the observations of one object from one keyframe share, e.g. of a centroid [m]",
+        description="error that observations of an object from one direction share, e.g. of a centroid: along the "
+        "ground, by how much it changes as the direction turns by 1 rad [m]",
     )
+    common_height_sigma_m: float = Field(default=0.0, ge=0, description="the same in height [m]")
     height_sigma_m: float = Field(
         default=0.0, ge=0, description="noise of heights beyond that of the position, 0 where there is none [m]"
     )
@@ -88,9 +90,6 @@ class DetectionCalibration(Branch):
         ge=1,
         description="factor on covariances of observations, where the message has none, for correlated errors: "
         "errors of centroids are shared by the objects in view and by the keyframes of a traversal",
-    )
-    scans_per_view: float = Field(
-        default=20.0, ge=1, description="scans in a row in which the errors that observations share stay the same"
     )
     claimed_sigma_factor: float = Field(
         default=1.0, gt=0, description="factor on the standard deviations that messages claim"

@@ -101,9 +101,12 @@ class ActiveLandmarks:
         elif pose.stamp_ns != before.stamp_ns:
             config = self._config.calibration.odometry
             variances = self._noise.factors * model_variances(before, pose, config)
-            covariance = covariance_of(variances, pose, self._noise.factors[0] * config.min_translation_sigma_m**2)
+            vertical = self._noise.factors[0] * config.min_translation_sigma_m**2
+            covariance = covariance_of(variances, pose, vertical)
+            origin = self._local.T_local_body[:3, 3]
             self._local.advance(relative(before.T_odom_body, pose.T_odom_body), covariance)
             self._pose = pose
+            self._change_view(origin)
             self._move(before.stamp_ns, pose.stamp_ns)
         return self.T_local_body
 
@@ -112,6 +115,17 @@ class ActiveLandmarks:
         if self._pose is not None and pose.stamp_ns < self._pose.stamp_ns:
             return np.asarray(self.T_local_odom @ pose.T_odom_body)
         return self.advance(pose)
+
+    def _change_view(self, origin: FloatArray) -> None:
+        """Let the error of each landmark change with the direction in which it is seen, first from ``origin`` (3,) m.
+
+        Detections of one view share their error: it is part of where the landmark seems to be, and walks at random.
+        """
+        before, after = (self._local.positions - each for each in (origin, self.T_local_body[:3, 3]))
+        turned_rad = np.arctan2(np.linalg.norm(np.cross(before, after), axis=1), np.einsum("ki,ki->k", before, after))
+        detection = self._config.calibration.detection
+        variances = np.square([detection.common_sigma_m, detection.common_sigma_m, detection.common_height_sigma_m])
+        self._local.move(np.arange(len(turned_rad)), np.zeros((len(turned_rad), 3)), turned_rad[:, None] * variances)
 
     def _move(self, before_ns: int, after_ns: int) -> None:
         """Let landmarks that seem to move go on moving."""
@@ -122,14 +136,12 @@ class ActiveLandmarks:
         rows = self.rows[slots]
         shifts = landmarks["velocity_local"][rows] * (1e-9 * (after_ns - before_ns))
         seen_ns = landmarks["last_seen_ns"][rows]
-        swerves_m2 = [self._swerve_variances(1e-9 * (stamp_ns - seen_ns)) for stamp_ns in (before_ns, after_ns)]
-        self._local.move(slots, shifts, np.maximum(swerves_m2[1] - swerves_m2[0], 0.0))
-
-    def _swerve_variances(self, seconds: FloatArray) -> FloatArray:
-        swerve_m = (
-            MOVING_ACCELERATION_RANGES * self._config.sensor_range_m * seconds * np.maximum(seconds, MIN_SWERVE_S)
+        earlier_m2, later_m2 = (
+            _swerve_variances(1e-9 * (stamp_ns - seen_ns), self._config.sensor_range_m)
+            for stamp_ns in (before_ns, after_ns)
         )
-        return np.asarray(swerve_m**2)
+        variances = np.maximum(later_m2 - earlier_m2, 0.0)
+        self._local.move(slots, shifts, np.repeat(variances[:, None], 3, axis=1))
 
     def predict(self) -> Prediction:
         """Where the active landmarks should be seen from the pose that was advanced to."""
@@ -152,13 +164,12 @@ class ActiveLandmarks:
         self._pose = replace(self._pose, T_odom_body=rigid(T_odom_correction @ self._pose.T_odom_body))
         return T_odom_correction
 
-    def update(self, rows: IntArray, scan: Scan, common: FloatArray, *, is_uncertain: bool) -> None:
+    def update(self, rows: IntArray, scan: Scan, *, is_uncertain: bool) -> None:
         """Correct landmarks and robot by detections of them.
 
         Args:
             rows: (K,) of active landmarks.
             scan: K detections, in the frame of the body.
-            common: (K, 3, 3) m^2, added to the covariances where they correct the robot's pose.
             is_uncertain: the pose is less certain than the detections; then tentative landmarks correct it, too, where
                 there are too few confirmed ones. They may be of moving objects.
         """
@@ -166,14 +177,14 @@ class ActiveLandmarks:
         if len(rows):
             positions, covariances = self._local.predict(indices)
             seen = scan.seen_from(self.T_local_body)
-            distances, _ = squared_distances(seen.positions - positions, covariances + seen.covariances + common)
+            distances, _ = squared_distances(seen.positions - positions, covariances + seen.covariances)
             self.detections_innovation_ratio = float(np.median(distances)) / GATE
         corrects = landmarks["state"] == LandmarkState.CONFIRMED
         if is_uncertain and np.count_nonzero(corrects) < FIXING_LANDMARKS:
             corrects = (landmarks["state"] != LandmarkState.RETIRED) & ~landmarks["velocity_local"].any(axis=1)
         seen = scan.seen_from(self.T_local_body)
         offsets = seen.positions[corrects] - self.T_local_body[:3, 3]
-        self._correct(indices[corrects], offsets, seen.covariances[corrects] + common[corrects])
+        self._correct(indices[corrects], offsets, seen.covariances[corrects])
         others = ~corrects
         seen = scan.seen_from(self.T_local_body)
         offsets = seen.positions[others] - self.T_local_body[:3, 3]
@@ -290,3 +301,9 @@ class ActiveLandmarks:
         """By how much [m^2] two views of an object differ in where they put it."""
         least_m = MIN_SIGMA_RANGES * self._config.sensor_range_m
         return 2.0 * max(self._config.calibration.detection.common_sigma_m, least_m) ** 2
+
+
+def _swerve_variances(seconds: FloatArray, sensor_range_m: float) -> FloatArray:
+    """Variances (L,) m^2 by which moving objects leave the way that their velocity takes them."""
+    swerve_m = MOVING_ACCELERATION_RANGES * sensor_range_m * seconds * np.maximum(seconds, MIN_SWERVE_S)
+    return np.asarray(swerve_m**2)

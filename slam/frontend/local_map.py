@@ -151,11 +151,11 @@ class LocalMap:
         self._positions[slots] += np.einsum("kij,kj->ki", gains, innovations)
 
     def move(self, slots: IntArray, shifts: FloatArray, variances: FloatArray) -> None:
-        """Move landmarks (K,) by ``shifts`` (K, 3) m, each coordinate of which errs by ``variances`` (K,) m^2."""
+        """Move landmarks (K,) by ``shifts`` (K, 3) m, whose coordinates err by ``variances`` (K, 3) m^2."""
         self._positions = self._positions.copy()
         self._positions[slots] += shifts
         entries = POSE + 3 * slots[:, None] + np.arange(3)
-        self._P[entries, entries] += variances[:, None]
+        self._P[entries, entries] += variances
 
     def insert(self, ids: IntArray, offsets: FloatArray, covariances: FloatArray) -> None:
         """Add landmarks (K,) at ``offsets`` (K, 3) m from the body in local axes, with covariances (K, 3, 3) m^2."""

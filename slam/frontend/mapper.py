@@ -128,7 +128,7 @@ class Mapper:
         self._deactivate_stale(pose.travel_m)
         T_local_odom = self._active.T_local_odom
         labels = self._map.label_indices(scan.labels)
-        tracked = self._tracker.track(scan, labels, pose, self._common_covariances(scan))
+        tracked = self._tracker.track(scan, labels, pose)
         self._update(tracked)
         if tracked.correction is None and self._active.is_odometry_doubtful:
             T_odom = self._active.correct_odometry(T_local_odom)
@@ -144,7 +144,7 @@ class Mapper:
     def rejoin(self, scan: Scan, pose: OdometryPose) -> Tracked | None:
         """The same for a ``pose`` after a step that no body can have made; None where the detections do not tell."""
         labels = self._map.label_indices(scan.labels)
-        tracked = self._tracker.rejoin(scan, labels, pose, self._common_covariances(scan))
+        tracked = self._tracker.rejoin(scan, labels, pose)
         if tracked is not None:
             self._update(tracked)
             self._tracker.follow(pose.stamp_ns)
@@ -153,10 +153,8 @@ class Mapper:
     def _update(self, tracked: Tracked) -> None:
         """Correct the active landmarks and the pose among them by a scan."""
         known = tracked.landmark_rows >= 0
-        # Errors that the scans of one view share are not averaged out by them.
-        shared = self._config.calibration.detection.scans_per_view * tracked.common[known]
         rows, is_uncertain = tracked.landmark_rows[known], tracked.assignment.is_uncertain
-        self._active.update(rows, tracked.scan.of(known), shared, is_uncertain=is_uncertain)
+        self._active.update(rows, tracked.scan.of(known), is_uncertain=is_uncertain)
 
     def add_scan(self, tracked: Tracked, pose: OdometryPose) -> DetectionAssociations:
         """Bring the landmarks up to date by a scan, whose keyframe is the last one."""
@@ -227,11 +225,6 @@ class Mapper:
         self._message_count += 1
         self._sensors.add(sensor)
         self._scan_count = self._message_count // len(self._sensors)
-
-    def _common_covariances(self, scan: Scan) -> FloatArray:
-        """(N, 3, 3) m^2 of the errors that observations of an object share, where the message has no covariance."""
-        variances = np.where(scan.has_own_covariance, 0.0, self._config.calibration.detection.common_sigma_m**2)
-        return np.asarray(variances[:, None, None] * np.eye(3))
 
     def _update_life_cycle(self, seen: IntArray) -> None:
         """Update the life cycle of the observed landmarks: confirm static ones, retire moving ones.

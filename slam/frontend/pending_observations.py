@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 
 from slam.backend.factors import Observation
-from slam.backend.solver_options import FactorGraphConfig
+from slam.backend.solver_options import GROUP_KEYFRAMES
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.frontend.input.scan import Scan
@@ -20,7 +20,6 @@ class PendingObservations:
 
     def __init__(self, config: Config, object_map: ObjectMap) -> None:
         self._detection = config.calibration.detection
-        self._observed_keyframes = FactorGraphConfig().observed_keyframes
         self._map = object_map
         self._since_keyframe = KeyframeObservations()
         self._group = ObservationGroup(config.calibration.odometry)
@@ -56,6 +55,6 @@ class PendingObservations:
         self._since_keyframe = KeyframeObservations()
         ended = self._group.take() if self._group.ends_before(keyframe) else []
         self._group.add(keyframe, T_local_body, observations)
-        if ends_group or keyframe.id % self._observed_keyframes == 0:
+        if ends_group or keyframe.id % GROUP_KEYFRAMES == 0:
             ended += self._group.take()
         return ended

@@ -36,6 +36,8 @@ WAITED_SCANS = 2
 """While so many scans in a row do not fit, nothing new is mapped: the pose may be wrong. By then it has been searched
 for everywhere around.
 """
+MAX_TURN_RAD = 0.25
+"""A pose is used if its rotation errs by less, so that what follows from it is nearly linear in its errors."""
 RECENT_STEPS = 10
 """A body is as fast as at the fastest of so many steps: a single one is noisy."""
 JUMPED = 0.5
@@ -46,14 +48,13 @@ JUMPED = 0.5
 class Tracked:
     """A scan of D detections in the frame of the body, and as ``seen`` in the local frame.
 
-    ``labels`` (D,): their classes; ``common`` (D, 3, 3) m^2: covariances of the errors that those of an object share;
-    ``assignment``: to the ``active`` landmarks, rows (A,) of the object map; ``correction``: of the odometry at the
-    scan, None where it is right; ``is_lost``: more should have been matched than was.
+    ``labels`` (D,): their classes; ``assignment``: to the ``active`` landmarks, rows (A,) of the object map;
+    ``correction``: of the odometry at the scan, None where it is right; ``is_lost``: more should have been matched than
+    was.
     """
 
     scan: Scan
     labels: IntArray
-    common: FloatArray
     seen: Scan
     active: IntArray
     assignment: Assignment
@@ -93,9 +94,9 @@ class Tracker:
         self._T_local_body = None
         self._untold = []
 
-    def track(self, scan: Scan, labels: IntArray, pose: OdometryPose, common: FloatArray) -> Tracked:
+    def track(self, scan: Scan, labels: IntArray, pose: OdometryPose) -> Tracked:
         """Place a scan of the body, which the odometry has at ``pose``, where the active landmarks are advanced to."""
-        tracked = self._associated(scan, labels, common)
+        tracked = self._associated(scan, labels)
         self._scans += 1
         is_failing = self._is_failing(tracked.assignment, tracked.seen.positions, self._active.T_local_body[:3, 3])
         self._failures = self._failures + 1 if is_failing else 0
@@ -111,7 +112,7 @@ class Tracker:
             tracked = replace(tracked, assignment=undecided)
         return replace(tracked, is_lost=is_lost)
 
-    def rejoin(self, scan: Scan, labels: IntArray, pose: OdometryPose, common: FloatArray) -> Tracked | None:
+    def rejoin(self, scan: Scan, labels: IntArray, pose: OdometryPose) -> Tracked | None:
         """Place a scan after a step to ``pose`` that no body can have made; None where the detections do not tell.
 
         What was seen in the scans since that step counts, too, as the odometry has it around the body now.
@@ -120,7 +121,7 @@ class Tracker:
             return None
         T_reported = self._active.T_local_odom @ pose.T_odom_body
         self._active.advance(self._expected(pose))
-        gathered = self._gathered(self._associated(scan, labels, common), pose.T_odom_body)
+        gathered = self._gathered(self._associated(scan, labels), pose.T_odom_body)
         slip = self._slip(pose.stamp_ns, 0.0, 0.0)
         components = [
             PriorComponent(0.5 * JUMPED, slip),
@@ -129,9 +130,9 @@ class Tracker:
         ]
         mode = self._sure_mode(gathered, self._search_of(gathered).modes(components))
         if mode is None:
-            self._untold.append((self._associated(scan, labels, common), pose.T_odom_body))
+            self._untold.append((self._associated(scan, labels), pose.T_odom_body))
             return None
-        moved = self._shifted(self._associated(scan, labels, common), mode)
+        moved = self._shifted(self._associated(scan, labels), mode)
         moved = replace(moved, assignment=moved.assignment.of(len(labels)))
         T_odom = rigid(self._active.T_odom_body @ invert(pose.T_odom_body))
         assert moved.correction is not None
@@ -145,12 +146,10 @@ class Tracker:
             offsets = scan.positions[:, None] - tracked.scan.positions
             near = np.einsum("nki,nki->nk", offsets, offsets) < self._config.spacing_m**2
             other = ~(near & (earlier.labels[:, None] == tracked.labels)).any(axis=1)
-            R = T_now_earlier[:3, :3]
             tracked = replace(
                 tracked,
                 scan=tracked.scan.joined(scan.of(other)),
                 labels=np.concatenate([tracked.labels, earlier.labels[other]]),
-                common=np.concatenate([tracked.common, R @ earlier.common[other] @ R.T]),
             )
         return replace(tracked, seen=tracked.scan.seen_from(self._active.T_local_body))
 
@@ -162,21 +161,21 @@ class Tracker:
         T_step = blend(np.eye(4), step, seconds / took_s)
         return replace(pose, T_odom_body=self._T_odom_body @ T_step)
 
-    def _associated(self, scan: Scan, labels: IntArray, common: FloatArray) -> Tracked:
+    def _associated(self, scan: Scan, labels: IntArray) -> Tracked:
         """The scan with the assignment at the predicted pose."""
         seen = scan.seen_from(self._active.T_local_body)
         predicted = self._active.predict()
         assignment = associate(
-            Objects(seen.positions, seen.covariances + common, labels),
+            Objects(seen.positions, seen.covariances, labels),
             predicted.positions,
             predicted.covariances,
             self._map.beliefs(self._active.rows),
             self._config,
         )
-        return Tracked(scan, labels, common, seen, self._active.rows, assignment)
+        return Tracked(scan, labels, seen, self._active.rows, assignment)
 
     def _search_of(self, tracked: Tracked) -> ModeSearch:
-        seen = Objects(tracked.seen.positions, tracked.seen.covariances + tracked.common, tracked.labels)
+        seen = Objects(tracked.seen.positions, tracked.seen.covariances, tracked.labels)
         return ModeSearch(seen, self._active.known_landmarks(), self._active.T_local_body[:3, 3], self._config)
 
     def _is_failing(self, assignment: Assignment, seen: FloatArray, origin: FloatArray) -> bool:
@@ -248,6 +247,8 @@ class Tracker:
         """The likeliest mode, if its pose is sure and most detections or landmarks in view are matched at it."""
         best = modes[0]
         if not best.assignment.matched.any() or probabilities(modes)[_same_pose(modes)].sum() < DECIDED:
+            return None
+        if np.linalg.eigvalsh(best.covariance[:3, :3])[-1] > MAX_TURN_RAD**2:
             return None
         origin = apply(best.T_motion, self._active.T_local_body[:3, 3])
         positions = apply(best.T_motion, tracked.seen.positions)

@@ -29,9 +29,8 @@ def step_variances(before: OdometryPose, after: OdometryPose, config: OdometryCa
 
 def model_variances(before: OdometryPose, after: OdometryPose, config: OdometryCalibration) -> FloatArray:
     """The same without corrections."""
-    T_before_after = relative(before.T_odom_body, after.T_odom_body)
-    length_m = max(abs(after.travel_m - before.travel_m), math.hypot(*T_before_after[:3, 3].tolist()))
-    turn_rad = float(rotation_angle_rad(T_before_after))
+    length_m = _length_m(before, after)
+    turn_rad = float(rotation_angle_rad(relative(before.T_odom_body, after.T_odom_body)))
     seconds = abs(after.stamp_ns - before.stamp_ns) * 1e-9
     translation = max(config.min_translation_sigma_m**2, config.translation_sigma**2 * length_m)
     tilt = max(config.min_rotation_sigma_rad**2, config.tilt_sigma**2 * length_m)
@@ -47,10 +46,15 @@ def model_variances(before: OdometryPose, after: OdometryPose, config: OdometryC
     )
 
 
+def _length_m(before: OdometryPose, after: OdometryPose) -> float:
+    return max(abs(after.travel_m - before.travel_m), math.dist(before.T_odom_body[:3, 3], after.T_odom_body[:3, 3]))
+
+
 def step_covariance(before: OdometryPose, after: OdometryPose, config: OdometryCalibration) -> FloatArray:
     """Covariance (6, 6) of the step between two poses of one segment; see :func:`covariance_of`."""
     corrected = abs(float(after.corrected[0] - before.corrected[0]))
-    return covariance_of(step_variances(before, after, config), after, config.min_translation_sigma_m**2 + corrected)
+    vertical = config.min_translation_sigma_m**2 + corrected
+    return covariance_of(step_variances(before, after, config), after, vertical)
 
 
 def covariance_of(variances: FloatArray, after: OdometryPose, vertical: float) -> FloatArray:

@@ -43,6 +43,7 @@ class NoiseScale:
         self._expected += expected
         self._count += 1
         ratios = np.where(self._expected > 0.0, self._squares / np.maximum(self._expected, 1e-300), 1.0)
+        ratios[1] = 1.0  # gravity holds the tilt, whatever heights seem to say
         excessive = ratios > 1.0 + SURE_SIGMAS * np.sqrt(2.0 / self._count)
         if self._count < WINDOW and not excessive.any():
             return

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from slam.common.calibration import Calibration, DetectionCalibration, ObjectCalibration
+from slam.common.calibration import Calibration, DetectionCalibration, ObjectCalibration, OdometryCalibration
 from slam.common.config import Config
 from slam.common.errors import InputDataError
 from slam.frontend.input.stamp_clocks import LoggingDelays
@@ -25,19 +25,25 @@ PRIOR_NOISE = NoiseComponents(
     radial_by_range=0.0,
     tangential=0.02**2,
     tangential_by_range=0.0,
+    height=0.0,
     view=0.02**2,
+    view_height=0.02**2,
     jitter=0.0,
     translation_by_travel=0.05**2,
     translation_by_time=0.0,
+    rise=0.0,
+    rise_by_travel=0.0,
     heading_jitter=0.0,
     heading_by_travel=0.2**2,
     heading_by_turn=0.1**2,
     heading_by_time=0.0,
+    tilt_jitter=0.0,
+    tilt_by_travel=0.002**2,
 )
 """Variances where a log tells nothing, lengths in sensor ranges: detections are off by 2 % of the range, the odometry
 by 5 % of it, and by 11 deg, after as much travel, and by 6 deg after turning by 1 rad.
 """
-MIN_DRIFT, MIN_TURN_RAD = 0.01, 0.005
+MIN_DRIFT, MIN_TURN_RAD, MIN_TILT = 0.01, 0.005, 1e-6
 """Detections cannot tell an odometry better than that: off by such a share of the sensor range after as much travel,
 and by so many radians. An estimate of zero only says that the noise is below what detections show.
 """
@@ -186,6 +192,10 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         "odometry.translation_sigma_by_time": np.sqrt(drift * found.translation_by_time),
         "odometry.yaw_sigma": np.sqrt(turn * found.heading_by_travel),
         "odometry.min_translation_sigma_m": MIN_SIGMA * survey.range_m,
+        # Gravity holds the tilt; what heights seem to say beyond that is put down to the detections.
+        "odometry.tilt_sigma": float(
+            np.clip(np.sqrt(found.tilt_by_travel), MIN_TILT, OdometryCalibration().tilt_sigma)
+        ),
         "odometry.yaw_sigma_by_turn": np.sqrt(turn * found.heading_by_turn),
         "odometry.yaw_sigma_by_time": np.sqrt(turn * found.heading_by_time),
         "detection.base_sigma_m": np.sqrt(white),
@@ -193,11 +203,11 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         "detection.range_sigma_ratio": ratio,
         "detection.common_sigma_m": np.sqrt(found.view),
         "detection.height_sigma_m": _height_sigma(survey, white + by_range * survey.median_range_m**2),
+        "detection.common_height_sigma_m": np.sqrt(found.view_height),
         # Errors stay the same while the viewing direction changes by 1 rad.
         "detection.covariance_inflation": max(
             objects * survey.median_range_m / max(lengths.keyframe_distance_m, scan_m), 1.0
         ),
-        "detection.scans_per_view": max(objects * survey.median_range_m / max(scan_m, 1e-9), 1.0),
         "objects.landmark_sigma_m": np.sqrt(between_passes),
         "objects.landmark_height_sigma_m": np.sqrt(survey.heights.own + 2.0 * survey.heights.common),
     }
@@ -271,8 +281,10 @@ def _components(survey: Survey) -> NoiseComponents:
         radial=prior.radial * square,
         tangential=prior.tangential * square,
         view=prior.view * square,
+        view_height=prior.view_height * square,
         translation_by_travel=prior.translation_by_travel * survey.range_m,
         heading_by_travel=prior.heading_by_travel / survey.range_m,
+        tilt_by_travel=prior.tilt_by_travel / survey.range_m,
     )
 
 

@@ -224,6 +224,7 @@ def summarize(scans: list[SurveyScan], tracks: ObjectTracks | None = None) -> Su
         np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1))]),
         np.concatenate([[0.0], np.cumsum(np.abs(np.diff(headings)))]),
         stamps_s,
+        poses[:, 2, 3],
     )
     ranges = np.concatenate([np.hypot(scan.positions[:, 0], scan.positions[:, 1]) for scan in scans])
     tracks = tracks or objects_among(follow_objects(scans, headings))

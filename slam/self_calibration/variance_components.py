@@ -1,39 +1,49 @@
-"""The noise of odometry and detections, from how far tracked objects seem to move: variance components by moments.
+"""The noise of odometry and detections, from how far tracked objects seem to move: robust maximum likelihood.
 
-An object that stands still seems to move by d between two scans, in the odometry frame. Part of d is common to all
-objects of the two scans, the error of the odometry between them: a shift and, at the offset x of an object, a turn by
-J x. The rest is the detector's. With radial and tangential parts d_r, d_t of d at range r, travel L, turn A, time T and
-change of the viewing direction B between the two scans,
+An object that stands still seems to move by d_k between two scans, in the odometry frame. The objects of two scans have
+the error xi of the odometry between them in common, a turn about each axis and a shift,
 
-    E[d_r^2] = 2 v_r + u_r (r1^2 + r2^2) + w B + common_t
-    E[d_t^2] = 2 v_t + u_t (r1^2 + r2^2) + w B + common_t + common_y r^2
-    E[d_k . d_l] = 2 common_t + common_y (x_k . x_l)                      for two objects k, l of the same two scans
-    E[(J x_k . d_k) (J x_l . d_l)] = common_t (x_k . x_l) + common_y r_k^2 r_l^2
-    common_t = 2 j_t + a_t L + b_t T,   common_y = 2 j_y + a_y L + c_y A + b_y T
+    d_k = A_k xi + e_k,    xi ~ N(0, Q / w_g),    e_k ~ N(0, D_k / w_k),
 
-which is linear in the twelve variances. Means over scan pairs with lags of 1, 2, 4, ... scans give the equations, which
-non-negative least squares solves (least-squares variance component estimation: Teunissen and Amiri-Simkooei, J. Geodesy
-2008; here with the means' own sampling errors as weights). Displacements are clipped at eight times their median, so
-that slips, wrong matches and moving objects count little, and what they have beyond the common motion of their scans
-at three (:mod:`slam.self_calibration.displacement_outliers`). Uncertainty is found by leaving out a block of time at a
-time (the jackknife), and is not less than what the misfit of the equations leaves of a component while all others are
-held: the jackknife does not see it in a component whose estimate stays at zero.
+with A_k by the offset of the object from the body, half-way between the scans. The diagonal matrices D_k, along the
+ray, across it and in height, and Q are linear in the variances (:class:`NoiseComponents`) by ranges, change of the
+viewing direction B, travel L, turn A and time T:
+
+    D:  2 v_r + u_r (r1^2 + r2^2) + w B;   2 v_t + u_t (r1^2 + r2^2) + w B;   the latter's first two + 2 h + w_z B
+    Q:  2 j_t + a_t L + b_t T for a shift along the ground, 2 j_z + a_z L for one in height;
+        2 j_y + a_y L + c_y A + b_y T for the heading, 2 j_x + a_x L for roll and pitch.
+
+Drift in heading on the way also shifts objects across the motion: a seventh entry of xi. The weights w are those of
+Student's t-distributions, so that slips (of all objects of two scans) and wrong matches (of one) count little. The
+variances are the fixed point of theta_i <- theta_i (d' S^-1 V_i S^-1 d) / tr(S^-1 V_i), with S = sum theta_i V_i the
+covariance of all d of two scans (Zhou et al., MM algorithms for variance components models, JCGS 2019); S^-1 is found
+through the seven entries of xi. Pairs of scans are 1, 2, 4, ... detections of a track apart.
+
+Standard errors are the larger of two: by leaving out a block of time at a time (the jackknife), and by the information
+that the pairs have of a component while all others are held.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
-from scipy.optimize import nnls
+from scipy.special import roots_genlaguerre
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.self_calibration.displacement_outliers import without_outliers
 from slam.self_calibration.object_tracks import ObjectTracks
 
 BLOCKS = 8
 """Stretches of the log that the jackknife leaves out one at a time."""
+FREEDOM = 4.0
+"""Degrees of freedom of Student's t-distribution."""
+ITERATIONS = 50
+QUADRATURE = 32
+"""Nodes of the Gauss-Laguerre quadrature."""
+USED_PAIRS = 3000
+"""Pairs of detections of one lag that are used, at least, where there are more: all those of some pairs of scans."""
 CLIP = 8.0
 """Displacements are clipped at that many robust standard deviations."""
 ROOM_SIGMAS = 4.0
@@ -41,39 +51,60 @@ ROOM_SIGMAS = 4.0
 LEAST_SHARE = 0.25
 LEAST_PAIRS = 100
 """Lags with fewer tracked pairs are left out."""
+REPEATED_SHARE, SHORT_LAGS = 0.5, 2
+"""Scans repeat their errors where these seem smaller than that share of those that scans farther apart show, by so many
+of the shortest lags.
+"""
+ROUNDING = 1e-12
 EXACT = 1e-18
-"""Mean squares below that [m^2] are rounding: the log has no noise there."""
-LEAST_IN_BIN = 20
-COMPONENTS = 12
+"""Mean squares below that, in squared median ranges, are rounding: the log has no noise there."""
+MAX_UNIT_M = 1e100
+"""Distances beyond that overflow where they are squared."""
+OWN, SHARED = 7, 11
+"""How many of the components are of single detections, and of the odometry."""
+TILT, HEADING, ALONG, RISE, LATERAL = slice(0, 2), 2, slice(3, 5), 5, 6
+"""Entries of xi."""
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseComponents:
-    """Variances: of a detection along and across the ray, [m^2] and by range [m^2 / m^2], by the change of the viewing
-    direction [m^2 / rad]; of the odometry's jitter, [m^2] and [rad^2]; of its drift by travel, turn and time.
+    """Variances: of a detection along and across the ray, [m^2] and by range [m^2 / m^2], of its height beyond that
+    [m^2], by the change of the viewing direction along the ground and in height [m^2 / rad]; of the odometry's jitter,
+    [m^2] and [rad^2], and of its drift by travel, turn and time.
     """
 
     radial: float
     radial_by_range: float
     tangential: float
     tangential_by_range: float
+    height: float
     view: float
+    view_height: float
     jitter: float
     translation_by_travel: float
     translation_by_time: float
+    rise: float
+    rise_by_travel: float
     heading_jitter: float
     heading_by_travel: float
     heading_by_turn: float
     heading_by_time: float
+    tilt_jitter: float
+    tilt_by_travel: float
+
+
+LENGTH_POWERS = np.array([2, 0, 2, 0, 2, 2, 2, 2, 1, 2, 2, 1, 0, -1, 0, 0, 0, -1])
+"""With which power of the unit of length each variance scales."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """Travel [m], turn [rad] and time [s] up to each scan (K,), for their differences."""
+    """Travel [m], turn [rad] and time [s] up to each scan (K,), for their differences; ``height_m`` (K,) of bodies."""
 
     travel_m: FloatArray
     turn_rad: FloatArray
     time_s: FloatArray
+    height_m: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,36 +134,38 @@ def estimate_components(tracks: ObjectTracks, motion: Motion, *, most_repeated: 
     ``most_repeated``: scans up to so many apart may repeat their errors. Errors that are repeated hardly change from
     scan to scan; every second, fourth, ... scan alone shows them.
     """
-    found = []
+    whites = list[tuple[float, float]]()
     for power in range(max(most_repeated, 1).bit_length()):
-        estimate = _estimate(tracks.of(tracks.scan % 2**power == 0), motion)
+        estimate = _estimate(_every(tracks, 2**power), motion, lags=SHORT_LAGS)
         if estimate is None:
             break
-        found.append(replace(estimate, repeated=2**power))
-    if not found:
+        whites.append(estimate.white(float(np.mean(tracks.offsets**2)) * 2.0))
+    if not whites:
         return None
-    whites = [each.white(float(np.mean(tracks.offsets**2)) * 2.0) for each in found]
-    least = 0.5 * max(variance - error for variance, error in whites)
-    return next(each for each, (variance, error) in zip(found, whites, strict=True) if variance + error >= least)
+    least = REPEATED_SHARE * max(variance - error for variance, error in whites)
+    repeated = 2 ** next(power for power, (variance, error) in enumerate(whites) if variance + error >= least)
+    found = _estimate(_every(tracks, repeated), motion)
+    return None if found is None else replace(found, repeated=repeated)
 
 
-def _estimate(tracks: ObjectTracks, motion: Motion) -> ComponentEstimate | None:
-    tracks = _well_apart(tracks)
-    sums = [_equations(tracks, motion, first, second) for first, second in _lagged_pairs(tracks)]
-    if not sums:
+def _every(tracks: ObjectTracks, count: int) -> ObjectTracks:
+    """The detections in every so many scans."""
+    return tracks.of(tracks.scan % count == 0)
+
+
+def _estimate(tracks: ObjectTracks, motion: Motion, *, lags: int | None = None) -> ComponentEstimate | None:
+    """By all lags, or so many of the shortest."""
+    pairs = _displacements(_well_apart(tracks), motion, lags)
+    if pairs is None:
         return None
-    totals = np.concatenate(sums, axis=1)  # (BLOCKS, equations, COMPONENTS + 2)
-    if not np.isfinite(totals).all():
+    fit = _Fit(pairs)
+    for _ in range(ITERATIONS):
+        fit.step()
+    scale = pairs.unit_m**LENGTH_POWERS
+    values, errors = fit.variances * scale, fit.standard_errors() * scale
+    if not np.isfinite([values, errors]).all():
         return None
-    solution, misfit = solve_components(totals.sum(axis=0))
-    left_out = np.array([solve_components(np.delete(totals, block, axis=0).sum(axis=0))[0] for block in range(BLOCKS)])
-    with np.errstate(over="ignore", invalid="ignore"):
-        spread = np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((left_out - left_out.mean(axis=0)) ** 2, axis=0))
-    spread = np.maximum(spread, misfit)
-    if not np.isfinite([solution, spread]).all():
-        return None
-    pairs = int(totals[:, :, -1].sum())
-    return ComponentEstimate(NoiseComponents(*solution.tolist()), NoiseComponents(*spread.tolist()), pairs)
+    return ComponentEstimate(NoiseComponents(*values.tolist()), NoiseComponents(*errors.tolist()), len(pairs.d))
 
 
 def _well_apart(tracks: ObjectTracks) -> ObjectTracks:
@@ -151,157 +184,208 @@ def _well_apart(tracks: ObjectTracks) -> ObjectTracks:
     return tracks.of(kept)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Displacements:
+    """Displacements of objects between two scans, ordered by the pair of scans, all lengths in units of ``unit_m``.
+
+    ``d``, ``x``, ``x_before`` (P, 3): displacement, and offset of the object from the body in the second and the first
+    scan; ``group`` (P,): the pair of scans; ``moved`` (G, 3): travel, turn and time between them; ``block`` (G,).
+    """
+
+    d: FloatArray
+    x: FloatArray
+    x_before: FloatArray
+    group: IntArray
+    moved: FloatArray
+    block: IntArray
+    unit_m: float
+
+
+def _displacements(tracks: ObjectTracks, motion: Motion, most_lags: int | None) -> _Displacements | None:
+    """None where objects are followed too seldom, or too far away."""
+    lags = list(islice(_lagged_pairs(tracks), most_lags))
+    if not lags:
+        return None
+    first, second = (np.concatenate(each) for each in zip(*lags, strict=True))
+    unit_m = float(np.median(np.hypot(*tracks.offsets.T)))
+    if not 1.0 / MAX_UNIT_M < unit_m < MAX_UNIT_M:
+        return None
+    lag = np.repeat(np.arange(len(lags)), [len(each) for each, _ in lags])
+    scans = int(tracks.scan.max()) + 1
+    key = (lag * scans + tracks.scan[first]) * scans + tracks.scan[second]
+    order = np.argsort(key, kind="stable")
+    first, second = first[order], second[order]
+    _, start, group = np.unique(key[order], return_index=True, return_inverse=True)
+    before, after = tracks.scan[first], tracks.scan[second]
+    body_m = np.zeros(scans) if motion.height_m is None else motion.height_m
+    heights = tracks.heights
+    d = np.column_stack([tracks.points[second] - tracks.points[first], heights[second] - heights[first]])
+    x = np.column_stack([tracks.offsets[second], heights[second] - body_m[after]])
+    x_before = np.column_stack([tracks.offsets[first], heights[first] - body_m[before]])
+    moved = np.stack([each[after] - each[before] for each in (motion.travel_m, motion.turn_rad, motion.time_s)], axis=1)
+    moved = moved[start] / [unit_m, 1.0, 1.0]
+    block = np.minimum(before[start] * BLOCKS // scans, BLOCKS - 1)
+    return _Displacements(d / unit_m, x / unit_m, x_before / unit_m, group, moved, block, unit_m)
+
+
 def _lagged_pairs(tracks: ObjectTracks) -> Iterator[tuple[IntArray, IntArray]]:
-    """Rows (P,) of detections of one track that are 1, 2, 4, ... detections apart, as long as there are enough."""
+    """Rows (P,) of detections of one track that are 1, 2, 4, ... detections apart, as long as there are enough.
+
+    Of the pairs of scans of one lag those that begin in every so many scans are used.
+    """
     lag = 1
     while True:
         first = tracks.followed(lag)
         if len(first) < LEAST_PAIRS:
             return
+        begins = np.unique(tracks.scan[first])
+        first = first[np.isin(tracks.scan[first], begins[:: max(len(first) // USED_PAIRS, 1)])]
         yield first, first + lag
         lag *= 2
 
 
-def _equations(tracks: ObjectTracks, motion: Motion, first: IntArray, second: IntArray) -> FloatArray:
-    """Sums (BLOCKS, E, COMPONENTS + 2) of the equations of one lag: regressors, value, count."""
-    d = _clipped(tracks.points[second] - tracks.points[first])
-    x, x_before = tracks.offsets[second], tracks.offsets[first]
-    scan, scan_before = tracks.scan[second], tracks.scan[first]
-    d = without_outliers(d, x, scan * (int(scan.max()) + 1) + scan_before)
-    L, A, T = (each[scan] - each[scan_before] for each in (motion.travel_m, motion.turn_rad, motion.time_s))
-    block = np.minimum(scan * BLOCKS // (int(tracks.scan.max()) + 1), BLOCKS - 1)
-    return np.concatenate(
-        [
-            _own_equations(d, x, x_before, L, A, T, block),
-            _cross_equations(d, x, x_before, scan, scan_before, L, A, T, block),
-        ],
-        axis=1,
-    )
+class _Fit:
+    """The variances by displacements, in their units; ``step`` makes them likelier."""
+
+    def __init__(self, pairs: _Displacements) -> None:
+        self._pairs = pairs
+        self._group, self._start = pairs.group, np.flatnonzero(np.diff(pairs.group, prepend=-1))
+        axes = _axes(pairs)
+        self._A = axes @ _jacobians(pairs)
+        self._y = _clipped(np.einsum("nij,nj->ni", axes, pairs.d))
+        own, shared = _own_parts(pairs)[:, :, : axes.shape[1]], _shared_parts(pairs)
+        self._parts = own, shared
+        square = max(float(np.mean(self._y**2)), EXACT)
+        sums = np.concatenate([own.mean(axis=(1, 2)), (shared * self._levers()).sum(axis=2).mean(axis=1)])
+        share = 1.0 / (OWN + SHARED)
+        self.variances = np.where(sums > 0.0, share * square / np.maximum(sums, 1e-300), 0.0)
+        self._weights = np.ones(len(self._y)), np.ones(len(self._start))
+
+    def step(self) -> None:
+        """One iteration: variances by the displacements as they are weighted, and the weights by these."""
+        fitted, expected = (each.sum(axis=1) for each in self._sums())
+        ratios = np.where(expected > 0.0, fitted / np.maximum(expected, 1e-300), 1.0)
+        self.variances = self.variances * np.clip(ratios, 1e-2, 1e2)
+
+    def standard_errors(self) -> FloatArray:
+        """(18,) of the variances."""
+        fitted, expected = self._sums()
+        # Of each component without a block of the log, by one more iteration.
+        total = expected.sum(axis=1, keepdims=True)
+        rest = total - expected
+        is_known = rest > ROUNDING * total
+        without = np.where(is_known, fitted.sum(axis=1, keepdims=True) - fitted, 1.0) / np.where(is_known, rest, 1.0)
+        spread = np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((without - without.mean(axis=1, keepdims=True)) ** 2, axis=1))
+        return np.asarray(np.maximum(self.variances * spread, self._held_errors))
+
+    def _levers(self) -> FloatArray:
+        """(G, 7) mean squares of the displacement by one unit of each entry of xi."""
+        counts = np.diff(np.append(self._start, len(self._y)))[:, None]
+        return np.asarray(np.add.reduceat((self._A**2).mean(axis=1), self._start, axis=0) / counts)
+
+    def _sums(self) -> tuple[FloatArray, FloatArray]:
+        """For each component and block (18, BLOCKS) d' S^-1 V S^-1 d and tr(S^-1 V); updates the weights."""
+        (own, shared), (weights, group_weights) = self._parts, self._weights
+        A, y, group = self._A, self._y, self._group
+        D = np.einsum("c,cnd->nd", self.variances[:OWN], own)
+        Q = np.einsum("c,cgi->gi", self.variances[OWN:], shared)
+        inverse = weights[:, None] / np.maximum(D, EXACT)
+        M = np.add.reduceat(np.einsum("ndi,nd,ndj->nij", A, inverse, A), self._start, axis=0)
+        v = np.add.reduceat(np.einsum("ndi,nd->ni", A, inverse * y), self._start, axis=0)
+        root = np.sqrt(Q / group_weights[:, None])
+        C = np.linalg.inv(np.eye(7) + root[:, :, None] * M * root[:, None, :])
+        C = root[:, :, None] * C * root[:, None, :]  # posterior covariance of xi
+        xi = np.einsum("gij,gj->gi", C, v)
+        e = y - np.einsum("ndi,ni->nd", A, xi[group])
+        unknown = np.einsum("ndi,nij,ndj->nd", A, C[group], A)
+        own_expected = np.maximum(inverse - inverse**2 * unknown, 0.0)
+        shared_expected = np.maximum(np.einsum("gii->gi", M - M @ C @ M), 0.0)
+        of_own = [each / weights[:, None] for each in ((e * inverse) ** 2, own_expected)]
+        of_shared = [
+            each / group_weights[:, None] for each in ((v - np.einsum("gij,gj->gi", M, xi)) ** 2, shared_expected)
+        ]
+        block = self._pairs.block
+        sums = [
+            np.concatenate([_by_block(own * a, block[group]), _by_block(shared * b, block)])
+            for a, b in zip(of_own, of_shared, strict=True)
+        ]
+        information = [(own * of_own[1]) ** 2, (shared * of_shared[1]) ** 2]
+        held = np.concatenate([0.5 * each.sum(axis=(1, 2)) for each in information])
+        self._held_errors = np.where(held > 0.0, 1.0 / np.sqrt(np.maximum(held, 1e-300)), 0.0)
+        shares = [
+            ((e**2 + unknown) * inverse / weights[:, None]).sum(axis=1),
+            np.divide(xi**2 + np.einsum("gii->gi", C), Q, out=np.zeros_like(Q), where=Q > 0.0).sum(axis=1),
+        ]
+        sizes = y.shape[1], max(int((Q > 0.0).any(axis=0).sum()), 1)
+        self._weights = _weights(shares[0], sizes[0]), _weights(shares[1], sizes[1])
+        return sums[0], sums[1]
 
 
-def _own_equations(
-    d: FloatArray,
-    x: FloatArray,
-    x_before: FloatArray,
-    L: FloatArray,
-    A: FloatArray,
-    T: FloatArray,
-    block: IntArray,
-) -> FloatArray:
-    """What single objects say, in bins of range and of turn."""
-    square, square_before = (np.einsum("ni,ni->n", each, each) for each in (x, x_before))
-    r = np.sqrt(np.maximum(square, 1e-12))
-    radial = np.einsum("ni,ni->n", d, x) / r
-    tangential = (x[:, 0] * d[:, 1] - x[:, 1] * d[:, 0]) / r
-    angle = np.arctan2(x[:, 1], x[:, 0]) - np.arctan2(x_before[:, 1], x_before[:, 0])
-    view = np.abs((angle + np.pi) % (2.0 * np.pi) - np.pi)
-    zero, one, ranges = np.zeros_like(r), np.ones_like(r), square + square_before
-    ahead = np.einsum("ni,ni->n", x_before, x) / r
-    beside = (x[:, 0] * x_before[:, 1] - x[:, 1] * x_before[:, 0]) / r
-    lever, lever_beside = (ahead**2 + ahead * r + square) / 3.0, beside**2 / 3.0
-    translation = [2.0 * one, L, T]
-    heading = [square + ahead**2, lever * L, lever * A, lever * T]
-    heading_beside = [beside**2, lever_beside * L, lever_beside * A, lever_beside * T]
-    along = np.stack([2.0 * one, ranges, zero, zero, view, *translation, *heading_beside, radial**2], axis=1)
-    across = np.stack([zero, zero, 2.0 * one, ranges, view, *translation, *heading, tangential**2], axis=1)
-    bins = _bin(square, (1 / 3, 2 / 3)) * 3 + _bin(A, (0.5, 0.85))
-    return np.concatenate([_binned(each, one, bins, block, 9) for each in (along, across)], axis=1)
+def _weights(squares: FloatArray, size: int) -> FloatArray:
+    """Weights of Student's t-distribution for squared distances of vectors, 1 in the mean where these are Gaussian."""
+    halves, shares = roots_genlaguerre(QUADRATURE, 0.5 * size - 1.0)  # of the chi-squared distribution
+    mean = float(np.average(2.0 * halves * (FREEDOM + size) / (FREEDOM + 2.0 * halves), weights=shares))
+    return np.asarray(size / mean * (FREEDOM + size) / (FREEDOM + squares))
 
 
-def _cross_equations(
-    d: FloatArray,
-    x: FloatArray,
-    x_before: FloatArray,
-    scan: IntArray,
-    scan_before: IntArray,
-    L: FloatArray,
-    A: FloatArray,
-    T: FloatArray,
-    block: IntArray,
-) -> FloatArray:
-    """What pairs of objects of the same two scans have in common, in bins of turn."""
-    key = scan * (int(scan.max()) + 1) + scan_before
-    _, start, group, count = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
-
-    def total(values: FloatArray) -> FloatArray:
-        return np.bincount(group, values, minlength=len(start)).astype(np.float64)
-
-    def of_pairs(first: FloatArray, second: FloatArray) -> FloatArray:
-        """Sum over ordered pairs (k, l) of first_k . second_l, for vectors (N, D)."""
-        sums = [total(first[:, i]) * total(second[:, i]) for i in range(first.shape[1])]
-        return np.asarray(sum(sums) - total(np.einsum("ni,ni->n", first, second)))
-
-    torque = (x[:, 0] * d[:, 1] - x[:, 1] * d[:, 0])[:, None]
-    square = np.einsum("ni,ni->n", x, x)[:, None]
-    ahead = np.einsum("ni,ni->n", x_before, x)[:, None]
-    shifts, torques = of_pairs(d, d), of_pairs(torque, torque)
-    at_ends = of_pairs(x, x) + of_pairs(x_before, x_before)
-    on_the_way = (at_ends + of_pairs(x_before, x)) / 3.0
-    squares_at_ends = of_pairs(square, square) + of_pairs(ahead, ahead)
-    squares_on_the_way = (squares_at_ends + of_pairs(ahead, square)) / 3.0
-    offsets = of_pairs(x, x)
-    squares = of_pairs(square, square)
-    pairs = (count * (count - 1)).astype(np.float64)
-    L, A, T, block = L[start], A[start], T[start], block[start]
-    zero, one = np.zeros_like(L), np.ones_like(L)
-
-    def equation(by_shift: FloatArray, by_jitter: FloatArray, by_turn: FloatArray, value: FloatArray) -> FloatArray:
-        common = [by_shift * each for each in (2.0 * one, L, T)] + [by_jitter] + [by_turn * each for each in (L, A, T)]
-        return np.stack([zero] * 5 + [*common, value], axis=1)
-
-    several = pairs > 0.0
-    bins = np.where(several, _bin(A, (1 / 3, 2 / 3, 0.9)), -1)
-    return np.concatenate(
-        [
-            _binned(equation(2.0 * pairs, at_ends, on_the_way, shifts), 2.0 * pairs, bins, block, 4),
-            # Torques are divided by the mean squared range, so that all equations have one unit.
-            _binned(
-                equation(offsets, squares_at_ends, squares_on_the_way, torques),
-                squares / float(square.mean()),
-                bins,
-                block,
-                4,
-            ),
-        ],
-        axis=1,
-    )
+def _by_block(values: FloatArray, block: IntArray) -> FloatArray:
+    """Sums (C, BLOCKS) of values (C, N, D) by the block (N,)."""
+    return np.array([np.bincount(block, each, minlength=BLOCKS) for each in values.sum(axis=2)], dtype=np.float64)
 
 
-def _binned(rows: FloatArray, weights: FloatArray, bins: IntArray, block: IntArray, count: int) -> FloatArray:
-    """Sums (BLOCKS, count, COMPONENTS + 2) of rows (P, COMPONENTS + 1) scaled to a mean weight of 1, and how many."""
-    used = bins >= 0
-    scale = np.zeros(count)
-    np.add.at(scale, bins[used], weights[used])
-    numbers = np.bincount(bins[used], minlength=count)
-    scale = np.where(numbers >= LEAST_IN_BIN, numbers / np.maximum(scale, 1e-300), 0.0)
-    sums = np.zeros((BLOCKS, count, COMPONENTS + 2))
-    np.add.at(sums, (block[used], bins[used]), np.column_stack([rows[used], np.ones(int(used.sum()))]))
-    sums[:, :, :-1] *= scale[:, None]
-    return sums
+def _axes(pairs: _Displacements) -> FloatArray:
+    """(P, D, 3): along the ray, across it and, where anything has a height, up."""
+    r = np.maximum(np.hypot(pairs.x[:, 0], pairs.x[:, 1]), 1e-12)
+    x, y, zero = pairs.x[:, 0] / r, pairs.x[:, 1] / r, np.zeros(len(r))
+    axes = np.stack([np.stack([x, y, zero]), np.stack([-y, x, zero]), np.stack([zero, zero, zero + 1.0])])
+    has_heights = bool(np.abs(pairs.d[:, 2]).max() > 1e-9)
+    return np.asarray(axes.transpose(2, 0, 1)[:, : 3 if has_heights else 2])
 
 
-def solve_components(sums: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Variances (COMPONENTS,) from the summed equations (E, COMPONENTS + 2); their errors while the others are held."""
-    counts = sums[:, -1]
-    used = counts >= LEAST_IN_BIN
-    if not used.any():
-        return np.zeros(COMPONENTS), np.zeros(COMPONENTS)
-    means = sums[used, :-1] / counts[used, None]
-    X, y = means[:, :-1], means[:, -1]
-    # The relative sampling error of a mean square of n values is sqrt(2 / n).
-    weights = np.sqrt(counts[used]) / np.maximum(np.abs(y), EXACT)
-    weights = np.minimum(weights, 10.0 * np.median(weights))
-    norms = np.linalg.norm(X * weights[:, None], axis=0)
-    scale = np.where(norms > 0.0, norms, np.inf)
-    solution, misfit = nnls(X * weights[:, None] / scale, y * weights)
-    return np.asarray(solution / scale), misfit / np.sqrt(max(len(y) - COMPONENTS, 1)) / scale
+def _jacobians(pairs: _Displacements) -> FloatArray:
+    """(P, 3, 7) of the displacements by xi."""
+    middle = 0.5 * (pairs.x + pairs.x_before)
+    A = np.zeros((len(middle), 3, 7))
+    A[:, :, :3] = np.cross(np.eye(3)[None], middle[:, None]).transpose(0, 2, 1)
+    A[:, :, 3:6] = np.eye(3)
+    A[:, :, LATERAL] = np.cross([0.0, 0.0, 1.0], pairs.x - pairs.x_before)
+    return A
 
 
-def _clipped(d: FloatArray) -> FloatArray:
-    lengths = np.hypot(d[:, 0], d[:, 1])
-    limit = CLIP * 1.4826 * float(np.median(np.abs(d)))
-    return np.asarray(d * np.minimum(1.0, limit / np.maximum(lengths, 1e-300))[:, None])
+def _own_parts(pairs: _Displacements) -> FloatArray:
+    """(7, P, 3): by how much a unit of each component adds to D."""
+    squares = np.einsum("ni,ni->n", pairs.x, pairs.x), np.einsum("ni,ni->n", pairs.x_before, pairs.x_before)
+    lengths = np.maximum(np.sqrt(squares[0] * squares[1]), 1e-300)
+    view = np.arccos(np.clip(np.einsum("ni,ni->n", pairs.x, pairs.x_before) / lengths, -1.0, 1.0))
+    # Noise turns the direction, too; the body has not come farther than its travel.
+    view = np.minimum(view, pairs.moved[pairs.group, 0] / np.sqrt(lengths))
+    two, zero, ranges = np.full_like(view, 2.0), np.zeros_like(view), squares[0] + squares[1]
+    parts = [
+        [two, zero, zero],
+        [ranges, zero, zero],
+        [zero, two, two],
+        [zero, ranges, ranges],
+        [zero, zero, two],
+        [view, view, zero],
+        [zero, zero, view],
+    ]
+    return np.asarray(np.array(parts).transpose(0, 2, 1))
 
 
-def _bin(values: FloatArray, quantiles: tuple[float, ...]) -> IntArray:
-    return np.digitize(values, np.quantile(values, quantiles)).astype(np.int64)
+def _shared_parts(pairs: _Displacements) -> FloatArray:
+    """(11, G, 7): by how much a unit of each component adds to Q."""
+    L, A, T = pairs.moved.T
+    two = np.full_like(L, 2.0)
+    parts = np.zeros((SHARED, len(L), 7))
+    parts[0:3, :, ALONG] = np.stack([two, L, T])[:, :, None]
+    parts[3:5, :, RISE] = np.stack([two, L])
+    parts[5:9, :, HEADING] = np.stack([two, L, A, T])
+    # The heading errs at both ends, or more and more on the way.
+    parts[5:9, :, LATERAL] = np.stack([0.25 * two, L / 12.0, A / 12.0, T / 12.0])
+    parts[9:11, :, TILT] = np.stack([two, L])[:, :, None]
+    return parts
+
+
+def _clipped(y: FloatArray) -> FloatArray:
+    limit = CLIP * 1.4826 * np.median(np.abs(y), axis=0)
+    return np.asarray(np.where(limit > 0.0, np.clip(y, -limit, limit), y))

@@ -11,7 +11,7 @@ from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
 
-PLAIN = FactorGraphConfig(observation_kernel_width=1e6, observed_keyframes=1)
+PLAIN = FactorGraphConfig(observation_kernel_width=1e6)
 EDGE_COVARIANCE = np.diag(np.repeat([0.05**2, 0.2**2], 3))
 SEEN_COVARIANCE = 0.02**2 * np.eye(3)
 KEYFRAMES, LANDMARKS = 12, 15

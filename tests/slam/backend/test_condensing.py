@@ -182,7 +182,7 @@ def test_the_drive_goes_on_from_a_condensed_graph():
 
 
 def test_iSAM2_takes_in_as_few_observations_as_before():
-    graph = condensed(3, FactorGraphConfig(observation_kernel_width=1e6, observed_keyframes=4))
+    graph = condensed(3, FactorGraphConfig(observation_kernel_width=1e6))
     assert set(graph.factors) >= {0}
     graph.add_next_keyframe(Edge(3 * ROUND - 1, 3 * ROUND, np.eye(4), STEP_COVARIANCE, "odometry"))
     graph.update()
@@ -346,7 +346,7 @@ def test_an_outlier_has_hardly_any_weight_in_a_sum():
 
 def test_common_landmarks_tell_the_relative_pose_as_surely_as_a_solver_says():
     T, landmarks = true_poses(1)[0], true_landmarks()
-    config = FactorGraphConfig(observation_kernel_width=1e6, observed_keyframes=1)
+    config = FactorGraphConfig(observation_kernel_width=1e6)
     graph = FactorGraph(config)
     graph.add_first_keyframe(0, T)
     graph.add_next_keyframe(Edge(0, 1, np.eye(4), 1e4 * np.eye(6), "odometry"))

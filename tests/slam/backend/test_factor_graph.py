@@ -32,7 +32,7 @@ from tests.slam.backend.graphs import (
 
 @pytest.mark.parametrize("width", [30.0, 1e6])
 def test_the_truth_is_recovered_from_initial_values_that_are_metres_off(width):
-    config = FactorGraphConfig(observed_keyframes=1, observation_kernel_width=width)
+    config = FactorGraphConfig(observation_kernel_width=width)
     assert worst_pose_error_m(build(noisy_edges(), [], config)) > 1.0
     graph = build(noisy_edges(), sightings(), config)
     optimization = graph.optimize()
@@ -42,7 +42,7 @@ def test_the_truth_is_recovered_from_initial_values_that_are_metres_off(width):
 
 
 def test_a_rough_solution_takes_fewer_steps_and_leads_to_the_same_one():
-    config = FactorGraphConfig(observed_keyframes=1)
+    config = FactorGraphConfig()
     graph, rough = (build(noisy_edges(), sightings(), config) for _ in range(2))
     steps = graph.optimize().iterations
     assert rough.optimize(roughly=True).iterations < steps
@@ -77,7 +77,7 @@ def test_a_robust_kernel_holds_against_one_mirrored_observation():
     observations = sightings()
     observations[20] = replace(observations[20], position=observations[20].position * [1, -1, 1])
     exact = [edge(i, i + 1, invert(true_poses()[i]) @ true_poses()[i + 1]) for i in range(KEYFRAMES - 1)]
-    graph = build(exact, observations, FactorGraphConfig(observed_keyframes=1))
+    graph = build(exact, observations, FactorGraphConfig())
     graph.optimize()
     assert_is_true(graph)
 
@@ -86,7 +86,7 @@ def test_the_incremental_and_the_batch_estimate_agree():
     graph = build(
         noisy_edges(),
         sightings(),
-        FactorGraphConfig(observation_kernel_width=1e6, observed_keyframes=1, relinearize_skip=1),
+        FactorGraphConfig(observation_kernel_width=1e6, relinearize_skip=1),
     )
     before = graph.poses()
     rows = graph.landmarks

@@ -201,16 +201,3 @@ def test_a_keyframe_is_placed_by_the_better_estimate_until_the_next_update() -> 
     np.testing.assert_allclose(graph.pose(1), T[1], atol=1e-9)
     graph.update()
     np.testing.assert_allclose(graph.pose(1), T[0] @ noisy_edges()[0].T_from_to, atol=1e-4)
-
-
-def test_the_batch_solution_uses_the_observations_that_the_incremental_estimate_left_out() -> None:
-    sparse = replace(PLAIN, observed_keyframes=KEYFRAMES)
-    graph, twin = (build(noisy_edges(), sightings(), config) for config in (sparse, PLAIN))
-    assert len(graph.estimates().landmarks) < len(twin.estimates().landmarks)
-    graph.optimize()
-    twin.optimize()
-    assert_is_true(graph)
-    np.testing.assert_allclose(graph.poses(), twin.poses(), atol=1e-4)
-    np.testing.assert_allclose(
-        graph.landmark_positions(graph.landmarks), twin.landmark_positions(twin.landmarks), atol=1e-3
-    )

@@ -23,7 +23,6 @@ QUIET = {
 }
 WIDE = {"detection": {"farthest_m": 500.0, "common_sigma_m": 0.02}}
 SIGMA_M = 0.05
-NO_COMMON = 1e-12
 
 
 def pose_at(x: float) -> OdometryPose:
@@ -87,7 +86,7 @@ class Bench:
         used = np.ones(len(rows), dtype=np.bool_)
         seen = apply(invert(self.active.T_local_body), where)
         scan = Scan(round(self.x * 1e9), "lidar", seen, covariances, ("tree",) * len(where), used, used)
-        self.active.update(rows, scan, NO_COMMON * covariances, is_uncertain=is_uncertain)
+        self.active.update(rows, scan, is_uncertain=is_uncertain)
 
     def surplus_rows(self) -> list[int]:
         return self.active.rows[self.active.surplus()].tolist()
@@ -105,10 +104,24 @@ class Bench:
 @pytest.mark.parametrize(("spacing_m", "inflation"), [(4.0, SLIP_INFLATION), (30e3, UNIQUE_INFLATION)])
 def test_variance_grows_by_the_inflated_noise_of_the_odometry(spacing_m: float, inflation: float) -> None:
     """Landmarks that nothing can be confused with stand slips of any size."""
-    bench = Bench(objects={"spacing_m": spacing_m}, odometry={"translation_sigma": 0.04})
+    detection = {"common_sigma_m": 0.0}
+    bench = Bench(objects={"spacing_m": spacing_m}, odometry={"translation_sigma": 0.04}, detection=detection)
     bench.add([[5.0, 2.0, 0.0]])
     bench.advance(40.0, step_m=1.0)
     assert bench.sigma_m(0) == pytest.approx(np.hypot(inflation * 0.04 * np.sqrt(40.0), SIGMA_M), rel=1e-6)
+
+
+def test_error_of_a_landmark_changes_with_the_direction_in_which_it_is_seen() -> None:
+    """By the squared ``common_sigma_m`` as the direction turns by 1 rad, from whichever steps that is made up."""
+    odometry = {"translation_sigma": 1e-9, "translation_sigma_by_time": 0.0}
+    detection = {"common_sigma_m": 0.3, "common_height_sigma_m": 0.1}
+    bench = Bench(odometry=odometry, detection=detection)
+    rows = bench.add([[0.0, 10.0, 0.0], [500.0, 0.0, 0.0]])
+    bench.advance(10.0, step_m=0.5)
+    covariances = bench.active.predict().covariances[rows]
+    grown = np.diagonal(covariances, axis1=1, axis2=2) - SIGMA_M**2
+    np.testing.assert_allclose(grown[0], 0.25 * np.pi * np.square([0.3, 0.3, 0.1]), rtol=1e-3)
+    np.testing.assert_allclose(grown[1], 0.0, atol=1e-9)
 
 
 def test_moving_landmark_is_expected_where_its_velocity_takes_it() -> None:

@@ -38,7 +38,7 @@ class Drive:
     """A mapper and scans with noise; ``T_fault`` (4, 4) leads from the true frame to that of the odometry."""
 
     def __init__(self, objects: FloatArray, *, range_m: float = RANGE_M) -> None:
-        config = Config()
+        config = Config.model_validate({"calibration": {"detection": {"common_sigma_m": 0.0}}})
         self.objects, self.rng, self.range_m = objects, np.random.default_rng(0), range_m
         object_map = ObjectMap(config.calibration.objects)
         self.mapper = Mapper(config, object_map, FactorGraph(FactorGraphConfig()))

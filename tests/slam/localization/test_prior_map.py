@@ -17,7 +17,7 @@ from slam.localization.prior_map import restore
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
 from slam.object_map.map_io import SavedMap, confirmed
 
-CONFIG = FactorGraphConfig(observation_kernel_width=1e6, observed_keyframes=1)
+CONFIG = FactorGraphConfig(observation_kernel_width=1e6)
 SURE = np.diag(np.repeat([1e-4, 1e-4], 3))
 LOOSE = np.diag(np.repeat([0.1, 4.0], 3))
 SEEN = 0.05**2 * np.eye(3)
@@ -79,7 +79,7 @@ def test_a_map_comes_back_as_the_graph_that_it_was(saved: SavedMap) -> None:
 
 def test_observations_that_share_their_errors_come_back_as_robust_as_they_were() -> None:
     """An object seen far beside where others see it: the kernel, narrowed by covariance_inflation, shuts it out."""
-    config = FactorGraphConfig(observed_keyframes=1)
+    config = FactorGraphConfig()
     graph = FactorGraph(config)
     graph.add_first_keyframe(0, POSES[0])
     for k in (1, 2):
@@ -205,7 +205,7 @@ def test_factors_made_at_once_are_those_made_one_by_one() -> None:
         observations.append(
             Observation(0, row, rng.uniform(1.0, 20.0, 3), A @ A.T + 0.01 * np.eye(3), float(rng.choice([1.0, 500.0])))
         )
-    config = FactorGraphConfig(observed_keyframes=1)
+    config = FactorGraphConfig()
     together = observation_factors(observations, config, sensor_range_m=30.0)
     for observation, factor in zip(observations, together, strict=True):
         assert factor.equals(observation_factors([observation], config, sensor_range_m=30.0)[0], 1e-12)

@@ -32,7 +32,7 @@ class Drive:
     """A street driven twice, without objects; the second round may be another segment of the odometry."""
 
     def __init__(self, *, second_segment: int = 0) -> None:
-        graph = FactorGraph(FactorGraphConfig(observation_kernel_width=1e6, observed_keyframes=1))
+        graph = FactorGraph(FactorGraphConfig(observation_kernel_width=1e6))
         self.keyframes: list[Keyframe] = []
         self.closures = AcceptedClosures(Config(), ObjectMap(ObjectCalibration()), graph, self.keyframes)
         self.graph = graph

@@ -24,7 +24,7 @@ def mapped(landmarks: list[Seen], tentative: tuple[int, ...] = ()) -> tuple[Obje
     """A map of those landmarks, seen without noise along a straight street."""
     object_map, graph = (
         ObjectMap(ObjectCalibration()),
-        FactorGraph(FactorGraphConfig(observation_kernel_width=1e6, observed_keyframes=1)),
+        FactorGraph(FactorGraphConfig(observation_kernel_width=1e6)),
     )
     T = transform_from_xyz_yaw(np.arange(KEYFRAMES)[:, None] * [2.0, 0.0, 0.0], np.zeros(KEYFRAMES))
     graph.add_first_keyframe(0, T[0])
@@ -130,7 +130,7 @@ def test_three_passes_make_one_landmark_and_what_stands_alone_stays() -> None:
 
 def test_what_stays_as_it_is_is_not_merged_among_itself() -> None:
     object_map, _ = mapped([FIRST, ("tree", (5.3, 3.8, 0.2), (3, 4))])
-    graph = FactorGraph(FactorGraphConfig(observed_keyframes=1))
+    graph = FactorGraph(FactorGraphConfig())
     known = {0: np.array([5.0, 4, 0]), 1: np.array([5.3, 3.8, 0.2])}
     graph.add_known_landmarks(known, np.full(3, 1e-3), is_fixed=True)
     for row in (0, 1):

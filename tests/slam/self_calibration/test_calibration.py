@@ -58,7 +58,7 @@ def test_every_setting_in_metres_is_derived(surveyed):
     in_metres = {key for key, description in settings().items() if description.endswith(units)}
     derived = set(calibrate(Config(), surveyed).estimated)
     # Gravity holds roll and pitch, and detections do not tell them; how a robot is built is not in its log.
-    stay = {"odometry.tilt_sigma", "detection.ground_z_m", "detection.tag_size_m", "detection.max_range_m"}
+    stay = {"detection.ground_z_m", "detection.tag_size_m", "detection.max_range_m"}
     stay |= {"objects.height_sigma_m"}
     assert in_metres - derived == stay
 
@@ -137,7 +137,7 @@ def test_all_lengths_scale_with_the_log(surveyed, power):
         assert large[key] == pytest.approx(small[key] * factor), key
     assert large["odometry.translation_sigma"] == pytest.approx(small["odometry.translation_sigma"] * factor**0.5)
     assert large["odometry.yaw_sigma"] == pytest.approx(small["odometry.yaw_sigma"] / factor**0.5)
-    for key in ("odometry.yaw_sigma_by_turn", "detection.sigma_per_m", "detection.scans_per_view"):
+    for key in ("odometry.yaw_sigma_by_turn", "detection.sigma_per_m"):
         assert large[key] == pytest.approx(small[key]), key
 
 

@@ -25,7 +25,7 @@ from slam.backend.solver_options import FactorGraphConfig
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
 
-PLAIN = FactorGraphConfig(observation_kernel_width=1e6, observed_keyframes=1)
+PLAIN = FactorGraphConfig(observation_kernel_width=1e6)
 EDGE_COVARIANCE = np.diag([0.01, 0.02, 0.03, 0.2, 0.1, 0.05]) ** 2
 SEEN_COVARIANCE = 0.01 * np.eye(3)
 
@@ -126,7 +126,7 @@ def test_a_landmark_seen_often_has_the_covariance_that_it_is_told_to_have(
 ) -> None:
     """By the kernels' own weights it would be told twice too large."""
     rng = np.random.default_rng(5)
-    config = FactorGraphConfig(observed_keyframes=1, observation_kernel_width=width)
+    config = FactorGraphConfig(observation_kernel_width=width)
     place, squares = np.array([8.0, 3.0, 1.0]), list[float]()
     for _ in range(80):
         graph = FactorGraph(config)
@@ -145,9 +145,7 @@ def test_outliers_say_next_to_nothing() -> None:
     place, row = np.array([8.0, 3.0, 1.0]), np.array([0])
     good = [Observation(0, 0, place + rng.normal(scale=0.1, size=3), SEEN_COVARIANCE) for _ in range(30)]
     bad = [Observation(0, 0, place + rng.normal(scale=2.0, size=3), SEEN_COVARIANCE) for _ in range(10)]
-    one, other = (
-        built(np.eye(4)[None], [], seen, FactorGraphConfig(observed_keyframes=1)) for seen in (good, good + bad)
-    )
+    one, other = (built(np.eye(4)[None], [], seen, FactorGraphConfig()) for seen in (good, good + bad))
     ratio = np.trace(other.landmark_covariances(row)[0]) / np.trace(one.landmark_covariances(row)[0])
     assert 0.9 < ratio < 1.1
 
