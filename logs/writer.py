@@ -41,19 +41,21 @@ class LogWriter:
     """Writes records and raw messages to ``path``; a context manager.
 
     Everything goes to ``path`` + ".part" and is renamed when the ``with`` block ends without an exception, so that
-    a file under its own name is always whole. After an exception the partial file stays, closed and readable, if it
-    holds any message. The same calls give the same bytes: there is no wall clock, and ids count up in the order of
-    first use.
+    a file under its own name is always whole. The same calls give the same bytes: there is no wall clock, and ids
+    count up in the order of first use.
 
     Args:
         path: the log to write; an existing file is replaced.
+        keep_partial: whether an exception leaves the partial file, closed and readable, if it holds any message; else
+            only an interruption (no ``Exception``) does: of what can be computed again.
 
     Raises:
         UnwritableLogError: by every method, when the file cannot be created, written or finished.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: str | os.PathLike[str], *, keep_partial: bool = True) -> None:
         self.path = Path(path)
+        self._keep_partial = keep_partial
         self.partial_path = partial_path(self.path)
         if self.path.is_dir():
             raise UnwritableLogError(f"{self.path} is a folder; give the name of a file to write")
@@ -80,7 +82,7 @@ class LogWriter:
             self.close()
         else:
             self.abandon()
-            if isinstance(error, Exception) and not self._channel_ids:
+            if isinstance(error, Exception) and not (self._keep_partial and self._channel_ids):
                 self.partial_path.unlink(missing_ok=True)
             elif error is not None:
                 error.add_note(f"what was written until then is left in {self.partial_path}")

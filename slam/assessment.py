@@ -2,30 +2,50 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.edge_kind import EdgeKind
 from slam.common.arrays import FloatArray
 
-LEAST_LANDMARKS = 2
+MIN_LANDMARKS = 2
 """Landmarks that fix the position and the heading of a keyframe in the plane."""
 UNOBSERVED_SHARE = 0.1
 MOVING_SHARE = 0.25
 
 
 def assess(graph: FactorGraphRecord, object_map: ObjectMapRecord, *, sensor_range_m: float) -> tuple[str, ...]:
-    """Why the map may be worse than such maps are; nothing where it is as it should be.
+    """Reasons to doubt the map; none for a usual one.
 
     ``sensor_range_m``: over a longer way without landmarks, none that was seen before it is still in view.
     """
     return (*_unobserved(graph, sensor_range_m), *_moving(object_map))
 
 
+def diagnose_uncorrected(graph: FactorGraphRecord, counters: Mapping[str, int]) -> str:
+    """Why neither landmarks nor closures correct the odometry; empty where they do.
+
+    Args:
+        graph: at the end of the drive.
+        counters: those of the drive, with ``objects_used``.
+    """
+    if len(graph.observation_keyframe_ids) or EdgeKind.LOOP_CLOSURE in graph.edge_kinds:
+        return ""
+    if counters.get("objects_used"):
+        return "no landmark was confirmed; check the frames of the detections and the stamps"
+    if outside := counters.get("detections_without_odometry"):
+        return f"no scan is within the time of the odometry ({outside} are not); check that both have the same clock"
+    return "no scan has an object"
+
+
 def _unobserved(graph: FactorGraphRecord, sensor_range_m: float) -> list[str]:
+    if not len(graph.observation_keyframe_ids):
+        return []  # see diagnose_uncorrected
     travel_m = _travel_m(graph)
     keyframes = np.searchsorted(graph.keyframe_ids, graph.observation_keyframe_ids)
-    observed = np.bincount(keyframes, minlength=len(travel_m)) >= LEAST_LANDMARKS
+    observed = np.bincount(keyframes, minlength=len(travel_m)) >= MIN_LANDMARKS
     ways_m = np.diff(np.concatenate([[0.0], travel_m[observed], travel_m[-1:]]))
     share = float(ways_m[ways_m > sensor_range_m].sum() / max(travel_m[-1], 1e-9))
     if share < UNOBSERVED_SHARE:

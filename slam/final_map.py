@@ -54,7 +54,12 @@ class Outcome:
 
 
 def judge_outcome(
-    optimization: Optimization, warning: str, counters: Counter[str], doubts: Sequence[str] = ()
+    optimization: Optimization,
+    warning: str,
+    counters: Counter[str],
+    doubts: Sequence[str] = (),
+    *,
+    uncorrected: str = "",
 ) -> Outcome:
     """Whether a result can be relied on.
 
@@ -63,10 +68,13 @@ def judge_outcome(
         warning: of the outlier rejection, or empty.
         counters: those of the drive.
         doubts: why the map may be worse than it seems.
+        uncorrected: why nothing corrects the odometry, or empty.
     """
-    message = "optimised" if optimization.converged else (
-        f"the final optimisation did not converge in {optimization.iterations} iterations"
-    )  # fmt: skip
+    message = "optimised"
+    if uncorrected:
+        message = f"not corrected, the trajectory is that of the odometry: {uncorrected}"
+    elif not optimization.converged:
+        message = f"the final optimisation did not converge in {optimization.iterations} iterations"
     if warning:
         message += f"; closures: {warning}"
     unused = counters["odometry_out_of_order"] + counters["odometry_duplicated"]
@@ -74,10 +82,8 @@ def judge_outcome(
     if not is_ordered:
         message += "; most odometry messages were unusable: their stamps do not increase"
     message = "; ".join([message, *doubts])
-    is_well = (
-        optimization.converged and not warning and is_ordered and not counters["covariances_missing"] and not doubts
-    )
-    return Outcome("info" if is_well else "warning", message)
+    has_trouble = warning or not is_ordered or counters["covariances_missing"] or doubts or uncorrected
+    return Outcome("info" if optimization.converged and not has_trouble else "warning", message)
 
 
 class FinalRecords:

@@ -118,7 +118,7 @@ def replay(
             prepared.calibration.config.sensor_range_m, _ground_truth(source, config, prepared.selection)
         )
         # One thread: the products are small, and threads would add them up in another order on another machine.
-        with threadpool_limits(1, user_api="blas"), LogWriter(output) as writer:
+        with threadpool_limits(1, user_api="blas"), LogWriter(output, keep_partial=False) as writer:
             georeference = prior_map.georeference if isinstance(prior_map, ImportedMap) else None
             drive = _Drive(slam, prepared, clocks, OutputLog(writer, display, view, georeference))
             final = drive.map(reader, writer, progress)

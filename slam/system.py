@@ -22,7 +22,8 @@ from logs.messages import (
     StatusRecord,
     Transform,
 )
-from slam.assessment import assess
+from logs.record_checks import check_record
+from slam.assessment import assess, diagnose_uncorrected
 from slam.backend.batch_solver import Optimization
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.solver_options import UPDATE_KEYFRAMES, FactorGraphConfig
@@ -122,7 +123,12 @@ class Slam:
         return self._graph.solver_seconds
 
     def process(self, record: Record) -> list[Record]:
-        """Take in the next record in the order of the log; returns what it made known."""
+        """Process the next record in the order of the log; returns what it made known.
+
+        Raises:
+            InvalidRecordError: a pose or detections of another shape, type or transform than :mod:`logs.messages` says.
+        """
+        check_record(record)
         if isinstance(record, Transform):
             self._frames.add(record)
         elif isinstance(record, GeodeticFix):
@@ -193,7 +199,8 @@ class Slam:
         self.counters["closures_rejected_by_odometry"] = self._closer.rejected_by_odometry_count
         graph, object_map = records.graph(), records.object_map()
         doubts = assess(graph, object_map, sensor_range_m=self._config.sensor_range_m)
-        outcome = judge_outcome(optimization, warning, self.counters, doubts)
+        uncorrected = diagnose_uncorrected(graph, self.counters)
+        outcome = judge_outcome(optimization, warning, self.counters, doubts, uncorrected=uncorrected)
         return FinalMap(
             trajectory=records.trajectory(),
             object_map=object_map,

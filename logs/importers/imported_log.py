@@ -39,7 +39,7 @@ def write_imported_log(output: Path, records: Iterable[ImportedRecord], source: 
     message_counts: Counter[str] = Counter()
     detection_count = 0
     stamps_ns = [0, 0]
-    with LogWriter(output) as writer:
+    with LogWriter(output, keep_partial=False) as writer:
         writer.add_metadata("source", dict(source))
         for record in records:
             topic = TOPICS[type(record)]

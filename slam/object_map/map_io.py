@@ -110,7 +110,7 @@ def save_map(
         )
     drives = [*(earlier_drives or ()), _drive(provenance)]
     about = {"format_version": FORMAT_VERSION, "gravity": GRAVITY, **provenance, "drives": json.dumps(drives)}
-    with LogWriter(path) as writer:
+    with LogWriter(path, keep_partial=False) as writer:
         writer.add_metadata(METADATA, about)
         writer.write(OBJECTS_TOPIC, kept, objects.stamp_ns)
         writer.write(GRAPH_TOPIC, graph, objects.stamp_ns)

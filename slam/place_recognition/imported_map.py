@@ -176,7 +176,7 @@ def save_imported_map(path: Path, imported: ImportedMap) -> None:
     }
     if imported.georeference is not None:
         about["georeference"] = imported.georeference.to_json()
-    with LogWriter(path) as writer:
+    with LogWriter(path, keep_partial=False) as writer:
         writer.add_metadata(METADATA, about)
         for name in _CHECKED:
             writer.add_array(name, getattr(imported, name))

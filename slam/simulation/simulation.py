@@ -84,7 +84,7 @@ def write_simulation(path: Path, world: World, config: SimulationConfig, *, seed
     drives = _drives(plan, config)
     counts: Counter[str] = Counter()
     detection_count = 0
-    with LogWriter(path) as writer:
+    with LogWriter(path, keep_partial=False) as writer:
         writer.add_metadata(
             "simulation",
             {

@@ -66,6 +66,21 @@ def test_an_exception_leaves_a_readable_partial_log(tmp_path):
         assert len(list(reader.records(ODOMETRY))) == 1
 
 
+def write_and_raise(path, error):
+    with LogWriter(path, keep_partial=False) as writer:
+        writer.write("/odom", m.Odometry(1, np.eye(4)))
+        raise error
+
+
+def test_an_exception_removes_a_partial_log_that_is_not_kept(tmp_path):
+    with pytest.raises(RuntimeError):
+        write_and_raise(tmp_path / "log.mcap", RuntimeError())
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(KeyboardInterrupt):
+        write_and_raise(tmp_path / "log.mcap", KeyboardInterrupt())
+    assert (tmp_path / "log.mcap.part").exists()
+
+
 def test_an_existing_log_stays_until_the_new_one_is_whole(tmp_path):
     path = tmp_path / "log.mcap"
     path.write_bytes(b"old")

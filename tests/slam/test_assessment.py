@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
-from slam.assessment import assess
+from slam.assessment import assess, diagnose_uncorrected
 from slam.backend.edge_kind import EdgeKind
 
 KEYFRAMES = 101
@@ -68,7 +69,7 @@ def test_gaps_within_the_sensor_range_raise_no_doubt() -> None:
     assert doubts(drive(seen=range(0, KEYFRAMES, 10))) == ""
 
 
-@pytest.mark.parametrize(("seen", "share"), [(range(50), 51), (range(30, KEYFRAMES), 30), (range(0), 100)])
+@pytest.mark.parametrize(("seen", "share"), [(range(50), 51), (range(30, KEYFRAMES), 30)])
 def test_a_long_way_without_landmarks_is_told(seen: range, share: int) -> None:
     assert f"fewer than two landmarks in view over {share} % of the way" in doubts(drive(seen=seen))
 
@@ -107,3 +108,19 @@ def test_a_robot_that_stood_still_needs_no_landmarks() -> None:
 def test_many_moving_objects_are_told(moving: int, told: bool) -> None:
     said = doubts(drive(seen=range(KEYFRAMES)), landmarks(moving=moving))
     assert ("seem to move" in said) == told
+
+
+@pytest.mark.parametrize(
+    ("counters", "reason"),
+    [
+        ({"detections_without_odometry": 7}, r"within the time of the odometry \(7 are not\).* the same clock"),
+        ({"detections_used": 7}, "no scan has an object"),
+        ({"objects_used": 7}, "no landmark was confirmed"),
+    ],
+)
+def test_diagnose_uncorrected_names_the_reason(counters: dict[str, int], reason: str) -> None:
+    graph = drive(seen=range(0))
+    assert re.search(reason, diagnose_uncorrected(graph, counters))
+    assert doubts(graph) == ""  # one reason once
+    closed = replace(graph, edge_kinds=(*graph.edge_kinds[:-1], EdgeKind.LOOP_CLOSURE))
+    assert diagnose_uncorrected(closed, counters) == diagnose_uncorrected(drive(seen=range(5)), counters) == ""

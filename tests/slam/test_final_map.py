@@ -36,3 +36,11 @@ def test_doubts_about_the_map_are_reported() -> None:
     outcome = judge_outcome(CONVERGED, "", Counter(odometry_used=10), ["30 % of the objects seem to move"])
     assert outcome.level == "warning"
     assert "30 % of the objects seem to move" in outcome.message
+
+
+def test_judge_outcome_does_not_call_an_uncorrected_odometry_optimised() -> None:
+    outcome = judge_outcome(CONVERGED, "", Counter(odometry_used=10), uncorrected="no scan has an object")
+    assert outcome.level == "warning"
+    assert outcome.message.startswith("not corrected")
+    assert "no scan has an object" in outcome.message
+    assert "optimised" not in outcome.message

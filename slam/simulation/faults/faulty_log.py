@@ -101,7 +101,7 @@ def write_faulty(
         keeps_others = all(case.fault.keeps_others for case in cases)
         copied = _copied(reader, others if keeps_others else ())
         written: Counter[str] = Counter()
-        with LogWriter(output) as writer:
+        with LogWriter(output, keep_partial=False) as writer:
             _write_metadata(reader, writer, cases, seed)
             rewritten = {entry.topic for entry in result if entry.raw is None}
             for entry in heapq.merge(result, copied, key=lambda entry: (entry.log_time_ns, entry.number)):
