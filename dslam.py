@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,11 +32,17 @@ if TYPE_CHECKING:
     from slam.common.errors import InputDataError, SlamError
     from slam.evaluation.result import Evaluation
     from slam.final_map import FinalMap
-    from slam.library import calibrate, evaluate_log, landmark_table, read_map, read_trajectory
+    from slam.formats.landmark_tables import landmark_table
+    from slam.library import calibrate, evaluate_log, load_map, read_map, read_trajectory, save_map
     from slam.live_slam import LiveSlam as Slam
-    from slam.object_map.map_io import SavedMap, load_map
+    from slam.localization.prior_map import PriorMap
+    from slam.object_map.map_io import SavedMap
+    from slam.place_recognition.imported_map import ImportedMap, load_imported_map
+    from slam.place_recognition.initial_pose import InitialPose
     from slam.replay import ReplaySummary, replay
     from slam.scan_localization import ScanLocalization, ScanLocalizer
+
+    __version__: str
 
 __all__ = [
     "Calibration",
@@ -46,6 +53,8 @@ __all__ = [
     "Evaluation",
     "FinalMap",
     "GroundTruthPose",
+    "ImportedMap",
+    "InitialPose",
     "InputDataError",
     "LogError",
     "LogReader",
@@ -53,6 +62,7 @@ __all__ = [
     "ObjectDetections",
     "ObjectMapRecord",
     "Odometry",
+    "PriorMap",
     "ReplaySummary",
     "SavedMap",
     "ScanLocalization",
@@ -66,10 +76,12 @@ __all__ = [
     "evaluate_log",
     "landmark_table",
     "load_config",
+    "load_imported_map",
     "load_map",
     "read_map",
     "read_trajectory",
     "replay",
+    "save_map",
     "select_topics",
 ]
 
@@ -93,8 +105,12 @@ _NAMES_OF_MODULES = {
     "slam.common.config": ("Config", "load_config"),
     "slam.common.errors": ("InputDataError", "SlamError"),
     "slam.evaluation.result": ("Evaluation",),
-    "slam.library": ("calibrate", "evaluate_log", "landmark_table", "read_map", "read_trajectory"),
-    "slam.object_map.map_io": ("SavedMap", "load_map"),
+    "slam.formats.landmark_tables": ("landmark_table",),
+    "slam.library": ("calibrate", "evaluate_log", "load_map", "read_map", "read_trajectory", "save_map"),
+    "slam.localization.prior_map": ("PriorMap",),
+    "slam.object_map.map_io": ("SavedMap",),
+    "slam.place_recognition.imported_map": ("ImportedMap", "load_imported_map"),
+    "slam.place_recognition.initial_pose": ("InitialPose",),
     "slam.replay": ("ReplaySummary", "replay"),
     "slam.scan_localization": ("ScanLocalization", "ScanLocalizer"),
     "slam.final_map": ("FinalMap",),
@@ -109,6 +125,8 @@ _IS_INSTALLED = bool(__package__)
 
 
 def __getattr__(name: str) -> object:
+    if name == "__version__":
+        return version("descriptellation-slam")
     if name not in _PLACE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, attribute = _PLACE_OF[name]

@@ -113,6 +113,12 @@ def encode_points(points: ScenePoints) -> Message:
     return cloud
 
 
+def decode_points(data: bytes) -> FloatArray:
+    """The positions (N, 3) m of a cloud that :func:`encode_points` made."""
+    rows = np.frombuffer(PointCloud.FromString(data).data, dtype=_POINT)
+    return np.column_stack([rows[axis] for axis in "xyz"]).astype(np.float64)
+
+
 def timestamp(stamp_ns: int) -> Timestamp:
     """``stamp_ns`` as protobuf has times."""
     seconds, nanos = divmod(int(stamp_ns), 1_000_000_000)

@@ -41,6 +41,9 @@ _NUMBER = re.compile(r"(?:(?<!\w)-)?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 class TopicSummary:
     """One topic. Its times are the stamps of its records where it has any, but for frames, which share a topic, and
     topics that do not decode, those at which it was logged. ``rate_hz`` is None below two messages.
+
+    ``frame_edges``: pairs of parent and child that its transforms, or its odometry, connect; names without the leading
+    slash of ROS 1.
     """
 
     topic: str
@@ -48,12 +51,15 @@ class TopicSummary:
     encoding: str
     kinds: tuple[RecordKind, ...]
     message_count: int
+    first_ns: int
+    last_ns: int
     rate_hz: float | None
     gap_count: int
     longest_gap_s: float
     duplicate_stamps: int
     out_of_order_stamps: int
     frames: tuple[str, ...]
+    frame_edges: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +167,17 @@ class _TopicGathering:
     def __init__(self) -> None:
         self.times_ns: array[int] = array("q")
         self.frames: set[str] = set()
+        self.edges: set[tuple[str, str]] = set()
+
+    def add_frames(self, record: m.Record) -> None:
+        """Note the frames that a record names, and which of them it connects."""
+        if len(self.frames) >= MAX_FRAMES:
+            return
+        self.frames |= {getattr(record, f.name).lstrip("/") for f in fields(record) if f.name in _FRAMES}
+        if isinstance(record, m.Transform):
+            self.edges.add((record.parent_frame_id.lstrip("/"), record.child_frame_id.lstrip("/")))
+        elif isinstance(record, m.Odometry):
+            self.edges.add((record.frame_id.lstrip("/"), record.child_frame_id.lstrip("/")))
 
     def summary(self, info: TopicInfo) -> TopicSummary:
         times_ns = np.array(self.times_ns, dtype=np.int64)
@@ -174,12 +191,15 @@ class _TopicGathering:
             encoding=info.encoding,
             kinds=info.kinds,
             message_count=len(times_ns),
+            first_ns=int(times_ns[0]) if len(times_ns) else 0,
+            last_ns=int(times_ns[-1]) if len(times_ns) else 0,
             rate_hz=(len(times_ns) - 1) / (span_ns * 1e-9) if span_ns else None,
             gap_count=gap_count,
             longest_gap_s=longest_gap_s,
             duplicate_stamps=duplicates,
             out_of_order_stamps=out_of_order,
             frames=tuple(sorted(self.frames - {""})),
+            frame_edges=tuple(sorted(edge for edge in self.edges if "" not in edge)),
         )
 
 
@@ -204,8 +224,7 @@ class _Gathering:
         is_stamped = bool(records) and not isinstance(records[0], m.Transform)
         topic.times_ns.append(records[0].stamp_ns if is_stamped else raw.log_time_ns)
         for record in records:
-            if len(topic.frames) < MAX_FRAMES:
-                topic.frames.update(getattr(record, f.name) for f in fields(record) if f.name in _FRAMES)
+            topic.add_frames(record)
             self._add_record(raw.topic, record)
 
     def _add_record(self, topic: str, record: m.Record) -> None:

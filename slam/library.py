@@ -1,4 +1,4 @@
-"""What other programs call, beside :func:`slam.replay.replay`: results of a log as arrays."""
+"""What other programs call, beside :func:`slam.replay.replay`: maps, and results of a log as arrays."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from logs.container.limits import RESULT_LIMITS
 from logs.messages import ObjectMapRecord, Record, TrajectoryRecord
 from logs.reader import LogReader
 from logs.selection import Selection
@@ -19,23 +17,51 @@ from slam.common.errors import InputDataError
 from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import read_records
 from slam.evaluation.result import Evaluation
-from slam.object_map.map_io import OBJECTS_TOPIC, confirmed
+from slam.localization.prior_map import PriorMap, load_prior_map
+from slam.object_map.map_io import IMPORTED, METADATA, OBJECTS_TOPIC, confirmed, write_map
+from slam.place_recognition.imported_map import ImportedMap, load_imported_map, save_imported_map
 from slam.prepared_log import calibrate_logs
 
 _FINAL_MAP, _FINAL_TRAJECTORY = "/slam/map", "/slam/trajectory_stamped"
 
 
 def read_map(path: str | os.PathLike[str]) -> ObjectMapRecord:
-    """The confirmed landmarks of a log that ``replay`` wrote, or of a saved map.
+    """The confirmed landmarks of a log that ``replay`` wrote, or of a map of any kind: saved, imported or of a fleet.
 
     Raises:
         LogError: the file cannot be read.
         InputDataError: it holds no map.
+        SavedMapError: an imported map that is damaged.
     """
     found = _last_record(path, Selection.of(dict.fromkeys((_FINAL_MAP, OBJECTS_TOPIC), RecordKind.OBJECT_MAP)))
-    if not isinstance(found, ObjectMapRecord):
-        raise InputDataError(f"{path} holds no map ({_FINAL_MAP} or {OBJECTS_TOPIC}); give a log that replay() wrote")
-    return confirmed(found)
+    if isinstance(found, ObjectMapRecord):
+        return confirmed(found)
+    if _is_imported(path):
+        return load_imported_map(path).objects
+    raise InputDataError(f"{path} holds no map ({_FINAL_MAP} or {OBJECTS_TOPIC}); give a log that replay() wrote")
+
+
+def load_map(path: str | os.PathLike[str]) -> PriorMap:
+    """A map to localize in or to extend: of a drive (``SavedMap``), or imported or of a fleet (``ImportedMap``).
+
+    Raises:
+        LogError: the file cannot be read.
+        SavedMapError: it holds no map, or one that is damaged or of another format version.
+    """
+    return load_prior_map(path)
+
+
+def save_map(path: str | os.PathLike[str], saved: PriorMap) -> None:
+    """Write a map that ``load_map`` or ``load_imported_map`` returned, for example with some landmarks left out.
+
+    Raises:
+        LogError: it cannot be written.
+        SavedMapError: it would be refused when it is loaded.
+    """
+    if isinstance(saved, ImportedMap):
+        save_imported_map(Path(path), saved)
+    else:
+        write_map(Path(path), saved)
 
 
 def read_trajectory(path: str | os.PathLike[str]) -> TrajectoryRecord:
@@ -49,31 +75,6 @@ def read_trajectory(path: str | os.PathLike[str]) -> TrajectoryRecord:
     if not isinstance(found, TrajectoryRecord):
         raise InputDataError(f"{path} holds no trajectory ({_FINAL_TRAJECTORY}); give a log that replay() wrote")
     return found
-
-
-def landmark_table(objects: ObjectMapRecord) -> dict[str, NDArray[np.generic]]:
-    """Landmarks as named columns of equal length (M,), for example for ``pandas.DataFrame``.
-
-    ``id``; ``label``, the likeliest class, and its ``label_probability``; ``x_m``, ``y_m``, ``z_m`` in the map frame
-    and their standard deviations ``x_sigma_m``, ``y_sigma_m``, ``z_sigma_m``; ``state``; ``observations``;
-    ``first_seen_ns``, ``last_seen_ns``.
-    """
-    sigmas = np.sqrt(np.diagonal(objects.covariances, axis1=1, axis2=2))
-    columns: dict[str, NDArray[np.generic]] = {
-        "id": np.array(objects.ids, dtype=np.str_),
-        "label": np.array(objects.labels, dtype=np.str_),
-        "label_probability": objects.class_probabilities.max(axis=1, initial=0.0),
-    }
-    for axis, name in enumerate("xyz"):
-        columns[f"{name}_m"] = objects.positions[:, axis]
-    for axis, name in enumerate("xyz"):
-        columns[f"{name}_sigma_m"] = sigmas[:, axis]
-    return columns | {
-        "state": np.array(objects.states, dtype=np.str_),
-        "observations": objects.observation_counts,
-        "first_seen_ns": objects.first_seen_ns,
-        "last_seen_ns": objects.last_seen_ns,
-    }
 
 
 def calibrate(
@@ -114,8 +115,13 @@ def evaluate_log(
     return evaluate(read_records(path, reference=reference, topics=topics))
 
 
-def _last_record(path: str | os.PathLike[str], selection: Selection) -> Record | None:
+def _is_imported(path: str | os.PathLike[str]) -> bool:
     with LogReader(path) as reader:
+        return reader.metadata().get(METADATA, {}).get("kind") == IMPORTED
+
+
+def _last_record(path: str | os.PathLike[str], selection: Selection) -> Record | None:
+    with LogReader(path, RESULT_LIMITS) as reader:
         found = None
         for entry in reader.records(selection):
             found = entry.record

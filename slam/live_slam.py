@@ -20,7 +20,7 @@ from slam.frontend.input.sensor_frames import SensorFrames
 from slam.frontend.input.stamp_clocks import LoggingDelays
 from slam.localization.prior_map import PriorMap
 from slam.localization.state import CALIBRATIONS, OF_ONE_MAP, Fix, State
-from slam.place_recognition.place_prior import PlacePrior
+from slam.place_recognition.initial_pose import InitialPose
 from slam.self_calibration.calibration import CalibratedLog, calibrate
 from slam.self_calibration.survey import survey
 from slam.self_calibration.surveyed_log import MAX_DETECTIONS, SurveyedLog
@@ -45,7 +45,7 @@ class LiveSlam:
         *,
         calibration: Calibration | None = None,
         extend: bool = True,
-        place_prior: PlacePrior | None = None,
+        initial_pose: InitialPose | None = None,
         frames: SensorFrames | None = None,
         delays: Callable[[], LoggingDelays] = LoggingDelays,
     ) -> None:
@@ -53,7 +53,7 @@ class LiveSlam:
         ``config.calibrate`` is off, all of it. ``delays``: how long after their stamps messages were logged so far.
         """
         self._given = config if calibration is None else config.model_copy(update={"calibration": calibration})
-        self._prior_map, self._extend, self._place_prior = prior_map, extend, place_prior
+        self._prior_map, self._extend, self._initial_pose = prior_map, extend, initial_pose
         self._frames = frames or SensorFrames()
         self._delays = delays
         self.calibration = CalibratedLog(self._given)
@@ -133,7 +133,7 @@ class LiveSlam:
         return self._slam.finish()
 
     def _build(self, config: Config) -> Slam:
-        return Slam(config, self._prior_map, extend=self._extend, place_prior=self._place_prior, frames=self._frames)
+        return Slam(config, self._prior_map, extend=self._extend, initial_pose=self._initial_pose, frames=self._frames)
 
     def _calibrate(self) -> None:
         """Estimate the calibration from all records so far, and begin a map by it."""

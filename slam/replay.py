@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -34,7 +35,7 @@ from slam.localization.unrecognised_map import why_doubtful, why_not_recognised
 from slam.object_map.map_io import METADATA, save_map
 from slam.output_log import OutputLog
 from slam.place_recognition.imported_map import ImportedMap
-from slam.place_recognition.place_prior import PlacePrior
+from slam.place_recognition.initial_pose import InitialPose
 from slam.prepared_log import PreparedLog, prepare_log
 from slam.provenance import provenance_of
 from slam.self_calibration.calibration import CalibratedLog
@@ -69,16 +70,16 @@ class ReplaySummary:
 
 
 def replay(
-    source: Path,
-    output: Path,
+    source: str | os.PathLike[str],
+    output: str | os.PathLike[str],
     config: Config = DEFAULTS,
     *,
     topics: Mapping[str, str] | None = None,
     prior_map: PriorMap | None = None,
-    place_prior: PlacePrior | None = None,
+    initial_pose: InitialPose | None = None,
     extend: bool = True,
     online: bool = False,
-    map_path: Path | None = None,
+    map_path: str | os.PathLike[str] | None = None,
     copy: Collection[str] = (),
     view: Callable[[str, Record, int], None] | None = None,
     progress: Callable[[float], None] | None = None,
@@ -91,7 +92,7 @@ def replay(
         config: the effective configuration, which is written into the output.
         topics: kind -> topic, where the log leaves a choice.
         prior_map: a map to localize in.
-        place_prior: where in it the robot starts.
+        initial_pose: where in it the robot starts.
         extend: go on from that map and improve it; else it stays as it is.
         online: calibrate the robot during the drive, by what it has seen so far, as a live robot is, instead of by the
             whole log before it.
@@ -109,11 +110,12 @@ def replay(
             f"the given map stays as it is, so {map_path} would be a copy of it; extend it, or save none"
         )
     started = time.perf_counter()
+    source, output = Path(source), Path(output)
     with LogReader(source, config.reading_limits) as reader:
         _check_drive(reader, source, output)
         prepared = prepare_log(reader, config, topics=topics, copy=copy, is_surveyed=not online)
         clocks = StampClocks(prepared.drift, keeps_delays=online)
-        slam = _make_slam(prepared, clocks, prior_map, place_prior, extend=extend, online=online)
+        slam = _make_slam(prepared, clocks, prior_map, initial_pose, extend=extend, online=online)
         display = DriveDisplay(
             prepared.calibration.config.sensor_range_m, _ground_truth(source, config, prepared.selection)
         )
@@ -127,7 +129,7 @@ def replay(
             if prior_map is None:
                 georeference = find_georeference(final.trajectory, drive.fixes)
             drive.log.write_final(final, georeference, prepared.last_ns)
-        unsaved = 0 if map_path is None else _save(map_path, output, slam, final, provenance, prior_map)
+        unsaved = 0 if map_path is None else _save(Path(map_path), output, slam, final, provenance, prior_map)
     return _summarize(drive, final, _about_the_map(drive, prior_map, final, config), unsaved, started)
 
 
@@ -135,15 +137,15 @@ def _make_slam(
     prepared: PreparedLog,
     clocks: StampClocks,
     prior_map: PriorMap | None,
-    place_prior: PlacePrior | None,
+    initial_pose: InitialPose | None,
     *,
     extend: bool,
     online: bool,
 ) -> Slam | LiveSlam:
     config, frames = prepared.calibration.config, prepared.frames
     if not online:
-        return Slam(config, prior_map, extend=extend, place_prior=place_prior, frames=frames)
-    return LiveSlam(config, prior_map, extend=extend, place_prior=place_prior, frames=frames, delays=clocks.delays)
+        return Slam(config, prior_map, extend=extend, initial_pose=initial_pose, frames=frames)
+    return LiveSlam(config, prior_map, extend=extend, initial_pose=initial_pose, frames=frames, delays=clocks.delays)
 
 
 class _Drive:

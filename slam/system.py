@@ -49,7 +49,7 @@ from slam.odometry.pose import OdometryPose
 from slam.odometry.track import OdometryTrack
 from slam.place_recognition.imported_map import ImportedMap
 from slam.place_recognition.imported_places import SEGMENT
-from slam.place_recognition.place_prior import PlacePrior
+from slam.place_recognition.initial_pose import InitialPose
 
 
 class Slam:
@@ -62,10 +62,10 @@ class Slam:
         *,
         calibration: Calibration | None = None,
         extend: bool = True,
-        place_prior: PlacePrior | None = None,
+        initial_pose: InitialPose | None = None,
         frames: SensorFrames | None = None,
     ) -> None:
-        """``prior_map``: a map to localize in; ``extend``: update it instead of keeping it fixed; ``place_prior``:
+        """``prior_map``: a map to localize in; ``extend``: update it instead of keeping it fixed; ``initial_pose``:
         where in it the robot starts; ``calibration``: of the robot, instead of that of ``config``;
         ``frames``: where the sensors sit, as far as it is known before the drive; transforms add to it.
         """
@@ -83,12 +83,12 @@ class Slam:
         track = OdometryTrack(self.counters, first_segment=self._first_segment, sensor_range_m=config.sensor_range_m)
         self._frontend = Frontend(config.calibration.detection, self._frames, track, self._mapper, self.counters)
         self._closer = LoopCloser(config, self._object_map, self._graph, self._mapper.keyframes, imported)
-        self._closer.place_prior = place_prior
+        self._closer.initial_pose = initial_pose
         self._condenser = GraphCondenser(
             config, self._object_map, self._graph, self._mapper.keyframes, self._closer.closures, self.counters
         )
         self._gnss: GnssPrior | None = None
-        if isinstance(prior_map, ImportedMap) and prior_map.georeference is not None and place_prior is None:
+        if isinstance(prior_map, ImportedMap) and prior_map.georeference is not None and initial_pose is None:
             self._gnss = GnssPrior(prior_map.georeference)
         self._localization = LocalizationState(has_prior_map=prior_map is not None)
         self._odometry = CalibratedOdometry(config.calibration.odometry)
@@ -133,7 +133,7 @@ class Slam:
             self._frames.add(record)
         elif isinstance(record, GeodeticFix):
             if self._gnss is not None and self._path.latest is not None:
-                self._closer.place_prior = self._gnss.add(record, self._path.latest.travel_m)
+                self._closer.initial_pose = self._gnss.add(record, self._path.latest.travel_m)
         elif isinstance(record, ObjectDetections):
             self._frontend.add_detections(record)
         elif isinstance(record, Odometry):

@@ -14,15 +14,23 @@ import pytest
 
 import dslam
 from dslam import (
+    Config,
+    ImportedMap,
     InputDataError,
+    LogError,
     LogReader,
     ObjectDetections,
+    Odometry,
     ScanLocalizer,
+    Slam,
     landmark_table,
+    load_map,
     read_map,
     read_trajectory,
+    save_map,
     select_topics,
 )
+from slam.place_recognition.imported_map import make_imported_map
 from slam.replay import replay
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -71,7 +79,7 @@ def test_a_saved_map_and_the_result_of_a_replay_hold_the_same_landmarks(folder: 
     table = landmark_table(final)
     assert {len(column) for column in table.values()} == {len(final.ids)}
     np.testing.assert_array_equal(np.column_stack([table["x_m"], table["y_m"], table["z_m"]]), final.positions)
-    assert np.all(table["x_sigma_m"] > 0.0)
+    assert np.all(table["sigma_x_m"] > 0.0)
 
 
 @pytest.mark.slow
@@ -108,3 +116,27 @@ def test_the_command_starts_beside_packages_of_the_same_names(start: str, tmp_pa
     result = subprocess.run(command, cwd=tmp_path, env={"PYTHONPATH": path}, capture_output=True, text=True)
     assert (result.returncode, result.stderr) == (0, "")
     assert result.stdout.startswith("dslam ")
+
+
+def test_slam_process_refuses_malformed_records() -> None:
+    slam = Slam(Config())
+    with pytest.raises(LogError, match=r"T_odom_body is float64 \(3, 3\); give a float64 array of shape \(4, 4\)"):
+        slam.process(Odometry(0, np.eye(3)))
+    with pytest.raises(LogError, match="no rotation"):
+        slam.process(Odometry(0, 2.0 * np.eye(4)))
+    with pytest.raises(LogError, match="positions"):
+        slam.process(ObjectDetections(0, "base_link", np.zeros((1, 2)), ("tree",), np.ones(1)))
+
+
+def test_maps_of_both_kinds_are_loaded_saved_and_read(tmp_path: Path) -> None:
+    positions = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [0.0, 7.0, 0.0], [6.0, 8.0, 1.0]])
+    made = make_imported_map(positions, ["tree", "pole", "tree", "tree"], list("abcd"), sigma_m=0.2)
+    save_map(str(tmp_path / "imported.mcap"), made)
+    loaded = load_map(str(tmp_path / "imported.mcap"))
+    assert isinstance(loaded, ImportedMap)
+    objects = read_map(tmp_path / "imported.mcap")
+    found = dict(zip(objects.ids, objects.positions.tolist(), strict=True))
+    assert found == dict(zip("abcd", positions.tolist(), strict=True))
+    assert dict(zip(objects.ids, objects.labels, strict=True)) == {"a": "tree", "b": "pole", "c": "tree", "d": "tree"}
+    np.testing.assert_allclose(landmark_table(objects)["sigma_x_m"], 0.2)
+    assert len(dslam.__version__.split(".")) == 3

@@ -29,7 +29,7 @@ _COMMANDS = {
     "simulate": "simulate:simulate",
     "degrade": "degrade:degrade",
     "import": "import_logs:app",
-    "info": "info:info",
+    "info": "inspection.info:info",
     "calibrate": "settings.calibrate:calibrate",
     "replay": "replay:replay",
     "live": "live:live",

@@ -13,7 +13,6 @@ from tools.arguments import ConfigFile, Json, Settings
 if TYPE_CHECKING:
     from slam.fleet.logs import FleetLog
 
-REPORT_NAME = "report.json"
 NOT_MAPPED = 1
 """Exit code if a log could not be mapped."""
 
@@ -41,13 +40,14 @@ def fleet(
     ] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,
+    status: Annotated[bool, typer.Option("--status", help="Show the last report and the logs that wait.")] = False,
     json: Json = False,
 ) -> None:
     """Map many logs of one city, find them in one another, and make one map of them.
 
     Logs are added to those of earlier runs in the same folder. Each log is mapped by itself; report.json says which
     joined where and which did not and why, changes.geojson what appeared, disappeared or moved. After an interruption
-    the same command continues. The exit code is 1 if a log could not be mapped.
+    the same command continues. --status shows the last report. The exit code is 1 if a log could not be mapped.
 
     Example: dslam fleet monday.mcap tuesday.mcap wednesday.mcap -o city
     """
@@ -55,8 +55,12 @@ def fleet(
     from slam.fleet.engine import open_engine
     from slam.fleet.fleet import map_fleet
     from slam.fleet.logs import add_logs, find_logs
-    from slam.fleet.report import fleet_report, write_report
+    from slam.fleet.report import fleet_report, read_report, write_report
     from tools import console
+
+    if status:
+        _finish(folder, read_report(folder), json=json)
+        return
     from tools.importers.maps import parse_origin
 
     config = load_config(config_file, settings or ())
@@ -70,8 +74,14 @@ def fleet(
         result = map_fleet(
             members, folder, config, engine, georeference=georeference, progress=progress or _print_progress
         )
-    write_report(folder / REPORT_NAME, result)
-    report = fleet_report(result)
+    write_report(folder, result)
+    _finish(folder, fleet_report(result), json=json)
+
+
+def _finish(folder: Path, report: dict[str, Any], *, json: bool) -> None:
+    """Print a report; the exit code is that of the command."""
+    from tools import console
+
     if json:
         console.show_json(report)
     else:
@@ -85,13 +95,15 @@ def _print_progress(_done: float, doing: str) -> None:
 
 
 def _show(folder: Path, report: dict[str, Any]) -> None:
+    from slam.fleet.report import REPORT_NAME
     from tools import console
 
-    table = console.grid({"log": False, "status": False, "map": False, "joined": True, "reason": False})
+    table = console.grid(
+        {"log": False, "status": False, "map": False, "joined": True, "warnings": True, "reason": False}
+    )
     for log in report["logs"]:
-        table.add_row(
-            log["log"], log["status"], log.get("map", ""), str(len(log.get("joined", []))), log.get("reason", "")
-        )
+        joined, notes = len(log.get("joined", [])), len(log.get("notes", []))
+        table.add_row(log["log"], log["status"], log.get("map", ""), str(joined), str(notes), log.get("reason", ""))
     parts = console.grid(
         {"map": False, **dict.fromkeys(("logs", "landmarks", "there now", "sigma m", "changes"), True)}
     )
@@ -104,4 +116,7 @@ def _show(folder: Path, report: dict[str, Any]) -> None:
             f"{part['median_sigma_m']:.3f}",
             str(part["changes"]),
         )
-    console.show(table, parts, f"written: {folder / REPORT_NAME}, {folder / 'changes.geojson'}")
+    warnings = [f"{log['log']}: {note}" for log in report["logs"] for note in log.get("notes", [])]
+    names = [*(part["map"] for part in report["parts"]), REPORT_NAME, "changes.geojson"]
+    written = [str(folder / name) for name in names if (folder / name).exists()]
+    console.show(table, parts, *warnings, f"written: {', '.join(written)}")

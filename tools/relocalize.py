@@ -18,10 +18,10 @@ from tools.arguments import (
     check_outputs,
     parse_topics,
 )
+from tools.pictures import draw_drive
 
 if TYPE_CHECKING:
-    from slam.localization.prior_map import PriorMap
-    from slam.place_recognition.place_prior import PlacePrior
+    from slam.place_recognition.initial_pose import InitialPose
     from slam.replay import ReplaySummary
 
 NOT_FOUND = 1
@@ -72,12 +72,12 @@ def relocalize(
             config,
             topics=chosen,
             prior_map=known,
-            place_prior=prior,
+            initial_pose=prior,
             extend=False,
             progress=progress,
         )
     if picture is not None and summary.relocalization_times_s:
-        _draw(output, picture, known)
+        draw_drive(output, picture, known)
     times_s, distances_m = summary.relocalization_times_s, summary.relocalization_distances_m
     found = {
         "output": str(output),
@@ -103,10 +103,10 @@ def relocalize(
         raise typer.Exit(NOT_FOUND)
 
 
-def _parsed_prior(near: str | None) -> PlacePrior | None:
+def _parsed_prior(near: str | None) -> InitialPose | None:
     import numpy as np
 
-    from slam.place_recognition.place_prior import PlacePrior
+    from slam.place_recognition.initial_pose import InitialPose
 
     if near is None:
         return None
@@ -120,22 +120,7 @@ def _parsed_prior(near: str | None) -> PlacePrior | None:
             param_hint="--near",
         )
     yaw_rad = float(np.deg2rad(yaw_deg[0])) if yaw_deg else None
-    return PlacePrior(np.array([x_m, y_m]), sigma_m, yaw_rad=yaw_rad)
-
-
-def _draw(output: Path, picture: Path, known: PriorMap) -> None:
-    """The path over the landmarks of the map; those of the drive alone are left out."""
-    from dataclasses import replace
-
-    from slam.display.map_picture import draw_map
-    from slam.evaluation.evaluate import evaluate
-    from slam.evaluation.inputs.records import read_records
-    from slam.evaluation.report.picture import compose_picture
-
-    records = read_records(output)
-    whole = compose_picture(records, evaluate(records), title=output.stem)
-    positions = known.positions_around(whole.estimate)
-    draw_map(picture, replace(whole, landmarks=positions[:0], labels=(), known=positions))
+    return InitialPose(np.array([x_m, y_m]), sigma_m, yaw_rad=yaw_rad)
 
 
 def _relocalized_keyframe_ratio(summary: ReplaySummary) -> float:

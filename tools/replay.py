@@ -20,6 +20,7 @@ from tools.arguments import (
     check_outputs,
     parse_topics,
 )
+from tools.pictures import draw_drive
 
 if TYPE_CHECKING:
     from logs.messages import Record
@@ -97,7 +98,7 @@ def replay(
             progress=progress,
         )
     if picture is not None:
-        _draw(output, picture)
+        draw_drive(output, picture)
     written = [str(path) for path in (output, save_map, picture) if path is not None]
     if json:
         console.show_json({"output": str(output), **asdict(summary), "real_time_factor": _real_time_factor(summary)})
@@ -117,16 +118,6 @@ def _open_view(output: Path) -> Callable[[str, Record, int], None]:
     _, address = start_viewer()
     recording.connect_grpc(address, default_blueprint=rerun_view.make_blueprint())
     return rerun_view.LiveView(recording).show
-
-
-def _draw(output: Path, picture: Path) -> None:
-    from slam.display.map_picture import draw_map
-    from slam.evaluation.evaluate import evaluate
-    from slam.evaluation.inputs.records import read_records
-    from slam.evaluation.report.picture import compose_picture
-
-    records = read_records(output)
-    draw_map(picture, compose_picture(records, evaluate(records), title=output.stem))
 
 
 def _show(written: list[str], summary: ReplaySummary) -> None:

@@ -16,7 +16,10 @@ def simulate(
         Path | None, typer.Option(metavar="CSV", help="Objects of a world of your own: x_m,y_m,z_m,class,id.")
     ] = None,
     trajectory: Annotated[Path | None, typer.Option(metavar="CSV", help="Tour through that world: x_m,y_m.")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the town and of all errors.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all errors, and of the town without --world-seed.")] = 0,
+    world_seed: Annotated[
+        int | None, typer.Option(min=0, metavar="N", help="Seed of the town: several drives through one town.")
+    ] = None,
     speed: Annotated[float | None, typer.Option(metavar="M/S", help="Cruising speed; drive.speed_mps.")] = None,
     length: Annotated[float | None, typer.Option(metavar="M", help="Length of the drive.")] = None,
     kidnap: Annotated[
@@ -48,12 +51,10 @@ def simulate(
     flags += [f"traffic.vehicles={moving}"] if moving is not None else []
     flags += kidnap_overrides(kidnap) if kidnap is not None else []
     config = load_simulation_config(config_file, [*(settings or ()), *flags])
-    if seed < 0:
-        raise typer.BadParameter(f"{seed} is negative; give 0 or more.", param_hint="--seed")
     if objects is not None and trajectory is not None:
         world = load_world(objects, trajectory)
     else:
-        world = generate_street_grid(rng=np.random.default_rng(seed))
+        world = generate_street_grid(rng=np.random.default_rng(seed if world_seed is None else world_seed))
     if length is not None:
         world = world.shortened(length)
     summary = write_simulation(output, world, config, seed=seed)

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from logs.container.limits import RESULT_LIMITS
 from logs.messages import FrameTree, LogMessage, Record, SceneLines, ScenePoints, SlamPose
 from logs.reader import LogReader
-from logs.scene import decode_lines, decode_position
+from logs.scene import decode_lines, decode_points, decode_position
 from slam.common.arrays import FloatArray
 from slam.common.errors import ViewerError
 from slam.display.map_topics import (
@@ -27,6 +28,7 @@ from slam.display.map_topics import (
     PATH_POINTS,
     SUBMAP,
 )
+from slam.object_map.map_io import POINTS_TOPIC
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -38,7 +40,7 @@ POSE, ROBOT, LOG = "/slam/pose", "/slam/robot", "/slam/log"
 ROBOT_COLOR = (1.0, 0.85, 0.1, 1.0)
 _LINE_COLORS = {PATH: PATH_COLOR, CLOSURES: CLOSURE_COLOR}
 _IMAGES = ("foxglove.CompressedImage", "foxglove.RawImage", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
-_PIXELS = {LANDMARK_POINTS: 4.5, SUBMAP: 2.0, ROBOT: 7.0, PATH: 1.5, CLOSURES: 2.0}
+_PIXELS = {LANDMARK_POINTS: 4.5, POINTS_TOPIC: 4.5, SUBMAP: 2.0, ROBOT: 7.0, PATH: 1.5, CLOSURES: 2.0}
 _REMEDY = "install it by: pip install 'descriptellation-slam[view]'"
 
 
@@ -86,11 +88,12 @@ def make_blueprint(extent: FloatArray | None = None, images: Collection[str] = (
 
 
 def blueprint_of(log: Path) -> rrb.Blueprint:
-    """The layout for a log: all of its path is in sight, and each of its images has a view."""
-    with LogReader(log) as reader:
+    """The layout for a log: all of its path or map is in sight, and each of its images has a view."""
+    with LogReader(log, RESULT_LIMITS) as reader:
         images = [info.topic for info in reader.topics() if info.schema_name in _IMAGES]
         paths = [decode_lines(raw.data) for raw in reader.messages([PATH])]
-    corners = np.concatenate([*(paths[-1] if paths else ()), np.zeros((0, 3))])
+        clouds = [decode_points(raw.data) for raw in reader.messages([POINTS_TOPIC])]
+    corners = np.concatenate([*(paths[-1] if paths else ()), *clouds, np.zeros((0, 3))])
     return make_blueprint(np.stack([corners.min(axis=0), corners.max(axis=0)]) if len(corners) else None, images)
 
 
@@ -152,9 +155,9 @@ def _style(recording: rr.RecordingStream) -> None:
     """Frames and sizes of what is drawn, for all times."""
     import rerun as rr
 
-    for topic in (LANDMARK_POINTS, SUBMAP, PATH, PATH_POINTS, CLOSURES, CLOSURE_POINTS, ROBOT):
+    for topic in (LANDMARK_POINTS, POINTS_TOPIC, SUBMAP, PATH, PATH_POINTS, CLOSURES, CLOSURE_POINTS, ROBOT):
         recording.log(topic, rr.CoordinateFrame(MAP_FRAME), static=True)
-    for topic in (LANDMARK_POINTS, SUBMAP):
+    for topic in (LANDMARK_POINTS, POINTS_TOPIC, SUBMAP):
         recording.log(topic, rr.Points3D.from_fields(radii=_radius(topic)), static=True)
     color = _bytes(ROBOT_COLOR)
     recording.log(ROBOT, rr.Points3D.from_fields(radii=_radius(ROBOT), colors=[color]), static=True)

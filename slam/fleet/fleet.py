@@ -30,7 +30,7 @@ from slam.map_joining.joins import Join, find_joins
 from slam.map_joining.joint_map import JointMap, join_maps
 from slam.map_joining.place_index import PlaceIndex, make_place_index, opened_place_index
 from slam.map_joining.session_config import common_config, session_config
-from slam.object_map.map_io import SavedMap, load_map
+from slam.object_map.map_io import SavedMap, load_map, of_rows
 from slam.place_recognition.imported_map import load_imported_map, make_imported_map, save_imported_map
 from slam.sweeps.workers import Death
 
@@ -239,14 +239,14 @@ def _save(
     """Write the landmarks of a part that a session would see now as a map of tiles; returns its name, empty if none."""
     if rank > 1 and len(part.members) == 1:
         return ""
-    now = np.flatnonzero(living.presence.useful >= REPORTED)
+    is_present = living.presence.useful >= REPORTED
+    now = of_rows(part.objects, is_present)
     name = "map.mcap" if rank == 1 else f"map_{rank}.mcap"
-    labels, ids = part.objects.labels, part.objects.ids
     try:
         tiles = make_imported_map(
-            part.objects.positions[now],
-            [labels[row] for row in now.tolist()],
-            [ids[row] for row in now.tolist()],
+            now.positions,
+            now.labels,
+            now.ids,
             sigma_m=config.calibration.objects.landmark_sigma_m,
             georeference=georeference if rank == 1 else None,
             source={"source": f"a fleet of {len(part.members)} sessions", "version": version("descriptellation-slam")},
@@ -254,7 +254,7 @@ def _save(
     except SavedMapError as error:
         logger.warning("%s is not written: %s", name, error)
         return ""
-    save_imported_map(folder / name, tiles)
+    save_imported_map(folder / name, tiles, now)
     return name
 
 

@@ -62,7 +62,7 @@ def add_logs(folder: Path, named: Sequence[FleetLog], *, only: bool = False) -> 
         LogError: the list cannot be written.
     """
     named = [replace(log, sha256=file_sha256(log.path)) for log in named]
-    earlier = _read_members(folder / MEMBERS_NAME)
+    earlier = read_members(folder)
     contents = {log.sha256 for log in named}
     members = [log for log in earlier if log.sha256 in contents or not only]
     for log in named:
@@ -77,7 +77,13 @@ def add_logs(folder: Path, named: Sequence[FleetLog], *, only: bool = False) -> 
     return members
 
 
-def _read_members(path: Path) -> list[FleetLog]:
+def read_members(folder: Path) -> list[FleetLog]:
+    """The logs of the fleet in a folder; none where no fleet is.
+
+    Raises:
+        FleetError: the list of them cannot be read.
+    """
+    path = folder / MEMBERS_NAME
     if not path.exists():
         return []
     try:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from logs.messages import ObjectMapRecord
 from logs.scene import class_color
@@ -17,45 +18,57 @@ from slam.common.georeference import Georeference
 _DEGREES = 9  # a tenth of a millimetre
 
 
+def landmark_table(objects: ObjectMapRecord) -> dict[str, NDArray[np.generic]]:
+    """Landmarks as named columns of equal length (M,), for example for ``pandas.DataFrame``.
+
+    ``id``; ``label``, the likeliest class, and its ``label_probability``; ``x_m``, ``y_m``, ``z_m`` in the map frame
+    and their standard deviations ``sigma_x_m``, ``sigma_y_m``, ``sigma_z_m``; ``state``; ``observations``;
+    ``first_seen_ns``, ``last_seen_ns``.
+    """
+    sigmas = np.sqrt(np.diagonal(objects.covariances, axis1=1, axis2=2))
+    return {
+        "id": np.array(objects.ids, dtype=np.str_),
+        "label": np.array(objects.labels, dtype=np.str_),
+        "label_probability": objects.class_probabilities.max(axis=1, initial=0.0),
+        **{f"{axis}_m": objects.positions[:, column] for column, axis in enumerate("xyz")},
+        **{f"sigma_{axis}_m": sigmas[:, column] for column, axis in enumerate("xyz")},
+        "state": np.array(objects.states, dtype=np.str_),
+        "observations": objects.observation_counts,
+        "first_seen_ns": objects.first_seen_ns,
+        "last_seen_ns": objects.last_seen_ns,
+    }
+
+
 def write_csv(path: Path, objects: ObjectMapRecord) -> None:
-    """Write a row a landmark: id, class and its probability, position and standard deviations [m], observations.
+    """Write the :func:`landmark_table`, a row a landmark.
 
     Raises:
         UnwritableLogError: the file cannot be written.
     """
-    sigmas = np.sqrt(np.diagonal(objects.covariances, axis1=1, axis2=2))
-    table = pd.DataFrame(
-        {
-            "id": objects.ids,
-            "class": objects.labels,
-            "probability": objects.class_probabilities.max(axis=1, initial=0.0),
-            **{f"{axis}_m": objects.positions[:, column] for column, axis in enumerate("xyz")},
-            **{f"sigma_{axis}_m": sigmas[:, column] for column, axis in enumerate("xyz")},
-            "observations": objects.observation_counts,
-        }
-    )
-    write_text(path, table.to_csv(index=False, lineterminator="\n"))
+    write_text(path, pd.DataFrame(landmark_table(objects)).to_csv(index=False, lineterminator="\n"))
 
 
 def write_geojson(path: Path, objects: ObjectMapRecord, georeference: Georeference) -> None:
     """Write a point a landmark: longitude, latitude [deg] and altitude [m] on WGS 84 (RFC 7946).
 
+    Its properties are the columns of the :func:`landmark_table` but the position.
+
     Raises:
         UnwritableLogError: the file cannot be written.
     """
-    places = georeference.to_geodetic(objects.positions).tolist()
+    table = pd.DataFrame(landmark_table(objects)).drop(columns=["x_m", "y_m", "z_m"])
     features = [
         {
             "type": "Feature",
-            "id": name,
+            "id": properties.pop("id"),
             "geometry": {
                 "type": "Point",
                 "coordinates": [round(longitude, _DEGREES), round(latitude, _DEGREES), round(altitude_m, 3)],
             },
-            "properties": {"class": label, "observations": count},
+            "properties": properties,
         }
-        for name, label, count, (latitude, longitude, altitude_m) in zip(
-            objects.ids, objects.labels, objects.observation_counts.tolist(), places, strict=True
+        for properties, (latitude, longitude, altitude_m) in zip(
+            table.to_dict("records"), georeference.to_geodetic(objects.positions).tolist(), strict=True
         )
     ]
     write_text(path, json.dumps({"type": "FeatureCollection", "features": features}, indent=1) + "\n")

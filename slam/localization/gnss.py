@@ -9,7 +9,7 @@ import numpy as np
 from logs.messages import GeodeticFix, TrajectoryRecord
 from slam.common.arrays import FloatArray
 from slam.common.georeference import Georeference
-from slam.place_recognition.place_prior import GATE_SIGMAS, PlacePrior
+from slam.place_recognition.initial_pose import GATE_SIGMAS, InitialPose
 
 RECENT = 50
 """Latest fixes that are compared with one another."""
@@ -28,23 +28,23 @@ class GnssPrior:
 
     def __init__(self, georeference: Georeference) -> None:
         self._georeference = georeference
-        self._fixes: list[PlacePrior] = []
+        self._fixes: list[InitialPose] = []
 
-    def add(self, fix: GeodeticFix, travel_m: float) -> PlacePrior | None:
+    def add(self, fix: GeodeticFix, travel_m: float) -> InitialPose | None:
         """Take in a fix after ``travel_m`` of the drive; the latest that most others agree with, None for none."""
         if fix.covariance is None:
             return None
         geodetic = np.array([[fix.latitude_deg, fix.longitude_deg, fix.altitude_m]])
         position = self._georeference.to_map(geodetic)[0, :2]
         sigma_m = float(np.sqrt(np.linalg.eigvalsh(fix.covariance[:2, :2])[-1]))
-        self._fixes = [*self._fixes[1 - RECENT :], PlacePrior(position, sigma_m, at_travel_m=travel_m)]
+        self._fixes = [*self._fixes[1 - RECENT :], InitialPose(position, sigma_m, at_travel_m=travel_m)]
         for latest in reversed(self._fixes):
             if 2 * sum(_agree(latest, other) for other in self._fixes) > len(self._fixes):
                 return latest
         return None
 
 
-def _agree(a: PlacePrior, b: PlacePrior) -> bool:
+def _agree(a: InitialPose, b: InitialPose) -> bool:
     reach_m = GATE_SIGMAS * float(np.hypot(a.sigma_m, b.sigma_m)) + abs(a.at_travel_m - b.at_travel_m)
     return float(np.linalg.norm(a.position - b.position)) <= reach_m
 

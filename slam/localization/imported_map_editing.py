@@ -28,7 +28,13 @@ def crop_imported_map(imported: ImportedMap, area: Area) -> ImportedMap:
             f"{len(rows)} of {len(imported)} objects lie in that area, and a map needs 4; the map extends from "
             f"({low[0]:.0f}, {low[1]:.0f}) to ({high[0]:.0f}, {high[1]:.0f}) m"
         )
-    return _made(imported, imported.positions[rows].astype(np.float64), _labels(imported, rows), _ids(imported, rows))
+    objects = imported.objects
+    return _made(
+        imported,
+        objects.positions[rows],
+        [objects.labels[row] for row in rows.tolist()],
+        [objects.ids[row] for row in rows.tolist()],
+    )
 
 
 def merge_imported_maps(first: ImportedMap, second: ImportedMap) -> ImportedMap:
@@ -40,22 +46,22 @@ def merge_imported_maps(first: ImportedMap, second: ImportedMap) -> ImportedMap:
     if first.georeference is None or second.georeference is None:
         raise SavedMapError("imported maps are joined by where on earth they lie; import both with --origin")
     T_first_second = first.georeference.T_map_other(second.georeference)
-    positions = first.positions.astype(np.float64)
-    others = apply(T_first_second, second.positions.astype(np.float64))
-    everything = np.arange(len(first)), np.arange(len(second))
-    labels, other_labels = _labels(first, everything[0]), _labels(second, everything[1])
+    here, there = first.objects, second.objects
+    others = apply(T_first_second, there.positions)
     radius_m = SAME_SIGMAS * float(np.hypot(first.sigma_m, second.sigma_m))
-    new = np.setdiff1d(everything[1], _duplicates(positions, labels, others, other_labels, radius_m))
-    ids, known = _ids(first, everything[0]), set(_ids(first, everything[0]))
-    for name in _ids(second, new):
-        unused = name
+    labels, other_labels = list(here.labels), list(there.labels)
+    duplicates = _duplicates(here.positions, labels, others, other_labels, radius_m)
+    new = np.setdiff1d(np.arange(len(second)), duplicates)
+    ids, known = list(here.ids), set(here.ids)
+    for row in new.tolist():
+        unused = there.ids[row]
         while unused in known:
             unused += "'"
         known.add(unused)
         ids.append(unused)
     return _made(
         first,
-        np.concatenate([positions, others[new]]),
+        np.concatenate([here.positions, others[new]]),
         [*labels, *(other_labels[row] for row in new)],
         ids,
         sigma_m=max(first.sigma_m, second.sigma_m),
@@ -90,11 +96,3 @@ def _made(
         georeference=like.georeference,
         source={key: like.metadata[key] for key in ("source", "input_sha256", "version") if key in like.metadata},
     )
-
-
-def _labels(imported: ImportedMap, rows: IntArray) -> list[str]:
-    return [imported.vocabulary[index] for index in imported.classes[rows].tolist()]
-
-
-def _ids(imported: ImportedMap, rows: IntArray) -> list[str]:
-    return [str(name) for name in np.char.decode(imported.ids[rows], "utf-8").tolist()]

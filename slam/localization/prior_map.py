@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -27,8 +27,8 @@ STAMP_NS = -1
 """The clocks of the drives are unrelated."""
 
 
-def load_prior_map(path: Path) -> PriorMap:
-    """Read a map log of either kind.
+def load_prior_map(path: str | os.PathLike[str]) -> PriorMap:
+    """Read a map of either kind: saved by a replay, or imported or made by a fleet.
 
     Raises:
         LogError: no MCAP file.

@@ -30,8 +30,8 @@ from slam.object_map.submap import SUBMAP_RANGES, gravity_frame, recent_submap, 
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.place_recognition.imported_places import ImportedPlaces
+from slam.place_recognition.initial_pose import InitialPose
 from slam.place_recognition.place import Place
-from slam.place_recognition.place_prior import PlacePrior
 from slam.place_recognition.retrieval import PlaceRetriever
 
 logger = logging.getLogger(__name__)
@@ -68,7 +68,7 @@ class LoopCloser:
         self._continuity = ContinuityMonitor(config.localization, self._sensor_range_m)
         # Only a prior map is trusted more than the robot's pose; a map in the making may itself be wrong.
         self._has_prior_map = any(keyframe.is_prior for keyframe in keyframes)
-        self.place_prior: PlacePrior | None = None
+        self.initial_pose: InitialPose | None = None
         """Where in the prior map the robot is said to be; places elsewhere in it are left out."""
         self.lost_since_keyframe: int | None = None
         """The first keyframe that is inconsistent with the map, once the robot is lost; None while it is not."""
@@ -180,7 +180,7 @@ class LoopCloser:
 
     def _is_plausible(self, query: Query, place: Place) -> bool:
         """Whether a place is where the robot may be by what was said before."""
-        prior = self.place_prior
+        prior = self.initial_pose
         if prior is None or place.segment != self._keyframes[0].odometry.segment or not self._has_prior_map:
             return True
         first = next(each for each in self._keyframes if not each.is_prior)

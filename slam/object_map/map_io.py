@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,8 +15,9 @@ from numpy.typing import NDArray
 from logs.container.json_text import parse_json
 from logs.container.limits import RESULT_LIMITS
 from logs.errors import LogError
-from logs.messages import FactorGraphRecord, ObjectMapRecord, SceneMarkers
+from logs.messages import FactorGraphRecord, ObjectMapRecord, SceneMarkers, ScenePoints
 from logs.reader import LogReader
+from logs.scene import class_color
 from logs.selection import Selection
 from logs.topics import RecordKind
 from logs.writer import LogWriter
@@ -30,6 +32,7 @@ logger = logging.getLogger(__name__)
 FORMAT_VERSION = "1"
 METADATA = "dslam_map"
 OBJECTS_TOPIC, GRAPH_TOPIC, MARKERS_TOPIC = "/map/objects", "/map/graph", "/map/landmarks"
+POINTS_TOPIC = "/map/landmark_points"
 GRAVITY = "z of the frame map points up"
 IMPORTED = "imported"
 """``kind`` in the metadata of a map without a trajectory."""
@@ -114,7 +117,12 @@ def save_map(
         writer.add_metadata(METADATA, about)
         writer.write(OBJECTS_TOPIC, kept, objects.stamp_ns)
         writer.write(GRAPH_TOPIC, graph, objects.stamp_ns)
-        writer.write(MARKERS_TOPIC, _of_ids(markers, set(kept.ids)), objects.stamp_ns)
+        shown = _of_ids(markers, set(kept.ids))
+        colors = np.array([class_color(label) for label in shown.labels]).reshape(-1, 4)
+        writer.write(MARKERS_TOPIC, shown, objects.stamp_ns)
+        writer.write(
+            POINTS_TOPIC, ScenePoints(shown.stamp_ns, shown.frame_id, shown.positions, colors), objects.stamp_ns
+        )
     return int(np.count_nonzero(~is_tied))
 
 
@@ -137,7 +145,7 @@ def _refuse_fault(path: Path, objects: ObjectMapRecord, graph: FactorGraphRecord
         raise SavedMapError(f"{path} was not written, because it could not be used: {fault}")
 
 
-def load_map(path: Path) -> SavedMap:
+def load_map(path: str | os.PathLike[str]) -> SavedMap:
     """Read a map log.
 
     Raises:
@@ -265,7 +273,7 @@ def _of_ids(markers: SceneMarkers, ids: set[str]) -> SceneMarkers:
     )
 
 
-def _drives(path: Path, metadata: Mapping[str, str]) -> tuple[Mapping[str, str], ...]:
+def _drives(path: str | os.PathLike[str], metadata: Mapping[str, str]) -> tuple[Mapping[str, str], ...]:
     try:
         drives = parse_json(metadata.get("drives", "[]"))
         return tuple(_drive(drive) for drive in drives) or (_drive(metadata),)

@@ -6,6 +6,7 @@ The objects are sorted by tiles of a grid, so that those around a place are a fe
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,13 +18,15 @@ from scipy.spatial import cKDTree
 
 from logs.container.json_text import parse_json
 from logs.errors import LogError
+from logs.messages import ObjectMapRecord, ScenePoints
 from logs.reader import LogReader
+from logs.scene import class_color
 from logs.storage.arrays import read_arrays
 from logs.writer import LogWriter
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import GeometryError, SavedMapError
 from slam.common.georeference import Georeference
-from slam.object_map.map_io import FORMAT_VERSION, GRAVITY, IMPORTED, METADATA
+from slam.object_map.map_io import FORMAT_VERSION, GRAVITY, IMPORTED, METADATA, OBJECTS_TOPIC, POINTS_TOPIC
 from slam.place_recognition.map_search import MapSearch
 from slam.place_recognition.quad_index import QuadIndex, build_quad_index
 
@@ -75,6 +78,26 @@ class ImportedMap:
     def search(self) -> MapSearch:
         """The map made ready for queries: 0.5 s for a million objects."""
         return MapSearch(self.quads, self.positions, self.classes.astype(np.int64), len(self.vocabulary))
+
+    @property
+    def objects(self) -> ObjectMapRecord:
+        """All objects as confirmed landmarks without observations, in memory."""
+        count = len(self)
+        unknown = np.zeros(count, dtype=np.int64)
+        return ObjectMapRecord(
+            stamp_ns=0,
+            frame_id="map",
+            vocabulary=self.vocabulary,
+            ids=tuple(np.char.decode(self.ids, "utf-8").tolist()),
+            positions=self.positions.astype(np.float64),
+            covariances=np.broadcast_to(self.sigma_m**2 * np.eye(3), (count, 3, 3)),
+            class_probabilities=np.eye(len(self.vocabulary))[self.classes],
+            states=("confirmed",) * count,
+            reasons=("",) * count,
+            observation_counts=unknown,
+            first_seen_ns=unknown,
+            last_seen_ns=unknown,
+        )
 
     def near(self, place: FloatArray, radius_m: float) -> IntArray:
         """Rows (K,), ascending, of the objects in the tiles within ``radius_m`` of a place (2,) m along x and y."""
@@ -152,8 +175,13 @@ def make_imported_map(
     )
 
 
-def save_imported_map(path: Path, imported: ImportedMap) -> None:
+def save_imported_map(path: Path, imported: ImportedMap, objects: ObjectMapRecord | None = None) -> None:
     """Write a map log with the arrays as attachments: NAME.part first, which is renamed when it is complete.
+
+    Args:
+        path: replaced if it is there.
+        imported: the map.
+        objects: the same objects with what drives observed of them; :func:`slam.library.read_map` reads these.
 
     Raises:
         LogError: it cannot be written.
@@ -178,13 +206,17 @@ def save_imported_map(path: Path, imported: ImportedMap) -> None:
         about["georeference"] = imported.georeference.to_json()
     with LogWriter(path, keep_partial=False) as writer:
         writer.add_metadata(METADATA, about)
+        if objects is not None:
+            writer.write(OBJECTS_TOPIC, objects)
+        colors = np.array([class_color(label) for label in imported.vocabulary])[imported.classes]
+        writer.write(POINTS_TOPIC, ScenePoints(0, "map", imported.positions.astype(np.float64), colors))
         for name in _CHECKED:
             writer.add_array(name, getattr(imported, name))
         writer.add_array("quad_vertices", imported.quads.vertices)
         writer.add_array("quad_starts", imported.quads.starts)
 
 
-def load_imported_map(path: Path) -> ImportedMap:
+def load_imported_map(path: str | os.PathLike[str]) -> ImportedMap:
     """Open a map that :func:`save_imported_map` has written; its index stays in the file.
 
     Raises:
@@ -196,7 +228,7 @@ def load_imported_map(path: Path) -> ImportedMap:
         if about.get("kind") != KIND or about.get("format_version") != FORMAT_VERSION:
             raise SavedMapError(f"{path} is no imported map of format version {FORMAT_VERSION}; {MAKE_IT}")
     try:
-        return _assembled(about, read_arrays(path, checked=_CHECKED))
+        return _assembled(about, read_arrays(Path(path), checked=_CHECKED))
     except LogError as error:
         raise SavedMapError(f"{error}; {MAKE_IT}") from error
     except (KeyError, ValueError, TypeError, IndexError, OverflowError, GeometryError) as error:

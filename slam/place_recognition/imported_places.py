@@ -14,8 +14,8 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.submap import Submap
 from slam.place_recognition.imported_map import ImportedMap
+from slam.place_recognition.initial_pose import InitialPose
 from slam.place_recognition.place import Place
-from slam.place_recognition.place_prior import PlacePrior
 
 TRAVEL_M = -1e9
 """Travel of everything in a prior map. It has no traversals: all of it is consistent. Longer ago than any drive is
@@ -43,7 +43,7 @@ class ImportedPlaces:
         graph: FactorGraph,
         *,
         is_fixed: bool,
-        prior: PlacePrior | None = None,
+        prior: InitialPose | None = None,
     ) -> None:
         object_map.label_indices(imported.vocabulary)
         self._imported = imported

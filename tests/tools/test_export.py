@@ -51,7 +51,7 @@ class TestLandmarks:
         rows = list(csv.DictReader((tmp_path / "l.csv").read_text().splitlines()))
         objects = confirmed(records.object_map)
         assert [row["id"] for row in rows] == list(objects.ids)
-        assert [row["class"] for row in rows] == list(objects.labels)
+        assert [row["label"] for row in rows] == list(objects.labels)
         positions = np.array([[float(row[f"{axis}_m"]) for axis in "xyz"] for row in rows])
         np.testing.assert_array_equal(positions, objects.positions)
 
@@ -74,7 +74,7 @@ class TestLandmarks:
         layer = geopandas.read_file(tmp_path / "l.geojson")
         objects = confirmed(records.object_map)
         assert layer.crs.to_epsg(min_confidence=20) in (4326, 4979)
-        assert layer["class"].tolist() == list(objects.labels)
+        assert layer["label"].tolist() == list(objects.labels)
         expected = Georeference(60.1699, 24.9384, 12.5, np.deg2rad(30.0)).to_geodetic(objects.positions)
         found = np.column_stack([layer.geometry.y, layer.geometry.x])
         np.testing.assert_allclose(found, expected[:, :2], rtol=0, atol=1e-6)

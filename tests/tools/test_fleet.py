@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 
 from slam.fleet.fleet import Fleet
 from slam.fleet.sessions import Session
-from tests.tools.runs import Run
+from tests.tools.runs import Run, assert_refused
 
 
 @pytest.mark.parametrize("reason", ["", "it holds no odometry"])
@@ -30,3 +31,17 @@ def test_a_log_that_was_not_mapped_makes_the_exit_code_1(
     assert reason in result.out
     assert "1/1" in result.err
     assert json.loads((tmp_path / "city" / "logs.json").read_text())[0]["name"] == str(tmp_path / "a.mcap")
+
+
+def test_fleet_status_lists_reported_and_waiting_logs(dslam: Run, tmp_path: Path) -> None:
+    assert_refused(dslam("fleet", "--status", "-o", tmp_path), "holds no fleet")
+    members = [{"name": name, "path": f"/data/{name}", "sha256": name} for name in ("a.mcap", "b.mcap")]
+    (tmp_path / "logs.json").write_text(json.dumps(members), encoding="utf-8")
+    reported = {"log": "a.mcap", "status": "alone", "notes": ["its clock was set"]}
+    (tmp_path / "report.json").write_text(json.dumps({"logs": [reported]}), encoding="utf-8")
+    result = dslam("fleet", "--status", "-o", tmp_path)
+    assert result.code == 0
+    assert "a.mcap: its clock was set" in result.out
+    assert re.search(r"b\.mcap +waiting", result.out)
+    (tmp_path / "report.json").write_text("[", encoding="utf-8")
+    assert_refused(dslam("fleet", "--status", "-o", tmp_path), "cannot be read", "run the fleet again")

@@ -15,11 +15,14 @@ import pytest
 
 from logs.messages import RelocalizationRecord, SlamPose
 from logs.reader import LogReader
+from logs.scene import decode_points
 from logs.writer import LogWriter
-from slam.object_map.map_io import GRAVITY, METADATA, load_map
+from slam.library import read_map
+from slam.object_map.map_io import GRAVITY, METADATA, POINTS_TOPIC, load_map
 from tests.helpers.short_drives import raw_messages, records_of
 from tests.tools.runs import Run, assert_refused
-from tools import cli, info_map
+from tools import cli
+from tools.inspection import info_map
 
 pytestmark = pytest.mark.slow
 
@@ -211,6 +214,30 @@ class TestMap:
 
     def test_one_map_is_not_merged(self, dslam: Run, town: Path, tmp_path: Path) -> None:
         assert_refused(dslam("map", "merge", town, "-o", tmp_path / "m.mcap"), "give the maps to join")
+
+
+class TestKinds:
+    @pytest.mark.parametrize("kind", ["saved", "imported"])
+    def test_every_kind_is_viewed_and_exported(self, dslam: Run, town: Path, tmp_path: Path, kind: str) -> None:
+        map_log = town
+        if kind == "imported":
+            (tmp_path / "objects.csv").write_text("x_m,y_m,label\n0,0,tree\n5,0,pole\n0,7,tree\n6,8,tree\n")
+            map_log = tmp_path / "imported.mcap"
+            assert dslam("import", "csv-map", map_log, "--file", tmp_path / "objects.csv").code == 0
+        count = len(read_map(map_log).ids)
+        table, places, picture = (tmp_path / f"map.{suffix}" for suffix in ("csv", "geojson", "png"))
+        assert dslam("export", map_log, "--csv", table).code == 0
+        assert len(table.read_text().splitlines()) == count + 1
+        assert_refused(dslam("export", map_log, "--geojson", places), "--origin")
+        assert dslam("export", map_log, "--geojson", places, "--origin", "60,24").code == 0
+        (feature, *others) = json.loads(places.read_text())["features"]
+        assert len(others) == count - 1
+        assert {"label", "label_probability", "sigma_x_m", "first_seen_ns"} < feature["properties"].keys()
+        assert dslam("view", map_log, "--save", picture).code == 0
+        assert picture.read_bytes().startswith(b"\x89PNG")
+        with LogReader(map_log) as reader:
+            (points,) = reader.messages([POINTS_TOPIC])
+        assert len(decode_points(points.data)) == count
 
 
 class TestInfo:

@@ -91,7 +91,7 @@ class TestRefusals:
 
     def test_simulation_that_cannot_be(self, dslam: Run, tmp_path: Path) -> None:
         output = tmp_path / "out.mcap"
-        assert_refused(dslam("simulate", output, "--seed", -1), "negative")
+        assert_refused(dslam("simulate", output, "--seed", -1), "--seed", "greater than or equal to 0")
         assert_refused(dslam("simulate", output, "--length", 0), "above 0 m")
         assert_refused(dslam("simulate", output, "--length", 1), "too short")
         assert_refused(dslam("simulate", output, "--objects", "objects.csv"), "--trajectory")

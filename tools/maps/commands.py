@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools import info_map
 from tools.arguments import Json, check_outputs
+from tools.inspection import info_map
 
 if TYPE_CHECKING:
     from slam.common.areas import Area

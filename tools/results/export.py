@@ -33,7 +33,9 @@ def _file(help_: str) -> Any:
 def export(
     log: Annotated[
         Path,
-        typer.Argument(metavar="OUT.mcap", help="A log that 'dslam replay' wrote, or a saved map.", show_default=False),
+        typer.Argument(
+            metavar="OUT.mcap", help="A log that 'dslam replay' wrote, or a map of any kind.", show_default=False
+        ),
     ],
     of: Annotated[
         Track, typer.Option("--of", help="Which poses --tum, --kitti and --ros2-bag hold: those of the final map, ...")
@@ -138,13 +140,9 @@ class _Source:
 
     @cached_property
     def objects(self) -> ObjectMapRecord:
-        from slam.object_map.map_io import METADATA, confirmed, load_map
+        from slam.library import read_map
 
-        if METADATA in self._metadata:
-            return load_map(self._log).objects
-        if self.records.object_map is None:
-            raise self._no_result()
-        return confirmed(self.records.object_map)
+        return read_map(self._log)
 
     @property
     def graph(self) -> FactorGraphRecord:

@@ -7,21 +7,24 @@ from typing import Annotated
 
 import typer
 
-from tools.arguments import SlamLog, check_outputs
+from tools.arguments import check_outputs
 
 
 def view(
-    log: SlamLog,
+    log: Annotated[
+        Path,
+        typer.Argument(metavar="OUT.mcap", help="A log that 'dslam replay' wrote, or any map.", show_default=False),
+    ],
     save: Annotated[
         Path | None,
         typer.Option(
             "--save",
-            metavar="FILE.rrd|FILE.json",
-            help="Write a Rerun recording with its layout, or the layout for Foxglove, instead of showing it.",
+            metavar="FILE.rrd|FILE.png|FILE.json",
+            help="Write a Rerun recording, a picture from above, or a layout for Foxglove, instead of showing it.",
         ),
     ] = None,
 ) -> None:
-    """Show a mapped drive in Rerun: map, path, closures and submap at any of its times.
+    """Show a mapped drive in Rerun (map, path, closures and submap at any of its times), or the landmarks of a map.
 
     Needs Rerun: pip install 'descriptellation-slam[view]'. The viewer listens on this machine only.
 
@@ -32,11 +35,20 @@ def view(
     from logs.storage.placement import write_text
     from slam.display import rerun_view
     from slam.display.map_topics import PATH
+    from slam.object_map.map_io import POINTS_TOPIC
     from tools import console
+    from tools.pictures import draw_drive, draw_landmarks
 
     with LogReader(log) as reader:
-        if PATH not in {info.topic for info in reader.topics()}:
-            raise typer.BadParameter(f"{log} has no topic {PATH}; give a log that 'dslam replay' wrote.")
+        topics = {info.topic for info in reader.topics()}
+    if not {PATH, POINTS_TOPIC} & topics:
+        raise typer.BadParameter(
+            f"{log} has no topic {PATH}; give a log that 'dslam replay' wrote, or a map that this version made."
+        )
+    if save is not None and save.suffix == ".png":
+        (draw_drive if PATH in topics else draw_landmarks)(log, save)
+        console.show(str(save))
+        return
     if save is not None and save.suffix == ".json":
         layout = Path(rerun_view.__file__).parent / "layouts" / "foxglove.json"
         write_text(save, layout.read_text(encoding="utf-8"))

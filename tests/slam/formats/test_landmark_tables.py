@@ -18,4 +18,4 @@ def test_a_table_holds_any_name_of_a_class(tmp_path: Path, name: str) -> None:
     write_csv(tmp_path / "landmarks.csv", objects)
     with (tmp_path / "landmarks.csv").open(encoding="utf-8", newline="") as stream:
         (row,) = csv.DictReader(stream)
-    assert row["class"] == name
+    assert row["label"] == name

@@ -17,7 +17,7 @@ from slam.localization.prior_map import PriorMap
 from slam.localization.unrecognised_map import MIRRORED, why_doubtful, why_not_recognised
 from slam.loop_closure.stretches import STRETCHES
 from slam.place_recognition.imported_map import make_imported_map
-from slam.place_recognition.place_prior import PlacePrior
+from slam.place_recognition.initial_pose import InitialPose
 from slam.replay import replay as replay_log
 from slam.simulation.config import SimulationConfig
 from slam.simulation.simulation import simulate, write_simulation
@@ -48,12 +48,12 @@ def city_map(town: World, sigma_m: float = 0.3) -> PriorMap:
 
 
 def drive(
-    town: World, known: PriorMap, *, extend: bool, place_prior: PlacePrior | None = None
+    town: World, known: PriorMap, *, extend: bool, initial_pose: InitialPose | None = None
 ) -> tuple[list[float], FinalMap, Slam]:
     """Errors [m] of the poses in the map when they came."""
     records = [record for _, _, record in simulate(town.shortened(LENGTH_M), SimulationConfig(), seed=2)]
     truth = truth_of(records)
-    slam, errors = Slam(Config(), known, extend=extend, place_prior=place_prior), list[float]()
+    slam, errors = Slam(Config(), known, extend=extend, initial_pose=initial_pose), list[float]()
     for record in records:
         if not isinstance(record, Odometry | ObjectDetections | Transform) or isinstance(record, GroundTruthPose):
             continue
@@ -99,8 +99,8 @@ def test_a_fixed_map_stays_as_it_is_and_another_is_bent(town: World) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("off_m", [0.0, 500.0])
 def test_it_is_looked_for_only_where_it_is_said_to_be(town: World, off_m: float) -> None:
-    prior = PlacePrior(town.tour[0] + [off_m, 0.0], 20.0)
-    _, _, slam = drive(town, city_map(town), extend=False, place_prior=prior)
+    prior = InitialPose(town.tour[0] + [off_m, 0.0], 20.0)
+    _, _, slam = drive(town, city_map(town), extend=False, initial_pose=prior)
     assert bool(slam.fixes) == (off_m == 0.0)
 
 

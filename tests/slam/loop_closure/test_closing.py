@@ -19,8 +19,8 @@ from slam.loop_closure.loop_closer import LoopCloser
 from slam.object_map.landmarks import LANDMARK
 from slam.object_map.submap import Submap
 from slam.odometry.keyframe import Keyframe
+from slam.place_recognition.initial_pose import InitialPose
 from slam.place_recognition.place import Place
-from slam.place_recognition.place_prior import PlacePrior
 from tests.helpers.candidates import make_candidate
 from tests.slam.loop_closure.doubles import Patterns, at, make_keyframe, make_query
 
@@ -446,10 +446,10 @@ def test_places_where_the_robot_is_said_not_to_be_are_left_out(parts):
     parts.new_rows = 10
     drive = Drive(parts, prior=True, min_travel_m=1.0)
     parts.llrs = {FIRST: SURE_LLR, FIRST + 1: SURE_LLR}
-    drive.closer.place_prior = PlacePrior(np.array([5000.0, 0.0]), 10.0)
+    drive.closer.initial_pose = InitialPose(np.array([5000.0, 0.0]), 10.0)
     (record,) = drive.close(FIRST)
     assert record.reason == "outside the prior of the pose"
-    drive.closer.place_prior = PlacePrior(np.array([-300.0, 0.0]), 10.0)
+    drive.closer.initial_pose = InitialPose(np.array([-300.0, 0.0]), 10.0)
     assert accepted(drive.close(FIRST + 1))
 
 

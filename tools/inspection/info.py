@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tools import info_map
 from tools.arguments import InputLog, Json, Settings, Topics, parse_topics
+from tools.inspection import frames, info_map
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -49,7 +49,7 @@ def info(
     topics: Topics = None,
     settings: Settings = None,
 ) -> None:
-    """Show what a log holds, and what a replay would use of it.
+    """Show what a log holds: topics, rates, clocks, the tree of frames, and what a replay would use or why it cannot.
 
     Example: dslam info drive.mcap --topic odometry=/wheel_odometry
 
@@ -126,9 +126,13 @@ def _show(summary: LogSummary) -> None:
         listed = ", ".join(f"{name} {count}" for name, count in classes[:_MAX_CLASSES])
         rows["landmarks" if is_mapped else "objects"] = listed + more
     inputs = [topic for topic in summary.topics if not (is_mapped and topic.topic.startswith(_OWN_TOPICS))]
+    if not is_mapped and (tree := frames.draw_tree(summary.topics)):
+        rows["frames"] = "\n".join(tree)
     faults = [f"{topic.topic}: {text}" for topic in inputs if (text := _faults(topic))]
     if faults:
         rows["gaps, order"] = "\n".join(faults)
+    if not is_mapped and (unplaced := frames.find_faults(summary)):
+        rows["not placed"] = "\n".join(unplaced)
     if summary.selection is not None:
         rows["replay uses"] = "\n".join(f"{topic} as {', '.join(k)}" for topic, k in _selected(summary).items())
     else:
@@ -211,13 +215,23 @@ def _changed_settings(name: str, configuration: str) -> str:
 
 
 def _topic_table(summary: LogSummary) -> Table:
+    """Times count from the first stamp of the odometry, or else from the first message."""
     from tools import console
 
-    table = console.grid({"topic": False, "messages": True, "Hz": True, "schema": False, "frames": False})
+    numbers = dict.fromkeys(("messages", "Hz", "from s", "to s"), True)
+    table = console.grid({"topic": False, **numbers, "schema": False, "frames": False})
     table.columns[0].no_wrap = True
+    start_ns = summary.start_ns if summary.first_stamp_ns is None else summary.first_stamp_ns
     for topic in summary.topics:
-        rate = _number(topic.rate_hz, ".1f")
-        table.add_row(topic.topic, str(topic.message_count), rate, topic.schema_name, ", ".join(topic.frames))
+        times = [f"{(stamp_ns - start_ns) * 1e-9:.1f}" for stamp_ns in (topic.first_ns, topic.last_ns)]
+        table.add_row(
+            topic.topic,
+            str(topic.message_count),
+            _number(topic.rate_hz, ".1f"),
+            *(times if topic.message_count else ("", "")),
+            topic.schema_name,
+            ", ".join(topic.frames),
+        )
     return table
 
 

@@ -16,7 +16,7 @@ YAW_SIGMA_RAD = np.pi / 12.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlacePrior:
+class InitialPose:
     """The robot was at ``position`` (2,) m in the map, with ``sigma_m`` of each coordinate, after ``at_travel_m`` of
     the drive; it started with the heading ``yaw_rad``, None if that is unknown.
     """

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slam.common.geometry import transform_from_xyz_yaw
-from slam.place_recognition.place_prior import PlacePrior
+from slam.place_recognition.initial_pose import InitialPose
 
 
 @pytest.mark.parametrize(
@@ -22,12 +22,12 @@ from slam.place_recognition.place_prior import PlacePrior
     ],
 )
 def test_places_and_headings(x_m: float, travel_m: float, yaw_deg: float, turned_deg: float, is_allowed: bool) -> None:
-    prior = PlacePrior(np.array([100.0, 50.0]), 10.0, yaw_rad=np.pi / 2)
+    prior = InitialPose(np.array([100.0, 50.0]), 10.0, yaw_rad=np.pi / 2)
     T_map_query = transform_from_xyz_yaw(np.array([x_m, 50.0, 0.0]), np.deg2rad(yaw_deg))
     T_first_query = transform_from_xyz_yaw(np.zeros(3), np.deg2rad(turned_deg))
     assert prior.allows(T_map_query, T_first_query, travel_m) is is_allowed
 
 
 def test_without_a_heading_any_is_allowed() -> None:
-    prior = PlacePrior(np.zeros(2), 1.0)
+    prior = InitialPose(np.zeros(2), 1.0)
     assert prior.allows(transform_from_xyz_yaw(np.zeros(3), 3.0), np.eye(4), 0.0)
