@@ -1,8 +1,9 @@
-# Two commands on a fresh machine: `make demo` and `make test`. Each makes .venv first if it is not there.
+# Two commands on a fresh machine: `make demo` and `make test`. Each first makes .venv, with what it needs.
 
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
+DEVELOPED := .venv/.developed
 PROTOC := build/protoc/bin/python
 # The build of torch at PyPI brings several gigabytes of CUDA, which nothing here needs.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
@@ -38,6 +39,11 @@ $(INSTALLED): pyproject.toml constraints.txt
 	  echo 'missing: the venv module of $(PYTHON); on Debian and Ubuntu: sudo apt install python3-venv'; exit 1; }
 	@echo 'installing into .venv (once) ...'
 	@$(PYTHON) -m venv .venv
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	@touch $@
+
+$(DEVELOPED): $(INSTALLED)
+	@echo 'installing what tests need into .venv (once) ...'
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --retries 1 --timeout 15 -c constraints.txt \
 	  --index-url $(TORCH_INDEX) torch 2>/dev/null || echo 'no CPU build of torch at $(TORCH_INDEX); taking the one of PyPI'
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
@@ -56,44 +62,44 @@ demo: $(INSTALLED)
 	@echo 'from above:  out/demo.png'
 	@echo 'all figures: out/demo.html  (open it in a browser)'
 
-lint: $(INSTALLED)
+lint: $(DEVELOPED)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/mypy -p tests
 
 # Beside each other: lint is one process, and the tests wait for files now and then.
-check: $(INSTALLED)
+check: $(DEVELOPED)
 	@$(MAKE) --no-print-directory --jobs=2 lint fast
 
-fast: $(INSTALLED)
+fast: $(DEVELOPED)
 	$(BIN)/pytest -m 'not slow' -n auto --dist loadfile
 
 test: lint
 	$(BIN)/pytest -n auto --dist loadfile
 
-bench-check: $(INSTALLED)
+bench-check: $(DEVELOPED)
 	OMP_NUM_THREADS=1 $(BIN)/python docs/run_results.py --check kitti00 hamburg robot5
 
 N ?= 200
 SEED ?= 0
-fuzz: $(INSTALLED)
+fuzz: $(DEVELOPED)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz --count $(N) --seed $(SEED)
 
-bombs: $(INSTALLED)
+bombs: $(DEVELOPED)
 	$(BIN)/python -m tests.fuzz.bombs
 
 mutants: N := $(if $(filter command line,$(origin N)),$(N),60)
-mutants: $(INSTALLED)
+mutants: $(DEVELOPED)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.mutants --count $(N) --seed $(SEED)
 
 kills: N := $(if $(filter command line,$(origin N)),$(N),200)
-kills: $(INSTALLED)
+kills: $(DEVELOPED)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.kills --count $(N) --seed $(SEED)
 
 LAPS ?= 40
 HOURS ?= 24
-soak: $(INSTALLED)
+soak: $(DEVELOPED)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.soak --laps $(LAPS) --hours $(HOURS)
 
 # The same each time; other files by `make fuzz SEED=...`.
@@ -108,19 +114,19 @@ $(AUDIT)/.installed:
 	$(AUDIT)/bin/pip install --quiet --disable-pip-version-check pip-audit==2.10.1 cyclonedx-bom==7.5.0
 	@touch $@
 
-audit: $(INSTALLED)
+audit: $(DEVELOPED)
 	@$(MAKE) --no-print-directory $(AUDIT)/.installed || echo 'audit skipped: its tools cannot be installed'
 	@test ! -f $(AUDIT)/.installed || $(BIN)/python -m tests.supply_chain $(AUDIT)/bin
 
-wheel: $(INSTALLED) $(AUDIT)/.installed
+wheel: $(DEVELOPED) $(AUDIT)/.installed
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
 	$(BIN)/python -m tests.supply_chain $(AUDIT)/bin --sbom dist/descriptellation-slam.cdx.json
 
-docs: $(INSTALLED)
+docs: $(DEVELOPED)
 	NO_MKDOCS_2_WARNING=true $(BIN)/mkdocs build --strict --quiet
 	@echo 'open build/site/index.html'
 
-results: $(INSTALLED)
+results: $(DEVELOPED)
 	$(BIN)/python docs/run_results.py $(if $(LIST),--list)
 
 # Its own environment: the generated code must stay readable by the oldest protobuf that pyproject.toml allows.

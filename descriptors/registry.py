@@ -90,6 +90,10 @@ def make_index(name: str) -> ConstellationIndex:
 def _from_weights(path: Path) -> Descriptor:
     if read_weights(path).architecture.get("name") == LearnedLikelihood.name:
         return LearnedLikelihood(path)
-    from descriptors.learned.descriptor import LearnedDescriptor  # loads torch
-
+    try:
+        from descriptors.learned.descriptor import LearnedDescriptor  # loads torch
+    except ModuleNotFoundError as error:
+        raise DescriptorError(
+            f"the descriptor {path.stem} is a network and needs torch: pip install 'descriptellation-slam[learn]'"
+        ) from error
     return LearnedDescriptor(path)

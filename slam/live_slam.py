@@ -12,6 +12,7 @@ from logs.messages import (
     StatusRecord,
     Transform,
 )
+from logs.record_checks import check_record
 from slam.common.calibration import Calibration
 from slam.common.config import Config
 from slam.display.snapshot import MapSnapshot
@@ -99,7 +100,12 @@ class LiveSlam:
         return self._slam.snapshot()
 
     def process(self, record: Record) -> list[Record]:
-        """Take in the next record in the order of the log; returns what it made known."""
+        """Process the next record in the order of the log; returns what it made known.
+
+        Raises:
+            InvalidRecordError: as :meth:`slam.system.Slam.process`.
+        """
+        check_record(record)
         if isinstance(record, Transform):
             self._frames.add(record)
             return []

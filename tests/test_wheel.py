@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -84,10 +85,10 @@ def home(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home
 
 
-def run(home: Path, *command: object) -> str:
+def run(home: Path, *command: object, folder: Path | None = None) -> str:
     result = subprocess.run(
         [str(home / "bin" / str(command[0])), *map(str, command[1:])],
-        cwd=home,
+        cwd=folder or home,
         env={"PYTHONPATH": str(home / "others"), "PATH": "/usr/bin:/bin"},
         capture_output=True,
         text=True,
@@ -123,9 +124,6 @@ def test_the_dockerfile_names_what_there_is() -> None:
     ignored = (ROOT / ".dockerignore").read_text(encoding="utf-8").split()
     needed = {"pyproject.toml", "setup.py", "README.md", "LICENSE", "dslam.py", "slam", "logs", "descriptors", "tools"}
     assert not needed & set(ignored)
-    requirements = re.findall(r'"(\w[^"]*)"', text["RUN"])
-    assert requirements
-    assert set(requirements) <= set(project["dependencies"])
 
 
 def test_the_source_distribution_holds_licence_and_build(sdist: Path) -> None:
@@ -143,6 +141,33 @@ def test_a_drive_is_mapped_and_evaluated_in_a_fresh_environment(home: Path) -> N
         "import slam, logs, tools, descriptors, dslam; from dslam import replay; print(slam.NAME, replay.__module__)"
     )
     assert run(home, "python", "-c", everyone).split() == ["slam", "dslam.slam.replay"]
+
+
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+CODE = {
+    f"{page.stem}-{number}": block
+    for page in PAGES
+    for number, block in enumerate(re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL))
+}
+
+
+@pytest.fixture(scope="module")
+def drives(home: Path) -> Path:
+    """A folder with a drive, its result and its map, by the names of the pages."""
+    folder = home / "drives"
+    folder.mkdir()
+    for name in ("drive", "monday", "tuesday"):
+        shutil.copy(SAMPLE, folder / f"{name}.mcap")
+    run(home, "dslam", "replay", SAMPLE, "-o", folder / "map.mcap", "--save-map", folder / "saved.mcap")
+    return folder
+
+
+@pytest.mark.parametrize("name", CODE)
+def test_code_of_the_documents_runs(home: Path, drives: Path, tmp_path: Path, name: str) -> None:
+    shutil.copytree(drives, tmp_path / "work")
+    (tmp_path / "work" / "example.py").write_text(CODE[name], encoding="utf-8")
+    printed = run(home, "python", "example.py", folder=tmp_path / "work")
+    assert ("[[" in printed) == ("ScanLocalizer" in CODE[name])  # it is found, and its pose printed
 
 
 def test_the_library_is_typed(home: Path) -> None:

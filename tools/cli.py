@@ -25,6 +25,9 @@ _ANYWHERE = ("--debug", "--verbose", "-v")
 _PREFIX = __name__.removesuffix("tools.cli")
 """Of the names of our packages: "dslam." in a wheel."""
 
+_EXTRA_OF = {"torch": "learn", "rerun": "view", "osmium": "osm", "ray": "fleet", "fsspec": "fleet"}
+"""The extra that installs each module which is not needed by all commands."""
+
 _COMMANDS = {
     "simulate": "simulate:simulate",
     "degrade": "degrade:degrade",
@@ -123,6 +126,8 @@ def run(arguments: Sequence[str]) -> int:
             traceback.print_exc()
         if _is_expected(error):
             return _fail(_with_notes(error), BAD_INPUT)
+        if isinstance(error, ModuleNotFoundError) and (extra := _EXTRA_OF.get((error.name or "").partition(".")[0])):
+            return _fail(f"this needs {error.name}: pip install 'descriptellation-slam[{extra}]'", BAD_INPUT)
         if isinstance(error, MemoryError):
             return _fail("the memory does not suffice; give a smaller log, or lower the limits.* settings", BAD_INPUT)
         what = f"{type(error).__name__}: {error}"

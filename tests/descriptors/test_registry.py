@@ -173,3 +173,13 @@ def test_descriptors_without_a_network_do_not_load_torch():
     )
     finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert finished.returncode == 0, finished.stderr
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_make_descriptor_names_the_extra_that_a_network_needs(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in [name for name in sys.modules if name.startswith("descriptors.learned.")]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(DescriptorError, match=rf"{name} is a network and needs torch: pip install '.*\[learn\]'"):
+        make_descriptor(name)
+    make_descriptor("descriptellation_lr")

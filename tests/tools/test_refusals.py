@@ -118,6 +118,13 @@ class TestRefusals:
         assert "Traceback" in result.err
         assert "report" in result.err.splitlines()[-1]
 
+    def test_a_module_of_an_extra_that_is_not_installed(self, dslam: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+        def fail(*_: object) -> None:
+            raise ModuleNotFoundError("No module named 'torch.nn'", name="torch.nn")
+
+        monkeypatch.setattr("logs.summary.summarize", fail)
+        assert_refused(dslam("info", SAMPLE), "this needs torch.nn", "pip install 'descriptellation-slam[learn]'")
+
     def test_interruption(self, dslam: Run, monkeypatch: pytest.MonkeyPatch) -> None:
         def interrupt(*_: object) -> None:
             raise KeyboardInterrupt

@@ -1,0 +1,187 @@
+"""Inputs as people bring them, and the sentence that each prints: read, or refused in one line with the remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dslam import Config, LogError, Slam
+from logs.messages import ObjectDetections, Odometry, Record, Transform
+from logs.writer import LogWriter
+from tests.tools.runs import Run
+
+POSES = "".join(f"{second} {second} 0 0 0 0 0 1\n" for second in range(10))
+"""TUM: a metre a second along x."""
+ROWS = [(second, 5 - second, 2.0) for second in range(10)]
+TABLE = "stamp_s,x_m,y_m,label\n" + "".join(f"{t},{x},{y},tree\n" for t, x, y in ROWS)
+DATES = "time,x_m,y_m,yaw\n" + "".join(f"2024-05-01T12:00:{second:02d}Z,{second},0,0\n" for second in range(10))
+MAP = "x_m,y_m,label\n0,0,tree\n5,0,tree\n0,7,pole\n6,8,tree\n"
+GRID = "x_m,y_m\n385000,6670000\n385005,6670000\n385000,6670007\n385006,6670008\n"
+PLACES = "lat,lon,label\n60.1,24.9,tree\n60.1001,24.9,tree\n60.1,24.9002,pole\n60.1002,24.9001,tree\n"
+
+
+def relabelled(column: str) -> str:
+    return TABLE.replace("label", column, 1)
+
+
+@dataclass(frozen=True)
+class Text:
+    """``dslam import`` of text files: ``told`` is printed; ``code``: 0 if it is read."""
+
+    told: str
+    code: int = 2
+    detections: str = TABLE
+    odometry: str = POSES
+    options: tuple[str, ...] = ()
+
+
+TEXTS = {
+    "class_id is the label": Text("10 objects detected", 0, relabelled("class_id").replace("tree", "7")),
+    "name is the label": Text("10 objects detected", 0, relabelled("name")),
+    "type is the label": Text("10 objects detected", 0, relabelled("type")),
+    "category_id is the label": Text("10 objects detected", 0, relabelled("category_id").replace("tree", "3")),
+    "a column that looks like a label": Text("columns left out: kind_of_thing", 0, relabelled("kind_of_thing")),
+    "labels in Chinese": Text("10 objects detected", 0, TABLE.replace("tree", "路灯")),
+    "ISO 8601": Text(
+        "10 objects detected",
+        0,
+        "time,x_m,y_m\n" + "".join(f"2024-05-01T12:00:{t:02d}Z,{x},{y}\n" for t, x, y in ROWS),
+        DATES,
+    ),
+    "datetimes of pandas": Text(
+        "10 objects detected",
+        0,
+        "time,x_m,y_m\n" + "".join(f"2024-05-01 12:00:{t:02d}+00:00,{x},{y}\n" for t, x, y in ROWS),
+        DATES,
+    ),
+    "semicolons": Text("10 objects detected", 0, TABLE.replace(",", ";")),
+    "a byte order mark": Text("10 objects detected", 0, "\ufeff" + TABLE),
+    "line ends of Windows": Text("10 objects detected", 0, TABLE.replace("\n", "\r\n")),
+    "decimal commas": Text("write numbers with a decimal point", detections=TABLE.replace(",", ";").replace("2.0", "2,0")),
+    "no header": Text("detections.csv", detections=TABLE.partition("\n")[2]),
+    "no position": Text("no column for x among stamp_s, column, y_m, label", detections=TABLE.replace("x_m", "column")),
+    "an empty table": Text("detections.csv", detections=""),
+    "a number that is none": Text("line 2", detections=TABLE.replace("0,5,", "0,five,")),
+    "stamps that go backwards": Text("0.5 comes after 9; sort the lines", detections=TABLE + "0.5,1,1,tree\n"),
+    "stamps in milliseconds": Text(
+        "give the stamps in seconds, or name the columns",
+        odometry="".join(f"{90000 * t} {t} 0 0 0 0 0 1\n" for t in range(10)),
+        detections="stamp_s,x_m,y_m\n" + "".join(f"{90000 * t},{x},{y}\n" for t, x, y in ROWS),
+    ),
+    "another clock": Text("outside", detections="".join(TABLE.replace("\n", "\n17")[:-2])),
+    "degrees as metres": Text("no column for x among stamp_s, lat, lon", detections=TABLE.replace("x_m,y_m", "lat,lon")),
+    "scores in percent": Text("score", detections=TABLE.replace("label", "score").replace("tree", "95")),
+    "an unknown format": Text("none of tum, kitti, euroc, csv", options=("--format", "g2o")),
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_import_of_text_files(dslam: Run, tmp_path: Path, name: str) -> None:
+    case = TEXTS[name]
+    (tmp_path / "detections.csv").write_text(case.detections, encoding="utf-8", newline="")
+    (tmp_path / "odometry.tum").write_text(case.odometry, encoding="utf-8")
+    files = ("--odometry", tmp_path / "odometry.tum", "--detections", tmp_path / "detections.csv")
+    check(dslam("import", "csv", tmp_path / "drive.mcap", *files, *case.options), case.code, case.told)
+    assert (tmp_path / "drive.mcap").exists() == (case.code == 0)
+    assert not (tmp_path / "drive.mcap.part").exists()
+
+
+@dataclass(frozen=True)
+class Drive:
+    """``command`` of a log with odometry and a tree at 5 m in each scan, of which some things are changed."""
+
+    told: str
+    code: int = 2
+    command: str = "replay"
+    odometry: Mapping[str, object] = field(default_factory=dict)
+    detections: Mapping[str, object] = field(default_factory=dict)
+    transform: Transform | None = None
+    delay_ns: int = 0
+    options: tuple[str, ...] = ()
+
+
+LOOP = Transform(0, "lidar", "lidar_mount", np.eye(4))
+EMPTY = {"positions": np.zeros((0, 3)), "labels": (), "scores": np.zeros(0)}
+DRIVES = {
+    "a sensor that nothing connects": Drive("lidar", detections={"frame_id": "lidar"}),
+    "a sensor on another tree": Drive("lidar_mount", detections={"frame_id": "lidar"}, transform=LOOP),
+    "no object at all": Drive("not corrected, the trajectory is that of the odometry", 0, detections=EMPTY),
+    "another clock": Drive("check that both have the same clock", 0, delay_ns=10**15),
+    "another clock, looked at": Drive("not on one clock", 0, "info", delay_ns=10**15),
+    "a sensor that nothing connects, looked at": Drive(
+        "which no transform connects with base_link", 0, "info", detections={"frame_id": "lidar"}
+    ),
+    "a topic that is not there": Drive("/wheel", options=("--topic", "odometry=/wheel")),
+    "a setting that is not there": Drive("did you mean", options=("--set", "keyframe.distance=2")),
+    "no map": Drive("is a log, but no map", options=("--map", "drive.mcap")),
+}
+
+
+@pytest.mark.parametrize("name", DRIVES)
+def test_logs(dslam: Run, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    case = DRIVES[name]
+    with LogWriter("drive.mcap") as log:
+        if case.transform is not None:
+            log.write("/tf_static", case.transform)
+        for stamp_ns in range(0, 3 * 10**9, 10**8):
+            T_odom_body = np.eye(4)
+            T_odom_body[0, 3] = stamp_ns * 1e-9
+            log.write("/odom", replace(Odometry(stamp_ns, T_odom_body), **case.odometry))
+            scan = ObjectDetections(stamp_ns + case.delay_ns, "base_link", np.ones((1, 3)), ("tree",), np.ones(1))
+            log.write("/objects", replace(scan, **case.detections), stamp_ns)
+    output = ("-o", "out.mcap") if case.command == "replay" else ()
+    check(dslam(case.command, "drive.mcap", *output, *case.options), case.code, case.told)
+    assert not Path("out.mcap.part").exists()
+
+
+MAPS = {
+    "a table in metres": (MAP, (), 0, "origin unknown: give --origin"),
+    "a table in degrees": (PLACES, (), 0, "origin at latitude 60.1"),
+    "degrees called metres": (PLACES.replace("lat,lon", "x_m,y_m"), (), 2, "call the columns lat and lon"),
+    "latitude and longitude swapped": (PLACES.replace("60.1", "160.1"), (), 2, "the other way round"),
+    "a national grid": (GRID, ("--origin", "60,24"), 2, "national grid"),
+    "three objects": (MAP.rpartition("6,8")[0], (), 2, "needs four at least"),
+    "an id twice": (MAP.replace("label", "id").replace("pole", "tree"), (), 2, "is taken by line 2"),
+}
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_import_of_maps(dslam: Run, tmp_path: Path, name: str) -> None:
+    text, options, code, told = MAPS[name]
+    (tmp_path / "objects.csv").write_text(text, encoding="utf-8")
+    check(dslam("import", "csv-map", tmp_path / "map.mcap", "--file", tmp_path / "objects.csv", *options), code, told)
+    assert (tmp_path / "map.mcap").exists() == (code == 0)
+
+
+def check(result: object, code: int, told: str) -> None:
+    text = " ".join(f"{result.out} {result.err}".split())
+    assert result.code == code, text
+    assert told in text, text
+    assert code == 0 or result.err.count("\n") == 1
+
+
+MALFORMED: dict[str, tuple[Record, str]] = {
+    "a scaled rotation": (Odometry(0, np.diag([2.0, 2.0, 2.0, 1.0])), "no rotation"),
+    "a mirrored rotation": (Odometry(0, np.diag([1.0, -1.0, 1.0, 1.0])), "no rotation"),
+    "a transposed transform": (Odometry(0, np.eye(4) + np.eye(4, k=-3)), "a transform maps columns"),
+    "seconds for nanoseconds": (Odometry(1.5, np.eye(4)), "whole number of nanoseconds"),
+    "positions in the plane": (
+        ObjectDetections(0, "base_link", np.ones((1, 2)), ("tree",), np.ones(1)),
+        "give a float64 array of shape (1, 3)",
+    ),
+    "a list of positions": (ObjectDetections(0, "base_link", [[1, 2, 3]], ("tree",), np.ones(1)), "list; give a float64"),
+    "labels as one text": (ObjectDetections(0, "base_link", np.ones((1, 3)), "tree", np.ones(1)), "no tuple of texts"),
+}
+
+
+@pytest.mark.parametrize("name", MALFORMED)
+def test_records_of_programs(name: str) -> None:
+    record, told = MALFORMED[name]
+    with pytest.raises(LogError) as caught:
+        Slam(Config()).process(record)
+    assert told in str(caught.value)
