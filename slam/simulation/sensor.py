@@ -60,7 +60,8 @@ def unshadowed(positions: FloatArray, radii_m: FloatArray) -> NDArray[np.bool_]:
     outside = distance_m > radii_m
     half_angle = np.arcsin(np.divide(radii_m, distance_m, out=np.zeros_like(distance_m), where=outside))
     # [i, j]: whether i hides j
-    apart = np.abs(np.mod(bearing[None, :] - bearing[:, None] + np.pi, 2.0 * np.pi) - np.pi)
+    apart = np.abs(bearing[None, :] - bearing[:, None])
+    apart = np.minimum(apart, 2.0 * np.pi - apart)
     behind = distance_m[None, :] > (distance_m + radii_m)[:, None]
     hides = outside[:, None] & behind & (apart < half_angle[:, None])
     return np.asarray(~np.any(hides, axis=0))

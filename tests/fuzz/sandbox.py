@@ -21,7 +21,7 @@ CRASHED = 99
 
 @dataclass(frozen=True)
 class Limits:
-    seconds: int = 20
+    seconds: int = 10
     memory_bytes: int = 1_500_000_000
     file_bytes: int = 500_000_000
 

@@ -61,7 +61,9 @@ TEXTS = {
     "semicolons": Text("10 objects detected", 0, TABLE.replace(",", ";")),
     "a byte order mark": Text("10 objects detected", 0, "\ufeff" + TABLE),
     "line ends of Windows": Text("10 objects detected", 0, TABLE.replace("\n", "\r\n")),
-    "decimal commas": Text("write numbers with a decimal point", detections=TABLE.replace(",", ";").replace("2.0", "2,0")),
+    "decimal commas": Text(
+        "write numbers with a decimal point", detections=TABLE.replace(",", ";").replace("2.0", "2,0")
+    ),
     "no header": Text("detections.csv", detections=TABLE.partition("\n")[2]),
     "no position": Text("no column for x among stamp_s, column, y_m, label", detections=TABLE.replace("x_m", "column")),
     "an empty table": Text("detections.csv", detections=""),
@@ -73,7 +75,9 @@ TEXTS = {
         detections="stamp_s,x_m,y_m\n" + "".join(f"{90000 * t},{x},{y}\n" for t, x, y in ROWS),
     ),
     "another clock": Text("outside", detections="".join(TABLE.replace("\n", "\n17")[:-2])),
-    "degrees as metres": Text("no column for x among stamp_s, lat, lon", detections=TABLE.replace("x_m,y_m", "lat,lon")),
+    "degrees as metres": Text(
+        "no column for x among stamp_s, lat, lon", detections=TABLE.replace("x_m,y_m", "lat,lon")
+    ),
     "scores in percent": Text("score", detections=TABLE.replace("label", "score").replace("tree", "95")),
     "an unknown format": Text("none of tum, kitti, euroc, csv", options=("--format", "g2o")),
 }
@@ -174,7 +178,10 @@ MALFORMED: dict[str, tuple[Record, str]] = {
         ObjectDetections(0, "base_link", np.ones((1, 2)), ("tree",), np.ones(1)),
         "give a float64 array of shape (1, 3)",
     ),
-    "a list of positions": (ObjectDetections(0, "base_link", [[1, 2, 3]], ("tree",), np.ones(1)), "list; give a float64"),
+    "a list of positions": (
+        ObjectDetections(0, "base_link", [[1, 2, 3]], ("tree",), np.ones(1)),
+        "list; give a float64",
+    ),
     "labels as one text": (ObjectDetections(0, "base_link", np.ones((1, 3)), "tree", np.ones(1)), "no tuple of texts"),
 }
 
