@@ -19,7 +19,7 @@ from logs.storage.regular_file import max_unpacked_bytes, read_regular
 
 MAX_DIGITS = 18
 """Of a whole number, so that 64 bits hold it."""
-_GZIP = b"\x1f\x8b"
+_GZIP, _PARQUET = b"\x1f\x8b", b"PAR1"
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class SourceText:
 
 
 def read_source_text(path: Path) -> SourceText:
-    """The file at ``path`` as text, unpacked if it is gzip.
+    """The file at ``path`` as text; see :func:`source_text`.
 
     Raises:
         DatasetError: it is missing, cannot be read or unpacked, or is no UTF-8 text.
@@ -59,12 +59,14 @@ def read_source_text(path: Path) -> SourceText:
 
 
 def source_text(name: str, content: bytes) -> SourceText:
-    """The content of a file as text, unpacked if it is gzip.
+    """The content of a file as text: unpacked if it is gzip, as CSV if it is a table in Parquet's format.
 
     Raises:
         DatasetError: it cannot be unpacked, or is no UTF-8 text.
     """
     plain = _unpacked(name, content) if content.startswith(_GZIP) else content
+    if plain.startswith(_PARQUET):
+        plain = _parquet_as_csv(name, plain)
     try:
         return SourceText(name, plain.decode("utf-8-sig"), hashlib.sha256(content).hexdigest())
     except UnicodeDecodeError as error:
@@ -81,11 +83,32 @@ def _unpacked(name: str, packed: bytes) -> bytes:
     except (OSError, EOFError, zlib.error) as error:
         raise DatasetError(f"{name}: cannot be unpacked ({error}); copy or pack it again") from error
     if len(content) > limit:
-        raise DatasetError(
-            f"{name}: its {len(packed)} bytes unpack to more than {limit / 1e6:.0f} MB, which no table or path does; "
-            "unpack it and give the file itself if it is one"
-        )
+        raise _too_large(name, len(packed), limit)
     return content
+
+
+def _parquet_as_csv(name: str, content: bytes) -> bytes:
+    try:
+        from pyarrow import ArrowException, parquet
+    except ImportError as error:
+        raise DatasetError(f"{name}: tables in Parquet's format need pyarrow: pip install pyarrow") from error
+    limit = max_unpacked_bytes(len(content))
+    try:
+        table = parquet.ParquetFile(BytesIO(content))
+        about = table.metadata
+        packed = sum(about.row_group(group).total_byte_size for group in range(about.num_row_groups))
+        if max(packed, about.num_rows * about.num_columns) > limit:
+            raise _too_large(name, len(content), limit)
+        return bytes(table.read().to_pandas(ignore_metadata=True).to_csv(index=False).encode())
+    except (ArrowException, OSError, ValueError) as error:
+        raise DatasetError(f"{name}: cannot be read as Parquet ({error}); write it again, or as CSV") from error
+
+
+def _too_large(name: str, packed: int, limit: int) -> DatasetError:
+    return DatasetError(
+        f"{name}: its {packed} bytes unpack to more than {limit / 1e6:.0f} MB, which no table or path does; "
+        "unpack it and give the file itself if it is one"
+    )
 
 
 def parse_numbers(name: str, line: int, fields: Sequence[str], count: int) -> list[float]:

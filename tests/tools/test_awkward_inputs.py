@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from dslam import Config, LogError, Slam
 from logs.messages import ObjectDetections, Odometry, Record, Transform
 from logs.writer import LogWriter
-from tests.tools.runs import Run
+from tests.tools.runs import Result, Run
 
 POSES = "".join(f"{second} {second} 0 0 0 0 0 1\n" for second in range(10))
 """TUM: a metre a second along x."""
@@ -94,6 +96,30 @@ def test_import_of_text_files(dslam: Run, tmp_path: Path, name: str) -> None:
     assert not (tmp_path / "drive.mcap.part").exists()
 
 
+@pytest.mark.parametrize(
+    ("damage", "code", "told"),
+    [
+        (slice(None), 0, "10 objects detected"),
+        (slice(0, 60), 2, "cannot be read as Parquet"),
+        (None, 2, "need pyarrow"),
+    ],
+)
+def test_import_of_parquet(
+    dslam: Run, tmp_path: Path, damage: slice | None, code: int, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is not installed")
+    start = pd.Timestamp("2024-05-01T12:00:00Z")
+    rows = [(start + pd.Timedelta(seconds=t), x, y, "tree") for t, x, y in ROWS]
+    path = tmp_path / "detections.parquet"
+    pd.DataFrame(rows, columns=["time", "x_m", "y_m", "label"]).to_parquet(path)
+    path.write_bytes(path.read_bytes()[damage or slice(None)])
+    if damage is None:
+        monkeypatch.setitem(sys.modules, "pyarrow", None)
+    (tmp_path / "odometry.csv").write_text(DATES, encoding="utf-8")
+    files = ("--odometry", tmp_path / "odometry.csv", "--detections", path)
+    check(dslam("import", "csv", tmp_path / "drive.mcap", *files), code, told)
+
+
 @dataclass(frozen=True)
 class Drive:
     """``command`` of a log with odometry and a tree at 5 m in each scan, of which some things are changed."""
@@ -162,7 +188,7 @@ def test_import_of_maps(dslam: Run, tmp_path: Path, name: str) -> None:
     assert (tmp_path / "map.mcap").exists() == (code == 0)
 
 
-def check(result: object, code: int, told: str) -> None:
+def check(result: Result, code: int, told: str) -> None:
     text = " ".join(f"{result.out} {result.err}".split())
     assert result.code == code, text
     assert told in text, text

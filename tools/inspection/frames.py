@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -9,23 +10,25 @@ if TYPE_CHECKING:
     from logs.summary import LogSummary, TopicSummary
 
 _INDENT = "  "
+MAX_LINES = 60
+"""More frames than a reader looks at are counted."""
 
 
 def draw_tree(topics: Sequence[TopicSummary]) -> list[str]:
     """A line for each frame, below its parent, with the topic that connects the two; frames without one stand alone."""
     above = {child: (parent, topic.topic) for topic in topics for parent, child in topic.frame_edges}
-    frames = {frame for topic in topics for frame in topic.frames} | {parent for parent, _ in above.values()}
+    children = defaultdict[str, list[str]](list)
+    for child, (parent, _) in above.items():
+        children[parent].append(child)
+    frames = {frame for topic in topics for frame in topic.frames} | children.keys()
     lines: list[str] = []
-
-    def draw(frame: str, depth: int, drawn: frozenset[str]) -> None:
+    waiting = [(0, root) for root in sorted(frames - above.keys(), reverse=True)]
+    while waiting:
+        depth, frame = waiting.pop()
         topic = f"  ({above[frame][1]})" if frame in above else ""
         lines.append(f"{_INDENT * depth}{frame}{topic}")
-        for child in sorted(each for each, (parent, _) in above.items() if parent == frame and each not in drawn):
-            draw(child, depth + 1, drawn | {child})
-
-    for root in sorted(frames - set(above)):
-        draw(root, 0, frozenset({root}))
-    return lines
+        waiting += [(depth + 1, child) for child in sorted(children[frame], reverse=True)]
+    return lines[:MAX_LINES] + [f"and {len(lines) - MAX_LINES} more"] * (len(lines) > MAX_LINES)
 
 
 def find_faults(summary: LogSummary) -> list[str]:
@@ -55,9 +58,13 @@ def find_faults(summary: LogSummary) -> list[str]:
 
 def _connected(topics: Sequence[TopicSummary], bodies: set[str]) -> set[str]:
     """The frames that a chain of transforms connects with those of the body."""
-    edges = [edge for topic in topics for edge in topic.frame_edges]
-    found, size = set(bodies), 0
-    while size < len(found):
-        size = len(found)
-        found |= {frame for edge in edges if found & set(edge) for frame in edge}
+    neighbours = defaultdict[str, set[str]](set)
+    for topic in topics:
+        for parent, child in topic.frame_edges:
+            neighbours[parent].add(child)
+            neighbours[child].add(parent)
+    found, waiting = set(bodies), set(bodies)
+    while waiting:
+        waiting = {each for frame in waiting for each in neighbours[frame]} - found
+        found |= waiting
     return found
