@@ -38,7 +38,7 @@ def read_map(path: str | os.PathLike[str]) -> ObjectMapRecord:
         return confirmed(found)
     if _is_imported(path):
         return load_imported_map(path).objects
-    raise InputDataError(f"{path} holds no map ({_FINAL_MAP} or {OBJECTS_TOPIC}); give a log that replay() wrote")
+    raise InputDataError(f"{path} holds no map ({_FINAL_MAP} or {OBJECTS_TOPIC}); give a log that 'dslam replay' wrote")
 
 
 def load_map(path: str | os.PathLike[str]) -> PriorMap:
@@ -73,7 +73,7 @@ def read_trajectory(path: str | os.PathLike[str]) -> TrajectoryRecord:
     """
     found = _last_record(path, Selection.of({_FINAL_TRAJECTORY: RecordKind.TRAJECTORY}))
     if not isinstance(found, TrajectoryRecord):
-        raise InputDataError(f"{path} holds no trajectory ({_FINAL_TRAJECTORY}); give a log that replay() wrote")
+        raise InputDataError(f"{path} holds no trajectory ({_FINAL_TRAJECTORY}); give a log that 'dslam replay' wrote")
     return found
 
 

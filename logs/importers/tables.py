@@ -162,7 +162,7 @@ def _read_csv(source: SourceText) -> Table:
     reader = csv.reader([header, *lines[passed:]], delimiter=delimiter)
     try:
         names = [name.strip() for name in next(reader)]
-        if not names or is_number(names[0]):
+        if not names or is_number(names[0]) or 2 * sum(map(is_number, names)) > len(names):
             raise DatasetError(
                 f"{source.name}, line {line}: numbers where the names of the columns are expected; "
                 "begin the file with a header such as stamp_s,label,x_m,y_m,z_m"

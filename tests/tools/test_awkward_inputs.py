@@ -60,6 +60,9 @@ TEXTS = {
         "time,x_m,y_m\n" + "".join(f"2024-05-01 12:00:{t:02d}+00:00,{x},{y}\n" for t, x, y in ROWS),
         DATES,
     ),
+    "dates in a path without a header": Text(
+        "numbers where the names of the columns are expected", odometry=DATES.partition("\n")[2]
+    ),
     "semicolons": Text("10 objects detected", 0, TABLE.replace(",", ";")),
     "a byte order mark": Text("10 objects detected", 0, "\ufeff" + TABLE),
     "line ends of Windows": Text("10 objects detected", 0, TABLE.replace("\n", "\r\n")),

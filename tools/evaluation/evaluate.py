@@ -58,11 +58,13 @@ def evaluate(
 
     requirements = [parse_requirement(text) for text in require or ()]
     truth = Truth(reference, closure_reference, times, calib, chosen, map_run, parse_thresholds(protocol))
-    findings = _evaluate_log(log, truth, picture, page, every=every)
+    findings = _evaluate_log(log, truth, picture, page, json_file, every=every)
     report(findings, requirements, as_json=as_json, with_rules=rules, json_file=json_file)
 
 
-def _evaluate_log(log: Path, truth: Truth, picture: Path | None, page: Path | None, *, every: bool) -> Findings:
+def _evaluate_log(
+    log: Path, truth: Truth, picture: Path | None, page: Path | None, json_file: Path | None, *, every: bool
+) -> Findings:
     from slam.evaluation.report.figures import summarize
     from tools import console
 
@@ -77,7 +79,8 @@ def _evaluate_log(log: Path, truth: Truth, picture: Path | None, page: Path | No
 
         write_report(page, records, evaluation, title=log.stem)
     results = evaluation.to_json_dict()
-    parts: list[RenderableType] = [console.pairs(summarize(results))]
+    written = ", ".join(str(path) for path in (picture, page, json_file) if path is not None)
+    parts: list[RenderableType] = [console.pairs(summarize(results) | ({"written": written} if written else {}))]
     if every:
         from slam.evaluation.report.tables import make_tables
 

@@ -22,6 +22,7 @@ from slam.fleet.fleet import Fleet, map_fleet
 from slam.fleet.logs import FleetLog
 from slam.fleet.report import fleet_report, write_report
 from slam.fleet.sessions import SessionTask, map_session
+from slam.library import read_map
 from slam.place_recognition.imported_map import load_imported_map
 from slam.simulation.config import SimulationConfig
 from slam.simulation.simulation import write_simulation
@@ -60,7 +61,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[FleetLog]:
 def run(logs: list[FleetLog], folder: Path, engine: Any) -> Fleet:
     folder.mkdir(exist_ok=True)
     fleet = map_fleet(logs, folder, Config(), engine)
-    write_report(folder / "report.json", fleet)
+    write_report(folder, fleet)
     return fleet
 
 
@@ -92,6 +93,9 @@ def test_the_map_has_tiles_and_opens_as_any_other(mapped: tuple[Path, Fleet]) ->
     folder, fleet = mapped
     tiles = load_imported_map(folder / "map.mcap")
     assert len(tiles) == np.count_nonzero(fleet.living[0].presence.present >= 0.5)
+    objects = read_map(folder / "map.mcap")
+    assert set(objects.ids) == set(tiles.objects.ids)
+    assert objects.observation_counts.min() > 0
 
 
 def test_one_or_two_workers_give_the_same_bytes(

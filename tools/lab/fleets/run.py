@@ -96,7 +96,7 @@ def benchmark_fleet(
     started, own = time.perf_counter(), time.process_time()
     fleet = map_fleet(truth.logs, folder, Config(), measured, progress=progress)
     wall_s, own_s = time.perf_counter() - started, time.process_time() - own
-    write_report(folder / "report.json", fleet)
+    write_report(folder, fleet)
     usable = [log for log in truth.logs if truth.drives[log.name].city >= 0]
     replays = MeasuredEngine(engine)
     replayed = sum(
