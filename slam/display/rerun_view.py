@@ -98,11 +98,18 @@ def blueprint_of(log: Path) -> rrb.Blueprint:
 
 
 def send_log(log: Path, recording: rr.RecordingStream) -> None:
-    """Send all of a log to a recording."""
+    """Send all of a log to a recording.
+
+    Raises:
+        ViewerError: Rerun cannot read the log, which is damaged.
+    """
     import rerun as rr
     from rerun.chunk import McapReader
 
-    recording.send_chunks(McapReader(log).stream())
+    try:
+        recording.send_chunks(McapReader(log).stream())
+    except (ValueError, RuntimeError) as error:
+        raise ViewerError(f"Rerun cannot read {log}: {str(error).splitlines()[0]}; make the log again") from error
     _style(recording)
     poses_ns, positions = [], []
     with LogReader(log) as reader:

@@ -102,6 +102,13 @@ class TestRefusals:
         files = ("--detections", "a.tar", "--odometry", "b.txt", "--calib", "c.txt", "--times", "d.txt")
         assert_refused(dslam("import", "kitti-objects", tmp_path / "out.mcap", *files), "a.tar")
 
+    @pytest.mark.slow
+    def test_view_of_a_truncated_log(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
+        pytest.importorskip("rerun", reason="Rerun is an extra: pip install 'descriptellation-slam[view]'")
+        (tmp_path / "cut.mcap").write_bytes(mapped.read_bytes()[:-100])
+        result = dslam("view", tmp_path / "cut.mcap", "--save", tmp_path / "cut.rrd")
+        assert_refused(result, "Rerun cannot read", "make the log again")
+
     def test_log_without_an_estimate(self, dslam: Run, tmp_path: Path) -> None:
         assert_refused(dslam("evaluate", SAMPLE), "no estimate", "dslam replay")
         assert_refused(dslam("export", SAMPLE, "--tum", tmp_path / "out.txt"), "no final trajectory")
