@@ -42,7 +42,9 @@ def maps(short_log: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path
 class TestOneLog:
     def test_the_page(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
         page = tmp_path / "report.html"
-        assert dslam("evaluate", mapped, "--html", page).code == 0
+        result = dslam("evaluate", mapped, "--html", page)
+        assert result.code == 0
+        assert str(page) in "".join(result.out.partition("written")[2].split())
         assert page.read_text(encoding="utf-8").lower().startswith("<!doctype html>")
         assert_refused(dslam("evaluate", mapped, "--html", page, "--picture", page), "two outputs")
         assert_refused(dslam("evaluate", mapped, "--html", mapped), "is the input")
