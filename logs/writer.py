@@ -46,16 +46,16 @@ class LogWriter:
 
     Args:
         path: the log to write; an existing file is replaced.
-        keep_partial: whether an exception leaves the partial file, closed and readable, if it holds any message; else
-            only an interruption (no ``Exception``) does: of what can be computed again.
+        refusals: exceptions that remove the partial file, because the input is of no use. Any other one leaves it,
+            closed and readable, if it holds a message.
 
     Raises:
         UnwritableLogError: by every method, when the file cannot be created, written or finished.
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, keep_partial: bool = True) -> None:
+    def __init__(self, path: str | os.PathLike[str], *, refusals: tuple[type[Exception], ...] = ()) -> None:
         self.path = Path(path)
-        self._keep_partial = keep_partial
+        self._refusals = refusals
         self.partial_path = partial_path(self.path)
         if self.path.is_dir():
             raise UnwritableLogError(f"{self.path} is a folder; give the name of a file to write")
@@ -82,7 +82,8 @@ class LogWriter:
             self.close()
         else:
             self.abandon()
-            if isinstance(error, Exception) and not (self._keep_partial and self._channel_ids):
+            is_empty = isinstance(error, Exception) and not self._channel_ids
+            if is_empty or isinstance(error, self._refusals):
                 self.partial_path.unlink(missing_ok=True)
             elif error is not None:
                 error.add_note(f"what was written until then is left in {self.partial_path}")

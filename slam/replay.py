@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from logs.errors import UnwritableLogError
+from logs.errors import LogError, UnwritableLogError
 from logs.messages import (
     GeodeticFix,
     GroundTruthPose,
@@ -23,7 +23,7 @@ from logs.selection import Selection
 from logs.topics import RecordKind
 from logs.writer import LogWriter, partial_path
 from slam.common.config import Config
-from slam.common.errors import InputDataError, SavedMapError
+from slam.common.errors import InputDataError, SavedMapError, SlamError
 from slam.display.drive_display import DriveDisplay
 from slam.final_map import FinalMap
 from slam.frontend.input.label_map import LabelMap
@@ -120,7 +120,7 @@ def replay(
             prepared.calibration.config.sensor_range_m, _ground_truth(source, config, prepared.selection)
         )
         # One thread: the products are small, and threads would add them up in another order on another machine.
-        with threadpool_limits(1, user_api="blas"), LogWriter(output, keep_partial=False) as writer:
+        with threadpool_limits(1, user_api="blas"), LogWriter(output, refusals=(LogError, SlamError)) as writer:
             georeference = prior_map.georeference if isinstance(prior_map, ImportedMap) else None
             drive = _Drive(slam, prepared, clocks, OutputLog(writer, display, view, georeference))
             final = drive.map(reader, writer, progress)

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from logs.errors import LogError
 from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, Odometry
 from logs.selection import DETECTION_TRUTH_TOPIC, GROUND_TRUTH_TOPIC
 from logs.writer import LogWriter
@@ -39,7 +40,7 @@ def write_imported_log(output: Path, records: Iterable[ImportedRecord], source: 
     message_counts: Counter[str] = Counter()
     detection_count = 0
     stamps_ns = [0, 0]
-    with LogWriter(output, keep_partial=False) as writer:
+    with LogWriter(output, refusals=(LogError,)) as writer:
         writer.add_metadata("source", dict(source))
         for record in records:
             topic = TOPICS[type(record)]

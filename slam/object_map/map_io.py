@@ -23,7 +23,7 @@ from logs.topics import RecordKind
 from logs.writer import LogWriter
 from slam.backend.edge_kind import EdgeKind
 from slam.common.arrays import FloatArray
-from slam.common.errors import SavedMapError
+from slam.common.errors import SavedMapError, SlamError
 from slam.common.georeference import Georeference
 from slam.object_map.map_validation import find_fault, parts
 
@@ -113,7 +113,7 @@ def save_map(
         )
     drives = [*(earlier_drives or ()), _drive(provenance)]
     about = {"format_version": FORMAT_VERSION, "gravity": GRAVITY, **provenance, "drives": json.dumps(drives)}
-    with LogWriter(path, keep_partial=False) as writer:
+    with LogWriter(path, refusals=(LogError, SlamError)) as writer:
         writer.add_metadata(METADATA, about)
         writer.write(OBJECTS_TOPIC, kept, objects.stamp_ns)
         writer.write(GRAPH_TOPIC, graph, objects.stamp_ns)

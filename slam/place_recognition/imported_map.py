@@ -24,7 +24,7 @@ from logs.scene import class_color
 from logs.storage.arrays import read_arrays
 from logs.writer import LogWriter
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.errors import GeometryError, SavedMapError
+from slam.common.errors import GeometryError, SavedMapError, SlamError
 from slam.common.georeference import Georeference
 from slam.object_map.map_io import FORMAT_VERSION, GRAVITY, IMPORTED, METADATA, OBJECTS_TOPIC, POINTS_TOPIC
 from slam.place_recognition.map_search import MapSearch
@@ -204,7 +204,7 @@ def save_imported_map(path: Path, imported: ImportedMap, objects: ObjectMapRecor
     }
     if imported.georeference is not None:
         about["georeference"] = imported.georeference.to_json()
-    with LogWriter(path, keep_partial=False) as writer:
+    with LogWriter(path, refusals=(LogError, SlamError)) as writer:
         writer.add_metadata(METADATA, about)
         if objects is not None:
             writer.write(OBJECTS_TOPIC, objects)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from logs.errors import LogError
 from logs.messages import (
     DetectionTruth,
     GroundTruthPose,
@@ -21,7 +22,7 @@ from logs.selection import DETECTION_TRUTH_TOPIC, GROUND_TRUTH_TOPIC, OBJECT_TRU
 from logs.writer import LogWriter
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config_tree import CHANGED_SETTINGS, changed_settings
-from slam.common.errors import SimulationError
+from slam.common.errors import SimulationError, SlamError
 from slam.common.geometry import invert
 from slam.simulation import traffic
 from slam.simulation.config import SimulationConfig
@@ -84,7 +85,7 @@ def write_simulation(path: Path, world: World, config: SimulationConfig, *, seed
     drives = _drives(plan, config)
     counts: Counter[str] = Counter()
     detection_count = 0
-    with LogWriter(path, keep_partial=False) as writer:
+    with LogWriter(path, refusals=(LogError, SlamError)) as writer:
         writer.add_metadata(
             "simulation",
             {

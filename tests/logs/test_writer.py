@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from logs import messages as m
-from logs.errors import InvalidRecordError, UnwritableLogError
+from logs.errors import InvalidRecordError, LogError, UnreadableLogError, UnwritableLogError
 from logs.reader import LogReader
 from logs.selection import Selection
 from logs.storage.placement import put_in_place
@@ -66,19 +66,16 @@ def test_an_exception_leaves_a_readable_partial_log(tmp_path):
         assert len(list(reader.records(ODOMETRY))) == 1
 
 
-def write_and_raise(path, error):
-    with LogWriter(path, keep_partial=False) as writer:
-        writer.write("/odom", m.Odometry(1, np.eye(4)))
-        raise error
+@pytest.mark.parametrize(("error", "is_kept"), [(UnreadableLogError(), False), (RuntimeError(), True)])
+def test_a_refusal_removes_the_partial_log(tmp_path, error, is_kept):
+    def write_and_raise():
+        with LogWriter(tmp_path / "log.mcap", refusals=(LogError,)) as writer:
+            writer.write("/odom", m.Odometry(1, np.eye(4)))
+            raise error
 
-
-def test_an_exception_removes_a_partial_log_that_is_not_kept(tmp_path):
-    with pytest.raises(RuntimeError):
-        write_and_raise(tmp_path / "log.mcap", RuntimeError())
-    assert list(tmp_path.iterdir()) == []
-    with pytest.raises(KeyboardInterrupt):
-        write_and_raise(tmp_path / "log.mcap", KeyboardInterrupt())
-    assert (tmp_path / "log.mcap.part").exists()
+    with pytest.raises(type(error)):
+        write_and_raise()
+    assert [path.name for path in tmp_path.iterdir()] == ["log.mcap.part"] * is_kept
 
 
 def test_an_existing_log_stays_until_the_new_one_is_whole(tmp_path):

@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.errors import UnwritableLogError
+from logs.errors import LogError, UnwritableLogError
 from logs.messages import ObjectDetections
 from logs.reader import LogReader
 from logs.selection import Selection, select_topics
 from logs.topics import RawMessage, RecordKind
 from logs.writer import LogWriter, partial_path
-from slam.common.errors import SimulationError
+from slam.common.errors import SimulationError, SlamError
 from slam.simulation.faults.fault import FaultCase
 from slam.simulation.faults.stream import Entry
 
@@ -101,7 +101,7 @@ def write_faulty(
         keeps_others = all(case.fault.keeps_others for case in cases)
         copied = _copied(reader, others if keeps_others else ())
         written: Counter[str] = Counter()
-        with LogWriter(output, keep_partial=False) as writer:
+        with LogWriter(output, refusals=(LogError, SlamError)) as writer:
             _write_metadata(reader, writer, cases, seed)
             rewritten = {entry.topic for entry in result if entry.raw is None}
             for entry in heapq.merge(result, copied, key=lambda entry: (entry.log_time_ns, entry.number)):
