@@ -123,11 +123,7 @@ class Slam:
         return self._graph.solver_seconds
 
     def process(self, record: Record) -> list[Record]:
-        """Process the next record in the order of the log; returns what it made known.
-
-        Raises:
-            InvalidRecordError: a pose or detections of another shape, type or transform than :mod:`logs.messages` says.
-        """
+        """Process the next record in the order of the log, one that ``check_record`` accepts; returns what is new."""
         check_record(record)
         if isinstance(record, Transform):
             self._frames.add(record)
