@@ -56,7 +56,7 @@ REPEATED_SHARE, SHORT_LAGS = 0.5, 2
 of the shortest lags.
 """
 ROUNDING = 1e-12
-EXACT = 1e-18
+EXACT = 1e-13
 """Mean squares below that, in squared median ranges, are rounding: the log has no noise there."""
 MAX_UNIT_M = 1e100
 """Distances beyond that overflow where they are squared."""

@@ -133,7 +133,6 @@ def point_cloud(stamp_ns: int, frame: str, points: FloatArray, classes: np.ndarr
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="0.141 m from clouds, 0.048 m wanted")
 def test_labelled_clouds_of_a_drive_map_it_as_well_as_its_detections(tmp_path: Path) -> None:
     simulation = SimulationConfig(drive=DriveConfig(rate_hz=5.0))
     entries = drive(simulation)

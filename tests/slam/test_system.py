@@ -119,7 +119,7 @@ def test_several_sensors_that_each_see_a_sector_map_all_objects(exact_drive, tmp
     assert sum(state == "confirmed" for state in found.states) >= 0.95 * len(block_world().object_ids)
 
 
-def test_twin_odometry_that_is_a_fifth_too_long_gives_a_bad_trajectory(exact_drive, tmp_path):
+def test_odometry_that_is_a_fifth_too_long_is_corrected(exact_drive, tmp_path):
     def stretch(_: int, odometry: Odometry) -> Odometry:
         T = odometry.T_odom_body.copy()
         T[:3, 3] *= 1.2
@@ -127,8 +127,8 @@ def test_twin_odometry_that_is_a_fifth_too_long_gives_a_bad_trajectory(exact_dri
 
     stretched = change(exact_drive, Odometry, stretch)
     found = run(stretched, tmp_path / "out.mcap")
-    assert found.estimate.absolute.rmse_m > 2.0
-    assert found.landmarks.global_frame.max_m > 1.0
+    assert found.odometry.absolute.rmse_m > 2.0
+    assert found.estimate.absolute.rmse_m < 0.01
     known = Config(calibration=Calibration(odometry=OdometryCalibration(length_scale=1.0 / 1.2)))
     corrected = run(stretched, tmp_path / "corrected.mcap", known)
     assert corrected.estimate.absolute.rmse_m < 0.1
@@ -148,7 +148,6 @@ def test_with_default_noise_detections_go_to_the_right_landmarks(noisy_drive, tm
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="0.154 m, the odometry has 0.173; a planar filter had 0.125")
 def test_online_estimate_is_a_fifth_better_than_the_odometry(noisy_drive, tmp_path):
     found = run(noisy_drive, tmp_path / "out.mcap")
     assert found.online.absolute.rmse_m < 0.8 * found.odometry.absolute.rmse_m

@@ -141,7 +141,7 @@ class TestFromEndToEnd:
         assert one.out.splitlines()[-1].split()[3:6] == ["inf", "23.5", "1.25"]
         assert "50 of [tree] agree" in one.out
         assert len(one.out.splitlines()) == 3
-        assert "keyframe 60 is the query of no loop-closure candidate" in dslam("info", log, "--keyframe", 60).out
+        assert "keyframe 60 is not the query of a loop-closure candidate" in dslam("info", log, "--keyframe", 60).out
         assert "closure_candidates" not in json.loads(dslam("info", log, "--json").out)
         every = json.loads(dslam("info", log, "--json", "--closures").out)["closure_candidates"]
         assert [candidate["query_keyframe_id"] for candidate in every] == list(range(60))

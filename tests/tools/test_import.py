@@ -68,7 +68,7 @@ def test_the_lines_of_the_docs_write_a_log_that_can_be_replayed(
     dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (code,) = re.findall(r"```python\n(.*?)```", DOCS, flags=re.DOTALL)
-    assert sum(bool(line.strip()) for line in code.splitlines()) == 10
+    assert sum(bool(line.strip()) for line in code.splitlines()) == 9
     monkeypatch.chdir(tmp_path)
     exec(compile(code, "docs/import.md", "exec"), {})
     told = json.loads(dslam("replay", "drive.mcap", "-o", "map.mcap", "--json").out)
