@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from descriptors.class_vectors import class_vectors
     from descriptors.constellation import Constellations
     from descriptors.descriptor import Descriptor
     from descriptors.errors import DescriptorError
@@ -76,6 +77,7 @@ __all__ = [
     "TrajectoryRecord",
     "Transform",
     "calibrate",
+    "class_vectors",
     "evaluate_log",
     "find_objects",
     "landmark_table",
@@ -90,6 +92,7 @@ __all__ = [
 ]
 
 _NAMES_OF_MODULES = {
+    "descriptors.class_vectors": ("class_vectors",),
     "descriptors.constellation": ("Constellations",),
     "descriptors.descriptor": ("Descriptor",),
     "descriptors.errors": ("DescriptorError",),
