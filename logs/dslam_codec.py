@@ -189,7 +189,7 @@ CODECS: Mapping[type, Codec] = {
         observation_keyframe_ids="O",
         observation_positions="O 3",
         observation_covariances="O 3 3",
-        pose_covariances="P 6 6",
+        pose_covariances="K 6 6?",
         observation_redundancies="O?",
     ),
     m.LoopClosureRecord: Codec(m.LoopClosureRecord, pb.LoopClosure, T_reference_query="T?", covariance="6 6?"),

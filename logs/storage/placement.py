@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from logs.errors import UnwritableLogError
@@ -31,7 +31,7 @@ def put_in_place(part: Path, path: Path) -> None:
 
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """``NAME.part`` to be written, which takes the name at the end.
+    """``NAME.part`` to be written, which takes the name at the end; after an error it is removed.
 
     Raises:
         UnwritableLogError: it cannot be written.
@@ -43,6 +43,9 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         put_in_place(part, target)
     except OSError as error:
         raise UnwritableLogError(f"cannot write {target}: {error.strerror or error}") from error
+    finally:
+        with suppress(OSError):
+            part.unlink()
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

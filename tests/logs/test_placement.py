@@ -31,6 +31,7 @@ def test_file_keeps_its_content_where_writing_fails(tmp_path: Path) -> None:
     with pytest.raises(UnwritableLogError, match=r"a\.txt: No space left"):
         fill_disk(path)
     assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_missing_folder_and_pipe_are_refused(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ def view(
     """
     check_outputs([save], [log])
     from logs.reader import LogReader
-    from logs.storage.placement import write_text
+    from logs.storage.placement import replacing, write_text
     from slam.display import rerun_view
     from slam.display.map_topics import PATH
     from slam.object_map.map_io import POINTS_TOPIC
@@ -60,9 +60,10 @@ def view(
     recording = rr.RecordingStream(rerun_view.APPLICATION, recording_id=log.stem)
     blueprint = rerun_view.blueprint_of(log)
     if save is not None:
-        recording.save(save, default_blueprint=blueprint)
-        rerun_view.send_log(log, recording)
-        recording.disconnect()
+        with replacing(save) as part:
+            recording.save(part, default_blueprint=blueprint)
+            rerun_view.send_log(log, recording)
+            recording.disconnect()
         console.show(f"{save}: open it by 'rerun {save}'")
         return
     from slam.display.rerun_viewer import start_viewer
