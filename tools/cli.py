@@ -25,7 +25,7 @@ _ANYWHERE = ("--debug", "--verbose", "-v")
 _PREFIX = __name__.removesuffix("tools.cli")
 """Of the names of our packages: "dslam." in a wheel."""
 
-_EXTRA_OF = {"torch": "learn", "rerun": "view", "foxglove": "live", "osmium": "osm", "ray": "fleet", "fsspec": "fleet"}
+_EXTRA_OF = {"torch": "learn", "rerun": "view", "foxglove": "live", "osmium": "osm", "fsspec": "fleet"}
 """The extra that installs each module which is not needed by all commands."""
 
 _COMMANDS = {
@@ -37,7 +37,7 @@ _COMMANDS = {
     "replay": "replay:replay",
     "live": "live:live",
     "relocalize": "relocalize:relocalize",
-    "fleet": "fleet:fleet",
+    "fleet": "fleet:app",
     "map": "maps.commands:app",
     "evaluate": "evaluation.evaluate:evaluate",
     "compare": "evaluation.compare:compare",

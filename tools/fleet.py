@@ -3,35 +3,47 @@
 from __future__ import annotations
 
 import os
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from tools.arguments import ConfigFile, Json, Settings
-
-if TYPE_CHECKING:
-    from slam.fleet.logs import FleetLog
 
 NOT_MAPPED = 1
 """Exit code if a log could not be mapped."""
 
 
-def fleet(
-    logs: Annotated[
-        list[str] | None, typer.Argument(metavar="[LOG]...", help="Logs, by path or URL.", show_default=False)
+class _FleetCommands(TyperGroup):
+    """``add`` is meant where no command is named: ``dslam fleet LOG... -o CITY``."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        is_named = not args or args[0] in (*self.commands, "-h", "--help")
+        return super().parse_args(ctx, args if is_named else ["add", *args])
+
+
+app = typer.Typer(cls=_FleetCommands, help="Build one map of a city from many logs.", no_args_is_help=True)
+
+Folder = Annotated[Path, typer.Argument(metavar="CITY", help="Folder of a fleet.", show_default=False)]
+
+
+@app.command()
+def add(
+    paths: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="CITY [LOG]...", help="Folder of the fleet, then logs by path or URL."),
     ] = None,
     folder: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of maps and report; finished maps are kept.")
-    ] = Path("fleet"),
+        Path | None,
+        typer.Option("-o", "--output", metavar="CITY", help="The folder, if logs alone are named.", show_default=False),
+    ] = None,
     manifest: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Paths or URLs of more logs, one a line.", show_default=False)
     ] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Tasks at a time. \\[default: one a core]", show_default=False)
-    ] = None,
-    address: Annotated[
-        str | None, typer.Option(metavar="HOST:PORT", help="Address of a running Ray cluster.", show_default=False)
     ] = None,
     only: Annotated[bool, typer.Option("--only", help="Forget the logs of earlier runs that are not named.")] = False,
     origin: Annotated[
@@ -40,52 +52,62 @@ def fleet(
     ] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,
-    status: Annotated[bool, typer.Option("--status", help="Show the last report and the logs that wait.")] = False,
     json: Json = False,
 ) -> None:
-    """Map many logs of one city, find them in one another, and make one map of them.
+    """Add logs to the map of a city; those of earlier runs stay.
 
-    Logs are added to those of earlier runs in the same folder. Each log is mapped by itself; report.json says which
-    joined where and which did not and why, changes.geojson what appeared, disappeared or moved. After an interruption
-    the same command continues. --status shows the last report. The exit code is 1 if a log could not be mapped.
+    Each log is mapped by itself and located in those before it. report.json says which joined where and which did not
+    and why, changes.geojson what appeared, disappeared or moved. After an interruption the same command continues. The
+    exit code is 1 if a log could not be mapped.
 
-    Example: dslam fleet monday.mcap tuesday.mcap wednesday.mcap -o city
+    Example: dslam fleet add city monday.mcap tuesday.mcap wednesday.mcap
     """
     from slam.common.config import load_config
-    from slam.fleet.engine import open_engine
     from slam.fleet.fleet import map_fleet
     from slam.fleet.logs import add_logs, find_logs
-    from slam.fleet.report import fleet_report, read_report, write_report
-    from tools import console
-
-    if status:
-        _finish(folder, read_report(folder), json=json)
-        return
+    from slam.fleet.report import fleet_report, write_report
+    from slam.fleet.tasks import compute_in_processes
     from tools.importers.maps import parse_origin
 
+    city, logs = _city_and_logs(folder, paths or [])
     config = load_config(config_file, settings or ())
     georeference = parse_origin(origin)
-    folder.mkdir(parents=True, exist_ok=True)
-    members: list[FleetLog] = add_logs(folder, find_logs(logs or [], manifest, folder / "logs"), only=only)
-    with (
-        open_engine(workers or os.cpu_count() or 1, address=address) as engine,
-        console.progress_line("fleet") as progress,
-    ):
-        result = map_fleet(
-            members, folder, config, engine, georeference=georeference, progress=progress or _print_progress
-        )
-    write_report(folder, result)
-    _finish(folder, fleet_report(result), json=json)
+    city.mkdir(parents=True, exist_ok=True)
+    members = add_logs(city, find_logs(logs, manifest, city / "logs"), only=only)
+    compute = partial(compute_in_processes, workers=workers or os.cpu_count() or 1)
+    result = map_fleet(members, city, config, compute, georeference=georeference, progress=_print_progress)
+    write_report(city, result)
+    _finish(city, fleet_report(result), json=json)
 
 
-def _finish(folder: Path, report: dict[str, Any], *, json: bool) -> None:
+@app.command()
+def status(city: Folder, json: Json = False) -> None:
+    """Show the last report of a fleet, and the logs that wait.
+
+    Example: dslam fleet status city
+    """
+    from slam.fleet.report import read_report
+
+    _finish(city, read_report(city), json=json)
+
+
+def _city_and_logs(folder: Path | None, paths: list[str]) -> tuple[Path, list[str]]:
+    """The folder of the fleet, which is the first of the paths if no option gives it, and the logs."""
+    if folder is not None:
+        return folder, paths
+    if not paths or (Path(paths[0]).suffix and not Path(paths[0]).is_dir()):
+        raise typer.BadParameter("name the folder of the city before the logs.", param_hint="CITY")
+    return Path(paths[0]), paths[1:]
+
+
+def _finish(city: Path, report: dict[str, Any], *, json: bool) -> None:
     """Print a report; the exit code is that of the command."""
     from tools import console
 
     if json:
         console.show_json(report)
     else:
-        _show(folder, report)
+        _show(city, report)
     if any(log["status"] == "not mapped" for log in report["logs"]):
         raise typer.Exit(NOT_MAPPED)
 
@@ -94,7 +116,7 @@ def _print_progress(_done: float, doing: str) -> None:
     typer.echo(doing, err=True)
 
 
-def _show(folder: Path, report: dict[str, Any]) -> None:
+def _show(city: Path, report: dict[str, Any]) -> None:
     from slam.fleet.report import REPORT_NAME
     from tools import console
 
@@ -109,7 +131,7 @@ def _show(folder: Path, report: dict[str, Any]) -> None:
     )
     for part in report["parts"]:
         parts.add_row(
-            str(folder / part["map"]),
+            str(city / part["map"]),
             str(part["logs"]),
             str(part["landmarks"]),
             str(part["present"]),
@@ -118,5 +140,5 @@ def _show(folder: Path, report: dict[str, Any]) -> None:
         )
     warnings = [f"{log['log']}: {note}" for log in report["logs"] for note in log.get("notes", [])]
     names = [*(part["map"] for part in report["parts"]), REPORT_NAME, "changes.geojson"]
-    written = [str(folder / name) for name in names if (folder / name).exists()]
+    written = [str(city / name) for name in names if (city / name).exists()]
     console.show(table, parts, *warnings, f"written: {', '.join(written)}")

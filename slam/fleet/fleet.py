@@ -22,9 +22,9 @@ from slam.common.config import Config
 from slam.common.errors import FleetError, SavedMapError
 from slam.common.georeference import Georeference
 from slam.fleet.changes import REPORTED, Change, LivingMap, detect_changes, write_changes
-from slam.fleet.engine import Engine
 from slam.fleet.logs import FleetLog
 from slam.fleet.sessions import MAP_NAME, Session, SessionTask, map_session, read_session, remove_scratch
+from slam.fleet.tasks import Compute
 from slam.map_joining.acceptance import MapPair, judge_pairs
 from slam.map_joining.joins import Join, find_joins
 from slam.map_joining.joint_map import JointMap, join_maps
@@ -75,7 +75,7 @@ def map_fleet(
     logs: Sequence[FleetLog],
     folder: Path,
     config: Config,
-    engine: Engine,
+    compute: Compute,
     *,
     georeference: Georeference | None = None,
     progress: Callable[[float, str], None] = lambda done, doing: None,
@@ -86,7 +86,7 @@ def map_fleet(
         logs: of one city, with other ones among them.
         folder: keeps what is done; takes ``map.mcap``, further parts as ``map_2.mcap`` ..., and ``changes.geojson``.
         config: of each replay.
-        engine: computes.
+        compute: computes tasks, :func:`slam.fleet.tasks.compute_in_processes` for example.
         georeference: where the map of most sessions lies on earth.
         progress: called with the fraction done and what is being done.
 
@@ -95,13 +95,13 @@ def map_fleet(
         LogError: a log that cannot be read, or a file that cannot be written.
     """
     digests = {log.name: log.sha256 or file_sha256(log.path) for log in logs}
-    sessions, folders = _map_sessions(logs, digests, folder, config, engine, progress)
+    sessions, folders = _map_sessions(logs, digests, folder, config, compute, progress)
     order = _ordered(sessions)
     if not order:
         reasons = "; ".join(f"{name}: {sessions[digest].reason}" for name, digest in digests.items())
         raise FleetError(f"none of {len(logs)} logs could be mapped: {reasons}")
     maps = [load_map(folders[digest] / MAP_NAME) for digest in order]
-    pairs = _find_pairs(maps, [folders[digest] for digest in order], folder, engine, progress)
+    pairs = _find_pairs(maps, [folders[digest] for digest in order], folder, compute, progress)
     progress(0.95, "joining the maps")
     joint_config = common_config(saved.metadata for saved in maps)
     parts = join_maps(dict(enumerate(maps)), pairs, joint_config)
@@ -120,7 +120,7 @@ def _map_sessions(
     digests: Mapping[str, str],
     folder: Path,
     config: Config,
-    engine: Engine,
+    compute: Compute,
     progress: Callable[[float, str], None],
 ) -> tuple[dict[str, Session], dict[str, Path]]:
     """The session of each digest, and its folder."""
@@ -135,7 +135,7 @@ def _map_sessions(
             raise FleetError(f"{log.name} has to be mapped, and is not at {log.path} any more; leave it out by --only")
         elif all(task.sha256 != digest for task in tasks):
             tasks.append(SessionTask(log.path, digest, config, folders[digest]))
-    for finished, (task, outcome) in enumerate(engine.compute(map_session, tasks), start=1):
+    for finished, (task, outcome) in enumerate(compute(map_session, tasks), start=1):
         if isinstance(outcome, Death):
             outcome = Session(task.sha256, "the process that mapped it died each time, perhaps for want of memory")
         sessions[task.sha256] = outcome
@@ -165,29 +165,29 @@ def _find_pairs(
     maps: Sequence[SavedMap],
     folders: Sequence[Path],
     folder: Path,
-    engine: Engine,
+    compute: Compute,
     progress: Callable[[float, str], None],
 ) -> list[MapPair]:
+    """The verdicts on all pairs of sessions. Each session is searched for in those before it, once."""
     config = common_config(saved.metadata for saved in maps)
-    key = _key(*(each.name for each in folders))
-    index_path = folder / "joins" / key / "index.mcap"
+    names = [each.name for each in folders]
+    index_path = folder / "joins" / f"index_{_key(*names)}.mcap"
     index_path.parent.mkdir(parents=True, exist_ok=True)
-    if not index_path.exists():
-        index = make_place_index(maps, sigma_m=config.calibration.objects.landmark_sigma_m)
-        save_imported_map(index_path, index.objects)
     tasks = [
-        JoinTask(number, session / MAP_NAME, index_path, index_path.parent / f"joins_{number}.npz")
-        for number, session in enumerate(folders)
+        JoinTask(number, path / MAP_NAME, index_path, index_path.with_name(f"{_key(*names[: number + 1])}.npz"))
+        for number, path in enumerate(folders)
     ]
     waiting = [task for task in tasks if not task.output.exists()]
-    for finished, (task, outcome) in enumerate(engine.compute(join_session, waiting), start=1):
+    if waiting and not index_path.exists():
+        for outdated in index_path.parent.glob("index_*.mcap"):
+            outdated.unlink()
+        index = make_place_index(maps, sigma_m=config.calibration.objects.landmark_sigma_m)
+        save_imported_map(index_path, index.objects)
+    for finished, (task, outcome) in enumerate(compute(join_session, waiting), start=1):
         if isinstance(outcome, Death):
-            raise FleetError(
-                f"the process that looks for the places of {task.path} died each time; give it more memory"
-            )
-        progress(0.8 + 0.15 * finished / len(waiting), f"finding places, {finished} of {len(waiting)} sessions")
-    joins = [join for task in tasks for join in _read_joins(task)]
-    return judge_pairs(maps, joins, config)
+            raise FleetError(f"the process that searches for the places of {task.path} died; give it more memory")
+        progress(0.8 + 0.15 * finished / len(waiting), f"found the places of {finished} of {len(waiting)} sessions")
+    return judge_pairs(maps, [join for task in tasks for join in _read_joins(task)], config)
 
 
 def join_session(task: JoinTask) -> int:

@@ -71,7 +71,7 @@ def read_report(folder: Path) -> dict[str, Any]:
             raise FleetError(f"the report {path} cannot be read ({error}); run the fleet again") from error
     members = read_members(folder)
     if not members:
-        raise FleetError(f"{folder} holds no fleet; make one by 'dslam fleet LOG... -o {folder}'")
+        raise FleetError(f"{folder} holds no fleet; make one by 'dslam fleet add {folder} LOG...'")
     known = {log["log"] for log in report["logs"]}
     report["logs"] += [
         {"log": log.name, "sha256": log.sha256, "status": "waiting"} for log in members if log.name not in known

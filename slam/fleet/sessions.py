@@ -18,6 +18,7 @@ from slam.common.errors import SlamError
 from slam.map_joining.condensed_map import condense_map, stretch_length_m
 from slam.map_joining.session_config import session_config
 from slam.object_map.map_io import SavedMap, load_map, save_map
+from slam.object_map.map_summary import summarize_map
 from slam.replay import replay
 
 MAP_NAME, LEDGER_NAME, SCRATCH = "map.mcap", "session.json", "mapping-"
@@ -99,18 +100,11 @@ def _mapped(task: SessionTask, scratch: Path) -> Session:
         reason="",
         keyframes=len(saved.graph.keyframe_ids),
         landmarks=len(saved.objects.ids),
-        travel_m=summary_travel_m(saved),
+        travel_m=round(summarize_map(saved).path_m, 3),
         first_ns=int(stamps_ns.min()),
         last_ns=int(stamps_ns.max()),
         notes=summary.notes,
     )
-
-
-def summary_travel_m(saved: SavedMap) -> float:
-    """Path of the drives of a map [m]."""
-    from slam.object_map.map_summary import summarize_map
-
-    return round(summarize_map(saved).path_m, 3)
 
 
 def _save(path: Path, condensed: SavedMap, metadata: Mapping[str, str]) -> None:

@@ -44,10 +44,10 @@ class Join:
 
 
 def find_joins(query: SavedMap, number: int, index: PlaceIndex, config: Config) -> list[Join]:
-    """Where places of a condensed map, which has a ``number`` in the index, are in the other maps.
+    """Where places of a condensed map, which has a ``number`` in the index, are in the maps before it.
 
-    Only those with a log-likelihood ratio of ``MIN_LLR`` are returned; whether they are right is
-    decided by all of them together (:mod:`slam.map_joining.acceptance`).
+    Those with a log-likelihood ratio of at least ``MIN_LLR`` are returned; all of them together decide which are right
+    (:mod:`slam.map_joining.acceptance`).
     """
     joins = []
     shares, registering = index.objects.class_shares(), registration_config(config)
@@ -56,7 +56,7 @@ def find_joins(query: SavedMap, number: int, index: PlaceIndex, config: Config) 
         if len(submap) < registering.min_inliers:
             continue
         known: list[Join] = []
-        for found in index.find(submap, count=MAPS_PER_PLACE, besides=number):
+        for found in index.find(submap, count=MAPS_PER_PLACE, before=number):
             reach_m = float(np.hypot(*submap.positions[:, :2].T).max()) + COVERAGE_RANGES * config.sensor_range_m
             reference = index.submap(found.map_number, found.T_map_query[:3, 3], reach_m, sigma_m=index.objects.sigma_m)
             registration = refine(

@@ -56,8 +56,8 @@ class PlaceIndex:
         number = {name: place for place, name in enumerate(self.objects.vocabulary)}
         return np.array([number.get(name, -1) for name in names], dtype=np.int64)
 
-    def find(self, query: Submap, *, count: int, besides: int = -1) -> list[FoundPlace]:
-        """The ``count`` likeliest poses of a query in its gravity frame, in maps other than ``besides``."""
+    def find(self, query: Submap, *, count: int, before: int) -> list[FoundPlace]:
+        """The ``count`` likeliest poses of a query in its gravity frame, in the maps with numbers below ``before``."""
         known = np.flatnonzero(query.labels >= 0)
         sigma_m = float(np.hypot(np.median(query.sigmas), self.objects.sigma_m)) if len(known) else 0.0
         poses = self.search.find_poses(
@@ -65,7 +65,7 @@ class PlaceIndex:
             query.labels[known],
             sigma_m=sigma_m,
             count=count,
-            is_excluded=lambda rows: self.maps_of(self.objects.positions[rows].astype(np.float64)) == besides,
+            is_excluded=lambda rows: self.maps_of(self.objects.positions[rows].astype(np.float64)) >= before,
         )
         if not len(poses):
             return []
@@ -73,7 +73,7 @@ class PlaceIndex:
         places = []
         for T_index_query in poses:
             number = int(self.maps_of((T_index_query @ middle)[None, :2])[0])
-            if number not in (-1, besides):
+            if 0 <= number < before:
                 T_map_query = T_index_query.copy()
                 T_map_query[:3, 3] -= self.offsets[number]
                 places.append(FoundPlace(number, T_map_query))

@@ -15,7 +15,7 @@ from tests.tools.runs import Run, assert_refused
 
 
 @pytest.mark.parametrize("reason", ["", "it holds no odometry"])
-def test_a_log_that_was_not_mapped_makes_the_exit_code_1(
+def test_fleet_exits_with_1_if_a_log_was_not_mapped(
     dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reason: str
 ) -> None:
     def map_nothing(logs: list[Any], *_: object, progress: Any, **__: object) -> Fleet:
@@ -26,22 +26,29 @@ def test_a_log_that_was_not_mapped_makes_the_exit_code_1(
 
     monkeypatch.setattr("slam.fleet.fleet.map_fleet", map_nothing)
     (tmp_path / "a.mcap").write_bytes(b"a")
-    result = dslam("fleet", tmp_path / "a.mcap", "-o", tmp_path / "city")
-    assert result.code == (1 if reason else 0)
-    assert reason in result.out
-    assert "1/1" in result.err
-    assert json.loads((tmp_path / "city" / "logs.json").read_text())[0]["name"] == str(tmp_path / "a.mcap")
+    log, city = tmp_path / "a.mcap", tmp_path / "city"
+    for arguments in ((log, "-o", city), ("add", city, log)):
+        result = dslam("fleet", *arguments)
+        assert result.code == (1 if reason else 0)
+        assert reason in result.out
+        assert "1/1" in result.err
+        assert json.loads((city / "logs.json").read_text())[0]["name"] == str(log)
+
+
+def test_fleet_add_refuses_a_log_in_place_of_the_folder(dslam: Run, tmp_path: Path) -> None:
+    assert_refused(dslam("fleet", "add", tmp_path / "a.mcap"), "name the folder of the city before the logs")
+    assert not (tmp_path / "a.mcap").exists()
 
 
 def test_fleet_status_lists_reported_and_waiting_logs(dslam: Run, tmp_path: Path) -> None:
-    assert_refused(dslam("fleet", "--status", "-o", tmp_path), "holds no fleet")
+    assert_refused(dslam("fleet", "status", tmp_path), "holds no fleet")
     members = [{"name": name, "path": f"/data/{name}", "sha256": name} for name in ("a.mcap", "b.mcap")]
     (tmp_path / "logs.json").write_text(json.dumps(members), encoding="utf-8")
     reported = {"log": "a.mcap", "status": "alone", "notes": ["its clock was set"]}
     (tmp_path / "report.json").write_text(json.dumps({"logs": [reported]}), encoding="utf-8")
-    result = dslam("fleet", "--status", "-o", tmp_path)
+    result = dslam("fleet", "status", tmp_path)
     assert result.code == 0
     assert "a.mcap: its clock was set" in result.out
     assert re.search(r"b\.mcap +waiting", result.out)
     (tmp_path / "report.json").write_text("[", encoding="utf-8")
-    assert_refused(dslam("fleet", "--status", "-o", tmp_path), "cannot be read", "run the fleet again")
+    assert_refused(dslam("fleet", "status", tmp_path), "cannot be read", "run the fleet again")

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,11 @@ import pytest
 
 from slam.common.config import Config
 from slam.common.errors import FleetError, SavedMapError
-from slam.fleet.engine import ProcessEngine
 from slam.fleet.fleet import Fleet, map_fleet
 from slam.fleet.logs import FleetLog
 from slam.fleet.report import fleet_report, write_report
 from slam.fleet.sessions import SessionTask, map_session
+from slam.fleet.tasks import compute_in_processes
 from slam.library import read_map
 from slam.place_recognition.imported_map import load_imported_map
 from slam.simulation.config import SimulationConfig
@@ -34,11 +35,9 @@ OUTPUTS = ("map.mcap", "changes.geojson", "report.json")
 SLOW = {"OMP_NUM_THREADS": "1"}
 
 
-class InlineEngine:
-    """Computes in this process, the last task first."""
-
-    def compute(self, function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
-        yield from ((task, function(task)) for task in reversed(tasks))
+def compute_inline(function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
+    """In this process, the last task first."""
+    yield from ((task, function(task)) for task in reversed(tasks))
 
 
 def write_drive(path: Path, from_m: float, to_m: float, seed: int, *, town_seed: int = 1) -> None:
@@ -58,9 +57,9 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[FleetLog]:
     return [FleetLog(name, folder / f"{name}.mcap") for name in ("a", "b", "other", "again", "broken")]
 
 
-def run(logs: list[FleetLog], folder: Path, engine: Any) -> Fleet:
+def run(logs: list[FleetLog], folder: Path, compute: Any) -> Fleet:
     folder.mkdir(exist_ok=True)
-    fleet = map_fleet(logs, folder, Config(), engine)
+    fleet = map_fleet(logs, folder, Config(), compute)
     write_report(folder, fleet)
     return fleet
 
@@ -68,7 +67,7 @@ def run(logs: list[FleetLog], folder: Path, engine: Any) -> Fleet:
 @pytest.fixture(scope="module")
 def mapped(logs: list[FleetLog], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Fleet]:
     folder = tmp_path_factory.mktemp("fleet")
-    return folder, run(logs, folder, InlineEngine())
+    return folder, run(logs, folder, compute_inline)
 
 
 def same_bytes(folder: Path, other: Path) -> bool:
@@ -101,7 +100,7 @@ def test_the_map_has_tiles_and_opens_as_any_other(mapped: tuple[Path, Fleet]) ->
 def test_one_or_two_workers_give_the_same_bytes(
     logs: list[FleetLog], mapped: tuple[Path, Fleet], tmp_path: Path
 ) -> None:
-    run(logs, tmp_path / "two", ProcessEngine(2))
+    run(logs, tmp_path / "two", partial(compute_in_processes, workers=2))
     assert same_bytes(mapped[0], tmp_path / "two")
 
 
@@ -109,22 +108,22 @@ def test_what_is_done_is_not_done_again(logs: list[FleetLog], mapped: tuple[Path
     folder, _ = mapped
     before = {name: (folder / name).read_bytes() for name in OUTPUTS}
 
-    class NoEngine:
-        def compute(self, function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
-            assert not tasks
-            return iter(())
+    def compute_nothing(function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
+        assert not tasks
+        return iter(())
 
-    run(logs, folder, NoEngine())
+    run(logs, folder, compute_nothing)
     assert before == {name: (folder / name).read_bytes() for name in OUTPUTS}
 
 
 def test_a_killed_driver_goes_on_where_it_was(logs: list[FleetLog], mapped: tuple[Path, Fleet], tmp_path: Path) -> None:
     code = (
-        "from pathlib import Path; from slam.common.config import Config; from slam.fleet.engine import ProcessEngine;"
-        "from slam.fleet.fleet import map_fleet; from slam.fleet.logs import FleetLog\n"
+        "from pathlib import Path; from functools import partial; from slam.common.config import Config;"
+        "from slam.fleet.fleet import map_fleet; from slam.fleet.logs import FleetLog;"
+        "from slam.fleet.tasks import compute_in_processes\n"
         "if __name__ == '__main__':\n"
         f"    logs = [FleetLog(n, Path(p)) for n, p in {[(log.name, str(log.path)) for log in logs]!r}]\n"
-        f"    map_fleet(logs, Path({str(tmp_path)!r}), Config(), ProcessEngine(1))\n"
+        f"    map_fleet(logs, Path({str(tmp_path)!r}), Config(), partial(compute_in_processes, workers=1))\n"
     )
     script = tmp_path / "drive.py"
     script.write_text(code)
@@ -137,7 +136,7 @@ def test_a_killed_driver_goes_on_where_it_was(logs: list[FleetLog], mapped: tupl
         driver.wait()
     assert not (tmp_path / "map.mcap").exists()
     finished = {path: path.stat().st_mtime_ns for path in tmp_path.glob("sessions/*/session.json")}
-    run(logs, tmp_path, InlineEngine())
+    run(logs, tmp_path, compute_inline)
     assert same_bytes(mapped[0], tmp_path)
     assert not list(tmp_path.glob("sessions/*/mapping-*"))
     assert finished == {path: path.stat().st_mtime_ns for path in finished}
@@ -145,7 +144,7 @@ def test_a_killed_driver_goes_on_where_it_was(logs: list[FleetLog], mapped: tupl
 
 def test_a_fleet_in_which_nothing_can_be_mapped_is_refused(logs: list[FleetLog], tmp_path: Path) -> None:
     with pytest.raises(FleetError, match="none of 1 logs"):
-        map_fleet([log for log in logs if log.name == "broken"], tmp_path, Config(), InlineEngine())
+        map_fleet([log for log in logs if log.name == "broken"], tmp_path, Config(), compute_inline)
 
 
 def test_why_a_log_has_no_map_is_told_by_the_same_bytes_each_time(

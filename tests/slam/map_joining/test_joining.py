@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from slam.common.config import Config
-from slam.common.geometry import apply, invert, transform_from_xyz_yaw
-from slam.loop_closure.consistency import AGREE_RANGES
+from slam.common.geometry import apply, invert
 from slam.map_joining.acceptance import MapPair, judge_pairs
 from slam.map_joining.condensed_map import condense_map
-from slam.map_joining.joins import Join, find_joins, mean_drift
+from slam.map_joining.joins import Join, find_joins
 from slam.map_joining.joint_map import JointMap, join_maps
 from slam.map_joining.place_index import make_place_index
 from slam.object_map.map_io import SavedMap
@@ -110,17 +109,8 @@ def test_landmarks_that_joins_matched_are_one_and_none_of_one_map(
         assert len(set(names)) >= len(names) - 1
 
 
-def test_a_single_join_with_the_evidence_of_chance_joins_nothing(maps: list[SavedMap], joins: list[Join]) -> None:
-    """Of four maps there are six pairs: 9.2 nats for an error in 10,000, 1.8 for the pairs, 6 for the search."""
-    one = [join for join in joins if (join.query_map, join.reference_map) == (0, 1)][:1]
-    for llr, is_accepted in ((16.9, False), (17.1, True)):
-        pair = judge_pairs(maps, [replace(one[0], llr=llr)], CONFIG, penalty=6.0)[0]
-        assert pair.accepted is is_accepted
-        assert ("less than 11.0" in pair.reason) is not is_accepted
-
-
 def test_two_poses_for_the_same_places_join_nothing(maps: list[SavedMap], joins: list[Join]) -> None:
-    right = [join for join in joins if (join.query_map, join.reference_map) == (0, 1)]
+    right = [join for join in joins if (join.query_map, join.reference_map) == (1, 0)]
     shift = np.eye(4)
     shift[:2, 3] = 40.0
     wrong = [replace(join, T_reference_place=shift @ join.T_reference_place, llr=join.llr - 1.0) for join in right]
@@ -128,32 +118,6 @@ def test_two_poses_for_the_same_places_join_nothing(maps: list[SavedMap], joins:
     assert not pair.accepted
     assert "another transform" in pair.reason
     assert pair.log_odds < 4.0
-
-
-def test_two_headings_at_one_place_are_two_transforms(maps: list[SavedMap], joins: list[Join]) -> None:
-    one = replace(next(join for join in joins if (join.query_map, join.reference_map) == (0, 1)), llr=40.0)
-    turn = transform_from_xyz_yaw(np.zeros(3), np.pi / 2.0)
-    turned = replace(one, T_reference_place=one.T_reference_place @ turn)
-    pair = judge_pairs(maps, [one, turned], CONFIG, penalty=6.0)[0]
-    assert not pair.accepted
-    assert "another transform" in pair.reason
-
-
-def test_maps_may_be_bent_by_their_drift_between_two_places(maps: list[SavedMap], joins: list[Join]) -> None:
-    right = [join for join in joins if (join.query_map, join.reference_map) == (0, 1)]
-    near = right[0]
-    places = maps[0].graph.T_map_body[:, :2, 3]
-    far = max(right, key=lambda join: float(np.linalg.norm(places[join.place] - places[near.place])))
-    apart_m = float(np.linalg.norm(places[far.place] - places[near.place]))
-    drift_m = float(np.sqrt(apart_m * sum(mean_drift(maps[number])[0] for number in (0, 1))))
-    beyond_m = AGREE_RANGES * CONFIG.sensor_range_m
-    for shift_m, is_one in ((beyond_m + 0.5 * drift_m, True), (beyond_m + 50.0, False)):
-        shifted = far.T_reference_place.copy()
-        shifted[:2, 3] = (near.T_reference_place @ invert(maps[0].graph.T_map_body[near.place]))[:2] @ np.append(
-            maps[0].graph.T_map_body[far.place][:3, 3], 1.0
-        ) + [shift_m, 0.0]
-        both = [near, replace(far, T_reference_place=shifted)]
-        assert (len(judge_pairs(maps, both, CONFIG, penalty=6.0)[0].joins) == 2) is is_one
 
 
 def test_a_false_pair_is_rejected_by_the_others(maps: list[SavedMap], pairs: list[MapPair]) -> None:

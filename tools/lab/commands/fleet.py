@@ -34,19 +34,18 @@ def fleet(
     Example: dslam benchmark fleet -o out/fleet --drives 8 --city helsinki --city hamburg
     """
     from dataclasses import asdict
+    from functools import partial
 
-    from slam.fleet.engine import open_engine
+    from slam.fleet.tasks import compute_in_processes
     from tools import console
     from tools.lab.fleets.run import benchmark_fleet
     from tools.lab.fleets.simulated_fleet import FleetPlan
 
     plan = FleetPlan(drives=drives, length_m=length, area_m=1.4 * length, months=months)
-    with (
-        open_engine(workers or os.cpu_count() or 1) as engine,
-        console.progress_line("fleet") as progress,
-    ):
+    compute = partial(compute_in_processes, workers=workers or os.cpu_count() or 1)
+    with console.progress_line("fleet") as progress:
         score, cost = benchmark_fleet(
-            folder, city or [], plan, engine, seed=seed, **({"progress": progress} if progress else {})
+            folder, city or [], plan, compute, seed=seed, **({"progress": progress} if progress else {})
         )
     if json:
         console.show_json({**asdict(score), **asdict(cost)})

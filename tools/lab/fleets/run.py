@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from slam.common.config import Config
-from slam.fleet.engine import Engine
 from slam.fleet.fleet import map_fleet, session_maps
 from slam.fleet.report import write_report
+from slam.fleet.tasks import Compute
 from slam.object_map.map_io import load_map
 from slam.replay import replay
 from slam.simulation.street_grid import generate_street_grid
@@ -42,16 +42,16 @@ class FleetCost:
     session_mb: float
 
 
-class MeasuredEngine:
-    """An engine that adds up the time of the processor that its tasks take, by the name of their function."""
+class MeasuredTasks:
+    """Adds up the processor time of tasks by the name of their function; an object is a ``Compute`` itself."""
 
-    def __init__(self, engine: Engine) -> None:
-        self._engine = engine
+    def __init__(self, compute: Compute) -> None:
+        self._compute = compute
         self.seconds: defaultdict[str, float] = defaultdict(float)
 
-    def compute(self, function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
-        """See :class:`slam.fleet.engine.Engine`."""
-        for (_, task), outcome in self._engine.compute(_measured, [(function, task) for task in tasks]):
+    def __call__(self, function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
+        """Each task with its outcome, see :data:`slam.fleet.tasks.Compute`."""
+        for (_, task), outcome in self._compute(_measured, [(function, task) for task in tasks]):
             if isinstance(outcome, Death):
                 yield task, outcome
                 continue
@@ -70,7 +70,7 @@ def benchmark_fleet(
     folder: Path,
     cities: Sequence[Path],
     plan: FleetPlan,
-    engine: Engine,
+    compute: Compute,
     *,
     seed: int = 0,
     progress: Callable[[float, str], None] = lambda done, doing: None,
@@ -81,7 +81,7 @@ def benchmark_fleet(
         folder: takes the logs and what a fleet leaves.
         cities: folders with objects.csv and trajectory.csv.
         plan: how many drives, and what changes.
-        engine: computes.
+        compute: computes tasks.
         seed: of the simulation.
         progress: called with the fraction done and what is being done.
 
@@ -92,16 +92,16 @@ def benchmark_fleet(
     worlds += [load_world(city / "objects.csv", city / "trajectory.csv") for city in cities]
     (folder / "logs").mkdir(parents=True, exist_ok=True)
     truth = simulate_fleet(folder / "logs", worlds, plan, seed=seed)
-    measured = MeasuredEngine(engine)
+    measured = MeasuredTasks(compute)
     started, own = time.perf_counter(), time.process_time()
     fleet = map_fleet(truth.logs, folder, Config(), measured, progress=progress)
     wall_s, own_s = time.perf_counter() - started, time.process_time() - own
     write_report(folder, fleet)
     usable = [log for log in truth.logs if truth.drives[log.name].city >= 0]
-    replays = MeasuredEngine(engine)
+    replays = MeasuredTasks(compute)
     replayed = sum(
         not isinstance(outcome, Death)
-        for _, outcome in replays.compute(_replay, [log.path for log in usable[:: -(-len(usable) // SINGLES)]])
+        for _, outcome in replays(_replay, [log.path for log in usable[:: -(-len(usable) // SINGLES)]])
     )
     maps = [load_map(path) for path in session_maps(fleet, folder, Config())]
     files = [path for path in (folder / "sessions").rglob("*") if path.is_file()]
