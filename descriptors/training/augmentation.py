@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptors.errors import DescriptorError
 from descriptors.learned.padded import PaddedConstellations
 
 Range = tuple[float, float]
@@ -25,9 +24,6 @@ class AugmentationRates:
     ``translation``: standard deviation, in lengths; the 0.25 of the paper's N(0, 0.25) as a variance would move objects
     by half their distance, along each axis. ``dropout``, ``false_positives`` and ``misclassification`` are
     probabilities; ``yaw_rad``, ``crop`` and ``scale`` are drawn uniformly between two bounds.
-
-    Raises:
-        DescriptorError: an impossible probability, or a vocabulary with no two classes to confuse.
     """
 
     translation: float = 0.25
@@ -39,25 +35,9 @@ class AugmentationRates:
     scale: Range = (0.85, 1.25)
     vocabulary_size: int = 64
 
-    def __post_init__(self) -> None:
-        for name in ("dropout", "false_positives", "misclassification"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise DescriptorError(f"{name} is {getattr(self, name)}; give a probability, 0 to 1")
-        if self.vocabulary_size < 2:
-            raise DescriptorError(f"vocabulary_size is {self.vocabulary_size}; misclassifying takes at least 2 classes")
-
 
 def augment(batch: PaddedConstellations, rates: AugmentationRates, *, rng: np.random.Generator) -> PaddedConstellations:
-    """All seven, in the order in which the paper lists them: so crops come from any side and hit false positives too.
-
-    Raises:
-        DescriptorError: labels that ``rates.vocabulary_size`` does not cover.
-    """
-    if batch.labels.max(initial=0) >= rates.vocabulary_size:
-        raise DescriptorError(
-            f"labels up to {batch.labels.max(initial=0)} and a vocabulary of {rates.vocabulary_size} classes; "
-            "give the size of the vocabulary that the labels are from"
-        )
+    """All seven, in the order in which the paper lists them: crops come from any side and hit false positives, too."""
     translated = translate(batch, rates.translation, rng=rng)
     oriented = orient(translated, rates.yaw_rad, rng=rng)
     thinned = drop_out(oriented, rates.dropout, rng=rng)

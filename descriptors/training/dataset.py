@@ -12,13 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptors.constellation import gather_constellations
-from descriptors.errors import DescriptorError
 from descriptors.learned.padded import PaddedConstellations, pad_constellations
 from descriptors.training.augmentation import AugmentationRates, augment
 from descriptors.training.simulation import MapSimulation, simulate_map
-
-MAX_FRUITLESS_MAPS = 100
-"""Maps in a row without an anchor before the dataset is refused."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,9 +24,6 @@ class DatasetConfig:
     The paper takes the anchors from a series of maps and does not say how many from each; ``anchors_per_map`` is ours.
     So are ``min_objects`` and ``max_objects`` of an anchor, the centre counted: constellations outside are passed over.
     A positive may have fewer or more.
-
-    Raises:
-        DescriptorError: a number that leaves nothing to train on.
     """
 
     anchors: int = 1000
@@ -39,17 +32,6 @@ class DatasetConfig:
     anchors_per_map: int = 10
     min_objects: int = 5
     max_objects: int = 40
-
-    def __post_init__(self) -> None:
-        if min(self.anchors, self.anchors_per_map, self.min_objects) < 1 or self.positives < 0:
-            raise DescriptorError(
-                f"{self.anchors} anchors, {self.anchors_per_map} per map, with {self.positives} positives and "
-                f"{self.min_objects} objects at least; give 1 or more, of positives 0 or more"
-            )
-        if self.max_objects < self.min_objects:
-            raise DescriptorError(
-                f"constellations of {self.min_objects} to {self.max_objects} objects; raise max_objects"
-            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,15 +51,7 @@ def make_dataset(
     """Anchors of simulated maps with their positives, the same for the same ``seed``.
 
     The paper's randomly sampled viewpoints are the random headings among the augmentations.
-
-    Raises:
-        DescriptorError: vocabularies that differ, or maps without constellations of the wanted size.
     """
-    if simulation.vocabulary_size != rates.vocabulary_size:
-        raise DescriptorError(
-            f"maps with {simulation.vocabulary_size} classes and augmentations with {rates.vocabulary_size}; "
-            "give both the same vocabulary_size"
-        )
     rng = np.random.default_rng(seed)
     anchors = simulate_anchors(simulation, config, rng=rng)
     numbers = np.arange(config.anchors)
@@ -90,13 +64,9 @@ def make_dataset(
 def simulate_anchors(
     simulation: MapSimulation, config: DatasetConfig, *, rng: np.random.Generator
 ) -> PaddedConstellations:
-    """``config.anchors`` constellations of objects of simulated maps, as they are.
-
-    Raises:
-        DescriptorError: maps without constellations of the wanted size.
-    """
+    """``config.anchors`` constellations of objects of simulated maps, as they are."""
     gathered: list[PaddedConstellations] = []
-    missing, fruitless = config.anchors, 0
+    missing = config.anchors
     vocabulary = [str(number) for number in range(simulation.vocabulary_size)]
     while missing:
         drawn = simulate_map(simulation, rng=rng)
@@ -104,12 +74,6 @@ def simulate_anchors(
         sizes = np.diff(found.offsets) + 1
         fitting = rng.permutation(np.flatnonzero((sizes >= config.min_objects) & (sizes <= config.max_objects)))
         chosen = fitting[: min(missing, config.anchors_per_map)]
-        fruitless = 0 if len(chosen) else fruitless + 1
-        if fruitless == MAX_FRUITLESS_MAPS:
-            raise DescriptorError(
-                f"{fruitless} maps in a row without a constellation of {config.min_objects} to {config.max_objects} "
-                f"objects within {config.radius_m} m; widen that range or change the simulation's density"
-            )
         missing -= len(chosen)
         gathered.append(pad_constellations(found[chosen]))
     return _stack(gathered)

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptors.errors import DescriptorError
-
 KINDS = ("line", "circle", "cluster")
 
 
@@ -29,9 +27,6 @@ class MapSimulation:
     ``vocabulary_size``, so that what a class means cannot be learned. ``uniform_pattern_share``: of the patterns, how
     many repeat one label, as the lamps of a row do; the paper has none. ``side_m``: of the square of the patterns'
     middles. ``line_step_m``: between neighbours of a line. ``cluster_sigma_m``: along either axis of a cluster.
-
-    Raises:
-        DescriptorError: a range that is empty or leaves its bounds.
     """
 
     patterns: tuple[int, int] = (16, 24)
@@ -45,22 +40,6 @@ class MapSimulation:
     circle_radius_m: tuple[float, float] = (4.0, 20.0)
     cluster_sigma_m: tuple[float, float] = (3.0, 15.0)
     height_sigma_m: float = 1.5
-
-    def __post_init__(self) -> None:
-        lowest = {"patterns": 1, "objects_per_pattern": 1, "classes": 1}
-        for name in (*lowest, "line_step_m", "circle_radius_m", "cluster_sigma_m"):
-            first, last = getattr(self, name)
-            if not lowest.get(name, 0) <= first <= last:
-                raise DescriptorError(
-                    f"{name} from {first} to {last}; give a range that starts at {lowest.get(name, 0)} or later"
-                )
-        if self.classes[1] > self.vocabulary_size:
-            raise DescriptorError(
-                f"{self.classes[1]} classes of a vocabulary of {self.vocabulary_size}; lower classes or raise "
-                "vocabulary_size"
-            )
-        if not self.kinds or set(self.kinds) - set(KINDS):
-            raise DescriptorError(f"kinds {self.kinds}; give at least one of {KINDS} and no other")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

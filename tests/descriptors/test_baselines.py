@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,11 +10,9 @@ from numpy.typing import NDArray
 
 from descriptors.baselines.gosmatch import BINS, GosmatchGraph, GosmatchVertex
 from descriptors.baselines.onion import Onion, OnionHistogram
-from descriptors.baselines.random_walk import RandomWalk, neighbours_of, walk
+from descriptors.baselines.random_walk import RandomWalk
 from descriptors.class_vectors import class_vectors
-from descriptors.constellation import gather_constellations
 from descriptors.descriptor import Descriptor
-from descriptors.learned.padded import pad_constellations
 from slam.common.arrays import FloatArray
 from tests.descriptors.constellations import VOCABULARY, describe, scattered
 
@@ -112,44 +109,6 @@ def test_vectors_of_random_walks_multiply_to_the_number_of_equal_walks():
     np.testing.assert_allclose(vectors @ vectors.T, equal, atol=1e-3)
 
 
-def test_sequences_of_classes_spread_over_the_columns_and_both_signs():
-    vocabulary = tuple(f"class {i}" for i in range(20))
-    rng = np.random.default_rng(5)
-    positions = np.column_stack([rng.uniform(0.0, 60.0, (60, 2)), np.zeros(60)])
-    vectors = describe(RandomWalk(), positions, rng.integers(20, size=60), vocabulary)
-    # About 1750 different walks: a good hash leaves exp(-1750 / 512) = 3 % of the columns empty.
-    assert np.mean(np.any(vectors != 0.0, axis=0)) > 0.9
-    assert 0.4 < np.mean(vectors[vectors != 0.0] > 0.0) < 0.6
-
-
-@pytest.mark.parametrize("share", [0.1, 0.3, 0.8])
-def test_walks_follow_edges_and_step_back_only_where_there_is_no_other_way(share):
-    upper = np.triu(np.random.default_rng(6).random((6, 12, 12)) < share, k=1)
-    joined = upper | upper.transpose(0, 2, 1)
-    visited = walk(joined, np.random.default_rng(7).random((5, 50)))
-    degrees = joined.sum(axis=2)
-    for graph in range(6):
-        for walked in visited[graph].tolist():
-            assert walked[0] == 0
-            for here, there in pairwise(walked):
-                assert joined[graph, here, there] or (here == there and degrees[graph, here] == 0)
-            for before, here, there in zip(walked[:-2], walked[1:-1], walked[2:], strict=True):
-                assert before != there or degrees[graph, here] <= 1
-
-
-def test_objects_no_farther_apart_than_the_mean_of_their_constellation_are_joined():
-    positions, labels = scattered(40, seed=9)
-    joined = neighbours_of(pad_constellations(gather_constellations(positions, labels, VOCABULARY, radius_m=15.0)))
-    for centre in range(40):
-        objects = [centre, *sorted(around(positions, centre, 15.0))]
-        count = len(objects)
-        matrix = np.array([[apart_m(positions, a, b) for b in objects] for a in objects])
-        mean_m = matrix.sum() / max(count * (count - 1), 1) + 1e-6  # of two objects, the mean distance is their own
-        expected = np.zeros(joined.shape[1:], dtype=bool)
-        expected[:count, :count] = (matrix <= mean_m) & ~np.eye(count, dtype=bool)
-        np.testing.assert_array_equal(joined[centre], expected)
-
-
 def test_walks_do_not_depend_on_the_order_or_rounding_of_equal_distances():
     rng = np.random.default_rng(13)
     angles, distances_m = rng.uniform(0.0, 2.0 * np.pi, 30), 10.0 + 1e-5 * np.arange(30)
@@ -186,14 +145,3 @@ def test_all_but_the_onion_distinguish_classes(descriptor):
     before, after = describe(descriptor, positions, labels), describe(descriptor, positions, (labels + 1) % 4)
     change = (np.linalg.norm(after - before, axis=1) / np.linalg.norm(before, axis=1)).min()
     assert change == 0.0 if descriptor.name == "onion" else change > 0.5
-
-
-@every_baseline
-def test_lonely_object_has_the_same_vector_beside_constellations(descriptor):
-    positions, labels = scattered(20, seed=20)
-    lonely = np.array([[500.0, 0.0, 0.0], [-500.0, 0.0, 0.0]])
-    alone = describe(descriptor, lonely, np.array([1, 1]))
-    beside = describe(descriptor, np.concatenate([lonely, positions]), np.concatenate([[1, 1], labels]))
-    np.testing.assert_array_equal(beside[:2], alone)
-    # A walk stays where there is no way, so that the class of a lonely object still shows.
-    assert np.abs(alone[0]).sum() == (30.0 if descriptor.name == "random_walk" else 0.0)

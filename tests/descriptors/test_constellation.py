@@ -46,12 +46,6 @@ def test_chosen_centres_have_the_constellations_that_they_have_among_all():
         assert neighbours_of(chosen, i) == neighbours_of(everything, centre)
 
 
-def test_height_is_no_distance():
-    positions = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 50.0]])
-    found = gather_constellations(positions, np.array([0, 1]), VOCABULARY, radius_m=5.0)
-    assert neighbours_of(found, 0) == [(1.0, 3.0, 0.0, 50.0)]
-
-
 @pytest.mark.parametrize(("count", "centres"), [(0, None), (5, np.zeros(0, dtype=np.int64)), (1, None)])
 def test_no_object_no_centre_and_one_object_alone(count, centres):
     positions, labels = scattered(count, seed=0)
@@ -59,14 +53,6 @@ def test_no_object_no_centre_and_one_object_alone(count, centres):
     assert len(found) == (count if centres is None else 0)
     assert found.positions.shape == (0, 3)
     np.testing.assert_array_equal(found.offsets, np.zeros(len(found) + 1))
-
-
-def test_objects_at_one_place_are_neighbours_of_each_other_but_not_of_themselves():
-    positions = np.array([[1.0, 2.0, 0.0], [1.0, 2.0, 0.0], [50.0, 2.0, 0.0]])
-    found = gather_constellations(positions, np.array([0, 3, 1]), VOCABULARY, radius_m=RADIUS_M)
-    assert neighbours_of(found, 0) == [(3.0, 0.0, 0.0, 0.0)]
-    assert neighbours_of(found, 1) == [(0.0, 0.0, 0.0, 0.0)]
-    assert neighbours_of(found, 2) == []
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

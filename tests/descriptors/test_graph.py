@@ -81,10 +81,3 @@ def test_the_maximum_and_its_gradient_are_those_of_amax_with_ties_too():
     assert torch.equal(found, expected)
     gradients = [torch.autograd.grad((result * weights).sum(), features)[0] for result in (expected, found)]
     assert torch.allclose(*gradients, atol=1e-12)
-
-
-@pytest.mark.parametrize("members", [None, torch.tensor([3, 0, 4, 4, 1, 2, 0])])
-def test_the_gradient_of_the_maximum_is_that_of_differences(members):
-    features = torch.randn(7, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64, requires_grad=True)
-    groups = torch.tensor([1, 0, 0, 1, 2, 2, 2])
-    assert torch.autograd.gradcheck(lambda values: group_maximum(values, groups, 3, members), features)

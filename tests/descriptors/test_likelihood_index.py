@@ -89,29 +89,6 @@ def test_distances_are_what_the_likelihoods_of_the_descriptor_lack():
         assert distance == pytest.approx(expected, abs=0.5 * STEP_NATS * len(vector) + 1e-3)
 
 
-def test_matches_come_query_by_query_the_nearest_first_at_distances_that_are_none_or_more():
-    index = filled(gathered(150, seed=5))
-    matches = index.search(gathered(40, seed=6), 8, everyone(index))
-    assert matches.queries.dtype == matches.entries.dtype == np.int64
-    assert matches.distances.dtype == np.float32
-    assert (np.diff(matches.queries) >= 0).all()
-    assert (matches.distances >= 0.0).all()
-    for query in range(40):
-        assert (np.diff(matches.distances[matches.queries == query]) >= 0.0).all()
-        assert np.count_nonzero(matches.queries == query) == 8
-
-
-def test_an_exact_copy_with_neighbours_in_the_middle_of_rings_is_at_no_distance_whatever_is_missing():
-    rng = np.random.default_rng(8)
-    neighbours = [(int(rng.integers(4)), 2.25 + 0.5 * ring, ring) for ring in rng.permutation(110)[:30].tolist()]
-    entry = constellation(neighbours)
-    index = filled(entry)
-    for share in (1.0, 0.5, 0.1):
-        query = thinned(entry, rng.random(30) < share)
-        (distance,) = index.search(query, 1, everyone(index)).distances
-        assert 0.0 <= distance < 0.5 * STEP_NATS * len(query.labels) + 1e-3
-
-
 def test_ties_go_to_the_lower_number():
     entry = constellation([(1, 20.25, 0.0), (3, 30.25, 1.0)])
     index = LikelihoodIndex(RingLikelihood())
@@ -121,26 +98,6 @@ def test_ties_go_to_the_lower_number():
     assert index.search(entry, 3, everyone(index)).entries.tolist() == [0, 1, 2]
     allowed = np.array([False, True, False, True, True, True])
     assert index.search(entry, 3, allowed).entries.tolist() == [1, 3, 4]
-
-
-def test_unlikely_entries_are_no_matches():
-    """One that lacks the 5.6 nats of a neighbour is, unless the window is wider than that."""
-    query = constellation([(1, 20.25, 0.0), (3, 20.25, 1.0)])
-    for window_nats, expected in ((3.0, [1]), (9.0, [1, 0]), (20.0, [1, 0, 2])):
-        index = LikelihoodIndex(RingLikelihood(), window_nats=window_nats)
-        for neighbours in ([(1, 20.25, 2.0)], [(3, 20.25, 2.0), (1, 20.25, 0.5)], [(2, 20.25, 1.0)]):
-            index.add(constellation(neighbours))
-        assert index.search(query, 5, everyone(index)).entries.tolist() == expected
-
-
-def test_only_entries_of_the_own_class_are_found_however_alike_others_are():
-    neighbours = [(1, 20.25, 0.0), (3, 30.25, 1.0)]
-    index = LikelihoodIndex(RingLikelihood())
-    for centre_label in (2, 0, 2):
-        index.add(constellation(neighbours, centre_label=centre_label))
-    for centre_label, expected in ((0, [1]), (1, []), (2, [0, 2]), (3, [])):
-        query = constellation(neighbours, centre_label=centre_label)
-        assert index.search(query, 5, everyone(index)).entries.tolist() == expected
 
 
 @pytest.mark.parametrize("size", [1, 7, 64, 65, CHUNK])
@@ -182,29 +139,6 @@ def test_the_vocabulary_may_grow_at_its_end_as_if_it_had_been_that_large_from_th
         )
 
 
-def test_neighbours_of_a_class_that_older_entries_do_not_know_say_nothing_for_them():
-    index = filled(with_classes(60, 3, seed=21))
-    queries = with_classes(40, 6, seed=22)
-    known = thinned(queries, queries.labels < 3)
-    found, expected = (index.search(asked, 3, everyone(index)) for asked in (queries, known))
-    assert len(found.queries) > 0
-    assert pairs(found) == pairs(expected)
-    assert set(queries.centre_labels[found.queries].tolist()) == {0, 1, 2}
-
-
-def test_a_query_with_a_smaller_vocabulary_finds_the_same():
-    index = filled(with_classes(60, 6, seed=23))
-    queries = with_classes(40, 3, seed=24)
-    larger = in_larger_vocabulary(queries, (*VOCABULARY, "fountain", "wall"))
-    assert_same(index.search(queries, 3, everyone(index)), index.search(larger, 3, everyone(index)))
-
-
-def test_a_query_of_a_class_that_the_index_does_not_know_has_no_match():
-    index = filled(with_classes(60, 3, seed=25))
-    unknown = constellation([(0, 10.0, 0.0)], centre_label=5, vocabulary=(*VOCABULARY, "fountain", "wall"))
-    assert len(index.search(unknown, 3, everyone(index)).queries) == 0
-
-
 @pytest.mark.parametrize(("entries", "queries", "allowed"), [(0, 3, True), (20, 0, True), (20, 3, False)])
 def test_nothing_is_found_in_an_empty_index_for_no_query_or_among_none_allowed(entries, queries, allowed):
     index = filled(gathered(entries, seed=15))
@@ -212,24 +146,6 @@ def test_nothing_is_found_in_an_empty_index_for_no_query_or_among_none_allowed(e
     assert len(index) == entries
     assert len(matches.queries) == len(matches.entries) == len(matches.distances) == 0
     assert (matches.queries.dtype, matches.distances.dtype) == (np.int64, np.float32)
-
-
-def test_a_query_without_neighbours_among_others_changes_none_of_theirs():
-    entries, queries = gathered(50, seed=16), gathered(9, seed=17)
-    index = filled(entries, window_nats=12.0)
-    lonely = thinned(queries, queries.owners != 4)
-    assert np.diff(lonely.offsets)[4] == 0
-    found, expected = (index.search(asked, 3, everyone(index)) for asked in (lonely, queries))
-    others, theirs = found.queries != 4, expected.queries != 4
-    np.testing.assert_array_equal(found.entries[others], expected.entries[theirs])
-    np.testing.assert_array_equal(found.distances[others], expected.distances[theirs])
-
-
-def test_an_entry_without_neighbours_lacks_all_that_the_query_sees():
-    query = constellation([(1, 20.25, 0.0), (3, 30.25, 1.0)])
-    index = filled(constellation([]))
-    (distance,) = index.search(query, 1, everyone(index)).distances
-    assert distance == pytest.approx(RingLikelihood().max_nats(query)[0], rel=1e-5)
 
 
 @pytest.mark.parametrize("count", [256, 257, 258, 259, 1000])

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from descriptors.constellation import gather_constellations
-from descriptors.descriptellation.network import DescriptellationArchitecture
 from descriptors.errors import DescriptorError
 from descriptors.learned.networks import default_architecture
 from descriptors.registry import make_descriptor, make_index
@@ -126,7 +125,3 @@ def test_class_that_is_no_network_is_refused(mine: Path) -> None:
     (mine / "mine.py").write_text("class Net:\n    length = 3\n")
     with pytest.raises(DescriptorError, match=r"mine:Net: is no torch.nn.Module"):
         small_training("mine:Net")
-
-
-def test_architecture_of_a_named_network_is_unchanged() -> None:
-    assert default_architecture("descriptellation") == DescriptellationArchitecture()

@@ -11,8 +11,7 @@ import pytest
 from descriptors.constellation import Constellations, gather_constellations
 from descriptors.errors import DescriptorError
 from descriptors.index import ConstellationIndex, Matches
-from descriptors.likelihood_index import LikelihoodIndex
-from descriptors.registry import DESCRIPTOR_NAMES, LEARNED, NETWORKS, PAPER, make_descriptor, make_index
+from descriptors.registry import DESCRIPTOR_NAMES, NETWORKS, PAPER, make_descriptor, make_index
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, transform_from_xyz_yaw
 from tests.descriptors.constellations import VOCABULARY, describe, scattered
@@ -123,14 +122,6 @@ class Own:
         return np.diff(constellations.offsets)[:, None].astype(np.float32)
 
 
-def test_class_of_a_user_is_imported_and_used():
-    index = make_index("tests.descriptors.test_registry:Own")
-    assert index.radius_m == 20.0
-    positions, labels = scattered(30, seed=3)
-    added(index, positions, labels)
-    assert len(searched(index, positions, labels, 1).queries) == 30
-
-
 @pytest.mark.parametrize(
     ("name", "message"),
     [
@@ -146,13 +137,6 @@ def test_unknown_descriptor_is_refused_with_the_reason(name, message):
     for make in (make_descriptor, make_index):
         with pytest.raises(DescriptorError, match=message):
             make(name)
-
-
-def test_names_are_unique_and_two_are_likelihoods():
-    assert len(set(DESCRIPTOR_NAMES)) == len(DESCRIPTOR_NAMES)
-    assert set(LEARNED) < set(DESCRIPTOR_NAMES)
-    likelihoods = [name for name in BY_NUMPY if isinstance(make_index(name), LikelihoodIndex)]
-    assert likelihoods == ["ring_likelihood", "descriptellation_lr"]
 
 
 def test_random_vectors_differ_in_each_call_and_repeat_in_each_run():

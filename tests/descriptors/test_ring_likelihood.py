@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -11,7 +9,7 @@ from numpy.typing import NDArray
 from descriptors.constellation import Constellations, gather_constellations
 from descriptors.ring_likelihood import CHUNK, RingLikelihood, count_at_a_time
 from slam.common.arrays import FloatArray, IntArray
-from tests.descriptors.constellations import VOCABULARY, constellation, describe, scattered, street, thinned
+from tests.descriptors.constellations import VOCABULARY, constellation, describe, scattered, thinned
 
 CLASSES = len(VOCABULARY)
 OTHERS = {"radius_m": 24.0, "ring_m": 0.8, "sigmas_m": (0.5, 2.0), "miss_probability": 0.3, "objects_per_km2": 2000.0}
@@ -73,44 +71,6 @@ def test_entries_are_the_formula_over_the_neighbours_of_each_class(settings, rin
                 assert np.exp(nats) - lost - 1e-3 * np.exp(nats) <= np.exp(found) <= np.exp(nats) * (1.0 + 1e-3)
 
 
-def test_neighbour_is_most_evidence_where_it_stands_and_for_its_class_alone():
-    (vector,) = RingLikelihood().describe(constellation([(2, 20.25, 0.7)])).reshape(1, CLASSES, -1)
-    assert vector[2].argmax() == 40
-    assert (np.diff(vector[2, 30:41]) > 0.0).all()
-    assert (np.diff(vector[2, 40:51]) < 0.0).all()
-    assert not vector[[0, 1, 3]].any()
-    exact, near, noisy, far = vector[2, [40, 41, 43, 48]]
-    assert exact > near + 0.5 > noisy + 1.0 > 2.0
-    assert far < 0.5
-
-
-def test_far_rings_dense_maps_and_misses_weaken_the_evidence():
-    at = [RingLikelihood().max_nats(constellation([(0, d, 0.0)]))[0] for d in (2.25, 10.25, 30.25, 59.75)]
-    assert (np.diff(at) < -0.5).all()
-    query = constellation([(0, 30.25, 0.0)])
-    assert RingLikelihood(objects_per_km2=5000.0).max_nats(query)[0] < at[2] - 1.5
-    said = [RingLikelihood(miss_probability=miss).max_nats(query)[0] for miss in (0.01, 0.1, 0.5, 0.9)]
-    assert (np.diff(said) < -0.5).all()
-
-
-def test_heights_change_nothing_and_doubles_count_twice_in_the_density():
-    positions, labels = scattered(40, seed=4)
-    flat = describe(RingLikelihood(), positions * [1.0, 1.0, 0.0], labels)
-    np.testing.assert_array_equal(describe(RingLikelihood(), positions, labels), flat)
-    once, twice = constellation([(1, 30.25, 0.4)]), constellation([(1, 30.25, 0.4), (1, 30.25, 0.4)])
-    single, double = (np.expm1(RingLikelihood().describe(c)[0].astype(np.float64)) for c in (once, twice))
-    np.testing.assert_allclose(double, 2.0 * single, rtol=1e-5)
-
-
-def test_object_without_neighbours_has_zeros_and_scores_nothing():
-    beside = gather_constellations(
-        np.array([[0.0, 0.0, 0.0], [500.0, 0.0, 0.0], [510.0, 0.0, 0.0]]), np.zeros(3, int), VOCABULARY, radius_m=60.0
-    )
-    vectors, most = RingLikelihood().describe(beside), RingLikelihood().max_nats(beside)
-    assert vectors.any(axis=1).tolist() == [False, True, True]
-    assert (most > 0.0).tolist() == [False, True, True]
-
-
 def test_fewer_are_described_at_a_time_where_there_are_many_classes():
     descriptor = RingLikelihood()
     positions, labels = scattered(20, seed=7, side_m=30.0)
@@ -135,28 +95,3 @@ def test_score_against_itself_is_the_most_for_any_neighbours_that_are_seen(share
     query = thinned(entry, np.random.default_rng(11).random(len(middles)) < share)
     itself = scores(descriptor, query, descriptor.describe(entry))
     np.testing.assert_allclose(itself[0], descriptor.max_nats(query), rtol=1e-4)
-
-
-def test_neighbour_off_the_middle_of_its_ring_lacks_little():
-    descriptor = RingLikelihood()
-    for distance_m in np.linspace(20.0, 20.499, 11):
-        query = constellation([(0, float(distance_m), 0.0)])
-        lacking = descriptor.max_nats(query)[0] - scores(descriptor, query, descriptor.describe(query))[0, 0]
-        assert -1e-4 < lacking < 0.3
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_objects_are_found_with_noise_and_with_a_third_of_their_neighbours(seed):
-    """What a query does not see costs it nothing; noise is within the wide part of the kernel."""
-    descriptor = RingLikelihood()
-    entries = gather_constellations(*street(120, seed=seed), VOCABULARY, radius_m=60.0)
-    rng = np.random.default_rng(seed)
-    noisy = entries.positions + rng.normal(scale=0.2, size=entries.positions.shape)
-    again = replace(entries, positions=noisy)
-    ahead = rng.choice([-1.0, 1.0], len(entries))[entries.owners] * noisy[:, 0] > 0.0
-    third = thinned(again, ahead & (np.hypot(noisy[:, 0], noisy[:, 1]) < 40.0))
-    labels, vectors = entries.centre_labels, descriptor.describe(entries)
-    for queries, share in ((again, 1.0), (third, 0.9)):
-        rivals = np.where(labels[:, None] == labels, scores(descriptor, queries, vectors), -np.inf)
-        is_first = np.count_nonzero(rivals >= np.diag(rivals)[:, None], axis=1) == 1
-        assert is_first.mean() >= share

@@ -29,11 +29,6 @@ def test_ratio_is_what_a_loop_counts_in_one_chunk_and_in_several(things, k):
     assert ratio == counted(vectors, numbers, k)
 
 
-def test_things_that_were_seen_once_are_never_found():
-    vectors = np.random.default_rng(6).normal(size=(CHUNK + 50, 8)).astype(np.float32)
-    assert top_k_ratio(vectors, np.arange(CHUNK + 50), 5) == 0.0
-
-
 def test_all_neighbours_find_everything_and_fewer_than_two_vectors_have_no_ratio():
     assert top_k_ratio(np.eye(40, dtype=np.float32), np.arange(40) // 2, 1000) == 1.0
     assert np.isnan(top_k_ratio(np.zeros((1, 3), np.float32), np.arange(1), 5))

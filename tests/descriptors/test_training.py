@@ -15,17 +15,15 @@ import pytest
 import torch
 
 from descriptors.baselines.pointnet import PointNetArchitecture
-from descriptors.baselines.sgnet import SGNetArchitecture
 from descriptors.descriptellation.network import DescriptellationArchitecture
 from descriptors.errors import DescriptorError
-from descriptors.learned.networks import default_architecture, describe_padded, load_network
+from descriptors.learned.networks import default_architecture
 from descriptors.learned.weights import read_weights
-from descriptors.training import contrast, triplets
+from descriptors.training import contrast
 from descriptors.training.contrast import ContrastRecipe, ContrastTraining
-from descriptors.training.dataset import DatasetConfig, make_dataset
+from descriptors.training.dataset import DatasetConfig
 from descriptors.training.folder import CHECKPOINT, CURVES, DIGEST_BYTES, WEIGHTS, Epoch
 from descriptors.training.maps import TrainingMap
-from descriptors.training.top_k import top_k_ratio
 from descriptors.training.trainer import Recipe, Step, train
 from descriptors.training.triplets import TripletRecipe, TripletTraining
 
@@ -93,16 +91,6 @@ def test_network_learns_what_holds_for_other_maps_too(tmp_path):
     assert learned[-1].metrics["train_top_k"] > idle[-1].metrics["train_top_k"] + 0.3
     best, best_idle = (max(each.metrics["validation_top_k"] for each in epochs) for epochs in (learned, idle))
     assert best > best_idle + 0.04
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "architecture", [PointNetArchitecture(length=16), SGNetArchitecture(length=16)], ids=lambda each: each.name
-)
-def test_other_networks_learn_too(tmp_path, architecture):
-    epochs = train(make_triplets(architecture=architecture, learning_rate=1e-3), tmp_path, threads=1)
-    assert epochs[-1].train_loss < epochs[0].train_loss
-    assert load_network(tmp_path / WEIGHTS)[0].architecture == architecture
 
 
 def test_same_recipe_gives_the_same_bytes_and_another_seed_others(make, folder, tmp_path):
@@ -180,22 +168,6 @@ def test_damaged_checkpoint_is_refused(make, folder, tmp_path, spoil):
         train(make(), tmp_path / "copy", threads=1)
 
 
-def test_curves_have_a_line_for_each_epoch(make, folder):
-    epochs = train(make(), folder, threads=1)
-    for row, epoch in zip(curves(folder), epochs, strict=True):
-        figures = {name: value for name, value in epoch.as_row().items() if name != "seconds"}
-        assert {name: float(value) for name, value in row.items()} == figures
-
-
-def test_each_step_reports_progress_and_remaining_time(make, tmp_path):
-    steps: list[Step] = []
-    train(make(), tmp_path, threads=1, on_step=steps.append)
-    assert [step.done for step in steps] == pytest.approx([(i + 1) / len(steps) for i in range(len(steps))])
-    losses = [step.loss for step in steps]
-    assert min(losses) >= 0.0 < max(losses)
-    assert steps[-1].remaining_s == 0.0 < steps[0].remaining_s
-
-
 def test_learning_rate_decays_by_steps_or_as_a_cosine(make, folder, tmp_path):
     recipe = make()
     rates: list[float] = []
@@ -216,21 +188,6 @@ def test_weights_are_those_of_the_best_epoch_and_say_how_they_were_trained(folde
     assert weights.training["architecture"] == weights.architecture
     assert weights.seed == 0
     assert weights.code_version == importlib.metadata.version("descriptellation-slam")
-
-
-def test_weights_achieve_what_they_say(tmp_path):
-    train(make_triplets(), tmp_path, threads=1)
-    network, weights = load_network(tmp_path / WEIGHTS)
-    for seed, name in ((0, "train_top_k"), (1, "validation_top_k")):
-        dataset = make_dataset(TRIPLETS.simulation, TRIPLETS.augmentation, TRIPLETS.dataset, seed=seed)
-        described = describe_padded(network, dataset.constellations, torch.device("cpu"))
-        assert top_k_ratio(described, dataset.anchors, TRIPLETS.top_k) == weights.metrics[name]
-
-
-def test_first_of_equally_good_epochs_is_kept(tmp_path, monkeypatch):
-    monkeypatch.setattr(triplets, "top_k_ratio", lambda vectors, things, k: 0.5)
-    train(make_triplets(), tmp_path, threads=1)
-    assert read_weights(tmp_path / WEIGHTS).metrics["epoch"] == 1
 
 
 def test_epoch_has_every_view_once_anchor_by_anchor_in_an_order_of_its_own():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,8 +11,6 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.cluster.hierarchy import fcluster, linkage
 
-from descriptors.constellation import gather_constellations
-from descriptors.errors import DescriptorError
 from descriptors.learned.padded import PaddedConstellations
 from descriptors.training.augmentation import (
     AugmentationRates,
@@ -32,7 +29,6 @@ from descriptors.training.simulation import MapSimulation, simulate_map
 from descriptors.training.views import CLUTTER, draw_view
 
 CLASSES = 20
-NOTHING = AugmentationRates(0.0, (0.0, 0.0), 0.0, 0.0, 0.0, (0.0, 0.0), (1.0, 1.0), CLASSES)
 Augmentation = Callable[[PaddedConstellations, np.random.Generator], PaddedConstellations]
 AUGMENTATIONS: dict[str, Augmentation] = {
     "translate": lambda batch, rng: translate(batch, 0.25, rng=rng),
@@ -132,40 +128,6 @@ def test_clusters_are_normal_and_patterns_lie_anywhere_in_the_square():
     positions = simulate_map(points, rng=np.random.default_rng(1)).positions
     assert_is_drawn_from(positions[:, 0], "uniform", 0.0, 50.0)
     assert_is_drawn_from(positions[:, 2], "norm", 0.0, 1.5)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
-def test_given_share_of_the_patterns_repeats_one_label(share):
-    simulation = MapSimulation(patterns=(1, 1), objects_per_pattern=(8, 8), uniform_pattern_share=share)
-    rng = np.random.default_rng(8)
-    uniform = sum(len(set(simulate_map(simulation, rng=rng).labels.tolist())) == 1 for _ in range(500))
-    assert abs(uniform - 500 * share) <= 4.0 * np.sqrt(500 * share * (1.0 - share))
-
-
-def test_constellations_of_default_maps_have_18_objects():
-    rng = np.random.default_rng(9)
-    sizes: list[int] = []
-    for _ in range(60):
-        drawn = simulate_map(MapSimulation(), rng=rng)
-        around = gather_constellations(drawn.positions, drawn.labels, [str(i) for i in range(64)], radius_m=30.0)
-        sizes.extend(np.diff(around.offsets) + 1)
-    assert np.median(sizes) == pytest.approx(18.0, abs=1.5)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"patterns": (5, 3)}, "patterns from 5 to 3"),
-        ({"objects_per_pattern": (0, 3)}, "objects_per_pattern from 0 to 3"),
-        ({"line_step_m": (-1.0, 3.0)}, "line_step_m from -1.0"),
-        ({"classes": (8, 65)}, "65 classes of a vocabulary of 64"),
-        ({"kinds": ("star",)}, "star"),
-        ({"kinds": ()}, "at least one"),
-    ],
-)
-def test_ranges_that_make_no_map_are_refused(changes, message):
-    with pytest.raises(DescriptorError, match=message):
-        MapSimulation(**changes)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -285,40 +247,6 @@ def test_crops_remove_what_the_formula_names_along_x_or_y(share):
         assert_share(along[0], along.total(), 0.5)
 
 
-def test_scales_stretch_a_constellation_by_one_factor():
-    batch = batch_of(2000, seed=28)
-    scaled = scale(batch, (0.85, 1.25), rng=np.random.default_rng(29))
-    factors = lengths(scaled)[1:, 1] / lengths(batch)[1:, 1]
-    assert_is_drawn_from(factors, "uniform", 0.85, 0.4)
-    assert np.allclose(batch.positions[1:] * factors[:, None, None], scaled.positions[1:], atol=1e-4)
-
-
-def test_augment_applies_each_rate_and_adds_objects_after_some_dropped_out():
-    batch = batch_of(300, seed=34)
-    rng = np.random.default_rng(35)
-
-    def augmented(**rates: object) -> PaddedConstellations:
-        return augment(batch, replace(NOTHING, **rates), rng=rng)  # type: ignore[arg-type]
-
-    assert objects(augmented(), 7) == objects(batch, 7)
-    assert (augmented(dropout=1.0, false_positives=1.0).present.sum(axis=1) == 2).all()
-    assert np.allclose(augmented(scale=(2.0, 2.0)).positions, 2 * batch.positions)
-    upside = augmented(yaw_rad=(np.pi, np.pi)).positions
-    assert np.allclose(upside[:, :, :2], -batch.positions[:, :, :2], atol=1e-5)
-    assert (augmented(misclassification=1.0).labels != batch.labels).any()
-    assert (augmented(translation=0.1).positions != batch.positions).any()
-    assert augmented(crop=(1.0, 1.0)).present.sum() < 0.7 * batch.present.sum()
-
-
-def test_impossible_rates_and_labels_beyond_the_vocabulary_are_refused():
-    with pytest.raises(DescriptorError, match=r"dropout is 1\.5"):
-        AugmentationRates(dropout=1.5)
-    with pytest.raises(DescriptorError, match="at least 2"):
-        AugmentationRates(vocabulary_size=1)
-    with pytest.raises(DescriptorError, match=f"labels up to {CLASSES - 1} and a vocabulary of 5"):
-        augment(batch_of(50, seed=36), AugmentationRates(vocabulary_size=5), rng=np.random.default_rng(0))
-
-
 # Datasets.
 
 SMALL = DatasetConfig(anchors=60, positives=4, anchors_per_map=7)
@@ -335,14 +263,6 @@ def test_dataset_has_each_anchor_with_its_positives():
     assert len({tuple(objects(dataset.constellations, row)) for row in range(300)}) == 300
 
 
-def test_positives_show_the_place_of_their_anchor():
-    turning = replace(NOTHING, vocabulary_size=64, yaw_rad=(-np.pi, np.pi))
-    turned = make_dataset(MapSimulation(), turning, SMALL, seed=2).constellations
-    apart = lengths(turned).reshape(60, 5, -1)
-    assert np.allclose(apart, apart[:, :1], atol=1e-4)
-    assert not np.array_equal(turned.positions[1], turned.positions[0])
-
-
 def test_anchors_are_constellations_of_a_series_of_maps():
     # A map of a single class tells by its label which map an anchor is from.
     one_class = MapSimulation(classes=(1, 1), vocabulary_size=2000)
@@ -355,25 +275,3 @@ def test_anchors_are_constellations_of_a_series_of_maps():
         near = np.hypot(away[:, 0], away[:, 1]) <= 30.0
         around.add(frozenset(map(tuple, away[near].astype(np.float32).tolist())))
     assert all(frozenset(each[:3] for each in objects(anchors, row)) in around for row in range(10))
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: DatasetConfig(anchors=0), "0 anchors"),
-        (lambda: DatasetConfig(max_objects=4), "raise max_objects"),
-        (
-            lambda: make_dataset(MapSimulation(), AugmentationRates(vocabulary_size=20), SMALL, seed=0),
-            "64 classes and augmentations with 20",
-        ),
-        (
-            lambda: make_dataset(
-                MapSimulation(patterns=(1, 1), objects_per_pattern=(1, 3)), AugmentationRates(), SMALL, seed=0
-            ),
-            "without a constellation of 5 to 40 objects",
-        ),
-    ],
-)
-def test_sizes_that_make_no_dataset_are_refused(make, message):
-    with pytest.raises(DescriptorError, match=message):
-        make()

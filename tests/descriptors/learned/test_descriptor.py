@@ -54,27 +54,12 @@ def assert_alike(a: NDArray[np.float32], b: NDArray[np.float32]) -> None:
     np.testing.assert_allclose(a, b, atol=1e-5)
 
 
-def test_descriptor_has_the_sizes_and_the_radius_of_its_training(descriptor):
-    assert (descriptor.name, descriptor.length, descriptor.radius_m) == ("descriptellation", 16, 17.5)
-    assert descriptor.vocabulary_size == 6
-
-
 def test_each_row_is_that_of_its_constellation_on_its_own(descriptor, constellations):
     vectors = descriptor.describe(constellations)
     assert vectors.dtype == np.float32
     for row in [*range(0, len(constellations), 23), len(constellations) - 1]:
         assert_alike(vectors[[row]], descriptor.describe(constellations[np.array([row])]))
     assert np.linalg.norm(np.diff(vectors[:40], axis=0), axis=1).min() > 1e-4  # others would have been noticed
-
-
-def test_order_of_the_objects_changes_nothing(descriptor):
-    positions, labels = scattered(60, seed=3)
-    order = np.random.default_rng(4).permutation(60)
-    described = [
-        descriptor.describe(gather_constellations(p, c, VOCABULARY, radius_m=30.0))
-        for p, c in ((positions, labels), (positions[order], labels[order]))
-    ]
-    assert_alike(described[0][order], described[1])
 
 
 def test_same_constellations_give_the_same_bits_for_any_number_of_threads(descriptor, constellations):
