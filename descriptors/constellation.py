@@ -80,7 +80,7 @@ def gather_constellations(
     """
     if not np.all(np.isfinite(positions)):
         bad = int(np.flatnonzero(~np.isfinite(positions).all(axis=1))[0])
-        raise DescriptorError(f"object {bad} is at {positions[bad]}, which is no position")
+        raise DescriptorError(f"object {bad} is at {positions[bad]}, which is not finite")
     if len(labels) and (labels.min() < 0 or labels.max() >= len(vocabulary)):
         raise DescriptorError(f"labels {labels.min()} to {labels.max()} of a vocabulary of {len(vocabulary)} classes")
     chosen = np.arange(len(positions)) if centres is None else centres

@@ -49,13 +49,13 @@ class OwnDescriptor:
         lacking = [part for part in ("name", "radius_m", "describe") if not hasattr(self._own, part)]
         if lacking:
             raise DescriptorError(
-                f"{name}: is no descriptor, it lacks {', '.join(lacking)}; see descriptors.descriptor.Descriptor"
+                f"{name}: is not a descriptor: it lacks {', '.join(lacking)}; see descriptors.descriptor.Descriptor"
             )
         self.name = str(self._own.name)
         try:
             self.radius_m = float(self._own.radius_m)
         except (TypeError, ValueError) as error:
-            raise DescriptorError(f"{name}: radius_m is {self._own.radius_m!r}, which is no length") from error
+            raise DescriptorError(f"{name}: radius_m is {self._own.radius_m!r}, which is not a length") from error
         if not 0.0 < self.radius_m < np.inf:
             raise DescriptorError(f"{name}: radius_m is {self.radius_m}; give metres above 0")
         self._length: int | None = None

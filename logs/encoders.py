@@ -37,7 +37,7 @@ def encode(record: m.Record) -> Message:
         return CODECS[type(record)].encode(record)
     encoder = _ENCODERS.get(type(record))
     if encoder is None:
-        raise TypeError(f"{type(record).__name__} is no record of logs.messages")
+        raise TypeError(f"{type(record).__name__} is not a record of logs.messages")
     return encoder(record)
 
 

@@ -46,7 +46,7 @@ def check_record(record: m.Record) -> None:
         raise _error(record, "stamp_ns", f"{record.stamp_ns!r:.40}; give a whole number of nanoseconds")
     labels = record.labels if isinstance(record, m.ObjectDetections) else ()
     if not isinstance(labels, tuple) or not {*map(type, labels)} <= {str, np.str_}:
-        raise _error(record, "labels", "no tuple of texts; give one for each position")
+        raise _error(record, "labels", "not a tuple of texts; give one for each position")
     for name, shape in _SHAPES[type(record)].items():
         value = getattr(record, name)
         if value is None and name in _OPTIONAL:
@@ -66,7 +66,7 @@ def _check_transform(record: m.Record, name: str, T: Any) -> None:
     # Rows are perpendicular where their volume is the product of their lengths (Hadamard), mirrored where it is < 0.
     shear = 1.0 - volume * abs(volume) / max(lengths[0] * lengths[1] * lengths[2], 1e-300)
     if max(abs(length - 1.0) for length in lengths) > ROTATION_TOLERANCE or shear > ROTATION_TOLERANCE**2:
-        raise _error(record, name, f"no rotation (rows of squared lengths {lengths}, volume {volume:.4g}); give one")
+        raise _error(record, name, f"not a rotation (rows of squared lengths {lengths}, volume {volume:.4g}); give one")
     if last != [0.0, 0.0, 0.0, 1.0]:
         raise _error(record, name, f"a matrix with the last row {last}; give 0 0 0 1: a transform maps columns")
 

@@ -66,7 +66,7 @@ def transform_from_quaternion(x: float, y: float, z: float, qx: float, qy: float
     norm = math.hypot(qx, qy, qz, qw)
     # Written so that NaN fails it.
     if not abs(norm - 1.0) <= QUATERNION_NORM_TOLERANCE:
-        raise Refusal("quaternion is no rotation", f"x={qx}, y={qy}, z={qz}, w={qw}, norm={norm}")
+        raise Refusal("quaternion is not a rotation", f"x={qx}, y={qy}, z={qz}, w={qw}, norm={norm}")
     qx, qy, qz, qw = qx / norm, qy / norm, qz / norm, qw / norm
     return np.array(
         [
@@ -126,7 +126,7 @@ def transforms(values: Sequence[float], count: int, what: str) -> FloatArray:
     R = T[:, :3, :3]
     error = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
     if (error > ROTATION_TOLERANCE).any() or (np.linalg.det(R) < 0.0).any():
-        raise Refusal("matrix is no rotation", f"{what}: R^T R off by {error.max():.2g}")
+        raise Refusal("matrix is not a rotation", f"{what}: R^T R off by {error.max():.2g}")
     rounded = error > _EXACT
     if rounded.any():
         U, _, Vt = np.linalg.svd(R[rounded])

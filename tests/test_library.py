@@ -119,7 +119,7 @@ def test_slam_process_refuses_malformed_records() -> None:
     slam = Slam(Config())
     with pytest.raises(LogError, match=r"T_odom_body is float64 \(3, 3\); give a float64 array of shape \(4, 4\)"):
         slam.process(Odometry(0, np.eye(3)))
-    with pytest.raises(LogError, match="no rotation"):
+    with pytest.raises(LogError, match="not a rotation"):
         slam.process(Odometry(0, 2.0 * np.eye(4)))
     with pytest.raises(LogError, match="positions"):
         slam.process(ObjectDetections(0, "base_link", np.zeros((1, 2)), ("tree",), np.ones(1)))

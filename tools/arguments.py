@@ -36,7 +36,7 @@ CalibrationFile = Annotated[
 Topics = Annotated[
     list[str] | None,
     typer.Option(
-        "--topic", metavar="KIND=/TOPIC", help="Use that topic as odometry, detections, ground_truth, ... Repeatable."
+        "--topic", metavar="KIND=/TOPIC", help="Use this topic as odometry, detections, ground_truth, ... Repeatable."
     ),
 ]
 Picture = Annotated[

@@ -57,8 +57,8 @@ def make_app(arguments: Sequence[str] = ()) -> typer.Typer:
     app = typer.Typer(
         name="dslam",
         help="Semantic SLAM: a log of odometry and object detections becomes a trajectory and an object map.",
-        epilog="--verbose and --debug may also stand after the command. Exit codes: 0 done, 1 a required bar was not "
-        "met, 2 bad input.",
+        epilog="--verbose and --debug may also stand after the command. Exit codes: 0 success, 1 a requirement was "
+        "not met, 2 invalid input.",
         no_args_is_help=True,
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
@@ -84,7 +84,7 @@ def _print_version(wanted: bool) -> None:
 
 
 def _global_options(
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log what is done to standard error.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log progress to standard error.")] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Log every detail, and show tracebacks.")] = False,
     _version: Annotated[
         bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)

@@ -38,11 +38,11 @@ _MaxRange = Annotated[
 ]
 _KeepLabel = Annotated[
     list[str] | None,
-    typer.Option(metavar="NAME", help="Keep only objects of that class. Repeatable.", rich_help_panel=_VIEW),
+    typer.Option(metavar="NAME", help="Keep only objects of this class. Repeatable.", rich_help_panel=_VIEW),
 ]
 _DropLabel = Annotated[
     list[str] | None,
-    typer.Option(metavar="NAME", help="Remove objects of that class. Repeatable.", rich_help_panel=_VIEW),
+    typer.Option(metavar="NAME", help="Remove objects of this class. Repeatable.", rich_help_panel=_VIEW),
 ]
 _Dropout = Annotated[
     str | None,
@@ -50,27 +50,29 @@ _Dropout = Annotated[
 ]
 _LabelConfusion = Annotated[
     str | None,
-    typer.Option(metavar="P", help="Probability that it gets another of the log's labels.", rich_help_panel=_DETECTOR),
+    typer.Option(
+        metavar="P", help="Probability that a detection gets another label of the log.", rich_help_panel=_DETECTOR
+    ),
 ]
 _PositionNoise = Annotated[
     str | None,
-    typer.Option(metavar="M", help="Noise of the position on each axis, 1 sigma.", rich_help_panel=_DETECTOR),
+    typer.Option(metavar="M", help="Standard deviation of the position on each axis.", rich_help_panel=_DETECTOR),
 ]
 _FalsePositives = Annotated[
     str | None,
-    typer.Option(metavar="N", help="Mean number of invented objects a scan.", rich_help_panel=_DETECTOR),
+    typer.Option(metavar="N", help="Mean number of false objects a scan.", rich_help_panel=_DETECTOR),
 ]
 _OdometryTranslationNoise = Annotated[
     str | None,
-    typer.Option(metavar="M/SQRT(M)", help="On each axis, after 1 m of travel.", rich_help_panel=_DRIVE),
+    typer.Option(metavar="M/SQRT(M)", help="Noise on each axis after 1 m of travel.", rich_help_panel=_DRIVE),
 ]
 _OdometryYawNoise = Annotated[
     str | None,
-    typer.Option(metavar="RAD/SQRT(M)", help="Of the heading, after 1 m of travel.", rich_help_panel=_DRIVE),
+    typer.Option(metavar="RAD/SQRT(M)", help="Noise of the heading after 1 m of travel.", rich_help_panel=_DRIVE),
 ]
 _TimeOffset = Annotated[
     str | None,
-    typer.Option(metavar="S", help="Added to the detections' stamps, may be negative.", rich_help_panel=_DRIVE),
+    typer.Option(metavar="S", help="Added to the stamps of the detections; may be negative.", rich_help_panel=_DRIVE),
 ]
 _Reversed = Annotated[
     bool, typer.Option("--reversed", help="Play the drive backwards, in reverse gear.", rich_help_panel=_DRIVE)
@@ -79,7 +81,7 @@ _FaultNames = Annotated[
     list[str] | None,
     typer.Option(
         metavar="NAME[=VALUE]",
-        help="Apply that fault, several values joined by a colon. Repeatable.",
+        help="Apply this fault; its values are joined by colons. Repeatable.",
         rich_help_panel=_FAULTS,
     ),
 ]
@@ -93,7 +95,7 @@ _ListFaults = Annotated[
         rich_help_panel=_FAULTS,
     ),
 ]
-_Seed = Annotated[int, typer.Option(help="Seed of all that is random.")]
+_Seed = Annotated[int, typer.Option(help="Seed of the random numbers.")]
 
 
 def degrade(
@@ -117,12 +119,11 @@ def degrade(
     topics: Topics = None,
     json: Json = False,
 ) -> None:
-    """Make a log harder to map: detections lost, wrong or invented, odometry that drifts more, faults of the sensors.
+    """Degrade a log: missed, wrong or false detections, more drift of the odometry, faults of the sensors.
 
-    Each option is the fault of that name, applied in a fixed order: the drive is reversed and times are shifted, then
-    come noise, dropout, view and labels, confusion, false positives, which lie where most detections do and have their
-    heights and labels, and odometry. Those of --fault follow in their own order. Each has random numbers of its own.
-    The truth stays as it is. At least one option has to be given, if only --dropout 0.
+    Options are applied in a fixed order: reversal, time offset, noise, dropout, view and labels, label confusion, false
+    positives (distributed as the detections are), odometry; then those of --fault in the given order. Each has its own
+    random numbers. The ground truth does not change. Give at least one option, for example --dropout 0.
 
     Example: dslam degrade drive.mcap -o harder.mcap --dropout 0.3 --position-noise 0.2
     """
@@ -142,7 +143,7 @@ def degrade(
     }
     options = {name: value for name, value in given.items() if value is not None}
     if not options and not fault:
-        raise typer.BadParameter("nothing to do; give a degradation, for example --dropout 0.3")
+        raise typer.BadParameter("no degradation was given; give one, for example --dropout 0.3")
     chosen = parse_topics(topics)
     check_outputs([output], [source])
     from slam.simulation.faults.fault import FaultCase

@@ -45,7 +45,7 @@ def add(
     workers: Annotated[
         int | None, typer.Option(min=1, help="Tasks at a time. \\[default: one a core]", show_default=False)
     ] = None,
-    only: Annotated[bool, typer.Option("--only", help="Forget the logs of earlier runs that are not named.")] = False,
+    only: Annotated[bool, typer.Option("--only", help="Remove the logs of earlier runs that are not named.")] = False,
     origin: Annotated[
         str | None,
         typer.Option(metavar="LAT,LON", help="Position on earth at which the first log begins.", show_default=False),

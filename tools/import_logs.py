@@ -29,7 +29,9 @@ def kitti_objects(
     output: NewLog,
     detections: Annotated[
         Path,
-        typer.Option(metavar="ARCHIVE|FOLDER", help="bow.txt and centroids/, as the GOSMatch repository has them."),
+        typer.Option(
+            metavar="ARCHIVE|FOLDER", help="Folder with bow.txt and centroids/, as in the GOSMatch repository."
+        ),
     ],
     odometry: Annotated[Path, typer.Option(metavar="POSES", help="Odometry of the left camera, KITTI format.")],
     calib: Annotated[Path, typer.Option(metavar="FILE", help="KITTI's calib.txt; Tr is velodyne to left camera.")],
@@ -37,7 +39,7 @@ def kitti_objects(
     ground_truth: Annotated[
         Path | None, typer.Option(metavar="POSES", help="True poses of the left camera; for evaluation only.")
     ] = None,
-    sequence: Annotated[str | None, typer.Option(help="Sequence, if there are several.")] = None,
+    sequence: Annotated[str | None, typer.Option(help="Name of the sequence, if there are several.")] = None,
     json: Json = False,
 ) -> None:
     """KITTI odometry with objects that were clustered in its scans.
@@ -89,7 +91,8 @@ def csv(
         Path | None, typer.Option(metavar="POSES", help="True poses of the body; for evaluation only.")
     ] = None,
     times: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Seconds of each pose, for KITTI's format.")
+        Path | None,
+        typer.Option(metavar="FILE", help="File with the time of each pose in seconds, for KITTI's format."),
     ] = None,
     calib: Annotated[
         Path | None,
@@ -98,7 +101,7 @@ def csv(
     pose_format: Annotated[
         str | None,
         typer.Option(
-            "--format", metavar="tum|kitti|euroc|csv", help="Format of the poses; by default found from their content."
+            "--format", metavar="tum|kitti|euroc|csv", help="Format of the poses; by default detected from the content."
         ),
     ] = None,
     json: Json = False,
@@ -106,7 +109,7 @@ def csv(
     """Text files: poses of the odometry, a table of detections, true poses. Files may be packed by gzip.
 
     Columns of detections: stamp_s, x_m, y_m, and where known z_m, label, score, sigma_x_m ... or cxx ..., diameter_m,
-    track_id, frame, object_id (the truth). Others are named and left out.
+    track_id, frame, object_id (the truth). Other columns are listed and ignored.
 
     Example: dslam import csv drive.mcap --odometry odometry.tum --detections detections.csv.gz
     """
@@ -115,7 +118,7 @@ def csv(
     from logs.importers.trajectory_files import TrajectoryFormat
 
     if pose_format is not None and pose_format not in list(TrajectoryFormat):
-        raise typer.BadParameter(f"{pose_format!r} is none of {', '.join(TrajectoryFormat)}.", param_hint="--format")
+        raise typer.BadParameter(f"{pose_format!r} is not one of {', '.join(TrajectoryFormat)}.", param_hint="--format")
     drive = read_text_log(
         odometry=odometry,
         detections=detections,

@@ -31,16 +31,21 @@ def live(
     ],
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="OUT.mcap", help="Write the estimates, too.", show_default=False),
+        typer.Option(
+            "-o", "--output", metavar="OUT.mcap", help="Also write the estimates to a log.", show_default=False
+        ),
     ] = None,
     speed: Annotated[
-        float, typer.Option(min=0.0, metavar="FACTOR", help="Of a log against real time; 0: as fast as possible.")
+        float,
+        typer.Option(min=0.0, metavar="FACTOR", help="Speed of a log relative to real time; 0: as fast as possible."),
     ] = 1.0,
-    host: Annotated[str, typer.Option(metavar="HOST", help="Where Foxglove connects to.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, metavar="PORT", help="... 0: a free port.")] = 8765,
+    host: Annotated[str, typer.Option(metavar="HOST", help="Address to listen on for Foxglove.")] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, metavar="PORT", help="Port to listen on; 0: any free port.")
+    ] = 8765,
     map_log: Annotated[
         Path | None,
-        typer.Option("--map", metavar="MAP.mcap", help="Find the robot in that map.", show_default=False),
+        typer.Option("--map", metavar="MAP.mcap", help="Localize the robot in this map.", show_default=False),
     ] = None,
     config_file: ConfigFile = None,
     calibration: CalibrationFile = None,
@@ -50,9 +55,8 @@ def live(
 ) -> None:
     """Map a drive while it happens, and publish the estimates to Foxglove.
 
-    A stream holds dslam.StreamMessage records, each after its length as a varint (logs/schemas/dslam.proto). Nothing
-    that comes later is used: what no calibration gives is estimated from what was seen so far.
-
+    A stream holds dslam.StreamMessage records, each after its length as a varint (logs/schemas/dslam.proto). The
+    estimates use past records only, also for values that the calibration does not hold.
     Example: dslam live drive.mcap --speed 2 --calibration robot.toml
     """
     chosen, address = parse_topics(topics), _parse_address(source)

@@ -23,18 +23,18 @@ def optimize(
         Path | None,
         typer.Option(metavar="FILE", help="File of the closures' weights; by default OUT.json.", show_default=False),
     ] = None,
-    plain: Annotated[bool, typer.Option("--plain", help="Trust all closures: ordinary least squares.")] = False,
+    plain: Annotated[bool, typer.Option("--plain", help="Keep all closures: ordinary least squares.")] = False,
     max_iterations: Annotated[
-        int, typer.Option(min=1, max=10**9, help="Iterations of each of several solutions.")
+        int, typer.Option(min=1, max=10**9, help="Maximum number of iterations of each solution.")
     ] = 100,
     json: Json = False,
 ) -> None:
     """Optimise a pose graph (g2o, SE(2) or SE(3)) in which loop closures may be false.
 
-    Edges between ids that follow one another are odometry; so is the first edge that joins what these leave apart. All
+    Edges between consecutive ids are odometry; so is the first edge between two parts that these do not connect. All
     other edges are closures, and each gets a weight from 0 (false) to 1. OUT.g2o has the vertices at their solution and
-    all edges as they were. Lines other than VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT and FIX are left out.
-    Exit code 1: it did not converge; the files are written nevertheless.
+    all edges as they were. Lines other than VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT and FIX are ignored.
+    Exit code 1: no convergence; the files are written all the same.
 
     Example: dslam optimize graph.g2o -o optimized.g2o
     """

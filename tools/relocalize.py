@@ -29,7 +29,9 @@ NOT_FOUND = 1
 
 def relocalize(
     source: InputLog,
-    map_log: Annotated[Path, typer.Option("--map", metavar="MAP.mcap", help="The map to find the robot in.")],
+    map_log: Annotated[
+        Path, typer.Option("--map", metavar="MAP.mcap", help="The map in which the robot is localized.")
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.mcap", help="The log to write.")],
     near: Annotated[
         str | None,
@@ -46,13 +48,13 @@ def relocalize(
     json: Json = False,
     picture: Picture = None,
 ) -> None:
-    """Localize a robot in a saved or imported map, which is not changed.
+    """Localize a robot in a saved or imported map; the map does not change.
 
-    With --near only places count that are within 3.5 SIGMA and as far as the robot has gone since, and, where YAW is
-    given, within 52 deg of the heading that follows from it.
+    --near restricts the search to 3.5 SIGMA plus the distance driven since, and, if YAW is given, to headings within
+    52 deg.
 
-    Poses are on /slam/pose from the first fix on, each recognised keyframe with its covariance is on
-    /slam/relocalizations, and what happened is on /slam/status. Exits 1 if the robot was never found.
+    Poses are on /slam/pose from the first fix on, recognised keyframes with their covariances on
+    /slam/relocalizations, and changes of the state on /slam/status. Exits with 1 if the robot was never localized.
 
     Example: dslam relocalize tuesday.mcap --map monday_map.mcap -o tuesday_found.mcap --near 120,-35,90,10
     """
@@ -135,11 +137,11 @@ def _show(summary: ReplaySummary, output: Path, picture: Path | None) -> None:
     rows = {
         "first fix": f"after {times_s[0]:.1f} s and {distances_m[0]:.1f} m"
         if times_s
-        else "none: the map was not recognised",
+        else "none: no place of the map was recognised",
         "later fixes": ", ".join(f"{time:.0f} s" for time in times_s[1:]) or "none",
         "recognised": f"{counters.get('keyframes_recognised', 0)} of {counters.get('keyframes', 0)} keyframes "
         f"({100 * _relocalized_keyframe_ratio(summary):.0f} %)",
-        "tracked": f"{100 * summary.tracked_ratio:.0f} % of the poses were known in the map when they came",
+        "tracked": f"{100 * summary.tracked_ratio:.0f} % of the online poses were in the map frame",
         "kidnapped": f"detected {counters.get('kidnappings_detected', 0)} times; "
         f"{counters.get('relocalizations_revoked', 0)} relocalizations revoked",
         "a query takes": f"{1e3 * summary.loop_closure_median_s:.1f} ms in the median",

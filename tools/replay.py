@@ -51,7 +51,7 @@ def replay(
     map_log: Annotated[
         Path | None,
         typer.Option(
-            "--map", metavar="MAP.mcap", help="Localize the robot in that map, and extend it.", show_default=False
+            "--map", metavar="MAP.mcap", help="Localize the robot in this map, and extend the map.", show_default=False
         ),
     ] = None,
     save_map: Annotated[
@@ -60,11 +60,11 @@ def replay(
     ] = None,
     online: Annotated[
         bool,
-        typer.Option("--online", help="Calibrate the robot during the drive, by what it has seen so far."),
+        typer.Option("--online", help="Calibrate the robot during the drive, from past records only."),
     ] = False,
     copy: Annotated[
         list[str] | None,
-        typer.Option("--copy", metavar="/TOPIC", help="Copy that topic too, of a camera for example. Repeatable."),
+        typer.Option("--copy", metavar="/TOPIC", help="Also copy this topic, for example of a camera. Repeatable."),
     ] = None,
     view: Annotated[bool, typer.Option("--view", help="Show the drive in Rerun while it is mapped.")] = False,
     json: Json = False,

@@ -53,11 +53,11 @@ def train(
         int | None,
         typer.Option(
             min=1,
-            help="Of descriptellation_lr 50 maps each, 8 of them, with --maps 4; of the others all data, 100 times.",
+            help="By default 8 of 50 maps each for descriptellation_lr (4 with --maps), 100 for other networks.",
         ),
     ] = None,
     anew: Annotated[
-        bool, typer.Option("--anew", help="With --maps: begin with random weights instead of the shipped ones.")
+        bool, typer.Option("--anew", help="With --maps: start from random weights instead of the shipped ones.")
     ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the data and of the initial weights.")] = 0,
     device: Annotated[str, typer.Option(help="Device of torch: cpu, cuda, ...; descriptellation_lr: cpu.")] = "cpu",
@@ -68,9 +68,9 @@ def train(
 ) -> None:
     """Train a descriptor network on simulated maps, and descriptellation_lr on maps of your own, too.
 
-    With maps of your own the shipped weights are trained further, and kept where that makes nothing better there.
+    With maps of your own, training starts from the shipped weights, and keeps them if no epoch is better on these maps.
 
-    A training that was interrupted goes on from its last epoch when the same command is given again. The weights are
+    After an interruption the same command continues from the last epoch. The weights are
     those of the epoch with the best top 5 on validation maps; 'dslam replay --set
     loop_closure.descriptor=FOLDER/weights.safetensors' uses them.
 

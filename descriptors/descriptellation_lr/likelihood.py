@@ -131,5 +131,5 @@ def _load(path: Path) -> tuple[dict[str, NDArray[Any]], DescriptellationLRArchit
         raise WeightsError(f"{path}: a tensor is not finite; get it again")
     least_m = architecture.radius_m / MAX_RINGS
     if not 0.0 < least_m <= architecture.least_ring_m < np.inf or not 0.0 <= architecture.ring_growth < np.inf:
-        raise WeightsError(f"{path}: its rings are no rings: {architecture}")
+        raise WeightsError(f"{path}: its rings are invalid: {architecture}")
     return dict(weights.tensors), architecture

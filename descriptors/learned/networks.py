@@ -175,7 +175,7 @@ def _made(name: str) -> nn.Module:
     """
     network = make_own(name)
     if not isinstance(network, nn.Module):
-        raise DescriptorError(f"{name}: is no torch.nn.Module")
+        raise DescriptorError(f"{name}: is not a torch.nn.Module")
     if not any(True for _ in network.parameters()):
         raise DescriptorError(f"{name}: has no weights to train")
     if not isinstance(getattr(network, "length", None), int):

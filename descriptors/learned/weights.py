@@ -155,10 +155,10 @@ def _typed(path: Path, texts: Mapping[str, str], key: str, kind: type[_T]) -> _T
         value = json.loads(texts[key])
     except (KeyError, ValueError, RecursionError) as error:
         raise WeightsError(
-            f"{path}: metadata without a readable {key!r}; these are no weights of this program"
+            f"{path}: metadata without a readable {key!r}; these are not weights of this program"
         ) from error
     if not isinstance(value, kind):
-        raise WeightsError(f"{path}: {key!r} in the metadata is {value!r}, which is no {kind.__name__}")
+        raise WeightsError(f"{path}: {key!r} in the metadata is {value!r}, which is not a {kind.__name__}")
     return value
 
 

@@ -117,7 +117,7 @@ def _read_ply_header(stream: BinaryIO) -> _Layout:
             case ["property", code, name] if elements == ["vertex"] and code in _PLY_TYPES:
                 properties.append((name, _PLY_TYPES[code]))
             case ["property", *_] if elements == ["vertex"]:
-                raise ValueError(f"a vertex has {' '.join(words)!r}, which is no number")
+                raise ValueError(f"a vertex has {' '.join(words)!r}, which is not a number")
             case ["comment" | "obj_info" | "property", *_]:
                 pass
             case _:
@@ -125,7 +125,7 @@ def _read_ply_header(stream: BinaryIO) -> _Layout:
     else:
         raise ValueError("its header has no end")
     if elements[:1] != ["vertex"] or count < 0 or not properties:
-        raise ValueError(f"its first element is no vertex, or there are {count}")
+        raise ValueError(f"its first element is not a vertex, or there are {count}")
     names = tuple(name for name, _ in properties)
     kinds = tuple(np.dtype(order + code) for _, code in properties)
     return _checked(_Layout(names, kinds, (1,) * len(names), count, "binary" if order else "ascii"))

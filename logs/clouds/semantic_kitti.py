@@ -104,7 +104,9 @@ def _read(path: Path, dtype: str, width: int) -> np.ndarray:
         raise DatasetError(f"{path}: cannot be read ({error.strerror}); every scan needs its file") from error
     size = np.dtype(dtype).itemsize * width
     if len(data) % size:
-        raise DatasetError(f"{path}: {len(data)} bytes are no whole number of points of {size} bytes; it is cut off")
+        raise DatasetError(
+            f"{path}: {len(data)} bytes are not a multiple of {size}, the bytes of a point; it is cut off"
+        )
     return np.frombuffer(data, dtype=dtype).reshape(-1, width)
 
 

@@ -65,7 +65,7 @@ def decode(
 
 def _check(record: Record, limits: ReadingLimits) -> None:
     if not isinstance(record.stamp_ns, int):  # a definition that the log brings may say otherwise
-        raise Refusal("time is no whole number", f"{record.stamp_ns!r:.40} ns")
+        raise Refusal("time is not a whole number", f"{record.stamp_ns!r:.40} ns")
     if not 0 <= record.stamp_ns <= LAST_NS:
         raise Refusal("time out of range", f"{record.stamp_ns} ns")
     names: list[str] = []
@@ -76,6 +76,6 @@ def _check(record: Record, limits: ReadingLimits) -> None:
             raise Refusal("more objects than limits.objects", f"{len(values)}, more than {limits.objects}")
         names += values
     if any(type(name) is not str for name in names):
-        raise Refusal("name is no text")
+        raise Refusal("name is not text")
     if max(map(len, names), default=0) > limits.name_length:
         raise Refusal("name longer than limits.name_length", f"more than {limits.name_length} characters")

@@ -42,7 +42,7 @@ class FieldMapping:
         unknown = next((part for part in fields if part not in _PARTS), None)
         if unknown is not None or not ({"position"} <= fields.keys() or {"x", "y"} <= fields.keys()):
             raise TopicSelectionError(
-                f"{text!r} is no mapping of fields; write for example 'plants[] position=position label=kind' with the "
+                f"{text!r} is not a field mapping; write for example 'plants[] position=position label=kind' with the "
                 f"parts {', '.join(_PARTS)}"
             )
         return FieldMapping(objects.removesuffix("[]"), fields)

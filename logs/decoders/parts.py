@@ -119,7 +119,7 @@ def fix_records(context: Context, place: Place, message: Any) -> Records:
     """
     latitude, longitude, altitude_m = message.latitude, message.longitude, message.altitude
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
-        raise Refusal("no place on earth", f"latitude {latitude}, longitude {longitude}")
+        raise Refusal("not a latitude and longitude", f"latitude {latitude}, longitude {longitude}")
     P = None
     if message.position_covariance_type:
         if len(message.position_covariance) != 9:

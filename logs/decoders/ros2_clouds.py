@@ -31,7 +31,7 @@ def labelled_scan(message: Any, context: Context) -> Records:
         formats, offsets = zip(*fields.values(), strict=True) if fields else ((), ())
         kind = np.dtype({"names": [*fields], "formats": formats, "offsets": offsets, "itemsize": point_step})
     except (ValueError, TypeError) as error:
-        raise Refusal("fields of the points are none", str(error)) from error
+        raise Refusal("fields of the points are invalid", str(error)) from error
     points = image_rows(message, int(message.row_step), int(message.width) * point_step).view(kind).ravel()
     try:
         cloud = labelled_cloud({name: points[name] for name in fields}, ANY, "cloud").finite()

@@ -63,7 +63,7 @@ def camera_info(message: Any, context: Context) -> Records:
     if not K.any():
         return ()
     if not (np.isfinite(K).all() and K[0, 0] > 0.0 and K[1, 1] > 0.0):
-        raise Refusal("camera matrix is none", f"k={K.ravel().tolist()}")
+        raise Refusal("camera matrix is missing or invalid", f"k={K.ravel().tolist()}")
     return (CameraModel(*place_of(message.header, context), K, _finite(d), message.distortion_model),)
 
 

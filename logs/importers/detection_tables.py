@@ -140,7 +140,7 @@ class _Columns:
         if column is None:
             return None
         values = self.table.optional_numbers(column, LENGTH_UNITS)
-        self.table.refuse(values < 0.0, column, "CELL is no length; leave it empty if it is not known")
+        self.table.refuse(values < 0.0, column, "CELL is not a length; leave it empty if it is not known")
         return np.where(values > 0.0, values, np.nan)
 
 
@@ -221,7 +221,7 @@ def _covariances(columns: _Columns) -> FloatArray | None:
     wrong = P.any(axis=(1, 2)) & (np.linalg.eigvalsh(P)[:, 0] <= 0.0)
     names = Column(" ".join(column.name for column in there.values()), "")
     if wrong.any():
-        fault = "not positive definite, so no covariance; leave the cells empty if it is not known"
+        fault = "not positive definite; leave the cells empty if it is not known"
         raise table.error(int(wrong.argmax()), names, fault)
     return P
 

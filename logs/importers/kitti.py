@@ -141,7 +141,9 @@ def _rigid_transforms(name: str, lines: list[int], rows: FloatArray) -> FloatArr
     far = (np.abs(T[:, :3, 3]) > LARGEST_M).any(axis=1)
     if far.any():
         i = int(far.argmax())
-        raise DatasetError(f"{name}, line {lines[i]}: {T[i, :3, 3]} m is no place; correct it, or leave the line out")
+        raise DatasetError(
+            f"{name}, line {lines[i]}: {T[i, :3, 3]} m is not finite or too far away; correct it, or remove the line"
+        )
     U, _, Vt = np.linalg.svd(R)
     T[:, :3, :3] = U @ Vt
     return T

@@ -107,7 +107,7 @@ def _number_ns(table: Table, row: int, column: Column, cell: str) -> tuple[int, 
     elif exact < 0:
         fault = f"{cell} is before 0, which no log can hold; add a constant to all stamps"
     elif unit == 0 and exact != exact.to_integral_value():
-        fault = f"{cell} are no whole nanoseconds; name the columns and call this one stamp_s if it holds seconds"
+        fault = f"{cell} are not whole nanoseconds; name the columns and call this one stamp_s if it holds seconds"
     elif exact > Decimal(_LAST_NS).scaleb(-unit):  # the other way round, an exponent might overflow
         fault = f"{cell} {_UNITS[unit][1]} is a time after the year 2262; {_epoch_remedy(exact, unit)}"
     else:

@@ -122,7 +122,7 @@ def find_format(source: SourceText) -> TrajectoryFormat:
     if len(fields) == 12 and "," not in first:
         return TrajectoryFormat.KITTI
     raise DatasetError(
-        f"{source.name}, line {line}: {len(fields) if first else 0} values ({first[:40]!r}) are no pose; expected 8 "
+        f"{source.name}, line {line}: {len(fields) if first else 0} values ({first[:40]!r}) are not a pose; expected 8 "
         "(TUM: stamp x y z qx qy qz qw), 12 (KITTI: 3x4), CSV of EuRoC, or a first line that names the columns "
         "(stamp_s,x_m,y_m,z_m,qx,qy,qz,qw)"
     )
@@ -158,7 +158,7 @@ def _poses(table: Table) -> FloatArray:
         if column is not None:
             T[:, i, 3] = table.numbers(column, LENGTH_UNITS)
             too_far = np.abs(T[:, i, 3]) > LARGEST_M
-            table.refuse(too_far, column, "CELL m is no place; correct it, or leave the line out")
+            table.refuse(too_far, column, "CELL m is not finite or too far away; correct it, or remove the line")
         elif name != "z":
             table.need(name, f"{name}_m", (name,), LENGTH_UNITS)
     T[:, :3, :3] = _rotations(table)
@@ -180,7 +180,7 @@ def _rotations(table: Table) -> FloatArray:
     wrong = np.abs(norms - 1.0) > QUATERNION_NORM_TOLERANCE
     if wrong.any():
         row = int(wrong.argmax())
-        fault = f"a quaternion of norm {norms[row]:.4g} is no rotation; its norm must be 1"
+        fault = f"a quaternion of norm {norms[row]:.4g} is not a rotation; its norm must be 1"
         raise table.error(row, " ".join(column.name for column in columns), fault)
     return np.asarray(Rotation.from_quat(q_xyzw).as_matrix())
 

@@ -54,7 +54,7 @@ def _read_file_names(folder: Path) -> list[str]:
         raise UnreadableLogError(f"cannot read {path}: {error.strerror}; check the path") from error
     except (YAMLError, ValueError, OverflowError) as error:
         raise UnreadableLogError(
-            f"{path} is no description of a rosbag2 recording ({' '.join(str(error).split())}); "
+            f"{path} is not the metadata of a rosbag2 recording ({' '.join(str(error).split())}); "
             "'ros2 bag reindex' writes it anew"
         ) from error
     if not names:
@@ -83,5 +83,5 @@ def _file_names(events: Iterator[Any]) -> list[str]:
 def _text(event: Any) -> str:
     value = getattr(event, "value", None)
     if not isinstance(value, str):
-        raise ValueError(f"its {_LIST} are no texts")
+        raise ValueError(f"its {_LIST} are not text")
     return value

@@ -89,7 +89,7 @@ def _open(path: Path, name: str, limits: ReadingLimits, until_closed: ExitStack)
         return storage
     if path.name == METADATA_FILE:
         raise UnreadableLogError(f"{name} describes a rosbag2 recording; give the folder that it is in")
-    what = "is no MCAP file (it does not begin with the MCAP signature)" if magic else "is empty"
+    what = "is not an MCAP file (it does not begin with the MCAP signature)" if magic else "is empty"
     raise UnreadableLogError(
         f"{name} {what}; give a log that was recorded as MCAP, a rosbag2 folder or file (.mcap, .db3, .zstd), or a "
         "bag of ROS 1. Text files and point clouds become a log by 'dslam import'"

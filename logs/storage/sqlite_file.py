@@ -43,7 +43,7 @@ class SqliteFile:
             self._channels = self._read_channels()
         except _DATABASE_ERRORS as error:
             raise UnreadableLogError(
-                f"cannot read {name}: {error}; it is no database of rosbag2, or a damaged one"
+                f"cannot read {name}: {error}; not a rosbag2 database, or a damaged one"
             ) from error
 
     @property

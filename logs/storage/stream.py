@@ -35,7 +35,7 @@ def read_stream(stream: Any, counters: Counter[str], limits: ReadingLimits | Non
             message = parse_length_prefixed(StreamMessage, stream)
         except (DecodeError, ValueError) as error:
             raise UnreadableLogError(
-                f"the stream holds bytes that are no dslam.StreamMessage after its length: {error}"
+                f"the stream holds bytes that are not a dslam.StreamMessage after its length: {error}"
             ) from error
         if message is None:
             return

@@ -185,12 +185,12 @@ def _read_toml(path: Path) -> dict[str, Any]:
         with TextIOWrapper(open_regular(path), encoding="utf-8-sig") as stream:
             text = stream.read(_MAX_CHARACTERS + 1)
         if len(text) > _MAX_CHARACTERS:
-            raise ConfigurationError(f"{path} has more than {_MAX_CHARACTERS} characters; it is no file of settings")
+            raise ConfigurationError(f"{path} has more than {_MAX_CHARACTERS} characters; it is not a settings file")
         return tomllib.loads(text)
     except OSError as error:
         raise ConfigurationError(f"cannot read {path}: {error.strerror}; give the path of a TOML file") from error
     except ValueError as error:  # of TOML, of UTF-8, or a number with thousands of digits
-        raise ConfigurationError(f"{path} is no TOML: {error}; 'dslam config' prints a file to start from") from error
+        raise ConfigurationError(f"{path} is not TOML: {error}; 'dslam config' prints a file to start from") from error
 
 
 def _parse_override(text: str) -> tuple[str, object]:

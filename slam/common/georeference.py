@@ -97,7 +97,7 @@ class Georeference:
         try:
             return cls(**{name: float(value) for name, value in parse_json(text).items()})
         except (ValueError, TypeError, AttributeError) as error:
-            raise GeometryError(f"{text[:60]!r} is no georeference ({error})") from error
+            raise GeometryError(f"{text[:60]!r} is not a georeference ({error})") from error
 
 
 def _ecef(degrees: FloatArray) -> FloatArray:

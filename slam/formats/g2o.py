@@ -70,7 +70,7 @@ def read_pose_graph(path: str | Path) -> G2oFile:
     poses: dict[int, FloatArray] = {}
     for line in vertices:
         if line.ids[0] in poses:
-            raise InputDataError(f"{line.where}: vertex {line.ids[0]} is there already; leave one of the two lines out")
+            raise InputDataError(f"{line.where}: vertex {line.ids[0]} is defined twice; remove one of the two lines")
         poses[line.ids[0]] = _pose(line.where, line.numbers)
     size = 3 if len(edges[0].numbers) == 9 else 7
     known = {*poses, *(vertex for line in edges for vertex in line.ids)}
@@ -100,7 +100,7 @@ def _read_words(source: Path) -> Iterator[tuple[str, list[str]]]:
                 if words and not words[0].startswith("#"):
                     yield f"{source}, line {number}", words
         except UnicodeDecodeError as error:
-            raise InputDataError(f"{source} is no text; give a g2o file") from error
+            raise InputDataError(f"{source} is not text; give a g2o file") from error
 
 
 def _parse(where: str, words: Sequence[str]) -> _Line:
@@ -112,16 +112,16 @@ def _parse(where: str, words: Sequence[str]) -> _Line:
         )
     for word in words[1 : 1 + id_count]:
         if not (word.isascii() and word.isdigit() and len(word) <= 18):
-            raise InputDataError(f"{where}: {word!r} is no vertex; ids are whole numbers from 0 to 10^18")
+            raise InputDataError(f"{where}: {word!r} is not a vertex; ids are whole numbers from 0 to 10^18")
     ids = tuple(map(int, words[1 : 1 + id_count]))
     if tag.startswith("EDGE") and ids[0] == ids[1]:
-        raise InputDataError(f"{where}: an edge from vertex {ids[0]} to itself; leave it out")
+        raise InputDataError(f"{where}: an edge from vertex {ids[0]} to itself; remove it")
     try:
         numbers = np.array([float(word) for word in words[1 + id_count :]])
     except ValueError as error:
         raise InputDataError(f"{where}: {error}") from error
     if not np.isfinite(numbers).all():
-        raise InputDataError(f"{where}: a number is not finite; leave the line out or mend it")
+        raise InputDataError(f"{where}: a number is not finite; remove or correct the line")
     return _Line(where, ids, numbers)
 
 
@@ -161,7 +161,7 @@ def _information(where: str, upper: FloatArray) -> FloatArray:
     if least <= 1e-12 * float(np.abs(information).max()):
         raise InputDataError(
             f"{where}: the information matrix is not positive definite (least eigenvalue {least:.3g}); "
-            "give what is unknown a small positive value"
+            "give unknown directions a small positive value"
         )
     return information if size == 3 else information[TRANSLATION_FIRST[:, None], TRANSLATION_FIRST]
 

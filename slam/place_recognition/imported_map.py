@@ -226,7 +226,7 @@ def load_imported_map(path: str | os.PathLike[str]) -> ImportedMap:
     with LogReader(path) as reader:
         about = reader.metadata().get(METADATA, {})
         if about.get("kind") != KIND or about.get("format_version") != FORMAT_VERSION:
-            raise SavedMapError(f"{path} is no imported map of format version {FORMAT_VERSION}; {MAKE_IT}")
+            raise SavedMapError(f"{path} is not an imported map of format version {FORMAT_VERSION}; {MAKE_IT}")
     try:
         return _assembled(about, read_arrays(Path(path), checked=_CHECKED))
     except LogError as error:
@@ -272,11 +272,9 @@ def _checked_spacing(positions: FloatArray) -> float:
     extent_m = float(np.ptp(plane, axis=0).max())
     spacing_m = float(np.median(np.asarray(cKDTree(plane).query(plane, k=2)[0])[:, 1]))
     if extent_m > MAX_EXTENT_M:
-        raise SavedMapError(
-            f"the objects extend over {extent_m / 1000.0:.0f} km, which is no plane; cut the map to a region"
-        )
+        raise SavedMapError(f"the objects extend over {extent_m / 1000.0:.0f} km, too much for a plane; crop the map")
     if spacing_m < MIN_SPACING_M and np.abs(plane).max() <= 180.0:
         raise SavedMapError(
-            f"the objects are {spacing_m:.2g} m apart, so these are degrees and no metres; call the columns lat and lon"
+            f"the objects are {spacing_m:.2g} m apart, so these are degrees, not metres; call the columns lat and lon"
         )
     return max(spacing_m, MIN_SPACING_M)

@@ -19,7 +19,7 @@ class RegistrationConfig(Branch):
     """Registration of one constellation of objects with another."""
 
     gate_sigma: float = Field(
-        default=3.0, gt=0, description="residuals and differences of lengths beyond that many sigmas are no match"
+        default=3.0, gt=0, description="residuals and differences of lengths beyond that many sigmas do not match"
     )
     height_sigma_m: float = Field(
         default=0.3, ge=0, description="noise of heights beyond that of the position, e.g. of objects seen in part [m]"

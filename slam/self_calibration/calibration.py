@@ -79,7 +79,7 @@ _MEANINGS = {
     "detection.assume_body_frame": "detections are in the frame of the body, not in the one that they name",
     "detection.assume_odometry_frame": "detections are in the frame of the odometry, not in the one that they name",
     "detection.claimed_sigma_factor": "detections scatter {:.2g} times as much as their covariances say",
-    "objects.max_classes": "labels of one object seem drawn at random, or all change at once: they are ignored",
+    "objects.max_classes": "labels of one object change at random, or all at once: they are ignored",
 }
 """What a correction says, for people."""
 _SUSPICIONS = {
@@ -112,7 +112,9 @@ def calibrate(config: Config, survey: Survey | None, delays: LoggingDelays = NO_
     ``delays``: how long after their stamps messages were logged, which tells whose stamps are wrong.
     """
     if survey is None:
-        return CalibratedLog(config, notes=("no detection lies on the odometry: nothing was estimated from the log",))
+        return CalibratedLog(
+            config, notes=("no detection is within the time of the odometry: nothing was estimated from the log",)
+        )
     corrections = _corrections(survey, delays)
     lengths, floors = _lengths(config, survey), _floors(survey)
     noise = _noise(config, survey)
@@ -320,8 +322,8 @@ def _notes(survey: Survey, corrections: Mapping[str, float]) -> Iterator[str]:
             yield f"{meaning.format(corrections[key])}: corrected ({key})"
     if survey.lacks_heading:
         yield (
-            "the odometry's heading never changes, and objects do not stand still by it: it seems to hold positions "
-            "only; record its orientations"
+            "the heading of the odometry never changes although objects seem to turn: it seems to hold positions "
+            "only; record orientations"
         )
     if survey.detour > MAX_DETOUR and "odometry.sources" not in corrections:
         yield (
@@ -330,8 +332,8 @@ def _notes(survey: Survey, corrections: Mapping[str, float]) -> Iterator[str]:
         )
     if survey.clutter.share > MAX_FALSE and survey.components is not None:
         yield (
-            f"{survey.clutter.per_scan:.0f} of {survey.objects:.0f} detections a scan are never seen again: they seem "
-            "false; leave out doubtful ones (detection.min_score) or check the detector"
+            f"{survey.clutter.per_scan:.0f} of {survey.objects:.0f} detections a scan are never seen again and are "
+            "probably false; raise calibration.detection.min_score or check the detector"
         )
     scan_m = survey.travel_m / survey.scans
     if scan_m * MIN_SCANS > survey.median_range_m:
@@ -342,7 +344,7 @@ def _notes(survey: Survey, corrections: Mapping[str, float]) -> Iterator[str]:
     if survey.components is not None and survey.components.repeated > 1:
         yield f"detections repeat their errors over {survey.components.repeated} scans or more: their noise is larger"
     if survey.components is None:
-        yield "too few objects could be tracked to estimate noise: it is taken to be large"
+        yield "too few objects could be tracked to estimate noise: a large noise is assumed"
 
 
 def _suspicions(survey: Survey) -> Iterator[str]:

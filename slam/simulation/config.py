@@ -23,16 +23,14 @@ class DriveConfig(_Branch):
     corner_smoothing_m: float = Field(
         default=1.5, ge=0, le=20, description="sigma of the Gaussian along the tour that rounds its corners [m]"
     )
-    max_yaw_rate_radps: float = Field(
-        default=0.8, gt=0, le=10, description="turning rate that bends are slowed down to [rad/s]"
-    )
+    max_yaw_rate_radps: float = Field(default=0.8, gt=0, le=10, description="maximum turning rate in bends [rad/s]")
     max_lateral_acceleration_mps2: float = Field(
-        default=2.0, gt=0, le=50, description="bends are slowed down to it [m/s^2]"
+        default=2.0, gt=0, le=50, description="maximum lateral acceleration in bends [m/s^2]"
     )
     max_acceleration_mps2: float = Field(
-        default=2.0, gt=0, le=50, description="limit on braking and speeding up [m/s^2]"
+        default=2.0, gt=0, le=50, description="maximum acceleration and deceleration [m/s^2]"
     )
-    start_day: int = Field(default=0, ge=0, le=36500, description="days after 2023-11-14 on which it begins [d]")
+    start_day: int = Field(default=0, ge=0, le=36500, description="start of the drive, days after 2023-11-14 [d]")
 
 
 class OdometryConfig(_Branch):
@@ -52,21 +50,23 @@ class OdometryConfig(_Branch):
 class SensorConfig(_Branch):
     """What the object detector sees and how wrong it is."""
 
-    max_range_m: float = Field(default=30.0, gt=0, le=1000, description="objects beyond it are not seen [m]")
+    max_range_m: float = Field(default=30.0, gt=0, le=1000, description="range of the sensor [m]")
     field_of_view_deg: float = Field(
-        default=360.0, gt=0, le=360, description="horizontal, centred on straight ahead [deg]"
+        default=360.0, gt=0, le=360, description="horizontal field of view, centred ahead [deg]"
     )
-    occlusion: bool = Field(default=True, description="nearer objects hide what stands in their shadow")
+    occlusion: bool = Field(default=True, description="nearer objects occlude farther ones")
     occluder_radius_m: float = Field(
-        default=0.25, ge=0, le=10, description="radius of the shadow that an object casts [m]"
+        default=0.25, ge=0, le=10, description="radius of an object that occludes others [m]"
     )
     noise_base_m: float = Field(
         default=0.1, ge=0, le=10, description="position noise per axis at range zero, 1 sigma [m]"
     )
-    noise_per_m: float = Field(default=0.01, ge=0, le=1, description="growth of that noise with the range [m / m]")
+    noise_per_m: float = Field(
+        default=0.01, ge=0, le=1, description="growth of the position noise with the range [m / m]"
+    )
     dropout: float = Field(default=0.1, ge=0, le=1, description="probability that a visible object is missed in a scan")
     false_positives_per_scan: float = Field(
-        default=0.5, ge=0, le=1000, description="mean number of invented objects a scan"
+        default=0.5, ge=0, le=1000, description="mean number of false objects a scan"
     )
     misclassification: float = Field(
         default=0.1, ge=0, le=1, description="probability of a wrong label at max_range_m; linear in the range, 0 at 0"
@@ -83,19 +83,23 @@ class TrafficConfig(_Branch):
     lane_offset_m: float = Field(
         default=2.0, ge=0, le=20, description="distance from the tour to the vehicle's right [m]"
     )
-    radius_m: float = Field(default=1.0, ge=0, le=10, description="radius of the shadow that a vehicle casts [m]")
+    radius_m: float = Field(default=1.0, ge=0, le=10, description="radius of a vehicle that occludes objects [m]")
 
 
 class KidnapConfig(_Branch):
     """The robot is taken from one place of the tour to another, while nothing is logged or unnoticed."""
 
-    from_m: float = Field(gt=0, description="metres along the tour at which it is taken")
-    to_m: float = Field(ge=0, description="metres along the tour at which it continues, to the tour's end")
+    from_m: float = Field(gt=0, description="distance along the tour at which the robot is kidnapped [m]")
+    to_m: float = Field(ge=0, description="distance along the tour at which the drive continues, to its end [m]")
     gap_s: float = Field(default=5.0, gt=0, le=86400, description="time without messages [s]")
-    before_m: float | None = Field(default=None, gt=0, description="only so much is driven before it [m]")
-    after_m: float | None = Field(default=None, gt=0, description="... and only so much after it [m]")
+    before_m: float | None = Field(
+        default=None, gt=0, description="travel before the kidnapping; not set: from the start of the tour [m]"
+    )
+    after_m: float | None = Field(
+        default=None, gt=0, description="travel after it; not set: to the end of the tour [m]"
+    )
     silent: bool = Field(
-        default=False, description="no such time: the odometry continues as if the robot had driven straight on"
+        default=False, description="without a gap: the odometry continues as if the robot had driven straight on"
     )
 
 
@@ -106,7 +110,7 @@ class SimulationConfig(_Branch):
     odometry: OdometryConfig = OdometryConfig()
     sensor: SensorConfig = SensorConfig()
     traffic: TrafficConfig = TrafficConfig()
-    kidnap: KidnapConfig | None = Field(default=None, description="take the robot elsewhere once")
+    kidnap: KidnapConfig | None = Field(default=None, description="kidnap the robot once")
 
 
 def load_simulation_config(path: Path | None = None, overrides: Sequence[str] = ()) -> SimulationConfig:

@@ -61,7 +61,7 @@ def test_example_of_the_page_is_found_in_the_current_folder_and_finds_objects() 
             "0 is not finite",
         ),
         ("name = 'a'\n    radius_m = 20.0\n    def describe(self, c): return c.nothing", "AttributeError"),
-        ("name = 'a'\n    radius_m = 'far'\n    def describe(self, c): return 1", "no length"),
+        ("name = 'a'\n    radius_m = 'far'\n    def describe(self, c): return 1", "not a length"),
         ("name = 'a'\n    radius_m = 0.0\n    def describe(self, c): return 1", "above 0"),
     ],
 )
@@ -123,5 +123,5 @@ def test_network_that_gives_no_vectors_is_refused_by_its_name(mine: Path, body: 
 
 def test_class_that_is_no_network_is_refused(mine: Path) -> None:
     (mine / "mine.py").write_text("class Net:\n    length = 3\n")
-    with pytest.raises(DescriptorError, match=r"mine:Net: is no torch.nn.Module"):
+    with pytest.raises(DescriptorError, match=r"mine:Net: is not a torch.nn.Module"):
         small_training("mine:Net")

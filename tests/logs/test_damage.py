@@ -158,7 +158,7 @@ def test_an_empty_file(tmp_path):
 def test_not_an_mcap(tmp_path):
     path = tmp_path / "text.mcap"
     path.write_text("x,y,z\n1,2,3\n")
-    with pytest.raises(UnreadableLogError, match=r"text\.mcap is no MCAP"):
+    with pytest.raises(UnreadableLogError, match=r"text\.mcap is not an MCAP"):
         LogReader(path)
 
 

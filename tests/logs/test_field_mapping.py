@@ -61,7 +61,7 @@ def test_fields_of_own_messages_become_detections(log: Path) -> None:
 def test_mapping_without_position_or_with_unknown_part_is_refused(log: Path, fields: str) -> None:
     with (
         LogReader(log) as reader,
-        pytest.raises(TopicSelectionError, match="is no mapping of fields; write"),
+        pytest.raises(TopicSelectionError, match="is not a field mapping; write"),
     ):
         select_topics(reader.topics(), {"detections": f"/plants:{fields}"})
 

@@ -131,7 +131,7 @@ LISTED = "rosbag2_bagfile_information:\n  {before}\n  relative_file_paths: [a.db
 @pytest.mark.parametrize("value", ["!!int ''", "!!float ''", '"\\Uffffffff"', "59:" * 300 + "0.5", "[" * 3000])
 def test_a_description_of_a_recording_that_holds_what_yaml_cannot(tmp_path: Path, value: str) -> None:
     (tmp_path / "metadata.yaml").write_text(LISTED.format(before=f"a: {value}"), encoding="utf-8")
-    with pytest.raises(UnreadableLogError, match=r"no description of a rosbag2 recording|names a\.db3"):
+    with pytest.raises(UnreadableLogError, match=r"not the metadata of a rosbag2 recording|names a\.db3"):
         find_bag_files(tmp_path)
 
 
@@ -212,7 +212,7 @@ def poses_message(seconds: str, frame: str) -> RawMessage:
 def test_definitions_that_say_other_types_than_usual() -> None:
     (record,) = decode(poses_message("int32", "string"), RecordKind.DETECTIONS)
     assert record.stamp_ns == 10**9
-    with pytest.raises(InvalidRecordError, match="name is no text"):
+    with pytest.raises(InvalidRecordError, match="name is not text"):
         decode(poses_message("int32", "int32"), RecordKind.DETECTIONS)
     for seconds in ("float64", "string"):
         with pytest.raises(InvalidRecordError, match="unknown version"):

@@ -132,7 +132,9 @@ NONE = "rosbag2_bagfile_information: "
 def test_metadata_that_is_none(bags: dict[str, Path], tmp_path: Path, text: str) -> None:
     bag = break_bag(bags["mcap"], tmp_path)
     (bag / "metadata.yaml").write_text(text)
-    with pytest.raises(UnreadableLogError, match=r"metadata\.yaml is no description of a rosbag2 recording") as caught:
+    with pytest.raises(
+        UnreadableLogError, match=r"metadata\.yaml is not the metadata of a rosbag2 recording"
+    ) as caught:
         LogReader(bag)
     assert "\n" not in str(caught.value)
 

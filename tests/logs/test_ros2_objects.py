@@ -277,5 +277,5 @@ def test_clouds_without_a_class_or_cut_off_are_refused() -> None:
         scan_of(cloud(points))
     with pytest.raises(InvalidRecordError, match="lengths disagree"):
         scan_of(cloud(points, width=4))
-    with pytest.raises(InvalidRecordError, match="fields of the points are none"):
+    with pytest.raises(InvalidRecordError, match="fields of the points are invalid"):
         scan_of(cloud(points, point_step=4, row_step=12))

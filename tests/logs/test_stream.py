@@ -40,5 +40,5 @@ def test_messages_that_are_no_input_are_counted() -> None:
 def test_stream_that_breaks_off_in_a_message_is_refused(kept: int) -> None:
     stream = BytesIO()
     write_stream(stream, "/detections", SEEN, 5)
-    with pytest.raises(UnreadableLogError, match="no dslam"):
+    with pytest.raises(UnreadableLogError, match="not a dslam"):
         list(read_stream(BytesIO(stream.getvalue()[:kept]), Counter()))

@@ -41,12 +41,12 @@ def pose(x=0.0, qx=0.0, qy=0.0, qz=0.0, qw=1.0):
 def test_numbers_that_are_not_finite_are_refused(bad, field):
     with pytest.raises(InvalidRecordError, match=r"/topic at 77 ns: ") as caught:
         decode(pose(**{field: bad}), "odometry")
-    assert caught.value.reason in ("position is not finite", "quaternion is no rotation")
+    assert caught.value.reason in ("position is not finite", "quaternion is not a rotation")
 
 
 @pytest.mark.parametrize("qw", [0.0, 0.5, 1.02, 0.98, 1e154, -1.7e308])
 def test_quaternions_that_are_none_are_refused(qw):
-    with pytest.raises(InvalidRecordError, match="quaternion is no rotation"):
+    with pytest.raises(InvalidRecordError, match="quaternion is not a rotation"):
         decode(pose(qw=qw), "odometry")
 
 
@@ -179,10 +179,10 @@ def test_covariances_of_fewer_poses_than_there_are_are_refused():
 
 def test_a_stored_matrix_that_is_no_rotation_is_refused():
     message = pb.Trajectory(stamp_ns=1, stamps_ns=[1], map_body=[2.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0])
-    with pytest.raises(InvalidRecordError, match="no rotation"):
+    with pytest.raises(InvalidRecordError, match="not a rotation"):
         decode(raw(message), "trajectory")
     mirrored = pb.Trajectory(stamp_ns=1, stamps_ns=[1], map_body=[-1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0])
-    with pytest.raises(InvalidRecordError, match="no rotation"):
+    with pytest.raises(InvalidRecordError, match="not a rotation"):
         decode(raw(mirrored), "trajectory")
 
 

@@ -84,7 +84,7 @@ TEXTS = {
         "no column for x among stamp_s, lat, lon", detections=TABLE.replace("x_m,y_m", "lat,lon")
     ),
     "scores in percent": Text("score", detections=TABLE.replace("label", "score").replace("tree", "95")),
-    "an unknown format": Text("none of tum, kitti, euroc, csv", options=("--format", "g2o")),
+    "an unknown format": Text("not one of tum, kitti, euroc, csv", options=("--format", "g2o")),
 }
 
 
@@ -176,7 +176,7 @@ MAPS = {
     "a table in metres": (MAP, (), 0, "origin unknown: give --origin"),
     "a table in degrees": (PLACES, (), 0, "origin at latitude 60.1"),
     "degrees called metres": (PLACES.replace("lat,lon", "x_m,y_m"), (), 2, "call the columns lat and lon"),
-    "latitude and longitude swapped": (PLACES.replace("60.1", "160.1"), (), 2, "the other way round"),
+    "latitude and longitude swapped": (PLACES.replace("60.1", "160.1"), (), 2, "are swapped"),
     "a national grid": (GRID, ("--origin", "60,24"), 2, "national grid"),
     "three objects": (MAP.rpartition("6,8")[0], (), 2, "needs four at least"),
     "an id twice": (MAP.replace("label", "id").replace("pole", "tree"), (), 2, "is taken by line 2"),
@@ -199,8 +199,8 @@ def check(result: Result, code: int, told: str) -> None:
 
 
 MALFORMED: dict[str, tuple[Record, str]] = {
-    "a scaled rotation": (Odometry(0, np.diag([2.0, 2.0, 2.0, 1.0])), "no rotation"),
-    "a mirrored rotation": (Odometry(0, np.diag([1.0, -1.0, 1.0, 1.0])), "no rotation"),
+    "a scaled rotation": (Odometry(0, np.diag([2.0, 2.0, 2.0, 1.0])), "not a rotation"),
+    "a mirrored rotation": (Odometry(0, np.diag([1.0, -1.0, 1.0, 1.0])), "not a rotation"),
     "a transposed transform": (Odometry(0, np.eye(4) + np.eye(4, k=-3)), "a transform maps columns"),
     "seconds for nanoseconds": (Odometry(1.5, np.eye(4)), "whole number of nanoseconds"),
     "positions in the plane": (

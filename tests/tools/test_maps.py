@@ -126,7 +126,7 @@ class TestRelocalize:
         arguments = ("relocalize", folder / "other.mcap", "--map", town, "-o", tmp_path / "out.mcap")
         result = dslam(*arguments, "--picture", picture)
         assert result.code == 1
-        assert "none: the map was not recognised" in result.out
+        assert "none: no place of the map was recognised" in result.out
         assert "tracked        0 %" in result.out
         assert not picture.exists()
         assert records_of(tmp_path / "out.mcap", "/slam/relocalizations") == []
@@ -327,7 +327,7 @@ class TestBadMaps:
             ("missing", ("cannot read", "check the path")),
             ("folder", ("cannot read", "directory")),
             ("nothing", ("is empty",)),
-            ("text", ("no MCAP",)),
+            ("text", ("not an MCAP",)),
             ("truncated", ("damaged",)),
             ("altered", ("damaged",)),
             ("log", ("is a log, but no map", "--save-map")),

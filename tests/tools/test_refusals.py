@@ -23,7 +23,7 @@ class TestRefusals:
         text.write_text("no log, but long enough to have a signature")
         assert_refused(dslam(command, tmp_path / "none.mcap", *more), "none.mcap", "No such file")
         assert_refused(dslam(command, empty, *more), "empty.mcap", "is empty")
-        assert_refused(dslam(command, text, *more), "text.mcap", "no MCAP")
+        assert_refused(dslam(command, text, *more), "text.mcap", "not an MCAP")
         assert_refused(dslam(command, tmp_path, *more), "directory")
         assert not list(tmp_path.glob("out*"))
 

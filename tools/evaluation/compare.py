@@ -54,8 +54,8 @@ def compare(
 ) -> None:
     """Evaluate several maps, and print them side by side.
 
-    Runs of one version and configuration are taken as its repetitions, and
-    differences that exceed their spread are marked.
+    Runs of one version and configuration count as repetitions; differences
+    larger than their spread are marked.
 
     Example: dslam compare a1.mcap a2.mcap a3.mcap b1.mcap b2.mcap b3.mcap --table ab.html --table ab.tex
     """
@@ -126,4 +126,4 @@ def _refuse_copies(logs: Sequence[Path]) -> None:
     for log in logs:
         first = seen.setdefault(file_sha256(log), log)
         if first is not log:
-            raise EvaluationError(f"{first} and {log} are the same run, byte for byte; give each run once")
+            raise EvaluationError(f"{first} and {log} are the same run (equal bytes); give each run once")

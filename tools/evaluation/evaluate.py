@@ -45,7 +45,9 @@ def evaluate(
     map_run: MapRun = None,
     protocol: Protocols = None,
     require: Require = None,
-    every: Annotated[bool, typer.Option("--all", help="Print every figure, not only the six lines.")] = False,
+    every: Annotated[
+        bool, typer.Option("--all", help="Print all figures, not only the six lines of the summary.")
+    ] = False,
     rules: Rules = False,
 ) -> None:
     """Compare a map with the truth: trajectory, associations, landmarks, loop closures.

@@ -22,7 +22,7 @@ Reference = Annotated[
     Path | None,
     typer.Option(
         metavar="LOG|POSES",
-        help="Take the truth from this log, or from poses of the body: TUM, KITTI, EuRoC or CSV, also .gz.",
+        help="Ground truth: a log, or poses of the body (TUM, KITTI, EuRoC or CSV, also .gz).",
         show_default=False,
     ),
 ]
@@ -34,7 +34,7 @@ Times = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Seconds of each pose in KITTI's format; not needed for one pose a message of the odometry.",
+        help="Seconds of each pose in KITTI's format; not needed for one pose an odometry message.",
         show_default=False,
     ),
 ]
@@ -53,7 +53,9 @@ MapRun = Annotated[
 JsonFile = Annotated[Path | None, typer.Option("--json-file", metavar="FILE", help="Write the JSON object to a file.")]
 Require = Annotated[
     list[str] | None,
-    typer.Option(metavar="KEY<=NUMBER", help="Exit with 1 unless it holds (<= >= == < >), of every run. Repeatable."),
+    typer.Option(
+        metavar="KEY<=NUMBER", help="Exit with 1 unless this condition (<= >= == < >) holds for every run. Repeatable."
+    ),
 ]
 Protocols = Annotated[
     list[str] | None,

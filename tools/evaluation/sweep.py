@@ -15,20 +15,20 @@ from tools.evaluation.output import Findings, JsonFile, Require, Rules, report
 def sweep(
     log: InputLog,
     folder: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results; finished ones are kept.")
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results; finished ones are reused.")
     ],
     degrade: Annotated[
         list[str] | None,
         typer.Option(
             metavar="KEY=VALUE,...",
-            help="Options of 'dslam degrade' that belong together. Repeatable; without it five usual ones.",
+            help="Options of 'dslam degrade', joined by commas. Repeatable; by default five degradations.",
         ),
     ] = None,
     variant: Annotated[
         list[str] | None,
         typer.Option(
             metavar="KEY=VALUE;...",
-            help="Settings, joined by ;, to compare with those of the others over the same drives. Repeatable.",
+            help="Settings to compare over the same drives, joined by semicolons. Repeatable.",
         ),
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="Seeds of each degradation.")] = 3,
@@ -85,7 +85,7 @@ def sweep(
         parts=[
             *(console.frame(table, title=f"\n{title}") for title, table in make_tables(sweep).items()),
             NOTE,
-            f"{sweep.computed} cells computed in {sweep.wall_s:.0f} s, {reused} were there before",
+            f"{sweep.computed} cells computed in {sweep.wall_s:.0f} s, {reused} reused",
             f"written: {', '.join(map(str, written))}",
         ],
         runs={cell.name: result.evaluation for cell, result in sweep.results if result.evaluation is not None},

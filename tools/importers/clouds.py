@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 CloudFile = Annotated[Path, typer.Option(metavar="FILE", help="PLY with x, y, z, class and the number of the object.")]
 AnyCloud = Annotated[
-    Path, typer.Option(metavar="FILE", help="With fields x, y, z, class or label, and perhaps instance.")
+    Path, typer.Option(metavar="FILE", help="File with the fields x, y, z, class or label, and optionally instance.")
 ]
 Names = Annotated[
     list[str] | None,
     typer.Option(
-        "--name", metavar="NUMBER=CLASS", help="Number and name of a class; by default all but 0. Repeatable."
+        "--name", metavar="NUMBER=CLASS", help="Number and name of a class; by default all classes but 0. Repeatable."
     ),
 ]
 
@@ -36,11 +36,15 @@ def semantic_kitti(
         Path | None,
         typer.Option(metavar="FOLDER", help="A sequence: velodyne/, labels/, poses.txt, calib.txt and times.txt."),
     ] = None,
-    scans: Annotated[Path | None, typer.Option(metavar="FOLDER", help="NNNNNN.bin, where not of --sequence.")] = None,
-    labels: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="NNNNNN.label, for example predictions.")
+    scans: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Folder of NNNNNN.bin, if not in --sequence.")
     ] = None,
-    odometry: Annotated[Path | None, typer.Option(metavar="POSES", help="Of the left camera, KITTI format.")] = None,
+    labels: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Folder of NNNNNN.label, for example predictions.")
+    ] = None,
+    odometry: Annotated[
+        Path | None, typer.Option(metavar="POSES", help="Poses of the left camera in KITTI's format.")
+    ] = None,
     calib: Annotated[Path | None, typer.Option(metavar="FILE", help="KITTI's calib.txt.")] = None,
     times: Annotated[Path | None, typer.Option(metavar="FILE", help="KITTI's times.txt, seconds.")] = None,
     ground_truth: Annotated[

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 NewMap = Annotated[Path, typer.Argument(metavar="MAP.mcap", help="The map to write.", show_default=False)]
 Origin = Annotated[
     str | None,
-    typer.Option(metavar="LAT,LON", help="Origin of the map; by default the median of objects in degrees."),
+    typer.Option(metavar="LAT,LON", help="Origin of the map; by default the median position of objects in degrees."),
 ]
-Label = Annotated[str | None, typer.Option("--class", metavar="NAME", help="Take all objects to be of that class.")]
+Label = Annotated[str | None, typer.Option("--class", metavar="NAME", help="Give all objects this class.")]
 Sigma = Annotated[
     float, typer.Option("--sigma", metavar="METRES", min=0.01, help="Standard deviation of a coordinate of an object.")
 ]
@@ -29,11 +29,13 @@ SURVEYED_SIGMA_M, DRAWN_SIGMA_M = 0.3, 1.0
 
 def osm(
     output: NewMap,
-    file: Annotated[Path, typer.Option(metavar="FILE", help="An extract: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")],
+    file: Annotated[
+        Path, typer.Option(metavar="FILE", help="Extract of OpenStreetMap: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")
+    ],
     tag: Annotated[
         list[str] | None,
         typer.Option(
-            "--tag", metavar="KEY[=VALUE]", help="Tag of the objects, instead of street furniture. Repeatable."
+            "--tag", metavar="KEY[=VALUE]", help="Tag of the objects, instead of those of street furniture. Repeatable."
         ),
     ] = None,
     origin: Origin = None,

@@ -185,7 +185,7 @@ def _obstacle(summary: LogSummary) -> str:
     if info_map.METADATA in summary.metadata:
         return info_map.OBSTACLE
     if METADATA in summary.metadata:
-        return "this is the map of another log; replay that one"
+        return "this is the map of another log; replay that log"
     return summary.obstacle.partition(" Topics of the log:")[0]  # they stand above
 
 

@@ -45,15 +45,15 @@ def show_map(path: Path, now: datetime) -> None:
         "landmarks": f"{summary.landmark_count} confirmed, of {len(summary.classes)} classes "
         f"(vocabulary of {summary.vocabulary_size}); standard deviation {summary.median_sigma_m:.2f} m in the median, "
         "in the plane, from the origin of the map",
-        "keyframes": f"{summary.keyframe_count}, tied by {summary.odometry_edge_count} steps of odometry, "
+        "keyframes": f"{summary.keyframe_count}, connected by {summary.odometry_edge_count} steps of odometry, "
         f"{summary.closure_count} closures and {summary.observation_count} observations of landmarks",
         "extent": f"{summary.width_m:.0f} m x {summary.height_m:.0f} m (x and y); {summary.path_m:.0f} m driven",
         "drives": "\n".join(_drive(drive) for drive in summary.drives),
         "last drive": when(summary.stamp_ns, now),
-        "descriptors": "none stored: they are computed when the map is loaded, so any can be configured; that of the "
-        f"last drive was {summary.descriptor or 'not told'}",
-        "to go on": f"dslam replay LOG -o OUT.mcap --map {path} --save-map NEW.mcap",
-        "to find a robot": f"dslam relocalize LOG --map {path} -o OUT.mcap",
+        "descriptors": "computed when the map is loaded, by the configured descriptor; that of the last drive was "
+        f" {summary.descriptor or 'not recorded'}",
+        "to extend it": f"dslam replay LOG -o OUT.mcap --map {path} --save-map NEW.mcap",
+        "to localize in it": f"dslam relocalize LOG --map {path} -o OUT.mcap",
     }
     console.show(console.pairs(rows), "", _class_table(summary), "")
 
@@ -109,8 +109,8 @@ def _imported_rows(path: Path, imported: ImportedMap) -> dict[str, str]:
         "index": f"{plain['quad_count']} quads of neighbouring landmarks",
         "extent": f"{width_m:.0f} m x {height_m:.0f} m (x and y)",
         "origin": "unknown" if origin is None else f"latitude {origin[0]:.6f}, longitude {origin[1]:.6f}",
-        "to find a robot": f"dslam relocalize LOG --map {path} -o OUT.mcap",
-        "to go on": f"dslam replay LOG -o OUT.mcap --map {path}",
+        "to localize in it": f"dslam relocalize LOG --map {path} -o OUT.mcap",
+        "to extend it": f"dslam replay LOG -o OUT.mcap --map {path}",
     }
 
 

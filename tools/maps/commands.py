@@ -85,7 +85,7 @@ def merge(
     Example: dslam map merge monday_map.mcap tuesday_map.mcap -o town.mcap
     """
     if len(map_logs) < 2:
-        raise typer.BadParameter("one map is no two; give the maps to join.")
+        raise typer.BadParameter("give at least two maps.")
     check_outputs([output], map_logs)
     from slam.localization.imported_map_editing import merge_imported_maps
     from slam.localization.prior_map import load_prior_map
@@ -126,10 +126,10 @@ def _merge_driven(maps: list[tuple[Path, SavedMap]]) -> SavedMap:
     if not isinstance(merged, MergedMap):
         raise SavedMapError(
             f"no place of {', '.join(str(maps[number][0]) for number in merged)} is recognised in the other maps, and "
-            "they are not all georeferenced, so nothing tells how they lie to each other"
+            "not all maps are georeferenced, so their relative poses are unknown"
         )
     for (path, _), recognised in list(zip(maps, merged.recognised, strict=True))[1:]:
-        console.show(f"{path}: {f'{recognised} places recognised' if recognised else 'no place recognised by itself'}")
+        console.show(f"{path}: {f'{recognised} places recognised' if recognised else 'no place recognised'}")
     console.show(f"{merged.shared} landmarks in more than one map, {len(merged.saved.objects.ids)} in all")
     for sha256 in merged.repeated:
         console.show(

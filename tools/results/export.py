@@ -38,7 +38,7 @@ def export(
         ),
     ],
     of: Annotated[
-        Track, typer.Option("--of", help="Which poses --tum, --kitti and --ros2-bag hold: those of the final map, ...")
+        Track, typer.Option("--of", help="Poses for --tum, --kitti and --ros2-bag: of the final map, online, ...")
     ] = Track.ESTIMATE,
     tum: Annotated[Path | None, _file("Trajectory: stamp x y z qx qy qz qw.")] = None,
     kitti: Annotated[Path | None, _file("Trajectory: 3 x 4 matrix of the body.")] = None,
@@ -57,7 +57,7 @@ def export(
         str | None,
         typer.Option(
             metavar="LAT,LON[,ALT[,YAW]]",
-            help="Where on earth the map has its origin (deg, deg, m), and the heading of x from east to north (deg).",
+            help="Origin of the map: latitude, longitude, altitude; heading of its x axis from east (deg, m).",
         ),
     ] = None,
 ) -> None:
@@ -101,7 +101,7 @@ def export(
         text.write_g2o(g2o, graph, source.records.object_map)
         console.show(
             f"{g2o}: {len(graph.keyframe_ids)} keyframes, {len(graph.edge_kinds)} edges, without the robust kernels of "
-            "the configuration, which g2o files have no place for"
+            "the configuration, which g2o files cannot hold"
         )
 
 

@@ -32,12 +32,12 @@ def config(
 ) -> None:
     """Print the effective configuration with units and meaning, as TOML that --config reads back.
 
-    Defaults, then the file, then --set: the later wins.
+    Order of precedence: --set, the file, the defaults.
 
     Example: dslam config --set keyframe.distance_m=1.5 > mine.toml
     """
     if json and toml:
-        raise typer.BadParameter("--json and --toml exclude each other.")
+        raise typer.BadParameter("--json and --toml cannot be combined.")
     from slam.common.config import load_config
     from slam.common.config_tree import to_toml
     from slam.simulation.config import load_simulation_config

@@ -53,7 +53,7 @@ def read_geojson(path: Path, *, class_property: str | None = None) -> MapObjects
     check_degrees(str(path), geodetic)
     if class_property and all(label == UNKNOWN for label in labels):
         raise DatasetError(f"{path}: no feature has a property {class_property!r}; see the properties of the layer")
-    notes = (f"{others.total()} features that are no points were left out ({kinds})",) if others else ()
+    notes = (f"{others.total()} features that are not points were ignored ({kinds})",) if others else ()
     return MapObjects(str(path), geodetic, tuple(labels), distinct(ids), True, source.sha256, notes)
 
 
@@ -67,7 +67,7 @@ def _position(path: Path, number: int, point: Any) -> list[float]:
     try:
         longitude, latitude, *height = (float(value) for value in point)
     except (TypeError, ValueError, OverflowError) as error:
-        raise DatasetError(f"{path}, feature {number}: {point!r:.60} is no position; give [lon, lat]") from error
+        raise DatasetError(f"{path}, feature {number}: {point!r:.60} is not a position; give [lon, lat]") from error
     return [latitude, longitude, height[0] if height else 0.0]
 
 

@@ -62,9 +62,11 @@ def check_degrees(source: str, geodetic: FloatArray) -> None:
     row = int(wrong.argmax())
     latitude, longitude = geodetic[row, :2]
     is_swapped = not _outside(geodetic[:, 1], geodetic[:, 0]).any()
-    remedy = "they are the other way round: swap them" if is_swapped else "these are metres, or in another unit"
+    remedy = (
+        "latitude and longitude are swapped: exchange the columns" if is_swapped else "these are metres or another unit"
+    )
     raise DatasetError(
-        f"{source}: latitude {latitude:g}, longitude {longitude:g} of object {row + 1} are no degrees; {remedy}"
+        f"{source}: latitude {latitude:g}, longitude {longitude:g} of object {row + 1} are not degrees; {remedy}"
     )
 
 

@@ -136,5 +136,5 @@ def _place(graph: PoseGraph, name_edge: Callable[[int], str]) -> None:
         naming = int(np.flatnonzero((graph.edges == lost).any(axis=1))[0])
         raise InputDataError(
             f"{name_edge(naming)}: vertex {lost} is not in the graph, nor does a chain of edges between consecutive "
-            "ids lead to it; add the vertex, or mend the id"
+            "ids lead to it; add the vertex, or correct the id"
         )

@@ -56,7 +56,7 @@ def optimize_pose_graph(
     at = solution.values.atPose2 if graph.is_planar else solution.values.atPose3
     poses = np.array([at(vertex).matrix() for vertex in graph.vertex_ids.tolist()])
     if not np.isfinite(poses).all():
-        raise FactorGraphError("the optimisation failed: a pose is no longer finite; are the measurements sound?")
+        raise FactorGraphError("the optimisation failed: a pose is not finite; check the measurements")
     poses[held_rows] = graph.T_world_vertex[held_rows]
     return PoseGraphSolution(replace(graph, T_world_vertex=poses), is_closure, solution)
 

@@ -93,5 +93,5 @@ class TextReference:
         if 0.0 < by_truth_m < _DEGREES * by_odometry_m:
             raise EvaluationError(
                 f"{self.path}: the robot moves by {by_truth_m:.2g}, where it moves by {by_odometry_m:.0f} m by its "
-                "odometry, so these positions are degrees and no metres; project them to a plane (for example UTM)"
+                "odometry, so these positions are degrees, not metres; project them to a plane (for example UTM)"
             )

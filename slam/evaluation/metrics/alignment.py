@@ -109,7 +109,7 @@ def align_path(points_est: FloatArray, points_gt: FloatArray) -> Alignment:
 
 def _check_pairs(points_est: FloatArray, points_gt: FloatArray, least: int) -> None:
     if points_est.shape != points_gt.shape or points_est.ndim != 2 or points_est.shape[1] != 3:
-        raise EvaluationError(f"points of shape {points_est.shape} and {points_gt.shape} are no pairs (N, 3)")
+        raise EvaluationError(f"points of shape {points_est.shape} and {points_gt.shape} are not pairs (N, 3)")
     if len(points_est) < least:
         raise EvaluationError(f"{len(points_est)} paired points; this alignment needs at least {least}")
     if not (np.isfinite(points_est).all() and np.isfinite(points_gt).all()):

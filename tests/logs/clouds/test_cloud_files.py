@@ -232,8 +232,8 @@ def damaged(path: Path, kind: str) -> Path:
         ("two of a name", "two of its fields have one name"),
         ("no ply", "does not begin with 'ply'"),
         ("no end", "no PLY file that can be read"),
-        ("a list", "which is no number"),
-        ("faces first", "its first element is no vertex"),
+        ("a list", "which is not a number"),
+        ("faces first", "its first element is not a vertex"),
     ],
 )
 def test_faults_are_one_line_with_the_file(tmp_path: Path, kind: str, fault: str) -> None:

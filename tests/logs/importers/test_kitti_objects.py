@@ -171,7 +171,10 @@ POSE = "1 0 0 0 0 1 0 0 0 0 1 0\n"
             "poses.txt, line 3: not a rotation .*det R = -1",
         ),
         (_write("poses.txt", POSE * 2 + "0 " * 12 + "\n"), "poses.txt, line 3: not a rotation"),
-        (_write("poses.txt", POSE * 2 + "1 0 0 1e308 0 1 0 0 0 0 1 0\n"), "poses.txt, line 3: .* m is no place"),
+        (
+            _write("poses.txt", POSE * 2 + "1 0 0 1e308 0 1 0 0 0 0 1 0\n"),
+            "poses.txt, line 3: .* m is not finite or too far away",
+        ),
         (_write("calib.txt", "P0: 1 2 3\n"), "no line 'Tr:'"),
         (_write("calib.txt", "Tr: 1 2 3\n"), "calib.txt, line 1: 3 values"),
         (_write("calib.txt", "Tr: \N{DEGREE SIGN}\n"), "calib.txt, line 1: 1 values"),

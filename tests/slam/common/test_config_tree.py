@@ -123,7 +123,7 @@ def test_refusals_name_flag_and_remedy(override: str, told: str) -> None:
         ("[keyfame]\ndistance_m = 3\n", "did you mean keyframe.distance_m?"),
         ("keyframe = 3\n", "keyframe is a branch"),
         ("[calibration.detection]\nyaw_deg = 200\n", "a number >= -180 and <= 180"),
-        ("seed = \n", "is no TOML"),
+        ("seed = \n", "is not TOML"),
         ("[loop_closure]\ntop_k = 2026-01-01\n", "a whole number >= 1"),
     ],
 )

@@ -32,17 +32,18 @@ def ablation(
         Path, typer.Argument(metavar="DATA", help="Folder with cities, kitti00 and robots.", show_default=False)
     ],
     folder: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results; finished ones are kept.")
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results; finished ones are reused.")
     ],
     page: Annotated[
         Path | None,
-        typer.Option(metavar="PAGE.md", help="Put the table into that page, between its marks.", show_default=False),
+        typer.Option(metavar="PAGE.md", help="Write the table into this page, between its marks.", show_default=False),
     ] = None,
-    drive: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only that drive. Repeatable.")] = None,
+    drive: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this drive. Repeatable.")] = None,
     part: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Only that part, and with all parts. Repeatable.")
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Only this part; the row with all parts is always measured. Repeatable."),
     ] = None,
-    copies: Annotated[int, typer.Option(min=1, help="Copies of each drive, each with other noise of 1e-3.")] = 10,
+    copies: Annotated[int, typer.Option(min=1, help="Copies of each drive, each with different noise of 1e-3.")] = 10,
     jobs: Annotated[
         int | None, typer.Option(min=1, help="Processes. \\[default: one a core]", show_default=False)
     ] = None,
@@ -50,10 +51,10 @@ def ablation(
     settings: Settings = None,
     json: Json = False,
 ) -> None:
-    """Map drives with one part of the method off at a time, and compare with all parts.
+    """Map drives with one part of the method switched off at a time, and compare with the whole method.
 
-    Each drive is mapped with several copies of little noise, so that an effect can be told from chance. If it is
-    killed, the same command continues where it was.
+    Each drive is mapped in several copies with a little noise, to distinguish effects from chance. After an
+    interruption the same command continues.
 
     Example: dslam benchmark ablation data -o out/ablation --drive demo --part calibration --copies 3
     """

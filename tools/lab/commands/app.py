@@ -18,7 +18,7 @@ from tools.lab.commands import (
 )
 from tools.lab.live.command import live
 
-app = typer.Typer(help="Measure speed, memory and success.", no_args_is_help=True)
+app = typer.Typer(help="Measure accuracy, recall, speed and memory.", no_args_is_help=True)
 app.command()(descriptors.descriptors)
 app.command()(faults.faults)
 app.command()(fleet.fleet)
@@ -34,4 +34,4 @@ app.command()(robots.robots)
 
 @app.callback()
 def _benchmark() -> None:
-    """Measure speed, memory and success."""
+    """Measure accuracy, recall, speed and memory."""

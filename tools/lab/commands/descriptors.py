@@ -21,13 +21,15 @@ Objects = Annotated[
     Path | None, typer.Option(metavar="CSV", help="Objects of a map: x_m,y_m,z_m,class,id.", show_default=False)
 ]
 Trajectory = Annotated[
-    Path | None, typer.Option(metavar="CSV", help="Where queries are drawn: x_m,y_m.", show_default=False)
+    Path | None, typer.Option(metavar="CSV", help="Path on which queries are drawn: x_m,y_m.", show_default=False)
 ]
 Methods = Annotated[
     list[str] | None,
-    typer.Option("--descriptor", metavar="NAME", help="Only these; 'exhaustive search', too. Repeatable."),
+    typer.Option(
+        "--descriptor", metavar="NAME", help="Descriptor, or 'exhaustive search'. Repeatable; by default all."
+    ),
 ]
-Neighbours = Annotated[int, typer.Option(min=1, help="Nearest descriptors of each object; loop_closure.top_k.")]
+Neighbours = Annotated[int, typer.Option(min=1, help="Nearest descriptors for each object (loop_closure.top_k).")]
 
 
 def descriptors(
@@ -35,11 +37,16 @@ def descriptors(
     trajectory: Trajectory = None,
     descriptor: Methods = None,
     neighbours: Neighbours = 6,
-    queries: Annotated[int, typer.Option(min=1, help="For each scenario and seed.")] = 500,
-    seeds: Annotated[int, typer.Option(min=1, help="Repetitions, each with other queries.")] = 5,
+    queries: Annotated[int, typer.Option(min=1, help="Queries for each scenario and seed.")] = 500,
+    seeds: Annotated[int, typer.Option(min=1, help="Repetitions, each with different queries.")] = 5,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="FOLDER", help="Also for CSV, LaTeX (the best in bold) and a figure."),
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FOLDER",
+            help="Folder for a CSV file, a LaTeX table (the best in bold) and a figure.",
+        ),
     ] = None,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")] = False,
     json: Json = False,

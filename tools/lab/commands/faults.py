@@ -23,7 +23,7 @@ def faults(
     log: InputLog,
     only: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME[=VALUE]", help="Only that fault. Repeatable; without it all of them."),
+        typer.Option(metavar="NAME[=VALUE]", help="Only this fault. Repeatable; by default all."),
     ] = None,
     output: Annotated[
         Path | None,
@@ -32,14 +32,14 @@ def faults(
     config_file: ConfigFile = None,
     settings: Settings = None,
     topics: Topics = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of what is random in the faults.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the faults.")] = 0,
     jobs: Annotated[int, typer.Option(min=1, help="Processes at a time.")] = 1,
     json: Json = False,
 ) -> None:
-    """Put faults into the input of a drive with truth, map it with each, and measure the map and what is reported.
+    """Map a drive with ground truth with one fault of its input at a time; measure the map and list what is reported.
 
-    The faults are those of 'dslam degrade --list-faults'. Each is mapped in a process of its own, and so is the drive
-    as it is. Progress goes to standard error, a line for each fault.
+    The faults are those of 'dslam degrade --list-faults'; the unchanged drive is measured first. Each run is a process
+    of its own. Progress goes to standard error, a line for each fault.
 
     Example: dslam benchmark faults drive.mcap --only heading_jump --only time_offset=0.5 -o faults.md
     """

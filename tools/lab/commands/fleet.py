@@ -18,17 +18,17 @@ def fleet(
         typer.Option(metavar="DIR", help="Folder with objects.csv and trajectory.csv. Repeatable.", show_default=False),
     ] = None,
     drives: Annotated[int, typer.Option(min=1, help="Drives in each city and in the generated town.")] = 8,
-    length: Annotated[float, typer.Option(min=50.0, help="Of a drive [m].")] = 250.0,
+    length: Annotated[float, typer.Option(min=50.0, help="Length of a drive.")] = 250.0,
     months: Annotated[int, typer.Option(min=1, help="Months over which the drives are spread.")] = 4,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Tasks at a time. \\[default: one a core]", show_default=False)
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the simulation.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the simulation.")] = 0,
     json: Json = False,
 ) -> None:
     """Simulate a fleet in cities that change from month to month, map it, and compare the map with the truth.
 
-    Ten robots have noise of their own, a tenth of the objects changes each month, and a tenth of the logs is damaged or
+    Ten robots have different noise, a tenth of the objects changes each month, and a tenth of the logs is damaged or
     of another town.
 
     Example: dslam benchmark fleet -o out/fleet --drives 8 --city helsinki --city hamburg

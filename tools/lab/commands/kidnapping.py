@@ -24,8 +24,8 @@ def kidnapping(
 ) -> None:
     """Kidnap the robot while its odometry continues, and measure how soon it is detected.
 
-    Each time it drives 150 m, is carried elsewhere on the tour, without a gap or a jump of the odometry, and drives on
-    for 60 m.
+    Each time it drives 150 m, is carried to another place of the tour without a gap or a jump of the odometry, and
+    drives another 60 m.
 
     Example: dslam benchmark kidnapping --objects objects.csv --trajectory trajectory.csv
     """

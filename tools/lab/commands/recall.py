@@ -26,59 +26,66 @@ def recall(
     descriptor: Annotated[
         list[str] | None,
         typer.Option(
-            "--descriptor", metavar="NAME", help="Only these; quads, weights or module:Class, too. Repeatable."
+            "--descriptor",
+            metavar="NAME",
+            help="Descriptor: a name, quads, a weights file or module:Class. Repeatable; by default all.",
         ),
     ] = None,
     size: Annotated[
-        list[int] | None, typer.Option(min=1, metavar="N", help="Objects nearest to one of them. Repeatable.")
+        list[int] | None,
+        typer.Option(min=1, metavar="N", help="Size of the map: the N objects nearest to a random one. Repeatable."),
     ] = None,
     share: Annotated[
-        list[float] | None, typer.Option(min=1e-3, max=1.0, metavar="S", help="Of the objects that stay. Repeatable.")
+        list[float] | None,
+        typer.Option(min=1e-3, max=1.0, metavar="S", help="Share of the objects that is kept. Repeatable."),
     ] = None,
     classes: Annotated[
         list[int] | None,
-        typer.Option(min=1, metavar="N", help="The commonest of them, and one for all others. Repeatable."),
+        typer.Option(min=1, metavar="N", help="The N - 1 commonest classes, and one for all others. Repeatable."),
     ] = None,
     missing: Annotated[
-        list[float] | None, typer.Option(min=0.0, max=0.9, metavar="S", help="Of the objects in range. Repeatable.")
+        list[float] | None,
+        typer.Option(
+            min=0.0, max=0.9, metavar="S", help="Share of the objects in range that is not detected. Repeatable."
+        ),
     ] = None,
     clutter: Annotated[
-        list[float] | None, typer.Option(min=0.0, max=0.9, metavar="S", help="Of the objects seen. Repeatable.")
+        list[float] | None,
+        typer.Option(min=0.0, max=0.9, metavar="S", help="Share of the detected objects that is clutter. Repeatable."),
     ] = None,
     noise: Annotated[
-        list[float] | None, typer.Option(min=0.0, metavar="M", help="Of each coordinate of a query. Repeatable.")
+        list[float] | None,
+        typer.Option(min=0.0, metavar="M", help="Standard deviation of each coordinate of a query. Repeatable."),
     ] = None,
     seen: Annotated[
         list[int] | None,
         typer.Option(min=3, metavar="N", help="Objects of a query; by default those of 50 m. Repeatable."),
     ] = None,
-    queries: Annotated[int, typer.Option(min=1, help="In each map and scenario.")] = 60,
-    seed: Annotated[int, typer.Option(min=0, help="Of the place, the thinning and the queries.")] = 0,
+    queries: Annotated[int, typer.Option(min=1, help="Queries in each map and scenario.")] = 60,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the place, the thinning and the queries.")] = 0,
     output: Annotated[
         Path | None,
         typer.Option(
             "--output",
             "-o",
             metavar="FOLDER",
-            help="For the table and the picture; what is there is not measured again.",
+            help="Folder of the table and the picture; finished measurements in it are kept.",
         ),
     ] = None,
     page: Annotated[
         Path | None,
-        typer.Option(
-            metavar="PAGE.md", help="Put the tables of all that is in the folder into that page, at its marks."
-        ),
+        typer.Option(metavar="PAGE.md", help="Write the tables of the folder into this page, between its marks."),
     ] = None,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")] = False,
     json: Json = False,
 ) -> None:
-    """Contest of descriptors, and of the quads of imported maps: who finds the place in a map of objects.
+    """Compare descriptors and quads of objects: recall of places in a map of objects.
 
-    A robot has driven 50 m anywhere; it misses a tenth of the objects within 30 m, a tenth of what it has is clutter,
-    and positions have 0.2 m of noise. Several values of one of these are varied one at a time, beside the first of all
-    others. Places: queries with a right pose (4 m, 10 deg) among the first 1, 5 and 25 proposals; right: after the
-    verification of the first proposals; wrong: accepted and wrong. Random vectors are always measured. Times are of
-    the processor.
+    By default a query holds the objects within 30 m of a path of 50 m; a tenth of them is missing, a tenth of the query
+    is clutter, and positions have 0.2 m of noise. If several values of these options are given, one option is varied at
+    a time, with the first value of all others. Places: queries with a right pose (4 m, 10 deg) among the first 1, 5 and
+    25 proposals; right: after verification; wrong: accepted and wrong. Random vectors are always measured. Times are
+    processor times.
 
     Example: dslam benchmark recall --objects trees.csv --size 10000 --size 50000 --descriptor descriptellation_lr
     """

@@ -37,7 +37,7 @@ MapLog = Annotated[
     typer.Option(
         "--map",
         metavar="MAP.mcap",
-        help="Search in that map, in the frame of the objects, instead of driving.",
+        help="Saved or imported map, in the frame of the objects, instead of a mapped tour.",
         show_default=False,
     ),
 ]
@@ -47,20 +47,20 @@ RealLog = Annotated[
 ]
 MapUntil = Annotated[
     float | None,
-    typer.Option(metavar="SECONDS", min=1.0, help="With --log: what makes the map ends there.", show_default=False),
+    typer.Option(
+        metavar="SECONDS", min=1.0, help="With --log: time in seconds at which the map ends.", show_default=False
+    ),
 ]
 Right = Annotated[
-    tuple[float, float], typer.Option(metavar="METRES DEGREES", help="With --log: most error of a right fix.")
+    tuple[float, float], typer.Option(metavar="METRES DEGREES", help="With --log: largest error of a right fix.")
 ]
-Noise = Annotated[
-    float, typer.Option(min=0.0, max=10.0, help="Factor on the errors of the sensor after the map was made.")
-]
-Changed = Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of the objects replaced after the map was made.")]
-Thin = Annotated[float, typer.Option(metavar="FACTOR", min=1.0, help="Keep one of N objects before the map is made.")]
+Noise = Annotated[float, typer.Option(min=0.0, max=10.0, help="Factor on the errors of the sensor after mapping.")]
+Changed = Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of the objects replaced after mapping.")]
+Thin = Annotated[float, typer.Option(metavar="FACTOR", min=1.0, help="Keep one of N objects before mapping.")]
 WithOracle = Annotated[
-    bool, typer.Option("--oracle", help="Also measure what could be found: all poses, all observations of 40 m.")
+    bool, typer.Option("--oracle", help="Also measure the ceiling: all poses tested with all observations of 40 m.")
 ]
-MaxTravel = Annotated[float, typer.Option("--max-travel", metavar="METRES", min=5.0, help="How long each drive is.")]
+MaxTravel = Annotated[float, typer.Option("--max-travel", metavar="METRES", min=5.0, help="Length of each drive.")]
 
 
 def relocalization(
@@ -71,14 +71,14 @@ def relocalization(
     log: RealLog = None,
     map_until: MapUntil = None,
     right: Right = RIGHT,
-    kidnaps: Annotated[int, typer.Option(min=1, help="How often the robot is kidnapped.")] = 100,
+    kidnaps: Annotated[int, typer.Option(min=1, help="Number of kidnappings.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the map, the places and all errors.")] = 0,
     noise: Noise = 1.0,
     changed: Changed = 0.0,
     thin: Thin = 1.0,
     oracle: WithOracle = False,
     max_travel: MaxTravel = 60.0,
-    jobs: Annotated[int, typer.Option(min=1, help="Processes that search at a time; with --log one.")] = 1,
+    jobs: Annotated[int, typer.Option(min=1, help="Parallel processes; one with --log.")] = 1,
     config_file: ConfigFile = None,
     settings: Settings = None,
     topics: Topics = None,
@@ -86,13 +86,13 @@ def relocalization(
 ) -> None:
     """Map a tour, kidnap the robot to random places of it, and measure how soon it is relocalized.
 
-    It drives from there along the tour or against it, until objects of the map are recognised, and 10 m more. Found: a
-    fix within 40 m that is right to 1 m and 3 deg in the world; in map: ... or in the map, which may itself be bent;
-    late: a right one after that; wrong: any other in the world; lost: none at all. Distance and time are medians of
-    right fixes, errors of all fixes; kept: right fixes that are still right 10 m on.
+    The robot drives along the tour or against it until it is relocalized, and 10 m more. Found: a fix within 40 m with
+    an error below 1 m and 3 deg in the world; in map: the same in the map, which may be bent; late: a right fix after
+    40 m; wrong: any other fix; lost: no fix. Distance and time are medians of right fixes, errors are of all fixes;
+    kept: right fixes that are still right after 10 m.
 
-    With --log the first part of a real drive makes the map, and the robot is put down at places of the rest, evenly
-    spread: some where the map has been, and some where it has not, at which it must not be found.
+    With --log the first part of a real drive is mapped. The robot starts at places of the rest, evenly spread: half of
+    them in the map, where it must be found, half outside, where it must not.
 
     Without --objects the world is a generated town.
 
@@ -199,7 +199,7 @@ def _tell(result: RelocalizationBenchmark | LoggedRelocalization, conditions: di
             "elsewhere_fixes": result.false_fixes,
             "elsewhere_outcomes": [asdict(each) for each in result.elsewhere],
         }
-        notes = [f"where the map has never been: {result.false_fixes} false fixes in {count} drives"]
+        notes = [f"outside the map: {result.false_fixes} false fixes in {count} drives"]
     if as_json:
         figures = mapped.to_json_dict()
         console.show_json({**figures.pop("total"), **conditions, **elsewhere, **figures})
@@ -216,9 +216,9 @@ def _show(result: RelocalizationBenchmark, conditions: str, notes: list[str]) ->
     )
     show(
         [_row(name, figures) for name, figures in {"everywhere": result.total, **result.groups}.items()],
-        "found, in map, late, wrong, lost and kept in per cent of the drives, kept of the right fixes",
-        f"fixes at another place than in the map: {percent(result.total.misplaced_rate)} %; the others that "
-        "are wrong are so because the map is",
+        "found, in map, late, wrong and lost: per cent of the drives; kept: per cent of the right fixes",
+        f"fixes at a wrong place of the map: {percent(result.total.misplaced_rate)} %; other wrong fixes are due to "
+        "errors of the map",
         f"wrong fixes corrected within 10 m, in per cent: {percent(result.total.revoked_rate, 0)}",
         f"places with a posterior probability of {SURE:g} or more: {result.reliability.sure_count}, of which right in "
         f"the map: {result.reliability.sure_right}",

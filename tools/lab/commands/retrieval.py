@@ -18,22 +18,26 @@ def retrieval(
     logs: Annotated[list[Path], typer.Argument(metavar="LOG.mcap...", help="Drives with truth.", show_default=False)],
     descriptor: Annotated[
         list[str] | None,
-        typer.Option("--descriptor", metavar="NAME", help="Only these; weights or module:Class too. Repeatable."),
+        typer.Option(
+            "--descriptor",
+            metavar="NAME",
+            help="Descriptor: a name, a weights file or module:Class. Repeatable; by default all.",
+        ),
     ] = None,
     neighbours: Annotated[
         int | None,
         typer.Option(min=1, help="Matches for each object; by default loop_closure.top_k.", show_default=False),
     ] = None,
-    spacing: Annotated[float, typer.Option(metavar="M", min=0.0, help="Least travel between two queries.")] = 4.75,
+    spacing: Annotated[float, typer.Option(metavar="M", min=0.0, help="Minimum travel between two queries.")] = 4.75,
     config_file: ConfigFile = None,
     settings: Settings = None,
     topics: Topics = None,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")] = False,
     json: Json = False,
 ) -> None:
-    """Ask descriptors for the place at each revisit of a drive: nothing is propagated.
+    """Measure the recall of places by descriptors alone at each revisit of a drive.
 
-    The drive is mapped without closing loops, and every descriptor is asked the same submaps. Places: queries with a
+    The drive is mapped without closing loops, and every descriptor gets the same submaps. Places: queries with a
     right pose (4 m, 10 deg) among the first 1, 5 and 25 that the registration finds among the matches. Objects: those
     of the map whose counterpart is among their first 1, 5 and 25 matches.
 

@@ -32,14 +32,16 @@ log and has no seed: the same log and settings give the same map.
 
 
 def robots(
-    data: Annotated[Path, typer.Argument(metavar="DATA", help="Folder of drives, at any depth.", show_default=False)],
+    data: Annotated[
+        Path, typer.Argument(metavar="DATA", help="Folder that contains drives, at any depth.", show_default=False)
+    ],
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="OUT.md", help="Write the table as Markdown.", show_default=False),
     ] = None,
     drive: Annotated[
         list[str] | None,
-        typer.Option("--drive", metavar="NAME", help="Only that drive, or those in that folder. Repeatable."),
+        typer.Option("--drive", metavar="NAME", help="Only this drive, or the drives in this folder. Repeatable."),
     ] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,

@@ -22,7 +22,7 @@ drives after the first fifth of the way. In brackets: by that of the replay abov
 
 def live(
     data: Annotated[Path, typer.Argument(metavar="DATA", help="Folder with kitti00 and robots.", show_default=False)],
-    drive: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only that drive. Repeatable.")] = None,
+    drive: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this drive. Repeatable.")] = None,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="OUT.md", help="Write the table as Markdown.", show_default=False),

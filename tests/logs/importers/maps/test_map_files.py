@@ -71,7 +71,7 @@ class TestTable:
             ("x;y\n1,5;2\n", "line 2, column x: '1,5' is not a finite number; write numbers with a decimal point"),
             ("lat,lon\n400,24\n", "these are metres"),
             ("lat,lon\n24,160\n-30,170\n100,60\n", "no degrees"),
-            ("lat,lon\n160.1,24.9\n", "the other way round: swap them"),
+            ("lat,lon\n160.1,24.9\n", "latitude and longitude are swapped"),
             ("x_m,y_m\n1,abc\n", "line 2, column y_m: 'abc'"),
             ('{"x_m": ' + "[" * 100_000 + "\n", "line 1: nested too deeply"),
         ],
@@ -90,7 +90,7 @@ class TestGeoJson:
         objects = read_geojson(path)
         np.testing.assert_array_equal(objects.positions, [[60.1, 24.9, 0.0], [60.2, 24.8, 0.0]])
         assert objects.labels == ("tree", "object")
-        assert objects.notes == ("1 features that are no points were left out (1 LineString)",)
+        assert objects.notes == ("1 features that are not points were ignored (1 LineString)",)
 
     @pytest.mark.parametrize("separator", ["\n", "\n\x1e", "\r\n\n"])
     def test_features_of_which_each_has_a_line(self, tmp_path: Path, separator: str) -> None:
@@ -116,7 +116,7 @@ class TestGeoJson:
     def test_faults(self, tmp_path: Path) -> None:
         with pytest.raises(DatasetError, match=r"latitude 6\.6e\+06.*these are metres"):
             read_geojson(geojson(tmp_path / "a.json", feature(385000.0, 6.6e6)))
-        with pytest.raises(DatasetError, match="other way round"):
+        with pytest.raises(DatasetError, match="are swapped"):
             read_geojson(geojson(tmp_path / "a.json", feature(34.0, -118.2)))
         with pytest.raises(DatasetError, match="EPSG:4326"):
             read_geojson(geojson(tmp_path / "a.json", feature(24.9, 60.1), crs={"name": "urn:ogc:def:crs:EPSG::3067"}))

@@ -157,7 +157,7 @@ def test_a_file_without_edges_is_refused(tmp_path: Path, text: str) -> None:
 
 def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
     (tmp_path / "in.g2o").write_bytes(b"\x89MCAP\xff\xfe")
-    with pytest.raises(InputDataError, match="no text"):
+    with pytest.raises(InputDataError, match="not text"):
         read_pose_graph(tmp_path / "in.g2o")
 
 
