@@ -64,8 +64,8 @@ def test_what_comes_out_can_be_mapped_and_evaluated(dslam: Run, tmp_path: Path, 
 def test_refusals(dslam: Run, tmp_path: Path) -> None:
     output = tmp_path / "out.mcap"
     degrade = ("degrade", SAMPLE, "-o", output)
-    assert_refused(dslam(*degrade), "nothing to do", "--dropout")
-    assert_refused(dslam(*degrade, "--seed", 3), "nothing to do")
+    assert_refused(dslam(*degrade), "no degradation was given", "--dropout")
+    assert_refused(dslam(*degrade, "--seed", 3), "no degradation was given")
     assert_refused(dslam(*degrade, "--dropout", 1.5), "dropout=1.5", ">= 0 and <= 1")
     assert_refused(dslam(*degrade, "--max-range", "nan"), "max_range=nan", "not allowed")
     assert_refused(dslam(*degrade, "--field-of-view", "wide"), "field_of_view")

@@ -39,7 +39,7 @@ def test_the_heading_turns_the_axes() -> None:
 def test_text_gives_it_back() -> None:
     georeference = Georeference(48.1, 11.5, 510.0, 0.3)
     assert Georeference.from_json(georeference.to_json()) == georeference
-    with pytest.raises(GeometryError, match="no georeference"):
+    with pytest.raises(GeometryError, match="not a georeference"):
         Georeference.from_json('{"latitude": 3}')
 
 

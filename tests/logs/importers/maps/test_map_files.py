@@ -70,7 +70,7 @@ class TestTable:
             ("1.5,2,tree\n3,4,tree\n", "line 1: numbers where the names of the columns are expected"),
             ("x;y\n1,5;2\n", "line 2, column x: '1,5' is not a finite number; write numbers with a decimal point"),
             ("lat,lon\n400,24\n", "these are metres"),
-            ("lat,lon\n24,160\n-30,170\n100,60\n", "no degrees"),
+            ("lat,lon\n24,160\n-30,170\n100,60\n", "not degrees"),
             ("lat,lon\n160.1,24.9\n", "latitude and longitude are swapped"),
             ("x_m,y_m\n1,abc\n", "line 2, column y_m: 'abc'"),
             ('{"x_m": ' + "[" * 100_000 + "\n", "line 1: nested too deeply"),

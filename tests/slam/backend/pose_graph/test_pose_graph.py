@@ -120,8 +120,8 @@ BAD_LINES = {
     "no number": ("EDGE_SE2 1 2 one 0 0 1 0 0 1 0 1", "line 2.*one"),
     "nan": ("EDGE_SE2 1 2 nan 0 0 1 0 0 1 0 1", "line 2.*not finite"),
     "infinite information": ("EDGE_SE2 1 2 0 0 0 inf 0 0 1 0 1", "line 2.*not finite"),
-    "no id": ("EDGE_SE2 1 2.5 0 0 0 1 0 0 1 0 1", "line 2.*2.5.*no vertex"),
-    "negative id": ("VERTEX_SE2 -1 0 0 0", "line 2.*-1.*no vertex"),
+    "no id": ("EDGE_SE2 1 2.5 0 0 0 1 0 0 1 0 1", "line 2.*2.5.*not a vertex"),
+    "negative id": ("VERTEX_SE2 -1 0 0 0", "line 2.*-1.*not a vertex"),
     "indefinite": ("EDGE_SE2 1 2 0 0 0 1 2 0 1 0 1", "line 2.*not positive definite"),
     "singular": ("EDGE_SE2 1 2 0 0 0 1 0 0 0 0 1", "line 2.*not positive definite"),
     "to itself": (edge_2(1, 1), "line 2.*to itself"),
@@ -144,7 +144,7 @@ def test_a_quaternion_that_is_none_is_refused(tmp_path: Path, quaternion: str) -
 
 
 def test_a_vertex_given_twice_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputDataError, match="line 3: vertex 1 is there already"):
+    with pytest.raises(InputDataError, match="line 3: vertex 1 is defined twice"):
         read(tmp_path, "VERTEX_SE2 0 0 0 0", "VERTEX_SE2 1 1 0 0", "VERTEX_SE2 1 1 0 0", edge_2(0, 1))
 
 
