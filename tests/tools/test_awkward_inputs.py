@@ -211,7 +211,7 @@ MALFORMED: dict[str, tuple[Record, str]] = {
         ObjectDetections(0, "base_link", [[1, 2, 3]], ("tree",), np.ones(1)),
         "list; give a float64",
     ),
-    "labels as one text": (ObjectDetections(0, "base_link", np.ones((1, 3)), "tree", np.ones(1)), "not a tuple of texts"),
+    "labels as one text": (ObjectDetections(0, "base_link", np.ones((1, 3)), "tree", np.ones(1)), "not a tuple"),
 }
 
 
