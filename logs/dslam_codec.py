@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from google.protobuf.descriptor import FieldDescriptor
@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from logs import messages as m
 from logs.schemas import dslam_pb2 as pb
 from logs.validation import LARGEST_M, LAST_NS, Refusal, flat_array, transforms, usable_covariance
+
+_Record = TypeVar("_Record", bound="m.ObjectMapRecord | m.FactorGraphRecord")
 
 _LARGEST = (1e3 * LARGEST_M) ** 2
 """Of a variance: that of the farthest place, seen in a direction that is unknown in each of many steps, is less."""
@@ -93,6 +95,11 @@ class Codec:
         fields = message_class.DESCRIPTOR.fields_by_name
         names = [*shapes, *(f.name for f in dataclasses.fields(record) if f.name not in shapes)]
         self._fields = [_Field(name, fields[_MESSAGE_FIELDS.get(name, name)], shapes.get(name, "")) for name in names]
+
+    def rows_of(self, record: Any, letter: str) -> dict[str, Any]:
+        """The arrays and tuples of a record that have that length, by name; those that are left out are missing."""
+        counted = (field.name for field in self._fields if field.lengths[:1] == [letter])
+        return {name: values for name in counted if len(values := getattr(record, name))}
 
     def encode(self, record: Any) -> Message:
         """The message of ``record``."""
@@ -199,3 +206,13 @@ CODECS: Mapping[type, Codec] = {
         m.LocalizationRecord, pb.Localization, sources="S", innovation_ratios="S", covariance="6 6?"
     ),
 }
+
+
+def take_rows(record: _Record, **rows: NDArray[np.int64]) -> _Record:
+    """The record with only some rows (K,) of all that has the length with that letter, as ``CODECS`` names it."""
+    taken: dict[str, Any] = {
+        name: tuple(values[row] for row in kept.tolist()) if isinstance(values, tuple) else values[kept]
+        for letter, kept in rows.items()
+        for name, values in CODECS[type(record)].rows_of(record, letter).items()
+    }
+    return dataclasses.replace(record, **taken)

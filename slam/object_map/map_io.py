@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from logs.container.json_text import parse_json
 from logs.container.limits import RESULT_LIMITS
+from logs.dslam_codec import take_rows
 from logs.errors import LogError
 from logs.messages import FactorGraphRecord, ObjectMapRecord, SceneMarkers, ScenePoints
 from logs.reader import LogReader
@@ -198,55 +199,24 @@ def confirmed(objects: ObjectMapRecord) -> ObjectMapRecord:
 
 def of_rows(objects: ObjectMapRecord, kept: NDArray[np.bool_]) -> ObjectMapRecord:
     """Of the landmarks those that are ``kept`` (N,)."""
-    rows = np.flatnonzero(kept)
-    return replace(
-        objects,
-        ids=tuple(objects.ids[row] for row in rows),
-        positions=objects.positions[rows],
-        covariances=objects.covariances[rows],
-        class_probabilities=objects.class_probabilities[rows],
-        states=tuple(objects.states[row] for row in rows),
-        reasons=tuple(objects.reasons[row] for row in rows),
-        observation_counts=objects.observation_counts[rows],
-        first_seen_ns=objects.first_seen_ns[rows],
-        last_seen_ns=objects.last_seen_ns[rows],
-        merged_into=(),  # what others stand for is retired, and not in a map
-    )
+    # What others stand for is retired, and not in a map.
+    return replace(take_rows(objects, N=np.flatnonzero(kept)), merged_into=())
 
 
 def observing(graph: FactorGraphRecord, objects: ObjectMapRecord, kept: NDArray[np.bool_]) -> FactorGraphRecord:
     """The graph of the keyframes that are ``kept`` (K,), with what they observed of these landmarks.
 
-    Edges to keyframes that are not kept are left out.
+    Edges to keyframes that are not kept are left out, and covariances of poses, which no drive needs.
     """
-    keyframes = graph.keyframe_ids[kept]
-    landmarks = set(objects.ids)
-    edges = np.flatnonzero(np.isin(graph.edge_keyframe_ids, keyframes).all(axis=1))
+    keyframes, landmarks = graph.keyframe_ids[kept], set(objects.ids)
     of_landmarks = np.array([landmark in landmarks for landmark in graph.observation_landmark_ids], dtype=np.bool_)
-    observations = np.flatnonzero(of_landmarks & np.isin(graph.observation_keyframe_ids, keyframes))
-    return replace(
+    part = take_rows(
         graph,
-        keyframe_ids=keyframes,
-        keyframe_stamps_ns=graph.keyframe_stamps_ns[kept],
-        T_map_body=graph.T_map_body[kept],
-        edge_keyframe_ids=graph.edge_keyframe_ids[edges],
-        edge_transforms=graph.edge_transforms[edges],
-        edge_covariances=graph.edge_covariances[edges],
-        edge_kinds=tuple(graph.edge_kinds[edge] for edge in edges),
-        observation_keyframe_ids=graph.observation_keyframe_ids[observations],
-        observation_landmark_ids=tuple(graph.observation_landmark_ids[each] for each in observations),
-        observation_positions=graph.observation_positions[observations],
-        observation_covariances=graph.observation_covariances[observations],
-        observation_redundancies=_covariance_inflations(graph)[observations],
-        # A drive that extends the map needs no covariances of its poses.
-        pose_covariances=np.zeros((0, 6, 6)),
+        K=np.flatnonzero(kept),
+        E=np.flatnonzero(np.isin(graph.edge_keyframe_ids, keyframes).all(axis=1)),
+        O=np.flatnonzero(of_landmarks & np.isin(graph.observation_keyframe_ids, keyframes)),
     )
-
-
-def _covariance_inflations(graph: FactorGraphRecord) -> FloatArray:
-    """Covariance inflation of each observation (O,); 1 where the record has none."""
-    inflations = graph.observation_redundancies
-    return inflations if len(inflations) else np.ones(len(graph.observation_landmark_ids))
+    return replace(part, pose_covariances=np.zeros((0, 6, 6)))
 
 
 def _condensed(graph: FactorGraphRecord) -> NDArray[np.bool_]:

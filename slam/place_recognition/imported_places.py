@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.messages import ObjectMapRecord
 from slam.backend.factor_graph import FactorGraph
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import FloatArray
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.submap import Submap
 from slam.place_recognition.imported_map import ImportedMap
@@ -82,34 +81,13 @@ class ImportedPlaces:
         if not len(rows):
             return
         self._is_loaded[rows] = True
-        record = self._record(rows)
+        record = self._imported.landmarks(rows, observations=1)
         landmarks = self._map.restore(record, travel_m=TRAVEL_M, relative_sigma_m=self._imported.sigma_m)
         sigmas = np.full(3, self._imported.sigma_m)
         if self._is_flat:
             sigmas[2] = HEIGHT_SIGMA_M
         positions = dict(zip(landmarks.tolist(), record.positions, strict=True))
         self._graph.add_known_landmarks(positions, sigmas, is_fixed=self._is_fixed)
-
-    def _record(self, rows: IntArray) -> ObjectMapRecord:
-        """Objects of the map (K,) as confirmed landmarks, each seen once."""
-        imported, count = self._imported, len(rows)
-        probabilities = np.zeros((count, len(imported.vocabulary)))
-        probabilities[np.arange(count), imported.classes[rows]] = 1.0
-        variance = imported.sigma_m**2
-        return ObjectMapRecord(
-            stamp_ns=0,
-            frame_id="map",
-            vocabulary=imported.vocabulary,
-            ids=tuple(str(row) for row in rows.tolist()),
-            positions=imported.positions[rows].astype(np.float64),
-            covariances=np.tile(variance * np.eye(3), (count, 1, 1)),
-            class_probabilities=probabilities,
-            states=("confirmed",) * count,
-            reasons=("",) * count,
-            observation_counts=np.ones(count, dtype=np.int64),
-            first_seen_ns=np.zeros(count, dtype=np.int64),
-            last_seen_ns=np.zeros(count, dtype=np.int64),
-        )
 
 
 def is_flat(imported: ImportedMap) -> bool:

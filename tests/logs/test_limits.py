@@ -55,12 +55,6 @@ def test_a_chunk_that_says_it_is_too_large_is_left_out(file, tmp_path, caplog, h
     assert "limits.chunk_mb = 64" in caplog.text
 
 
-def test_the_limit_of_chunks_can_be_set(file, tmp_path):
-    path = written(tmp_path / "log.mcap", file)
-    assert read(path, ReadingLimits(chunk_mb=0.000_1)) == (0, {"chunks_too_large": 3})
-    assert read(path, ReadingLimits(chunk_mb=1.0)) == (30, {})
-
-
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
 @pytest.mark.parametrize("declared", [100, 10_000_000])
 def test_a_chunk_that_holds_more_or_less_than_it_says_is_left_out(file, tmp_path, compression, declared):
@@ -174,11 +168,6 @@ def test_a_message_of_measurements_is_not_parsed_if_it_is_much_too_large(tmp_pat
     assert read(path, ReadingLimits(objects=10), OBJECTS) == (0, {"invalid_messages": 1})
 
 
-def test_a_class_with_an_endless_name_is_left_out(tmp_path):
-    path = objects_log(tmp_path / "log.mcap", [("tree",), ("x" * 1001,)])
-    assert read(path, None, OBJECTS) == (1, {"invalid_messages": 1})
-
-
 def test_the_summary_counts_the_rarest_of_too_many_classes_as_one(tmp_path, monkeypatch):
     monkeypatch.setattr("logs.summary.MAX_CLASSES", 10)
     labels = [("tree", *(f"class {i}" for i in range(k, k + 8))) for k in range(0, 80, 8)]
@@ -186,3 +175,8 @@ def test_the_summary_counts_the_rarest_of_too_many_classes_as_one(tmp_path, monk
     assert counts["tree"] == 10
     assert sum(counts.values()) == 90
     assert len(counts) <= 12
+
+
+def test_a_class_with_an_endless_name_is_left_out(tmp_path):
+    path = objects_log(tmp_path / "log.mcap", [("tree",), ("x" * 1001,)])
+    assert read(path, None, OBJECTS) == (1, {"invalid_messages": 1})

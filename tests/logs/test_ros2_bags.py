@@ -12,13 +12,11 @@ import pytest
 from rosbags.rosbag1 import Writer
 
 from logs.container.limits import ReadingLimits
-from logs.errors import UnreadableLogError, UnwritableLogError
+from logs.errors import UnreadableLogError
 from logs.reader import LogReader
 from logs.selection import select_topics
 from logs.summary import summarize
 from logs.writer import LogWriter
-from slam.common.config import Config
-from slam.replay import replay
 from tests.helpers.ros2_logs import Message, ros2_messages, write_bag, write_ros1_bag
 from tests.helpers.short_drives import drive, keep_until, raw_messages
 from tests.logs.examples import assert_same_record
@@ -66,13 +64,6 @@ def test_a_file_of_a_bag_can_be_given_alone(bags: dict[str, Path]) -> None:
         assert len(found) in (len(expected), len(expected) // 2)
 
 
-def test_the_summary_of_a_bag(bags: dict[str, Path]) -> None:
-    whole, split = summarize(bags["mcap"]), summarize(bags["split"])
-    assert replace(split, path="", size_bytes=0, metadata={}) == replace(whole, path="", size_bytes=0, metadata={})
-    assert split.size_bytes == sum(path.stat().st_size for path in bags["split"].glob("*.mcap"))
-    assert whole.selection is not None
-
-
 def test_a_database_without_definitions(bags: dict[str, Path], tmp_path: Path) -> None:
     bag = tmp_path / "humble"
     shutil.copytree(bags["db3"], bag)
@@ -87,11 +78,6 @@ def test_a_database_without_definitions(bags: dict[str, Path], tmp_path: Path) -
         for a, b in zip(found, expected, strict=True):
             if a.topic == "/detections":
                 np.testing.assert_array_equal(a.record.positions, b.record.positions)
-
-
-def test_only_the_wanted_topics_of_a_database_are_read(bags: dict[str, Path]) -> None:
-    with LogReader(bags["db3"]) as reader:
-        assert {raw.topic for raw in reader.messages({"/odom"})} == {"/odom"}
 
 
 def break_bag(bag: Path, tmp_path: Path) -> Path:
@@ -211,11 +197,6 @@ def test_topics_without_text_in_a_database_are_refused(bags: dict[str, Path], tm
         LogReader(broken)
 
 
-def test_definitions_without_text_are_none(bags: dict[str, Path], tmp_path: Path) -> None:
-    broken = alter(bags["db3"], tmp_path, "UPDATE message_definitions SET encoded_message_definition = ?", b"\xff")
-    assert len(contents(broken)) == len(contents(bags["db3"]))
-
-
 def test_a_view_in_place_of_a_table_is_not_computed(bags: dict[str, Path], tmp_path: Path) -> None:
     broken = alter(bags["db3"], tmp_path, "ALTER TABLE messages RENAME TO others")
     with sqlite3.connect(next(broken.glob("*.db3"))) as database:
@@ -240,12 +221,6 @@ def test_unpacked_files_are_removed(bags: dict[str, Path], tmp_path: Path, monke
     with LogReader(bags["file_zstd"]):
         assert len(list(tmp_path.iterdir())) == 2
     assert list(tmp_path.iterdir()) == []
-
-
-def test_no_file_of_the_input_is_overwritten(bags: dict[str, Path], tmp_path: Path) -> None:
-    bag = break_bag(bags["split"], tmp_path)
-    with pytest.raises(UnwritableLogError, match="would overwrite the input"):
-        replay(bag, bag / "part_1.mcap", Config())
 
 
 def test_chunks_without_a_wanted_topic_are_not_decompressed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -66,12 +66,6 @@ def test_class_of_the_best_result_at_its_box_or_else_at_its_pose() -> None:
     np.testing.assert_array_equal(record.positions, [[7, 2, 3], [1, 0, 0]])
 
 
-def test_an_array_whose_detections_have_other_frames_gives_no_empty_record() -> None:
-    values = {"detections": [detection3d((1, 0, 0), "tree", header=header(SECOND, "left"))]}
-    (record,) = decoded("vision_msgs/msg/Detection3DArray", values)
-    assert (record.stamp_ns, record.frame_id) == (SECOND, "left")
-
-
 def test_zeros_in_a_covariance_are_what_was_not_estimated() -> None:
     plane = np.zeros((6, 6))
     plane[:2, :2] = [[0.04, 0.01], [0.01, 0.09]]

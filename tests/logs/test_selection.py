@@ -48,11 +48,6 @@ def test_two_equally_good_topics_are_told_with_the_remedy():
     assert select_topics(topics, {"odometry": "/wheel"}).topics_of("odometry") == ("/wheel",)
 
 
-def test_several_of_a_kind_that_is_not_needed_are_none():
-    topics = [topic("/odom", ODOMETRY), topic("/a", DETECTIONS), topic("/b", DETECTIONS)]
-    assert select_topics(topics, needed=["odometry"]).topics_of("detections") == ()
-
-
 def test_no_topic_is_told_with_what_is_there():
     with pytest.raises(TopicSelectionError, match=r"gives odometry.*/detections \(dslam.ObjectDetections, 10\)"):
         select_topics(COMMON)
@@ -85,6 +80,8 @@ def test_truth_has_topics_of_its_own():
         topic("/ground_truth/detections", "dslam.DetectionTruth"),
         topic("/ground_truth/objects", "dslam.ObjectMap"),
         topic("/tf_static", TF),
+        topic("/ground_truth/tf", TF),
+        topic("/slam/tf", TF),
     ]
     assert select_topics(topics) == Selection.of(
         {
@@ -129,14 +126,6 @@ def test_several_topics_can_be_the_detections_but_one_the_odometry():
         select_topics([*there, topic("/wheels", ODOMETRY)], {"odometry": "/odom,/wheels"})
 
 
-def test_transforms_of_the_truth_are_not_read():
-    there = [
-        TopicInfo(topic, "foxglove.FrameTransform", "protobuf", 5, (RecordKind.TRANSFORMS,), 0, 1)
-        for topic in ("/ground_truth/tf", "/slam/tf", "/tf_static")
-    ]
-    assert select_topics(there, needed=()).topics_of("transforms") == ("/tf_static",)
-
-
 def test_a_hint_never_names_the_truth_or_an_output():
     poses = ("/ground_truth", "/slam/pose", "/tf")
     there = [
@@ -144,3 +133,8 @@ def test_a_hint_never_names_the_truth_or_an_output():
     ]
     with pytest.raises(TopicSelectionError, match="if one of /tf is meant"):
         select_topics(there)
+
+
+def test_several_of_a_kind_that_is_not_needed_are_none():
+    topics = [topic("/odom", ODOMETRY), topic("/a", DETECTIONS), topic("/b", DETECTIONS)]
+    assert select_topics(topics, needed=["odometry"]).topics_of("detections") == ()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import struct
 from pathlib import Path
 
@@ -92,17 +91,6 @@ def test_the_preprocessing_of_the_paper(tmp_path: Path) -> None:
     assert summary.left_out == {"bollard": 1, "dynamic": 1, "surface": 1, "unknown": 0}
     np.testing.assert_allclose(np.sort(objects.positions[:, 0]), 12.0 * np.arange(6), atol=0.3)
     assert len(set(objects.ids)) == 6
-
-
-def test_classes_can_be_named_and_others_are_left_out(tmp_path: Path) -> None:
-    found = read_cloud(write_ply(tmp_path / "cloud.ply", street("class", "id")))
-    objects, summary = named_objects(found, "cloud.ply", "", {LAMP: "lamp", SIGN: "sign"})
-    assert sorted(objects.labels) == ["lamp"] * 3 + ["sign"] * 2
-    assert summary.left_out["unnamed"] == 4
-    everything, _ = named_objects(found, "cloud.ply", "")
-    assert str(LAMP) in everything.labels
-    with pytest.raises(DatasetError, match=r"cloud.ply: 0 objects; .* 9 unnamed; the classes of its points: 0, "):
-        named_objects(found, "cloud.ply", "", {5: "lamp"})
 
 
 PCD = """VERSION 0.7
@@ -245,13 +233,6 @@ def test_faults_are_one_line_with_the_file(tmp_path: Path, kind: str, fault: str
         read_cloud(tmp_path / "none.ply")
 
 
-@pytest.mark.parametrize("name", ["cloud.ply", "cloud.pcd"])
-def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path, name: str) -> None:
-    os.mkfifo(tmp_path / name)
-    with pytest.raises(DatasetError, match="a pipe"):
-        read_cloud(tmp_path / name)
-
-
 @pytest.mark.parametrize("astray", [1e9, 1e30, -1e300])
 def test_points_that_lie_astray_are_told(tmp_path: Path, astray: float) -> None:
     points = np.array([*post(3.0, 0.0), [0.0, astray, 0.0]])
@@ -260,3 +241,14 @@ def test_points_that_lie_astray_are_told(tmp_path: Path, astray: float) -> None:
         DatasetError, match=r"a\.ply: a cloud reaches from y = .* m, more than 1048576 voxels of 0\.1 m"
     ):
         named_objects(labelled, "a.ply", "")
+
+
+def test_classes_can_be_named_and_others_are_left_out(tmp_path: Path) -> None:
+    found = read_cloud(write_ply(tmp_path / "cloud.ply", street("class", "id")))
+    objects, summary = named_objects(found, "cloud.ply", "", {LAMP: "lamp", SIGN: "sign"})
+    assert sorted(objects.labels) == ["lamp"] * 3 + ["sign"] * 2
+    assert summary.left_out["unnamed"] == 4
+    everything, _ = named_objects(found, "cloud.ply", "")
+    assert str(LAMP) in everything.labels
+    with pytest.raises(DatasetError, match=r"cloud.ply: 0 objects; .* 9 unnamed; the classes of its points: 0, "):
+        named_objects(found, "cloud.ply", "", {5: "lamp"})

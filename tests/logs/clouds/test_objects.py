@@ -5,7 +5,6 @@ import pytest
 
 from logs.clouds.labelled_cloud import LabelledCloud
 from logs.clouds.objects import CloudSettings, find_objects
-from logs.errors import DatasetError
 from tests.logs.clouds.clouds import FAR, cloud, post
 
 ORIGIN = np.zeros(3)
@@ -38,12 +37,6 @@ def test_rings_of_a_sensor_with_few_beams_are_one_object() -> None:
     assert len(tilted.labels) > 1
 
 
-def test_only_named_classes_are_objects_and_0_never_is_where_none_is_named() -> None:
-    posts = cloud([(0, 0, post(5.0, 0.0)), (40, 0, post(7.0, 0.0)), (80, 0, post(9.0, 0.0)), FAR])
-    assert find_objects(posts, NAMES, viewpoint=ORIGIN).labels == ("pole",)
-    assert find_objects(posts, viewpoint=ORIGIN).labels == ("40", "80")
-
-
 def test_what_has_too_few_points_or_is_too_long_is_left_out_and_counted() -> None:
     wall = np.concatenate([post(6.0, y) for y in np.arange(-10.0, 10.0, 0.25)])
     found = find_objects(cloud([(80, 0, post(9.0, 0.0)), (10, 0, post(5.0, 0.0)[:3])]), NAMES)
@@ -72,8 +65,3 @@ def test_beams_that_hit_nothing_and_empty_clouds_are_no_objects() -> None:
     assert find_objects(nothing, NAMES, viewpoint=ORIGIN).positions.shape == (0, 3)
     empty = LabelledCloud(np.zeros((0, 3)), np.zeros(0, dtype=np.int64))
     assert find_objects(empty, viewpoint=ORIGIN).detections(0, "lidar").labels == ()
-
-
-def test_labels_must_be_as_many_as_points() -> None:
-    with pytest.raises(DatasetError, match="3 points has 2 labels; give one for each point"):
-        LabelledCloud(np.zeros((3, 3)), np.zeros(2, dtype=np.int64))

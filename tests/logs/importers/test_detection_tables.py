@@ -90,13 +90,6 @@ def test_a_planar_covariance_gets_the_mean_of_its_variances_in_height() -> None:
     np.testing.assert_allclose(np.diagonal(table.covariances[0]), [0.01, 0.09, 0.05])
 
 
-def test_full_covariances_are_symmetric() -> None:
-    table = read("stamp_s,x,y,z,cxx,cxy,cxz,cyy,cyz,czz\n0,1,2,3,1,.1,.2,1,.3,1\n0,1,2,3,,,,,,\n")
-    assert table.covariances is not None
-    np.testing.assert_allclose(table.covariances[0], [[1, 0.1, 0.2], [0.1, 1, 0.3], [0.2, 0.3, 1]])
-    np.testing.assert_array_equal(table.covariances[1], np.zeros((3, 3)))
-
-
 def test_sizes_are_sides_a_diameter_or_both() -> None:
     table = read("stamp_s,x,y,sx,sy,sz\n0,1,2,1,2,3\n0,1,2,0,,3\n")
     np.testing.assert_array_equal(table.sizes, [[1, 2, 3], [np.nan, np.nan, 3]])
@@ -146,3 +139,10 @@ def test_what_is_wrong_is_told_with_its_place_and_the_remedy(text: str, message:
     with pytest.raises(DatasetError, match=message) as caught:
         read(text)
     assert "\n" not in str(caught.value)
+
+
+def test_full_covariances_are_symmetric() -> None:
+    table = read("stamp_s,x,y,z,cxx,cxy,cxz,cyy,cyz,czz\n0,1,2,3,1,.1,.2,1,.3,1\n0,1,2,3,,,,,,\n")
+    assert table.covariances is not None
+    np.testing.assert_allclose(table.covariances[0], [[1, 0.1, 0.2], [0.1, 1, 0.3], [0.2, 0.3, 1]])
+    np.testing.assert_array_equal(table.covariances[1], np.zeros((3, 3)))

@@ -48,12 +48,6 @@ def test_every_format_gives_the_same_poses(text: str, expected: str | None) -> N
     assert trajectory.length_m == pytest.approx(1.0)
 
 
-def test_a_planar_table_needs_neither_z_nor_a_quaternion() -> None:
-    trajectory = read_trajectory(source("stamp_s,x_m,y_m,yaw_rad\n0,1,2,0\n0.1,1,2,1.5707963267948966\n"))
-    np.testing.assert_array_equal(trajectory.T_world_body[:, 2, 3], [0, 0])
-    np.testing.assert_allclose(trajectory.T_world_body[1, :3, :3] @ [1, 0, 0], [0, 1, 0], atol=1e-12)
-
-
 @pytest.mark.parametrize(("name", "scale"), [("yaw", 1.0), ("yaw_rad", 1.0), ("yaw_deg", 180.0 / np.pi)])
 def test_a_heading_is_in_the_unit_of_its_column(name: str, scale: float) -> None:
     angles = np.array([3.1, -3.1, 0.2])

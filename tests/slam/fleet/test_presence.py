@@ -38,11 +38,6 @@ def test_a_session_that_did_not_pass_says_nothing() -> None:
     assert result.gone[20] < 0.5
 
 
-def test_a_single_miss_at_the_end_is_no_proof() -> None:
-    result = presence([[1] * 8] * 40 + [[1] * 7 + [0]])
-    assert result.gone[40] < 0.5
-
-
 def test_the_hazard_follows_the_share_that_changes() -> None:
     rng = np.random.default_rng(0)
     rows = []

@@ -130,9 +130,3 @@ def test_a_false_pair_is_rejected_by_the_others(maps: list[SavedMap], pairs: lis
     parts = join_maps(dict(enumerate(maps)), [*pairs, lie], CONFIG)
     assert parts[0].members == (0, 1, 2)
     assert parts[0].rejected == (false,)
-
-
-def test_the_order_of_the_joins_changes_nothing(maps: list[SavedMap], joins: list[Join], joint: list[JointMap]) -> None:
-    shuffled = judge_pairs(maps, joins[::-1], CONFIG, penalty=6.0)
-    again = join_maps(dict(enumerate(maps)), shuffled[::-1], CONFIG)
-    assert again[0].objects.positions.tobytes() == joint[0].objects.positions.tobytes()

@@ -107,14 +107,6 @@ def test_each_landmark_counts_the_observations_of_both(first: SavedMap, second: 
     )
 
 
-def test_parts_that_overlap_become_the_whole_again(first: SavedMap, second: SavedMap) -> None:
-    left, right = half(first, 0.0, 0.6), moved(half(moved(second, invert(T_AWAY)), 0.4, 1.0), T_AWAY)
-    merged = merge_maps([left, right])
-    assert isinstance(merged, MergedMap)
-    assert len(merged.saved.objects.ids) == pytest.approx(len(first.objects.ids), rel=0.1)
-    assert errors_m(merged.saved).max() < 2.0
-
-
 def test_maps_of_two_towns_are_not_joined(first: SavedMap) -> None:
     rng, count = np.random.default_rng(5), len(first.objects.ids)
     low, high = first.objects.positions[:, :2].min(axis=0), first.objects.positions[:, :2].max(axis=0)
@@ -192,18 +184,6 @@ def test_what_lay_between_two_parts_becomes_an_edge(first: SavedMap) -> None:
         np.testing.assert_allclose(T, invert(T_a) @ T_b, atol=1e-9)
         # No surer than one step, and less sure than any of them.
         assert np.trace(P[3:, 3:]) > 5 * np.median(np.trace(first.graph.edge_covariances[:, 3:, 3:], axis1=1, axis2=2))
-
-
-def test_a_part_serves_to_go_on_from(first: SavedMap) -> None:
-    x, y, _ = first.graph.T_map_body[5, :3, 3].tolist()
-    part = crop_map(first, Circle(x, y, 40.0))
-    slam = Slam(Config(), part)
-    for _, _, record in drive(SimulationConfig(), seed=3):
-        slam.process(record)
-    final = slam.finish()
-    assert slam.fixes
-    grown = SavedMap(confirmed(final.object_map), final.graph)
-    assert errors_m(grown).max() < 1.5
 
 
 def test_an_area_beside_the_map_is_refused(first: SavedMap) -> None:

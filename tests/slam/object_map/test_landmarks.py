@@ -65,18 +65,6 @@ def test_the_belief_is_bayes_rule_applied_label_by_label(sightings):
     np.testing.assert_allclose(object_map.beliefs(np.array([0]))[0], posterior, atol=1e-12)
 
 
-def test_a_thousand_sightings_do_not_overflow():
-    object_map = new_map()
-    for _ in range(1000):
-        see(object_map, 0)
-    np.testing.assert_allclose(object_map.beliefs(np.array([0])), [[1.0, 0.0, 0.0]])
-
-
-def test_one_class_is_certain_and_none_has_no_columns():
-    assert new_map("a").beliefs(np.array([0])).tolist() == [[1.0]]
-    assert ObjectMap(CONFIG).beliefs(np.zeros(0, dtype=np.int64)).shape == (0, 0)
-
-
 def test_of_one_class_no_label_lies_beyond_the_limit():
     object_map = ObjectMap(ObjectCalibration(max_classes=1))
     assert object_map.label_indices(("a", "b")).tolist() == [0, 0]
@@ -150,10 +138,6 @@ def test_the_noise_of_a_velocity_is_that_along_it_at_each_sighting(direction):
     )
 
 
-def test_what_was_seen_once_stands_still():
-    assert velocities(new_map().rows, np.array([0]))[0].tolist() == [[0.0, 0.0, 0.0]]
-
-
 def test_merged_landmarks_are_one_in_the_map_and_two_around_the_robot():
     object_map = new_map(count=3)
     see(object_map, 0, label=1, seconds=1.0)
@@ -174,15 +158,6 @@ def test_merged_landmarks_are_one_in_the_map_and_two_around_the_robot():
     for label in (0, 1, 0, 0):
         see(together, 0, label)
     np.testing.assert_allclose(record.class_probabilities[2, :2], together.beliefs(np.array([0]))[0, :2], rtol=1e-6)
-
-
-def test_undoing_a_merge_restores_both_landmarks():
-    object_map = new_map(count=3)
-    see(object_map, 1, label=0, seconds=7.0)
-    before = object_map.to_record(0)
-    assert object_map.merge(0, 1)
-    assert object_map.undo_merges() == [LandmarkMerge(0, 1)]
-    assert_same_record(object_map.to_record(0), before)
 
 
 def test_merges_are_of_the_landmarks_given():
@@ -208,13 +183,6 @@ def test_a_map_goes_into_a_log_and_comes_back(tmp_path):
         writer.write("/slam/map", record)
     (read,) = records_of(tmp_path / "map.mcap", "/slam/map")
     assert_same_record(read, record)
-
-
-def test_an_empty_map_is_a_record_too():
-    record = ObjectMap(CONFIG).to_record(0)
-    assert record.ids == ()
-    assert record.positions.shape == (0, 3)
-    assert record.labels == ()
 
 
 def test_the_record_does_not_change_with_the_map():
@@ -248,12 +216,3 @@ def test_the_vocabulary_grows_and_old_labels_keep_their_index():
     assert beliefs.shape == (41,)
     assert np.flatnonzero(beliefs > 0.3).tolist() == [0, 20]
     assert object_map.label_indices(()).shape == (0,)
-
-
-def test_nothing_to_add_and_nothing_to_retire():
-    object_map = new_map(count=2)
-    assert see_new(object_map, np.zeros((0, 3))).tolist() == []
-    none = np.zeros(0, dtype=np.int64)
-    object_map.confirm(none)
-    object_map.retire(none, RetirementReason.MOVING)
-    assert object_map.in_state(LandmarkState.TENTATIVE).tolist() == [0, 1]

@@ -94,10 +94,6 @@ def test_two_maps_in_one_file_are_refused(known: SavedMap, tmp_path: Path) -> No
     assert "holds 2 object maps and 1 graphs" in refusal(path)
 
 
-def test_twin_the_same_file_without_a_fault_is_a_map(known: SavedMap, tmp_path: Path) -> None:
-    assert load_map(write_map(tmp_path / "m.mcap", known.objects, known.graph)).objects.ids == known.objects.ids
-
-
 def test_observations_of_keyframes_that_were_summed_up_may_have_less_than_one_as_redundancy(
     known: SavedMap, tmp_path: Path
 ) -> None:

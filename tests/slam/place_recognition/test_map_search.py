@@ -76,19 +76,6 @@ def test_only_objects_of_the_same_class_are_met() -> None:
     assert not any(is_near(each, T_gt) for each in wrong)
 
 
-def test_excluded_objects_make_no_match() -> None:
-    positions, labels = town()
-    seen, rows, T_gt = observed(positions, (300.0, 300.0), np.random.default_rng(4), missing=0.1, clutter=0)
-    elsewhere = searched(positions, labels).find_poses(
-        seen,
-        labels[rows],
-        sigma_m=SIGMA_M,
-        count=5,
-        is_excluded=lambda asked: np.hypot(*(positions[asked, :2] - 300.0).T) < 60.0,
-    )
-    assert not any(is_near(each, T_gt) for each in elsewhere)
-
-
 @pytest.mark.parametrize("count", [0, 3])
 def test_query_of_too_few_objects_has_no_pose(count: int) -> None:
     positions, labels = town(50)

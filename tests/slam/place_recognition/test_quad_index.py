@@ -47,12 +47,6 @@ def test_a_view_in_another_frame_finds_its_quads(forest: FloatArray, index: Quad
     assert matches_of(index, forest, seen, label=1) == set()
 
 
-def test_each_quad_of_the_map_is_in_the_index_once(forest: FloatArray, index: QuadIndex) -> None:
-    corners = np.sort(index.vertices, axis=1)
-    assert len(np.unique(corners, axis=0)) == len(corners)
-    assert index.starts[-1] == len(index)
-
-
 def test_the_order_of_corners_does_not_depend_on_the_order_of_rows(forest: FloatArray) -> None:
     plane = forest[:, 0] + 1j * forest[:, 1]
     sets = neighbour_sets(forest[:, :2], np.arange(100), cKDTree(forest[:, :2]))
@@ -75,3 +69,9 @@ def test_few_objects_have_no_quads() -> None:
     index = build_quad_index(few, np.zeros(3, np.int64), sigma_m=SIGMA_M)
     assert len(index) == 0
     assert len(index._match(few, np.zeros(3, np.int64), few.astype(np.float32), sigma_m=SIGMA_M)) == 0
+
+
+def test_each_quad_of_the_map_is_in_the_index_once(forest: FloatArray, index: QuadIndex) -> None:
+    corners = np.sort(index.vertices, axis=1)
+    assert len(np.unique(corners, axis=0)) == len(corners)
+    assert index.starts[-1] == len(index)

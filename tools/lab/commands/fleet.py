@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tools.arguments import Json
+
+if TYPE_CHECKING:
+    from tools.lab.fleets.simulated_fleet import FleetPlan
 
 
 def fleet(
@@ -23,13 +27,20 @@ def fleet(
     workers: Annotated[
         int | None, typer.Option(min=1, help="Tasks at a time. \\[default: one a core]", show_default=False)
     ] = None,
+    nights: Annotated[
+        int | None,
+        typer.Option(min=1, help="Add the drives of the generated town night by night.", show_default=False),
+    ] = None,
+    killed: Annotated[
+        list[int] | None, typer.Option(min=1, help="A night whose run is killed and started again. Repeatable.")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the simulation.")] = 0,
     json: Json = False,
 ) -> None:
     """Simulate a fleet in cities that change from month to month, map it, and compare the map with the truth.
 
     Ten robots have different noise, a tenth of the objects changes each month, and a tenth of the logs is damaged or
-    of another town.
+    of another town. With --nights the fleet grows night by night, and is compared with the same logs mapped at once.
 
     Example: dslam benchmark fleet -o out/fleet --drives 8 --city helsinki --city hamburg
     """
@@ -42,6 +53,9 @@ def fleet(
     from tools.lab.fleets.simulated_fleet import FleetPlan
 
     plan = FleetPlan(drives=drives, length_m=length, area_m=1.4 * length, months=months)
+    if nights is not None:
+        _show_nights(folder, plan, nights, killed or (), seed, json=json)
+        return
     compute = partial(compute_in_processes, workers=workers or os.cpu_count() or 1)
     with console.progress_line("fleet") as progress:
         score, cost = benchmark_fleet(
@@ -65,3 +79,26 @@ def fleet(
             }
         )
     )
+
+
+def _show_nights(folder: Path, plan: FleetPlan, nights: int, killed: Sequence[int], seed: int, *, json: bool) -> None:
+    from dataclasses import asdict
+
+    from tools import console
+    from tools.lab.fleets.nights import benchmark_nights
+
+    with console.progress_line("fleet") as progress:
+        grown = benchmark_nights(
+            folder, plan, nights, killed=killed, seed=seed, **({"progress": progress} if progress else {})
+        )
+    if json:
+        console.show_json(asdict(grown))
+        return
+    table = console.grid(dict.fromkeys(("night", "logs", "processor s", "memory MB"), True) | {"killed": False})
+    for number, night in enumerate(grown.nights, start=1):
+        was_killed = "yes" if night.was_killed else ""
+        table.add_row(str(number), str(night.logs), f"{night.processor_s:.1f}", f"{night.memory_mb:.0f}", was_killed)
+    figures = console.grid({"figure": False, "night by night": True, "at once": True})
+    for name, value in asdict(grown.night_by_night).items():
+        figures.add_row(name.replace("_", " "), f"{value:.4g}", f"{getattr(grown.at_once, name):.4g}")
+    console.show(table, figures)
