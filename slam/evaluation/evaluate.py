@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+import pandas as pd
 
 from logs.closures import find_final_decisions
 from logs.messages import ObjectMapRecord
@@ -14,28 +15,28 @@ from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries, series_of
-from slam.evaluation.metrics.association import AssociationQuality, evaluate_associations, label_detections
-from slam.evaluation.metrics.calibration import CalibrationQuality, evaluate_calibration
+from slam.evaluation.metrics.association import (
+    LabelledDetections,
+    count_detections,
+    evaluate_associations,
+    identify_landmarks,
+    label_detections,
+)
+from slam.evaluation.metrics.calibration import describe_calibration, evaluate_calibration
 from slam.evaluation.metrics.landmarks import (
     CONFIRMED,
     LandmarkMatches,
-    LandmarkQuality,
     evaluate_landmarks,
     match_by_detections,
     match_by_position,
 )
-from slam.evaluation.metrics.relocalization import RelocalizationQuality, evaluate_relocalization
+from slam.evaluation.metrics.relocalization import describe_losses, evaluate_relocalization
 from slam.evaluation.metrics.trajectory import TrajectoryErrors, evaluate_trajectory
-from slam.evaluation.place_recognition.closures import ClosureQuality, evaluate_closures
-from slam.evaluation.place_recognition.place_pairs import (
-    OnlineQuality,
-    PairQuality,
-    compare_keyframes,
-    evaluate_online,
-    evaluate_pairs,
-)
-from slam.evaluation.place_recognition.retrieval import RetrievalQuality, evaluate_retrieval
-from slam.evaluation.result import Evaluation
+from slam.evaluation.place_recognition.closures import describe_closures, judge_closures
+from slam.evaluation.place_recognition.online_protocol import evaluate_online
+from slam.evaluation.place_recognition.precision_recall import describe_sweep
+from slam.evaluation.place_recognition.revisits import describe_revisits, find_missed, find_revisits
+from slam.evaluation.result import Evaluation, describe_trajectories, plain, undefined
 
 NO_TRAJECTORY = "no final trajectory (/slam/trajectory_stamped): was the run finished?"
 NO_ODOMETRY = "no odometry in the log, or several topics of it: choose one with --topic odometry=/topic"
@@ -50,8 +51,25 @@ NO_DETECTION_TRUTH = "no truth of the detections: pass --reference LOG.mcap or r
 NO_MAP = "no object map in the log (/slam/map)"
 NO_TRUE_OBJECTS = "no true objects: pass --reference LOG.mcap or record /ground_truth/objects"
 IN_GIVEN_MAP = "closures go to the keyframes of a given map, of which this log holds no truth: see relocalization"
+NO_MATCH = "neither a truth of the detections nor an aligned trajectory to match with"
 
-_Quality = TypeVar("_Quality")
+_NO_POSES = series_of(())
+_NO_IDS = np.zeros(0, dtype=np.int64)
+_NO_OBJECTS = ObjectMapRecord(
+    stamp_ns=0,
+    frame_id="",
+    vocabulary=(),
+    ids=(),
+    positions=np.zeros((0, 3)),
+    covariances=np.zeros((0, 3, 3)),
+    class_probabilities=np.zeros((0, 0)),
+    states=(),
+    reasons=(),
+    observation_counts=_NO_IDS,
+    first_seen_ns=_NO_IDS,
+    last_seen_ns=_NO_IDS,
+)
+_Measured = TypeVar("_Measured")
 
 
 def evaluate(
@@ -99,41 +117,55 @@ class _Evaluator:
         self._odometry = records.odometry_path
 
     def run(self) -> Evaluation:
-        records, final = self._records, self._records.final_path
-        estimate = self._trajectory("trajectory", final, self._truth, NO_TRAJECTORY)
-        by_closure_reference = None
-        if self._closure_truth is not self._truth:
-            by_closure_reference = self._trajectory("closure_reference", final, self._closure_truth, NO_TRAJECTORY)
-        odometry = self._trajectory("odometry", self._odometry, self._truth, NO_ODOMETRY)
-        online = self._trajectory("online", records.online_path, self._truth, "no /slam/pose in the log")
-        best = estimate or online
+        records, final, protocol = self._records, self._records.final_path, self._protocol
+        trajectories = {
+            "estimate": self._trajectory("trajectory", final, self._truth, NO_TRAJECTORY),
+            "odometry": self._trajectory("odometry", self._odometry, self._truth, NO_ODOMETRY),
+            "online": self._trajectory("online", records.online_path, self._truth, "no /slam/pose in the log"),
+            "closure_reference": None
+            if self._closure_truth is self._truth
+            else self._trajectory("closure_reference", final, self._closure_truth, NO_TRAJECTORY),
+        }
+        best = trajectories["estimate"] or trajectories["online"]
         T_world_map = best.alignment.T_world_map if best else None
-        associations, closures = self._associations(), self._closures()
-        pairs, online_queries = self._literature_protocols()
+        labelled = self._label_detections()
+        matches = self._match_by_detections(labelled)
+        judged, queries = self._judge_closures()
+        consistency, missing = evaluate_calibration(
+            records.graph, records.object_map, records.true_objects, matches, judged, self._truth, protocol
+        )
+        if missing:
+            self._unavailable["calibration"] = missing if len(self._truth) else NO_TRUTH
         if records.status is None:
             self._unavailable["counters"] = NO_STATUS
         self._unavailable["run_time"] = NO_RUN_TIME
+        results = {
+            "trajectory": describe_trajectories(trajectories),
+            "associations": self._describe_associations(labelled),
+            "landmarks": self._describe_landmarks(labelled, matches, T_world_map),
+            "closures": self._describe_closures(judged, queries),
+            "literature_protocols": {"online": self._describe_online()},
+            "relocalization": self._describe_relocalization(T_world_map),
+            "calibration": describe_calibration(consistency, protocol.coverage_probability),
+            "counters": records.status.counters if records.status else {},
+            "unavailable": self._unavailable,
+            "protocol": {**plain(protocol), "rules": protocol.describe()},
+        }
         return Evaluation(
-            protocol=self._protocol,
-            estimate=estimate,
-            odometry=odometry,
-            online=online,
-            by_closure_reference=by_closure_reference,
-            associations=associations,
-            landmarks=self._landmarks(associations, T_world_map),
-            closures=closures,
-            retrieval=self._retrieval(closures),
-            pairs=pairs,
-            online_queries=online_queries,
-            relocalization=self._relocalization(T_world_map),
-            calibration=self._calibration(associations, closures),
-            counters=dict(records.status.counters) if records.status else {},
-            unavailable=self._unavailable,
+            protocol,
+            plain(results),
+            self._unavailable,
+            estimate=trajectories["estimate"],
+            odometry=trajectories["odometry"],
+            online=trajectories["online"],
+            closures=judged,
+            missed_ns=() if judged is None or queries is None else find_missed(queries, judged),
+            consistency=consistency,
         )
 
     def _measure(
-        self, part: str, compute: Callable[[], _Quality], missing: dict[str, bool] | None = None
-    ) -> _Quality | None:
+        self, part: str, compute: Callable[[], _Measured], missing: dict[str, bool] | None = None
+    ) -> _Measured | None:
         """What ``compute`` returns; None, with its reason noted, where something is ``missing`` or cannot be used."""
         reason = next((why for why, is_missing in (missing or {}).items() if is_missing), "")
         if not reason:
@@ -161,124 +193,117 @@ class _Evaluator:
             {no_estimate: not len(estimate), NO_TRUTH: not len(truth)},
         )
 
-    def _associations(self) -> AssociationQuality | None:
+    def _label_detections(self) -> LabelledDetections | None:
         records = self._records
         path = self._odometry if len(self._odometry) else self._truth
+
+        def label() -> LabelledDetections:
+            aliases = find_aliases(records.object_map)
+            labelled = label_detections(records.associations, records.detection_truths, path, aliases=aliases)
+            if labelled.frame_count == 0:
+                raise EvaluationError(
+                    f"none of {len(records.associations)} frames has the stamp of a truth: is the reference of this "
+                    "drive?"
+                )
+            return labelled
+
         missing = {
             "no associations in the log (/slam/associations)": not records.associations,
             NO_DETECTION_TRUTH: not records.detection_truths,
             "neither odometry nor ground truth, so travel between measurements is unknown": not len(path),
         }
-        return self._measure("associations", lambda: self._compare_associations(path), missing)
+        return self._measure("associations", label, missing)
 
-    def _compare_associations(self, path: PoseSeries) -> AssociationQuality:
-        records, object_map = self._records, self._records.object_map
-        detections = label_detections(
-            records.associations, records.detection_truths, path, aliases=find_aliases(object_map)
-        )
-        if detections.frame_count == 0:
-            raise EvaluationError(
-                f"none of {len(records.associations)} frames has the stamp of a truth: is the reference of this drive?"
-            )
-        confirmed = None
-        if object_map:
-            pairs = zip(object_map.ids, object_map.states, strict=True)
-            confirmed = [name for name, state in pairs if state == CONFIRMED]
-        return evaluate_associations(detections, revisit_m=self._protocol.revisit_m, confirmed_landmark_ids=confirmed)
+    def _describe_associations(self, labelled: LabelledDetections | None) -> dict[str, Any]:
+        if labelled is None:
+            return dict.fromkeys(evaluate_associations(label_detections((), (), _NO_POSES)))
+        objects, confirmed = self._records.object_map, None
+        if objects:
+            confirmed = [name for name, state in zip(objects.ids, objects.states, strict=True) if state == CONFIRMED]
+        return evaluate_associations(labelled, revisit_m=self._protocol.revisit_m, confirmed_landmark_ids=confirmed)
 
-    def _landmarks(
-        self, associations: AssociationQuality | None, T_world_map: FloatArray | None
-    ) -> LandmarkQuality | None:
+    def _match_by_detections(self, labelled: LabelledDetections | None) -> LandmarkMatches | None:
+        """Landmarks with their objects by the truth of the detections."""
+        map_est, map_gt = self._records.object_map, self._records.true_objects
+        if labelled is None or map_est is None or map_gt is None:
+            return None
+        identities = identify_landmarks(labelled.table)
+        return match_by_detections(map_est, map_gt, identities, has_prior_map=self._records.has_prior_map)
+
+    def _describe_landmarks(
+        self, labelled: LabelledDetections | None, matches: LandmarkMatches | None, T_world_map: FloatArray | None
+    ) -> dict[str, Any]:
         map_est, map_gt, protocol = self._records.object_map, self._records.true_objects, self._protocol
-        if map_est is None or map_gt is None:
-            self._unavailable["landmarks"] = NO_MAP if map_est is None else NO_TRUE_OBJECTS
-            return None
-        matches = self._matches(associations)
-        if matches is None and T_world_map is not None:
+        if matches is None and map_est is not None and map_gt is not None and T_world_map is not None:
             matches = match_by_position(map_est, map_gt, T_world_map, max_distance_m=protocol.match_distance_m)
-        if matches is None:
-            self._unavailable["landmarks"] = "neither a truth of the detections nor an aligned trajectory to match with"
-            return None
-        return self._measure(
+        figures = self._measure(
             "landmarks",
             lambda: evaluate_landmarks(
-                map_est,
-                map_gt,
-                matches,
+                map_est or _NO_OBJECTS,
+                map_gt or _NO_OBJECTS,
+                matches or match_by_detections(_NO_OBJECTS, _NO_OBJECTS, {}),
                 protocol,
                 path_gt=self._truth,
                 T_world_map=T_world_map,
-                object_detection_counts=associations.object_detection_counts if associations else None,
+                object_detection_counts=count_detections(labelled.table) if labelled else None,
             ),
+            {NO_MAP: map_est is None, NO_TRUE_OBJECTS: map_gt is None, NO_MATCH: matches is None},
         )
+        nothing = match_by_detections(_NO_OBJECTS, _NO_OBJECTS, {})
+        return figures or dict.fromkeys(evaluate_landmarks(_NO_OBJECTS, _NO_OBJECTS, nothing))
 
-    def _matches(self, associations: AssociationQuality | None) -> LandmarkMatches | None:
-        """Landmarks with their objects by the truth of the detections."""
-        map_est, map_gt = self._records.object_map, self._records.true_objects
-        if associations is None or map_est is None or map_gt is None:
-            return None
-        return match_by_detections(
-            map_est, map_gt, associations.landmark_object_ids, has_prior_map=self._records.has_prior_map
-        )
-
-    def _closures(self) -> ClosureQuality | None:
-        graph, candidates = self._records.graph, self._records.closures
-        no_rows = np.zeros(0, dtype=np.int64)
-        if not candidates and (graph is None or not len(self._closure_truth)):
+    def _judge_closures(self) -> tuple[pd.DataFrame | None, pd.DataFrame | None]:
+        """The candidates, None without any; and the keyframes that may be revisits, None where they are not known."""
+        graph, records, truth = self._records.graph, self._records.closures, self._closure_truth
+        if not records and (graph is None or not len(truth)):
             self._unavailable["closures"] = "no loop-closure candidate in the log"
-            return None
-        if not len(self._closure_truth):
-            self._unavailable["closures"] = NO_TRUTH
-        elif graph is None:
-            self._unavailable["closures"] = NO_KEYFRAMES
-        elif self._records.has_prior_map:
-            self._unavailable["closures"] = IN_GIVEN_MAP
-            graph = None
-        return evaluate_closures(
-            candidates,
-            graph.keyframe_ids if graph else no_rows,
-            graph.keyframe_stamps_ns if graph else no_rows,
-            self._closure_truth,
-            self._protocol,
-        )
+            return None, None
+        missing = {
+            NO_TRUTH: not len(truth),
+            NO_KEYFRAMES: graph is None,
+            IN_GIVEN_MAP: self._records.has_prior_map,
+        }
+        reason = next((why for why, is_missing in missing.items() if is_missing), "")
+        if reason:
+            self._unavailable["closures"] = reason
+        if graph is None or self._records.has_prior_map:
+            return judge_closures(find_final_decisions(records), {}, truth, self._protocol), None
+        ids, stamps_ns = graph.keyframe_ids, graph.keyframe_stamps_ns
+        stamp_of_keyframe = dict(zip(ids.tolist(), stamps_ns.tolist(), strict=True))
+        judged = judge_closures(find_final_decisions(records), stamp_of_keyframe, truth, self._protocol)
+        return judged, find_revisits(ids, stamps_ns, truth, self._protocol) if len(truth) and len(ids) else None
 
-    def _retrieval(self, closures: ClosureQuality | None) -> RetrievalQuality | None:
-        graph = self._records.graph
-        if closures is None or closures.revisits is None or graph is None:
-            self._unavailable["retrieval"] = self._unavailable["closures"]
-            return None
-        revisits = closures.revisits.revisits
-        return self._measure(
-            "retrieval",
-            lambda: evaluate_retrieval(
-                self._records.closures,
-                revisits,
-                dict(zip(graph.keyframe_ids.tolist(), graph.keyframe_stamps_ns.tolist(), strict=True)),
-                self._closure_truth,
-                self._protocol,
-                place_count=self._records.verified_places,
-            ),
-        )
+    def _describe_closures(self, judged: pd.DataFrame | None, queries: pd.DataFrame | None) -> dict[str, Any]:
+        protocol, has_truth = self._protocol, len(self._closure_truth) > 0
+        nothing = judge_closures((), {}, _NO_POSES, protocol)
+        if judged is None:
+            figures = undefined(describe_closures(nothing, protocol, has_truth=False))
+        else:
+            figures = describe_closures(judged, protocol, has_truth=has_truth)
+        if judged is None or queries is None:
+            no_queries = find_revisits(_NO_IDS, _NO_IDS, _NO_POSES, protocol)
+            return {**figures, **undefined(describe_revisits(no_queries, nothing))}
+        return {**figures, **describe_revisits(queries, judged)}
 
-    def _literature_protocols(self) -> tuple[PairQuality, OnlineQuality] | tuple[None, None]:
+    def _describe_online(self) -> dict[str, Any]:
         graph, truth = self._records.graph, self._closure_truth
         if graph is None or not len(truth):
             self._unavailable["literature_protocols"] = NO_KEYFRAMES if graph is None else NO_TRUTH
-            return None, None
+            counts = dict.fromkeys(("query_count", "revisit_count", "found_count", "recall_at_1"))
+            return {**counts, **describe_sweep(None)}
         candidates = find_final_decisions(self._records.closures)
-        keyframes = compare_keyframes(candidates, graph, self._odometry.stamps_ns, truth, self._protocol)
-        return evaluate_pairs(keyframes, self._protocol), evaluate_online(keyframes, self._protocol)
+        return evaluate_online(candidates, graph, self._odometry.stamps_ns, truth, self._protocol)
 
-    def _relocalization(self, T_world_estimate: FloatArray | None) -> RelocalizationQuality | None:
+    def _describe_relocalization(self, T_world_estimate: FloatArray | None) -> dict[str, Any]:
         records = self._records
         if not records.statuses:
             self._unavailable["relocalization"] = NO_STATUS
-            return None
+            return {"losses": [], "lost_time_ratio": None, "method": None, **undefined(describe_losses([]))}
         is_given = records.has_prior_map
         if self._map_alignment is not None and not is_given:
             self._unavailable["map_alignment"] = "not used: in this log the robot made its own map and was given none"
         is_located = is_given and self._map_alignment is not None
-        quality = evaluate_relocalization(
+        figures = evaluate_relocalization(
             records,
             self._truth if is_given else self._closure_truth,
             self._odometry,
@@ -286,23 +311,8 @@ class _Evaluator:
             T_world_map=self._map_alignment if is_located else T_world_estimate,
             method="map" if is_located else "trajectory" if is_given else "closure",
         )
-        if quality.undecided_count:
+        undecided, fixes = figures["undecided_count"], figures["fix_count"]
+        if undecided:
             reason = "no truth at their stamps" if len(self._truth) else NO_TRUTH
-            self._unavailable["relocalization"] = f"{quality.undecided_count} of {quality.fix_count} fixes: {reason}"
-        return quality
-
-    def _calibration(
-        self, associations: AssociationQuality | None, closures: ClosureQuality | None
-    ) -> CalibrationQuality | None:
-        quality, missing = evaluate_calibration(
-            self._records.graph,
-            self._records.object_map,
-            self._records.true_objects,
-            self._matches(associations),
-            closures.judged if closures is not None else None,
-            self._truth,
-            self._protocol,
-        )
-        if missing:
-            self._unavailable["calibration"] = missing if len(self._truth) else NO_TRUTH
-        return quality
+            self._unavailable["relocalization"] = f"{undecided} of {fixes} fixes: {reason}"
+        return figures

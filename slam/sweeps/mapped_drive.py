@@ -49,8 +49,7 @@ class MappedDrive:
     """What the replay reported and, as ``evaluation``, the JSON of 'dslam evaluate'; or why there is none.
 
     ``warnings``: messages of the log at the level of a warning or an error, each once. ``peak_memory_bytes``: most
-    memory of the process until the end of the replay; ``object_count``: true objects that were detected; ``seconds``
-    of the replay, ``cpu_s`` of the processor for all.
+    memory of the process until the end of the replay; ``seconds`` of the replay, ``cpu_s`` of the processor for all.
     """
 
     name: str
@@ -58,7 +57,6 @@ class MappedDrive:
     evaluation: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     peak_memory_bytes: int = 0
-    object_count: int | None = None
     seconds: float = 0.0
     cpu_s: float = 0.0
     error: str = ""
@@ -105,15 +103,12 @@ def _map(task: DriveTask, folder: Path) -> MappedDrive:
     # The replay copies the truth, so that the truth of a scaled log is the scaled one.
     records = _with_online_from(read_records(mapped), task.online_from)
     warnings = dict.fromkeys(status.message for status in records.statuses if status.level != "info")
-    evaluation = evaluate(records)
-    objects = evaluation.associations.object_detection_counts if evaluation.associations else None
     return MappedDrive(
         task.name,
         summary,
-        evaluation.to_json_dict(),
+        evaluate(records).to_json_dict(),
         tuple(warnings),
         peak,
-        None if objects is None else len(objects),
         seconds,
         time.process_time() - began_s,
     )

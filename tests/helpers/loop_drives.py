@@ -12,7 +12,6 @@ import numpy as np
 from logs.messages import FactorGraphRecord, LoopClosureRecord
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.evaluation.place_recognition.closures import ClosureQuality, RevisitQuality
 from slam.evaluation.result import Evaluation
 from slam.simulation.config import DriveConfig, KidnapConfig, SimulationConfig
 from slam.simulation.world import World
@@ -51,20 +50,10 @@ class Outcome:
         return graph
 
     @property
-    def closures(self) -> ClosureQuality:
-        assert self.evaluation.closures is not None
-        return self.evaluation.closures
-
-    @property
-    def revisits(self) -> RevisitQuality:
-        assert self.closures.revisits is not None
-        return self.closures.revisits
-
-    @property
-    def recall(self) -> float:
-        recall = self.revisits.recall
-        assert recall is not None
-        return recall
+    def closures(self) -> dict[str, Any]:
+        """Figures by the keys of the JSON."""
+        figures: dict[str, Any] = self.evaluation.to_json_dict()["closures"]
+        return figures
 
     @property
     def ate_m(self) -> float:

@@ -26,7 +26,7 @@ from slam.common.errors import InputDataError
 from slam.common.geometry import invert, transform_from_xyz_yaw
 from slam.evaluation.evaluate import find_aliases
 from slam.evaluation.inputs.synchronization import clean_poses
-from slam.evaluation.metrics.association import evaluate_associations, label_detections
+from slam.evaluation.metrics.association import identify_landmarks, label_detections
 from slam.final_map import FinalMap
 from slam.frontend import mapper
 from slam.simulation.config import KidnapConfig, SimulationConfig, TrafficConfig
@@ -69,7 +69,7 @@ def truth_of_landmarks(
     )
     truths = [record for _, _, record in entries if isinstance(record, DetectionTruth)]
     labelled = label_detections(associations_of(entries, config), truths, path, aliases=find_aliases(object_map))
-    return dict(evaluate_associations(labelled).landmark_object_ids)
+    return identify_landmarks(labelled.table)
 
 
 # Without noise
@@ -79,13 +79,13 @@ def test_without_noise_everything_is_where_and_what_it_is(exact_drive, tmp_path)
     found = run(exact_drive, tmp_path / "out.mcap")
     assert found.estimate.absolute.rmse_m < 1e-6
     assert found.online.absolute.rmse_m < 1e-6
-    assert found.associations.precision == 1.0
+    assert found.results["associations"]["precision"] == 1.0
     # What was seen once from afar and then hidden for long may begin again.
-    assert found.associations.recall > 0.999
-    assert found.associations.confirmed_landmark_count == len(block_world().object_ids)
-    assert found.associations.mean_confirmed_landmarks_per_object == 1.0
-    assert found.landmarks.global_frame.max_m < 1e-6
-    assert found.landmarks.class_right_count == len(block_world().object_ids)
+    assert found.results["associations"]["recall"] > 0.999
+    assert found.results["associations"]["confirmed_landmark_count"] == len(block_world().object_ids)
+    assert found.results["associations"]["mean_confirmed_landmarks_per_object"] == 1.0
+    assert found.results["landmarks"]["global_max_error_m"] < 1e-6
+    assert found.results["landmarks"]["class_right_count"] == len(block_world().object_ids)
 
 
 def by_sector(entries: Iterable[Entry], sensors: int) -> list[Entry]:
@@ -139,12 +139,12 @@ def test_odometry_that_is_a_fifth_too_long_is_corrected(exact_drive, tmp_path):
 
 def test_with_default_noise_detections_go_to_the_right_landmarks(noisy_drive, tmp_path):
     found = run(noisy_drive, tmp_path / "out.mcap")
-    assert found.associations.precision > 0.995
-    assert found.associations.recall > 0.99
-    assert found.associations.confirmed_false_landmark_count == 0
-    assert found.associations.mean_confirmed_landmarks_per_object < 1.1
+    assert found.results["associations"]["precision"] > 0.995
+    assert found.results["associations"]["recall"] > 0.99
+    assert found.results["associations"]["confirmed_false_landmark_count"] == 0
+    assert found.results["associations"]["mean_confirmed_landmarks_per_object"] < 1.1
     assert found.estimate.absolute.rmse_m < 0.6 * found.odometry.absolute.rmse_m
-    assert found.landmarks.windowed.rmse_m < 0.1
+    assert found.results["landmarks"]["p95_error_m"] < 0.1
 
 
 @pytest.mark.slow

@@ -25,7 +25,6 @@ LENGTHS = (
     "revisit_distance_m",
     "closure_run_gap_m",
     "pair_positive_m",
-    "pair_negative_m",
     "relocalization_translation_m",
 )
 """Those of them that mean nothing in a hall of ten metres."""
@@ -37,7 +36,7 @@ class Protocol:
 
     Raises:
         EvaluationError: a threshold is not positive, windows of fewer than three landmarks are asked for, the
-            headings that count as the same and as opposite overlap, or near and distant pairs do.
+        headings that count as the same and as opposite overlap, or the coverage is not below 1.
     """
 
     max_truth_gap_s: float = 1.5
@@ -58,7 +57,6 @@ class Protocol:
     opposite_heading_deg: float = 135.0
     closure_run_gap_m: float = 10.0
     pair_positive_m: float = 3.0
-    pair_negative_m: float = 20.0
     pair_frames: int = 50
     relocalization_translation_m: float = 4.0
     relocalization_rotation_deg: float = 10.0
@@ -73,11 +71,6 @@ class Protocol:
             raise EvaluationError(
                 f"same_heading_deg = {self.same_heading_deg} and opposite_heading_deg = {self.opposite_heading_deg} of "
                 "the evaluation protocol must not exceed one another and 180"
-            )
-        if self.pair_negative_m < self.pair_positive_m:
-            raise EvaluationError(
-                f"pair_negative_m = {self.pair_negative_m} of the evaluation protocol is below pair_positive_m = "
-                f"{self.pair_positive_m}, so a pair could be both"
             )
         if not self.coverage_probability < 1.0:
             raise EvaluationError(
@@ -179,20 +172,11 @@ class Protocol:
             "extended_precision": "The mean of the precision at the highest score and the largest recall at full "
             "precision (Ferrarini et al., 2020); the latter is 0 if the best score is false. Undefined without a "
             "candidate, as average precision and F1 are.",
-            "retrieval": "Revisits at which descriptors proposed places: the share with a right one among the first "
-            f"k, which is a reference keyframe within {self.revisit_distance_m:g} m of the query by the truth, or "
-            "a true transform. Undefined for k above the number of proposals that the run verified at each "
-            "keyframe (loop_closure.max_candidates).",
         }
 
     def _describe_literature_protocols(self) -> dict[str, str]:
         apart = f"more than {self.pair_frames} frames apart (odometry messages, or keyframes where the log has none)"
         return {
-            "literature_pairs": f"Pairs of keyframes: positive less than {self.pair_positive_m:g} m and {apart}, "
-            f"negative more than {self.pair_negative_m:g} m apart, between true positions in 3-D; others are "
-            "ignored. A pair has the score of the best candidate that places the later keyframe in the final map "
-            f"less than {self.pair_positive_m:g} m from the earlier one; all other pairs share the "
-            "lowest score. Papers use every frame, and score every pair by its similarity.",
             "literature_online": f"Each keyframe is a query against all earlier ones {apart}. Its answer is the "
             "keyframe nearest to the pose of its best-scoring candidate in the final map, or none if it is "
             f"{self.pair_positive_m:g} m away or more; it is right if both are less than {self.pair_positive_m:g} m "

@@ -120,13 +120,6 @@ class EvaluationRecords:
             return None
         return float(range_m) if 0.0 < range_m < np.inf else None
 
-    @property
-    def verified_places(self) -> int | None:
-        """Proposals of descriptors that the run verified for each keyframe; None where the log does not tell."""
-        loop_closure = self.configuration.get("loop_closure")
-        places = loop_closure.get("max_candidates") if isinstance(loop_closure, Mapping) else None
-        return places if isinstance(places, int) else None
-
     def with_truth_of(self, reference: EvaluationRecords) -> EvaluationRecords:
         """These records with the truth of another log, kind by kind where that log has it.
 

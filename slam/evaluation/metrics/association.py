@@ -13,6 +13,7 @@ from logs.messages import DetectionAssociations, DetectionTruth
 from slam.common.arrays import BoolArray
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.synchronization import PoseSeries
+from slam.evaluation.metrics.statistics import fraction
 
 FALSE_POSITIVE = ""
 """True id of a detection that shows no object."""
@@ -32,51 +33,6 @@ class LabelledDetections:
     frame_count: int
     frames_without_truth: int
     frames_without_associations: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AssociationQuality:
-    """Counts, and the fractions made of them; a fraction is None where its denominator is 0.
-
-    ``landmark_object_ids`` gives each landmark its true object ("" for a false positive),
-    ``object_detection_counts`` how often each true object was detected.
-    """
-
-    detection_count: int
-    false_positive_count: int
-    created_count: int
-    assigned_count: int
-    right_count: int
-    assigned_false_positive_count: int
-    possible_count: int
-    made_count: int
-    landmark_count: int
-    false_landmark_count: int
-    confirmed_landmark_count: int | None
-    confirmed_false_landmark_count: int | None
-    mean_landmarks_per_object: float | None
-    max_landmarks_per_object: int | None
-    mean_confirmed_landmarks_per_object: float | None
-    frame_count: int
-    frames_without_truth: int
-    frames_without_associations: int
-    landmark_object_ids: Mapping[str, str]
-    object_detection_counts: Mapping[str, int]
-
-    @property
-    def precision(self) -> float | None:
-        """Right assignments among all to an existing landmark; an assigned false positive is wrong."""
-        return _fraction(self.right_count, self.assigned_count)
-
-    @property
-    def precision_without_false_positives(self) -> float | None:
-        """As :attr:`precision`, among the assigned detections that show an object."""
-        return _fraction(self.right_count, self.assigned_count - self.assigned_false_positive_count)
-
-    @property
-    def recall(self) -> float | None:
-        """Associations made among those that were possible."""
-        return _fraction(self.made_count, self.possible_count)
 
 
 def label_detections(
@@ -154,14 +110,16 @@ def evaluate_associations(
     *,
     revisit_m: float = 100.0,
     confirmed_landmark_ids: Collection[str] | None = None,
-) -> AssociationQuality:
-    """Precision and recall of the assignments, and how the landmarks split up the objects.
+) -> dict[str, float | None]:
+    """Precision and recall of the assignments, and how the landmarks split up the objects, by the keys of the JSON.
 
     * An assignment gives a detection to a landmark that existed (``created`` is false). It is right if the detection
       shows the landmark's true object (:func:`identify_landmarks`); a false positive is never right.
     * An association was possible where the object had been detected in an earlier frame at most ``revisit_m`` of
       travel before; it was made if the detection was assigned to a landmark whose true object it shows.
     * Landmarks per object: over the objects that are the true object of at least one landmark.
+
+    A fraction is None where its denominator is 0.
 
     Args:
         detections: from :func:`label_detections`; may be empty.
@@ -174,33 +132,44 @@ def evaluate_associations(
     assigned = has_landmark & ~table["created"]
     right = assigned & real & (table["landmark"].map(identities) == table["object"])
     possible = find_possible_associations(table, revisit_m=revisit_m)
-    confirmed = None
+    confirmed = confirmed_false = confirmed_per_object = None
     if confirmed_landmark_ids is not None:
         wanted = set(confirmed_landmark_ids)
-        confirmed = [identity for name, identity in identities.items() if name in wanted]
+        shown = [identity for name, identity in identities.items() if name in wanted]
+        confirmed, confirmed_false = len(shown), shown.count(FALSE_POSITIVE)
+        confirmed_per_object = fraction(confirmed - confirmed_false, len({*shown} - {FALSE_POSITIVE}))
     per_object = Counter(identity for identity in identities.values() if identity != FALSE_POSITIVE)
-    return AssociationQuality(
-        detection_count=len(table),
-        false_positive_count=int((~real).sum()),
-        created_count=int((has_landmark & table["created"]).sum()),
-        assigned_count=int(assigned.sum()),
-        right_count=int(right.sum()),
-        assigned_false_positive_count=int((assigned & ~real).sum()),
-        possible_count=int(possible.sum()),
-        made_count=int((possible & right).sum()),
-        landmark_count=len(identities),
-        false_landmark_count=len(identities) - per_object.total(),
-        confirmed_landmark_count=None if confirmed is None else len(confirmed),
-        confirmed_false_landmark_count=None if confirmed is None else confirmed.count(FALSE_POSITIVE),
-        mean_landmarks_per_object=_fraction(per_object.total(), len(per_object)),
-        max_landmarks_per_object=max(per_object.values(), default=None),
-        mean_confirmed_landmarks_per_object=None if confirmed is None else _mean_per_object(confirmed),
-        frame_count=detections.frame_count,
-        frames_without_truth=detections.frames_without_truth,
-        frames_without_associations=detections.frames_without_associations,
-        landmark_object_ids=identities,
-        object_detection_counts=table.loc[real, "object"].value_counts().to_dict(),
-    )
+    right_count, assigned_count, false_count = int(right.sum()), int(assigned.sum()), int((assigned & ~real).sum())
+    possible_count, made_count = int(possible.sum()), int((possible & right).sum())
+    return {
+        "detection_count": len(table),
+        "object_count": table.loc[real, "object"].nunique(),
+        "false_positive_count": int((~real).sum()),
+        "created_count": int((has_landmark & table["created"]).sum()),
+        "assigned_count": assigned_count,
+        "right_count": right_count,
+        "assigned_false_positive_count": false_count,
+        "possible_count": possible_count,
+        "made_count": made_count,
+        "landmark_count": len(identities),
+        "false_landmark_count": len(identities) - per_object.total(),
+        "confirmed_landmark_count": confirmed,
+        "confirmed_false_landmark_count": confirmed_false,
+        "mean_landmarks_per_object": fraction(per_object.total(), len(per_object)),
+        "max_landmarks_per_object": max(per_object.values(), default=None),
+        "mean_confirmed_landmarks_per_object": confirmed_per_object,
+        "frame_count": detections.frame_count,
+        "frames_without_truth": detections.frames_without_truth,
+        "frames_without_associations": detections.frames_without_associations,
+        "precision": fraction(right_count, assigned_count),
+        "precision_without_false_positives": fraction(right_count, assigned_count - false_count),
+        "recall": fraction(made_count, possible_count),
+    }
+
+
+def count_detections(table: pd.DataFrame) -> dict[str, int]:
+    """How often each true object was detected."""
+    return {name: int(count) for name, count in table["object"].value_counts().items() if name != FALSE_POSITIVE}
 
 
 def _resolve_aliases(aliases: Mapping[str, str]) -> dict[str, str]:
@@ -215,12 +184,3 @@ def _resolve_aliases(aliases: Mapping[str, str]) -> dict[str, str]:
             name = aliases[name]
         surviving[start] = name
     return surviving
-
-
-def _mean_per_object(identities: list[str]) -> float | None:
-    real = [identity for identity in identities if identity != FALSE_POSITIVE]
-    return _fraction(len(real), len(set(real)))
-
-
-def _fraction(part: int, whole: int) -> float | None:
-    return part / whole if whole else None

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from scipy.spatial.transform import Rotation
 from scipy.special import gammaincinv
 
@@ -20,7 +21,6 @@ from slam.common.geometry import apply, invert
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.landmarks import LandmarkMatches
-from slam.evaluation.place_recognition.closure_labels import JudgedClosures
 from slam.evaluation.place_recognition.revisits import find_true_poses
 
 IN_PLANE = {"pose": [2, 3, 4], "landmark": [0, 1], "closure": [2, 3, 4]}
@@ -57,17 +57,6 @@ class Consistency:
         return float(np.mean(self.squares <= 2.0 * gammaincinv(0.5 * self.dimension, probability)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CalibrationQuality:
-    """NEES of what a map holds, by the names in :data:`CALIBRATED`; without those that could not be measured.
-
-    ``probability``: that of the regions whose coverage is counted.
-    """
-
-    probability: float
-    parts: Mapping[str, Consistency]
-
-
 def measure_consistency(errors: FloatArray, covariances: FloatArray) -> Consistency | None:
     """Set errors (N, D) against covariances (N, D, D); None where no covariance is usable (N may be 0)."""
     dimension = errors.shape[1]
@@ -86,11 +75,11 @@ def evaluate_calibration(
     map_est: ObjectMapRecord | None,
     map_gt: ObjectMapRecord | None,
     matches: LandmarkMatches | None,
-    judged: JudgedClosures | None,
+    judged: pd.DataFrame | None,
     truth: PoseSeries,
     protocol: Protocol,
-) -> tuple[CalibrationQuality | None, str]:
-    """NEES of keyframes, landmarks and closures, None where there is none of any, and why parts of it are missing.
+) -> tuple[dict[str, Consistency], str]:
+    """NEES of keyframes, landmarks and closures, by names of :data:`CALIBRATED`, and why some of them are missing.
 
     The covariances are those in the map frame, which its first keyframe fixes. So the truth is tied there: no other
     alignment, which would fit the errors away, is made.
@@ -100,7 +89,7 @@ def evaluate_calibration(
         map_est: the final map.
         map_gt: true objects.
         matches: of confirmed landmarks with true objects, by the truth of their detections.
-        judged: closures with their errors.
+        judged: candidates, as :func:`slam.evaluation.place_recognition.closures.judge_closures` returns them.
         truth: may hold no pose.
         protocol: the thresholds.
     """
@@ -127,7 +116,18 @@ def evaluate_calibration(
         missing.append("landmarks: no confirmed one with a covariance, of an object, by the truth of detections")
     if "closure" not in parts:
         missing.append("closures: no accepted true one with a covariance")
-    return CalibrationQuality(protocol.coverage_probability, parts) if parts else None, "; ".join(missing)
+    return parts, "; ".join(missing)
+
+
+def describe_calibration(parts: Mapping[str, Consistency], probability: float) -> dict[str, float | None]:
+    """Coverage of the regions with that ``probability``, NEES and number of errors, by the keys of the JSON."""
+    figures: dict[str, float | None] = {}
+    for name in CALIBRATED:
+        part = parts.get(name)
+        figures[f"{name}_coverage"] = part.coverage(probability) if part else None
+        figures[f"{name}_nees"] = part.nees if part else None
+        figures[f"{name}_count"] = part.count if part else 0
+    return figures
 
 
 def pose_errors(T_est: FloatArray, T_gt: FloatArray) -> FloatArray:
@@ -165,19 +165,17 @@ def _landmark_errors(
     return errors, map_est.covariances[rows]
 
 
-def _closure_errors(judged: JudgedClosures, truth: PoseSeries, protocol: Protocol) -> _Errors | None:
-    rows = [
-        row
-        for row in np.flatnonzero(judged.accepted & judged.true).tolist()
-        if judged.candidates[row].covariance is not None
-    ]
-    if not rows:
+def _closure_errors(judged: pd.DataFrame, truth: PoseSeries, protocol: Protocol) -> _Errors | None:
+    chosen = judged[judged["accepted"] & judged["true"]]
+    chosen = chosen[[record.covariance is not None for record in chosen["record"]]]
+    if chosen.empty:
         return None
-    both_ns = np.concatenate([judged.reference_stamps_ns[rows], judged.query_stamps_ns[rows]])
-    _, poses = find_true_poses(truth, both_ns, max_gap_s=protocol.max_truth_gap_s)
-    T_world_reference, T_world_query = poses[: len(rows)], poses[len(rows) :]
-    T_reference_query = np.array([judged.candidates[row].T_reference_query for row in rows])
-    covariances = np.array([judged.candidates[row].covariance for row in rows])
+    T_world_reference, T_world_query = (
+        find_true_poses(truth, chosen[name].to_numpy(), max_gap_s=protocol.max_truth_gap_s)[1]
+        for name in ("reference_stamp_ns", "stamp_ns")
+    )
+    T_reference_query = np.array([record.T_reference_query for record in chosen["record"]])
+    covariances = np.array([record.covariance for record in chosen["record"]])
     return pose_errors(T_reference_query, invert(T_world_reference) @ T_world_query), covariances
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.alignment import STANDSTILL_M, align_yaw_translation, principal_spreads
 from slam.evaluation.metrics.association import FALSE_POSITIVE
-from slam.evaluation.metrics.trajectory import ErrorStatistics, summarize
+from slam.evaluation.metrics.statistics import fraction, percentile
 
 CONFIRMED = "confirmed"
 DEFAULT_PROTOCOL = Protocol()
@@ -40,55 +40,12 @@ class LandmarkMatches:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowedErrors:
-    """Residuals (R,), metres, after each window was aligned by itself; a landmark of two windows stands twice."""
+    """Residuals (R, 3), metres, after each window was aligned by itself; a landmark of two windows stands twice."""
 
-    residuals_m: FloatArray
-    horizontal_residuals_m: FloatArray
+    residuals: FloatArray
     window_count: int
     skipped_window_count: int
     landmark_count: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LandmarkQuality:
-    """Quality of the confirmed landmarks; None where there is nothing to count.
-
-    ``windowed`` and ``windowed_horizontal``: residuals after aligning windows of path; ``global_frame``: after the
-    alignment of the whole trajectory. ``recall`` is over the true objects that were detected often enough.
-    """
-
-    method: Literal["detections", "nearest"]
-    confirmed_count: int
-    object_landmark_count: int
-    matched_count: int
-    windowed: ErrorStatistics | None
-    windowed_horizontal: ErrorStatistics | None
-    window_count: int
-    skipped_window_count: int
-    windowed_landmark_count: int
-    global_frame: ErrorStatistics | None
-    class_right_count: int | None
-    recallable_object_count: int | None
-    recalled_object_count: int | None
-
-    @property
-    def precision(self) -> float | None:
-        """Confirmed landmarks that are an object, among all confirmed ones."""
-        return self.object_landmark_count / self.confirmed_count if self.confirmed_count else None
-
-    @property
-    def recall(self) -> float | None:
-        """Objects with a confirmed landmark, among those detected often enough."""
-        if self.recalled_object_count is None or not self.recallable_object_count:
-            return None
-        return self.recalled_object_count / self.recallable_object_count
-
-    @property
-    def class_accuracy(self) -> float | None:
-        """Confirmed landmarks with the class of their object; None where matching used the class already."""
-        if self.class_right_count is None or not self.matched_count:
-            return None
-        return self.class_right_count / self.matched_count
 
 
 def match_by_detections(
@@ -182,10 +139,8 @@ def compute_windowed_errors(
         alignment = align_yaw_translation(positions_est[inside], positions_gt[inside])
         residuals.append(apply(alignment.T_world_map, positions_est[inside]) - positions_gt[inside])
         used |= inside
-    vectors = np.concatenate([np.zeros((0, 3)), *residuals])
     return WindowedErrors(
-        residuals_m=np.linalg.norm(vectors, axis=1),
-        horizontal_residuals_m=np.linalg.norm(vectors[:, :2], axis=1),
+        residuals=np.concatenate([np.zeros((0, 3)), *residuals]),
         window_count=len(residuals),
         skipped_window_count=int(min(count, 2.0**62)) - len(numbers) + skipped,
         landmark_count=int(np.count_nonzero(used)),
@@ -209,8 +164,12 @@ def evaluate_landmarks(
     path_gt: PoseSeries | None = None,
     T_world_map: FloatArray | None = None,
     object_detection_counts: Mapping[str, int] | None = None,
-) -> LandmarkQuality:
-    """Position errors, classes, precision and recall of the confirmed landmarks.
+) -> dict[str, Any]:
+    """Position errors, classes, precision and recall of the confirmed landmarks, by the keys of the JSON.
+
+    Errors are those after aligning windows of path, in space and in the plane ("horizontal"), and those after the
+    alignment of the whole trajectory ("global"). What has no denominator is None. The class is right by construction
+    where landmarks were matched by it, and ``class_accuracy`` is None.
 
     Args:
         map_est: final map, map frame.
@@ -230,30 +189,41 @@ def evaluate_landmarks(
     if not (np.isfinite(positions_est).all() and np.isfinite(positions_gt).all()):
         raise EvaluationError("a landmark or a true object has a position that is not finite")
     windowed = _windowed(map_est, rows_est, positions_est, positions_gt, path_gt, protocol)
-    in_world = None if T_world_map is None else apply(T_world_map, positions_est)
-    labels_est, labels_gt = map_est.labels, map_gt.labels
-    class_right = None
+    distances = {
+        "": np.linalg.norm(windowed.residuals, axis=1),
+        "horizontal_": np.linalg.norm(windowed.residuals[:, :2], axis=1),
+        "global_": np.zeros(0)
+        if T_world_map is None
+        else np.linalg.norm(apply(T_world_map, positions_est) - positions_gt, axis=1),
+    }
+    class_right = recallable = recalled = None
     if matches.method == "detections":
-        class_right = sum(labels_est[i] == labels_gt[j] for i, j in zip(rows_est, rows_gt, strict=True))
-    recallable = None
+        class_right = sum(map_est.labels[i] == map_gt.labels[j] for i, j in zip(rows_est, rows_gt, strict=True))
     if object_detection_counts is not None:
         often = {name for name, count in object_detection_counts.items() if count >= protocol.least_detections}
-        recallable = often & set(map_gt.ids)
-    return LandmarkQuality(
-        method=matches.method,
-        confirmed_count=len(matches.landmark_rows),
-        object_landmark_count=int(np.count_nonzero(matches.is_object)),
-        matched_count=len(rows_est),
-        windowed=_summarize_or_none(windowed.residuals_m),
-        windowed_horizontal=_summarize_or_none(windowed.horizontal_residuals_m),
-        window_count=windowed.window_count,
-        skipped_window_count=windowed.skipped_window_count,
-        windowed_landmark_count=windowed.landmark_count,
-        global_frame=None if in_world is None else _summarize_or_none(np.linalg.norm(in_world - positions_gt, axis=1)),
-        class_right_count=class_right,
-        recallable_object_count=None if recallable is None else len(recallable),
-        recalled_object_count=None if recallable is None else len(recallable & {map_gt.ids[j] for j in rows_gt}),
-    )
+        found = often & {map_gt.ids[row] for row in rows_gt}
+        recallable, recalled = len(often & set(map_gt.ids)), len(found)
+    confirmed_count, object_count = len(matches.landmark_rows), int(np.count_nonzero(matches.is_object))
+    return {
+        **{
+            f"{prefix}{name}_error_m": percentile(errors_m, percent)
+            for prefix, errors_m in distances.items()
+            for name, percent in (("median", 50.0), ("p95", 95.0), ("max", 100.0))
+        },
+        "method": matches.method,
+        "confirmed_count": confirmed_count,
+        "object_landmark_count": object_count,
+        "matched_count": len(rows_est),
+        "window_count": windowed.window_count,
+        "skipped_window_count": windowed.skipped_window_count,
+        "windowed_landmark_count": windowed.landmark_count,
+        "class_right_count": class_right,
+        "recallable_object_count": recallable,
+        "recalled_object_count": recalled,
+        "precision": fraction(object_count, confirmed_count),
+        "recall": None if recalled is None else fraction(recalled, recallable or 0),
+        "class_accuracy": None if class_right is None else fraction(class_right, len(rows_est)),
+    }
 
 
 def _windowed(
@@ -265,7 +235,7 @@ def _windowed(
     protocol: Protocol,
 ) -> WindowedErrors:
     if path_gt is None or len(path_gt.stamps_ns) == 0:
-        return WindowedErrors(np.zeros(0), np.zeros(0), 0, 0, 0)
+        return WindowedErrors(np.zeros((0, 3)), 0, 0, 0)
     seen_ns = map_est.first_seen_ns[rows_est]
     known = (seen_ns >= path_gt.stamps_ns[0]) & (seen_ns <= path_gt.stamps_ns[-1])
     seen_at_m = np.where(known, path_gt.travelled_at_m(seen_ns), np.nan)
@@ -274,7 +244,3 @@ def _windowed(
 
 def _confirmed_rows(map_est: ObjectMapRecord) -> IntArray:
     return np.array([row for row, state in enumerate(map_est.states) if state == CONFIRMED], dtype=np.int64)
-
-
-def _summarize_or_none(errors_m: FloatArray) -> ErrorStatistics | None:
-    return summarize(errors_m) if len(errors_m) else None

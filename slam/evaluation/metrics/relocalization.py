@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
 from slam.evaluation.metrics.alignment import align_path
 from slam.evaluation.metrics.relocalization_errors import FixError, Span, measure_by_closures, measure_by_poses
+from slam.evaluation.metrics.statistics import fraction, percentile
 
 LOST = "LOST"
 Method = Literal["closure", "map", "trajectory"]
@@ -29,84 +29,31 @@ PERCENTILES = {
     "median_error_deg": ("error_deg", 50.0),
     "p95_error_deg": ("error_deg", 95.0),
 }
-"""Figure -> column of :class:`Loss`, and percentile."""
+"""Figure -> what it is of, and percentile."""
 
 
-@dataclass(frozen=True, slots=True)
-class Loss:
-    """From the stamp at which the robot was lost to the one at which it said that it knows where it is.
+def describe_losses(losses: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Numbers of losses and fixes, shares of right and wrong ones, and percentiles of all fixes, right or wrong.
 
-    ``fix_ns``, ``seconds``, ``distance_m``: None where it never did; errors and ``is_right`` also where there is no
-    truth to compare with.
+    The shares are of the losses that are not undecided; None where there is none.
+
+    Args:
+        losses: as :func:`evaluate_relocalization` lists them.
     """
-
-    lost_ns: int
-    fix_ns: int | None = None
-    seconds: float | None = None
-    distance_m: float | None = None
-    error_m: float | None = None
-    error_deg: float | None = None
-    is_right: bool | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class RelocalizationQuality:
-    """All losses of a drive in the order of time, and the share of the drive that was spent lost.
-
-    ``method``: how the error of a fix was measured, by the closure that made it, by where the truth has the given map,
-    or by the alignment of this drive's own trajectory.
-    """
-
-    losses: tuple[Loss, ...]
-    lost_time_ratio: float | None
-    method: Method
-
-    @property
-    def loss_count(self) -> int:
-        """How often the robot was lost."""
-        return len(self.losses)
-
-    @property
-    def fix_count(self) -> int:
-        """Losses that ended within the drive, rightly or wrongly."""
-        return sum(loss.fix_ns is not None for loss in self.losses)
-
-    @property
-    def right_count(self) -> int:
-        """Fixes that are right."""
-        return sum(loss.is_right is True for loss in self.losses)
-
-    @property
-    def wrong_count(self) -> int:
-        """Fixes that are wrong."""
-        return sum(loss.is_right is False for loss in self.losses)
-
-    @property
-    def undecided_count(self) -> int:
-        """Fixes of which the truth says nothing."""
-        return self.fix_count - self.right_count - self.wrong_count
-
-    @property
-    def success_rate(self) -> float | None:
-        """Losses with a right fix among those that were not undecided; None where there is none."""
-        return self._rate(self.right_count)
-
-    @property
-    def false_relocalization_rate(self) -> float | None:
-        """Losses with a wrong fix among those that were not undecided; None where there is none."""
-        return self._rate(self.wrong_count)
-
-    def percentiles(self) -> dict[str, float | None]:
-        """Figures of all fixes, right or wrong, by the names of :data:`PERCENTILES`; None where no fix has them."""
-        figures: dict[str, float | None] = {}
-        for name, (column, percent) in PERCENTILES.items():
-            known = [value for loss in self.losses if (value := getattr(loss, column)) is not None]
-            figures[name] = float(np.percentile(known, percent)) if known else None
-        return figures
-
-    def _rate(self, count: int) -> float | None:
-        decided = self.loss_count - self.undecided_count
-        return count / decided if decided else None
+    fixes = sum(loss["fix_ns"] is not None for loss in losses)
+    right, wrong = (sum(loss["is_right"] is answer for loss in losses) for answer in (True, False))
+    undecided = fixes - right - wrong
+    return {
+        "loss_count": len(losses),
+        "fix_count": fixes,
+        "right_count": right,
+        "wrong_count": wrong,
+        "undecided_count": undecided,
+        "success_rate": fraction(right, len(losses) - undecided),
+        "false_relocalization_rate": fraction(wrong, len(losses) - undecided),
+        **{name: percentile([loss[column] for loss in losses], percent)
+           for name, (column, percent) in PERCENTILES.items()},
+    }  # fmt: skip
 
 
 def locate_map(mapping: EvaluationRecords, protocol: Protocol | None = None) -> FloatArray:
@@ -135,8 +82,8 @@ def evaluate_relocalization(
     *,
     T_world_map: FloatArray | None = None,
     method: Method = "closure",
-) -> RelocalizationQuality:
-    """Times, distances and errors of all losses of a drive.
+) -> dict[str, Any]:
+    """Times, distances and errors of all losses of a drive, by the keys of the JSON.
 
     * A loss begins with the first status in state LOST, also at the start of the drive, and ends with RELOCALIZED.
     * ``method`` "closure": the error of a fix is that of the accepted closure that made it, the last one up to its
@@ -157,10 +104,9 @@ def evaluate_relocalization(
         errors = measure_by_closures(records.closures, spans, truth, protocol)
     else:
         errors = measure_by_poses(records.online_path, spans, truth, T_world_map, protocol)
-    losses = tuple(
-        _describe_loss(span, error, truth, odometry, protocol) for span, error in zip(spans, errors, strict=True)
-    )
-    return RelocalizationQuality(losses, _share_lost(records, spans), method)
+    losses = [_describe_loss(span, error, truth, odometry, protocol) for span, error in zip(spans, errors, strict=True)]
+    lost_time_ratio = _share_lost(records, spans)
+    return {"losses": losses, "lost_time_ratio": lost_time_ratio, "method": method, **describe_losses(losses)}
 
 
 def find_losses(statuses: Iterable[StatusRecord]) -> list[Span]:
@@ -177,15 +123,25 @@ def find_losses(statuses: Iterable[StatusRecord]) -> list[Span]:
     return losses
 
 
-def _describe_loss(span: Span, error: FixError, truth: PoseSeries, odometry: PoseSeries, protocol: Protocol) -> Loss:
+def _describe_loss(
+    span: Span, error: FixError, truth: PoseSeries, odometry: PoseSeries, protocol: Protocol
+) -> dict[str, Any]:
+    """What became of a loss: None is what is not known, for want of a fix or of a truth."""
     lost_ns, fix_ns = span
-    if fix_ns is None:
-        return Loss(lost_ns)
-    seconds, distance_m = (fix_ns - lost_ns) * 1e-9, _travel_m(lost_ns, fix_ns, truth, odometry)
-    if error is None:
-        return Loss(lost_ns, fix_ns, seconds, distance_m)
-    is_right = error[0] <= protocol.relocalization_translation_m and error[1] <= protocol.relocalization_rotation_deg
-    return Loss(lost_ns, fix_ns, seconds, distance_m, *error, is_right)
+    error_m, error_deg = error or (None, None)
+    is_right = None
+    if error_m is not None and error_deg is not None:
+        is_near = error_m <= protocol.relocalization_translation_m
+        is_right = is_near and error_deg <= protocol.relocalization_rotation_deg
+    return {
+        "lost_ns": lost_ns,
+        "fix_ns": fix_ns,
+        "seconds": None if fix_ns is None else (fix_ns - lost_ns) * 1e-9,
+        "distance_m": None if fix_ns is None else _travel_m(lost_ns, fix_ns, truth, odometry),
+        "error_m": error_m,
+        "error_deg": error_deg,
+        "is_right": is_right,
+    }
 
 
 def _travel_m(from_ns: int, to_ns: int, truth: PoseSeries, odometry: PoseSeries) -> float | None:

@@ -11,7 +11,7 @@ from slam.common.arrays import FloatArray
 from slam.common.geometry import invert, rotation_angle_rad
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
-from slam.evaluation.place_recognition.closure_labels import label_closures
+from slam.evaluation.place_recognition.closures import judge_closures
 from slam.evaluation.place_recognition.revisits import find_true_poses
 
 Span = tuple[int, int | None]
@@ -32,13 +32,9 @@ def measure_by_closures(
         protocol: the thresholds.
     """
     made = [_find_closure(closures, *span) for span in spans]
-    judged = label_closures(tuple(each for each in made if each is not None), {}, truth, protocol)
-    errors_m = np.linalg.norm(judged.errors_xyz, axis=1)
-    errors_deg = np.rad2deg(judged.rotation_errors_rad)
-    found = iter(
-        (float(m), float(deg)) if decided else None
-        for m, deg, decided in zip(errors_m, errors_deg, judged.decided, strict=True)
-    )
+    judged = judge_closures([each for each in made if each is not None], {}, truth, protocol)
+    errors = zip(judged["error_m"], np.rad2deg(judged["rotation_rad"]), judged["decided"], strict=True)
+    found = iter((float(m), float(deg)) if decided else None for m, deg, decided in errors)
     return [None if each is None else next(found) for each in made]
 
 

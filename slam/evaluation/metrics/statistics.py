@@ -1,4 +1,4 @@
-"""Mean and spread of a figure over several runs."""
+"""Shares, percentiles, and the mean and spread of a figure over several runs; undefined is None."""
 
 from __future__ import annotations
 
@@ -6,7 +6,20 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from statistics import fmean, stdev
 
+import numpy as np
+
 UNDEFINED = "–"
+
+
+def fraction(part: int, whole: int) -> float | None:
+    """``part / whole``; None of nothing."""
+    return part / whole if whole else None
+
+
+def percentile(values: Iterable[float | None], percent: float) -> float | None:
+    """The percentile of the values that are defined; None where none is."""
+    known = [value for value in values if value is not None]
+    return float(np.percentile(known, percent)) if known else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,20 +6,20 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy.special import chdtr
 
 from logs.closures import STAGES
-from slam.common.arrays import FloatArray, IntArray
+from logs.messages import LoopClosureRecord
+from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
 from slam.common.geometry import apply, invert, travelled_m, yaw_rad
 from slam.display import palette
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries, SynchronizedPoses, synchronize
-from slam.evaluation.metrics.calibration import CalibrationQuality
+from slam.evaluation.metrics.calibration import Consistency
 from slam.evaluation.metrics.trajectory import TrajectoryErrors
 from slam.evaluation.page.traces import Chart, Trace, draw_line, draw_points, label, make_axis, make_chart, thin
-from slam.evaluation.place_recognition.closure_labels import JudgedClosures
-from slam.evaluation.place_recognition.closures import ClosureQuality
 from slam.evaluation.report.figures import value_at
 from slam.evaluation.report.picture import poses_at
 from slam.evaluation.result import Evaluation
@@ -95,69 +95,67 @@ def draw_error_along_path(records: EvaluationRecords, evaluation: Evaluation) ->
     return make_chart(traces, x_axis, make_axis("position error [m]", rangemode="tozero"), hovermode="x unified")
 
 
-def draw_candidates(quality: ClosureQuality | None, path: PoseSeries) -> Chart | None:
+def draw_candidates(judged: pd.DataFrame | None, path: PoseSeries) -> Chart | None:
     """Score of each candidate over time, coloured by the stage of its decision; None where there is no candidate."""
-    if quality is None:
+    if judged is None:
         return None
-    judged = quality.judged
-    stages = np.array([c.stage for c in judged.candidates], dtype=np.str_)
-    known = [stage for stage in STAGES if (stages == stage).any()]
-    groups = {stage: np.flatnonzero(stages == stage) for stage in known}
-    groups["another"] = np.flatnonzero(~np.isin(stages, known))
+    stages = judged["stage"].where(judged["stage"].isin(STAGES), "another")
     start_ns = int(path.stamps_ns[0]) if len(path) else 0
-    traces = [_draw_stage(judged, rows, stage, start_ns, path) for stage, rows in groups.items() if len(rows)]
+    traces = [
+        _draw_stage(judged[stages == stage], stage, start_ns, path)
+        for stage in (*STAGES, "another")
+        if (stages == stage).any()
+    ]
     return make_chart(traces, make_axis("time [s]"), make_axis("score"))
 
 
-def _draw_stage(judged: JudgedClosures, rows: IntArray, stage: str, start_ns: int, path: PoseSeries) -> Trace:
-    count = len(rows)
+def _draw_stage(candidates: pd.DataFrame, stage: str, start_ns: int, path: PoseSeries) -> Trace:
+    shown, count = candidates, len(candidates)
     if stage != "accepted":
-        rows = rows[thin(np.ones(count, dtype=np.bool_), MAX_REJECTED)]
-    shown = f"{count}" if len(rows) == count else f"{len(rows)} of {count}"
-    symbols = np.where(judged.true[rows], "circle", np.where(judged.decided[rows], "x-thin-open", "circle-open"))
+        shown = candidates.iloc[thin(np.ones(count, dtype=np.bool_), MAX_REJECTED)]
+    name = f"{stage.replace('_', ' ')} ({count if len(shown) == count else f'{len(shown)} of {count}'})"
+    symbols = np.select([shown["true"], shown["decided"]], ["circle", "x-thin-open"], "circle-open")
     color = STAGE_COLORS.get(stage, palette.OTHER_COLOR)
-    seconds = (judged.query_stamps_ns[rows] - start_ns) * 1e-9
-    places = np.column_stack([seconds, np.nan_to_num(judged.scores[rows], nan=0.0, posinf=0.0, neginf=0.0)])
-    texts = [_describe(judged, row) for row in rows.tolist()]
-    trace = draw_points(places, f"{stage.replace('_', ' ')} ({shown})", texts, color, symbols.tolist())
+    seconds = (shown["stamp_ns"] - start_ns) * 1e-9
+    places = np.column_stack([seconds, np.nan_to_num(shown["score"], nan=0.0, posinf=0.0, neginf=0.0)])
+    texts = [_describe(*row) for row in zip(shown["record"], shown["decided"], shown["true"], strict=True)]
+    trace = draw_points(places, name, texts, color, symbols.tolist())
     trace["marker"]["line"] = {"color": color, "width": 1.2}
-    return trace | {"customdata": _places(judged, rows, path)}
+    return trace | {"customdata": _places(shown, path)}
 
 
-def _describe(judged: JudgedClosures, row: int) -> str:
-    candidate = judged.candidates[row]
+def _describe(candidate: LoopClosureRecord, decided: bool, true: bool) -> str:
     earlier = "no place" if candidate.reference_keyframe_id < 0 else f"{candidate.reference_keyframe_id}"
-    verdict = "undecided" if not judged.decided[row] else "true" if judged.true[row] else "false"
+    verdict = "undecided" if not decided else "true" if true else "false"
     stage = f"{label(candidate.stage)}, {verdict} by the truth"
     return f"keyframe {candidate.query_keyframe_id} → {earlier}<br>{stage}<br>{label(candidate.reason)}"
 
 
-def _places(judged: JudgedClosures, rows: IntArray, path: PoseSeries) -> list[list[float] | None]:
+def _places(candidates: pd.DataFrame, path: PoseSeries) -> list[list[float] | None]:
     """For each candidate x and y of query and reference, and where it moves landmarks: x, y, yaw; map frame, m, rad.
 
     None where it has no transform, or the path does not reach its keyframes.
     """
-    T_map_query = poses_at(path, judged.query_stamps_ns[rows])
-    T_map_reference = poses_at(path, judged.reference_stamps_ns[rows])
+    T_map_query = poses_at(path, candidates["stamp_ns"].to_numpy())
+    T_map_reference = poses_at(path, candidates["reference_stamp_ns"].to_numpy())
     places: list[list[float] | None] = []
-    for row, query, reference in zip(rows.tolist(), T_map_query, T_map_reference, strict=True):
-        T_reference_query = judged.candidates[row].T_reference_query
-        if T_reference_query is None or not (np.isfinite(query).all() and np.isfinite(reference).all()):
+    for record, query, reference in zip(candidates["record"], T_map_query, T_map_reference, strict=True):
+        if record.T_reference_query is None or not (np.isfinite(query).all() and np.isfinite(reference).all()):
             places.append(None)
             continue
-        moved = reference @ T_reference_query @ invert(query)
+        moved = reference @ record.T_reference_query @ invert(query)
         numbers = [*query[:2, 3], *reference[:2, 3], *moved[:2, 3], yaw_rad(moved)]
         places.append([round(float(number), 4) for number in numbers])
     return places
 
 
-def draw_calibration(quality: CalibrationQuality | None) -> Chart | None:
+def draw_calibration(parts: Mapping[str, Consistency]) -> Chart | None:
     """Share of the errors within the region of every probability; None where there is no error to compare."""
-    if quality is None:
+    if not parts:
         return None
     probabilities = np.linspace(0.0, 1.0, 51)
     traces = [draw_line(probabilities, probabilities, "consistent covariances", "#8a94a3", 1.2, dash="dot")]
-    for name, part in quality.parts.items():
+    for name, part in parts.items():
         kind = name.removeprefix("planar_")
         within = np.sort(chdtr(part.dimension, part.squares))
         shares = np.searchsorted(within, probabilities, side="right") / part.count

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from slam.common.arrays import FloatArray
 from slam.common.calibration import DetectionCalibration
@@ -24,7 +25,6 @@ from slam.evaluation.page.traces import (
     thin,
     view_from_above,
 )
-from slam.evaluation.place_recognition.closures import ClosureQuality
 from slam.evaluation.report.picture import closure_ends, estimated_path, positions_at
 from slam.evaluation.result import Evaluation
 
@@ -56,7 +56,7 @@ def draw_trajectory(picture: MapPicture, records: EvaluationRecords, evaluation:
     ]
     if not traces:
         return None
-    closures = _draw_closures(evaluation.closures, path) if evaluation.closures is not None else {}
+    closures = _draw_closures(evaluation, path)
     for name in ("true", "undecided", "errors", "missed", "false"):  # each covers those before it
         traces += _draw_errors(records, evaluation) if name == "errors" else closures.get(name, [])
     marks = (
@@ -122,16 +122,22 @@ def _draw_errors(records: EvaluationRecords, evaluation: Evaluation) -> list[Tra
     return [draw_points(poses.positions_est[rows], name, texts, color, size=5, marker=scale, showlegend=False)]
 
 
-def _draw_closures(quality: ClosureQuality, path: PoseSeries) -> dict[str, list[Trace]]:
+def _draw_closures(evaluation: Evaluation, path: PoseSeries) -> dict[str, list[Trace]]:
     """Closures by their label, and missed revisits."""
-    judged = quality.judged
+    if evaluation.closures is None:
+        return {}
+    accepted = evaluation.closures[evaluation.closures["accepted"]]
+    true, decided = accepted["true"], accepted["decided"]
+    has_truth = evaluation.results["closures"]["true_count"] is not None
     traces = {
-        "true": _draw_label(quality, path, "true", judged.true, palette.TRUE_CLOSURE, "circle", 1.5),
-        "undecided": _draw_label(quality, path, "undecided", ~judged.decided, palette.CLOSURE, "circle", 1.5),
-        "false": _draw_label(quality, path, "false", judged.decided & ~judged.true, palette.FALSE_CLOSURE, "x", 3.0),
+        "true": _draw_label(accepted[true], path, "true", palette.TRUE_CLOSURE, "circle", 1.5, always=has_truth),
+        "undecided": _draw_label(accepted[~decided], path, "undecided", palette.CLOSURE, "circle", 1.5),
+        "false": _draw_label(
+            accepted[decided & ~true], path, "false", palette.FALSE_CLOSURE, "x", 3.0, always=has_truth
+        ),
     }
-    if quality.revisits is not None:
-        at_ns = quality.revisits.missed_stamps_ns
+    if evaluation.results["closures"]["revisit_count"] is not None:
+        at_ns = np.array(evaluation.missed_ns, dtype=np.int64)
         texts = [f"<b>missed revisit</b><br>{moment}" for moment in _describe_moments(path, at_ns)]
         edge = {"line": {"color": palette.MISSED, "width": 2.2}}
         title = f"missed revisits ({len(at_ns)})"
@@ -140,35 +146,37 @@ def _draw_closures(quality: ClosureQuality, path: PoseSeries) -> dict[str, list[
 
 
 def _draw_label(
-    quality: ClosureQuality, path: PoseSeries, name: str, chosen: Any, color: str, symbol: str, width: float
+    closures: pd.DataFrame,
+    path: PoseSeries,
+    name: str,
+    color: str,
+    symbol: str,
+    width: float,
+    *,
+    always: bool = False,
 ) -> list[Trace]:
-    """A dot at the later keyframe of each accepted closure, and a stroke from it to the earlier one."""
-    judged = quality.judged
-    rows = np.flatnonzero(judged.accepted & chosen)
-    if not len(rows) and not (quality.has_truth and name != "undecided"):
+    """A dot at the later keyframe of each closure, and a stroke from it to the earlier one; without any an entry of
+    the key, if ``always``.
+    """
+    if closures.empty and not always:
         return []
-    ends = closure_ends(path, judged)[rows]
-    moments = _describe_moments(path, judged.query_stamps_ns[rows])
-    texts = [_describe(quality, name, row, moment) for row, moment in zip(rows.tolist(), moments, strict=True)]
-    title = f"{name} closures ({len(rows)})"
-    strokes: FloatArray = np.concatenate([ends, np.full((len(rows), 1, 3), np.nan)], axis=1).reshape(-1, 3)
+    ends = closure_ends(path, closures)
+    moments = _describe_moments(path, closures["stamp_ns"].to_numpy())
+    texts = [
+        f"<b>{name} closure</b><br>keyframe {query} → {reference}<br>{moment}<br>score {score:.4g}"
+        + ("" if name == "undecided" else f"<br>off by {error_m:.3f} m, {np.rad2deg(rotation_rad):.2f}°")
+        for query, reference, score, error_m, rotation_rad, moment in zip(
+            *(closures[column] for column in ("query", "reference", "score", "error_m", "rotation_rad")),
+            moments,
+            strict=True,
+        )
+    ]
+    title = f"{name} closures ({len(closures)})"
+    strokes: FloatArray = np.concatenate([ends, np.full((len(closures), 1, 3), np.nan)], axis=1).reshape(-1, 3)
     return [
         draw_line(strokes[:, 0], strokes[:, 1], title, color, width, legendgroup=name, showlegend=False),
         draw_points(ends[:, 0], title, texts, color, symbol, 6.0 + 2.0 * width, legendgroup=name),
     ]
-
-
-def _describe(quality: ClosureQuality, name: str, row: int, moment: str) -> str:
-    judged = quality.judged
-    candidate = judged.candidates[row]
-    error = ""
-    if judged.decided[row]:
-        error_m, error_deg = np.linalg.norm(judged.errors_xyz[row]), np.rad2deg(judged.rotation_errors_rad[row])
-        error = f"<br>off by {error_m:.3f} m, {error_deg:.2f}°"
-    return (
-        f"<b>{name} closure</b><br>keyframe {candidate.query_keyframe_id} → {candidate.reference_keyframe_id}"
-        f"<br>{moment}<br>score {candidate.score:.4g}{error}"
-    )
 
 
 def _describe_moments(path: PoseSeries, at_ns: Any) -> list[str]:

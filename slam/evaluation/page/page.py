@@ -121,7 +121,7 @@ def compose_page(records: EvaluationRecords, evaluation: Evaluation, *, title: s
         "precision-recall": (draw_precision_recall({"every threshold on the score": results}), without_closures),
         "error": (draw_error_along_path(records, evaluation), missing.get("trajectory", "no trajectory has a truth")),
         "candidates": (draw_candidates(evaluation.closures, path), "no loop-closure candidate in the log"),
-        "calibration": (draw_calibration(evaluation.calibration), missing.get("calibration", "no error to compare")),
+        "calibration": (draw_calibration(evaluation.consistency), missing.get("calibration", "no error to compare")),
     }
     tiles = {name: (fill(results, value), fill(results, *note)) for name, (value, note) in TILES.items()}
     return _render(
@@ -151,6 +151,7 @@ def compose_runs_page(title: str, tables: Mapping[str, pd.DataFrame], note: str,
 
 def describe_run(records: EvaluationRecords, evaluation: Evaluation) -> dict[str, str]:
     """What ran, its version, the settings that differ from the defaults, and how it ended."""
+    results = evaluation.results
     errors = evaluation.estimate or evaluation.online or evaluation.odometry
     path = estimated_path(records)
     length_m = seconds = 0.0
@@ -158,7 +159,7 @@ def describe_run(records: EvaluationRecords, evaluation: Evaluation) -> dict[str
         length_m, seconds = errors.length_m, errors.duration_s
     elif len(path):
         length_m, seconds = float(path.travelled_m[-1]), float(np.ptp(path.stamps_ns)) * 1e-9
-    counters, status = evaluation.counters, records.status
+    counters, status = results["counters"], records.status
     parts = [f"{length_m:.0f} m in {seconds / 60.0:.1f} min"] if seconds else ["the log holds no trajectory"]
     parts += [f"{counters[key]} {name}" for key, name in _COUNTED.items() if key in counters]
     parts += ["localized in the saved map of an earlier drive"] if records.has_prior_map else []

@@ -1,252 +1,148 @@
-"""How good loop closures are: how many are right, and how many of the revisits they recall."""
+"""How good loop closures are: a table of all candidates, each judged by the truth, and the figures made of it."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from logs.closures import find_final_decisions, rank_stage
 from logs.messages import LoopClosureRecord
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.geometry import invert, rotation_angle_rad, yaw_rad
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries
-from slam.evaluation.place_recognition.closure_labels import JudgedClosures, label_closures
-from slam.evaluation.place_recognition.discoveries import Discoveries, count_discoveries
-from slam.evaluation.place_recognition.precision_recall import ScoreSweep, sweep_scores
-from slam.evaluation.place_recognition.reliability import Reliability, measure_reliability
-from slam.evaluation.place_recognition.revisits import DIRECTIONS, Revisits, find_revisits
+from slam.evaluation.metrics.statistics import fraction, percentile
+from slam.evaluation.place_recognition.discoveries import describe_discoveries
+from slam.evaluation.place_recognition.reliability import describe_reliability
+from slam.evaluation.place_recognition.revisits import count_stages, find_true_poses
 
-NO_TRUE_CANDIDATE = "no true candidate"
-ASSOCIATION = "association"
-
-
-@dataclass(frozen=True, slots=True)
-class ClosureErrors:
-    """Errors of the accepted true closures, of which there is one at least.
-
-    Planar ones are those in the plane of the body, as some truths drift in height, that of KITTI among them.
-    ``intra_revisit_std_m`` is the median over the runs of at least two closures, None where there is no such run.
-    """
-
-    median_translation_error_m: float
-    p95_translation_error_m: float
-    median_planar_error_m: float
-    median_heading_error_deg: float
-    median_rotation_error_deg: float
-    p95_rotation_error_deg: float
-    intra_revisit_std_m: float | None
+_DECIDED_FROM = (
+    *("query_keyframe_id", "reference_keyframe_id", "seed_query_keyframe_id", "represented_by_keyframe_id"),
+    *("accepted", "inserted", "stage", "score", "log_likelihood_ratio", "odometry_penalty"),
+    *("posterior_log_odds", "best_rival_log_likelihood_ratio"),
+)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RevisitQuality:
-    """Revisits of R query keyframes, and where those without an accepted true closure were lost.
-
-    revisit_counts and recalled_counts by direction; missed_by_stage: the farthest stage that a true candidate of a
-    missed revisit reached, or :data:`NO_TRUE_CANDIDATE`. Of these latter ``missed_at_place_count`` had a candidate at
-    the right place all the same and ``missed_without_candidate_count`` none at all. missed_stamps_ns (M,): their
-    keyframes. ``sweep`` is None without a revisit. ``revisits``: all query keyframes, revisits or not.
-    """
-
-    revisit_counts: Mapping[str, int]
-    recalled_counts: Mapping[str, int]
-    missed_by_stage: Mapping[str, int]
-    missed_at_place_count: int
-    missed_without_candidate_count: int
-    missed_stamps_ns: IntArray
-    sweep: ScoreSweep | None
-    revisits: Revisits
-
-    @property
-    def revisit_count(self) -> int:
-        """Revisits in all directions."""
-        return sum(self.revisit_counts.values())
-
-    @property
-    def recalled_count(self) -> int:
-        """Those of them with an accepted true closure."""
-        return sum(self.recalled_counts.values())
-
-    @property
-    def recall(self) -> float | None:
-        """Recalled among all revisits; None where there is none."""
-        return self.recalled_count / self.revisit_count if self.revisit_count else None
-
-    @property
-    def associated_count(self) -> int:
-        """Revisits without a closure whose landmarks were never let go, at the right pose: they need none."""
-        return self.missed_by_stage.get(ASSOCIATION, 0)
-
-    @property
-    def recognised(self) -> float | None:
-        """Revisits that are recalled or associated among all; None where there is none."""
-        return (self.recalled_count + self.associated_count) / self.revisit_count if self.revisit_count else None
-
-    def recall_of(self, direction: str) -> float | None:
-        """Recalled among the revisits of one direction; None where there is none.
-
-        Args:
-            direction: one of :data:`slam.evaluation.place_recognition.revisits.DIRECTIONS`.
-        """
-        count = self.revisit_counts[direction]
-        return self.recalled_counts[direction] / count if count else None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ClosureQuality:
-    """Loop-closure candidates by their final decisions, and what the truth says of them.
-
-    ``judged`` is there without a truth too, all undecided; ``has_truth`` says so. ``revisits`` is None without truth or
-    keyframes, ``errors`` without an accepted true closure. ``discoveries``: where the accepted ones come from.
-    ``reliability``: of the posterior probabilities, None without truth.
-    """
-
-    judged: JudgedClosures
-    has_truth: bool
-    errors: ClosureErrors | None
-    revisits: RevisitQuality | None
-    discoveries: Discoveries
-    reliability: Reliability | None = None
-
-    @property
-    def candidate_count(self) -> int:
-        """Candidates, each two keyframes once."""
-        return len(self.judged.candidates)
-
-    @property
-    def accepted_count(self) -> int:
-        """Accepted candidates: true, false and undecided ones."""
-        return int(np.count_nonzero(self.judged.accepted))
-
-    @property
-    def inserted_count(self) -> int:
-        """Candidates that are factors of the graph."""
-        return sum(candidate.inserted for candidate in self.judged.candidates)
-
-    @property
-    def stage_counts(self) -> dict[str, int]:
-        """Candidates by the stage of their decision, in the order of the stages."""
-        counts = Counter(candidate.stage for candidate in self.judged.candidates)
-        return {stage: counts[stage] for stage in sorted(counts, key=lambda stage: (rank_stage(stage), stage))}
-
-    @property
-    def true_count(self) -> int | None:
-        """Accepted candidates that are right; None without truth."""
-        return int(np.count_nonzero(self.judged.accepted & self.judged.true)) if self.has_truth else None
-
-    @property
-    def false_count(self) -> int | None:
-        """Accepted candidates that are wrong; None without truth."""
-        wrong = self.judged.accepted & self.judged.decided & ~self.judged.true
-        return int(np.count_nonzero(wrong)) if self.has_truth else None
-
-    @property
-    def undecided_count(self) -> int | None:
-        """Accepted candidates of which the truth says nothing; None without any truth."""
-        return int(np.count_nonzero(self.judged.accepted & ~self.judged.decided)) if self.has_truth else None
-
-    @property
-    def precision(self) -> float | None:
-        """True among the accepted that could be decided; None where there is none."""
-        if self.true_count is None or self.false_count is None or self.true_count + self.false_count == 0:
-            return None
-        return self.true_count / (self.true_count + self.false_count)
-
-
-def evaluate_closures(
-    records: Iterable[LoopClosureRecord],
-    keyframe_ids: IntArray,
-    keyframe_stamps_ns: IntArray,
+def judge_closures(
+    candidates: Sequence[LoopClosureRecord],
+    stamp_of_keyframe: Mapping[int, int],
     truth: PoseSeries,
     protocol: Protocol,
-) -> ClosureQuality:
-    """Judge the final decision of every candidate, and find the revisits that were recalled or missed.
+) -> pd.DataFrame:
+    """Compare each candidate with the relative pose that the truth gives its keyframes.
+
+    A candidate is right if its transform is within ``closure_translation_m`` and ``closure_rotation_deg``, both
+    inclusive, of the true one. Without a transform, or without truth at one of the stamps, it is undecided.
 
     Args:
-        records: in the order of the log; a later one about the same two keyframes replaces an earlier one.
-        keyframe_ids: (K,) all keyframes of the drive; K = 0 leaves revisits unknown.
-        keyframe_stamps_ns: (K,) in any order.
-        truth: may hold no pose, which leaves only counts.
+        candidates: final decisions, by query stamp; there may be none.
+        stamp_of_keyframe: for logs whose candidates do not have the stamp of their reference (0).
+        truth: may hold no pose.
         protocol: the thresholds.
+
+    Returns:
+        A row a candidate: the ``record``; of it ``query``, ``reference`` (ids), ``stamp_ns``, ``reference_stamp_ns`` (0
+        if unknown), ``accepted``, ``stage``, ``score``; ``decided``, ``true`` (false where undecided), ``same_place``
+        (the two keyframes are near each other, with or without a transform); errors of where it puts the query
+        keyframe, 0 where undecided: ``x_m``, ``y_m``, ``z_m`` (world frame), ``error_m``, ``rotation_rad``, and in the
+        plane of the query's body ``planar_m``, ``heading_rad``; ``travelled_m``: true path up to the query keyframe.
     """
-    stamp_of_keyframe = dict(zip(keyframe_ids.tolist(), keyframe_stamps_ns.tolist(), strict=True))
-    judged = label_closures(find_final_decisions(records), stamp_of_keyframe, truth, protocol)
-    has_truth = len(truth.stamps_ns) > 0
-    revisits = None
-    if has_truth and len(keyframe_ids):
-        revisits = _assess_revisits(find_revisits(keyframe_ids, keyframe_stamps_ns, truth, protocol), judged)
-    discoveries = count_discoveries(judged, protocol, has_truth=has_truth)
-    reliability = measure_reliability(judged) if has_truth else None
-    return ClosureQuality(judged, has_truth, _summarize_errors(judged, protocol), revisits, discoveries, reliability)
-
-
-def _assess_revisits(revisits: Revisits, judged: JudgedClosures) -> RevisitQuality:
-    recalled_ids = judged.query_ids[judged.accepted & judged.true]
-    is_recalled = np.isin(revisits.keyframe_ids, recalled_ids)
-    missed = revisits.is_revisit & ~is_recalled
-    missed_ids = revisits.keyframe_ids[missed]
-    farthest = _find_farthest_stages(judged)
-    lost_early = np.array([name for name in missed_ids.tolist() if name not in farthest], dtype=np.int64)
-    counts = Counter(farthest.get(name, NO_TRUE_CANDIDATE) for name in missed_ids.tolist())
-    return RevisitQuality(
-        revisit_counts=_count_directions(revisits.directions),
-        recalled_counts=_count_directions(revisits.directions[is_recalled]),
-        missed_by_stage={stage: counts[stage] for stage in sorted(counts, key=lambda s: (rank_stage(s), s))},
-        missed_at_place_count=int(np.isin(lost_early, judged.query_ids[judged.same_place]).sum()),
-        missed_without_candidate_count=int((~np.isin(lost_early, judged.query_ids)).sum()),
-        missed_stamps_ns=revisits.stamps_ns[missed],
-        sweep=sweep_scores(
-            judged.query_ids[judged.decided],
-            judged.scores[judged.decided],
-            judged.true[judged.decided],
-            revisit_ids=revisits.keyframe_ids[revisits.is_revisit],
-        ),
-        revisits=revisits,
+    count = len(candidates)
+    query_ns = np.array([c.stamp_ns for c in candidates], dtype=np.int64)
+    reference_ns = np.array(
+        [c.reference_stamp_ns or stamp_of_keyframe.get(c.reference_keyframe_id, 0) for c in candidates], dtype=np.int64
+    )
+    known, poses = find_true_poses(truth, np.concatenate([query_ns, reference_ns]), max_gap_s=protocol.max_truth_gap_s)
+    comparable = known[:count] & known[count:]
+    T_world_query, T_world_reference = poses[:count], poses[count:]
+    registered = np.array([c.T_reference_query is not None for c in candidates], dtype=np.bool_)
+    T_reference_query = [np.eye(4) if c.T_reference_query is None else c.T_reference_query for c in candidates]
+    decided = comparable & registered
+    T_world_claimed = T_world_reference @ np.array(T_reference_query).reshape(-1, 4, 4)
+    offsets = T_world_claimed[:, :3, 3] - T_world_query[:, :3, 3]
+    T_query_claimed = invert(T_world_query) @ T_world_claimed
+    errors = {
+        **dict(zip(("x_m", "y_m", "z_m"), offsets.T, strict=True)),
+        "error_m": np.linalg.norm(offsets, axis=1),
+        "rotation_rad": rotation_angle_rad(T_query_claimed),
+        "planar_m": np.hypot(T_query_claimed[:, 0, 3], T_query_claimed[:, 1, 3]),
+        "heading_rad": yaw_rad(T_query_claimed),
+    }
+    near = errors["error_m"] <= protocol.closure_translation_m
+    turned_alike = errors["rotation_rad"] <= np.deg2rad(protocol.closure_rotation_deg)
+    apart_m = np.linalg.norm(T_world_query[:, :3, 3] - T_world_reference[:, :3, 3], axis=1)
+    return pd.DataFrame(
+        {
+            "record": pd.Series(candidates, dtype=object),
+            "query": np.array([c.query_keyframe_id for c in candidates], dtype=np.int64),
+            "reference": np.array([c.reference_keyframe_id for c in candidates], dtype=np.int64),
+            "stamp_ns": query_ns,
+            "reference_stamp_ns": reference_ns,
+            "accepted": np.array([c.accepted for c in candidates], dtype=np.bool_),
+            "stage": pd.Series([c.stage for c in candidates], dtype=object),
+            "score": np.array([c.score for c in candidates], dtype=np.float64),
+            "decided": decided,
+            "true": decided & near & turned_alike,
+            "same_place": comparable & (apart_m <= protocol.revisit_distance_m),
+            **{name: np.where(decided, error, 0.0) for name, error in errors.items()},
+            "travelled_m": truth.travelled_at_m(query_ns) if len(truth) else np.zeros(count),
+        }
     )
 
 
-def _find_farthest_stages(judged: JudgedClosures) -> dict[int, str]:
-    """Query keyframe -> the farthest stage that one of its true candidates reached."""
-    farthest: dict[int, str] = {}
-    for row in np.flatnonzero(judged.true):
-        candidate = judged.candidates[row]
-        before = farthest.get(candidate.query_keyframe_id)
-        if before is None or rank_stage(candidate.stage) > rank_stage(before):
-            farthest[candidate.query_keyframe_id] = candidate.stage
-    return farthest
+def describe_closures(judged: pd.DataFrame, protocol: Protocol, *, has_truth: bool) -> dict[str, Any]:
+    """Counts, precision, errors, discoveries and reliability of the candidates of a drive, by the keys of the JSON.
 
-
-def _count_directions(directions: IntArray) -> dict[str, int]:
-    return {name: int(np.count_nonzero(directions == index)) for index, name in enumerate(DIRECTIONS)}
-
-
-def _summarize_errors(judged: JudgedClosures, protocol: Protocol) -> ClosureErrors | None:
-    rows = np.flatnonzero(judged.accepted & judged.true)
-    if len(rows) == 0:
-        return None
-    translations_m = np.linalg.norm(judged.errors_xyz[rows], axis=1)
-    rotations_deg = np.rad2deg(judged.rotation_errors_rad[rows])
-    return ClosureErrors(
-        median_translation_error_m=float(np.median(translations_m)),
-        p95_translation_error_m=float(np.percentile(translations_m, 95.0)),
-        median_rotation_error_deg=float(np.median(rotations_deg)),
-        p95_rotation_error_deg=float(np.percentile(rotations_deg, 95.0)),
-        median_planar_error_m=float(np.median(np.hypot(*judged.planar_errors[rows, :2].T))),
-        median_heading_error_deg=float(np.rad2deg(np.median(np.abs(judged.planar_errors[rows, 2])))),
-        intra_revisit_std_m=_measure_spread(
-            judged.errors_xyz[rows], judged.travelled_m[rows], protocol.closure_run_gap_m
-        ),
-    )
-
-
-def _measure_spread(errors_xyz: FloatArray, travelled_m: FloatArray, run_gap_m: float) -> float | None:
-    """Median over runs of the RMS distance, metres, of errors (N, 3) from the mean of their run.
-
-    A run ends where ``travelled_m`` (N,), which never falls, grows by ``run_gap_m`` or more. A single error has no
-    spread, so runs of one are left out.
+    Args:
+        judged: as :func:`judge_closures` returns them.
+        protocol: the thresholds.
+        has_truth: without a truth only counts are defined.
     """
-    runs = np.split(errors_xyz, np.flatnonzero(np.diff(travelled_m) >= run_gap_m) + 1)
-    spreads = [np.sqrt(np.sum(np.var(run, axis=0))) for run in runs if len(run) > 1]
-    return float(np.median(spreads)) if spreads else None
+    accepted = judged[judged["accepted"]]
+    right, undecided = int(accepted["true"].sum()), int((~accepted["decided"]).sum())
+    wrong = len(accepted) - right - undecided
+    return {
+        "candidate_count": len(judged),
+        "accepted_count": len(accepted),
+        "inserted_count": sum(record.inserted for record in judged["record"]),
+        "true_count": right if has_truth else None,
+        "false_count": wrong if has_truth else None,
+        "undecided_count": undecided if has_truth else None,
+        "precision": fraction(right, right + wrong),
+        "stage_counts": count_stages(judged["stage"]),
+        **describe_discoveries(accepted, protocol, has_truth=has_truth),
+        "reliability": describe_reliability(judged if has_truth else None),
+        **_describe_errors(accepted[accepted["true"]], protocol.closure_run_gap_m),
+        "verified_candidates": _list_verified(judged),
+    }
+
+
+def _describe_errors(true: pd.DataFrame, run_gap_m: float) -> dict[str, float | None]:
+    """Errors of the accepted true closures; planar ones too, as some truths drift in height, that of KITTI among them.
+
+    ``intra_revisit_std_m``: median over runs of at least two closures of the RMS distance of the error vectors from
+    their mean; a run ends where the path grows by ``run_gap_m`` or more.
+    """
+    runs = (np.diff(true["travelled_m"], prepend=-np.inf) >= run_gap_m).cumsum()
+    vectors = true[["x_m", "y_m", "z_m"]].groupby(runs)
+    spreads = np.sqrt(vectors.var(ddof=0).sum(axis=1))[vectors.size() > 1]
+    rotations_deg = np.rad2deg(true["rotation_rad"])
+    return {
+        "median_translation_error_m": percentile(true["error_m"], 50.0),
+        "p95_translation_error_m": percentile(true["error_m"], 95.0),
+        "median_planar_error_m": percentile(true["planar_m"], 50.0),
+        "median_heading_error_deg": percentile(np.rad2deg(true["heading_rad"].abs()), 50.0),
+        "median_rotation_error_deg": percentile(rotations_deg, 50.0),
+        "p95_rotation_error_deg": percentile(rotations_deg, 95.0),
+        "intra_revisit_std_m": percentile(spreads, 50.0),
+    }
+
+
+def _list_verified(judged: pd.DataFrame) -> list[dict[str, Any]]:
+    """What each candidate with a log-likelihood ratio was decided from, and whether it is true: None if undecided."""
+    return [
+        {name: getattr(record, name) for name in _DECIDED_FROM} | {"true": bool(true) if decided else None}
+        for record, decided, true in zip(judged["record"], judged["decided"], judged["true"], strict=True)
+        if record.log_likelihood_ratio is not None
+    ]

@@ -6,63 +6,50 @@ have the probability p a share p is right (DeGroot and Fienberg, The Statisticia
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy.special import expit
 
-from slam.common.arrays import BoolArray, FloatArray, IntArray
-from slam.evaluation.place_recognition.closure_labels import JudgedClosures
+from slam.common.arrays import BoolArray, FloatArray
 
-EDGES = np.array([0.01, 0.1, 0.5, 0.9, 0.99, 0.999, 0.9999])
-"""Probabilities between the bins."""
+EDGES = (0.0, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999, 0.9999, 1.0)
+"""Probabilities between the bins, and both ends."""
 SURE = 0.99
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reliability:
-    """Candidates by probability, in B bins between ``EDGES``: how many (B,), their mean probability (B,), NaN without
-    one, and how many of them are right (B,). ``sure_count`` and ``sure_right``: those of at least :data:`SURE`.
+def describe_reliability(judged: pd.DataFrame | None) -> dict[str, Any]:
+    """That of the candidates with posterior odds which no other closure predicted and which the truth decides.
+
+    Args:
+        judged: rows of :func:`slam.evaluation.place_recognition.closures.judge_closures`; None without truth.
     """
-
-    counts: IntArray
-    expected: FloatArray
-    right: IntArray
-    sure_count: int
-    sure_right: int
-
-
-def measure_reliability(judged: JudgedClosures) -> Reliability:
-    """That of the candidates with posterior odds which no other closure predicted and which the truth decides."""
-    rows = [
-        row
-        for row, candidate in enumerate(judged.candidates)
-        if candidate.posterior_log_odds is not None and candidate.seed_query_keyframe_id is None and judged.decided[row]
-    ]
-    odds = np.array([judged.candidates[row].posterior_log_odds for row in rows], dtype=np.float64)
-    return bin_by_probability(odds, judged.true[rows])
-
-
-def bin_by_probability(log_odds: FloatArray, is_right: BoolArray) -> Reliability:
-    """The reliability of N places with posterior ``log_odds`` (N,), of which ``is_right`` (N,)."""
-    probabilities, right = expit(log_odds), is_right.astype(np.float64)
-    bins = np.searchsorted(EDGES, probabilities, side="right")
-    counts, sums, rights = (np.bincount(bins, each, len(EDGES) + 1) for each in (None, probabilities, right))
-    with np.errstate(invalid="ignore"):
-        expected = sums / counts
-    sure = probabilities >= SURE
-    return Reliability(counts, expected, rights.astype(np.int64), int(sure.sum()), int(right[sure].sum()))
-
-
-def reliability_dict(reliability: Reliability | None) -> dict[str, Any]:
-    """The reliability as JSON: bins with their edges, empty without any."""
-    if reliability is None:
+    if judged is None:
         return {"bins": [], "sure_count": None, "sure_right": None}
-    edges = [0.0, *EDGES.tolist(), 1.0]
-    columns = (each.tolist() for each in (reliability.counts, reliability.expected, reliability.right))
-    bins = [
-        {"from": low, "to": high, "count": count, "expected": expected if count else None, "right": right}
-        for low, high, count, expected, right in zip(edges[:-1], edges[1:], *columns, strict=True)
+    rows = [
+        decided and record.posterior_log_odds is not None and record.seed_query_keyframe_id is None
+        for record, decided in zip(judged["record"], judged["decided"], strict=True)
     ]
-    return {"bins": bins, "sure_count": reliability.sure_count, "sure_right": reliability.sure_right}
+    chosen = judged[np.array(rows, dtype=np.bool_)]
+    odds = np.array([record.posterior_log_odds for record in chosen["record"]], dtype=np.float64)
+    return bin_by_probability(odds, chosen["true"].to_numpy())
+
+
+def bin_by_probability(log_odds: FloatArray, is_right: BoolArray) -> dict[str, Any]:
+    """The reliability of N places with posterior ``log_odds`` (N,), of which ``is_right`` (N,).
+
+    ``bins``: number, mean probability (None without any) and number of right ones between two ``EDGES``;
+    ``sure_count``, ``sure_right``: places with a probability of at least :data:`SURE`.
+    """
+    probabilities = expit(log_odds)
+    bin_of = np.searchsorted(EDGES[1:-1], probabilities, side="right")
+    bins = []
+    for number, (low, high) in enumerate(pairwise(EDGES)):
+        inside = bin_of == number
+        count, right = int(inside.sum()), int(is_right[inside].sum())
+        expected = float(probabilities[inside].mean()) if count else None
+        bins.append({"from": low, "to": high, "count": count, "expected": expected, "right": right})
+    sure = probabilities >= SURE
+    return {"bins": bins, "sure_count": int(sure.sum()), "sure_right": int(is_right[sure].sum())}

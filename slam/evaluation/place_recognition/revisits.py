@@ -1,37 +1,26 @@
-"""Which keyframes come back to an earlier place, by the truth alone."""
+"""Which keyframes come back to an earlier place by the truth, and which of these revisits were recognised."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy.spatial import cKDTree
 
+from logs.closures import rank_stage
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.protocol import SPACING_TOLERANCE, Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries, synchronize
+from slam.evaluation.metrics.statistics import fraction
+from slam.evaluation.place_recognition.precision_recall import describe_sweep, sweep_scores
 
 DIRECTIONS = ("same", "opposite", "crossing")
-NO_REVISIT = -1
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Revisits:
-    """The Q query keyframes of a drive in the order of time, Q may be 0.
-
-    keyframe_ids, stamps_ns (Q,); directions (Q,): index into :data:`DIRECTIONS`, or :data:`NO_REVISIT` where the
-    keyframe comes back to no earlier place.
-    """
-
-    keyframe_ids: IntArray
-    stamps_ns: IntArray
-    directions: IntArray
-
-    @property
-    def is_revisit(self) -> BoolArray:
-        """Whether each query keyframe (Q,) comes back to an earlier place."""
-        return np.not_equal(self.directions, NO_REVISIT)
+NO_TRUE_CANDIDATE = "no true candidate"
+ASSOCIATION = "association"
 
 
 def find_true_poses(truth: PoseSeries, at_ns: IntArray, *, max_gap_s: float) -> tuple[BoolArray, FloatArray]:
@@ -59,7 +48,7 @@ def find_true_poses(truth: PoseSeries, at_ns: IntArray, *, max_gap_s: float) -> 
     return known, T_world_body
 
 
-def find_revisits(keyframe_ids: IntArray, stamps_ns: IntArray, truth: PoseSeries, protocol: Protocol) -> Revisits:
+def find_revisits(keyframe_ids: IntArray, stamps_ns: IntArray, truth: PoseSeries, protocol: Protocol) -> pd.DataFrame:
     """Thin the keyframes to queries, and find those that are near an earlier keyframe after much travel.
 
     * Queries: keyframes with truth, in the order of time; the first, then each that is at least ``query_spacing_m``,
@@ -73,22 +62,81 @@ def find_revisits(keyframe_ids: IntArray, stamps_ns: IntArray, truth: PoseSeries
         stamps_ns: (K,) int64, in any order.
         truth: may hold no pose, which leaves no query.
         protocol: the thresholds.
+
+    Returns:
+        A row a query, in the order of time: ``keyframe`` (id), ``stamp_ns``, and ``direction``, one of
+        :data:`DIRECTIONS`, "" where it is no revisit.
     """
     known, T_world_body = find_true_poses(truth, stamps_ns, max_gap_s=protocol.max_truth_gap_s)
     rows = np.flatnonzero(known)
     rows = rows[np.lexsort((keyframe_ids[rows], stamps_ns[rows]))]
-    if len(rows) == 0:
-        no_rows = np.zeros(0, dtype=np.int64)
-        return Revisits(no_rows, no_rows, no_rows)
     T_world_body = T_world_body[rows]
-    travelled_m = truth.travelled_at_m(stamps_ns[rows])
+    travelled_m = truth.travelled_at_m(stamps_ns[rows]) if len(rows) else np.zeros(0)
     queries = _thin(travelled_m, (1.0 - SPACING_TOLERANCE) * protocol.query_spacing_m)
     nearest = _find_nearest_earlier(T_world_body[:, :3, 3], travelled_m, queries, protocol)
-    directions = np.full(len(queries), NO_REVISIT, dtype=np.int64)
-    found = nearest >= 0
     forward = T_world_body[:, :3, 0]
-    directions[found] = _classify_directions(forward[queries[found]], forward[nearest[found]], protocol)
-    return Revisits(keyframe_ids[rows][queries], stamps_ns[rows][queries], directions)
+    cosines = np.einsum("ij,ij->i", forward[queries], forward[nearest])
+    angles_deg = np.rad2deg(np.arccos(np.clip(cosines, -1.0, 1.0)))
+    number = np.select([angles_deg <= protocol.same_heading_deg, angles_deg > protocol.opposite_heading_deg], [0, 1], 2)
+    directions = np.where(nearest >= 0, np.array(DIRECTIONS)[number], "")
+    return pd.DataFrame(
+        {"keyframe": keyframe_ids[rows][queries], "stamp_ns": stamps_ns[rows][queries], "direction": directions}
+    )
+
+
+def describe_revisits(queries: pd.DataFrame, judged: pd.DataFrame) -> dict[str, Any]:
+    """How many revisits have an accepted true closure, at which stage the others were lost, and the sweep of scores.
+
+    ``missed_by_stage``: the farthest stage that a true candidate of a missed revisit reached, or
+    :data:`NO_TRUE_CANDIDATE`. Of these latter ``missed_at_place_count`` had a candidate at the right place all the same
+    and ``missed_without_candidate_count`` none at all. ``recognised`` includes revisits without a closure whose
+    landmarks are still associated, at the right pose: they need none.
+
+    Args:
+        queries: as :func:`find_revisits` returns them.
+        judged: as :func:`slam.evaluation.place_recognition.closures.judge_closures` returns them.
+    """
+    true, decided = judged[judged["true"]], judged[judged["decided"]]
+    revisits = queries[queries["direction"] != ""]
+    is_recalled = revisits["keyframe"].isin(true["query"][true["accepted"]])
+    recalled, missed = revisits[is_recalled], revisits["keyframe"][~is_recalled]
+    farthest = dict(sorted(zip(true["query"], true["stage"], strict=True), key=lambda pair: rank_stage(pair[1])))
+    lost_early = missed[~missed.isin(true["query"])]
+    stages = count_stages(farthest.get(name, NO_TRUE_CANDIDATE) for name in missed)
+    ways = {
+        name: (int((recalled["direction"] == name).sum()), int((revisits["direction"] == name).sum()))
+        for name in DIRECTIONS
+    }
+    return {
+        "revisit_count": len(revisits),
+        "recall": fraction(len(recalled), len(revisits)),
+        "recognised": fraction(len(recalled) + stages.get(ASSOCIATION, 0), len(revisits)),
+        **{f"recall_{name}": fraction(*counts) for name, counts in ways.items()},
+        **{f"revisit_count_{name}": count for name, (_, count) in ways.items()},
+        "missed_by_stage": stages,
+        "missed_at_place_count": int(lost_early.isin(judged["query"][judged["same_place"]]).sum()),
+        "missed_without_candidate_count": int((~lost_early.isin(judged["query"])).sum()),
+        **describe_sweep(
+            sweep_scores(
+                decided["query"].to_numpy(),
+                decided["score"].to_numpy(),
+                decided["true"].to_numpy(),
+                revisit_ids=revisits["keyframe"].to_numpy(),
+            )
+        ),
+    }
+
+
+def find_missed(queries: pd.DataFrame, judged: pd.DataFrame) -> tuple[int, ...]:
+    """Stamps [ns] of the revisits without an accepted true closure; arguments as of :func:`describe_revisits`."""
+    recalled = judged["query"][judged["true"] & judged["accepted"]]
+    return tuple(queries["stamp_ns"][(queries["direction"] != "") & ~queries["keyframe"].isin(recalled)])
+
+
+def count_stages(stages: Iterable[str]) -> dict[str, int]:
+    """How often each stage occurs, in the order of the stages."""
+    counts = Counter(stages)
+    return {stage: counts[stage] for stage in sorted(counts, key=lambda stage: (rank_stage(stage), stage))}
 
 
 def _thin(travelled_m: FloatArray, least_m: float) -> IntArray:
@@ -115,14 +163,3 @@ def _find_nearest_earlier(
     hits, first = np.unique(query[order], return_index=True)
     nearest[hits] = reference[order[first]]
     return nearest
-
-
-def _classify_directions(forward_query: FloatArray, forward_reference: FloatArray, protocol: Protocol) -> IntArray:
-    """Index (N,) into :data:`DIRECTIONS` from forward axes (N, 3), world frame."""
-    cosine = np.einsum("ij,ij->i", forward_query, forward_reference)
-    angle_deg = np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))
-    return np.where(
-        angle_deg <= protocol.same_heading_deg,
-        DIRECTIONS.index("same"),
-        np.where(angle_deg > protocol.opposite_heading_deg, DIRECTIONS.index("opposite"), DIRECTIONS.index("crossing")),
-    ).astype(np.int64)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
 
 from logs.messages import FactorGraphRecord
 from slam.common.arrays import FloatArray, IntArray
@@ -13,8 +14,6 @@ from slam.display.map_picture import MapPicture
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.landmarks import CONFIRMED
-from slam.evaluation.place_recognition.closure_labels import JudgedClosures
-from slam.evaluation.place_recognition.closures import ClosureQuality
 from slam.evaluation.result import Evaluation
 
 
@@ -31,7 +30,7 @@ def compose_picture(records: EvaluationRecords, evaluation: Evaluation, *, title
     spans_ns = _discontinuities(records.graph)
     objects = records.object_map
     rows = [row for row, state in enumerate(objects.states) if state == CONFIRMED] if objects else []
-    losses = evaluation.relocalization.losses if evaluation.relocalization else ()
+    losses = evaluation.results["relocalization"]["losses"]
     start_ns = min((status.stamp_ns for status in records.statuses), default=0)
     return MapPicture(
         estimate=_broken(estimate.stamps_ns, estimate.positions, spans_ns),
@@ -39,14 +38,14 @@ def compose_picture(records: EvaluationRecords, evaluation: Evaluation, *, title
         truth=_broken(truth.stamps_ns, apply(invert(errors.alignment.T_world_map), truth.positions), spans_ns)
         if errors
         else np.zeros((0, 3)),
-        lost=_known(positions_at(estimate, [loss.lost_ns for loss in losses if loss.lost_ns > start_ns])),
-        found=_known(positions_at(estimate, [loss.fix_ns for loss in losses if loss.fix_ns is not None])),
+        lost=_known(positions_at(estimate, [loss["lost_ns"] for loss in losses if loss["lost_ns"] > start_ns])),
+        found=_known(positions_at(estimate, [loss["fix_ns"] for loss in losses if loss["fix_ns"] is not None])),
         landmarks=objects.positions[rows] if objects else np.zeros((0, 3)),
         labels=tuple(objects.labels[row] for row in rows) if objects else (),
         title=title,
         ate_m=errors.absolute.rmse_m if errors else None,
         odometry_ate_m=evaluation.odometry.absolute.rmse_m if evaluation.odometry else None,
-        **_closures(evaluation.closures, estimate),
+        **_closures(evaluation, estimate),
     )
 
 
@@ -69,24 +68,25 @@ def positions_at(path: PoseSeries, at_ns: IntArray | Sequence[int]) -> FloatArra
     return poses_at(path, np.asarray(at_ns, dtype=np.int64))[:, :3, 3]
 
 
-def closure_ends(path: PoseSeries, judged: JudgedClosures) -> FloatArray:
+def closure_ends(path: PoseSeries, closures: pd.DataFrame) -> FloatArray:
     """Positions (C, 2, 3) of the query and the reference keyframe of each closure, NaN as :func:`poses_at`."""
-    return np.stack([positions_at(path, judged.query_stamps_ns), positions_at(path, judged.reference_stamps_ns)], 1)
+    ends = [positions_at(path, closures[name].to_numpy()) for name in ("stamp_ns", "reference_stamp_ns")]
+    return np.stack(ends, axis=1)
 
 
-def _closures(quality: ClosureQuality | None, estimate: PoseSeries) -> dict[str, FloatArray]:
+def _closures(evaluation: Evaluation, estimate: PoseSeries) -> dict[str, FloatArray]:
     """Ends of the accepted closures by their label, and missed revisits, as :class:`MapPicture` takes them."""
-    if quality is None:
+    if evaluation.closures is None:
         return {}
-    judged = quality.judged
-    ends = closure_ends(estimate, judged)
-    shown = judged.accepted & np.isfinite(ends).all(axis=(1, 2))
-    missed_ns: IntArray | Sequence[int] = quality.revisits.missed_stamps_ns if quality.revisits else ()
+    closures = evaluation.closures[evaluation.closures["accepted"]]
+    ends = closure_ends(estimate, closures)
+    is_known = np.isfinite(ends).all(axis=(1, 2))
+    true, decided = closures["true"].to_numpy(), closures["decided"].to_numpy()
     return {
-        "true_closures": ends[shown & judged.true],
-        "false_closures": ends[shown & judged.decided & ~judged.true],
-        "closures": ends[shown & ~judged.decided],
-        "missed_revisits": _known(positions_at(estimate, missed_ns)),
+        "true_closures": ends[is_known & true],
+        "false_closures": ends[is_known & decided & ~true],
+        "closures": ends[is_known & ~decided],
+        "missed_revisits": _known(positions_at(estimate, evaluation.missed_ns)),
     }
 
 

@@ -28,7 +28,7 @@ def make_tables(results: Mapping[str, Any]) -> dict[str, pd.DataFrame]:
         "trajectory": pd.DataFrame(absolute),
         "relative error over stretches of path": _relative_table(trajectories),
         **{name: pd.DataFrame({"value": pd.Series(values, dtype=object)}) for name, values in parts.items()},
-        "losses": pd.DataFrame(results["relocalization"]["losses"]).T,
+        "losses": pd.DataFrame(results["relocalization"]["losses"]).T.rename(columns=str),
     }
     return {title: frame.map(_text) for title, frame in frames.items() if frame.notna().any(axis=None)}
 

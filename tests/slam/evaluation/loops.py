@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 
-from logs.messages import LoopClosureRecord
+from logs.messages import GroundTruthPose, LoopClosureRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import invert, transform_from_xyz_yaw
-from slam.evaluation.inputs.protocol import Protocol
+from slam.evaluation.evaluate import evaluate
+from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses
-from slam.evaluation.place_recognition.closures import ClosureQuality, evaluate_closures
+from slam.evaluation.result import Evaluation
 from tests.slam.evaluation.drives import START_NS
+from tests.slam.evaluation.results import graph
 
 SECOND = 1_000_000_000
 THERE_AND_BACK_REVISITS = tuple(range(168, 241, 2))
@@ -78,7 +83,23 @@ def closure(
     )
 
 
+def evaluate_closures(
+    records: list[LoopClosureRecord], truth: PoseSeries, ids: IntArray, stamps_ns: IntArray
+) -> Evaluation:
+    """Candidates of a drive with keyframes at the poses of the truth."""
+    poses = zip(truth.stamps_ns.tolist(), truth.T_world_body, strict=True)
+    return evaluate(
+        EvaluationRecords(
+            true_poses=tuple(GroundTruthPose(stamp_ns, T) for stamp_ns, T in poses),
+            closures=tuple(records),
+            graph=replace(graph(stamps_ns, np.tile(np.eye(4), (len(ids), 1, 1))), keyframe_ids=ids),
+        )
+    )
+
+
 def judge(
     records: list[LoopClosureRecord], truth: PoseSeries, indices: range | list[int] = range(0, 241, 2)
-) -> ClosureQuality:
-    return evaluate_closures(records, *keyframes(indices), truth, Protocol())
+) -> dict[str, Any]:
+    """Figures of closures by the keys of the JSON."""
+    figures: dict[str, Any] = evaluate_closures(records, truth, *keyframes(indices)).to_json_dict()["closures"]
+    return figures

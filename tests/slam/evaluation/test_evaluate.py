@@ -30,7 +30,7 @@ from tests.slam.evaluation.results import at_json, graph
 COUNT = 400
 PARTS = {
     *("trajectory", "odometry", "online", "associations", "landmarks"),
-    *("closures", "retrieval", "literature_protocols", "relocalization", "counters"),
+    *("closures", "literature_protocols", "relocalization", "counters"),
 }
 T_WORLD_MAP = transform_from_xyz_yaw(np.array([20.0, 30.0, 1.0]), 0.7)
 
@@ -68,8 +68,7 @@ def made_log() -> list[tuple[str, Record]]:
     log.append(("/slam/trajectory_stamped", TrajectoryRecord(at[-1], "map", stamps(COUNT), T_map_body)))
     T_reference_query = invert(T_map_body[10]) @ T_map_body[300]
     right = LoopClosureRecord(at[300], 150, 5, True, "accepted", "", 0.1, 9, 0.9, 1.0, T_reference_query, None, at[10])
-    right = replace(right, rank=1)
-    wrong = replace(right, T_reference_query=np.eye(4), reference_keyframe_id=10, reference_stamp_ns=at[20], rank=2)
+    wrong = replace(right, T_reference_query=np.eye(4), reference_keyframe_id=10, reference_stamp_ns=at[20])
     log.append(("/slam/closures", replace(right, accepted=False, stage="consistency", reason="waits for others")))
     log.append(("/slam/closures", wrong))
     log.append(("/slam/closures", replace(right, inserted=True)))
@@ -103,7 +102,6 @@ def test_all_parts_of_a_complete_log() -> None:
     assert at_json(result, "closures.precision") == 0.5
     assert at_json(result, "closures.revisit_count") == 0
     assert at_json(result, "closures.recall") is None
-    assert at_json(result, "retrieval.recall_at_1") is None  # there is no revisit
     assert at_json(result, "relocalization.loss_count") == 0
     assert at_json(result, "counters.keyframes") == 200
     assert at_json(result, "protocol.revisit_m") == 100.0
@@ -141,10 +139,9 @@ def test_nothing_at_all() -> None:
 def test_the_keys_do_not_depend_on_what_is_there() -> None:
     full, empty = (evaluate(r).to_json_dict() for r in (collect_records(made_log()), EvaluationRecords()))
     assert full.keys() == empty.keys()
-    for part in ("trajectory", "associations", "landmarks", "closures", "retrieval", "relocalization", "protocol"):
+    for part in ("trajectory", "associations", "landmarks", "closures", "relocalization", "protocol"):
         assert full[part].keys() == empty[part].keys()
-    for part in ("pairs", "online"):
-        assert full["literature_protocols"][part].keys() == empty["literature_protocols"][part].keys()
+    assert full["literature_protocols"]["online"].keys() == empty["literature_protocols"]["online"].keys()
 
 
 def test_an_unfinished_run_is_measured_by_its_online_poses() -> None:
@@ -158,8 +155,8 @@ def test_an_unfinished_run_is_measured_by_its_online_poses() -> None:
 def test_landmarks_are_matched_by_position_without_detection_truth() -> None:
     log = [(t, r) for t, r in made_log() if t != "/ground_truth/detections"]
     result = evaluate(collect_records(log))
-    assert result.landmarks.method == "nearest"
-    assert result.landmarks.matched_count == 9  # the pole is called a tree
+    assert at_json(result, "landmarks.method") == "nearest"
+    assert at_json(result, "landmarks.matched_count") == 9  # the pole is called a tree
     assert at_json(result, "landmarks.class_accuracy") is None
     assert "detections" in result.unavailable["associations"]
 
@@ -231,15 +228,3 @@ def test_a_record_of_topics_that_is_none_is_passed_over(tmp_path: Path, recorded
         writer.add_metadata("dslam", {"topics": recorded})
         writer.write("/odom", Odometry(0, np.eye(4)))
     assert len(read_records(path).odometry) == 1
-
-
-@pytest.mark.parametrize(
-    ("recorded", "places"),
-    [('{"loop_closure": {"max_candidates": 25}}', 25), ("{}", None), ("no json", None), ('{"loop_closure": 3}', None)],
-)
-def test_the_configuration_of_a_run_is_read(tmp_path: Path, recorded: str, places: int | None) -> None:
-    path = tmp_path / "log.mcap"
-    with LogWriter(path) as writer:
-        writer.add_metadata("dslam", {"configuration": recorded})
-        writer.write("/odom", Odometry(0, np.eye(4)))
-    assert read_records(path).verified_places == places

@@ -44,7 +44,12 @@ def test_drive_without_truth_has_undefined_figures(log: Path, tmp_path: Path, no
     kept = [entry for entry in keep_until(noisy_drive, 1.0) if not entry[0].startswith("/ground_truth")]
     run = map_drive(task(write_log(tmp_path / "log.mcap", kept), tmp_path))
     assert run.error == ""
-    assert run.figure("trajectory.ate_m") is run.figure("closures.precision") is run.object_count is None
+    assert (
+        run.figure("trajectory.ate_m")
+        is run.figure("closures.precision")
+        is run.figure("associations.object_count")
+        is None
+    )
 
 
 def test_failure_is_a_result(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -220,8 +220,8 @@ def _show(result: RelocalizationBenchmark, conditions: str, notes: list[str]) ->
         f"fixes at a wrong place of the map: {percent(result.total.misplaced_rate)} %; other wrong fixes are due to "
         "errors of the map",
         f"wrong fixes corrected within 10 m, in per cent: {percent(result.total.revoked_rate, 0)}",
-        f"places with a posterior probability of {SURE:g} or more: {result.reliability.sure_count}, of which right in "
-        f"the map: {result.reliability.sure_right}",
+        f"places with a posterior probability of {SURE:g} or more: {result.reliability['sure_count']}, of which right "
+        f"in the map: {result.reliability['sure_right']}",
         *([] if result.oracle_rate is None else [f"could be found: {100 * result.oracle_rate:.1f} %"]),
         f"loading the map: {1e3 * result.load_s:.0f} ms; a search: {number(result.query_ms, 1)} ms",
         *notes,

@@ -112,7 +112,7 @@ def figures_of(run: MappedDrive) -> dict[str, Any]:
         "odometry_ate_m": run.figure("trajectory.odometry_ate_m"),
         "ate_m": run.figure("trajectory.ate_m"),
         "landmarks_confirmed": run.summary.counters.get("landmarks_confirmed", 0),
-        "object_count": run.object_count,
+        "object_count": run.figure("associations.object_count"),
         "associations_precision": run.figure("associations.precision"),
         "closures_accepted": run.figure("closures.accepted_count") if has_closures else None,
         "closures_precision": run.figure("closures.precision"),

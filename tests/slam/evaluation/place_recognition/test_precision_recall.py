@@ -1,23 +1,30 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import average_precision_score, precision_recall_curve
 
-from slam.evaluation.place_recognition.precision_recall import ScoreSweep, sweep_scores
+from slam.evaluation.place_recognition.precision_recall import describe_sweep, sweep_scores
 
 Candidate = tuple[int, float, bool]
 
 
-def sweep(candidates: list[Candidate], revisit_ids: list[int]) -> ScoreSweep | None:
+def sweep(candidates: list[Candidate], revisit_ids: list[int]) -> pd.DataFrame | None:
     return sweep_scores(
         np.array([c[0] for c in candidates], dtype=np.int64),
         np.array([c[1] for c in candidates], dtype=np.float64),
         np.array([c[2] for c in candidates], dtype=np.bool_),
         revisit_ids=np.array(revisit_ids, dtype=np.int64),
     )
+
+
+def figures(candidates: list[Candidate], revisit_ids: list[int]) -> dict[str, Any]:
+    return describe_sweep(sweep(candidates, revisit_ids))
 
 
 def brute_force(candidates: list[Candidate], revisit_ids: list[int]) -> list[tuple[float, float, float]]:
@@ -45,31 +52,28 @@ def brute_force(candidates: list[Candidate], revisit_ids: list[int]) -> list[tup
 def test_against_counting_at_every_threshold(candidates: list[Candidate], revisit_ids: list[int]) -> None:
     found = sweep(candidates, revisit_ids)
     expected = brute_force(candidates, revisit_ids)
+    told = figures(candidates, revisit_ids)
     if not expected:
-        assert found.average_precision is found.f1_max is found.recall_at_full_precision is None
+        assert told["average_precision"] is told["f1_max"] is told["recall_at_full_precision"] is None
         return
-    curve = np.column_stack([found.thresholds, found.precision, found.recall])
-    np.testing.assert_allclose(curve, np.array(expected).reshape(-1, 3))
+    np.testing.assert_allclose(found.to_numpy(), np.array(expected).reshape(-1, 3))
     before = np.array([0.0, *(recall for _, _, recall in expected)])
     average = sum((recall - b) * precision for (_, precision, recall), b in zip(expected, before[:-1], strict=True))
-    assert found.average_precision == pytest.approx(average)
-    assert found.f1_max == pytest.approx(max([0.0, *(2 * p * r / (p + r) for _, p, r in expected if p + r > 0)]))
+    assert told["average_precision"] == pytest.approx(average)
+    assert told["f1_max"] == pytest.approx(max([0.0, *(2 * p * r / (p + r) for _, p, r in expected if p + r > 0)]))
     at_full_precision = max([0.0, *(r for _, p, r in expected if p == 1.0)])
-    assert found.recall_at_full_precision == at_full_precision
-    assert found.extended_precision == pytest.approx((expected[0][1] + at_full_precision) / 2)
+    assert told["recall_at_full_precision"] == at_full_precision
+    assert told["extended_precision"] == pytest.approx((expected[0][1] + at_full_precision) / 2)
 
 
 def test_a_score_that_is_no_number_comes_last() -> None:
-    found = sweep([(1, float("nan"), False), (2, 0.0, True)], [1, 2])
-    assert found.precision.tolist() == [1.0, 0.5]
-    assert found.recall_at_full_precision == 0.5
+    found = figures([(1, float("nan"), False), (2, 0.0, True)], [1, 2])
+    assert found["precision_recall_curve"]["precision"] == [1.0, 0.5]
+    assert found["recall_at_full_precision"] == 0.5
 
 
 def test_without_candidates_or_revisits() -> None:
-    found = sweep([], [1])
-    assert len(found.thresholds) == 0
-    assert (found.average_precision, found.f1_max, found.recall_at_full_precision) == (None, None, None)
-    assert found.extended_precision is None
+    assert len(sweep([], [1])) == 0
     assert sweep([(1, 1.0, True)], []) is None
 
 
@@ -81,10 +85,12 @@ def test_curve_and_average_precision_agree_with_scikit_learn(answers: list[tuple
         return
     found = sweep([(k, score, label) for k, (score, label) in enumerate(answers)], np.flatnonzero(labels).tolist())
     precision, recall, thresholds = precision_recall_curve(labels, scores)
-    np.testing.assert_allclose(found.thresholds, thresholds[::-1], rtol=0, atol=0)
-    np.testing.assert_allclose(found.precision, precision[-2::-1], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(found.recall, recall[-2::-1], rtol=0, atol=1e-12)
-    assert found.average_precision == pytest.approx(average_precision_score(labels, scores), abs=1e-12)
+    np.testing.assert_allclose(found["thresholds"], thresholds[::-1], rtol=0, atol=0)
+    np.testing.assert_allclose(found["precision"], precision[-2::-1], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found["recall"], recall[-2::-1], rtol=0, atol=1e-12)
+    assert describe_sweep(found)["average_precision"] == pytest.approx(
+        average_precision_score(labels, scores), abs=1e-12
+    )
 
 
 @pytest.mark.parametrize(
@@ -98,8 +104,7 @@ def test_curve_and_average_precision_agree_with_scikit_learn(answers: list[tuple
     ],
 )
 def test_extended_precision_by_hand(candidates: list[Candidate], extended: float) -> None:
-    found = sweep(candidates, [1, 2])
-    assert found.extended_precision == extended
+    assert figures(candidates, [1, 2])["extended_precision"] == extended
 
 
 def test_a_long_curve_is_thinned_but_not_at_its_ends() -> None:
@@ -108,11 +113,11 @@ def test_a_long_curve_is_thinned_but_not_at_its_ends() -> None:
     full = sweep(
         [(k, score, bool(score > 4700 or rng.random() < 0.3)) for k, score in enumerate(scores)], [*range(5000)]
     )
-    thin = full.thinned()
-    assert 490 <= len(thin.thresholds) <= 502
-    for name in ("thresholds", "precision", "recall"):
-        assert getattr(thin, name)[[0, -1]].tolist() == getattr(full, name)[[0, -1]].tolist()
-    assert (thin.f1_max, thin.extended_precision) == (full.f1_max, full.extended_precision)
-    assert np.isin(thin.thresholds, full.thresholds).all()
-    assert thin.average_precision == pytest.approx(full.average_precision, rel=0.02)
-    assert thin.thinned(600) is thin
+    told = describe_sweep(full)
+    thin = pd.DataFrame(told["precision_recall_curve"])
+    assert 490 <= len(thin) <= 502
+    pd.testing.assert_frame_equal(thin.iloc[[0, -1]], full.iloc[[0, -1]].set_index(thin.index[[0, -1]]))
+    assert thin["thresholds"].isin(full["thresholds"]).all()
+    again = describe_sweep(thin)
+    assert (again["f1_max"], again["extended_precision"]) == (told["f1_max"], told["extended_precision"])
+    assert again["average_precision"] == pytest.approx(told["average_precision"], rel=0.02)

@@ -1,19 +1,24 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from slam.common.arrays import FloatArray
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.inputs.synchronization import PoseSeries, clean_poses
-from slam.evaluation.place_recognition.revisits import DIRECTIONS, NO_REVISIT, Revisits, find_revisits, find_true_poses
+from slam.evaluation.place_recognition.revisits import DIRECTIONS, find_revisits, find_true_poses
 from tests.slam.evaluation.drives import winding_path
 from tests.slam.evaluation.loops import SECOND, THERE_AND_BACK_REVISITS, at_ns, keyframes, series_of, there_and_back
 
 
-def find(truth: PoseSeries, indices: range | list[int]) -> Revisits:
+def find(truth: PoseSeries, indices: range | list[int]) -> pd.DataFrame:
     return find_revisits(*keyframes(indices), truth, Protocol())
+
+
+def is_revisit_of(queries: pd.DataFrame) -> pd.Series:
+    return queries["direction"] != ""
 
 
 def out_and_return(far_m: float, back: tuple[float, float, float], heading_deg: float = 180.0) -> PoseSeries:
@@ -40,7 +45,7 @@ def brute_force(T_world_body: FloatArray, travelled_m: FloatArray) -> list[int]:
 )
 def test_directions(heading_deg: float, direction: str) -> None:
     found = find(out_and_return(150.0, (2.0, 0.0, 0.0), heading_deg), range(3))
-    assert found.directions.tolist() == [NO_REVISIT, NO_REVISIT, DIRECTIONS.index(direction)]
+    assert found["direction"].tolist() == ["", "", direction]
 
 
 @pytest.mark.parametrize(
@@ -54,7 +59,7 @@ def test_directions(heading_deg: float, direction: str) -> None:
     ],
 )
 def test_borders_of_a_revisit(far_m: float, back: tuple[float, float, float], is_revisit: bool) -> None:
-    assert find(out_and_return(far_m, back), range(3)).is_revisit.tolist() == [False, False, is_revisit]
+    assert is_revisit_of(find(out_and_return(far_m, back), range(3))).tolist() == [False, False, is_revisit]
 
 
 def test_against_a_search_through_all_pairs() -> None:
@@ -65,20 +70,20 @@ def test_against_a_search_through_all_pairs() -> None:
     truth = series_of(T_world_body)
     found = find_revisits(*keyframes(range(450)), truth, Protocol(query_spacing_m=1e-6))
     expected = brute_force(T_world_body, truth.travelled_m)
-    assert found.is_revisit.tolist() == [other >= 0 for other in expected]
+    assert is_revisit_of(found).tolist() == [other >= 0 for other in expected]
     forward = T_world_body[:, :3, 0]
     cosines = [forward[row] @ forward[other] for row, other in enumerate(expected) if other >= 0]
     angles_deg = np.rad2deg(np.arccos(np.clip(cosines, -1.0, 1.0)))
-    by_angle = [0 if angle <= 45 else 1 if angle > 135 else 2 for angle in angles_deg]
-    assert found.directions[found.is_revisit].tolist() == by_angle
-    assert np.count_nonzero(found.is_revisit) > 200
+    by_angle = [DIRECTIONS[0 if angle <= 45 else 1 if angle > 135 else 2] for angle in angles_deg]
+    assert found["direction"][is_revisit_of(found)].tolist() == by_angle
+    assert np.count_nonzero(is_revisit_of(found)) > 200
 
 
 def test_queries_are_thinned_but_revisit_any_keyframe() -> None:
     found = find(there_and_back(), range(241))
-    assert found.keyframe_ids.tolist() == list(range(0, 241, 2))
+    assert found["keyframe"].tolist() == list(range(0, 241, 2))
     # With the odd keyframes 235 - k is one to come back to, but no earlier query than with the even ones alone.
-    assert found.keyframe_ids[found.is_revisit].tolist() == list(THERE_AND_BACK_REVISITS)
+    assert found["keyframe"][is_revisit_of(found)].tolist() == list(THERE_AND_BACK_REVISITS)
 
 
 @pytest.mark.parametrize(("spacing_m", "kept"), [(1.95, 21), (1.85, 11), (3.0, 21)])
@@ -86,14 +91,14 @@ def test_the_spacing_has_a_tolerance(spacing_m: float, kept: int) -> None:
     xyz = np.zeros((21, 3))
     xyz[:, 1] = spacing_m * np.arange(21)
     truth = series_of(transform_from_xyz_yaw(xyz, np.zeros(21)))
-    assert len(find(truth, range(21)).keyframe_ids) == kept
+    assert len(find(truth, range(21))) == kept
 
 
 def test_a_robot_that_stands_is_counted_once() -> None:
     there = there_and_back().T_world_body
     truth = series_of(np.concatenate([there, np.repeat(there[-1:], 500, axis=0)]))
     found = find(truth, range(0, 741, 2))
-    assert found.keyframe_ids[found.is_revisit].tolist() == list(THERE_AND_BACK_REVISITS)
+    assert found["keyframe"][is_revisit_of(found)].tolist() == list(THERE_AND_BACK_REVISITS)
 
 
 def test_keyframes_without_truth_are_not_queries() -> None:
@@ -101,22 +106,22 @@ def test_keyframes_without_truth_are_not_queries() -> None:
     kept = np.r_[0:200, 210:231]
     truth = clean_poses(whole.stamps_ns[kept], whole.T_world_body[kept])
     found = find(truth, range(0, 241, 2))
-    assert found.keyframe_ids.tolist() == [*range(0, 199, 2), *range(210, 231, 2)]
+    assert found["keyframe"].tolist() == [*range(0, 199, 2), *range(210, 231, 2)]
 
 
 def test_duplicated_stamps_disorder_and_one_pose() -> None:
     ids, stamps_ns = np.array([7, 5, 3], dtype=np.int64), np.array([at_ns(2), at_ns(2), at_ns(0)], dtype=np.int64)
     found = find_revisits(ids, stamps_ns, there_and_back(), Protocol())
-    assert found.keyframe_ids.tolist() == [3, 5]
+    assert found["keyframe"].tolist() == [3, 5]
     one = series_of(np.eye(4)[None])
-    assert find(one, range(5)).keyframe_ids.tolist() == [0]
-    assert not find(one, range(5)).is_revisit.any()
+    assert find(one, range(5))["keyframe"].tolist() == [0]
+    assert not is_revisit_of(find(one, range(5))).any()
 
 
 def test_nothing_to_look_at() -> None:
     for truth, indices in ((series_of(np.zeros((0, 4, 4))), range(5)), (there_and_back(), range(0))):
         found = find(truth, indices)
-        assert len(found.keyframe_ids) == len(found.stamps_ns) == len(found.is_revisit) == 0
+        assert found.empty
 
 
 def test_true_poses_at_any_times() -> None:

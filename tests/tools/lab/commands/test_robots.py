@@ -15,7 +15,7 @@ from tools.lab.commands import robots
 COUNTERS = {"odometry_used": 5, "landmarks_confirmed": 37, "odometry_breaks": 2, "closures_accepted": 3}
 EVALUATION = {
     "trajectory": {"odometry_ate_m": 1.3371, "ate_m": 0.0312},
-    "associations": {"precision": 0.6175},
+    "associations": {"precision": 0.6175, "object_count": 17},
     "closures": {"accepted_count": 3, "precision": 1.0, "independent_count": 3, "largest_false_share": 0.632},
 }
 
@@ -29,7 +29,7 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     summary = SimpleNamespace(counters=COUNTERS, log_s=100.0, final_status="optimised")
     runs = {
         "bad/one": MappedDrive("bad/one", error="line 1 | broken"),
-        "good": MappedDrive("good", summary, EVALUATION, (), 250_000_000, 17, 4.0),
+        "good": MappedDrive("good", summary, EVALUATION, (), 250_000_000, 4.0),
     }
     monkeypatch.setattr(robots, "map_robot", lambda drive, config: runs[drive.name])
     return tmp_path / "data"

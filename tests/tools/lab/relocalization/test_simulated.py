@@ -129,7 +129,7 @@ def test_a_fix_away_from_the_truth_is_wrong_and_was_not_taken_back(
 def test_reliability_is_that_of_all_places():
     outcomes = [made_up(Verdict.NOT_FOUND, None, None, places=((5.0, True), (9.0, False))), *MADE_UP]
     found = sum_up(outcomes, world="made up", tour_m=1.0, landmarks=1, map_ate_m=0.0).reliability
-    assert (found.sure_count, found.sure_right) == (2, 1)
+    assert (found["sure_count"], found["sure_right"]) == (2, 1)
 
 
 def test_a_fix_in_a_bent_map_is_at_its_place_and_one_elsewhere_is_not(search: Search, kidnaps: list[Kidnap]):
