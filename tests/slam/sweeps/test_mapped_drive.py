@@ -13,7 +13,7 @@ from slam.sweeps import mapped_drive
 from slam.sweeps.mapped_drive import DriveTask, map_drive, map_drives
 from tests.helpers.short_drives import Entry, keep_until, write_log
 from tests.logs.importers.text_drives import TextDrive
-from tools.lab.commands.robots import figures_of, map_robot
+from tools.lab.commands.robots import map_robot
 from tools.lab.drives.robot_drives import RobotDrive, find_drives
 
 pytestmark = pytest.mark.slow
@@ -76,14 +76,14 @@ def test_death_of_the_process_is_a_result(log: Path, tmp_path: Path, monkeypatch
 def test_robot_is_imported_and_mapped(tmp_path: Path) -> None:
     files = TextDrive.make(tmp_path).files()
     run = map_robot(RobotDrive("a", files["odometry"], files["detections"], files["ground_truth"]), Config())
-    figures = figures_of(run)
     assert run.error == ""
-    assert (figures["odometry_ate_m"], figures["ate_m"]) == (pytest.approx(0.0, abs=1e-6), pytest.approx(0.0, abs=1e-6))
+    assert run.figure("trajectory.odometry_ate_m") == pytest.approx(0.0, abs=1e-6)
+    assert run.figure("trajectory.ate_m") == pytest.approx(0.0, abs=1e-6)
     # One object and a false positive; nothing is ever met again.
-    assert (figures["object_count"], figures["associations_precision"]) == (1, 1.0)
-    assert (figures["closures_accepted"], figures["closures_precision"], figures["revisit_recall"]) == (0, None, None)
-    assert figures["log_s"] == pytest.approx(0.4)
-    assert str(figures["final_status"]).startswith("not corrected")
+    assert (run.figure("associations.object_count"), run.figure("associations.precision")) == (1, 1.0)
+    assert (run.figure("closures.accepted_count"), run.figure("closures.recall")) == (0, None)
+    assert run.summary.log_s == pytest.approx(0.4)
+    assert run.summary.final_status.startswith("not corrected")
 
 
 def test_broken_files_of_a_robot_are_a_result(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings
-from tools.lab.tables import Row, number, to_markdown
+from tools.lab.tables import Markdown, Row, number, report
 
 if TYPE_CHECKING:
     from slam.common.config import Config
@@ -24,7 +24,6 @@ NOISE = "position_noise=0.001,odometry_translation_noise=0.001"
 FIGURES = ("trajectory.ate_m", "closures.precision", "closures.recall", "relocalization.success_rate",
            "associations.precision")  # fmt: skip
 CHANGED = "beyond the spread"
-BEGIN, END = "<!-- begin of dslam benchmark ablation -->\n", "<!-- end of dslam benchmark ablation -->\n"
 
 
 def ablation(
@@ -34,10 +33,6 @@ def ablation(
     folder: Annotated[
         Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results; finished ones are reused.")
     ],
-    page: Annotated[
-        Path | None,
-        typer.Option(metavar="PAGE.md", help="Write the table into this page, between its marks.", show_default=False),
-    ] = None,
     drive: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this drive. Repeatable.")] = None,
     part: Annotated[
         list[str] | None,
@@ -49,6 +44,7 @@ def ablation(
     ] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,
+    markdown: Markdown = False,
     json: Json = False,
 ) -> None:
     """Map drives with one part of the method switched off at a time, and compare with the whole method.
@@ -58,9 +54,8 @@ def ablation(
 
     Example: dslam benchmark ablation data -o out/ablation --drive demo --part calibration --copies 3
     """
-    from logs.storage.placement import write_text
     from slam.common.config import load_config
-    from tools import console
+    from slam.evaluation.comparison import RULE
     from tools.lab.drives.ablation_drives import DRIVES
     from tools.lab.drives.ablation_parts import DEFAULT, PARTS
 
@@ -70,14 +65,11 @@ def ablation(
     sweeps = dict[tuple[str, str], "Sweep"]()
     for key, sweep in _run(drives, data, folder, configs, copies, jobs or os.cpu_count() or 1):
         sweeps[key] = sweep
-        if page is not None:  # after each row, for they may take hours
-            write_text(page, _with_block(page, f"{_conditions(copies, settings or ())}\n\n{_table(sweeps)}"))
         for failure in sweep.failures:
             typer.echo(f"{key[0]}: {failure}", err=True)
-    if json:
-        console.show_json({"rows": [{"drive": name, **each.to_json_dict()} for (name, _), each in sweeps.items()]})
-    elif page is None:
-        typer.echo(_table(sweeps))
+    found = [{"drive": name, **each.to_json_dict()} for (name, _), each in sweeps.items()] if json else []
+    note = f"{copies} copies with the noise {NOISE}, seeds 0 to {copies - 1}. Each figure: mean, worst. {RULE}"
+    report(_rows(sweeps), note, texts=("off", CHANGED), markdown=markdown, json={"rows": found} if json else None)
 
 
 def _chosen(names: Sequence[str] | None, there: Mapping[str, object], option: str) -> list[str]:
@@ -125,16 +117,19 @@ def _file_name(name: str) -> str:
     return re.sub(r"\W+", "_", name)
 
 
-def _table(sweeps: Mapping[tuple[str, str], Sweep]) -> str:
-    """Markdown: drive, part that is off, mean and worst of each figure, and the figures that it changes."""
+def _rows(sweeps: Mapping[tuple[str, str], Sweep]) -> list[Row]:
+    """Drive, part that is off, mean and worst of each figure, and the figures that it changes."""
     from tools.lab.drives.ablation_parts import DEFAULT
 
-    rows = [
-        {"drive": drive, "off": part, **_figures(sweep.rows[0]),
-         CHANGED: _changed(sweeps[drive, DEFAULT].rows[0], sweep.rows[0])}
+    return [
+        {
+            "drive": drive,
+            "off": part,
+            **_figures(sweep.rows[0]),
+            CHANGED: _changed(sweeps[drive, DEFAULT].rows[0], sweep.rows[0]),
+        }
         for (drive, part), sweep in sweeps.items()
-    ]  # fmt: skip
-    return to_markdown(rows, texts=("off", CHANGED))
+    ]
 
 
 def _figures(row: SweepRow) -> Row:
@@ -174,27 +169,3 @@ def _headline_figures() -> list[Figure]:
     from slam.evaluation.report.figures import HEADLINE_FIGURES
 
     return [figure for figure in HEADLINE_FIGURES if figure.key in FIGURES]
-
-
-def _conditions(copies: int, settings: Sequence[str]) -> str:
-    from importlib.metadata import version
-
-    from slam.evaluation.comparison import RULE
-    from tools.lab.drives.ablation_drives import SEED
-
-    changed = ", ".join(settings) or "all default"
-    return (
-        f"Version {version('descriptellation-slam')}; settings: {changed}; {copies} copies with the noise "
-        f"`{NOISE}` and the seeds 0 to {copies - 1}; simulated drives have the seed {SEED}. Each figure: mean, "
-        f"worst. {RULE}"
-    )
-
-
-def _with_block(page: Path, block: str) -> str:
-    """The text of the page with the block between its marks; a new page if it does not exist."""
-    text = page.read_text(encoding="utf-8") if page.exists() else f"# Ablation\n\n{BEGIN}{END}"
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise typer.BadParameter(f"{page} has no lines {BEGIN.strip()} and {END.strip()}.", param_hint="--page")
-    return f"{before}{BEGIN}{block}\n{END}{after}"

@@ -4,32 +4,23 @@ from __future__ import annotations
 
 import typer
 
-from tools.lab.commands import (
-    ablation,
-    descriptors,
-    faults,
-    fleet,
-    kidnapping,
-    recall,
-    relocalization,
-    replay,
-    retrieval,
-    robots,
-)
-from tools.lab.live.command import live
+from tools.lab.commands.ablation import ablation
+from tools.lab.commands.descriptors import descriptors
+from tools.lab.commands.faults import faults
+from tools.lab.commands.fleet import fleet
+from tools.lab.commands.kidnapping import kidnapping
+from tools.lab.commands.live import live
+from tools.lab.commands.recall import recall
+from tools.lab.commands.relocalization import relocalization
+from tools.lab.commands.replay import replay
+from tools.lab.commands.retrieval import retrieval
+from tools.lab.commands.robots import robots
 
 app = typer.Typer(help="Measure accuracy, recall, speed and memory.", no_args_is_help=True)
-app.command()(descriptors.descriptors)
-app.command()(faults.faults)
-app.command()(fleet.fleet)
-app.command()(kidnapping.kidnapping)
-app.command()(ablation.ablation)
-app.command()(live)
-app.command()(recall.recall)
-app.command()(relocalization.relocalization)
-app.command()(replay.replay)
-app.command()(retrieval.retrieval)
-app.command()(robots.robots)
+for command in (
+    *(descriptors, faults, fleet, kidnapping, ablation, live, recall, relocalization, replay, retrieval, robots),
+):
+    app.command()(command)
 
 
 @app.callback()

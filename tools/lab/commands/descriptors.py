@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tools.arguments import Json
-from tools.lab.tables import number, percent, show, to_markdown
+from tools.lab.tables import Markdown, number, percent, report
 
 if TYPE_CHECKING:
     from slam.simulation.world import World
@@ -48,7 +46,7 @@ def descriptors(
             help="Folder for a CSV file, a LaTeX table (the best in bold) and a figure.",
         ),
     ] = None,
-    markdown: Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")] = False,
+    markdown: Markdown = False,
     json: Json = False,
 ) -> None:
     """Localize queries in a map of objects with each descriptor, as in the Descriptellation paper.
@@ -83,23 +81,20 @@ def descriptors(
             neighbours=neighbours,
             queries=queries,
             seeds=seeds,
-            on_progress=_counted(move, 3 * len(methods)),
+            on_progress=move or (lambda fraction: None),
         )
     if output is not None:
         write_comparison(output, world.name, result)
-    if json:
-        console.show_json({"map": world.name, **asdict(result)})
-        return
-    rows = [_row(cell) for cell in result.cells]
-    title = (
-        f"{world.name}: {result.objects} objects, {result.classes} classes; {queries} queries x {seeds} seeds, "
-        f"{neighbours} nearest descriptors"
-    )
-    if markdown:
-        typer.echo(f"{title}\n\n{to_markdown(rows, texts=['scenario'])}")
-        return
     built = ", ".join(f"{method} {seconds:.2f} s" for method, seconds in result.build_s.items())
-    show(rows, f"time to index the map: {built}", title=title, texts=["scenario"])
+    report(
+        [_row(cell) for cell in result.cells],
+        f"time to index the map: {built}",
+        title=f"{world.name}: {result.objects} objects, {result.classes} classes; {queries} queries x {seeds} seeds, "
+        f"{neighbours} nearest descriptors",
+        texts=["scenario"],
+        markdown=markdown,
+        json={"map": world.name, **asdict(result)} if json else None,
+    )
 
 
 def _world(objects: Path | None, trajectory: Path | None) -> World:
@@ -114,17 +109,6 @@ def _world(objects: Path | None, trajectory: Path | None) -> World:
     if objects is not None and trajectory is not None:
         return load_world(objects, trajectory)
     return generate_street_grid(rng=np.random.default_rng(0))
-
-
-def _counted(move: Callable[[float], None] | None, total: int) -> Callable[[object], None]:
-    """Moves a progress bar, if there is one, by one of ``total`` steps at each call."""
-    steps = count(1)
-
-    def step(_: object) -> None:
-        if move is not None:
-            move(next(steps) / total)
-
-    return step
 
 
 def _row(cell: Cell) -> dict[str, str]:

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools.arguments import ConfigFile, InputLog, Json, Settings, Topics, check_outputs, parse_topics
-from tools.lab.tables import number, show, to_markdown
+from tools.arguments import ConfigFile, InputLog, Json, Settings, Topics, parse_topics
+from tools.lab.tables import Columns, Markdown, figures_of, number, report, with_progress
 from tools.replay import noted_counters, rejected_by_odometry_note
 
 if TYPE_CHECKING:
     from slam.sweeps.mapped_drive import MappedDrive
 
 CLEAN = "none"
+COLUMNS: Columns = {
+    "ATE m": ("trajectory.ate_m", 3, 1.0),
+    "odometry ATE m": ("trajectory.odometry_ate_m", 3, 1.0),
+    "closures accepted": ("closures.accepted_count", 0, 1.0),
+    "precision": ("closures.precision", 3, 1.0),
+    "false": ("closures.false_count", 0, 1.0),
+    "landmarks": ("counters.landmarks_confirmed", 0, 1.0),
+}
 
 
 def faults(
@@ -25,15 +32,12 @@ def faults(
         list[str] | None,
         typer.Option(metavar="NAME[=VALUE]", help="Only this fault. Repeatable; by default all."),
     ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FILE.md", help="Write the table.", show_default=False),
-    ] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,
     topics: Topics = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the faults.")] = 0,
     jobs: Annotated[int, typer.Option(min=1, help="Processes at a time.")] = 1,
+    markdown: Markdown = False,
     json: Json = False,
 ) -> None:
     """Map a drive with ground truth with one fault of its input at a time; measure the map and list what is reported.
@@ -41,19 +45,16 @@ def faults(
     The faults are those of 'dslam degrade --list-faults'; the unchanged drive is measured first. Each run is a process
     of its own. Progress goes to standard error, a line for each fault.
 
-    Example: dslam benchmark faults drive.mcap --only heading_jump --only time_offset=0.5 -o faults.md
+    Example: dslam benchmark faults drive.mcap --only heading_jump --only time_offset=0.5 --markdown
     """
     chosen = parse_topics(topics)
-    check_outputs([output], [log, config_file])
     from tempfile import TemporaryDirectory
 
-    from logs.storage.placement import write_text
     from slam.common.config import load_config
     from slam.common.errors import EvaluationError
     from slam.evaluation.inputs.records import read_records
     from slam.simulation.faults.registry import all_cases
     from slam.sweeps.mapped_drive import DriveTask, map_drives
-    from tools import console
 
     config = load_config(config_file, settings or ())
     names = [CLEAN, *(case.name for case in all_cases(only or ()))]
@@ -61,42 +62,19 @@ def faults(
         raise EvaluationError(
             f"{log} holds no true poses (/ground_truth), so no error can be measured; give one that does"
         )
-    runs: dict[str, MappedDrive] = {}
     with TemporaryDirectory() as folder:
         tasks = [
             DriveTask(name, log, config, Path(folder), chosen, () if name == CLEAN else (name,), seed) for name in names
         ]
-        for run in map_drives(tasks, jobs=jobs):
-            runs[run.name] = run
-            _print_progress(run, len(runs), len(names))
-            rows = [table_row(runs[name]) for name in names if name in runs]
-            if output is not None:  # so that one that is interrupted is not lost
-                title = f"# Faults of the input of {log.name}, seed {seed}"
-                write_text(output, f"{title}\n\n{to_markdown(rows, texts=['reported'])}\n")
-    if json:
-        results = [
-            {**asdict(runs[name]), "fault": name, "ate_m": runs[name].figure("trajectory.ate_m"),
-             "reported": report_of(runs[name])}
-            for name in names
-        ]  # fmt: skip
-        console.show_json({"log": str(log), "seed": seed, "runs": results})
-    else:
-        show(rows, *([f"written {output}"] if output is not None else []), texts=["reported"])
-
-
-def table_row(run: MappedDrive) -> dict[str, str]:
-    """The cells of a drive with a fault by their headings."""
-    return {
-        "fault": run.name,
-        "ATE m": number(run.figure("trajectory.ate_m"), 3),
-        "odometry ATE m": number(run.figure("trajectory.odometry_ate_m"), 3),
-        "closures accepted": number(run.figure("closures.accepted_count"), 0),
-        "precision": number(run.figure("closures.precision"), 3),
-        "false": number(run.figure("closures.false_count"), 0),
-        "landmarks": number(run.summary.counters.get("landmarks_confirmed", 0) if run.summary else None, 0),
-        "reported": report_of(run),
-        "s": number(run.seconds, 0),
-    }
+        runs = {run.name: run for run in with_progress(map_drives(tasks, jobs=jobs), len(tasks))}
+    ordered = [runs[name] for name in names]
+    results = [{**asdict(run), "reported": report_of(run)} for run in ordered]
+    report(
+        [_row(run) for run in ordered],
+        texts=["reported"],
+        markdown=markdown,
+        json={"log": str(log), "seed": seed, "runs": results} if json else None,
+    )
 
 
 def report_of(run: MappedDrive) -> str:
@@ -114,8 +92,10 @@ def report_of(run: MappedDrive) -> str:
     return "; ".join([*parts, *(f"on the way: {text}" for text in run.warnings if text != run.summary.final_status)])
 
 
-def _print_progress(run: MappedDrive, done: int, total: int) -> None:
-    row = table_row(run)
-    measured = f"ATE {row['ATE m']} m, {row['closures accepted']} closures, {row['s']} s"
-    what = f"error: {run.error}" if run.error else measured
-    print(f"[{done}/{total}] {run.name}: {what}", file=sys.stderr, flush=True)
+def _row(run: MappedDrive) -> dict[str, str]:
+    return {
+        "fault": run.name,
+        **figures_of(run, COLUMNS),
+        "reported": report_of(run),
+        "s": number(run.seconds, 0),
+    }

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings
-
-if TYPE_CHECKING:
-    from tools.lab.relocalization.silent import SilentKidnappingBenchmark
 
 
 def kidnapping(
@@ -29,28 +26,19 @@ def kidnapping(
 
     Example: dslam benchmark kidnapping --objects objects.csv --trajectory trajectory.csv
     """
-    from dataclasses import asdict
-
     from slam.common.config import load_config
     from slam.simulation.world import load_world
     from tools import console
-    from tools.lab.relocalization.silent import benchmark_silent_kidnapping
+    from tools.lab.relocalization.silent import NOTICED_WITHIN_M, benchmark_silent_kidnapping
 
     world, config = load_world(objects, trajectory), load_config(config_file, settings or ())
     with console.progress_bar("carrying off", "carrying off") as move:
         result = benchmark_silent_kidnapping(world, config, kidnaps=kidnaps, seed=seed, on_progress=move)
     if json:
-        console.show_json({**asdict(result), "seed": seed})
-    else:
-        _show(result)
-
-
-def _show(result: SilentKidnappingBenchmark) -> None:
-    from tools import console
-    from tools.lab.relocalization.silent import NOTICED_WITHIN_M
-
-    median = "-" if result.median_m is None else f"{result.median_m:.1f} m"
+        console.show_json({**result, "seed": seed})
+        return
+    median = "-" if result["median_m"] is None else f"{result['median_m']:.1f} m"
     console.show(
-        f"{result.world}: {100 * result.noticed_rate:.1f} % of {len(result.kidnappings)} kidnappings noticed within "
-        f"{NOTICED_WITHIN_M:g} m, median {median}; {result.false_alarms} false alarms"
+        f"{result['world']}: {100 * result['noticed_rate']:.1f} % of {kidnaps} kidnappings noticed within "
+        f"{NOTICED_WITHIN_M:g} m, median {median}; {result['false_alarms']} false alarms"
     )

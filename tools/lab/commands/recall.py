@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tools.arguments import Json
-from tools.lab.pages import with_block
-from tools.lab.tables import number, percent, show, to_markdown
+from tools.lab.tables import number, percent, report
 
 if TYPE_CHECKING:
     from tools.lab.retrieval.path_queries import Scenario
@@ -72,11 +71,9 @@ def recall(
             help="Folder of the table and the picture; finished measurements in it are kept.",
         ),
     ] = None,
-    page: Annotated[
-        Path | None,
-        typer.Option(metavar="PAGE.md", help="Write the tables of the folder into this page, between its marks."),
-    ] = None,
-    markdown: Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")] = False,
+    markdown: Annotated[
+        bool, typer.Option("--markdown", help="Print tables in Markdown, with all that is in the folder.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Compare descriptors and quads of objects: recall of places in a map of objects.
@@ -92,15 +89,12 @@ def recall(
     from descriptors.random_vector import RandomVector
     from descriptors.registry import DESCRIPTOR_NAMES
     from logs.importers.maps.object_table import read_object_table
-    from logs.storage.placement import write_text
     from tools import console
     from tools.lab.retrieval.contest import Contest, read_results, run_contest, side_by_side
     from tools.lab.retrieval.contest_page import draw_contest, to_page
     from tools.lab.retrieval.proposers import QUADS
 
-    proposers = list(descriptor or [*DESCRIPTOR_NAMES, QUADS])
-    if RandomVector.name not in proposers:
-        proposers.append(RandomVector.name)
+    proposers = dict.fromkeys([*(descriptor or [*DESCRIPTOR_NAMES, QUADS]), RandomVector.name])
     contest = Contest(
         proposers=tuple(proposers),
         sizes=tuple(size or [10_000]),
@@ -110,32 +104,20 @@ def recall(
         queries=queries,
         seed=seed,
     )
+    results = None
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-    with console.progress_line("measuring") as progress:
-
-        def report(done: int) -> None:
-            if progress is not None:
-                progress(done / contest.cells, f"{done} of {contest.cells}")
-
-        cells = run_contest(
-            side_by_side([read_object_table(path) for path in objects]),
-            contest,
-            results=None if output is None else output / RESULTS,
-            on_progress=report,
-        )
+        results = output / RESULTS
+    world = side_by_side([read_object_table(path) for path in objects])
+    with console.progress_bar("measuring", "measuring") as move:
+        cells = run_contest(world, contest, results=results, on_progress=move or (lambda fraction: None))
     if output is not None:
         draw_contest(output / PICTURE, cells)
-    if page is not None:
-        measured = cells if output is None else read_results(output / RESULTS)
-        write_text(page, with_block(page, "dslam benchmark recall", to_page(measured)))
-    rows = [_row(each) for each in cells.to_dict("records")]
-    if json:
-        console.show_json({"figures": cells.to_dict("records")})
-    elif markdown:
-        typer.echo(to_markdown(rows))
-    else:
-        show(rows)
+    if markdown:
+        typer.echo(to_page(cells if results is None else read_results(results)))
+        return
+    found = cells.to_dict("records")
+    report([_row(each) for each in found], json={"figures": found} if json else None)
 
 
 def _scenarios(

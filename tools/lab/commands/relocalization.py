@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings, Topics, parse_topics
-from tools.lab.tables import number, percent, show
+from tools.lab.tables import number, percent, report
 
-if TYPE_CHECKING:
-    from tools.lab.relocalization.figures import Figures, RelocalizationBenchmark
-    from tools.lab.relocalization.logged import LoggedRelocalization
-
+_Benchmark = Callable[..., dict[str, Any]]
 RIGHT = (4.0, 10.0)
 _ALWAYS = {"kidnaps", "max_travel", "config_file", "settings", "json"}
 MODES = {
@@ -116,7 +113,7 @@ def relocalization(
     _refuse_options_of_other_modes(context, mode)
     config = load_config(config_file, settings or ())
     chances = {"seed": seed, "noise": noise, "changed": changed}
-    run: Callable[..., RelocalizationBenchmark | LoggedRelocalization]
+    run: _Benchmark
     if log is not None:
         conditions: dict[str, Any] = {"map_until_s": map_until, "right": list(right)}
         run = _on_log(log, map_until, right, parse_topics(topics))
@@ -127,7 +124,7 @@ def relocalization(
         run = partial(_in_world(objects, trajectory, map_log, seed), jobs=jobs, **conditions)
     with console.progress_bar("relocalizing", "relocalizing") as move:
         result = run(config, kidnaps=kidnaps, max_travel_m=max_travel, on_progress=move)
-    _tell(result, conditions | {"max_travel_m": max_travel}, as_json=json)
+    _report(result, conditions | {"max_travel_m": max_travel}, as_json=json)
 
 
 def _refuse_options_of_other_modes(context: typer.Context, mode: str) -> None:
@@ -143,9 +140,7 @@ def _refuse_options_of_other_modes(context: typer.Context, mode: str) -> None:
         raise typer.BadParameter(f"{why}.", param_hint=", ".join(wrong))
 
 
-def _on_log(
-    log: Path, map_until_s: float | None, right: tuple[float, float], topics: dict[str, str]
-) -> Callable[..., LoggedRelocalization]:
+def _on_log(log: Path, map_until_s: float | None, right: tuple[float, float], topics: dict[str, str]) -> _Benchmark:
     from tools.lab.relocalization.figures import Tolerance
     from tools.lab.relocalization.logged import benchmark_log
 
@@ -156,7 +151,7 @@ def _on_log(
     return partial(benchmark_log, log, map_until_s=map_until_s, tolerance=Tolerance(*right), topics=topics)
 
 
-def _in_map(map_log: Path | None) -> Callable[..., RelocalizationBenchmark]:
+def _in_map(map_log: Path | None) -> _Benchmark:
     from slam.localization.prior_map import load_prior_map
     from tools.lab.relocalization.unknown_streets import benchmark_in_map
 
@@ -164,9 +159,7 @@ def _in_map(map_log: Path | None) -> Callable[..., RelocalizationBenchmark]:
     return partial(benchmark_in_map, load_prior_map(map_log))
 
 
-def _in_world(
-    objects: Path | None, trajectory: Path | None, map_log: Path | None, seed: int
-) -> Callable[..., RelocalizationBenchmark]:
+def _in_world(objects: Path | None, trajectory: Path | None, map_log: Path | None, seed: int) -> _Benchmark:
     import numpy as np
 
     from slam.localization.prior_map import load_prior_map
@@ -184,65 +177,45 @@ def _in_world(
     return partial(benchmark_relocalization, world, prior_map=prior_map)
 
 
-def _tell(result: RelocalizationBenchmark | LoggedRelocalization, conditions: dict[str, Any], *, as_json: bool) -> None:
-    from dataclasses import asdict
-
-    from tools import console
-    from tools.lab.relocalization.logged import LoggedRelocalization
-
-    mapped = result.mapped if isinstance(result, LoggedRelocalization) else result
-    elsewhere, notes = dict[str, Any](), list[str]()
-    if isinstance(result, LoggedRelocalization):
-        count = len(result.elsewhere)
-        elsewhere = {
-            "elsewhere_kidnaps": count,
-            "elsewhere_fixes": result.false_fixes,
-            "elsewhere_outcomes": [asdict(each) for each in result.elsewhere],
-        }
-        notes = [f"outside the map: {result.false_fixes} false fixes in {count} drives"]
-    if as_json:
-        figures = mapped.to_json_dict()
-        console.show_json({**figures.pop("total"), **conditions, **elsewhere, **figures})
-    else:
-        _show(mapped, ", ".join(f"{name} {value}" for name, value in conditions.items()), notes)
-
-
-def _show(result: RelocalizationBenchmark, conditions: str, notes: list[str]) -> None:
+def _report(result: dict[str, Any], conditions: dict[str, Any], *, as_json: bool) -> None:
     from slam.evaluation.place_recognition.reliability import SURE
 
-    title = (
-        f"{result.world}: {result.tour_m:.0f} m, {result.landmarks} landmarks, map ATE {result.map_ate_m:.2f} m; "
-        f"{conditions}"
-    )
-    show(
-        [_row(name, figures) for name, figures in {"everywhere": result.total, **result.groups}.items()],
+    reliability, kidnaps = result["reliability"], result.get("elsewhere_kidnaps")
+    notes = [
         "found, in map, late, wrong and lost: per cent of the drives; kept: per cent of the right fixes",
-        f"fixes at a wrong place of the map: {percent(result.total.misplaced_rate)} %; other wrong fixes are due to "
+        f"fixes at a wrong place of the map: {percent(result['misplaced_rate'])} %; other wrong fixes are due to "
         "errors of the map",
-        f"wrong fixes corrected within 10 m, in per cent: {percent(result.total.revoked_rate, 0)}",
-        f"places with a posterior probability of {SURE:g} or more: {result.reliability['sure_count']}, of which right "
-        f"in the map: {result.reliability['sure_right']}",
-        *([] if result.oracle_rate is None else [f"could be found: {100 * result.oracle_rate:.1f} %"]),
-        f"loading the map: {1e3 * result.load_s:.0f} ms; a search: {number(result.query_ms, 1)} ms",
-        *notes,
-        title=title,
+        f"wrong fixes corrected within 10 m, in per cent: {percent(result['revoked_rate'], 0)}",
+        f"places with a posterior probability of {SURE:g} or more: {reliability['sure_count']}, of which right in the "
+        f"map: {reliability['sure_right']}",
+        f"loading the map: {number(result['load_s'], 0, 1e3)} ms; a search: {number(result['query_ms'], 1)} ms",
+    ]
+    if result.get("oracle_rate") is not None:
+        notes.append(f"could be found: {percent(result['oracle_rate'])} %")
+    if kidnaps is not None:
+        notes.append(f"outside the map: {result['elsewhere_fixes']} false fixes in {kidnaps} drives")
+    title = (
+        f"{result['world']}: {result['tour_m']:.0f} m, {result['landmarks']} landmarks, map ATE "
+        f"{result['map_ate_m']:.2f} m; {', '.join(f'{name} {value}' for name, value in conditions.items())}"
     )
+    rows = [_row(name, figures) for name, figures in {"everywhere": result, **result["groups"]}.items()]
+    report(rows, *notes, title=title, json={**conditions, **result} if as_json else None)
 
 
-def _row(where: str, figures: Figures) -> dict[str, str]:
+def _row(where: str, figures: dict[str, Any]) -> dict[str, str]:
     return {
         "where": where,
-        "drives": str(figures.kidnaps),
-        "found": percent(figures.success_rate),
-        "in map": percent(figures.success_in_map_rate),
-        "late": percent(figures.late_rate),
-        "wrong": percent(figures.false_relocalization_rate),
-        "lost": percent(figures.not_found_rate),
-        "m": number(figures.median_distance_m, 1),
-        "95 %": number(figures.p95_distance_m, 1),
-        "s": number(figures.median_seconds, 1),
-        "off m": number(figures.median_error_m, 2),
-        "95 % off": number(figures.p95_error_m, 2),
-        "deg": number(figures.median_error_deg, 2),
-        "kept": percent(figures.kept_rate, 0),
+        "drives": str(figures["kidnaps"]),
+        "found": percent(figures["success_rate"]),
+        "in map": percent(figures["success_in_map_rate"]),
+        "late": percent(figures["late_rate"]),
+        "wrong": percent(figures["false_relocalization_rate"]),
+        "lost": percent(figures["not_found_rate"]),
+        "m": number(figures["median_distance_m"], 1),
+        "95 %": number(figures["p95_distance_m"], 1),
+        "s": number(figures["median_seconds"], 1),
+        "off m": number(figures["median_error_m"], 2),
+        "95 % off": number(figures["p95_error_m"], 2),
+        "deg": number(figures["median_error_deg"], 2),
+        "kept": percent(figures["kept_rate"], 0),
     }

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings
-from tools.lab.tables import number, percent, show
+from tools.lab.tables import number, percent, report
 
 if TYPE_CHECKING:
     from slam.common.config import Config
@@ -32,15 +32,11 @@ def replay(
     Example: dslam benchmark replay drive.mcap --runs 5
     """
     from slam.common.config import load_config
-    from tools import console
 
     config = load_config(config_file, settings or ())
     with _logs(logs or []) as paths:
         results = [_measure(path, config, runs) for path in paths]
-    if json:
-        console.show_json({"logs": results})
-    else:
-        show([_row(each) for each in results])
+    report([_row(each) for each in results], json={"logs": results} if json else None)
 
 
 def _measure(log: Path, config: Config, runs: int) -> dict[str, float | str]:

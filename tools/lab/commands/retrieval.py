@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings, Topics, parse_topics
-from tools.lab.tables import number, percent, show, to_markdown
+from tools.lab.tables import Markdown, number, percent, report
 
 if TYPE_CHECKING:
     from tools.lab.retrieval.measurement import RetrievalFigures
@@ -32,7 +32,7 @@ def retrieval(
     config_file: ConfigFile = None,
     settings: Settings = None,
     topics: Topics = None,
-    markdown: Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")] = False,
+    markdown: Markdown = False,
     json: Json = False,
 ) -> None:
     """Measure the recall of places by descriptors alone at each revisit of a drive.
@@ -63,12 +63,12 @@ def retrieval(
             figures += measure_retrieval(
                 recorded, names, neighbours=neighbours, on_progress=move or (lambda done: None)
             )
-    if json:
-        console.show_json({"figures": [asdict(each) for each in figures]})
-    elif markdown:
-        typer.echo(to_markdown([_row(each) for each in figures], texts=["descriptor"]))
-    else:
-        show([_row(each) for each in figures], texts=["descriptor"])
+    report(
+        [_row(each) for each in figures],
+        texts=["descriptor"],
+        markdown=markdown,
+        json={"figures": [asdict(each) for each in figures]} if json else None,
+    )
 
 
 def _row(figures: RetrievalFigures) -> dict[str, str]:

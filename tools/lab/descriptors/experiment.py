@@ -100,7 +100,7 @@ def benchmark_descriptors(
     neighbours: int,
     queries: int,
     seeds: int,
-    on_progress: Callable[[str], None] = lambda line: None,
+    on_progress: Callable[[float], None] = lambda fraction: None,
 ) -> DescriptorBenchmark:
     """Every method on the same queries, on one thread.
 
@@ -111,7 +111,7 @@ def benchmark_descriptors(
         neighbours: nearest descriptors of each object that retrieval takes.
         queries: for each scenario and seed.
         seeds: 0 to ``seeds`` - 1.
-        on_progress: called with what was measured.
+        on_progress: called with the fraction done, in [0, 1].
 
     Raises:
         DescriptorError: a descriptor that does not exist, or that the map's classes are too many for.
@@ -137,9 +137,8 @@ def benchmark_descriptors(
             localize = make_localizer(method, objects, neighbours)
             build_s[method] = time.perf_counter() - started
             for scenario in SCENARIOS:
-                cell = _measure(method, localize, objects, scenario, drawn[scenario.name])
-                cells.append(cell)
-                on_progress(f"{method}, {scenario.name}: {100 * cell.success:.1f} %")
+                cells.append(_measure(method, localize, objects, scenario, drawn[scenario.name]))
+                on_progress(len(cells) / (len(methods) * len(SCENARIOS)))
     return DescriptorBenchmark(len(objects), len(objects.vocabulary), queries, seeds, neighbours, tuple(cells), build_s)
 
 

@@ -6,8 +6,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -25,7 +26,6 @@ from slam.evaluation.inputs.synchronization import PoseSeries
 from tools.lab.relocalization.figures import (
     RECOVERED_WITHIN_M,
     Outcome,
-    RelocalizationBenchmark,
     Tolerance,
     sum_up,
 )
@@ -41,19 +41,6 @@ STEP_M = 2.0
 _Measured = Odometry | ObjectDetections | GroundTruthPose
 
 
-@dataclass(frozen=True, slots=True)
-class LoggedRelocalization:
-    """``mapped``: where the map has been; ``elsewhere``: where it has not, so that any fix there is false."""
-
-    mapped: RelocalizationBenchmark
-    elsewhere: tuple[Outcome, ...]
-
-    @property
-    def false_fixes(self) -> int:
-        """Fixes where the map has never been."""
-        return sum(each.distance_m is not None for each in self.elsewhere)
-
-
 def benchmark_log(
     path: Path,
     config: Config,
@@ -64,8 +51,10 @@ def benchmark_log(
     tolerance: Tolerance,
     topics: Mapping[str, str] | None = None,
     on_progress: Callable[[float], None] | None = None,
-) -> LoggedRelocalization:
+) -> dict[str, Any]:
     """Map the first part of a drive with truth, and relocalize at places of the rest, evenly spread.
+
+    The figures are of places where the map has been. Where it has not (``elsewhere_...``), any fix is false.
 
     Args:
         path: the log.
@@ -102,14 +91,18 @@ def benchmark_log(
             outcomes.append(put_down(known, drive, config, tolerance))
             if on_progress is not None:
                 on_progress(len(outcomes) / len(drives))
-    summary = sum_up(
-        outcomes[: len(chosen[0])],
+    count = len(chosen[0])
+    elsewhere_outcomes = outcomes[count:]
+    return sum_up(
+        outcomes[:count],
         world=path.stem,
         tour_m=float(truth.travelled_at_m(np.array([end_ns]))[0]),
         landmarks=known.landmark_count,
         map_ate_m=known.ate_m,
+        elsewhere_kidnaps=len(elsewhere_outcomes),
+        elsewhere_fixes=sum(each.distance_m is not None for each in elsewhere_outcomes),
+        elsewhere_outcomes=[asdict(each) for each in elsewhere_outcomes],
     )
-    return LoggedRelocalization(summary, tuple(outcomes[len(chosen[0]) :]))
 
 
 def _read(path: Path, topics: Mapping[str, str] | None) -> list[Record]:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from logs.messages import GroundTruthPose, ObjectDetections, Odometry
 from slam.common.config import Config
 from slam.common.errors import SimulationError
+from slam.evaluation.metrics.statistics import percentile
 from slam.simulation.config import KidnapConfig, SimulationConfig
 from slam.simulation.simulation import simulate
 from slam.simulation.world import World
@@ -27,30 +28,6 @@ MIN_DISTANCE_M = 100.0
 """How far away the robot is carried at least."""
 
 
-@dataclass(frozen=True, slots=True)
-class SilentKidnapping:
-    """Carried off from one place of the tour to another [m]. ``noticed_m``: travel from there until it is noticed, None
-    if it is not. ``false_alarms``: kidnappings noticed before.
-    """
-
-    number: int
-    from_m: float
-    to_m: float
-    noticed_m: float | None
-    false_alarms: int
-
-
-@dataclass(frozen=True, slots=True)
-class SilentKidnappingBenchmark:
-    """``noticed_rate``: share noticed within 30 m; ``median_m``: travel until it is, None if none was."""
-
-    world: str
-    noticed_rate: float
-    median_m: float | None
-    false_alarms: int
-    kidnappings: tuple[SilentKidnapping, ...]
-
-
 def benchmark_silent_kidnapping(
     world: World,
     config: Config,
@@ -58,8 +35,12 @@ def benchmark_silent_kidnapping(
     kidnaps: int,
     seed: int = 0,
     on_progress: Callable[[float], None] | None = None,
-) -> SilentKidnappingBenchmark:
+) -> dict[str, Any]:
     """Carry a robot off again and again while it makes a map; each drive is a short one of its own.
+
+    ``noticed_rate``: share noticed within 30 m; ``median_m``: travel until it is, None if none was; ``false_alarms``:
+    kidnappings noticed before the first one. Of each of the ``kidnappings`` the places on the tour [m], the travel
+    ``noticed_m`` until it was noticed, None if it was not, and the false alarms.
 
     Args:
         world: with a tour.
@@ -77,26 +58,28 @@ def benchmark_silent_kidnapping(
             f"a tour of {length_m:.0f} m; give one of at least {BEFORE_M + AFTER_M + 2.0 * MIN_DISTANCE_M:.0f} m"
         )
     rng = np.random.default_rng([seed, 4])
-    done = list[SilentKidnapping]()
+    done = list[dict[str, Any]]()
     with threadpool_limits(1):
         for number in range(kidnaps):
             from_m = to_m = float(rng.uniform(BEFORE_M, length_m - AFTER_M))
             while abs(to_m - from_m) < MIN_DISTANCE_M:
                 to_m = float(rng.uniform(0.0, length_m - AFTER_M))
-            done.append(_carry_off(world, config, number, from_m, to_m, seed=seed + number))
+            noticed_m, false_alarms = _carry_off(world, config, from_m, to_m, seed=seed + number)
+            done.append({"from_m": from_m, "to_m": to_m, "noticed_m": noticed_m, "false_alarms": false_alarms})
             if on_progress is not None:
                 on_progress(len(done) / kidnaps)
-    noticed_m = [each.noticed_m for each in done if each.noticed_m is not None]
-    return SilentKidnappingBenchmark(
-        world=world.name,
-        noticed_rate=sum(each <= NOTICED_WITHIN_M for each in noticed_m) / kidnaps,
-        median_m=float(np.median(noticed_m)) if noticed_m else None,
-        false_alarms=sum(each.false_alarms for each in done),
-        kidnappings=tuple(done),
-    )
+    noticed = [each["noticed_m"] for each in done]
+    return {
+        "world": world.name,
+        "noticed_rate": sum(each is not None and each <= NOTICED_WITHIN_M for each in noticed) / kidnaps,
+        "median_m": percentile(noticed, 50.0),
+        "false_alarms": sum(each["false_alarms"] for each in done),
+        "kidnappings": done,
+    }
 
 
-def _carry_off(world: World, config: Config, number: int, from_m: float, to_m: float, *, seed: int) -> SilentKidnapping:
+def _carry_off(world: World, config: Config, from_m: float, to_m: float, *, seed: int) -> tuple[float | None, int]:
+    """Travel [m] from the kidnapping until it is noticed, None if it is not; and kidnappings noticed before."""
     kidnap = KidnapConfig(from_m=from_m, to_m=to_m, silent=True, before_m=BEFORE_M, after_m=AFTER_M)
     simulation = SimulationConfig(kidnap=kidnap)
     longest_step_m = 2.0 * simulation.drive.speed_mps / simulation.drive.rate_hz
@@ -113,5 +96,5 @@ def _carry_off(world: World, config: Config, number: int, from_m: float, to_m: f
         elif isinstance(record, Odometry | ObjectDetections):
             slam.process(record)
             if since_m is not None and slam.counters["kidnappings_detected"] > false_alarms:
-                return SilentKidnapping(number, from_m, to_m, since_m, false_alarms)
-    return SilentKidnapping(number, from_m, to_m, None, false_alarms)
+                return since_m, false_alarms
+    return None, false_alarms

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -26,7 +27,6 @@ from slam.sweeps.workers import Death, compute_all
 from tools.lab.relocalization.figures import (
     RECOVERED_WITHIN_M,
     Outcome,
-    RelocalizationBenchmark,
     Tolerance,
     sum_up,
 )
@@ -65,7 +65,7 @@ def benchmark_relocalization(
     jobs: int = 1,
     prior_map: PriorMap | None = None,
     on_progress: Callable[[float], None] | None = None,
-) -> RelocalizationBenchmark:
+) -> dict[str, Any]:
     """Map the tour of ``world`` once, then relocalize at places drawn from it.
 
     The same arguments give the same places, drives and verdicts for any number of ``jobs``; only times differ.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -21,7 +20,6 @@ from tools.lab.relocalization.figures import (
     HOLDS_FOR_M,
     Outcome,
     Tolerance,
-    Verdict,
     deviation,
     judge,
 )
@@ -49,44 +47,35 @@ def put_down(known: KnownMap, drive: Drive, config: Config, tolerance: Tolerance
     tried = _drive(known, drive.records, truth, config)
     fix = tried.fix
 
-    def true_pose(pose: SlamPose) -> FloatArray:
-        return np.asarray(interpolate(truth.stamps_ns, truth.T_world_body, _within(truth, pose.stamp_ns))[0])
-
-    def travel_m(pose: SlamPose) -> float:
-        return float(truth.travelled_at_m(np.array([pose.stamp_ns]))[0])
-
-    def errors(pose: SlamPose) -> tuple[float, float]:
-        return deviation(known.to_world(pose.T_map_body), true_pose(pose))
-
-    def local_errors(pose: SlamPose) -> tuple[float, float]:
-        return deviation(known.to_world_nearby(pose.T_map_body, true_pose(pose)), true_pose(pose))
+    def errors(T_map_body: FloatArray, stamp_ns: int, *, nearby: bool = False) -> tuple[float, float]:
+        within_ns = np.clip(np.array([stamp_ns], dtype=np.int64), truth.stamps_ns[0], truth.stamps_ns[-1])
+        T_world_body = np.asarray(interpolate(truth.stamps_ns, truth.T_world_body, within_ns)[0])
+        found = known.to_world_nearby(T_map_body, T_world_body) if nearby else known.to_world(T_map_body)
+        return deviation(found, T_world_body)
 
     def place(record: LoopClosureRecord) -> tuple[float, bool]:
         assert record.posterior_log_odds is not None
         assert record.T_reference_query is not None
         T_map_body = known.driven.graph.T_map_body[record.reference_keyframe_id] @ record.T_reference_query
-        true = np.asarray(interpolate(truth.stamps_ns, truth.T_world_body, _within(truth, record.stamp_ns))[0])
-        return record.posterior_log_odds, tolerance.allows(*deviation(known.to_world_nearby(T_map_body, true), true))
+        return record.posterior_log_odds, tolerance.allows(*errors(T_map_body, record.stamp_ns, nearby=True))
 
-    best = max(tried.refusals, key=lambda each: each.score, default=None)
-    error_m, error_deg = errors(fix) if fix else (None, None)
-    local_error_m, local_error_deg = local_errors(fix) if fix else (None, None)
+    distance_m = float(truth.travelled_at_m(np.array([fix.stamp_ns]))[0]) if fix else None
+    error = errors(fix.T_map_body, fix.stamp_ns) if fix else (None, None)
+    local_error = errors(fix.T_map_body, fix.stamp_ns, nearby=True) if fix else (None, None)
     return Outcome(
         number=drive.number,
         start_m=drive.start_m,
         is_along=drive.is_along,
         objects=drive.objects,
-        verdict=judge(travel_m(fix), errors(fix), tolerance) if fix else Verdict.NOT_FOUND,
-        distance_m=travel_m(fix) if fix else None,
+        verdict=judge(distance_m, error, tolerance),
+        distance_m=distance_m,
         seconds=1e-9 * (fix.stamp_ns - tried.first_ns) if fix else None,
-        error_m=error_m,
-        error_deg=error_deg,
-        local_error_m=local_error_m,
-        local_error_deg=local_error_deg,
-        is_misplaced=not tolerance.allows(*local_errors(fix)) if fix else None,
-        later_right=tolerance.allows(*errors(tried.last)) if tried.last else None,
-        refusals=dict(sorted(Counter(each.stage for each in tried.refusals).items())),
-        best_refusal=f"{best.stage}: {best.reason}" if best else "",
+        error_m=error[0],
+        error_deg=error[1],
+        local_error_m=local_error[0],
+        local_error_deg=local_error[1],
+        is_misplaced=not tolerance.allows(*local_error) if fix else None,
+        later_right=tolerance.allows(*errors(tried.last.T_map_body, tried.last.stamp_ns)) if tried.last else None,
         load_s=tried.load_s,
         query_ms=tried.query_ms,
         places=tuple(place(each) for each in tried.places) if isinstance(known.saved, SavedMap) else (),
@@ -102,7 +91,6 @@ class _Trial:
     fix: SlamPose | None
     last: SlamPose | None
     first_ns: int
-    refusals: list[LoopClosureRecord]
     places: list[LoopClosureRecord]
     load_s: float
     query_ms: tuple[float, ...]
@@ -116,7 +104,7 @@ def _drive(known: KnownMap, records: Iterable[Record], truth: PoseSeries, config
     fix: SlamPose | None = None
     last: SlamPose | None = None
     end_m = np.inf
-    refusals, places = list[LoopClosureRecord](), list[LoopClosureRecord]()
+    places = list[LoopClosureRecord]()
     query_s: list[float] = []
     for record in records:
         if isinstance(record, GroundTruthPose):
@@ -130,7 +118,6 @@ def _drive(known: KnownMap, records: Iterable[Record], truth: PoseSeries, config
             fix = last
             query_s = list(slam.closing_seconds)
             candidates = [each for each in updates if isinstance(each, LoopClosureRecord)]
-            refusals += [each for each in candidates if not each.accepted]
             places += [each for each in candidates if each.posterior_log_odds is not None]
             if fix is not None:
                 end_m = float(truth.travelled_at_m(np.array([fix.stamp_ns]))[0]) + HOLDS_FOR_M
@@ -139,13 +126,7 @@ def _drive(known: KnownMap, records: Iterable[Record], truth: PoseSeries, config
         fix,
         last if slam.state != State.LOST else None,
         slam.first_stamp_ns,
-        refusals,
         places,
         load_s + sum(query_s[:1]),
         tuple(1e3 * seconds for seconds in query_s[1:]),
     )
-
-
-def _within(truth: PoseSeries, stamp_ns: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """A stamp (1,), or the nearest that the truth has."""
-    return np.clip(np.array([stamp_ns], dtype=np.int64), truth.stamps_ns[0], truth.stamps_ns[-1])

@@ -7,6 +7,7 @@ spread is taken for that of the street.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -17,7 +18,7 @@ from slam.localization.prior_map import PriorMap
 from slam.place_recognition.imported_map import ImportedMap
 from slam.simulation.config import SimulationConfig
 from slam.simulation.world import World
-from tools.lab.relocalization.figures import Outcome, RelocalizationBenchmark, sum_up
+from tools.lab.relocalization.figures import Outcome, sum_up
 from tools.lab.relocalization.kidnaps import Kidnap, change_world, worsen
 from tools.lab.relocalization.known_map import map_of_world
 from tools.lab.relocalization.simulated import Search, calibrate_on_tour, relocalize
@@ -39,7 +40,7 @@ def benchmark_in_map(
     changed: float = 0.0,
     max_travel_m: float = 60.0,
     on_progress: Callable[[float], None] | None = None,
-) -> RelocalizationBenchmark:
+) -> dict[str, Any]:
     """Put the robot down beside objects of ``known``, drawn at random.
 
     The arguments are those of :func:`tools.lab.relocalization.simulated.benchmark_relocalization`.

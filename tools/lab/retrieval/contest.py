@@ -7,8 +7,8 @@ number of candidates, which are verified in the same way.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
@@ -34,7 +34,8 @@ from tools.lab.retrieval.proposers import MAP_SIGMA_M, QUADS, VOTES, LabelledObj
 
 KEY = ["world", "proposer", "size", "share", "most_classes", "objects", "missing", "clutter", "noise_m", "queries",
        "seed"]  # fmt: skip
-"""Columns that tell one cell from all others."""
+"""Columns that tell one row from all others; 0 ``objects`` are all on the travel of a submap."""
+Key = tuple[object, ...]
 GAP_M = 200.0
 """Between maps that are put side by side: no constellation has objects of two."""
 
@@ -55,49 +56,6 @@ class Contest:
     scenarios: tuple[Scenario, ...] = (Scenario(),)
     queries: int = 60
     seed: int = 0
-
-    @property
-    def cells(self) -> int:
-        """How many figures that makes."""
-        maps = len(self.sizes) * len(self.shares) * len(self.classes)
-        return len(self.proposers) * maps * len(self.scenarios)
-
-
-@dataclass(frozen=True, slots=True)
-class Cell:
-    """One proposer in one map of ``map_objects`` of ``map_classes`` classes, each with ``neighbours`` others within
-    range (mean), and one scenario.
-
-    ``at_1``, ``at_5``, ``at_25``: shares of the queries with a right pose (4 m, 10 deg) among the first proposals.
-    ``right``: share with a right pose after verification, ``wrong``: share whose verified pose is accepted and wrong.
-    ``propose_ms``, ``propose_p95_ms``, ``verify_ms``: of a query, median and 95th percentile. ``build_s``: to make the
-    index, of ``bytes_per_object``. All times are of the processor.
-    """
-
-    world: str
-    proposer: str
-    size: int
-    share: float
-    most_classes: int
-    objects: int
-    missing: float
-    clutter: float
-    noise_m: float
-    queries: int
-    seed: int
-    map_objects: int
-    map_classes: int
-    neighbours: float
-    at_1: float
-    at_5: float
-    at_25: float
-    right: float
-    wrong: float
-    propose_ms: float
-    propose_p95_ms: float
-    verify_ms: float
-    bytes_per_object: float
-    build_s: float
 
 
 def side_by_side(maps: Sequence[MapObjects]) -> MapObjects:
@@ -130,15 +88,21 @@ def run_contest(
     contest: Contest,
     *,
     results: Path | None = None,
-    on_progress: Callable[[int], None] = lambda done: None,
+    on_progress: Callable[[float], None] = lambda fraction: None,
 ) -> pd.DataFrame:
-    """The cells of a contest, one a row with the columns of :class:`Cell`.
+    """Each proposer in each map with the queries of each scenario, one a row.
+
+    ``KEY`` has the columns that tell one from all others. ``map_objects``, ``map_classes``, ``neighbours`` (mean number
+    within range of an object); ``build_s``: time to make the index, of ``bytes_per_object``. ``at_1``, ``at_5``,
+    ``at_25``: shares of the queries with a right pose (4 m, 10 deg) among the first proposals. ``right``: share with a
+    right pose after verification, ``wrong``: share whose verified pose is accepted and wrong. ``propose_ms``,
+    ``propose_p95_ms``, ``verify_ms``: of a query, median and 95th percentile. All times are of the processor.
 
     Args:
         objects: in metres.
         contest: what is measured.
-        results: a CSV file; cells that it has are not measured again, and each new one is added to it at once.
-        on_progress: called with how many cells are done.
+        results: a CSV file; rows that it has are not measured again, and each new one is added to it at once.
+        on_progress: called with the fraction done, in [0, 1].
 
     Raises:
         SimulationError: objects in degrees, or so sparse that hardly any path passes enough of them.
@@ -150,21 +114,27 @@ def run_contest(
         if name not in (QUADS, VOTES):
             make_index(name)
     known = read_results(results)
-    measured = [known] if len(known) else []
-    done = 0
+    before = set(known[KEY].itertuples(index=False, name=None)) if len(known) else set[Key]()
+    maps = len(contest.sizes) * len(contest.shares) * len(contest.classes)
+    asked, measured = list[Key](), [known] if len(known) else []
     with threadpool_limits(limits=1):
-        for cells in _measure(objects, contest, known):
-            if len(cells):
+        for done, (world, proposer, queries) in enumerate(_pair(objects, contest), start=1):
+            asked += queries
+            new = {key: drawn for key, drawn in queries.items() if key not in before}
+            if new:
+                cells = _measure(world, proposer, new)
                 measured.append(cells)
                 if results is not None:
                     cells.to_csv(results, mode="a", header=not results.exists(), index=False)
-            done += len(contest.scenarios)
-            on_progress(done)
-    return _of_contest(pd.concat(measured, ignore_index=True), objects, contest)
+            on_progress(done / (maps * len(contest.proposers)))
+    every = pd.concat(measured, ignore_index=True)
+    return every[pd.MultiIndex.from_frame(every[KEY]).isin(asked)].reset_index(drop=True)
 
 
-def _measure(objects: MapObjects, contest: Contest, known: pd.DataFrame) -> Iterator[pd.DataFrame]:
-    """The cells of one proposer in one map after the other, those that are not known."""
+def _pair(
+    objects: MapObjects, contest: Contest
+) -> Iterator[tuple[LabelledObjects, str, dict[Key, Sequence[PathQuery]]]]:
+    """Each map with each proposer, and the queries of each scenario by their values of :data:`KEY`."""
     rng = np.random.default_rng(contest.seed)
     centre = objects.positions[int(rng.integers(len(objects)))]
     order = np.argsort(np.hypot(*(objects.positions[:, :2] - centre[:2]).T), kind="stable")
@@ -172,40 +142,43 @@ def _measure(objects: MapObjects, contest: Contest, known: pd.DataFrame) -> Iter
     for share, most_classes in product(contest.shares, contest.classes):
         kept = order[rng.random(len(order)) < share]
         world = _with_classes(objects.positions[kept], [objects.labels[row] for row in kept.tolist()], most_classes)
-        drawn = list[list[PathQuery]]()
-        for size in sizes:
-            chosen = world.first(round(share * size))
-            if not drawn:
-                names = [chosen.vocabulary[label] for label in chosen.labels.tolist()]
-                drawn = [
-                    # the same paths, whatever the classes
-                    draw_path_queries(
-                        chosen.positions,
-                        names,
+        smallest = world.first(round(share * sizes[0]))
+        names = [smallest.vocabulary[label] for label in smallest.labels.tolist()]
+        drawn = {
+            # the same paths, whatever the classes
+            scenario: draw_path_queries(
+                smallest.positions,
+                names,
+                contest.queries,
+                rng=np.random.default_rng((contest.seed, 1)),
+                scenario=scenario,
+            )
+            for scenario in contest.scenarios
+        }
+        for size, proposer in product(sizes, contest.proposers):
+            where = (objects.source, proposer, size, share, most_classes)
+            yield (
+                world.first(round(share * size)),
+                proposer,
+                {
+                    (
+                        *where,
+                        each.objects or 0,
+                        each.missing,
+                        each.clutter,
+                        each.noise_m,
                         contest.queries,
-                        rng=np.random.default_rng((contest.seed, 1)),
-                        scenario=scenario,
-                    )
-                    for scenario in contest.scenarios
-                ]
-            for proposer in contest.proposers:
-                keys = [
-                    (objects.source, proposer, size, share, most_classes, *_of_scenario(scenario), contest.queries,
-                     contest.seed) for scenario in contest.scenarios
-                ]  # fmt: skip
-                asked = [row for row, key in enumerate(keys) if not _is_known(known, key)]
-                cells = _measure_proposer(chosen, [keys[row] for row in asked], [drawn[row] for row in asked])
-                yield pd.DataFrame([asdict(cell) for cell in cells])
+                        contest.seed,
+                    ): of
+                    for each, of in drawn.items()
+                },
+            )
 
 
-def _measure_proposer(
-    objects: LabelledObjects, keys: Sequence[tuple[object, ...]], drawn: Sequence[Sequence[PathQuery]]
-) -> list[Cell]:
-    """Cells of one proposer, of which ``keys`` are the values of :data:`KEY`, with the queries of each."""
-    if not keys:
-        return []
+def _measure(objects: LabelledObjects, name: str, queries: Mapping[Key, Sequence[PathQuery]]) -> pd.DataFrame:
+    """A proposer in a map, with the queries of each scenario."""
     started = time.process_time()
-    proposer = make_proposer(str(keys[0][KEY.index("proposer")]), objects)
+    proposer = make_proposer(name, objects)
     build_s = time.process_time() - started
     some = objects.positions[:: max(len(objects) // 1000, 1), :2]
     tree = cKDTree(objects.positions[:, :2])
@@ -217,10 +190,12 @@ def _measure_proposer(
         "bytes_per_object": proposer.nbytes / len(objects),
         "build_s": build_s,
     }
-    return [
-        Cell(**dict(zip(KEY, key, strict=True)), **about_map, **_ask(proposer, objects, tree, queries))  # type: ignore[arg-type]
-        for key, queries in zip(keys, drawn, strict=True)
-    ]
+    return pd.DataFrame(
+        [
+            {**dict(zip(KEY, key, strict=True)), **about_map, **_ask(proposer, objects, tree, drawn)}
+            for key, drawn in queries.items()
+        ]
+    )
 
 
 def _ask(proposer: Proposer, objects: LabelledObjects, tree: cKDTree, queries: Sequence[PathQuery]) -> dict[str, float]:
@@ -290,34 +265,6 @@ def _with_classes(positions: FloatArray, labels: Sequence[str], count: int) -> L
     return LabelledObjects(positions, merged[numbers], tuple(str(number) for number in range(min(count, len(names)))))
 
 
-def _of_scenario(scenario: Scenario) -> tuple[int, float, float, float]:
-    """Its values in :data:`KEY`; 0 objects are all on the travel of a submap."""
-    return scenario.objects or 0, scenario.missing, scenario.clutter, scenario.noise_m
-
-
 def read_results(results: Path | None) -> pd.DataFrame:
-    """The cells in a CSV file; none without a file."""
-    if results is not None and results.exists():
-        return pd.read_csv(results)
-    return pd.DataFrame(columns=[field.name for field in fields(Cell)])
-
-
-def _is_known(known: pd.DataFrame, key: tuple[object, ...]) -> bool:
-    return bool((known[KEY] == pd.Series(key, index=KEY)).all(axis=1).any())
-
-
-def _of_contest(cells: pd.DataFrame, objects: MapObjects, contest: Contest) -> pd.DataFrame:
-    """The cells of this contest alone, of a file that may hold others."""
-    scenarios = [_of_scenario(each) for each in contest.scenarios]
-    sizes = [min(size, len(objects)) for size in contest.sizes]
-    asked = (
-        (cells["world"] == objects.source)
-        & cells["proposer"].isin(contest.proposers)
-        & cells["size"].isin(sizes)
-        & cells["share"].isin(contest.shares)
-        & cells["most_classes"].isin(contest.classes)
-        & (cells["queries"] == contest.queries)
-        & (cells["seed"] == contest.seed)
-    )
-    of_scenario = pd.MultiIndex.from_frame(cells[["objects", "missing", "clutter", "noise_m"]]).isin(scenarios)
-    return cells[asked & of_scenario].reset_index(drop=True)
+    """The rows in a CSV file; none without a file."""
+    return pd.read_csv(results) if results is not None and results.exists() else pd.DataFrame()

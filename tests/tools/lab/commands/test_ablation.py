@@ -11,7 +11,6 @@ import pytest
 from slam.common.config import Config, load_config
 from tests.logs.importers.text_drives import TextDrive
 from tests.tools.runs import Run, assert_refused
-from tools.lab.commands.ablation import BEGIN, END
 from tools.lab.drives import ablation_drives
 from tools.lab.drives.ablation_parts import DEFAULT, PARTS, switched_off
 
@@ -40,17 +39,12 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.slow
-def test_page_keeps_its_text_and_gets_a_row_for_each_part(dslam: Run, data: Path) -> None:
-    page = data / "page.md"
-    page.write_text(f"before\n{BEGIN}old\n{END}after\n", encoding="utf-8")
-    arguments = ("benchmark", "ablation", data, "-o", data / "out", "--copies", 2, "--jobs", 1, "--page", page)
-    assert dslam(*arguments, "--part", "calibration").code == 0
-    text = page.read_text(encoding="utf-8")
-    assert text.startswith(f"before\n{BEGIN}Version ")
-    assert text.endswith(f"{END}after\n")
-    assert "old" not in text
-    rows = [line.split(" | ")[:3] for line in text.splitlines() if line.startswith("| tiny")]
-    assert [row[:2] for row in rows] == [["| tiny", DEFAULT], ["| tiny", "calibration"]]
+def test_table_has_a_row_for_each_part(dslam: Run, data: Path) -> None:
+    arguments = ("benchmark", "ablation", data, "-o", data / "out", "--copies", 2, "--jobs", 1, "--markdown")
+    result = dslam(*arguments, "--part", "calibration")
+    rows = [line.split(" | ")[:2] for line in result.out.splitlines() if line.startswith("| tiny")]
+    assert rows == [["| tiny", DEFAULT], ["| tiny", "calibration"]]
+    assert "2 copies with the noise" in result.out
 
 
 @pytest.mark.slow

@@ -108,7 +108,6 @@ def test_contest_in_maps_of_objects(dslam: Run, tmp_path: Path) -> None:
         ("random", 50, 3),
     ]
     again = dslam(*asked, "--descriptor", "random", "--missing", 0.1, "--missing", 0.2, "--markdown", "-o", tmp_path)
-    assert len([line for line in again.out.splitlines() if line.startswith("|")]) == 2 + 4
     assert "20% missing, 10% clutter, 0.2 m" in again.out
     assert (tmp_path / "contest.csv").is_file()
     assert (tmp_path / "contest.png").is_file()

@@ -36,5 +36,5 @@ def test_the_robot_goes_along_the_row_beside_which_it_is_put() -> None:
 @pytest.mark.slow
 def test_what_becomes_of_it_is_measured() -> None:
     result = benchmark_in_map(rows_of_trees(), UNCALIBRATED, kidnaps=2, max_travel_m=60.0)
-    assert (result.total.kidnaps, result.landmarks) == (2, 400)
-    assert result.total.false_relocalization_rate == 0.0
+    assert (result["kidnaps"], result["landmarks"]) == (2, 400)
+    assert result["false_relocalization_rate"] == 0.0

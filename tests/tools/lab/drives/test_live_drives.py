@@ -13,11 +13,11 @@ from slam.simulation.config import SimulationConfig
 from slam.sweeps.mapped_drive import MappedDrive
 from tests.helpers.short_drives import drive, keep_until, raw_messages, write_log
 from tests.tools.runs import Run, assert_refused
-from tools.lab.live.live_runs import LiveRuns, run_live, write_half
+from tools.lab.drives.live_drives import compare_with_replays, map_live, write_half
 
 
-def mapped(ate_m: float, online_ate_m: float) -> MappedDrive:
-    return MappedDrive("", evaluation={"trajectory": {"ate_m": ate_m, "online_ate_m": online_ate_m}})
+def mapped(ate_m: float) -> MappedDrive:
+    return MappedDrive("", evaluation={"trajectory": {"ate_m": ate_m}})
 
 
 def test_halves_hold_all_messages_and_transforms_twice(tmp_path: Path) -> None:
@@ -36,19 +36,17 @@ def test_halves_hold_all_messages_and_transforms_twice(tmp_path: Path) -> None:
 
 
 def test_ratios_are_those_of_live_by_replayed() -> None:
-    runs = LiveRuns("drive", mapped(0.1, 1.0), mapped(0.11, 1.2), mapped(0.2, 2.0), mapped(0.1, 3.0))
-    assert runs.ratios() == pytest.approx((1.1, 1.2, 0.5, 1.5))
-    failed = LiveRuns("drive", *[MappedDrive("half", error="no odometry")] * 4)
-    assert failed.ratios() == (None,) * 4
-    assert failed.failures == ["half: no odometry"] * 4
+    runs = [mapped(0.1), mapped(0.11), mapped(0.2), MappedDrive("", error="no odometry")]
+    assert compare_with_replays(runs, "trajectory.ate_m") == [None, pytest.approx(1.1), None, None]
 
 
 @pytest.mark.slow
 def test_drive_is_mapped_in_four_ways(tmp_path: Path) -> None:
     entries = keep_until(drive(SimulationConfig()), 12.0)
-    runs = run_live("drive", lambda log, _: write_log(log, entries), tmp_path, Config(), tmp_path)
-    assert runs.failures == []
-    assert None not in runs.ratios()
+    runs = map_live(lambda log, _: write_log(log, entries), tmp_path, Config(), tmp_path)
+    assert [run.error for run in runs] == [""] * 4
+    for key in ("trajectory.ate_m", "trajectory.online_ate_m"):
+        assert [ratio is None for ratio in compare_with_replays(runs, key)] == [True, False, True, False]
 
 
 def test_unknown_drive_is_refused(dslam: Run, tmp_path: Path) -> None:

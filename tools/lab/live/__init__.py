@@ -1,1 +1,0 @@
-"""Drives mapped live, and what that costs against a replay."""
