@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,13 +56,11 @@ class VectorIndex:
     def __init__(self, descriptor: Descriptor, *, of_own_class: bool = True) -> None:
         self._descriptor = descriptor
         self._of_own_class = of_own_class
-        self._vectors = np.zeros((256, 0), dtype=np.float32)
-        self._squares = np.zeros(256, dtype=np.float32)
-        self._labels = np.zeros(256, dtype=np.int64)
-        self._size = 0
+        self._vectors = np.zeros((0, 0), dtype=np.float32)
+        self._labels = np.zeros(0, dtype=np.int64)
 
     def __len__(self) -> int:
-        return self._size
+        return len(self._labels)
 
     @property
     def radius_m(self) -> float:
@@ -71,27 +69,16 @@ class VectorIndex:
 
     @property
     def nbytes(self) -> int:
-        """Memory of the vectors, their squares and the classes, without what is reserved."""
-        row = self._vectors[:1].nbytes + self._squares.itemsize + self._labels.itemsize
-        return self._size * row
+        """Memory of the vectors and the classes."""
+        return self._vectors.nbytes + self._labels.nbytes
 
     def add(self, constellations: Constellations) -> NDArray[np.int64]:
         """Add entries; returns their numbers (B,)."""
         vectors = self._descriptor.describe(constellations)
-        end = self._size + len(vectors)
-        if self._size == 0:
-            self._vectors = np.zeros((len(self._vectors), vectors.shape[1]), dtype=np.float32)
-        if end > len(self._vectors):
-            capacity = max(end, 2 * len(self._vectors))
-            self._vectors = _grown(self._vectors, capacity)
-            self._squares = _grown(self._squares, capacity)
-            self._labels = _grown(self._labels, capacity)
-        added = np.arange(self._size, end)
-        self._vectors[added] = vectors
-        self._squares[added] = np.einsum("ij,ij->i", vectors, vectors)
-        self._labels[added] = constellations.centre_labels
-        self._size = end
-        return added
+        first = len(self)
+        self._vectors = np.concatenate([self._vectors, vectors]) if first else vectors
+        self._labels = np.concatenate([self._labels, constellations.centre_labels])
+        return np.arange(first, len(self))
 
     def search(self, constellations: Constellations, k: int, allowed: NDArray[np.bool_]) -> Matches:
         """Up to ``k`` nearest entries for each query among the ``allowed`` (size,) ones.
@@ -102,13 +89,13 @@ class VectorIndex:
             empty = np.zeros(0, dtype=np.int64)
             return Matches(empty, empty, np.zeros(0, dtype=np.float32))
         vectors, labels = self._descriptor.describe(constellations), constellations.centre_labels
-        squares = vectors @ self._vectors[: self._size].T
+        squares = vectors @ self._vectors.T
         squares *= -2.0
-        squares += self._squares[: self._size]
+        squares += np.einsum("ij,ij->i", self._vectors, self._vectors)
         squares[:, ~allowed] = np.inf
         if self._of_own_class:
-            squares[labels[:, None] != self._labels[: self._size]] = np.inf
-        nearest = _smallest(squares, min(k, self._size))
+            squares[labels[:, None] != self._labels] = np.inf
+        nearest = _smallest(squares, min(k, len(self)))
         order = np.argsort(np.take_along_axis(squares, nearest, axis=1), axis=1, kind="stable")
         nearest = np.take_along_axis(nearest, order, axis=1)
         found = np.take_along_axis(squares, nearest, axis=1)
@@ -125,9 +112,3 @@ def _smallest(values: NDArray[np.float32], k: int) -> NDArray[np.int64]:
     wanted = k - np.count_nonzero(below, axis=1, keepdims=True)
     chosen = below | (equal & (np.cumsum(equal, axis=1) <= wanted))
     return np.nonzero(chosen)[1].reshape(-1, k)
-
-
-def _grown(array: NDArray[Any], capacity: int) -> NDArray[Any]:
-    grown = np.zeros((capacity, *array.shape[1:]), dtype=array.dtype)
-    grown[: len(array)] = array
-    return grown

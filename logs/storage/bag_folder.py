@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +10,8 @@ from logs.storage.regular_file import open_regular
 
 METADATA_FILE = "metadata.yaml"
 _LIST = "relative_file_paths"
-_MOST_BYTES = 1_000_000
+_MAX_BYTES = 1_000_000
 """Of a description; a second of time is needed for 100 kB."""
-_DEEPEST = 32
 
 
 def find_bag_files(folder: Path) -> list[Path]:
@@ -49,10 +46,10 @@ def _read_file_names(folder: Path) -> list[str]:
         raise UnreadableLogError(f"cannot read {folder}: it is a directory without {METADATA_FILE}; {remedy}")
     try:
         with open_regular(path) as stream:
-            names = _file_names(YAML(typ="safe", pure=True).parse(stream.read(_MOST_BYTES)))
+            names = _file_names(YAML(typ="base", pure=True).load(stream.read(_MAX_BYTES)))
     except OSError as error:
         raise UnreadableLogError(f"cannot read {path}: {error.strerror}; check the path") from error
-    except (YAMLError, ValueError, OverflowError) as error:
+    except (YAMLError, ValueError, TypeError, OverflowError, RecursionError) as error:
         raise UnreadableLogError(
             f"{path} is not the metadata of a rosbag2 recording ({' '.join(str(error).split())}); "
             "'ros2 bag reindex' writes it anew"
@@ -62,26 +59,14 @@ def _read_file_names(folder: Path) -> list[str]:
     return names
 
 
-def _file_names(events: Iterator[Any]) -> list[str]:
-    """The list ``relative_file_paths``. Nothing else is made of what the file says: YAML may hold anything.
+def _file_names(content: Any) -> list[str]:
+    """The list ``relative_file_paths``.
 
     Raises:
         ValueError: there is no such list, or other things than texts are in it.
     """
-    depth, is_near = 0, False
-    for event in events:
-        kind = type(event).__name__
-        if is_near and kind == "SequenceStartEvent":
-            return [_text(each) for each in takewhile(lambda each: type(each).__name__ != "SequenceEndEvent", events)]
-        is_near = getattr(event, "value", None) == _LIST
-        depth += kind.endswith("StartEvent") - kind.endswith("EndEvent")
-        if depth > _DEEPEST:
-            raise ValueError("nested too deeply")
-    raise ValueError(f"no list {_LIST}")
-
-
-def _text(event: Any) -> str:
-    value = getattr(event, "value", None)
-    if not isinstance(value, str):
-        raise ValueError(f"its {_LIST} are not text")
-    return value
+    information = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None
+    names = information.get(_LIST) if isinstance(information, dict) else None
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise ValueError(f"no list {_LIST} of texts")
+    return names
