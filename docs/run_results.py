@@ -58,7 +58,10 @@ FIGURES = (
     Figure("", "recall of revisits", "kitti00", RECALL),
     Figure("", "kidnapped robots found within 40 m, %", "relocalization-kitti00", r"everywhere +\d+ +(\S+)"),
     Figure(
-        "", "places retrieved first, by descriptors alone, %", "retrieval", r"kitti00 +descriptellat\S* +\d+ +(\S+)"
+        "",
+        "places retrieved first, by descriptors alone, %",
+        "retrieval",
+        r"kitti00 \| descriptellation_lr \| \d+ \| (\S+)",
     ),
     Figure("hamburg", "ATE", "hamburg", ATE),
     Figure("", "ATE of the odometry", "hamburg", ODOMETRY),
@@ -73,9 +76,12 @@ FIGURES = (
     Figure("lost_in_the_woods", "ATE m", "robots", r"lost_in_the_woods +\S+ +(\S+)"),
     Figure("helsinki, imported", "robots found within 60 m, %", "relocalization-city", r"everywhere +\d+ +(\S+)"),
     Figure(
-        "10,000 street trees", "places retrieved first, %", "recall", r"descriptellat\S* +10000 +\S+ +\d+ +\d+ +(\S+)"
+        "10,000 street trees",
+        "places retrieved first, %",
+        "recall",
+        r"descriptellation_lr \| 10000 \|(?: \S+ \|){3} (\S+)",
     ),
-    Figure("demo, 0.5 s late", "ATE m", "faults", r"time_offset=0.5 +(\S+)"),
+    Figure("demo, 0.5 s late", "ATE m", "faults", r"time_offset=0.5 \| (\S+)"),
 )
 
 
@@ -101,14 +107,15 @@ def run(block: Block, folder: Path, data: Path) -> str | None:
 
 
 def write_output(block: Block, printed: str) -> None:
-    """Put what was printed below the commands, with version and date."""
-    date = datetime.now(tz=UTC).date()
+    """Put what was printed below the commands, with version and date; tables in Markdown stay as they are."""
+    date, printed = datetime.now(tz=UTC).date(), printed.strip()
+    shown = printed if "\n| ---" in printed else f"```text\n{printed}\n```"
     head = f"Version {version('descriptellation-slam')}, {date}:\n\n"
     text = block.page.read_text(encoding="utf-8")
     begin = f"<!-- output of {block.name} -->\n"
     before, _, rest = text.partition(begin)
     after = rest[rest.index("<!-- end -->") :]
-    block.page.write_text(f"{before}{begin}{head}```text\n{printed.strip()}\n```\n{after}", encoding="utf-8")
+    block.page.write_text(f"{before}{begin}{head}{shown}\n{after}", encoding="utf-8")
 
 
 def figure_rows(outputs: Mapping[str, Block]) -> Iterator[str]:

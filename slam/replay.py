@@ -107,7 +107,7 @@ def replay(
     """
     if map_path is not None and prior_map is not None and not extend:
         raise SavedMapError(
-            f"the given map stays as it is, so {map_path} would be a copy of it; extend it, or save none"
+            f"the given map does not change, so {map_path} would be a copy of it; extend it, or save none"
         )
     started = time.perf_counter()
     source, output = Path(source), Path(output)
@@ -270,9 +270,9 @@ def _about_the_map(drive: _Drive, prior_map: PriorMap | None, final: FinalMap, c
     sigma_m = config.calibration.objects.landmark_sigma_m
     if drive.slam.fixes:
         doubt = why_doubtful(prior_map, final.object_map, final.trajectory, sigma_m)
-        return [f"probably recognised at a wrong place: {doubt}"] if doubt else []
+        return [f"probably relocalized at a wrong place: {doubt}"] if doubt else []
     reason = why_not_recognised(prior_map, final.object_map, final.trajectory, sigma_m, drive.fixes)
-    return [f"not recognised, probably because: {reason}"]
+    return [f"not relocalized, probably because: {reason}"]
 
 
 def _ground_truth(source: Path, config: Config, selection: Selection) -> Iterator[GroundTruthPose]:

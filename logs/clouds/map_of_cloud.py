@@ -20,7 +20,7 @@ _NAMED = 10
 
 @dataclass(frozen=True, slots=True)
 class CloudSummary:
-    """What was in a cloud and what is left of it: numbers of objects and of classes, before and after, as in Table II
+    """What was in a cloud and what is left of it: numbers of objects and of classes, before and after, as in Table I
     of "Descriptellation" (Xing et al., 2023). ``left_out``: objects by the reason.
     """
 

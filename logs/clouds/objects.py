@@ -149,7 +149,7 @@ def _check_extent(cloud: LabelledCloud, voxel_m: float) -> None:
         axis = int(astray.argmax())
         raise DatasetError(
             f"a cloud reaches from {'xyz'[axis]} = {low[axis]:g} m to {high[axis]:g} m, more than {MAX_VOXELS} voxels "
-            f"of {voxel_m:g} m; remove the points that lie astray"
+            f"of {voxel_m:g} m; remove outliers"
         )
 
 

@@ -134,7 +134,7 @@ def _read_ply_header(stream: BinaryIO) -> _Layout:
 def _checked(layout: _Layout) -> _Layout:
     names = [name for name in layout.names if name != _FILLING]
     if len(set(names)) < len(names):
-        raise ValueError("two of its fields have one name")
+        raise ValueError("two of its fields have the same name")
     return layout
 
 
@@ -197,7 +197,7 @@ def _unpack(packed: bytes, size: int) -> bytearray:
         begin = len(content) - ((control & 31) << 8) - packed[at] - 1
         at += 1
         if begin < 0:
-            raise ValueError("its packed data refer to what is not there")
+            raise ValueError("its packed data refer to missing data")
         run = content[begin : begin + length + 2]
         content += (run * ((length + 2) // len(run) + 1))[: length + 2]
     if len(content) != size:

@@ -101,7 +101,7 @@ def _read(path: Path, dtype: str, width: int) -> np.ndarray:
     try:
         data = read_regular(path)
     except OSError as error:
-        raise DatasetError(f"{path}: cannot be read ({error.strerror}); every scan needs its file") from error
+        raise DatasetError(f"{path}: cannot be read ({error.strerror}); every scan needs a file") from error
     size = np.dtype(dtype).itemsize * width
     if len(data) % size:
         raise DatasetError(

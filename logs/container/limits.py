@@ -67,7 +67,7 @@ class ReadingLimits:
         """
         if count > self.channels:
             raise UnreadableLogError(
-                f"{file} has more than {self.channels} channels or schemas; if it is to be trusted, "
+                f"{file} has more than {self.channels} channels or schemas; if you trust the file, "
                 f"--set memory_mb={math.ceil(self.chunk_mb * count / self.channels)}"
             )
 
@@ -80,7 +80,7 @@ class ReadingLimits:
         if len(name) > self.name_length:
             raise UnreadableLogError(
                 f"{file}: the name of {what} has {len(name)} characters, more than {self.name_length}; "
-                f"if it is to be trusted, "
+                f"if you trust the file, "
                 f"--set memory_mb={math.ceil(self.chunk_mb * len(name) / self.name_length)}"
             )
 

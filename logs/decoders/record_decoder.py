@@ -54,7 +54,7 @@ class RecordDecoder:
             self.counters["invalid_messages"] += 1
             if (raw.topic, error.reason) not in self._reported:
                 self._reported.add((raw.topic, error.reason))
-                _log.warning("%s; more of the same on this topic is only counted", error)
+                _log.warning("%s; further ones on this topic are only counted", error)
             return ()
         return records
 

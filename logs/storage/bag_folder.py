@@ -27,7 +27,7 @@ def find_bag_files(folder: Path) -> list[Path]:
     if missing:
         raise UnreadableLogError(
             f"{folder / METADATA_FILE} names {', '.join(missing)}, which {'is' if len(missing) == 1 else 'are'} not "
-            "there; copy the missing files, or run 'ros2 bag reindex' to go on without them"
+            "there; copy the missing files, or run 'ros2 bag reindex' to continue without them"
         )
     return paths
 

@@ -155,7 +155,9 @@ class McapFile:
             content = read_block(self._stream, block, self._limits.chunk_bytes)
             pending = _PendingMessages(content, wanted, empty, self._limits.message_bytes)
         except OSError as error:
-            raise UnreadableLogError(f"cannot read on in {self._name}: {error.strerror}; check the disk") from error
+            raise UnreadableLogError(
+                f"cannot continue to read {self._name}: {error.strerror}; check the disk"
+            ) from error
         except OversizedChunkError as error:
             self._index.oversized[block.offset] = error.size
             self._report(f"a chunk of {error.size / MEGABYTE:.0f} MB", "chunk_mb")
@@ -181,7 +183,7 @@ class McapFile:
         if held_bytes > self._limits.waiting_mb * MEGABYTE:
             raise UnreadableLogError(
                 f"{self._name}: chunks that overlap in time hold more than {self._limits.waiting_mb:g} MB of messages "
-                "until their turn comes; write the log again in the order of time, or raise limits.waiting_mb"
+                "until they are read; write the log again in the order of time, or raise limits.waiting_mb"
             )
 
 

@@ -261,7 +261,7 @@ class _Indexing:
         index.lost_tail_bytes = 0 if index.is_complete else self._size - offset
         if len(index.blocks) > _MAX_BLOCKS:
             raise UnreadableLogError(
-                f"{self._name} has {len(index.blocks)} chunks and no index; write it again with larger ones"
+                f"{self._name} has {len(index.blocks)} chunks and no index; write it again with larger chunks"
             )
 
     def _add_run(self, start: int, end: int, times_ns: list[int]) -> None:
@@ -292,7 +292,9 @@ class _Indexing:
                     self._add(_SUMMARY_RECORDS[opcode].read(stream_of(content[begin:end])))
             return True
         except OSError as error:
-            raise UnreadableLogError(f"cannot read on in {self._name}: {error.strerror}; check the disk") from error
+            raise UnreadableLogError(
+                f"cannot continue to read {self._name}: {error.strerror}; check the disk"
+            ) from error
         except OversizedChunkError as error:
             index.oversized[block.offset] = error.size
         except DAMAGE:

@@ -37,7 +37,7 @@ class Ros1File:
         try:
             self._reader.open()
         except (*_DAMAGE, OSError) as error:
-            raise UnreadableLogError(f"cannot read {name}: {error}; 'rosbag reindex' mends a damaged bag") from error
+            raise UnreadableLogError(f"cannot read {name}: {error}; 'rosbag reindex' repairs a damaged bag") from error
         try:
             limits.check_channels(name, len(self._reader.connections))
             for connection in self._reader.connections:

@@ -40,20 +40,20 @@ class OdometryCalibration(Branch):
         default=0.0003,
         gt=0,
         le=MAX_TURN,
-        description="roll and pitch noise after 1 m of travel, which gravity holds [rad / sqrt(m)]",
+        description="noise of roll and pitch after 1 m of travel [rad / sqrt(m)]",
     )
-    min_translation_sigma_m: float = Field(default=0.002, gt=0, description="least translation noise of a step [m]")
+    min_translation_sigma_m: float = Field(default=0.002, gt=0, description="minimum translation noise of a step [m]")
     min_rotation_sigma_rad: float = Field(
-        default=0.0001, gt=0, le=MAX_TURN, description="least rotation noise of a step [rad]"
+        default=0.0001, gt=0, le=MAX_TURN, description="minimum rotation noise of a step [rad]"
     )
     time_offset_s: float = Field(default=0.0, description="added to the stamps of the odometry [s]")
     length_scale: float = Field(default=1.0, gt=0, description="factor on the lengths of the odometry's steps")
-    turn_scale: float = Field(default=1.0, gt=0, description="factor on its turns about the vertical")
+    turn_scale: float = Field(default=1.0, gt=0, description="factor on the turns of the odometry about the vertical")
     sources: int = Field(
         default=1,
         ge=1,
         le=2,
-        description="sources that publish on the topic; of two, that of the first message is used",
+        description="sources that publish on the topic; the source of the first message is used",
     )
 
 
@@ -61,7 +61,7 @@ class DetectionCalibration(Branch):
     """Noise of detections: the message's own covariance where it has one, else sigma = base + per_m * range."""
 
     sensor_range_m: float = Field(
-        default=30.0, gt=0, description="range that 95 % of the detections keep; other lengths are fractions of it [m]"
+        default=30.0, gt=0, description="95th percentile of the ranges; other lengths are fractions of it [m]"
     )
     farthest_m: float = Field(default=30.0, gt=0, description="range of the farthest detection [m]")
     max_range_m: float | None = Field(
@@ -73,7 +73,7 @@ class DetectionCalibration(Branch):
     )
     sigma_per_m: float = Field(default=0.01, ge=0, description="growth of that noise with the range [m / m]")
     range_sigma_ratio: float = Field(
-        default=1.0, gt=0, le=1e4, description="that noise is across the line of sight; along it by that factor"
+        default=1.0, gt=0, le=1e4, description="ratio of the noise along the line of sight to that across it"
     )
     common_sigma_m: float = Field(
         default=0.4,
@@ -82,38 +82,44 @@ class DetectionCalibration(Branch):
         "ground, by how much it changes as the direction turns by 1 rad [m]",
     )
     common_height_sigma_m: float = Field(default=0.0, ge=0, description="the same in height [m]")
-    height_sigma_m: float = Field(
-        default=0.0, ge=0, description="noise of heights beyond that of the position, 0 where there is none [m]"
-    )
+    height_sigma_m: float = Field(default=0.0, ge=0, description="additional noise of heights, 0 if there is none [m]")
     covariance_inflation: float = Field(
         default=500.0,
         ge=1,
         description="factor on covariances of observations, where the message has none, for correlated errors: "
         "errors of centroids are shared by the objects in view and by the keyframes of a traversal",
     )
-    claimed_sigma_factor: float = Field(
-        default=1.0, gt=0, description="factor on the standard deviations that messages claim"
+    claimed_sigma_factor: float = Field(default=1.0, gt=0, description="factor on the standard deviations in messages")
+    range_scale: float = Field(
+        default=1.0, gt=0, description="factor on the positions of detections in the sensor frame"
     )
-    range_scale: float = Field(default=1.0, gt=0, description="factor on the positions of detections in their sensor")
     time_offset_s: float = Field(default=0.0, description="added to the stamps of detections [s]")
     roll_deg: float = Field(
-        default=0.0, ge=-180, le=180, description="detections are turned about the x axis of the body, then [deg]"
+        default=0.0,
+        ge=-180,
+        le=180,
+        description="rotation of detections about the x axis of the body, applied first [deg]",
     )
-    pitch_deg: float = Field(default=0.0, ge=-180, le=180, description="about its y axis, then [deg]")
+    pitch_deg: float = Field(
+        default=0.0, ge=-180, le=180, description="rotation about the y axis of the body, applied second [deg]"
+    )
     yaw_deg: float = Field(
-        default=0.0, ge=-180, le=180, description="about its z axis, all beyond the transform of the sensor [deg]"
+        default=0.0,
+        ge=-180,
+        le=180,
+        description="rotation about the z axis of the body, applied last; beyond the transform of the sensor [deg]",
     )
     assume_body_frame: bool = Field(
-        default=False, description="take every detection to be in the body frame, not in the one that its message names"
+        default=False, description="interpret detections in the body frame instead of that of the message"
     )
     assume_odometry_frame: bool = Field(
-        default=False, description="the same for the frame of the odometry, as of a tracker whose objects stand still"
+        default=False, description="interpret detections in the odometry frame instead of that of the message"
     )
     ground_z_m: float = Field(
         default=0.0, description="height of the ground in the body frame, for objects in images without depth [m]"
     )
     tag_size_m: float = Field(
-        default=0.0, ge=0, description="side of the black square of tags whose poses are not on /tf; 0: not known [m]"
+        default=0.0, ge=0, description="side of the black square of tags without poses on /tf; 0: unknown [m]"
     )
 
     @property
@@ -129,13 +135,13 @@ class ObjectCalibration(Branch):
         default=0.85, gt=0, lt=1, description="probability that a detection has the right label"
     )
     max_classes: int = Field(
-        default=256, ge=1, le=10_000, description="classes that are distinguished; later ones share one class"
+        default=256, ge=1, le=10_000, description="maximum number of classes; later ones share one class"
     )
     detection_probability: float = Field(
         default=1.0, gt=0, le=1, description="probability that an object in view is detected in a scan"
     )
     detection_period: int = Field(
-        default=1, ge=1, description="scans from one sighting of an object to the next, as several sensors take turns"
+        default=1, ge=1, description="scans between detections of an object, more than 1 if several sensors take turns"
     )
     new_object_density: float = Field(
         default=0.002,
@@ -143,7 +149,7 @@ class ObjectCalibration(Branch):
         description="new objects and false positives a scan and cubic metre [1/m^3]; higher: fewer matches",
     )
     spacing_m: float = Field(
-        default=4.0, gt=0, description="distance between objects of a class, up to which they can be confused [m]"
+        default=4.0, gt=0, description="distance below which objects of a class can be confused [m]"
     )
     landmark_sigma_m: float = Field(
         default=0.35, gt=0, description="position error of a landmark between two traversals [m]"
@@ -152,7 +158,7 @@ class ObjectCalibration(Branch):
         default=0.01, ge=0, description="growth of that error with the distance from the keyframe [m / m]"
     )
     landmark_height_sigma_m: float = Field(
-        default=0.0, ge=0, description="error of a landmark's height between two traversals beyond that [m]"
+        default=0.0, ge=0, description="additional error of the height of a landmark between two traversals [m]"
     )
     height_sigma_m: float | None = Field(
         default=None,
@@ -168,9 +174,9 @@ class Calibration(Branch):
     odometry: OdometryCalibration = OdometryCalibration()
     detection: DetectionCalibration = DetectionCalibration()
     objects: ObjectCalibration = ObjectCalibration()
-    sigmas: dict[str, float] = Field(default={}, description="standard errors of estimated values, by their keys")
+    sigmas: dict[str, float] = Field(default={}, description="standard errors of the estimated values, by key")
     evidence: dict[str, float] = Field(
-        default={}, description="how much was surveyed: scans, detections, travel and tracked pairs of detections"
+        default={}, description="amount of data: scans, detections, travel and tracked pairs of detections"
     )
 
     @property

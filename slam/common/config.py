@@ -68,7 +68,7 @@ class LoopClosureConfig(Branch):
     )
     top_k: int = Field(default=6, ge=1, description="nearest neighbours in descriptor space for each object")
     max_candidates: int = Field(
-        default=5, ge=1, description="candidates that are verified for each keyframe, of each map that is searched"
+        default=5, ge=1, description="candidates that are verified for each keyframe and searched map"
     )
     propagation_distance_m: float | None = Field(
         default=None,
@@ -81,11 +81,9 @@ class LoopClosureConfig(Branch):
 class RegistrationSettings(Branch):
     """Registration of one constellation of objects with another."""
 
-    six_dof: bool = Field(
-        default=False, description="estimate roll and pitch, too, instead of taking both frames as level"
-    )
+    six_dof: bool = Field(default=False, description="also estimate roll and pitch, instead of assuming level frames")
     estimate_scale: bool = Field(
-        default=False, description="estimate a scale of the query, for ranges that are measured too long or too short"
+        default=False, description="also estimate a scale of the query, for ranges that are too long or too short"
     )
 
 
@@ -103,7 +101,7 @@ class Config(Branch):
     """Everything that can be set, and the calibration of the robot."""
 
     calibrate: bool = Field(
-        default=True, description="estimate from the log what is not given of the calibration, before it is mapped"
+        default=True, description="estimate missing values of the calibration from the log, before it is mapped"
     )
     keyframe: KeyframeConfig = KeyframeConfig()
     loop_closure: LoopClosureConfig = LoopClosureConfig()
@@ -112,7 +110,7 @@ class Config(Branch):
     labels: LabelsConfig = LabelsConfig()
     topics: dict[str, str] = Field(
         default={},
-        description="part = topic, as --topic, which wins; several topics of one part are separated by commas",
+        description="part = topic, overridden by --topic; several topics of one part are separated by commas",
     )
     memory_mb: float = Field(
         default=_LIMITS.chunk_mb,

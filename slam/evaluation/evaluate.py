@@ -38,19 +38,19 @@ from slam.evaluation.place_recognition.precision_recall import describe_sweep
 from slam.evaluation.place_recognition.revisits import describe_revisits, find_missed, find_revisits
 from slam.evaluation.result import Evaluation, describe_trajectories, plain, undefined
 
-NO_TRAJECTORY = "no final trajectory (/slam/trajectory_stamped): was the run finished?"
+NO_TRAJECTORY = "no final trajectory (/slam/trajectory_stamped): the run was not finished"
 NO_ODOMETRY = "no odometry in the log, or several topics of it: choose one with --topic odometry=/topic"
 NO_KEYFRAMES = "no keyframes in the log (/slam/graph), so revisits are unknown"
 NO_STATUS = "no status in the log (/slam/status)"
 NO_RUN_TIME = (
-    "logs hold no times of the machine that made them, so that they are the same on every one; "
+    "logs hold no times of the machine that made them, so that they do not depend on it; "
     "'dslam replay --json' and 'dslam benchmark replay' print them"
 )
 NO_TRUTH = "no ground truth: pass --reference LOG.mcap or record /ground_truth"
 NO_DETECTION_TRUTH = "no truth of the detections: pass --reference LOG.mcap or record /ground_truth/detections"
 NO_MAP = "no object map in the log (/slam/map)"
 NO_TRUE_OBJECTS = "no true objects: pass --reference LOG.mcap or record /ground_truth/objects"
-IN_GIVEN_MAP = "closures go to the keyframes of a given map, of which this log holds no truth: see relocalization"
+IN_GIVEN_MAP = "closures with keyframes of a given map have no truth in this log: see relocalization"
 NO_MATCH = "neither a truth of the detections nor an aligned trajectory to match with"
 
 _NO_POSES = series_of(())
@@ -202,8 +202,8 @@ class _Evaluator:
             labelled = label_detections(records.associations, records.detection_truths, path, aliases=aliases)
             if labelled.frame_count == 0:
                 raise EvaluationError(
-                    f"none of {len(records.associations)} frames has the stamp of a truth: is the reference of this "
-                    "drive?"
+                    f"none of {len(records.associations)} frames has a stamp with truth: the reference is of "
+                    "another drive"
                 )
             return labelled
 

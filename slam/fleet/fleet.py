@@ -132,12 +132,14 @@ def _map_sessions(
         if done is not None:
             sessions[digest] = done
         elif not log.path.exists():
-            raise FleetError(f"{log.name} has to be mapped, and is not at {log.path} any more; leave it out by --only")
+            raise FleetError(
+                f"{log.name} has to be mapped, and does not exist at {log.path} any more; remove it by --only"
+            )
         elif all(task.sha256 != digest for task in tasks):
             tasks.append(SessionTask(log.path, digest, config, folders[digest]))
     for finished, (task, outcome) in enumerate(compute(map_session, tasks), start=1):
         if isinstance(outcome, Death):
-            outcome = Session(task.sha256, "the process that mapped it died each time, perhaps for want of memory")
+            outcome = Session(task.sha256, "the process that mapped it died each time, perhaps for lack of memory")
         sessions[task.sha256] = outcome
         told = f"{len(outcome.notes)} warnings" if outcome.is_mapped else f"not mapped: {outcome.reason}"
         progress(0.8 * finished / len(tasks), f"{finished}/{len(tasks)} {task.path.name}: {told}")

@@ -71,7 +71,7 @@ def add_logs(folder: Path, named: Sequence[FleetLog], *, only: bool = False) -> 
             members.append(replace(log, name=f"{log.name}@{log.sha256[:8]}") if is_taken else log)
     members = list({(each.name, each.sha256): each for each in members}.values())
     if not members:
-        raise FleetError("no log was given; name one at least")
+        raise FleetError("no log was given; give at least one")
     entries = [{"name": log.name, "path": os.fspath(log.path.absolute()), "sha256": log.sha256} for log in members]
     write_text(folder / MEMBERS_NAME, json.dumps(entries, indent=1) + "\n")
     return members
@@ -111,7 +111,7 @@ def _checked(path: Path) -> Path:
 
 
 def _fetched(url: str, cache: Path) -> Path:
-    """A copy of what is at a URL; one that is there already is not fetched again."""
+    """A copy of what is at a URL; one that exists already is not fetched again."""
     path = cache / f"{hashlib.sha256(url.encode()).hexdigest()[:16]}_{url.rpartition('/')[2] or 'log'}"
     if path.exists():
         return path

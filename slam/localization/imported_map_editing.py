@@ -44,7 +44,7 @@ def merge_imported_maps(first: ImportedMap, second: ImportedMap) -> ImportedMap:
         SavedMapError: one of them is not georeferenced.
     """
     if first.georeference is None or second.georeference is None:
-        raise SavedMapError("imported maps are joined by where on earth they lie; import both with --origin")
+        raise SavedMapError("imported maps are joined by their georeferences; import both with --origin")
     T_first_second = first.georeference.T_map_other(second.georeference)
     here, there = first.objects, second.objects
     others = apply(T_first_second, there.positions)

@@ -29,7 +29,7 @@ FAR_M = 1000.0
 NAMED = 5
 """Classes that are listed."""
 
-MIRRORED = "the map is mirrored: what was seen fits it once x and y change places; import it with them swapped"
+MIRRORED = "the map is mirrored: the landmarks fit with x and y exchanged; import it with these columns swapped"
 
 
 def why_not_recognised(
@@ -60,9 +60,9 @@ def why_not_recognised(
             "in [labels]"
         )
     if shared.sum() < FEWEST_LANDMARKS:
-        return f"{shared.sum()} landmarks of a class of the map were seen, too few for a fix; drive on"
+        return f"{shared.sum()} landmarks of a class of the map were seen, too few for a relocalization; drive farther"
     if not isinstance(known, ImportedMap):
-        return f"none of its places fits the {shared.sum()} landmarks seen: a map of another place, or one that changed"
+        return f"no place of the map fits the {shared.sum()} landmarks: the map is of another place, or is outdated"
     nearest = np.argsort(np.linalg.norm(seen[shared][:, :2], axis=1), kind="stable")[:MOST_LANDMARKS]
     return _why_not_in_imported(known, seen[shared][nearest], np.array(labels)[shared][nearest], sigma_m)
 
@@ -107,8 +107,8 @@ def _why_not_in_imported(known: ImportedMap, positions: FloatArray, names: np.nd
         return MIRRORED
     where = f"at the best place {met} of {len(labels)} landmarks meet an object of their class"
     if 2 * met > len(labels):
-        return f"{where}, which chance finds among {len(known)} objects; drive on, or give the place by --near"
-    return f"{where}: a map of another place, one that changed much, or one whose unit is not the metre"
+        return f"{where}, no better than chance among {len(known)} objects; drive farther, or give the place by --near"
+    return f"{where}: the map is of another place, outdated, or not in metres"
 
 
 def _landmarks_of_drive(objects: ObjectMapRecord, trajectory: TrajectoryRecord) -> tuple[FloatArray, list[str]]:

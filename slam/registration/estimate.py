@@ -181,7 +181,9 @@ def _undetermined(information: FloatArray, count: int, config: RegistrationConfi
     if weakest >= MAX_ROTATION_SIGMA_RAD**-2:
         return ""
     if config.six_dof:
-        return f"the {count} objects that agree are (nearly) collinear, so the rotation about their line is open"
+        return (
+            f"the {count} objects that agree are (nearly) collinear, so the rotation about their line is undetermined"
+        )
     return f"the {count} objects that agree are too near one another for a heading"
 
 

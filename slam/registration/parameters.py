@@ -19,33 +19,31 @@ class RegistrationConfig(Branch):
     """Registration of one constellation of objects with another."""
 
     gate_sigma: float = Field(
-        default=3.0, gt=0, description="residuals and differences of lengths beyond that many sigmas do not match"
+        default=3.0, gt=0, description="gate of residuals and differences of lengths, in standard deviations"
     )
     height_sigma_m: float = Field(
-        default=0.3, ge=0, description="noise of heights beyond that of the position, e.g. of objects seen in part [m]"
+        default=0.3, ge=0, description="additional noise of heights, e.g. of partly visible objects [m]"
     )
     tilt_sigma_rad: float = Field(
-        default=0.005, gt=0, description="how well gravity holds roll and pitch of the two frames together [rad]"
+        default=0.005, gt=0, description="uncertainty of roll and pitch between the two frames [rad]"
     )
     min_baseline_m: float = Field(
-        default=3.0, gt=0, description="least horizontal distance of two objects that propose a heading [m]"
+        default=3.0, gt=0, description="minimum horizontal distance of two objects that propose a heading [m]"
     )
     min_inliers: int = Field(default=3, ge=2, description="minimum number of pairs of objects that support a pose")
     search_radius_m: float = Field(
-        default=3.0, gt=0, description="refinement from an approximate pose looks that far for partners at first [m]"
+        default=3.0, gt=0, description="initial matching distance of the refinement from an approximate pose [m]"
     )
     max_iterations: int = Field(default=8, ge=1, description="rounds of association and least squares")
     distinct_m: float = Field(
-        default=2.0, gt=0, description="poses nearer to a better one in position, at the centre of the objects, [m] ..."
+        default=2.0, gt=0, description="poses nearer than this to a better one, at the centre of the objects [m] ..."
     )
     distinct_deg: float = Field(default=10.0, gt=0, le=180, description="... and in heading are the same pose [deg]")
-    six_dof: bool = Field(
-        default=False, description="estimate roll and pitch, too, instead of taking both frames as level"
-    )
+    six_dof: bool = Field(default=False, description="also estimate roll and pitch, instead of assuming level frames")
     estimate_scale: bool = Field(
-        default=False, description="estimate a scale of the query, for ranges that are measured too long or too short"
+        default=False, description="also estimate a scale of the query, for ranges that are too long or too short"
     )
-    scale_sigma: float = Field(default=0.05, gt=0, lt=1, description="how far that scale is from 1")
+    scale_sigma: float = Field(default=0.05, gt=0, lt=1, description="standard deviation of that scale from 1")
 
 
 def registration_config(config: Config) -> RegistrationConfig:

@@ -73,7 +73,7 @@ def map_drives(tasks: Sequence[DriveTask], *, jobs: int = 1) -> Iterator[MappedD
     """Each drive, as they finish, in a process of its own; one that fails or dies does not end the others."""
     for task, outcome in compute_all(map_drive, tasks, jobs=jobs, fresh=True):
         if isinstance(outcome, Death):
-            error = f"the process ended without a result (exit code {outcome.exit_code}); was the memory enough?"
+            error = f"the process ended without a result (exit code {outcome.exit_code}); check the memory"
             yield MappedDrive(task.name, error=error)
         else:
             yield outcome

@@ -204,7 +204,7 @@ def _refuse_without_truth(source: Path, topics: Mapping[str, str] | None) -> Non
 
 
 def _after_death(death: Death) -> CellResult:
-    why = f"the process that computed it ended with {death.exit_code}, perhaps for want of memory; try fewer jobs"
+    why = f"the process ended with code {death.exit_code}, perhaps for lack of memory; try fewer jobs"
     return CellResult(None, why, {})
 
 

@@ -10,7 +10,7 @@ from slam.simulation.world import World
 LENGTH_M = 1150.0
 OBJECTS = 795
 CLASSES = 25
-"""As many as are left of Lille1 without what moves and without bollards (Descriptellation, Table II)."""
+"""As many as are left of Lille1 without what moves and without bollards (Descriptellation, Table I)."""
 ROWS = {"lamp": 27.0, "tree": 9.0, "post": 4.0}
 """Classes that stand in rows, and their spacing in metres; a row is a stretch of one side."""
 ROW_SHARE = 0.35

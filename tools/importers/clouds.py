@@ -84,7 +84,7 @@ def paris_lille(
     """A map of the objects of Paris-Lille-3D: a file of 50 classes, with the fields class and label (the object).
 
     What moves or may move, what is unknown, bollards and surfaces are left out, as in "Descriptellation" (Xing et al.);
-    printed is how many objects and classes there were and are left, as in its Table II.
+    printed is how many objects and classes there were and are left, as in its Table I.
 
     Example: dslam import paris-lille lille_map.mcap --file training_50_classes/Lille1.ply
     """
@@ -170,7 +170,7 @@ def _parsed_names(names: list[str] | None) -> Mapping[int, str] | None:
 
 
 def _statistics(summary: CloudSummary) -> dict[str, object]:
-    """Table II of the paper, a line each."""
+    """Table I of the paper, a line each."""
     (objects, classes), (objects_left, classes_left) = summary.original, summary.preprocessed
     return {
         "original": f"{objects} objects, {classes} classes",

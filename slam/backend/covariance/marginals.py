@@ -76,7 +76,7 @@ def compute_marginals(
     try:
         blocks = covariance_blocks(system, variance_factors(system))
     except np.linalg.LinAlgError as error:
-        logger.info("the marginals come one by one from GTSAM: %s", error)
+        logger.info("marginals are computed one at a time by GTSAM: %s", error)
         return _marginals_one_by_one(graph, values)
     return Marginals(keys[points:], keys[:points], blocks[points:], blocks[:points, :POINT_SIZE, :POINT_SIZE].copy())
 

@@ -105,8 +105,8 @@ def _check_connected(graph: PoseGraph) -> None:
         more = f" and {len(apart) - MAX_NAMED} more" if len(apart) > MAX_NAMED else ""
         named = ", ".join(map(str, apart[:MAX_NAMED].tolist()))
         raise InputDataError(
-            f"the graph falls into parts: no edges lead from vertex {named}{more} to the other "
-            f"{len(roots) - len(apart)}; add edges, or leave these vertices out"
+            f"the graph is not connected: no edges lead from vertex {named}{more} to the other "
+            f"{len(roots) - len(apart)}; add edges, or remove these vertices"
         )
 
 

@@ -132,7 +132,7 @@ def synchronize(estimate: PoseSeries, truth: PoseSeries, *, max_gap_s: float) ->
         raise EvaluationError(
             f"none of {len(stamps)} estimated poses in [{stamps[0]}, {stamps[-1]}] ns has truth, which spans "
             f"[{truth.stamps_ns[0]}, {truth.stamps_ns[-1]}] ns with gaps of at most {max_gap_s:g} s bridged; "
-            "give the truth of this drive, by the same clock"
+            "give the ground truth of this drive, with the same clock"
         )
     return SynchronizedPoses(
         stamps[known],

@@ -103,7 +103,7 @@ def align_path(points_est: FloatArray, points_gt: FloatArray) -> Alignment:
         align_yaw_translation(points_est, points_gt).T_world_map,
         "yaw_translation",
         f"the path is a straight line (spread across it below {STRAIGHT_LINE_RATIO:g} of that along it), "
-        "which leaves the rotation about it open: only yaw and translation are aligned",
+        "so the rotation about it is undetermined: only yaw and translation are aligned",
     )
 
 

@@ -79,7 +79,7 @@ def position_errors_m(poses: SynchronizedPoses, errors: TrajectoryErrors) -> Flo
 
 
 def draw_error_along_path(records: EvaluationRecords, evaluation: Evaluation) -> Chart | None:
-    """Distance between aligned and true position over the true path; None where no trajectory has a truth."""
+    """Distance between aligned and true position over the true path; None where no trajectory has ground truth."""
     traces: list[Trace] = []
     for path, errors, name, color in (
         (records.odometry_path, evaluation.odometry, "odometry", palette.ODOMETRY),

@@ -111,7 +111,7 @@ def compose_page(records: EvaluationRecords, evaluation: Evaluation, *, title: s
     results = evaluation.to_json_dict()
     picture, path = compose_picture(records, evaluation), estimated_path(records)
     missing = evaluation.unavailable
-    without_closures = missing.get("closures") or "the drive returns to no earlier place, or there was no candidate"
+    without_closures = missing.get("closures") or "no revisit, or no candidate"
     charts: dict[str, tuple[Chart | None, str]] = {
         "trajectory": (draw_trajectory(picture, records, evaluation), "the log holds neither an estimate nor odometry"),
         "objects": (
@@ -119,7 +119,10 @@ def compose_page(records: EvaluationRecords, evaluation: Evaluation, *, title: s
             "no object map in the log (/slam/map), or no confirmed landmark",
         ),
         "precision-recall": (draw_precision_recall({"every threshold on the score": results}), without_closures),
-        "error": (draw_error_along_path(records, evaluation), missing.get("trajectory", "no trajectory has a truth")),
+        "error": (
+            draw_error_along_path(records, evaluation),
+            missing.get("trajectory", "no trajectory has ground truth"),
+        ),
         "candidates": (draw_candidates(evaluation.closures, path), "no loop-closure candidate in the log"),
         "calibration": (draw_calibration(evaluation.consistency), missing.get("calibration", "no error to compare")),
     }
@@ -144,7 +147,7 @@ def compose_runs_page(title: str, tables: Mapping[str, pd.DataFrame], note: str,
         note: how to read them.
         runs: the evaluation of each run as JSON, by the run's name.
     """
-    absent = "No run has a curve: a drive returns to no earlier place, holds no truth, or there was no candidate."
+    absent = "No run has a curve: no revisit, no ground truth, or no candidate."
     panels = [_make_panel("precision-recall", draw_precision_recall(runs), absent)]
     return _render(title, lines={"tables": note}, tiles={}, panels=panels, tables=tables, missing={}, rules={})
 

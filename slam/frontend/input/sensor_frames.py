@@ -105,8 +105,8 @@ class SensorFrames:
                 loop.insert(0, min(parents[loop[0]]))
             loop = loop[: loop.index(loop[0], 1) + 1]
             raise InputDataError(
-                f"the transforms form a loop: {' -> '.join(loop)}, so no sensor has a place on the body; "
-                "find out which node publishes one of them wrongly, and leave it out of the log"
+                f"the transforms form a loop: {' -> '.join(loop)}, so the poses of sensors on the body are undefined; "
+                "find the node that publishes a wrong transform, and remove it from the log"
             )
 
 

@@ -74,7 +74,7 @@ class ClockStep:
         direction = "forward" if self.step_ns > 0 else "back"
         return (
             f"the clock of {self.topic} was set {direction} by {abs(self.step_ns) * 1e-9:.3f} s before its stamp "
-            f"{self.stamp_ns * 1e-9:.3f} s: stamps since then are corrected by the times at which messages were logged"
+            f"{self.stamp_ns * 1e-9:.3f} s: later stamps are corrected by the log times"
         )
 
 

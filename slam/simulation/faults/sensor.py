@@ -137,7 +137,7 @@ def false_positives(stream: Stream, mean: _PerScan = 10.0, *, rng: np.random.Gen
     scans = scans_of(stream)
     seen = [replace(scan.detections, positions=from_sensor(scan.detections)) for scan in scans]
     if not any(each.labels for each in seen):
-        raise SimulationError("no detection is in view, so false positives have no model; widen the view")
+        raise SimulationError("no detection is in view, so false positives cannot be modelled; widen the field of view")
     donors = join_detections(*seen)
     x, y, _ = donors.positions.T
     reach_m = np.percentile(np.hypot(x, y), FALSE_POSITIVE_RANGE_PERCENTILE)

@@ -59,7 +59,7 @@ def span_ns(stream: Stream) -> tuple[int, int]:
     """
     stamps = [e.content.stamp_ns for e in stream if isinstance(e.content, (Odometry, ObjectDetections))]
     if not stamps:
-        raise SimulationError("the log holds neither odometry nor detections, so no fault can be put into it")
+        raise SimulationError("the log holds neither odometry nor detections, so no fault can be applied")
     return min(stamps), max(stamps)
 
 

@@ -33,16 +33,18 @@ def write_ply(path: Path, points: np.ndarray, order: str = "binary_little_endian
 
 
 def street(class_name: str, instance_name: str) -> np.ndarray:
-    """Six posts of their own instance, a road, a person and a bollard, with the fields that are published."""
+    """Six posts, a road, a person and a bollard, with the published fields; the scanner passes them."""
     numbers = [LAMP, SIGN, LAMP, TREE, SIGN, LAMP]
     parts = [(number, 10 + i, post(12.0 * i, 5.0)) for i, number in enumerate(numbers)]
     parts += [(PERSON, 30, post(3.0, 1.0)), (BOLLARD, 31, post(9.0, 2.0)), (ROAD, 1, np.ones((50, 3)))]
     parts += [(0, 0, np.zeros((20, 3)))]
     made = cloud(parts)
-    kinds = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("x_origin", "<f4"), ("GPS_time", "<f8"), ("reflectance", "<u1")]
+    kinds = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("x_origin", "<f4"), ("y_origin", "<f4")]
+    kinds += [("GPS_time", "<f8"), ("reflectance", "<u1")]
     points = np.zeros(len(made.positions), np.dtype([*kinds, (instance_name, "<u4"), (class_name, "<u4")]))
     for axis, name in enumerate("xyz"):
         points[name] = made.positions[:, axis]
+    points["x_origin"] = made.positions[:, 0]
     points[class_name] = made.classes
     points[instance_name] = made.instances
     return points
@@ -175,7 +177,7 @@ def test_pcd_with_gaps_between_its_fields(tmp_path: Path, storage: str) -> None:
         ("WIDTH 2", "WIDTH -2", "-2 points"),
         ("WIDTH 2", f"WIDTH {2**62}", "points are there; it is cut off"),
         ("WIDTH 2", "WIDTH " + "9" * 5000, "no PCD file that can be read"),
-        ("FIELDS x y z", "FIELDS x y y", "two of its fields have one name"),
+        ("FIELDS x y z", "FIELDS x y y", "two of its fields have the same name"),
         ("label instance", "a b", "no field holds the class"),
     ],
 )
@@ -217,7 +219,7 @@ def damaged(path: Path, kind: str) -> Path:
         ("no positions", "no fields x, y and z; it has class"),
         ("cut off", "of .* points are there; it is cut off"),
         ("huge", "of 9.* points are there; it is cut off"),
-        ("two of a name", "two of its fields have one name"),
+        ("two of a name", "two of its fields have the same name"),
         ("no ply", "does not begin with 'ply'"),
         ("no end", "no PLY file that can be read"),
         ("a list", "which is not a number"),

@@ -139,11 +139,11 @@ def test_why_a_map_is_not_recognised_is_told(town: World) -> None:
     def doubt(world: World) -> str:
         return why_doubtful(city_map(world), final.object_map, final.trajectory, 0.35)
 
-    assert "x and y change places" in reason(swapped)
+    assert "x and y exchanged" in reason(swapped)
     assert doubt(swapped) == MIRRORED
     assert doubt(town) == doubt(other) == doubt(foreign) == ""
     assert "another place" in reason(other)
-    assert "drive on" in reason(town)  # where it would be recognised
+    assert "drive farther" in reason(town)  # where it would be recognised
     assert "no class in common: the map has Objekt" in reason(foreign)
     assert "km from the nearest object" in reason(town, [GeodeticFix(0, "gps", 10.0, 25.0, 0.0)])
     short = replace(final.trajectory, stamps_ns=final.trajectory.stamps_ns + 10**12)  # nothing was seen since it began

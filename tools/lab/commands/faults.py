@@ -78,18 +78,15 @@ def faults(
 
 
 def report_of(run: MappedDrive) -> str:
-    """What 'dslam replay' prints of the run beside its numbers: final status, warnings, closures removed, doubts."""
+    """The final status, and what 'dslam replay' reports beside its numbers: warnings, removed closures, notes."""
     if run.summary is None:
         return f"error: {run.error}"
-    counters = run.summary.counters
-    warnings = ", ".join(noted_counters(counters)) or "none"
-    doubted = rejected_by_odometry_note(counters.get("closures_rejected_by_odometry", 0)).removeprefix("; ")
+    counters, status = run.summary.counters, run.summary.final_status
     removed = counters.get("closures_removed", 0)
-    parts = [f"status: {run.summary.final_status}", f"warnings: {warnings}"]
-    parts += [f"{removed} closures removed as outliers"] if removed else []
-    parts += [doubted] if doubted else []
-    parts += [f"of the log: {note}" for note in run.summary.notes]
-    return "; ".join([*parts, *(f"on the way: {text}" for text in run.warnings if text != run.summary.final_status)])
+    parts = [status, *noted_counters(counters), f"{removed} closures removed as outliers" if removed else ""]
+    parts += [rejected_by_odometry_note(counters.get("closures_rejected_by_odometry", 0)).removeprefix("; ")]
+    parts += [*run.summary.notes, *(text for text in run.warnings if text != status)]
+    return "; ".join(part for part in parts if part)
 
 
 def _row(run: MappedDrive) -> dict[str, str]:

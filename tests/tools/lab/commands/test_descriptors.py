@@ -8,6 +8,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from tests.logs.clouds.test_cloud_files import street, write_ply
+from tests.test_docs import FENCE, ROOT, commands
 from tests.tools.runs import Result, Run, assert_refused
 
 SCENARIOS = ("self", "fewer objects", "added noise")
@@ -112,3 +114,19 @@ def test_contest_in_maps_of_objects(dslam: Run, tmp_path: Path) -> None:
     assert (tmp_path / "contest.csv").is_file()
     assert (tmp_path / "contest.png").is_file()
     assert_refused(dslam(*asked, "--descriptor", "rings"), "rings")
+
+
+@pytest.mark.slow
+def test_commands_of_the_paper_page_evaluate_a_small_cloud(
+    dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_ply(tmp_path / "Lille1.ply", street("class", "label"))
+    blocks = FENCE.findall((ROOT / "docs/results/paper.md").read_text(encoding="utf-8"))
+    exec(next(text for language, text in blocks if language == "python"), {})
+    for arguments in commands(blocks[0][1]):
+        shorter = ["--queries", 5, "--seeds", 1] if arguments[0] == "benchmark" else []
+        result = dslam(*arguments, *shorter)
+        assert (result.code, result.err) == (0, ""), arguments
+    assert "6 objects, 3 classes; 5 queries x 1 seeds" in result.out
+    assert (tmp_path / "lille" / "descriptors.csv").is_file()
