@@ -79,7 +79,7 @@ FIGURES = (
         "10,000 street trees",
         "places retrieved first, %",
         "recall",
-        r"descriptellation_lr \| 10000 \|(?: \S+ \|){3} (\S+)",
+        r"descriptellation_lr \| 10000 of 20 \|[^|]+\| (\S+)",
     ),
     Figure("demo, 0.5 s late", "ATE m", "faults", r"time_offset=0.5 \| (\S+)"),
 )

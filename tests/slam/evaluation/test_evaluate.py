@@ -169,7 +169,7 @@ def test_a_reference_of_another_drive_is_told() -> None:
     result = evaluate(records.with_truth_of(other))
     assert at_json(result, "trajectory.ate_m") is None
     assert "truth of this drive" in result.unavailable["trajectory"]
-    assert "this drive" in result.unavailable["associations"]
+    assert "another drive" in result.unavailable["associations"]
 
 
 def test_merged_landmarks_are_read_from_the_map() -> None:

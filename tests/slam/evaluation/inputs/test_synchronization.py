@@ -47,7 +47,7 @@ def test_poses_beyond_the_truth_and_in_its_gaps_have_none() -> None:
 def test_without_common_time_the_error_names_both_spans() -> None:
     early = series(straight_path(5))
     late = PoseSeries(early.stamps_ns + 10**12, early.T_world_body)
-    with pytest.raises(EvaluationError, match=f"{late.stamps_ns[0]}.*{early.stamps_ns[0]}.*by the same clock"):
+    with pytest.raises(EvaluationError, match=f"{late.stamps_ns[0]}.*{early.stamps_ns[0]}.*with the same clock"):
         synchronize(late, early, max_gap_s=1.0)
 
 

@@ -141,7 +141,7 @@ def test_same_input_gives_same_bytes(page: str, tmp_path: Path) -> None:
         ((LoopClosureRecord,), {"precision-recall", "candidates"}, "no loop-closure candidate"),
         ((FactorGraphRecord,), {"precision-recall"}, "no keyframes in the log"),
         ((ObjectMapRecord,), {"objects"}, "no object map in the log"),
-        ((TrajectoryRecord,), set(), "was the run finished"),
+        ((TrajectoryRecord,), set(), "was not finished"),
         (
             (TrajectoryRecord, SlamPose, Odometry, GroundTruthPose),
             {"trajectory", "precision-recall", "error"},

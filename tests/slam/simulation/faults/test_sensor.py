@@ -173,7 +173,7 @@ def test_the_only_label_cannot_be_confused() -> None:
 
 
 def test_false_positives_need_a_detection() -> None:
-    with pytest.raises(SimulationError, match="widen the view"):
+    with pytest.raises(SimulationError, match="widen the field"):
         faulty("dropout=1", "false_positives=1")
 
 
