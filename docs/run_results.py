@@ -71,9 +71,9 @@ FIGURES = (
     Figure("", "travel until then, median", "kidnapping", r"median (\S+ m)"),
     Figure("mrclam6, robot 5", "ATE", "robot5", ATE),
     Figure("", "precision of associations", "robot5", r"associations +precision (\S+ %)"),
-    Figure("forest evo", "ATE m", "forests", r"evo +\S+ +(\S+)"),
-    Figure("forest wild03", "ATE m", "forests", r"wild03 +\S+ +(\S+)"),
-    Figure("lost_in_the_woods", "ATE m", "robots", r"lost_in_the_woods +\S+ +(\S+)"),
+    Figure("forest evo", "ATE m", "forests", r"evo \| \S+ \| (\S+)"),
+    Figure("forest wild03", "ATE m", "forests", r"wild03 \| \S+ \| (\S+)"),
+    Figure("lost_in_the_woods", "ATE m", "robots", r"lost_in_the_woods \| \S+ \| (\S+)"),
     Figure("helsinki, imported", "robots found within 60 m, %", "relocalization-city", r"everywhere +\d+ +(\S+)"),
     Figure(
         "10,000 street trees",
