@@ -10,7 +10,7 @@ import numpy as np
 
 from logs.messages import DetectionTruth, ObjectDetections, Odometry
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import apply, invert
+from slam.common.geometry import invert
 from slam.simulation.faults.fault import DETECTIONS, ODOMETRY, SCANS, TRANSFORMS, Duration, Hertz, Range, Seconds, fault
 from slam.simulation.faults.stream import (
     HALF,
@@ -20,11 +20,13 @@ from slam.simulation.faults.stream import (
     body_frames_of,
     by_log_time,
     keep_scans,
+    move_detections,
     odometry_of,
     poses_at,
     restamp_scans,
     scans_of,
     seconds_ns,
+    span_from_half,
     stamp_at,
 )
 
@@ -49,8 +51,8 @@ def odometry_clock_back(stream: Stream, seconds: Duration = 30.0) -> list[Entry]
     """The clock of the odometry is S behind from half time on."""
     begin_ns = stamp_at(stream, HALF)
     return [
-        e.having(replace(e.content, stamp_ns=e.content.stamp_ns - seconds_ns(seconds)))
-        if isinstance(e.content, Odometry) and e.content.stamp_ns >= begin_ns
+        e.with_fields(stamp_ns=e.stamp_ns - seconds_ns(seconds))
+        if isinstance(e.content, Odometry) and e.stamp_ns >= begin_ns
         else e
         for e in stream
     ]
@@ -89,27 +91,25 @@ def frame_rate(stream: Stream, rate_hz: Hertz = 1.0) -> list[Entry]:
     Filled-in odometry is interpolated. Filled-in scans repeat the objects of the scan before as they would be seen from
     where the odometry is by then, errors and all.
     """
-    stamps_ns = np.unique([s.detections.stamp_ns for s in scans_of(stream)])
+    stamps_ns = np.unique([s.stamp_ns for s in scans_of(stream)])
     if len(stamps_ns) > 1 and rate_hz * 1e-9 * float(np.median(np.diff(stamps_ns))) > 1.0:
         return _filled(stream, rate_hz)
     kept_odometry = set(_thinned(np.unique(odometry_of(stream)[0]), rate_hz).tolist())
-    thinned = [e for e in stream if not isinstance(e.content, Odometry) or e.content.stamp_ns in kept_odometry]
+    thinned = [e for e in stream if not isinstance(e.content, Odometry) or e.stamp_ns in kept_odometry]
     return _thinned_scans(thinned, rate_hz)
 
 
 @fault(ODOMETRY)
 def odometry_pause(stream: Stream, seconds: Duration = 10.0) -> list[Entry]:
     """No odometry comes for S from half time on."""
-    begin_ns = stamp_at(stream, HALF)
-    end_ns = begin_ns + seconds_ns(seconds)
-    return [e for e in stream if not (isinstance(e.content, Odometry) and begin_ns <= e.content.stamp_ns < end_ns)]
+    begin_ns, end_ns = span_from_half(stream, seconds)
+    return [e for e in stream if not (isinstance(e.content, Odometry) and begin_ns <= e.stamp_ns < end_ns)]
 
 
 @fault((*ODOMETRY, *SCANS))
 def log_gap(stream: Stream, seconds: Duration = 10.0) -> list[Entry]:
     """Neither odometry nor detections come for S from half time on."""
-    begin_ns = stamp_at(stream, HALF)
-    end_ns = begin_ns + seconds_ns(seconds)
+    begin_ns, end_ns = span_from_half(stream, seconds)
     return keep_scans(odometry_pause.function(stream, seconds), lambda stamp_ns: not begin_ns <= stamp_ns < end_ns)
 
 
@@ -123,18 +123,17 @@ def messages_twice(stream: Stream) -> list[Entry]:
 @fault(ODOMETRY)
 def odometry_backwards(stream: Stream, seconds: Duration = 10.0) -> list[Entry]:
     """Stamps of the odometry fall instead of rising for S from half time on."""
-    begin_ns = stamp_at(stream, HALF)
-    end_ns = begin_ns + seconds_ns(seconds)
+    begin_ns, end_ns = span_from_half(stream, seconds)
     return [
-        e.having(replace(e.content, stamp_ns=begin_ns + end_ns - e.content.stamp_ns))
-        if isinstance(e.content, Odometry) and begin_ns <= e.content.stamp_ns < end_ns
+        e.with_fields(stamp_ns=begin_ns + end_ns - e.stamp_ns)
+        if isinstance(e.content, Odometry) and begin_ns <= e.stamp_ns < end_ns
         else e
         for e in stream
     ]
 
 
 def _thinned_scans(stream: Stream, rate_hz: float) -> list[Entry]:
-    stamps_ns = np.unique([s.detections.stamp_ns for s in scans_of(stream)])
+    stamps_ns = np.unique([s.stamp_ns for s in scans_of(stream)])
     kept = set(_thinned(stamps_ns, rate_hz).tolist())
     return keep_scans(stream, lambda stamp_ns: stamp_ns in kept)
 
@@ -151,17 +150,16 @@ def _thinned(stamps_ns: IntArray, rate_hz: float) -> IntArray:
 def _filled(stream: Stream, rate_hz: float) -> list[Entry]:
     entries = list(stream)
     stamps_ns, poses = odometry_of(stream)
-    odometry = [(e, e.content) for e in entries if isinstance(e.content, Odometry)]
-    for (entry, before), (_, after) in pairwise(odometry):
+    for before, after in pairwise([e for e in stream if isinstance(e.content, Odometry)]):
         between_ns = _between(before.stamp_ns, after.stamp_ns, rate_hz)
         for stamp_ns, T in zip(between_ns.tolist(), poses_at(stamps_ns, poses, between_ns), strict=True):
-            record = replace(before, stamp_ns=stamp_ns, T_odom_body=T)
-            entries.append(entry.having(record, entry.log_time_ns + stamp_ns - before.stamp_ns))
+            log_time_ns = before.log_time_ns + stamp_ns - before.stamp_ns
+            entries.append(before.with_fields(log_time_ns, stamp_ns=stamp_ns, T_odom_body=T))
     frame = body_frames_of(stream)
     scans = scans_of(stream)
     for scan, later in pairwise(scans):
-        between_ns = _between(scan.detections.stamp_ns, later.detections.stamp_ns, rate_hz)
-        T_odom_body = poses_at(stamps_ns, poses, np.concatenate([[scan.detections.stamp_ns], between_ns]))
+        between_ns = _between(scan.stamp_ns, later.stamp_ns, rate_hz)
+        T_odom_body = poses_at(stamps_ns, poses, np.concatenate([[scan.stamp_ns], between_ns]))
         T_body_sensor = frame(scan.detections.frame_id)
         for stamp_ns, T in zip(between_ns.tolist(), T_odom_body[1:], strict=True):
             T_now_then = invert(T @ T_body_sensor) @ T_odom_body[0] @ T_body_sensor
@@ -177,14 +175,8 @@ def _between(first_ns: int, last_ns: int, rate_hz: float) -> IntArray:
 
 def _repeated(stream: Stream, scan: Scan, stamp_ns: int, T_now_then: FloatArray) -> list[Entry]:
     """Detections, and their true ids, once more at a later stamp."""
-    shift_ns = stamp_ns - scan.detections.stamp_ns
-    R, covariances = T_now_then[:3, :3], scan.detections.covariances
-    detections: ObjectDetections = replace(
-        scan.detections,
-        stamp_ns=stamp_ns,
-        positions=apply(T_now_then, scan.detections.positions),
-        covariances=None if covariances is None else R @ covariances @ R.T,
-    )
+    shift_ns = stamp_ns - scan.stamp_ns
+    detections = replace(move_detections(scan.detections, T_now_then), stamp_ns=stamp_ns)
     entries = [stream[scan.row].having(detections, stream[scan.row].log_time_ns + shift_ns)]
     if scan.truth_row is not None and scan.object_ids is not None:
         truth = stream[scan.truth_row]

@@ -6,10 +6,12 @@ import inspect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any, get_type_hints
 
 from logs.topics import RecordKind
-from slam.simulation.faults.stream import Entry
+from slam.simulation.faults.stream import Entry, Stream, alter_detections
+from slam.simulation.faults.track import track_of, with_poses
 
 ODOMETRY = (RecordKind.ODOMETRY,)
 DETECTIONS = (RecordKind.DETECTIONS,)
@@ -105,16 +107,20 @@ def fault(
     neutral: float | None = None,
     keeps_others: bool = True,
     name: str = "",
-) -> Callable[[Callable[..., list[Entry]]], Fault]:
-    """Make a fault of a function: its name, its docstring and the annotations of its parameters describe it."""
+    adapt: Callable[[Callable[..., Any]], Callable[..., list[Entry]]] | None = None,
+) -> Callable[[Callable[..., Any]], Fault]:
+    """Make a fault of a function: its name, its docstring and the annotations of its parameters describe it.
 
-    def make(function: Callable[..., list[Entry]]) -> Fault:
+    The function takes and returns messages of a log, unless ``adapt`` makes such a one of it.
+    """
+
+    def make(function: Callable[..., Any]) -> Fault:
         parameters = inspect.signature(function).parameters
         hints: dict[str, Any] = get_type_hints(function, include_extras=True)
         return Fault(
             name=name or function.__name__,
             meaning=(function.__doc__ or "").partition("\n")[0].rstrip("."),
-            function=function,
+            function=adapt(function) if adapt else function,
             changes=changes,
             reads=reads,
             parameters=tuple(
@@ -130,3 +136,23 @@ def fault(
         )
 
     return make
+
+
+def _on_odometry(function: Callable[..., Any]) -> Callable[..., list[Entry]]:
+    def on_stream(stream: Stream, *values: float, **rng: Any) -> list[Entry]:
+        return with_poses(stream, function(track_of(stream), *values, **rng))
+
+    return on_stream
+
+
+def _on_detections(function: Callable[..., Any]) -> Callable[..., list[Entry]]:
+    def on_stream(stream: Stream, *values: float, **rng: Any) -> list[Entry]:
+        return alter_detections(stream, lambda seen: function(seen, *values, **rng))
+
+    return on_stream
+
+
+odometry_fault = partial(fault, ODOMETRY, adapt=_on_odometry)
+"""Makes a fault of a function from a :class:`~slam.simulation.faults.track.Track` to its new poses (N, 4, 4)."""
+detection_fault = partial(fault, DETECTIONS, adapt=_on_detections)
+"""Makes a fault of a function from one message of detections to another with the same stamp and number of objects."""

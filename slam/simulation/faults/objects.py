@@ -10,7 +10,6 @@ import numpy as np
 
 from logs.messages import ObjectDetections
 from slam.common.arrays import FloatArray
-from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert
 from slam.simulation.faults.fault import (
     DETECTIONS,
@@ -25,7 +24,6 @@ from slam.simulation.faults.fault import (
     fault,
 )
 from slam.simulation.faults.stream import (
-    HALF,
     Entry,
     Scan,
     Stream,
@@ -36,8 +34,9 @@ from slam.simulation.faults.stream import (
     odometry_at,
     replace_scans,
     scans_of,
-    seconds_ns,
+    scans_with_ids,
     select_detections,
+    span_from_half,
     stamp_at,
 )
 
@@ -57,16 +56,13 @@ def detections_stop(stream: Stream, fraction: Part = 0.5) -> list[Entry]:
 @fault(SCANS, reads=ODOMETRY)
 def scan_repeated(stream: Stream, seconds: Duration = 10.0) -> list[Entry]:
     """The last scan before half time is repeated for S."""
-    begin_ns = stamp_at(stream, HALF)
-    end_ns = begin_ns + seconds_ns(seconds)
+    begin_ns, end_ns = span_from_half(stream, seconds)
     changed: list[Scan] = []
     last: Scan | None = None
     for scan in scans_of(stream):
-        stamp_ns = scan.detections.stamp_ns
-        if last is not None and begin_ns <= stamp_ns < end_ns:
-            changed.append(
-                scan._replace(detections=replace(last.detections, stamp_ns=stamp_ns), object_ids=last.object_ids)
-            )
+        if last is not None and begin_ns <= scan.stamp_ns < end_ns:
+            repeated = replace(last.detections, stamp_ns=scan.stamp_ns)
+            changed.append(scan._replace(detections=repeated, object_ids=last.object_ids))
         else:
             last = scan
     return replace_scans(stream, changed)
@@ -77,8 +73,7 @@ def objects_burst(
     stream: Stream, count: Number = 5000.0, seconds: Duration = 3.0, *, rng: np.random.Generator
 ) -> list[Entry]:
     """NUMBER more objects of the classes of the log stand around for S from half time on."""
-    begin_ns = stamp_at(stream, HALF)
-    end_ns = begin_ns + seconds_ns(seconds)
+    begin_ns, end_ns = span_from_half(stream, seconds)
     labels, frame = labels_of(stream) or ["object"], body_frames_of(stream)
     T_odom_begin = odometry_at(stream, np.array([begin_ns], dtype=np.int64))[0]
     radius_m = _BURST_RADIUS_M * np.sqrt(rng.random(int(count)))
@@ -86,14 +81,12 @@ def objects_burst(
     around = np.column_stack([radius_m * np.cos(angle_rad), radius_m * np.sin(angle_rad), np.zeros(int(count))])
     standing = apply(T_odom_begin, around)
     of_class = tuple(labels[i] for i in rng.integers(len(labels), size=int(count)))
-    scans = [s for s in scans_of(stream) if begin_ns <= s.detections.stamp_ns < end_ns]
-    T_odom_bodies = odometry_at(stream, np.array([scan.detections.stamp_ns for scan in scans], dtype=np.int64))
+    scans = [s for s in scans_of(stream) if begin_ns <= s.stamp_ns < end_ns]
+    T_odom_bodies = odometry_at(stream, np.array([scan.stamp_ns for scan in scans], dtype=np.int64))
     changed = []
     for scan, T_odom_body in zip(scans, T_odom_bodies, strict=True):
         positions = apply(invert(T_odom_body @ frame(scan.detections.frame_id)), standing)
-        more = ObjectDetections(
-            scan.detections.stamp_ns, scan.detections.frame_id, positions, of_class, np.ones(int(count))
-        )
+        more = ObjectDetections(scan.stamp_ns, scan.detections.frame_id, positions, of_class, np.ones(int(count)))
         ids = None if scan.object_ids is None else scan.object_ids + ("",) * int(count)
         changed.append(scan._replace(detections=join_detections(scan.detections, more), object_ids=ids))
     return replace_scans(stream, changed)
@@ -102,7 +95,7 @@ def objects_burst(
 @fault(SCANS)
 def objects_few(stream: Stream, count: Number = 2.0) -> list[Entry]:
     """Only the NUMBER objects that are seen most often are there."""
-    scans = _scans_with_ids(stream)
+    scans = scans_with_ids(stream)
     seen = Counter(i for scan in scans for i in scan.object_ids or () if i)
     kept = {i for i, _ in sorted(seen.items(), key=lambda item: (-item[1], item[0]))[: int(count)]}
     changed = []
@@ -122,16 +115,16 @@ def objects_moving(
 
     Each time an object comes into view it moves straight on in a direction drawn at random.
     """
-    scans = sorted(_scans_with_ids(stream), key=lambda scan: scan.detections.stamp_ns)
+    scans = sorted(scans_with_ids(stream), key=lambda scan: scan.stamp_ns)
     objects = sorted({i for scan in scans for i in scan.object_ids or () if i})
     drawn = rng.random(len(objects))
     moving = {i for i, number in zip(objects, drawn, strict=True) if number < share}
     frame = body_frames_of(stream)
-    stamps_ns = np.array([scan.detections.stamp_ns for scan in scans], dtype=np.int64)
+    stamps_ns = np.array([scan.stamp_ns for scan in scans], dtype=np.int64)
     passes: dict[str, tuple[int, int, FloatArray]] = {}  # when it came, when it was seen last, which way it goes
     changed = []
     for scan, T_odom_body in zip(scans, odometry_at(stream, stamps_ns), strict=True):
-        stamp_ns, positions = scan.detections.stamp_ns, scan.detections.positions.copy()
+        stamp_ns, positions = scan.stamp_ns, scan.detections.positions.copy()
         R_sensor_odom = (T_odom_body @ frame(scan.detections.frame_id))[:3, :3].T
         for row, name in enumerate(scan.object_ids or ()):
             if name not in moving:
@@ -142,14 +135,5 @@ def objects_moving(
                 came_ns, direction = stamp_ns, np.array([np.cos(angle_rad), np.sin(angle_rad), 0.0])
             passes[name] = (came_ns, stamp_ns, direction)
             positions[row] += R_sensor_odom @ direction * speed_m_s * (stamp_ns - came_ns) * 1e-9
-        changed.append(scan._replace(detections=replace(scan.detections, positions=positions)))
+        changed.append(scan.with_fields(positions=positions))
     return replace_scans(stream, changed)
-
-
-def _scans_with_ids(stream: Stream) -> list[Scan]:
-    scans = [scan for scan in scans_of(stream) if scan.object_ids is not None]
-    if not scans:
-        raise SimulationError(
-            "the log holds no true ids of its detections (/ground_truth/detections), which this fault needs"
-        )
-    return scans

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 from typing import Annotated
 
@@ -23,159 +22,142 @@ from slam.simulation.faults.fault import (
     Part,
     Range,
     fault,
+    odometry_fault,
 )
-from slam.simulation.faults.stream import (
-    HALF,
-    Entry,
-    Stream,
-    by_log_time,
-    odometry_of,
-    poses_at,
-    seconds_ns,
-    stamp_at,
-    true_poses_at,
-)
+from slam.simulation.faults.stream import HALF, Entry, Stream, by_log_time, odometry_of, poses_at, true_poses_at
+from slam.simulation.faults.track import Track, chain, steps_of
 
 _Rate = Annotated[float, Range("deg/s", min=-1e4, max=1e4)]
 _TranslationNoise = Annotated[float, Range("m / sqrt(m)", max=10.0)]
 _YawNoise = Annotated[float, Range("rad / sqrt(m)", max=1.0)]
 
 
-@fault(ODOMETRY, cases=("5", "30", "90", "180"))
-def heading_jump(stream: Stream, angle_deg: Degrees = 30.0, fraction: Part = 0.5) -> list[Entry]:
+@odometry_fault(cases=("5", "30", "90", "180"))
+def heading_jump(track: Track, angle_deg: Degrees = 30.0, fraction: Part = 0.5) -> FloatArray:
     """The heading of the odometry jumps by DEG at once, at a part of the drive."""
-    return _jump(stream, fraction, transform_from_xyz_yaw(np.zeros(3), np.deg2rad(angle_deg)))
+    return track.redirected(track.row_at(fraction), _turn(np.deg2rad(angle_deg)))
 
 
-@fault(ODOMETRY)
-def pitch_jump(stream: Stream, angle_deg: Degrees = 20.0) -> list[Entry]:
+@odometry_fault()
+def pitch_jump(track: Track, angle_deg: Degrees = 20.0) -> FloatArray:
     """Its pitch jumps by DEG at half time."""
     R = Rotation.from_euler("y", angle_deg, degrees=True).as_matrix()
-    return _jump(stream, HALF, make_transform(R, np.zeros(3)))
+    return track.redirected(track.row_at(HALF), make_transform(R, np.zeros(3)))
 
 
-@fault(ODOMETRY, cases=("10:1.5", "1:50"))
+@odometry_fault(cases=("10:1.5", "1:50"))
 def odometry_jumps(
-    stream: Stream, count: Number = 10.0, distance_m: Metres = 1.5, *, rng: np.random.Generator
-) -> list[Entry]:
+    track: Track, count: Number = 10.0, distance_m: Metres = 1.5, *, rng: np.random.Generator
+) -> FloatArray:
     """Its position jumps NUMBER times by M, evenly over the drive, in directions drawn at random."""
-    _, T_odom_body = odometry_of(stream)
-    rows = np.linspace(0, len(T_odom_body), int(count) + 2)[1:-1].astype(np.int64)
-    for row, angle_rad in zip(rows, rng.uniform(0.0, 2.0 * np.pi, len(rows)), strict=True):
-        T_odom_body = _redirected(T_odom_body, int(row), _planar_shift(distance_m, float(angle_rad)))
-    return _with_poses(stream, T_odom_body)
+    rows = np.linspace(0, len(track), int(count) + 2)[1:-1].astype(np.int64)
+    for row, angle_rad in zip(rows.tolist(), rng.uniform(0.0, 2.0 * np.pi, len(rows)).tolist(), strict=True):
+        track = Track(track.stream, track.stamps_ns, track.redirected(row, _shift(distance_m, angle_rad)))
+    return track.poses
 
 
-@fault(ODOMETRY)
-def odometry_wild(stream: Stream, distance_m: Metres = 1000.0, *, rng: np.random.Generator) -> list[Entry]:
+@odometry_fault()
+def odometry_wild(track: Track, distance_m: Metres = 1000.0, *, rng: np.random.Generator) -> FloatArray:
     """One message at half time is M away and turned at random; the next one is right again."""
-    stamps_ns, T_odom_body = odometry_of(stream)
-    changed = T_odom_body.copy()
-    row = min(int(np.searchsorted(stamps_ns, stamp_at(stream, HALF))), len(changed) - 1)
     direction_rad, turn_rad = rng.uniform(-np.pi, np.pi, 2).tolist()
-    turn = transform_from_xyz_yaw(np.zeros(3), turn_rad)
-    changed[row] = changed[row] @ _planar_shift(distance_m, direction_rad) @ turn
-    return _with_poses(stream, changed)
+    changed, row = track.poses.copy(), track.last_row_at(HALF)
+    changed[row] = changed[row] @ _shift(distance_m, direction_rad) @ _turn(turn_rad)
+    return changed
 
 
-@fault(ODOMETRY)
-def odometry_frozen(stream: Stream, fraction: Part = 0.5) -> list[Entry]:
+@odometry_fault()
+def odometry_frozen(track: Track, fraction: Part = 0.5) -> FloatArray:
     """One pose is repeated from a part of the drive on."""
-    stamps_ns, T_odom_body = odometry_of(stream)
-    changed = T_odom_body.copy()
-    row = min(int(np.searchsorted(stamps_ns, stamp_at(stream, fraction))), len(changed) - 1)
-    changed[row:] = changed[row]
-    return _with_poses(stream, changed)
+    rows = np.minimum(np.arange(len(track)), track.last_row_at(fraction))
+    return track.poses[rows]
 
 
-@fault(ODOMETRY)
-def odometry_freezes(stream: Stream, seconds: Duration = 10.0) -> list[Entry]:
+@odometry_fault()
+def odometry_freezes(track: Track, seconds: Duration = 10.0) -> FloatArray:
     """It stands still for S from half time on; travel of that time is missing afterwards."""
-    stamps_ns, T_odom_body = odometry_of(stream)
-    begin_ns = stamp_at(stream, HALF)
-    still = (stamps_ns[1:] > begin_ns) & (stamps_ns[1:] <= begin_ns + seconds_ns(seconds))
-    steps = np.where(still[:, None, None], np.eye(4), _steps(T_odom_body))
-    return _with_steps(stream, steps)
+    begin_ns, end_ns = track.span_ns(seconds)
+    still = (track.stamps_ns[1:] > begin_ns) & (track.stamps_ns[1:] <= end_ns)
+    return track.chained(np.where(still[:, None, None], np.eye(4), track.steps))
 
 
-@fault(ODOMETRY)
-def odometry_scale(stream: Stream, factor: Factor = 1.2) -> list[Entry]:
+@odometry_fault()
+def odometry_scale(track: Track, factor: Factor = 1.2) -> FloatArray:
     """Its travel is multiplied."""
-    _, T_odom_body = odometry_of(stream)
-    changed = T_odom_body.copy()
+    changed = track.poses.copy()
     changed[:, :3, 3] = changed[0, :3, 3] + factor * (changed[:, :3, 3] - changed[0, :3, 3])
-    return _with_poses(stream, changed)
+    return changed
 
 
-@fault(ODOMETRY)
-def odometry_yaw_inverted(stream: Stream) -> list[Entry]:
+@odometry_fault()
+def odometry_yaw_inverted(track: Track) -> FloatArray:
     """Its heading turns the other way: the sign of the gyroscope is wrong."""
-    return _with_turns(stream, -1.0)
+    return _with_turns(track, -1.0)
 
 
-@fault(ODOMETRY)
-def odometry_turns(stream: Stream, factor: Factor = 1.1) -> list[Entry]:
+@odometry_fault()
+def odometry_turns(track: Track, factor: Factor = 1.1) -> FloatArray:
     """Its turns are multiplied: the track width or the gyroscope is not calibrated."""
-    return _with_turns(stream, factor)
+    return _with_turns(track, factor)
 
 
-@fault(ODOMETRY, cases=("3:10", "30:1"))
-def gyro_bias(stream: Stream, rate_deg_s: _Rate = 3.0, seconds: Duration = 10.0) -> list[Entry]:
+@odometry_fault(cases=("3:10", "30:1"))
+def gyro_bias(track: Track, rate_deg_s: _Rate = 3.0, seconds: Duration = 10.0) -> FloatArray:
     """Its heading turns by DEG/S too much for S from half time on."""
-    stamps_ns, T_odom_body = odometry_of(stream)
-    begin_ns = stamp_at(stream, HALF)
-    inside_ns = np.clip(stamps_ns, begin_ns, begin_ns + seconds_ns(seconds))
-    turns = np.deg2rad(rate_deg_s) * np.diff(inside_ns) * 1e-9
-    steps = _steps(T_odom_body) @ transform_from_xyz_yaw(np.zeros((len(turns), 3)), turns)
-    return _with_steps(stream, steps)
+    turned_ns = np.diff(np.clip(track.stamps_ns, *track.span_ns(seconds)))
+    return track.chained(track.steps @ _turn(np.deg2rad(rate_deg_s) * turned_ns * 1e-9))
 
 
-@fault(ODOMETRY, cases=("1.5:5", "0.5:5"))
-def wheel_slip(stream: Stream, factor: Factor = 1.5, seconds: Duration = 5.0) -> list[Entry]:
+@odometry_fault(cases=("1.5:5", "0.5:5"))
+def wheel_slip(track: Track, factor: Factor = 1.5, seconds: Duration = 5.0) -> FloatArray:
     """Its travel is multiplied for S from half time on."""
-    stamps_ns, T_odom_body = odometry_of(stream)
-    begin_ns = stamp_at(stream, HALF)
-    slips = (stamps_ns[:-1] >= begin_ns) & (stamps_ns[:-1] < begin_ns + seconds_ns(seconds))
-    steps = _steps(T_odom_body)
-    steps[slips, :3, 3] *= factor
-    return _with_steps(stream, steps)
+    begin_ns, end_ns = track.span_ns(seconds)
+    steps = track.steps
+    steps[(track.stamps_ns[:-1] >= begin_ns) & (track.stamps_ns[:-1] < end_ns), :3, 3] *= factor
+    return track.chained(steps)
 
 
-@fault(ODOMETRY)
-def odometry_restart(stream: Stream) -> list[Entry]:
+@odometry_fault()
+def odometry_restart(track: Track) -> FloatArray:
     """Its poses begin again at the origin at half time, as after a restart of the node."""
-    stamps_ns, T_odom_body = odometry_of(stream)
-    row = min(int(np.searchsorted(stamps_ns, stamp_at(stream, HALF))), len(T_odom_body) - 1)
-    changed = T_odom_body.copy()
+    changed, row = track.poses.copy(), track.last_row_at(HALF)
     changed[row:] = invert(changed[row]) @ changed[row:]
-    return _with_poses(stream, changed)
+    return changed
 
 
-@fault(ODOMETRY, neutral=0.0)
+@odometry_fault(neutral=0.0)
 def odometry_translation_noise(
-    stream: Stream, sigma: _TranslationNoise = 0.05, *, rng: np.random.Generator
-) -> list[Entry]:
+    track: Track, sigma: _TranslationNoise = 0.05, *, rng: np.random.Generator
+) -> FloatArray:
     """Its translation has noise on each axis, M/SQRT(M) after 1 m of travel, which adds up."""
-    steps, root_m = _steps_and_roots(stream)
-    steps[:, :3, 3] += sigma * root_m[:, None] * rng.standard_normal((len(steps), 3))
-    return _with_steps(stream, steps)
+    steps = track.steps
+    steps[:, :3, 3] += sigma * _root_m(steps)[:, None] * rng.standard_normal((len(steps), 3))
+    return track.chained(steps)
 
 
-@fault(ODOMETRY, neutral=0.0, cases=("0.017",))
-def odometry_yaw_noise(stream: Stream, sigma: _YawNoise = 0.005, *, rng: np.random.Generator) -> list[Entry]:
+@odometry_fault(neutral=0.0, cases=("0.017",))
+def odometry_yaw_noise(track: Track, sigma: _YawNoise = 0.005, *, rng: np.random.Generator) -> FloatArray:
     """Its heading has noise, RAD/SQRT(M) after 1 m of travel, which adds up."""
-    steps, root_m = _steps_and_roots(stream)
-    errors = sigma * root_m * rng.standard_normal(len(steps))
-    steps[:, :3, :3] = steps[:, :3, :3] @ transform_from_xyz_yaw(np.zeros((len(steps), 3)), errors)[:, :3, :3]
-    return _with_steps(stream, steps)
+    steps = track.steps
+    errors = sigma * _root_m(steps) * rng.standard_normal(len(steps))
+    steps[:, :3, :3] = steps[:, :3, :3] @ _turn(errors)[:, :3, :3]
+    return track.chained(steps)
 
 
-@fault(ODOMETRY)
-def odometry_z_down(stream: Stream) -> list[Entry]:
+@odometry_fault()
+def odometry_z_down(track: Track) -> FloatArray:
     """Odometry and body have y to the right and z down, as in aviation; the detections do not."""
-    _, T_odom_body = odometry_of(stream)
     T_flip = np.diag([1.0, -1.0, -1.0, 1.0])
-    return _with_poses(stream, T_flip @ T_odom_body @ T_flip)
+    return T_flip @ track.poses @ T_flip
+
+
+@odometry_fault(reads=TRUTH, cases=("0.3", "3", "10"))
+def odometry_noise(track: Track, factor: Factor = 3.0) -> FloatArray:
+    """Its errors against the truth are multiplied."""
+    true_steps = steps_of(true_poses_at(track.stream, track.stamps_ns))
+    T_error = invert(true_steps) @ track.steps
+    turns = Rotation.from_matrix(T_error[:, :3, :3]).as_rotvec() * factor
+    scaled = make_transform(Rotation.from_rotvec(turns).as_matrix(), factor * T_error[:, :3, 3])
+    return chain(track.poses[0], true_steps @ scaled)
 
 
 @fault(ODOMETRY)
@@ -183,77 +165,34 @@ def odometry_interleaved(stream: Stream, offset_m: Metres = 1.0) -> list[Entry]:
     """A second odometry is on the same topic, with its origin M aside."""
     stamps_ns, T_odom_body = odometry_of(stream)
     middles_ns = stamps_ns[:-1] + np.diff(stamps_ns) // 2
-    messages = [(e, e.content) for e in stream if isinstance(e.content, Odometry)]
+    messages = [e for e in stream if isinstance(e.content, Odometry)]
     T_second_odom = transform_from_xyz_yaw(np.array([0.0, offset_m, 0.0]), 0.0)
-    added = []
-    T_second_odom_body = T_second_odom @ poses_at(stamps_ns, T_odom_body, middles_ns)
-    for i, ((entry, before), (later, _)) in enumerate(pairwise(messages)):
-        if stamps_ns[i] < middles_ns[i] < stamps_ns[i + 1]:
-            record = replace(before, stamp_ns=int(middles_ns[i]), T_odom_body=T_second_odom_body[i])
-            added.append(entry.having(record, (entry.log_time_ns + later.log_time_ns) // 2))
+    between = T_second_odom @ poses_at(stamps_ns, T_odom_body, middles_ns)
+    added = [
+        entry.with_fields((entry.log_time_ns + later.log_time_ns) // 2, stamp_ns=int(middle_ns), T_odom_body=T)
+        for (entry, later), middle_ns, T in zip(pairwise(messages), middles_ns, between, strict=True)
+        if entry.stamp_ns < middle_ns < later.stamp_ns
+    ]
     return by_log_time([*stream, *added])
 
 
-@fault(ODOMETRY, reads=TRUTH, cases=("0.3", "3", "10"))
-def odometry_noise(stream: Stream, factor: Factor = 3.0) -> list[Entry]:
-    """Its errors against the truth are multiplied."""
-    stamps_ns, T_odom_body = odometry_of(stream)
-    true_steps = _steps(true_poses_at(stream, stamps_ns))
-    T_error = invert(true_steps) @ _steps(T_odom_body)
-    turns = Rotation.from_matrix(T_error[:, :3, :3]).as_rotvec() * factor
-    scaled = make_transform(Rotation.from_rotvec(turns).as_matrix(), factor * T_error[:, :3, 3])
-    return _with_steps(stream, true_steps @ scaled)
+def _with_turns(track: Track, factor: float) -> FloatArray:
+    """The poses with the heading of each step multiplied."""
+    steps = track.steps
+    steps[:, :3, :3] = _turn((factor - 1.0) * yaw_rad(steps))[:, :3, :3] @ steps[:, :3, :3]
+    return track.chained(steps)
 
 
-def _with_turns(stream: Stream, factor: float) -> list[Entry]:
-    """The stream with the heading of each step multiplied."""
-    steps = _steps(odometry_of(stream)[1])
-    more = transform_from_xyz_yaw(np.zeros((len(steps), 3)), (factor - 1.0) * yaw_rad(steps))
-    steps[:, :3, :3] = more[:, :3, :3] @ steps[:, :3, :3]
-    return _with_steps(stream, steps)
+def _root_m(steps: FloatArray) -> FloatArray:
+    """Square roots (N,) of the lengths of steps (N, 4, 4)."""
+    return np.asarray(np.sqrt(np.linalg.norm(steps[:, :3, 3], axis=1)))
 
 
-def _steps_and_roots(stream: Stream) -> tuple[FloatArray, FloatArray]:
-    """T_previous_next (N - 1, 4, 4), and the square roots (N - 1,) of their lengths in metres."""
-    steps = _steps(odometry_of(stream)[1])
-    return steps, np.sqrt(np.linalg.norm(steps[:, :3, 3], axis=1))
+def _turn(angle_rad: float | FloatArray) -> FloatArray:
+    """Rotations about z: (4, 4), or (N, 4, 4) for angles (N,)."""
+    return transform_from_xyz_yaw(np.zeros((*np.shape(angle_rad), 3)), angle_rad)
 
 
-def _jump(stream: Stream, fraction: float, T_jump: FloatArray) -> list[Entry]:
-    stamps_ns, T_odom_body = odometry_of(stream)
-    row = int(np.searchsorted(stamps_ns, stamp_at(stream, fraction)))
-    return _with_poses(stream, _redirected(T_odom_body, row, T_jump))
-
-
-def _redirected(T_odom_body: FloatArray, row: int, T_jump: FloatArray) -> FloatArray:
-    """The poses (N, 4, 4), those from ``row`` on moved rigidly, by ``T_jump`` in the axes of the body at ``row``."""
-    changed = T_odom_body.copy()
-    if row < len(changed):
-        changed[row:] = changed[row] @ T_jump @ invert(changed[row]) @ changed[row:]
-    return changed
-
-
-def _planar_shift(distance_m: float, direction_rad: float) -> FloatArray:
+def _shift(distance_m: float, direction_rad: float) -> FloatArray:
     xyz = np.array([distance_m * np.cos(direction_rad), distance_m * np.sin(direction_rad), 0.0])
     return transform_from_xyz_yaw(xyz, 0.0)
-
-
-def _steps(T_odom_body: FloatArray) -> FloatArray:
-    """T_previous_next (N - 1, 4, 4) of N poses."""
-    return invert(T_odom_body[:-1]) @ T_odom_body[1:]
-
-
-def _with_steps(stream: Stream, steps: FloatArray) -> list[Entry]:
-    """The stream with the odometry from its first pose on by N - 1 steps."""
-    poses = [odometry_of(stream)[1][0]]
-    for step in steps:
-        poses.append(poses[-1] @ step)
-    return _with_poses(stream, np.array(poses))
-
-
-def _with_poses(stream: Stream, T_odom_body: FloatArray) -> list[Entry]:
-    """The stream with the poses (N, 4, 4) in its N messages of odometry."""
-    rows = iter(T_odom_body)
-    return [
-        e.having(replace(e.content, T_odom_body=next(rows))) if isinstance(e.content, Odometry) else e for e in stream
-    ]

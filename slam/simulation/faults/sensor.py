@@ -13,7 +13,18 @@ from numpy.typing import NDArray
 from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, Odometry, Transform
 from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
-from slam.simulation.faults.fault import DETECTIONS, EVERYTHING, ODOMETRY, SCANS, TRANSFORMS, Range, Share, Sigma, fault
+from slam.simulation.faults.fault import (
+    DETECTIONS,
+    EVERYTHING,
+    ODOMETRY,
+    SCANS,
+    TRANSFORMS,
+    Range,
+    Share,
+    Sigma,
+    detection_fault,
+    fault,
+)
 from slam.simulation.faults.stream import (
     Entry,
     Stream,
@@ -54,19 +65,15 @@ def play_backwards(stream: Stream) -> list[Entry]:
     return by_log_time(found)
 
 
-@fault(DETECTIONS, neutral=0.0)
-def position_noise(stream: Stream, sigma_m: Sigma = 1.0, *, rng: np.random.Generator) -> list[Entry]:
+@detection_fault(neutral=0.0)
+def position_noise(seen: ObjectDetections, sigma_m: Sigma = 1.0, *, rng: np.random.Generator) -> ObjectDetections:
     """Positions have M more noise on each axis, and known covariances contain it."""
-
-    def alter(detections: ObjectDetections) -> ObjectDetections:
-        covariances = detections.covariances
-        if covariances is not None:
-            is_known = np.any(covariances != 0.0, axis=(1, 2))
-            covariances = covariances + (is_known * sigma_m**2)[:, None, None] * np.eye(3)
-        noise = sigma_m * rng.standard_normal(detections.positions.shape)
-        return replace(detections, positions=detections.positions + noise, covariances=covariances)
-
-    return alter_detections(stream, alter)
+    covariances = seen.covariances
+    if covariances is not None:
+        is_known = np.any(covariances != 0.0, axis=(1, 2))
+        covariances = covariances + (is_known * sigma_m**2)[:, None, None] * np.eye(3)
+    noise = sigma_m * rng.standard_normal(seen.positions.shape)
+    return replace(seen, positions=seen.positions + noise, covariances=covariances)
 
 
 @fault(SCANS, neutral=0.0)

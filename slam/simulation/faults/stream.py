@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, Odo
 from logs.topics import RawMessage
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import SimulationError
-from slam.common.geometry import interpolate
+from slam.common.geometry import apply, interpolate
 from slam.frontend.input.sensor_frames import SensorFrames
 
 HALF = 0.5
@@ -38,9 +38,18 @@ class Entry(NamedTuple):
     raw: RawMessage | None = None
     number: int = 0
 
+    @property
+    def stamp_ns(self) -> int:
+        """Stamp of the record."""
+        return int(getattr(self.content, "stamp_ns"))  # noqa: B009  of a raw message nobody asks
+
     def having(self, content: Record, log_time_ns: int | None = None) -> Entry:
         """The message with another content."""
         return Entry(self.topic, self.log_time_ns if log_time_ns is None else log_time_ns, content, number=self.number)
+
+    def with_fields(self, log_time_ns: int | None = None, **fields: Any) -> Entry:
+        """The message with other fields of its record."""
+        return self.having(replace(cast(Any, self.content), **fields), log_time_ns)
 
 
 Stream = Sequence[Entry]
@@ -67,6 +76,12 @@ def stamp_at(stream: Stream, fraction: float) -> int:
     """The stamp at a part of the time of the drive, in [0, 1]."""
     first_ns, last_ns = span_ns(stream)
     return first_ns + round(fraction * (last_ns - first_ns))
+
+
+def span_from_half(stream: Stream, seconds: float) -> tuple[int, int]:
+    """The stamp at half the time of the drive, and so long after it."""
+    begin_ns = stamp_at(stream, HALF)
+    return begin_ns, begin_ns + seconds_ns(seconds)
 
 
 def odometry_of(stream: Stream) -> tuple[IntArray, FloatArray]:
@@ -154,7 +169,7 @@ def restamp_scans(stream: Stream, new_stamp_ns: Callable[[int], int]) -> list[En
     for e in stream:
         if isinstance(e.content, (ObjectDetections, DetectionTruth)):
             stamp_ns = new_stamp_ns(e.content.stamp_ns)
-            changed = e if stamp_ns == e.content.stamp_ns else e.having(replace(e.content, stamp_ns=stamp_ns))
+            changed = e if stamp_ns == e.content.stamp_ns else e.with_fields(stamp_ns=stamp_ns)
             found += [changed] if stamp_ns >= 0 else []
         else:
             found.append(e)
@@ -178,6 +193,15 @@ class Scan(NamedTuple):
     truth_row: int | None
     object_ids: tuple[str, ...] | None
 
+    @property
+    def stamp_ns(self) -> int:
+        """Stamp of the detections."""
+        return self.detections.stamp_ns
+
+    def with_fields(self, **fields: Any) -> Scan:
+        """The scan with other fields of its detections."""
+        return self._replace(detections=replace(self.detections, **fields))
+
 
 def scans_of(stream: Stream) -> list[Scan]:
     """All messages of detections with the true ids, None where the log has none of that stamp and number."""
@@ -194,6 +218,20 @@ def scans_of(stream: Stream) -> list[Scan]:
             fits = truth is not None and len(truth.object_ids) == len(detections.labels)
             found.append(Scan(row, detections, truth_row, truth.object_ids if truth is not None and fits else None))
     return found
+
+
+def scans_with_ids(stream: Stream) -> list[Scan]:
+    """The messages of detections that have true ids.
+
+    Raises:
+        SimulationError: there is none.
+    """
+    scans = [scan for scan in scans_of(stream) if scan.object_ids is not None]
+    if not scans:
+        raise SimulationError(
+            "the log holds no true ids of its detections (/ground_truth/detections), which this fault needs"
+        )
+    return scans
 
 
 def replace_scans(stream: Stream, changed: Iterable[Scan]) -> list[Entry]:
@@ -226,6 +264,16 @@ def select_detections(detections: ObjectDetections, rows: NDArray[np.bool_] | In
         covariances=None if detections.covariances is None else detections.covariances[numbers],
         sizes=None if detections.sizes is None else detections.sizes[numbers],
         track_ids=None if ids is None else tuple(ids[i] for i in numbers),
+    )
+
+
+def move_detections(detections: ObjectDetections, T: FloatArray) -> ObjectDetections:
+    """The detections with positions and covariances moved by a transform (4, 4)."""
+    R, covariances = T[:3, :3], detections.covariances
+    return replace(
+        detections,
+        positions=apply(T, detections.positions),
+        covariances=None if covariances is None else R @ covariances @ R.T,
     )
 
 
