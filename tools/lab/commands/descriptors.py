@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,7 +12,6 @@ from tools.lab.tables import Markdown, number, percent, report
 
 if TYPE_CHECKING:
     from slam.simulation.world import World
-    from tools.lab.descriptors.experiment import Cell
 
 
 Objects = Annotated[
@@ -60,8 +59,6 @@ def descriptors(
 
     Example: dslam benchmark descriptors --descriptor descriptellation_lr --descriptor onion --queries 100 --seeds 1
     """
-    from dataclasses import asdict
-
     from descriptors.random_vector import RandomVector
     from descriptors.registry import DESCRIPTOR_NAMES
     from tools import console
@@ -70,12 +67,13 @@ def descriptors(
     from tools.lab.descriptors.queries import labelled_map
 
     world = _world(objects, trajectory)
+    objects_of_map = labelled_map(world)
     methods = list(descriptor or [*DESCRIPTOR_NAMES, EXHAUSTIVE])
     if RandomVector.name not in methods:
         methods.append(RandomVector.name)
     with console.progress_bar("localizing", "localizing") as move:
-        result = benchmark_descriptors(
-            labelled_map(world),
+        cells = benchmark_descriptors(
+            objects_of_map,
             world.tour,
             methods,
             neighbours=neighbours,
@@ -83,17 +81,20 @@ def descriptors(
             seeds=seeds,
             on_progress=move or (lambda fraction: None),
         )
+    count, classes = len(objects_of_map), len(objects_of_map.vocabulary)
+    conditions = (
+        f"{count} objects, {classes} classes; {queries} queries x {seeds} seeds, {neighbours} nearest descriptors"
+    )
     if output is not None:
-        write_comparison(output, world.name, result)
-    built = ", ".join(f"{method} {seconds:.2f} s" for method, seconds in result.build_s.items())
+        write_comparison(output, world.name, cells, conditions)
+    rows = cells.to_dict("records")
+    about = {"map": world.name, "objects": count, "classes": classes, "queries": queries, "seeds": seeds}
     report(
-        [_row(cell) for cell in result.cells],
-        f"time to index the map: {built}",
-        title=f"{world.name}: {result.objects} objects, {result.classes} classes; {queries} queries x {seeds} seeds, "
-        f"{neighbours} nearest descriptors",
+        [_row(cell) for cell in rows],
+        title=f"{world.name}: {conditions}",
         texts=["scenario"],
         markdown=markdown,
-        json={"map": world.name, **asdict(result)} if json else None,
+        json={**about, "neighbours": neighbours, "cells": rows} if json else None,
     )
 
 
@@ -111,15 +112,16 @@ def _world(objects: Path | None, trajectory: Path | None) -> World:
     return generate_street_grid(rng=np.random.default_rng(0))
 
 
-def _row(cell: Cell) -> dict[str, str]:
+def _row(cell: dict[str, Any]) -> dict[str, str]:
     return {
-        "descriptor": cell.method,
-        "scenario": cell.scenario,
-        "success %": f"{percent(cell.success)} ± {percent(cell.deviation)}",
-        "of ceiling %": percent(cell.of_ceiling),
-        "ceiling %": percent(cell.ceiling),
-        "misplaced %": percent(cell.misplaced),
-        "likeliest %": percent(cell.likeliest),
-        "top 5 %": percent(cell.top_5),
-        "ms": number(cell.query_ms, 1),
+        "descriptor": cell["method"],
+        "scenario": cell["scenario"],
+        "success %": f"{percent(cell['success'])} ± {percent(cell['deviation'])}",
+        "of ceiling %": percent(cell["of_ceiling"]),
+        "ceiling %": percent(cell["ceiling"]),
+        "misplaced %": percent(cell["misplaced"]),
+        "likeliest %": percent(cell["likeliest"]),
+        "top 5 %": percent(cell["top_5"]),
+        "ms": number(cell["query_ms"], 1),
+        "map s": number(cell["build_s"], 2),
     }

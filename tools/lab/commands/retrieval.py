@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings, Topics, parse_topics
 from tools.lab.tables import Markdown, number, percent, report
-
-if TYPE_CHECKING:
-    from tools.lab.retrieval.measurement import RetrievalFigures
 
 
 def retrieval(
@@ -43,8 +40,6 @@ def retrieval(
 
     Example: dslam benchmark retrieval drive.mcap --descriptor ring_likelihood --descriptor descriptellation_lr
     """
-    from dataclasses import asdict
-
     from descriptors.registry import DESCRIPTOR_NAMES
     from slam.common.config import load_config
     from tools import console
@@ -53,7 +48,7 @@ def retrieval(
 
     config = load_config(config_file, settings or ())
     names = descriptor or list(DESCRIPTOR_NAMES)
-    figures: list[RetrievalFigures] = []
+    figures: list[dict[str, Any]] = []
     for log in logs:
         with console.progress_bar(f"mapping {log.name}", "mapping") as move:
             recorded = record_places(
@@ -67,18 +62,20 @@ def retrieval(
         [_row(each) for each in figures],
         texts=["descriptor"],
         markdown=markdown,
-        json={"figures": [asdict(each) for each in figures]} if json else None,
+        json={"figures": figures} if json else None,
     )
 
 
-def _row(figures: RetrievalFigures) -> dict[str, str]:
+def _row(figures: dict[str, Any]) -> dict[str, str]:
+    from tools.lab.retrieval.measurement import RECALL_AT
+
     return {
-        "drive": figures.drive,
-        "descriptor": figures.descriptor,
-        "queries": str(figures.queries),
-        **{f"places @{k} %": percent(share) for k, share in figures.places.items()},
-        **{f"objects @{k} %": percent(share) for k, share in figures.objects.items()},
-        "match ms": number(figures.match_ms, 1),
-        "verify ms": number(figures.verify_ms, 1),
-        "map s": number(figures.index_s, 2),
+        "drive": figures["drive"],
+        "descriptor": figures["descriptor"],
+        "queries": str(figures["queries"]),
+        **{f"places @{k} %": percent(figures[f"places_at_{k}"]) for k in RECALL_AT},
+        **{f"objects @{k} %": percent(figures[f"objects_at_{k}"]) for k in RECALL_AT},
+        "match ms": number(figures["match_ms"], 1),
+        "verify ms": number(figures["verify_ms"], 1),
+        "map s": number(figures["index_s"], 2),
     }

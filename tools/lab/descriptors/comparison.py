@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -11,38 +10,39 @@ from matplotlib.figure import Figure
 
 from logs.storage.placement import write_text
 from slam.display.map_picture import save_figure
-from tools.lab.descriptors.experiment import DescriptorBenchmark
 
 CSV, LATEX, FIGURE = "descriptors.csv", "descriptors.tex", "descriptors.png"
 _GRID = "#e5e7eb"
 _ESCAPED = str.maketrans({"_": r"\_", "&": r"\&", "%": r"\%", "#": r"\#"})
 
 
-def write_comparison(folder: Path, world: str, result: DescriptorBenchmark) -> None:
+def write_comparison(folder: Path, world: str, cells: pd.DataFrame, conditions: str) -> None:
     """Write the three files into a folder, which is made if it does not exist.
+
+    Args:
+        folder: of the files.
+        world: name of the map.
+        cells: as :func:`tools.lab.descriptors.experiment.benchmark_descriptors` returns them.
+        conditions: how they were measured, for the caption.
 
     Raises:
         UnwritableLogError: a file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    cells = pd.DataFrame([asdict(cell) for cell in result.cells])
     write_text(folder / CSV, cells.to_csv(index=False, lineterminator="\n"))
-    write_text(folder / LATEX, to_latex(cells, world, result))
+    write_text(folder / LATEX, to_latex(cells, world, conditions))
     _draw(folder / FIGURE, cells)
 
 
-def to_latex(cells: pd.DataFrame, world: str, result: DescriptorBenchmark) -> str:
+def to_latex(cells: pd.DataFrame, world: str, conditions: str) -> str:
     """The success of each method by scenario, in per cent, the best of a scenario in bold, with caption and label."""
-    success = 100.0 * cells.pivot(index="method", columns="scenario", values="success")
+    success = 100.0 * cells.pivot(index="method", columns="scenario", values="success").astype(float)
     success = success.loc[cells["method"].unique(), cells["scenario"].unique()].round(1)
     texts = success.map(lambda share: f"{share:.1f}")
     texts = texts.where(success.lt(success.max(axis=0), axis=1), r"\textbf{" + texts + "}")
     texts.index = pd.Index([name.translate(_ESCAPED) for name in texts.index], name="descriptor")
     texts.columns.name = None
-    caption = (
-        f"Localized queries [%] in {world} ({result.objects} objects, {result.classes} classes); "
-        f"{result.queries} queries x {result.seeds} seeds."
-    )
+    caption = f"Localized queries [%] in {world}; {conditions}."
     return str(
         texts.reset_index().to_latex(
             index=False,

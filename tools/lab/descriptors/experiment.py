@@ -9,8 +9,10 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from descriptors.constellation import Constellations, gather_constellations
@@ -41,42 +43,6 @@ NOISE_PER_M = 0.08
 """Of a noisy query's positions by range, along any axis: 0.1 / sqrt(3) from its error, and as much from the scale."""
 
 
-@dataclass(frozen=True, slots=True)
-class Cell:
-    """One method in one scenario.
-
-    ``success`` and ``deviation`` over the seeds: shares of the queries that are accepted within 1 m. ``of_ceiling``:
-    that success by the one with true correspondences, None if that is 0. ``misplaced``: share that is accepted farther
-    than 10 m off. ``likeliest``: share whose likeliest candidate is within 1 m, accepted or not. ``top_5``: share of
-    the objects seen whose counterpart is among their 5 nearest descriptors, None without a descriptor. ``query_ms`` is
-    a median.
-    """
-
-    method: str
-    scenario: str
-    success: float
-    deviation: float
-    ceiling: float
-    of_ceiling: float | None
-    misplaced: float
-    likeliest: float
-    top_5: float | None
-    query_ms: float
-
-
-@dataclass(frozen=True, slots=True)
-class DescriptorBenchmark:
-    """All cells of a map of ``objects`` objects, and how long each method took to index the map."""
-
-    objects: int
-    classes: int
-    queries: int
-    seeds: int
-    neighbours: int
-    cells: tuple[Cell, ...]
-    build_s: dict[str, float]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:
     """What a method found for a query: the accepted pose ``T_map_query`` and that of the likeliest candidate, (4, 4) or
@@ -101,7 +67,7 @@ def benchmark_descriptors(
     queries: int,
     seeds: int,
     on_progress: Callable[[float], None] = lambda fraction: None,
-) -> DescriptorBenchmark:
+) -> pd.DataFrame:
     """Every method on the same queries, on one thread.
 
     Args:
@@ -112,6 +78,14 @@ def benchmark_descriptors(
         queries: for each scenario and seed.
         seeds: 0 to ``seeds`` - 1.
         on_progress: called with the fraction done, in [0, 1].
+
+    Returns:
+        A row for each ``method`` and ``scenario``. ``success`` and ``deviation`` over the seeds: shares of the queries
+        that are accepted within 1 m. ``of_ceiling``: that success by the ``ceiling``, the one with true
+        correspondences; None if that is 0. ``misplaced``: share that is accepted farther than 10 m off. ``likeliest``:
+        share whose likeliest candidate is within 1 m, accepted or not. ``top_5``: share of the objects seen whose
+        counterpart is among their 5 nearest descriptors, None without a descriptor. ``query_ms``: median.
+        ``build_s``: to index the map.
 
     Raises:
         DescriptorError: a descriptor that does not exist, or that the map's classes are too many for.
@@ -129,17 +103,17 @@ def benchmark_descriptors(
         ]
         for number, scenario in enumerate(SCENARIOS)
     }
-    cells: list[Cell] = []
-    build_s: dict[str, float] = {}
+    cells: list[dict[str, Any]] = []
     with threadpool_limits(limits=1):
         for method in methods:
             started = time.perf_counter()
             localize = make_localizer(method, objects, neighbours)
-            build_s[method] = time.perf_counter() - started
+            build_s = time.perf_counter() - started
             for scenario in SCENARIOS:
-                cells.append(_measure(method, localize, objects, scenario, drawn[scenario.name]))
+                figures = _measure(method, localize, objects, scenario, drawn[scenario.name])
+                cells.append({"method": method, "scenario": scenario.name, **figures, "build_s": build_s})
                 on_progress(len(cells) / (len(methods) * len(SCENARIOS)))
-    return DescriptorBenchmark(len(objects), len(objects.vocabulary), queries, seeds, neighbours, tuple(cells), build_s)
+    return pd.DataFrame(cells, dtype=object)
 
 
 def make_localizer(method: str, objects: LabelledMap, neighbours: int) -> Localizer:
@@ -216,28 +190,26 @@ def query_sigmas(query: LocalQuery, scenario: Scenario) -> FloatArray:
 
 def _measure(
     method: str, localize: Localizer, objects: LabelledMap, scenario: Scenario, drawn: list[list[LocalQuery]]
-) -> Cell:
-    answers = [[localize(query, scenario) for query in queries] for queries in drawn]
-    success = [
-        np.mean([hits(a.T_map_query, q) for a, q in zip(each, queries, strict=True)])
-        for each, queries in zip(answers, drawn, strict=True)
+) -> dict[str, float | None]:
+    answers = [(localize(query, scenario), query, seed) for seed, queries in enumerate(drawn) for query in queries]
+    asked = [query for _, query, _ in answers]
+    is_success = [hits(answer.T_map_query, query) for answer, query, _ in answers]
+    success = pd.Series(is_success).groupby([seed for *_, seed in answers]).mean()
+    ceiling = float(np.mean([hits(fit_truth(objects, query, scenario), query) for query in asked]))
+    is_misplaced = [
+        answer.T_map_query is not None and not hits(answer.T_map_query, query, within_m=MISPLACED_M)
+        for answer, query, _ in answers
     ]
-    asked = [query for queries in drawn for query in queries]
-    ceiling = np.mean([hits(fit_truth(objects, query, scenario), query) for query in asked])
-    flat = [answer for each in answers for answer in each]
-    accepted = [(a.T_map_query, q) for a, q in zip(flat, asked, strict=True) if a.T_map_query is not None]
-    return Cell(
-        method=method,
-        scenario=scenario.name,
-        success=float(np.mean(success)),
-        deviation=float(np.std(success)),
-        ceiling=float(ceiling),
-        of_ceiling=float(np.mean(success) / ceiling) if ceiling else None,
-        misplaced=sum(not hits(T, q, within_m=MISPLACED_M) for T, q in accepted) / len(asked),
-        likeliest=float(np.mean([hits(a.T_map_likeliest, q) for a, q in zip(flat, asked, strict=True)])),
-        top_5=None if method == EXHAUSTIVE else top_share(method, objects, asked, TOP),
-        query_ms=1e3 * float(np.median([a.seconds for a in flat])),
-    )
+    return {
+        "success": float(success.mean()),
+        "deviation": float(success.std(ddof=0)),
+        "ceiling": ceiling,
+        "of_ceiling": float(success.mean() / ceiling) if ceiling else None,
+        "misplaced": float(np.mean(is_misplaced)),
+        "likeliest": float(np.mean([hits(answer.T_map_likeliest, query) for answer, query, _ in answers])),
+        "top_5": None if method == EXHAUSTIVE else top_share(method, objects, asked, TOP),
+        "query_ms": 1e3 * float(np.median([answer.seconds for answer, *_ in answers])),
+    }
 
 
 def hits(T_map_query: FloatArray | None, query: LocalQuery, *, within_m: float = SUCCESS_M) -> bool:

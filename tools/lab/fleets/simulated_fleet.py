@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from slam.common.arrays import FloatArray
-from slam.common.geometry import invert
 from slam.fleet.logs import FleetLog
 from slam.simulation.config import DriveConfig, OdometryConfig, SensorConfig, SimulationConfig
 from slam.simulation.drive import plan_drive
@@ -160,8 +159,3 @@ def _evolve(world: World, plan: FleetPlan, rng: np.random.Generator) -> tuple[tu
             )
         )
     return tuple(versions), tuple(events)
-
-
-def true_pose(drive: TrueDrive, reference: TrueDrive) -> FloatArray:
-    """``T_reference_drive`` (4, 4) of the frames of the maps of two drives in one city."""
-    return np.asarray(invert(reference.T_world_first) @ drive.T_world_first)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -27,34 +27,18 @@ from tools.lab.retrieval.recorded_places import AskedPlace, RecordedPlaces
 RECALL_AT = (1, 5, 25)
 
 
-@dataclass(frozen=True, slots=True)
-class RetrievalFigures:
-    """One descriptor on one drive: shares of ``queries``, and times in milliseconds a query, medians.
-
-    ``places``: those with a right pose among the first k proposals, by k of :data:`RECALL_AT`. ``objects``: of the
-    objects of a query that the map has, those whose counterpart is among their first k matches. ``index_s``: time to
-    describe the ``entries`` of the map.
-    """
-
-    drive: str
-    descriptor: str
-    queries: int
-    entries: int
-    places: dict[int, float]
-    objects: dict[int, float]
-    match_ms: float
-    verify_ms: float
-    index_s: float
-
-
 def measure_retrieval(
     recorded: RecordedPlaces,
     descriptors: Sequence[str],
     *,
     neighbours: int | None = None,
     on_progress: Callable[[float], None] | None = None,
-) -> list[RetrievalFigures]:
+) -> list[dict[str, Any]]:
     """Ask each descriptor at all revisits of a drive.
+
+    ``places_at_k``: share of the queries with a right pose among the first k proposals, by k of :data:`RECALL_AT`.
+    ``objects_at_k``: of the objects of a query that the map has, those whose counterpart is among their first k
+    matches. ``match_ms``, ``verify_ms``: of a query, medians. ``index_s``: time to describe the ``entries`` of the map.
 
     Args:
         recorded: the drive.
@@ -114,21 +98,21 @@ class _Asking:
         if hits is not None:
             self._object_hits.append(hits)
 
-    def figures(self, name: str) -> RetrievalFigures:
+    def figures(self, name: str) -> dict[str, Any]:
         """What came of it."""
         queries = len(self._recorded.asked)
         objects = np.mean(self._object_hits, axis=0) if self._object_hits else np.zeros(len(RECALL_AT))
-        return RetrievalFigures(
-            drive=self._recorded.drive,
-            descriptor=name,
-            queries=queries,
-            entries=len(self._index),
-            places={k: float(hits) / queries for k, hits in zip(RECALL_AT, self._place_hits, strict=True)},
-            objects={k: float(share) for k, share in zip(RECALL_AT, objects, strict=True)},
-            match_ms=1e3 * float(np.median(self._match_s)),
-            verify_ms=1e3 * float(np.median(self._verify_s)),
-            index_s=self._index_s,
-        )
+        return {
+            "drive": self._recorded.drive,
+            "descriptor": name,
+            "queries": queries,
+            "entries": len(self._index),
+            **{f"places_at_{k}": hits / queries for k, hits in zip(RECALL_AT, self._place_hits.tolist(), strict=True)},
+            **{f"objects_at_{k}": share for k, share in zip(RECALL_AT, objects.tolist(), strict=True)},
+            "match_ms": 1e3 * float(np.median(self._match_s)),
+            "verify_ms": 1e3 * float(np.median(self._verify_s)),
+            "index_s": self._index_s,
+        }
 
     def _gather(
         self, positions: FloatArray, labels: IntArray, vocabulary: tuple[str, ...], centres: IntArray | None

@@ -13,7 +13,7 @@ from tests.test_docs import FENCE, ROOT, commands
 from tests.tools.runs import Result, Run, assert_refused
 
 SCENARIOS = ("self", "fewer objects", "added noise")
-MEASURES = {"success", "deviation", "ceiling", "of_ceiling", "misplaced", "likeliest", "top_5", "query_ms"}
+MEASURES = {"success", "deviation", "ceiling", "of_ceiling", "misplaced", "likeliest", "top_5", "query_ms", "build_s"}
 
 
 def benchmark(dslam: Run, *arguments: object) -> Result:
@@ -36,7 +36,6 @@ def test_json_has_every_measure_of_every_scenario(dslam: Run) -> None:
     told = json.loads(result.out)
     assert (told["map"], told["objects"], told["classes"]) == ("street-grid", 699, 16)
     assert (told["queries"], told["seeds"], told["neighbours"]) == (5, 1, 6)
-    assert set(told["build_s"]) == {"ring_likelihood", "exhaustive search", "random"}
     cells = {(cell["method"], cell["scenario"]): cell for cell in told["cells"]}
     assert list(cells) == [
         (name, scenario) for name in ("ring_likelihood", "exhaustive search", "random") for scenario in SCENARIOS
@@ -54,7 +53,6 @@ def test_a_table_for_people(dslam: Run) -> None:
     assert "of ceiling %" in result.out
     lines = [line for line in result.out.splitlines() if line.startswith("onion")]
     assert [scenario in line for scenario, line in zip(SCENARIOS, lines, strict=True)] == [True] * 3
-    assert "time to index the map: onion" in result.out
 
 
 def test_a_map_of_one_s_own(dslam: Run, tmp_path: Path) -> None:

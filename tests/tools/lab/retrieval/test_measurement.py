@@ -40,13 +40,13 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> RecordedPlaces:
 @pytest.mark.slow
 def test_a_good_descriptor_finds_what_random_vectors_do_not(recorded: RecordedPlaces) -> None:
     good, random = measure_retrieval(recorded, ["ring_likelihood", "random"])
-    assert (good.queries, good.entries) == (random.queries, random.entries)
-    assert good.queries >= 3
-    assert good.places[1] == 1.0
-    assert good.objects[1] > 0.6 > random.objects[1]
+    assert (good["queries"], good["entries"]) == (random["queries"], random["entries"])
+    assert good["queries"] >= 3
+    assert good["places_at_1"] == 1.0
+    assert good["objects_at_1"] > 0.6 > random["objects_at_1"]
     for figures in (good, random):
-        for shares in (figures.places, figures.objects):
-            assert shares[1] <= shares[5] <= shares[25]
+        for kind in ("places", "objects"):
+            assert figures[f"{kind}_at_1"] <= figures[f"{kind}_at_5"] <= figures[f"{kind}_at_25"]
 
 
 @pytest.mark.slow
