@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
 _VIEW = "What the sensor sees"
 _DETECTOR = "How well it detects"
-_DRIVE = "Odometry and time"
 _FAULTS = "Faults"
 
 
@@ -40,10 +39,6 @@ _KeepLabel = Annotated[
     list[str] | None,
     typer.Option(metavar="NAME", help="Keep only objects of this class. Repeatable.", rich_help_panel=_VIEW),
 ]
-_DropLabel = Annotated[
-    list[str] | None,
-    typer.Option(metavar="NAME", help="Remove objects of this class. Repeatable.", rich_help_panel=_VIEW),
-]
 _Dropout = Annotated[
     str | None,
     typer.Option(metavar="P", help="Probability that a detection is lost.", rich_help_panel=_DETECTOR),
@@ -57,25 +52,6 @@ _LabelConfusion = Annotated[
 _PositionNoise = Annotated[
     str | None,
     typer.Option(metavar="M", help="Standard deviation of the position on each axis.", rich_help_panel=_DETECTOR),
-]
-_FalsePositives = Annotated[
-    str | None,
-    typer.Option(metavar="N", help="Mean number of false objects a scan.", rich_help_panel=_DETECTOR),
-]
-_OdometryTranslationNoise = Annotated[
-    str | None,
-    typer.Option(metavar="M/SQRT(M)", help="Noise on each axis after 1 m of travel.", rich_help_panel=_DRIVE),
-]
-_OdometryYawNoise = Annotated[
-    str | None,
-    typer.Option(metavar="RAD/SQRT(M)", help="Noise of the heading after 1 m of travel.", rich_help_panel=_DRIVE),
-]
-_TimeOffset = Annotated[
-    str | None,
-    typer.Option(metavar="S", help="Added to the stamps of the detections; may be negative.", rich_help_panel=_DRIVE),
-]
-_Reversed = Annotated[
-    bool, typer.Option("--reversed", help="Play the drive backwards, in reverse gear.", rich_help_panel=_DRIVE)
 ]
 _FaultNames = Annotated[
     list[str] | None,
@@ -104,15 +80,9 @@ def degrade(
     field_of_view: _FieldOfView = None,
     max_range: _MaxRange = None,
     keep_label: _KeepLabel = None,
-    drop_label: _DropLabel = None,
     dropout: _Dropout = None,
     label_confusion: _LabelConfusion = None,
     position_noise: _PositionNoise = None,
-    false_positives: _FalsePositives = None,
-    odometry_translation_noise: _OdometryTranslationNoise = None,
-    odometry_yaw_noise: _OdometryYawNoise = None,
-    time_offset: _TimeOffset = None,
-    is_reversed: _Reversed = False,
     fault: _FaultNames = None,
     _listed: _ListFaults = False,
     seed: _Seed = 0,
@@ -121,42 +91,30 @@ def degrade(
 ) -> None:
     """Degrade a log: missed, wrong or false detections, more drift of the odometry, faults of the sensors.
 
-    Options are applied in a fixed order: reversal, time offset, noise, dropout, view and labels, label confusion, false
-    positives (distributed as the detections are), odometry; then those of --fault in the given order. Each has its own
-    random numbers. The ground truth does not change. Give at least one option, for example --dropout 0.
+    Options are applied in a fixed order: noise, dropout, view and labels, label confusion; then --fault, in
+    the given order. Each has its own random numbers. The ground truth does not change. Give at least one option, for
+    example --dropout 0.
 
-    Example: dslam degrade drive.mcap -o harder.mcap --dropout 0.3 --position-noise 0.2
+    Example: dslam degrade drive.mcap -o harder.mcap --dropout 0.3 --fault false_positives=2
     """
-    given = {
-        "reversed": () if is_reversed else None,
-        "time_offset": time_offset,
+    options = {
         "position_noise": position_noise,
         "dropout": dropout,
         "field_of_view": field_of_view,
         "max_range": max_range,
-        "keep_label": tuple(keep_label or ()) or None,
-        "drop_label": tuple(drop_label or ()) or None,
+        "keep_label": ":".join(keep_label) if keep_label else None,
         "label_confusion": label_confusion,
-        "false_positives": false_positives,
-        "odometry_translation_noise": odometry_translation_noise,
-        "odometry_yaw_noise": odometry_yaw_noise,
     }
-    options = {name: value for name, value in given.items() if value is not None}
-    if not options and not fault:
+    faults = [f"{name}={value}" for name, value in options.items() if value is not None] + (fault or [])
+    if not faults:
         raise typer.BadParameter("no degradation was given; give one, for example --dropout 0.3")
     chosen = parse_topics(topics)
     check_outputs([output], [source])
-    from slam.simulation.faults.fault import FaultCase
     from slam.simulation.faults.faulty_log import write_faulty
-    from slam.simulation.faults.registry import DEGRADATIONS, FAULTS, parse_fault, parse_faults
+    from slam.simulation.faults.registry import parse_faults
     from tools import console
 
-    cases = [
-        parse_fault(f"{name}={value}") if isinstance(value, str) else FaultCase(FAULTS[name], value)
-        for name in DEGRADATIONS
-        if (value := options.get(name)) is not None
-    ]
-    cases += parse_faults(fault or ())
+    cases = parse_faults(faults)
     with console.progress_bar("degrading", "finishing") as progress:
         summary = write_faulty(source, output, cases, seed=seed, topics=chosen, progress=progress)
     if json:

@@ -48,8 +48,8 @@ _COMMANDS: dict[str, tuple[float, str]] = {
         export ?mapped --tum a.txt --kitti b.txt --g2o c.g2o"""),
     "degrade": (1, """
         degrade ?drive -o out.mcap --dropout 0.3
-        degrade ?drive -o out.mcap --reversed
-        degrade ?drive -o out.mcap --false-positives 3
+        degrade ?drive -o out.mcap --fault reversed
+        degrade ?drive -o out.mcap --fault false_positives=3
         degrade ?drive -o out.mcap --label-confusion 0.2"""),
     "optimize": (1, """
         optimize ?graph.g2o -o out.g2o --json"""),

@@ -2,26 +2,15 @@
 
 from __future__ import annotations
 
-import inspect
-
 import pytest
 
 from slam.common.errors import ConfigurationError
-from slam.simulation.faults.registry import DEGRADATIONS, FAULTS
 from slam.sweeps import degradations
 from slam.sweeps.degradations import DEFAULT_SPECIFICATIONS, parse_degradations
-from tools.degrade import degrade
 
 
 def parse(text: str) -> degradations.Degradation:
     return parse_degradations([text])[-1]
-
-
-def test_options_of_degrade_are_faults_in_the_order_of_the_registry() -> None:
-    options = {"is_reversed": "reversed"}
-    others = {"source", "output", "seed", "topics", "json", "fault", "_listed"}
-    names = {options.get(name, name) for name in inspect.signature(degrade).parameters} - others
-    assert set(DEGRADATIONS) == names <= set(FAULTS)
 
 
 def test_several_faults_make_one_degradation() -> None:
