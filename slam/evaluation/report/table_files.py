@@ -22,7 +22,7 @@ def check_endings(paths: Sequence[Path]) -> None:
     """
     for path in paths:
         if path.suffix.lower() not in ENDINGS:
-            raise EvaluationError(f"{path}: a table is written as {', '.join(ENDINGS)}; give such a name")
+            raise EvaluationError(f"{path}: the name of a table ends in {', '.join(ENDINGS)}")
 
 
 def write_tables(

@@ -223,7 +223,7 @@ def damaged(path: Path, kind: str) -> Path:
         ("no ply", "does not begin with 'ply'"),
         ("no end", "no PLY file that can be read"),
         ("a list", "which is not a number"),
-        ("faces first", "its first element is not a vertex"),
+        ("faces first", "its first element is not a list"),
     ],
 )
 def test_faults_are_one_line_with_the_file(tmp_path: Path, kind: str, fault: str) -> None:
