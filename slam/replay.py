@@ -242,7 +242,7 @@ def _save(
     """Save the map of a drive; returns how many keyframes only a discontinuity connects to it."""
     if prior_map is not None and not slam.fixes:
         raise SavedMapError(
-            f"the given map was never recognised, so {map_path} would hold two places laid over each other and was "
+            f"the robot was never relocalized in the given map, so {map_path} would hold two unrelated places and was "
             f"not written; {output} is complete"
         )
     earlier_drives = None if prior_map is None else prior_map.drives
@@ -259,7 +259,7 @@ def _about_labels(labels: LabelMap) -> list[str]:
     """What of the table of labels did not fit the log."""
     return [
         *(f"no detection has the class of {name}" for name in labels.unused()),
-        *(f"the class {name} is taken for {to}: they differ in case only" for name, to in labels.respelled().items()),
+        *(f"class {name} is read as {to}: they differ in case only" for name, to in labels.respelled().items()),
     ]
 
 

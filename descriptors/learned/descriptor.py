@@ -36,8 +36,7 @@ class LearnedDescriptor:
             self.radius_m = float(weights.training["dataset"]["radius_m"])
         except (KeyError, TypeError, ValueError) as error:
             raise WeightsError(
-                f"{path}: its training configuration has no dataset.radius_m, so how far neighbours count is unknown; "
-                "train again"
+                f"{path}: its training configuration has no dataset.radius_m, so its radius is unknown; train again"
             ) from error
 
     def set_edge_length(self, length_m: float) -> None:

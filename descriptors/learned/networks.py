@@ -179,7 +179,7 @@ def _made(name: str) -> nn.Module:
     if not any(True for _ in network.parameters()):
         raise DescriptorError(f"{name}: has no weights to train")
     if not isinstance(getattr(network, "length", None), int):
-        raise DescriptorError(f"{name}: has no length, how many numbers a descriptor has")
+        raise DescriptorError(f"{name}: has no length, the number of values of a descriptor")
     return network
 
 

@@ -125,7 +125,7 @@ def _read_ply_header(stream: BinaryIO) -> _Layout:
     else:
         raise ValueError("its header has no end")
     if elements[:1] != ["vertex"] or count < 0 or not properties:
-        raise ValueError(f"its first element is not a list of vertices")
+        raise ValueError("its first element is not a list of vertices")
     names = tuple(name for name, _ in properties)
     kinds = tuple(np.dtype(order + code) for _, code in properties)
     return _checked(_Layout(names, kinds, (1,) * len(names), count, "binary" if order else "ascii"))

@@ -106,8 +106,8 @@ def _parquet_as_csv(name: str, content: bytes) -> bytes:
 
 def _too_large(name: str, packed: int, limit: int) -> DatasetError:
     return DatasetError(
-        f"{name}: its {packed} bytes unpack to more than {limit / 1e6:.0f} MB, which no table or path does; "
-        "unpack it and give the file itself if it is one"
+        f"{name}: its {packed} bytes unpack to more than {limit / 1e6:.0f} MB, more than a table or path; "
+        "unpack it and give the file itself"
     )
 
 

@@ -108,8 +108,8 @@ def _unpack(path: Path, folder: Path) -> Path:
                 stream.write(piece)
                 if stream.tell() > limit:
                     raise UnreadableLogError(
-                        f"{path} unpacks to more than {limit / 1e6:.0f} MB, which no log does; "
-                        "unpack it and give the log itself if it is one"
+                        f"{path} unpacks to more than {limit / 1e6:.0f} MB, more than a log; "
+                        "unpack it and give the log itself"
                     )
     except zstandard.ZstdError as error:
         if not unpacked.stat().st_size:

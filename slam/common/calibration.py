@@ -163,8 +163,7 @@ class ObjectCalibration(Branch):
     height_sigma_m: float | None = Field(
         default=None,
         ge=0,
-        description="noise of heights when objects are matched, e.g. of objects seen in part; not set: 1/100 of the "
-        "sensor range [m]",
+        description="noise of heights in matching, e.g. of objects seen in part; not set: 1/100 of the range [m]",
     )
 
 

@@ -41,8 +41,8 @@ class LocalizationConfig(Branch):
         default=1e-4,
         gt=0,
         lt=1,
-        description="a pose is accepted once the probability that it is wrong is below that; with a hundred decisions "
-        "a drive, 0.0001 is one false closure in a hundred drives",
+        description="a pose is accepted if the probability that it is wrong is below this; with a hundred decisions a "
+        "drive, 0.0001 is one false closure in a hundred drives",
     )
     failures_per_km: float = Field(
         default=1e-3, gt=0, description="undetected failures of the odometry per kilometre [1/km]"

@@ -101,7 +101,7 @@ class Frontend:
         if (missing := self._placer.describe_missing()) and not self._counters["detections_used"]:
             raise InputDataError(
                 f"{missing}, the body frame of the odometry, so no detection could be placed; record "
-                "/tf_static, or say --set calibration.detection.assume_body_frame=true if the detections are in "
+                "/tf_static, or pass --set calibration.detection.assume_body_frame=true if the detections are in "
                 "the body frame"
             )
 

@@ -55,6 +55,6 @@ def _check_origin(source: str, positions: FloatArray, origin: Georeference) -> N
     if MAX_DISTANCE_M < nearest_m < np.inf:
         raise SavedMapError(
             f"{source}: the nearest object is {nearest_m / 1000.0:.0f} km from the origin at latitude "
-            f"{origin.latitude_deg:g}, longitude {origin.longitude_deg:g}; give the place from which the coordinates "
-            "count, or convert those of a national grid (such as UTM) to latitude and longitude"
+            f"{origin.latitude_deg:g}, longitude {origin.longitude_deg:g}; give the origin of the coordinates, "
+            "or convert those of a national grid (such as UTM) to latitude and longitude"
         )

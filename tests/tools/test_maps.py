@@ -167,7 +167,7 @@ class TestReplay:
     ) -> None:
         target = tmp_path / "both.mcap"
         result = dslam("replay", folder / "other.mcap", "-o", tmp_path / "o.mcap", "--map", town, "--save-map", target)
-        assert_refused(result, "never recognised", "was not written")
+        assert_refused(result, "never relocalized", "was not written")
         assert not target.exists()
 
 

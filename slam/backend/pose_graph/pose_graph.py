@@ -135,6 +135,6 @@ def _place(graph: PoseGraph, name_edge: Callable[[int], str]) -> None:
         lost = int(graph.vertex_ids[np.argmin(placed)])
         naming = int(np.flatnonzero((graph.edges == lost).any(axis=1))[0])
         raise InputDataError(
-            f"{name_edge(naming)}: vertex {lost} is not in the graph, nor does a chain of edges between consecutive "
-            "ids lead to it; add the vertex, or correct the id"
+            f"{name_edge(naming)}: vertex {lost} is not in the graph, and no chain of edges between consecutive ids "
+            "leads to it; add the vertex, or correct the id"
         )
