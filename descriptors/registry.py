@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from descriptors.baselines.gosmatch import GosmatchGraph, GosmatchVertex
-from descriptors.baselines.onion import Onion, OnionHistogram
-from descriptors.baselines.random_walk import RandomWalk
+from descriptors.baselines.gosmatch import GosmatchVertex
 from descriptors.descriptellation_lr.likelihood import LearnedLikelihood
 from descriptors.descriptor import Descriptor
 from descriptors.errors import DescriptorError
@@ -22,18 +20,11 @@ PAPER = "descriptellation"
 NETWORKS = (PAPER, "pointnet", "sgnet")
 LEARNED = (LearnedLikelihood.name, *NETWORKS)
 HANDCRAFTED: dict[str, Callable[[], Descriptor]] = {
-    "onion": Onion,
-    "onion_histogram": OnionHistogram,
-    "random_walk": RandomWalk,
-    "gosmatch_graph": GosmatchGraph,
-    "gosmatch_vertex": GosmatchVertex,
-}
-UNTRAINED: dict[str, Callable[[], Descriptor]] = {
     RingLikelihood.name: RingLikelihood,
-    **HANDCRAFTED,
+    GosmatchVertex.name: GosmatchVertex,
     RandomVector.name: RandomVector,
 }
-DESCRIPTOR_NAMES = (RingLikelihood.name, *LEARNED, *HANDCRAFTED, RandomVector.name)
+DESCRIPTOR_NAMES = (*LEARNED, *HANDCRAFTED)
 WEIGHTS_SUFFIX = ".safetensors"
 RENAMED = {"descriptellation_paper": PAPER}
 """Names of earlier versions."""
@@ -53,8 +44,8 @@ def make_descriptor(name: str) -> Descriptor:
     Raises:
         DescriptorError: there is none of that name, weights that do not fit, or a class that cannot be made.
     """
-    if name in UNTRAINED:
-        return UNTRAINED[name]()
+    if name in HANDCRAFTED:
+        return HANDCRAFTED[name]()
     if name in LEARNED:
         return _from_weights(shipped_weights(name))
     if name.endswith(WEIGHTS_SUFFIX):

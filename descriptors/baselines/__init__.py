@@ -1,1 +1,1 @@
-"""Handcrafted descriptors from the literature, to compare with."""
+"""Descriptors from the literature, to compare with."""

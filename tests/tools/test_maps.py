@@ -142,11 +142,11 @@ class TestReplay:
     def test_another_descriptor_serves_the_same_map(self, dslam: Run, folder: Path, town: Path, tmp_path: Path) -> None:
         output = tmp_path / "out.mcap"
         arguments = ("relocalize", folder / "second.mcap", "--map", town, "-o", output)
-        told = json.loads(dslam(*arguments, "--set", "loop_closure.descriptor=onion", "--json").out)
+        told = json.loads(dslam(*arguments, "--set", "loop_closure.descriptor=ring_likelihood", "--json").out)
         assert told["found"] is True
         with LogReader(output) as reader:
             configuration = json.loads(reader.metadata()["dslam"]["configuration"])
-        assert configuration["loop_closure"]["descriptor"] == "onion"
+        assert configuration["loop_closure"]["descriptor"] == "ring_likelihood"
 
     def test_a_second_drive_goes_into_the_map(self, dslam: Run, folder: Path, town: Path, tmp_path: Path) -> None:
         grown = tmp_path / "grown.mcap"

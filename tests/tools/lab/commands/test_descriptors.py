@@ -47,11 +47,11 @@ def test_json_has_every_measure_of_every_scenario(dslam: Run) -> None:
 
 
 def test_a_table_for_people(dslam: Run) -> None:
-    result = benchmark(dslam, "--descriptor", "onion")
+    result = benchmark(dslam, "--descriptor", "ring_likelihood")
     assert (result.code, result.err) == (0, "")
     assert "699 objects, 16 classes; 5 queries x 1 seeds, 6 nearest descriptors" in result.out
     assert "of ceiling %" in result.out
-    lines = [line for line in result.out.splitlines() if line.startswith("onion")]
+    lines = [line for line in result.out.splitlines() if line.startswith("ring_likel")]
     assert [scenario in line for scenario, line in zip(SCENARIOS, lines, strict=True)] == [True] * 3
 
 
@@ -77,7 +77,7 @@ def test_what_cannot_be_is_refused(dslam: Run, tmp_path: Path) -> None:
     assert_refused(dslam("benchmark", "descriptors", "--queries", 0), "--queries")
     assert_refused(dslam("benchmark", "descriptors", "--seeds", 0), "--seeds")
     (tmp_path / "trajectory.csv").write_text("x_m,y_m\n9000,0\n9100,0\n")
-    assert_refused(benchmark(dslam, *files, "--descriptor", "onion"), "no object", "30 m")
+    assert_refused(benchmark(dslam, *files, "--descriptor", "ring_likelihood"), "no object", "30 m")
     assert_refused(benchmark(dslam, "--objects", tmp_path / "none.csv", *files[2:]), "none.csv")
 
 

@@ -24,7 +24,7 @@ from tools.lab.descriptors.queries import SCENARIOS, LabelledMap, LocalQuery, dr
 pytestmark = pytest.mark.slow
 
 SELF, FEWER, NOISY = SCENARIOS
-METHODS = ("ring_likelihood", "onion", EXHAUSTIVE, "random")
+METHODS = ("ring_likelihood", "gosmatch_vertex", EXHAUSTIVE, "random")
 
 
 @pytest.fixture(scope="module")
@@ -71,9 +71,9 @@ def test_what_cannot_be_measured_is_refused(street):
     with pytest.raises(DescriptorError, match=r"'rings'.*ring_likelihood"):
         benchmark_descriptors(*street, ["rings"], neighbours=5, queries=2, seeds=1)
     with pytest.raises(SimulationError, match="no length"):
-        benchmark_descriptors(street[0], np.zeros((3, 2)), ["onion"], neighbours=5, queries=2, seeds=1)
+        benchmark_descriptors(street[0], np.zeros((3, 2)), ["gosmatch_vertex"], neighbours=5, queries=2, seeds=1)
     with pytest.raises(SimulationError, match="no object"):
-        benchmark_descriptors(street[0], street[1] + 9000.0, ["onion"], neighbours=5, queries=2, seeds=1)
+        benchmark_descriptors(street[0], street[1] + 9000.0, ["gosmatch_vertex"], neighbours=5, queries=2, seeds=1)
 
 
 def test_a_map_that_nothing_can_be_localized_in_has_no_share_of_the_ceiling():
@@ -120,8 +120,8 @@ def test_the_configuration_is_the_shipped_one_with_the_noise_of_the_queries():
         assert config.loop_closure == shipped.loop_closure
         assert config.registration == shipped.registration.model_copy(update={"estimate_scale": noisy})
         assert np.sqrt(2.0) * config.calibration.objects.landmark_sigma_per_m == pytest.approx(NOISE_PER_M * noisy)
-    limits = localizer_config("onion", 100).loop_closure
-    assert (limits.descriptor, limits.top_k) == ("onion", 100)
+    limits = localizer_config("gosmatch_vertex", 100).loop_closure
+    assert (limits.descriptor, limits.top_k) == ("gosmatch_vertex", 100)
 
 
 # Among the nearest.
