@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tools.arguments import Json
+from tools.lab.tables import Markdown, number, report
 
 if TYPE_CHECKING:
     from tools.lab.fleets.simulated_fleet import FleetPlan
@@ -35,12 +36,14 @@ def fleet(
         list[int] | None, typer.Option(min=1, help="A night whose run is killed and started again. Repeatable.")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the simulation.")] = 0,
+    markdown: Markdown = False,
     json: Json = False,
 ) -> None:
     """Simulate a fleet in cities that change from month to month, map it, and compare the map with the truth.
 
     Ten robots have different noise, a tenth of the objects changes each month, and a tenth of the logs is damaged or
-    of another town. With --nights the fleet grows night by night, and is compared with the same logs mapped at once.
+    of another town. With --nights the fleet grows night by night, and is compared with the same logs mapped at once;
+    --markdown is for that table.
 
     Example: dslam benchmark fleet -o out/fleet --drives 8 --city helsinki --city hamburg
     """
@@ -54,7 +57,7 @@ def fleet(
 
     plan = FleetPlan(drives=drives, length_m=length, area_m=1.4 * length, months=months)
     if nights is not None:
-        _show_nights(folder, plan, nights, killed or (), seed, json=json)
+        _show_nights(folder, plan, nights, killed or (), seed, markdown=markdown, json=json)
         return
     compute = partial(compute_in_processes, workers=workers or os.cpu_count() or 1)
     with console.progress_line("fleet") as progress:
@@ -81,7 +84,9 @@ def fleet(
     )
 
 
-def _show_nights(folder: Path, plan: FleetPlan, nights: int, killed: Sequence[int], seed: int, *, json: bool) -> None:
+def _show_nights(
+    folder: Path, plan: FleetPlan, nights: int, killed: Sequence[int], seed: int, *, markdown: bool, json: bool
+) -> None:
     from dataclasses import asdict
 
     from tools import console
@@ -91,14 +96,25 @@ def _show_nights(folder: Path, plan: FleetPlan, nights: int, killed: Sequence[in
         grown = benchmark_nights(
             folder, plan, nights, killed=killed, seed=seed, **({"progress": progress} if progress else {})
         )
+    of_nights = [
+        {
+            "night": str(number_of_night),
+            "logs": str(night.logs),
+            "processor s": number(night.processor_s, 1),
+            "memory MB": number(night.memory_mb, 0),
+            "killed": "yes" if night.was_killed else "no",
+        }
+        for number_of_night, night in enumerate(grown.nights, start=1)
+    ]
+    figures = [
+        {"figure": name.replace("_", " "), "night by night": f"{value:.4g}", "at once": f"{at_once:.4g}"}
+        for (name, value), at_once in zip(
+            asdict(grown.night_by_night).items(), asdict(grown.at_once).values(), strict=True
+        )
+    ]
     if json:
         console.show_json(asdict(grown))
         return
-    table = console.grid(dict.fromkeys(("night", "logs", "processor s", "memory MB"), True) | {"killed": False})
-    for number, night in enumerate(grown.nights, start=1):
-        was_killed = "yes" if night.was_killed else ""
-        table.add_row(str(number), str(night.logs), f"{night.processor_s:.1f}", f"{night.memory_mb:.0f}", was_killed)
-    figures = console.grid({"figure": False, "night by night": True, "at once": True})
-    for name, value in asdict(grown.night_by_night).items():
-        figures.add_row(name.replace("_", " "), f"{value:.4g}", f"{getattr(grown.at_once, name):.4g}")
-    console.show(table, figures)
+    report(of_nights, markdown=markdown)
+    typer.echo()
+    report(figures, markdown=markdown)
