@@ -1,4 +1,4 @@
-"""What a log finally says of each loop-closure candidate."""
+"""The final decision about each loop-closure candidate of a log."""
 
 from __future__ import annotations
 

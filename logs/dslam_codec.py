@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from logs import messages as m
 from logs.schemas import dslam_pb2 as pb
-from logs.validation import LARGEST_M, LAST_NS, Refusal, flat_array, transforms, usable_covariance
+from logs.validation import LAST_NS, MAX_COORDINATE_M, Refusal, flat_array, transforms, usable_covariance
 
 _Record = TypeVar("_Record", bound="m.ObjectMapRecord | m.FactorGraphRecord")
 
-_LARGEST = (1e3 * LARGEST_M) ** 2
+_MAX_ENTRY = (1e3 * MAX_COORDINATE_M) ** 2
 """Of a variance: that of the farthest place, seen in a direction that is unknown in each of many steps, is less."""
 
 _MESSAGE_FIELDS = {"T_map_body": "map_body", "T_reference_query": "reference_query", "edge_transforms": "edge_from_to"}
@@ -145,7 +145,7 @@ def _check_array(name: str, array: NDArray[Any]) -> None:
     if array.dtype == np.float64:
         if not np.isfinite(array).all():
             raise Refusal("number is not finite", name)
-        if (np.abs(array) > _LARGEST).any():
+        if (np.abs(array) > _MAX_ENTRY).any():
             raise Refusal("number is out of range", name)
     elif name.endswith("_ns") and len(array):
         earliest_ns = -1 if name == "keyframe_stamps_ns" else 0  # keyframes of a prior map have no time

@@ -245,7 +245,7 @@ class LoopClosureRecord:
     query keyframe. A later record about the same two keyframes replaces an earlier one. ``inserted``: the closure is
     a factor of the graph; an accepted one that repeats what another says already is none. ``rank``: place of the
     proposal, from 1, among those that descriptors made for this query; 0 where another closure predicted the place or
-    nothing was proposed. ``proposer``: who proposed the place, one of :data:`PROPOSERS`, "" if nobody did.
+    nothing was proposed. ``proposer``: who proposed the place, one of :data:`PROPOSERS`, "" without a proposal.
 
     What the decision is made from, None where it was not computed; log-likelihood ratios in nats:
     ``log_likelihood_ratio`` of the place against chance; ``odometry_penalty``: the negative log-likelihood of the

@@ -124,7 +124,7 @@ class LogReader:
     ) -> Iterator[RawMessage]:
         """Undecoded messages of ``topics`` (None: of all), in the order of log time.
 
-        Those of the topics ``without_content`` come empty, for who only wants their times.
+        Those of the topics ``without_content`` come empty, where only their times are needed.
 
         Raises:
             UnreadableLogError: chunks overlap in time, and more than the limit waits in memory for its turn.

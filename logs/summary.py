@@ -152,7 +152,7 @@ def _count_closures(candidates: Iterable[m.LoopClosureRecord]) -> tuple[ClosureC
 
 
 def _odometry_topic(selection: Selection | None, topics: list[TopicInfo]) -> str | None:
-    """The topic whose length is told: that of the replay, else the only one that says it is odometry."""
+    """The topic whose length is reported: that of a replay, else the only topic with odometry messages."""
     if selection is None:
         try:
             selection = select_topics(topics, needed=(RecordKind.ODOMETRY,))

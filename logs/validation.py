@@ -19,13 +19,13 @@ QUATERNION_NORM_TOLERANCE = 1e-2
 ROTATION_TOLERANCE = 1e-6
 """A rotation matrix with R^T R off by at most this was rounded and is made orthonormal; beyond it, it is refused."""
 
-LARGEST_M = 1e9
+MAX_COORDINATE_M = 1e9
 """Positions further from the origin, beyond the moon, are mistakes; up to it, float64 still tells micrometres apart."""
 
 LAST_NS = 2**62 - 1
 """Later times, after the year 2116, are taken for mistakes; up to it, sums and differences of two fit into 64 bits."""
 
-_LARGEST_VARIANCE = LARGEST_M**2
+_MAX_VARIANCE = MAX_COORDINATE_M**2
 
 # A covariance whose smallest eigenvalue is that little of its largest entry is singular to double precision.
 _SINGULAR = 1e-14
@@ -61,7 +61,7 @@ def transform_from_quaternion(x: float, y: float, z: float, qx: float, qy: float
     """
     if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
         raise Refusal("position is not finite", f"x={x}, y={y}, z={z}")
-    if max(abs(x), abs(y), abs(z)) > LARGEST_M:
+    if max(abs(x), abs(y), abs(z)) > MAX_COORDINATE_M:
         raise Refusal("position is out of range", f"x={x}, y={y}, z={z}")
     norm = math.hypot(qx, qy, qz, qw)
     # Written so that NaN fails it.
@@ -121,7 +121,7 @@ def transforms(values: Sequence[float], count: int, what: str) -> FloatArray:
     T[:, 3, 3] = 1.0
     if not np.isfinite(T).all():
         raise Refusal("transform is not finite", what)
-    if (np.abs(T) > LARGEST_M).any():
+    if (np.abs(T) > MAX_COORDINATE_M).any():
         raise Refusal("position is out of range", what)
     R = T[:, :3, :3]
     error = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
@@ -146,7 +146,7 @@ def usable_covariance(P: FloatArray, counters: Counter[str]) -> FloatArray | Non
 def usable_covariances(P: FloatArray, counters: Counter[str]) -> FloatArray:
     """``P`` (N, n, n), symmetrised; all zero ("unknown") where one is not positive definite, and counted."""
     with np.errstate(invalid="ignore"):
-        finite = np.asarray((np.abs(P) <= _LARGEST_VARIANCE).all(axis=(1, 2)))
+        finite = np.asarray((np.abs(P) <= _MAX_VARIANCE).all(axis=(1, 2)))
     bounded = np.where(finite[:, None, None], P, 0.0)
     symmetric = 0.5 * (bounded + np.swapaxes(bounded, -1, -2))
     known = P.any(axis=(1, 2))

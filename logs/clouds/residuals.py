@@ -10,12 +10,12 @@ from scipy.spatial.distance import cdist
 from logs.errors import DatasetError
 from logs.messages import FloatArray, ObjectDetections
 
-LARGEST_SHARE = 0.15
+MAX_SHARE = 0.15
 """Share of the motion between two scans by which all objects may move along: a sensor turned by 9 deg gives as much."""
 REACH = 2.5
 """How far objects are followed, in ways driven: under a sensor that is turned by 180 deg they move by 2, and noise."""
-FEWEST_STEPS = 10
-FEWEST_OBJECTS = 3
+MIN_STEPS = 10
+MIN_OBJECTS = 3
 
 
 def check_poses(detections: Sequence[ObjectDetections], T_odom_body: FloatArray, files: str) -> None:
@@ -38,13 +38,13 @@ def check_poses(detections: Sequence[ObjectDetections], T_odom_body: FloatArray,
         here, there = (_by_class(detections[k], T_odom_body[k]) for k in (i, i + 1))
         pairs = [_displacements(here[label], there[label], shift) for label in sorted(here.keys() & there.keys())]
         displacements = np.concatenate([np.zeros((0, 3)), *pairs])
-        if len(displacements) >= FEWEST_OBJECTS:
+        if len(displacements) >= MIN_OBJECTS:
             moved_m.append(float(np.linalg.norm(np.median(displacements, axis=0))))
             driven_m.append(float(np.linalg.norm(shift)))
-    if len(moved_m) < FEWEST_STEPS or sum(driven_m) == 0.0:
+    if len(moved_m) < MIN_STEPS or sum(driven_m) == 0.0:
         return
     share = sum(moved_m) / sum(driven_m)
-    if share > LARGEST_SHARE:
+    if share > MAX_SHARE:
         raise DatasetError(
             f"{files} do not fit the scans: objects that stand still move by {np.mean(moved_m):.2f} m from scan to "
             f"scan ({100.0 * share:.0f} % of the {np.mean(driven_m):.2f} m driven); give calibration and poses of this "

@@ -1,4 +1,4 @@
-"""How much of a file is taken into memory, whatever the file asks for."""
+"""Limits on the memory that a file may take."""
 
 from __future__ import annotations
 

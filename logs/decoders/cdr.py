@@ -65,7 +65,7 @@ def _typestore(schema: Schema) -> Typestore:
 
 @lru_cache(maxsize=64)
 def _read_definition(schema: Schema) -> Typestore | str:
-    """The types of a definition, or why there are none: not read again for each message either."""
+    """The types of a definition, or why it cannot be read; computed once for all its messages."""
     store = get_typestore(Stores.EMPTY)
     try:
         if len(schema.data) > _MAX_BYTES:

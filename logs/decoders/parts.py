@@ -11,7 +11,7 @@ import numpy as np
 from logs.messages import GeodeticFix, GroundTruthPose, ObjectDetections, Odometry, Record, SlamPose, Transform
 from logs.topics import RawMessage, RecordKind
 from logs.validation import (
-    LARGEST_M,
+    MAX_COORDINATE_M,
     FloatArray,
     Refusal,
     covariance_to_body,
@@ -125,7 +125,7 @@ def fix_records(context: Context, place: Place, message: Any) -> Records:
         if len(message.position_covariance) != 9:
             raise Refusal("lengths disagree", f"covariance of {len(message.position_covariance)} numbers, not 9")
         P = usable_covariance(np.array(message.position_covariance, np.float64).reshape(3, 3), context.counters)
-    return (GeodeticFix(*place, latitude, longitude, altitude_m if abs(altitude_m) <= LARGEST_M else 0.0, P),)
+    return (GeodeticFix(*place, latitude, longitude, altitude_m if abs(altitude_m) <= MAX_COORDINATE_M else 0.0, P),)
 
 
 def detection_records(scans: Mapping[Place, Sequence[Detection]], counters: Counter[str]) -> Records:
@@ -173,7 +173,7 @@ def detections_record(
     ("ignored_sizes").
     """
     with np.errstate(invalid="ignore"):
-        good = (np.abs(positions) <= LARGEST_M).all(axis=1) & np.isfinite(scores)
+        good = (np.abs(positions) <= MAX_COORDINATE_M).all(axis=1) & np.isfinite(scores)
     if not good.all():
         counters["dropped_objects"] += int((~good).sum())
         positions, scores = positions[good], scores[good]
@@ -185,7 +185,7 @@ def detections_record(
         covariances = usable_covariances(covariances, counters)
         covariances = covariances if covariances.any() else None
     if sizes is not None:
-        infinite = np.abs(sizes) > LARGEST_M
+        infinite = np.abs(sizes) > MAX_COORDINATE_M
         counters.update({"ignored_sizes": int(infinite.sum())} if infinite.any() else {})
         sizes = np.where(infinite, np.nan, sizes)
         sizes = None if np.isnan(sizes).all() else sizes

@@ -14,7 +14,7 @@ from logs.importers.stamps import Stamps, read_stamps
 from logs.importers.tables import table_of_rows
 from logs.importers.text_files import SourceText, describe_sources, parse_numbers, read_source_text
 from logs.messages import FloatArray, GroundTruthPose, IntArray, ObjectDetections, Odometry
-from logs.validation import LARGEST_M
+from logs.validation import MAX_COORDINATE_M
 
 ROTATION_TOLERANCE = 1e-3
 """Largest |R^T R - I| of a rotation that is taken for rounding (the files have 7 digits) and not for damage."""
@@ -138,7 +138,7 @@ def _rigid_transforms(name: str, lines: list[int], rows: FloatArray) -> FloatArr
             f"{name}, line {lines[i]}: not a rotation (|R^T R - I| = {error[i]:.3g}, allowed {ROTATION_TOLERANCE:g}; "
             f"det R = {determinant[i]:.3g}); expected a 3x4 pose, row-major"
         )
-    far = (np.abs(T[:, :3, 3]) > LARGEST_M).any(axis=1)
+    far = (np.abs(T[:, :3, 3]) > MAX_COORDINATE_M).any(axis=1)
     if far.any():
         i = int(far.argmax())
         raise DatasetError(

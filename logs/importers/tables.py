@@ -68,7 +68,7 @@ class Table:
         return column
 
     def numbers(self, column: Column, units: Mapping[str, float] = NO_UNITS) -> FloatArray:
-        """The cells (R,) as finite numbers, times what ``units`` says of the unit of the column.
+        """The cells (R,) as finite numbers, times the factor in ``units`` of the unit of the column.
 
         Raises:
             DatasetError: a cell is no finite number.

@@ -1,4 +1,4 @@
-"""Foreign text files, read so that whatever is wrong is reported with its file and line."""
+"""Foreign text files; faults are reported with their file and line."""
 
 from __future__ import annotations
 

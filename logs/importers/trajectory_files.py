@@ -16,7 +16,7 @@ from logs.importers.stamps import Stamps, read_stamps
 from logs.importers.tables import LENGTH_UNITS, Table, header_above, read_table, table_of_rows
 from logs.importers.text_files import SourceText, is_number
 from logs.messages import FloatArray
-from logs.validation import LARGEST_M, QUATERNION_NORM_TOLERANCE
+from logs.validation import MAX_COORDINATE_M, QUATERNION_NORM_TOLERANCE
 
 MAX_STEP_S = 20.0
 """A longer median step is not that of an odometry: a replay takes every such gap for a break (odometry.max_gap_s)."""
@@ -157,7 +157,7 @@ def _poses(table: Table) -> FloatArray:
         column = table.find((name, f"position_{name}", f"p{name}", f"t{name}"), LENGTH_UNITS)
         if column is not None:
             T[:, i, 3] = table.numbers(column, LENGTH_UNITS)
-            too_far = np.abs(T[:, i, 3]) > LARGEST_M
+            too_far = np.abs(T[:, i, 3]) > MAX_COORDINATE_M
             table.refuse(too_far, column, "CELL m is not finite or too far away; correct it, or remove the line")
         elif name != "z":
             table.need(name, f"{name}_m", (name,), LENGTH_UNITS)

@@ -1,4 +1,4 @@
-"""From a path to open files: whatever a log comes in is recognised here, by its first bytes and not by its name."""
+"""Opens the files of a log; their format is recognised by their first bytes, not by their name."""
 
 from __future__ import annotations
 

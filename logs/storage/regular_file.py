@@ -56,5 +56,5 @@ def check_regular(path: str | os.PathLike[str]) -> None:
 
 
 def _without_waiting(path: str, flags: int) -> int:
-    """A pipe to which nobody writes would wait here."""
+    """Opening a pipe without a writer would block."""
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))

@@ -24,7 +24,7 @@ from slam.common.errors import ConfigurationError
 _Tree = TypeVar("_Tree", bound=BaseModel)
 
 _FLAG = "--set"
-_SMALLEST, _LARGEST = 1e-9, 1e9
+_SMALLEST, _MAX_ENTRY = 1e-9, 1e9
 _LARGEST_INTEGER = 2**31 - 1
 _MAX_CHARACTERS = 10_000_000
 _SIGNS = {annotated_types.Gt: ("gt", ">"), annotated_types.Ge: ("ge", ">="), annotated_types.Lt: ("lt", "<"),
@@ -249,8 +249,8 @@ def _why_absurd(value: object) -> str:
     """Of numbers whose squares and quotients are out of range; empty for all others."""
     if isinstance(value, int) and abs(value) > _LARGEST_INTEGER:
         return f"whole numbers are at most {_LARGEST_INTEGER}"
-    if isinstance(value, float) and value != 0.0 and not _SMALLEST <= abs(value) <= _LARGEST:
-        return f"numbers other than 0 are from {_SMALLEST:g} to {_LARGEST:g}"
+    if isinstance(value, float) and value != 0.0 and not _SMALLEST <= abs(value) <= _MAX_ENTRY:
+        return f"numbers other than 0 are from {_SMALLEST:g} to {_MAX_ENTRY:g}"
     return ""
 
 

@@ -2,13 +2,13 @@
 
 A landmark is not there yet, then there, then gone: a hidden Markov chain over the sessions in the order of their
 dates, with one hazard for both changes (Rabiner, Proceedings of the IEEE 1989, for the forward and backward passes).
-A session says something of a landmark only where it passed: it saw it, or it missed it although it would have been seen
-with a probability that is learned from the fleet, by the length of the path from which it was in view.
+A session is evidence about a landmark only where it passed: it observed the landmark, or missed it although it would
+have observed it with a probability that is learned from the fleet, by the length of path with the landmark in view.
 
 Landmarks differ: one of two signs beside each other has a landmark of its own in the maps of few sessions only. Each
 landmark has a detectability, the factor of that probability, constant in time, whose distribution is estimated from the
 fleet (MacKenzie et al., Occupancy Estimation and Modeling, chapter 4: detection that differs from site to site). So
-what few of many sessions have is not told to have appeared and gone. The hazard, too, is estimated from all landmarks,
+landmarks of few among many sessions are not reported as changes. The hazard, too, is estimated from all landmarks,
 by expectation maximisation, so that a fleet in which nothing changes reports no changes.
 """
 

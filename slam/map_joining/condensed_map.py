@@ -1,4 +1,4 @@
-"""A map of a drive in a few upright places: what a stretch of the drive observed, as seen from its middle.
+"""A map of a drive condensed to few upright places: the observations of a stretch, as seen from its middle.
 
 Keyframes stand metres apart and see the same landmarks again and again. Once a drive is optimised, a place every
 sensor range keeps its shape: the observations of a landmark in a stretch become one, by the sum of their information,

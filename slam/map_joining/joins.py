@@ -19,7 +19,7 @@ from slam.registration.parameters import registration_config
 from slam.registration.registration import refine
 
 MIN_LLR = 10.0
-"""What chance rarely reaches at one place [nats]."""
+"""Rarely reached by chance at one place [nats]."""
 MAPS_PER_PLACE = 8
 """Poses of a place that are verified: where many maps overlap, a few of them suffice to join it to all."""
 

@@ -314,11 +314,11 @@ class ObjectMap:
         landmarks = self.rows
         counts, first, last = (landmarks[name].copy() for name in ("observations", "first_seen_ns", "last_seen_ns"))
         labels = self._beliefs.label_counts(slice(self._size)).copy()
-        for row, kept in self.aliases.items():
-            counts[kept] += landmarks["observations"][row]
-            first[kept] = min(first[kept], landmarks["first_seen_ns"][row])
-            last[kept] = max(last[kept], landmarks["last_seen_ns"][row])
-            labels[kept] += self._beliefs.label_counts(row)
+        dropped, kept = np.array(list(self.aliases.items()), dtype=np.int64).reshape(-1, 2).T
+        np.add.at(counts, kept, landmarks["observations"][dropped])
+        np.minimum.at(first, kept, landmarks["first_seen_ns"][dropped])
+        np.maximum.at(last, kept, landmarks["last_seen_ns"][dropped])
+        np.add.at(labels, kept, self._beliefs.label_counts(dropped))
         return _ObservationSums(counts, first, last, labels)
 
     def _reserve(self, size: int) -> None:

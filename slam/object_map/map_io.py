@@ -45,8 +45,8 @@ MAKE_IT = "make it again by 'dslam replay LOG -o OUT.mcap --save-map MAP.mcap'"
 class SavedMap:
     """What a drive left behind for the next one: confirmed landmarks, and the graph that holds them together.
 
-    Descriptors are not kept: to compute them again takes less time than to read them would save, and so a map serves
-    whatever descriptor is configured. ``metadata``: format of the file and provenance of the last drive; ``drives``:
+    Descriptors are not kept: computing them takes less time than reading them, and a map serves any configured
+    descriptor. ``metadata``: format of the file and provenance of the last drive; ``drives``:
     ``input_sha256`` and ``version`` of each drive that went into the map, the first one first.
     """
 

@@ -1,4 +1,4 @@
-"""Whether what is in a saved map fits together: who is named is there, once, and all of it hangs together."""
+"""Checks that a saved map is consistent: names are unique and resolve, and its graph is connected."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ class ImportedPlaces:
         return [Place(T_local_query, TRAVEL_M, SEGMENT, np.inf, "map index") for T_local_query in poses]
 
     def load_landmarks_near(self, place: FloatArray, radius_m: float) -> None:
-        """Make landmarks of the objects of the map within ``radius_m`` of a place (3,) m, where they are none yet."""
+        """Add the objects of the map within ``radius_m`` of a place (3,) m as landmarks, each once."""
         rows = self._imported.near(place[:2], radius_m)
         rows = rows[~self._is_loaded[rows]]
         if not len(rows):

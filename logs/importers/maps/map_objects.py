@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from logs.errors import DatasetError
 from logs.messages import FloatArray
 
-MOST_LATITUDE_DEG, MOST_LONGITUDE_DEG = 90.0, 180.0
+MAX_LATITUDE_DEG, MAX_LONGITUDE_DEG = 90.0, 180.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +49,7 @@ def distinct(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def check_degrees(source: str, geodetic: FloatArray) -> None:
-    """Refuse latitudes and longitudes (N, 3) that are none.
+    """Refuse latitudes and longitudes (N, 3) that cannot be degrees.
 
     Raises:
         DatasetError: metres, or the two the other way round; with the values and the remedy.
@@ -72,5 +72,5 @@ def check_degrees(source: str, geodetic: FloatArray) -> None:
 
 def _outside(latitude: FloatArray, longitude: FloatArray) -> NDArray[np.bool_]:
     return np.asarray(
-        ~(np.abs(latitude) <= MOST_LATITUDE_DEG) | ~(np.abs(longitude) <= MOST_LONGITUDE_DEG), dtype=np.bool_
+        ~(np.abs(latitude) <= MAX_LATITUDE_DEG) | ~(np.abs(longitude) <= MAX_LONGITUDE_DEG), dtype=np.bool_
     )
