@@ -166,7 +166,7 @@ class ContrastRecipe(Recipe):
         try:
             self.network.load_state_dict(tensors)
         except RuntimeError as error:
-            raise WeightsError(f"{start}: of another architecture than {self._config.architecture}") from error
+            raise WeightsError(f"{start}: its architecture is not {self._config.architecture}") from error
 
 
 class _Draws:

@@ -50,12 +50,11 @@ def descriptors(
 ) -> None:
     """Localize queries in a map of objects with each descriptor, as in the Descriptellation paper.
 
-    From random poses on the trajectory the objects within 30 m are seen, hidden ones aside (self); within 20 m (fewer
-    objects); or with the paper's noise (added noise). Verification and acceptance are those of a replay. Success is
-    a pose that is accepted and less than 1 m off, misplaced one that is accepted and more than 10 m off, likeliest
-    the likeliest candidate less than 1 m off, accepted or not. The ceiling is that of a weighted fit to the true
-    correspondences; top 5 the share of objects whose counterpart is among their five nearest.
-    Without CSV files the map is the generated town of 'dslam simulate --seed 0'. Random vectors are always measured.
+    Queries hold the visible objects within 30 m of random poses on the trajectory (self), within 20 m (fewer objects),
+    or with the paper's noise (added noise). Verification and acceptance are those of a replay. Success: accepted, error
+    below 1 m. Misplaced: accepted, error above 10 m. Likeliest: the likeliest candidate has an error below 1 m, accepted
+    or not. Ceiling: success of a weighted fit to the true correspondences. Top 5: share of objects whose counterpart is
+    among their five nearest. Without CSV files the map is the generated town of 'dslam simulate --seed 0'. Random vectors are always measured.
 
     Example: dslam benchmark descriptors --descriptor descriptellation_lr --descriptor ring_likelihood --queries 100
     """
