@@ -56,8 +56,8 @@ def add(
 ) -> None:
     """Add logs to the map of a city; those of earlier runs stay.
 
-    Each log is mapped by itself and located in those before it. report.json says which joined where and which did not
-    and why, changes.geojson what appeared, disappeared or moved. After an interruption the same command continues. The
+    Each log is mapped by itself and localized in the earlier ones. report.json holds the result for each log with its
+    reason, changes.geojson what appeared, disappeared or moved. After an interruption the same command continues. The
     exit code is 1 if a log could not be mapped.
 
     Example: dslam fleet add city monday.mcap tuesday.mcap wednesday.mcap

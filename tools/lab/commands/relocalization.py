@@ -99,8 +99,8 @@ def relocalization(
 
     Example: dslam benchmark relocalization --objects objects.csv --trajectory trajectory.csv --thin 5 --oracle
 
-    With --map no tour is driven first: the map may be one of open data (dslam import). Without --objects the robot is
-    put down beside objects of that map, and goes straight on along the row in which they stand.
+    With --map no tour is driven first: the map may be one of open data (dslam import). Without --objects the robot
+    starts beside objects of that map, and drives straight along their row.
 
     Example: dslam benchmark relocalization --map trees_map.mcap --max-travel 150 --kidnaps 50
 

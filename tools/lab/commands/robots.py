@@ -49,10 +49,9 @@ def robots(
     A drive is a folder with odometry.tum, detections.csv and, for the errors, groundtruth.tum, as 'dslam import csv'
     reads them, packed by gzip or not. Each is imported, mapped in a fresh process and evaluated.
 
-    ATE: aligned by SE(3). Objects: true ones that were detected. Right: associations. Precise: accepted closures.
-    Indep.: found places that have no object in common, and the share of these that may be false with 95 % confidence.
-    Recall: of revisits, by a right closure; known: or by landmarks that are still associated. A dash is a figure that
-    the drive or its truth does not define.
+    ATE: aligned by SE(3). Objects: true objects that were detected. Right: precision of associations. Precise: that of
+    closures. Indep.: independent closures, and the share of them that may be false with 95 % confidence. Recall:
+    revisits with a true closure. Known: revisits recognised by a closure or by data association. A dash: not defined.
 
     Example: dslam benchmark robots data/robots --drive evo --set keyframe.distance_m=1.5 --markdown
     """
