@@ -25,44 +25,37 @@ from slam.sweeps.mapped_drive import DriveTask, map_drive
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
-    """What cells have in common: the log at ``path``, its digest, and how it is mapped, by which program.
+class Cell:
+    """One degradation of the drive in ``log`` with one seed, how it is mapped, and by which ``version`` of the program.
 
     ``variant``: what people call the configuration, "" where there is only one.
     """
 
-    path: Path
+    log: Path
     sha256: str
     config: Config
     version: str
-    topics: tuple[tuple[str, str], ...] = ()
-    variant: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Cell:
-    """One degradation of a drive with one seed."""
-
-    drive: Drive
     degradation: Degradation
     seed: int
+    topics: tuple[tuple[str, str], ...] = ()
+    variant: str = ""
 
     @property
     def name(self) -> str:
         """For people."""
-        return ", ".join(each for each in (self.drive.variant, self.degradation.name, f"seed {self.seed}") if each)
+        return ", ".join(each for each in (self.variant, self.degradation.name, f"seed {self.seed}") if each)
 
     @property
     def key(self) -> str:
         """SHA-256 of all that the result depends on."""
         protocol = Protocol()
         content = {
-            "input_sha256": self.drive.sha256,
-            "topics": sorted(self.drive.topics),
+            "input_sha256": self.sha256,
+            "topics": sorted(self.topics),
             "degradation": self.degradation.name,
             "seed": self.seed,
-            "configuration": self.drive.config.model_dump(mode="json"),
-            "version": self.drive.version,
+            "configuration": self.config.model_dump(mode="json"),
+            "version": self.version,
             "protocol": [asdict(protocol), protocol.describe()],
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
@@ -87,19 +80,15 @@ class CellResult:
     times: Mapping[str, float]
 
 
-@dataclass(frozen=True, slots=True)
-class CellTask:
-    """A cell, and the folder in which it may leave logs behind if it is killed."""
+def compute_cell(cell: Cell, *, scratch: Path) -> CellResult:
+    """Degrade, map and evaluate; raises nothing, for one cell must not stop the others.
 
-    cell: Cell
-    scratch: Path
-
-
-def compute_cell(task: CellTask) -> CellResult:
-    """Degrade, map and evaluate; raises nothing, for one cell must not stop the others."""
-    cell, drive = task.cell, task.cell.drive
+    Args:
+        cell: what to do.
+        scratch: folder in which a process that is killed may leave logs behind.
+    """
     faults = tuple(case.name for case in cell.degradation.cases)
-    run = map_drive(DriveTask(cell.name, drive.path, drive.config, task.scratch, dict(drive.topics), faults, cell.seed))
+    run = map_drive(DriveTask(cell.name, cell.log, cell.config, scratch, dict(cell.topics), faults, cell.seed))
     times = {"replay_s": run.seconds, "cpu_s": run.cpu_s}
     if run.summary is not None and run.seconds > 0.0:
         times["real_time_factor"] = run.summary.log_s / run.seconds
@@ -165,8 +154,8 @@ class CellFolder:
             "key": cell.key,
             "degradation": cell.degradation.name,
             "seed": cell.seed,
-            "input_sha256": cell.drive.sha256,
-            "version": cell.drive.version,
+            "input_sha256": cell.sha256,
+            "version": cell.version,
             **asdict(result),
         }
         write_text(self._cells / cell.file_name, json.dumps(stored, indent=1, allow_nan=False) + "\n")

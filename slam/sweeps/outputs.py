@@ -11,7 +11,7 @@ from logs.storage.placement import write_text
 from slam.evaluation.report.figures import HEADLINE_FIGURES
 from slam.evaluation.report.table_files import write_tables
 from slam.sweeps.picture import draw_sweep
-from slam.sweeps.sweep import Sweep, SweepRow
+from slam.sweeps.sweep import Sweep, spread_over
 
 JSON_NAME, TABLE_NAME, PICTURE_NAME = "sweep.json", "sweep.md", "sweep.png"
 SHEET_NAMES = ("sweep.csv", "sweep.tex", "sweep.html")
@@ -38,23 +38,21 @@ def write_outputs(folder: Path, sweep: Sweep) -> list[Path]:
     paths = [folder / name for name in (JSON_NAME, TABLE_NAME, *SHEET_NAMES, PICTURE_NAME)]
     write_text(paths[0], json.dumps(sweep.to_json_dict(), indent=2, allow_nan=False) + "\n")
     write_text(paths[1], to_markdown(sweep))
-    evaluations = {cell.name: result.evaluation for cell, result in sweep.results if result.evaluation is not None}
     for path in paths[2:-1]:
-        write_tables(path, f"{sweep.drive.path.stem}, degraded", make_tables(sweep), NOTE, evaluations)
+        write_tables(path, f"{sweep.first.log.stem}, degraded", make_tables(sweep), NOTE, sweep.evaluations)
     draw_sweep(paths[-1], sweep)
     return paths
 
 
 def make_tables(sweep: Sweep) -> dict[str, pd.DataFrame]:
     """Loop closures, and trajectory and map, with a row for each degradation and variant."""
-    closures = {
-        row.name: {
-            "runs": f"{len(row.results)}" + (f", {row.failed_count} failed" if row.failed_count else ""),
-            **_figures(row, _CLOSURES),
-        }
-        for row in sweep.rows
-    }
-    of_map = {row.name: {**_figures(row, _MAP), "x real time": row.real_time_factor.text(1)} for row in sweep.rows}
+    closures, of_map = dict[str, dict[str, str]](), dict[str, dict[str, str]]()
+    for (variant, degradation), cells in sweep.rows().items():
+        name = f"{degradation}: {variant}" if variant else degradation
+        failed = int((cells["error"] != "").sum())
+        runs = f"{len(cells)}" + (f", {failed} failed" if failed else "")
+        closures[name] = {"runs": runs, **_figures(cells, _CLOSURES)}
+        of_map[name] = {**_figures(cells, _MAP), "x real time": spread_over(cells, "real_time_factor").text(1)}
     tables = {"loop closures": closures, "trajectory and map": of_map}
     return {title: pd.DataFrame(rows).T.rename_axis("degradation") for title, rows in tables.items()}
 
@@ -65,8 +63,8 @@ def to_markdown(sweep: Sweep) -> str:
     headings = ["degradation", *table.columns]
     rows = [[str(name), *cells] for name, cells in zip(table.index, table.to_numpy().tolist(), strict=True)]
     lines = [
-        f"# Degradations of {sweep.drive.path.name}\n",
-        f"dslam {sweep.drive.version}, input SHA-256 {sweep.drive.sha256}.\n",
+        f"# Degradations of {sweep.first.log.name}\n",
+        f"dslam {sweep.first.version}, input SHA-256 {sweep.first.sha256}.\n",
         *(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |"
           for row in (headings, ["---"] * len(headings), *rows)),
         f"\n{NOTE}",
@@ -75,6 +73,6 @@ def to_markdown(sweep: Sweep) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _figures(row: SweepRow, headings: dict[str, str]) -> dict[str, str]:
+def _figures(cells: pd.DataFrame, headings: dict[str, str]) -> dict[str, str]:
     digits = {figure.key: min(figure.digits, 3) for figure in HEADLINE_FIGURES}
-    return {heading: row.spreads[key].text(digits[key]) for key, heading in headings.items()}
+    return {heading: spread_over(cells, key).text(digits[key]) for key, heading in headings.items()}

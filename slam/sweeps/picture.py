@@ -28,30 +28,26 @@ def draw_sweep(path_png: Path, sweep: Sweep) -> None:
     Raises:
         UnwritableLogError: the picture cannot be written.
     """
-    degradations = list(dict.fromkeys(row.degradation.name for row in sweep.rows))
+    rows = sweep.rows()
+    degradations = list(dict.fromkeys(degradation for _, degradation in rows))
     figure = Figure(figsize=(max(6.0, 2.0 + 0.9 * len(degradations)), 9.0), layout="constrained", dpi=100)
     axes = figure.subplots(3, 1, sharex=True)
     for axis, (key, name) in zip(axes, _SHOWN.items(), strict=True):
         is_error = next(each.is_error for each in HEADLINE_FIGURES if each.key == key)
-        means, deviations = (_over_degradations(sweep, key, part) for part in ("mean", "standard_deviation"))
-        positive = means[means > 0.0]
-        is_wide = bool(positive.max(axis=None) > _LOGARITHMIC_FROM * positive.min(axis=None))
-        for variant in means:
-            axis.errorbar(range(len(means)), means[variant], deviations[variant], fmt="D", capsize=4, label=variant)
+        spreads = pd.DataFrame(
+            {(variant or "mean, standard deviation", degradation): cells[key].agg(["mean", "std"])
+             for (variant, degradation), cells in rows.items()}
+        )  # fmt: skip
+        positive = spreads.loc["mean"][spreads.loc["mean"] > 0.0]
+        is_wide = bool(positive.max() > _LOGARITHMIC_FROM * positive.min())
+        for variant in spreads.columns.unique(0):
+            mean, deviation = spreads[variant].to_numpy()
+            axis.errorbar(range(len(mean)), mean, deviation, fmt="D", capsize=4, label=variant)
         axis.set(ylabel=name, yscale="log" if is_error and is_wide else "linear")
         if not is_error:
             axis.set_ylim(0.0, 1.06)
     labels = ["\n".join(part[:_MAX_LABEL_LENGTH] for part in each.split(",")) for each in degradations]
     axes[-1].set_xticks(range(len(labels)), labels, rotation=30, ha="right")
     axes[-1].legend()
-    figure.suptitle(f"{sweep.drive.path.stem}, degraded", x=0.01, ha="left", fontweight="bold")
+    figure.suptitle(f"{sweep.first.log.stem}, degraded", x=0.01, ha="left", fontweight="bold")
     save_figure(figure, path_png)
-
-
-def _over_degradations(sweep: Sweep, key: str, part: str) -> pd.DataFrame:
-    """A part of the spreads of a figure, by degradation (rows) and variant (columns)."""
-    columns: dict[str, dict[str, float | None]] = {}
-    for row in sweep.rows:
-        column = columns.setdefault(row.variant or "mean, standard deviation", {})
-        column[row.degradation.name] = getattr(row.spreads[key], part)
-    return pd.DataFrame(columns, dtype=float)

@@ -7,13 +7,17 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+import pandas as pd
 
 from logs.digest import file_sha256
 from logs.reader import LogReader
@@ -26,94 +30,84 @@ from slam.evaluation.inputs.protocol import Protocol
 from slam.evaluation.metrics.statistics import Spread
 from slam.evaluation.report.figures import HEADLINE_FIGURES
 from slam.evaluation.result import plain
-from slam.sweeps.cells import Cell, CellFolder, CellResult, CellTask, Drive, compute_cell
+from slam.sweeps.cells import Cell, CellFolder, CellResult, compute_cell
 from slam.sweeps.degradations import Degradation
 from slam.sweeps.workers import Death, compute_all
 
 _log = logging.getLogger(__name__)
 
-
-@dataclass(frozen=True, slots=True)
-class SweepRow:
-    """One degradation with all its seeds; ``spreads`` are of the cells that did not fail, by the key of the figure.
-
-    ``variant``: of the configuration, "" where there is only one.
-    """
-
-    degradation: Degradation
-    results: tuple[tuple[Cell, CellResult], ...]
-    variant: str = ""
-
-    @property
-    def name(self) -> str:
-        """For people."""
-        return f"{self.degradation.name}: {self.variant}" if self.variant else self.degradation.name
-
-    @property
-    def failed_count(self) -> int:
-        """How many of the cells failed."""
-        return sum(bool(result.error) for _, result in self.results)
-
-    @property
-    def spreads(self) -> dict[str, Spread]:
-        """Mean and spread over the seeds."""
-        evaluations = [result.evaluation for _, result in self.results if result.evaluation is not None]
-        return {figure.key: Spread.over(figure.of(each) for each in evaluations) for figure in HEADLINE_FIGURES}
-
-    @property
-    def real_time_factor(self) -> Spread:
-        """How many times as fast as it was driven the drive was mapped, on this machine."""
-        return Spread.over(result.times.get("real_time_factor") for _, result in self.results)
+_FIGURES = [figure.key for figure in HEADLINE_FIGURES]
 
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """``rows`` by variant, then in the order of the degradations.
+    """``results`` by variant, degradation and seed; ``computed`` of them are new, the others were there before.
 
-    ``computed`` of the cells are new, the others were there before. ``wall_s``: what this time it took.
+    ``wall_s``: what this time it took.
     """
 
-    drive: Drive
-    rows: tuple[SweepRow, ...]
+    results: Mapping[Cell, CellResult]
     computed: int
     wall_s: float
 
     @property
-    def results(self) -> list[tuple[Cell, CellResult]]:
-        """All cells."""
-        return [pair for row in self.rows for pair in row.results]
+    def first(self) -> Cell:
+        """A cell, which tells of the drive."""
+        return next(iter(self.results))
 
     @property
     def failures(self) -> list[str]:
         """One line for each cell that failed."""
-        return [f"{cell.name}: {result.error}" for cell, result in self.results if result.error]
+        return [f"{cell.name}: {result.error}" for cell, result in self.results.items() if result.error]
 
     @property
-    def variants(self) -> list[str]:
-        """Names of the configurations, in their order."""
-        return list(dict.fromkeys(row.variant for row in self.rows))
+    def evaluations(self) -> dict[str, Mapping[str, Any]]:
+        """The JSON of each cell that did not fail, by the name of the cell."""
+        return {cell.name: each.evaluation for cell, each in self.results.items() if each.evaluation is not None}
+
+    def rows(self) -> dict[tuple[str, str], pd.DataFrame]:
+        """The cells of each variant and degradation: ``seed``, ``file``, ``error``, ``real_time_factor``, and the
+        headline figures by their keys, NaN where they are undefined.
+        """
+        table = pd.DataFrame(
+            {
+                "variant": cell.variant,
+                "degradation": cell.degradation.name,
+                "seed": cell.seed,
+                "file": cell.file_name,
+                "error": result.error,
+                "real_time_factor": result.times.get("real_time_factor", math.nan),
+            }
+            | {figure.key: figure.of(result.evaluation or {}) for figure in HEADLINE_FIGURES}
+            for cell, result in self.results.items()
+        )
+        table[_FIGURES] = table[_FIGURES].astype(float)
+        return {(str(v), str(d)): cells for (v, d), cells in table.groupby(["variant", "degradation"], sort=False)}
 
     def to_json_dict(self) -> dict[str, Any]:
         """Plain dicts, lists, strings and finite numbers, which but for ``times`` depend on the input alone."""
-        drive, protocol = self.drive, Protocol()
+        first, protocol = self.first, Protocol()
         return {
-            "input": {"log": drive.path.name, "sha256": drive.sha256},
-            "version": drive.version,
-            "configuration": json.loads(drive.config.model_dump_json()),
-            "changes": changes(Config(), drive.config.model_dump_json()),
-            "variants": {
-                row.variant: changes(Config(), row.results[0][0].drive.config.model_dump_json()) for row in self.rows
-            },
-            "degradations": [_row_dict(row) for row in self.rows],
+            "input": {"log": first.log.name, "sha256": first.sha256},
+            "version": first.version,
+            "configuration": json.loads(first.config.model_dump_json()),
+            "changes": changes(Config(), first.config.model_dump_json()),
+            "variants": {cell.variant: changes(Config(), cell.config.model_dump_json()) for cell in self.results},
+            "degradations": [_describe(*names, cells) for names, cells in self.rows().items()],
             "protocol": {**plain(protocol), "rules": protocol.describe()},
             "times": {
                 "wall_s": self.wall_s,
-                "cpu_s": sum(result.times.get("cpu_s", 0.0) for _, result in self.results),
+                "cpu_s": sum(result.times.get("cpu_s", 0.0) for result in self.results.values()),
                 "computed": self.computed,
                 "reused": len(self.results) - self.computed,
-                "cells": {cell.file_name: dict(result.times) for cell, result in self.results},
+                "cells": {cell.file_name: dict(result.times) for cell, result in self.results.items()},
             },
         }
+
+
+def spread_over(cells: pd.DataFrame, column: str) -> Spread:
+    """Mean and spread of a column over the cells that did not fail."""
+    return Spread.over(plain(cells.loc[cells["error"] == "", column].tolist()))
 
 
 def run_sweep(
@@ -127,7 +121,7 @@ def run_sweep(
     topics: Mapping[str, str] | None = None,
     variants: Mapping[str, Config] | None = None,
     on_progress: Callable[[float], None] | None = None,
-    compute: Callable[[CellTask], CellResult] = compute_cell,
+    compute: Callable[..., CellResult] = compute_cell,
 ) -> Sweep:
     """Degrade, map and evaluate a drive again and again.
 
@@ -144,7 +138,8 @@ def run_sweep(
         topics: kind -> topic, where the log leaves a choice.
         variants: configurations by name, to be compared over the same degraded drives.
         on_progress: called with the fraction of the cells done, in [0, 1].
-        compute: a function of a module that computes a cell; results of several need a folder each.
+        compute: a function of a module that computes a cell, as :func:`compute_cell` does; results of several need a
+            folder each.
 
     Raises:
         LogError: the input cannot be read or the folder cannot be written.
@@ -152,46 +147,26 @@ def run_sweep(
     """
     started = time.perf_counter()
     _refuse_without_truth(source, topics)
-    drive = Drive(
-        path=source,
-        sha256=file_sha256(source),
-        config=config,
-        version=version("descriptellation-slam"),
-        topics=tuple(sorted((topics or {}).items())),
-    )
-    drives = [replace(drive, config=each, variant=name) for name, each in (variants or {"": config}).items()]
-    cells = [cell for each in drives for cell in _cells(each, degradations, seeds)]
+    sha256, of_topics = file_sha256(source), tuple(sorted((topics or {}).items()))
+    cells = [
+        Cell(source, sha256, each, version("descriptellation-slam"), degradation, seed, of_topics, variant)
+        for variant, each in (variants or {"": config}).items()
+        for degradation in degradations
+        for seed in range(seeds if degradation.is_random else 1)
+    ]
     with CellFolder(folder).opened() as kept:
         results = {cell: result for cell in cells if (result := kept.finished(cell)) is not None}
-        tasks = [CellTask(cell, kept.scratch) for cell in cells if cell not in results]
-        with closing(compute_all(compute, tasks, jobs=jobs)) as outcomes:
-            for task, outcome in outcomes:
+        # Seed by seed, so that a sweep that is stopped tells something of each degradation.
+        new = sorted((cell for cell in cells if cell not in results), key=lambda cell: cell.seed)
+        with closing(compute_all(partial(compute, scratch=kept.scratch), new, jobs=jobs)) as outcomes:
+            for cell, outcome in outcomes:
                 result = _after_death(outcome) if isinstance(outcome, Death) else outcome
-                kept.keep(task.cell, result)
-                results[task.cell] = result
-                _log.info("%s: %s", task.cell.name, result.error or "done")
+                kept.keep(cell, result)
+                results[cell] = result
+                _log.info("%s: %s", cell.name, result.error or "done")
                 if on_progress is not None:
                     on_progress(len(results) / len(cells))
-    rows = tuple(
-        SweepRow(
-            degradation,
-            tuple((c, results[c]) for c in cells if (c.drive, c.degradation) == (each, degradation)),
-            each.variant,
-        )
-        for each in drives
-        for degradation in degradations
-    )
-    return Sweep(drive, rows, len(tasks), time.perf_counter() - started)
-
-
-def _cells(drive: Drive, degradations: Sequence[Degradation], seeds: int) -> list[Cell]:
-    """Seed by seed, so that a sweep that is stopped tells something of each degradation."""
-    return [
-        Cell(drive, degradation, seed)
-        for seed in range(seeds)
-        for degradation in degradations
-        if seed == 0 or degradation.is_random
-    ]
+    return Sweep({cell: results[cell] for cell in cells}, len(new), time.perf_counter() - started)
 
 
 def _refuse_without_truth(source: Path, topics: Mapping[str, str] | None) -> None:
@@ -208,21 +183,19 @@ def _after_death(death: Death) -> CellResult:
     return CellResult(None, why, {})
 
 
-def _row_dict(row: SweepRow) -> dict[str, Any]:
-    strength = row.degradation.strength
+def _describe(variant: str, name: str, cells: pd.DataFrame) -> dict[str, Any]:
+    degradation = Degradation(name)
+    strength = degradation.strength
     return {
-        "name": row.degradation.name,
-        "variant": row.variant,
-        "options": {case.fault.name: list(case.values) for case in row.degradation.cases},
+        "name": name,
+        "variant": variant,
+        "options": {case.fault.name: list(case.values) for case in degradation.cases},
         "strength": None if strength is None else {"option": strength[0], "value": strength[1]},
-        "figures": {key: asdict(spread) for key, spread in row.spreads.items()},
+        "figures": {key: asdict(spread_over(cells, key)) for key in _FIGURES},
         "cells": [
-            {
-                "seed": cell.seed,
-                "file": cell.file_name,
-                "error": result.error,
-                "figures": {figure.key: figure.of(result.evaluation or {}) for figure in HEADLINE_FIGURES},
-            }
-            for cell, result in row.results
+            {**cell, "figures": plain(figures)}
+            for cell, figures in zip(
+                cells[["seed", "file", "error"]].to_dict("records"), cells[_FIGURES].to_dict("records"), strict=True
+            )
         ],
     }

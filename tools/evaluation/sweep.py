@@ -88,7 +88,7 @@ def sweep(
             f"{sweep.computed} cells computed in {sweep.wall_s:.0f} s, {reused} reused",
             f"written: {', '.join(map(str, written))}",
         ],
-        runs={cell.name: result.evaluation for cell, result in sweep.results if result.evaluation is not None},
+        runs=sweep.evaluations,
         failures=sweep.failures,
         rules=Protocol().describe(),
     )

@@ -27,7 +27,7 @@ from slam.evaluation.page.charts import (
 )
 from slam.evaluation.page.map_charts import draw_object_map, draw_trajectory
 from slam.evaluation.page.traces import Chart
-from slam.evaluation.report.figures import TILES, fill, summarize
+from slam.evaluation.report.figures import summarize
 from slam.evaluation.report.picture import compose_picture, estimated_path
 from slam.evaluation.report.tables import make_tables
 from slam.evaluation.result import Evaluation
@@ -126,11 +126,9 @@ def compose_page(records: EvaluationRecords, evaluation: Evaluation, *, title: s
         "candidates": (draw_candidates(evaluation.closures, path), "no loop-closure candidate in the log"),
         "calibration": (draw_calibration(evaluation.consistency), missing.get("calibration", "no error to compare")),
     }
-    tiles = {name: (fill(results, value), fill(results, *note)) for name, (value, note) in TILES.items()}
     return _render(
         title,
         lines=describe_run(records, evaluation) | summarize(results),
-        tiles={name: both for name, both in tiles.items() if both[0]},
         panels=[_make_panel(name, chart, f"Not measured: {why}.") for name, (chart, why) in charts.items()],
         tables=make_tables(results),
         missing=missing,
@@ -149,7 +147,7 @@ def compose_runs_page(title: str, tables: Mapping[str, pd.DataFrame], note: str,
     """
     absent = "No run has a curve: no revisit, no ground truth, or no candidate."
     panels = [_make_panel("precision-recall", draw_precision_recall(runs), absent)]
-    return _render(title, lines={"tables": note}, tiles={}, panels=panels, tables=tables, missing={}, rules={})
+    return _render(title, lines={"tables": note}, panels=panels, tables=tables, missing={}, rules={})
 
 
 def describe_run(records: EvaluationRecords, evaluation: Evaluation) -> dict[str, str]:

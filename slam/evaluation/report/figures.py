@@ -91,48 +91,6 @@ SUMMARY = {
 }
 """The six lines of ``dslam evaluate``, by the part of the JSON that they are about."""
 
-TILES = {
-    "Trajectory error (ATE)": (
-        "{trajectory.ate_m:.3f} m",
-        ("at most {trajectory.estimate.absolute.max_m:.3f} m, over {trajectory.estimate.length_m:.0f} m",),
-    ),
-    "Odometry alone (ATE)": (
-        "{trajectory.odometry_ate_m:.3f} m",
-        ("at most {trajectory.odometry.absolute.max_m:.3f} m",),
-    ),
-    "Closure precision": (
-        "{closures.precision:.2%}",
-        (
-            "{closures.true_count} true, {closures.false_count} false, {closures.undecided_count} undecided",
-            ", of {closures.candidate_count} candidates",
-        ),
-    ),
-    "Closure recall": (
-        "{closures.recall:.2%}",
-        (
-            "of {closures.revisit_count} revisits: {closures.revisit_count_same} same",
-            ", {closures.revisit_count_opposite} opposite, {closures.revisit_count_crossing} crossing",
-        ),
-    ),
-    "Landmark error (median)": (
-        "{landmarks.median_error_m:.3f} m",
-        (
-            "{landmarks.confirmed_count} confirmed, {landmarks.precision:.2%} show an object",
-            "; {landmarks.recall:.2%} of the objects found",
-        ),
-    ),
-    "Relocalization": (
-        "{relocalization.success_rate:.2%}",
-        (
-            "{relocalization.fix_count} fixes after {relocalization.loss_count} losses or starts in a map: "
-            "{relocalization.right_count} right",
-            ", {relocalization.wrong_count} wrong",
-            "; median travel to a fix {relocalization.median_distance_m:.1f} m",
-        ),
-    ),
-}
-"""The tiles of the page: label -> value, and what stands behind it."""
-
 _FIELD = re.compile(r"\{([\w.]+)(:[^}]*)?\}")
 
 

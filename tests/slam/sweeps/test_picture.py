@@ -12,12 +12,10 @@ from matplotlib.figure import Figure
 
 from slam.common.config import Config
 from slam.sweeps import picture
-from slam.sweeps.cells import Cell, CellResult, Drive
+from slam.sweeps.cells import Cell, CellResult
 from slam.sweeps.degradations import parse_degradations
 from slam.sweeps.picture import draw_sweep
-from slam.sweeps.sweep import Sweep, SweepRow
-
-DRIVE = Drive(Path("drive.mcap"), "0" * 64, Config(), "1")
+from slam.sweeps.sweep import Sweep
 
 
 def result(ate_m: float | None, precision: float | None) -> CellResult:
@@ -26,15 +24,12 @@ def result(ate_m: float | None, precision: float | None) -> CellResult:
 
 
 def sweep(*specifications: str, results: tuple[CellResult, ...]) -> Sweep:
-    return Sweep(
-        DRIVE,
-        tuple(
-            SweepRow(each, tuple((Cell(DRIVE, each, seed), result) for seed, result in enumerate(results)))
-            for each in parse_degradations(specifications)
-        ),
-        0,
-        0.0,
-    )
+    cells = {
+        Cell(Path("drive.mcap"), "0" * 64, Config(), "1", each, seed): result
+        for each in parse_degradations(specifications)
+        for seed, result in enumerate(results)
+    }
+    return Sweep(cells, 0, 0.0)
 
 
 @pytest.fixture

@@ -22,10 +22,10 @@ from slam.evaluation.evaluate import evaluate
 from slam.evaluation.inputs.records import read_records
 from slam.replay import replay
 from slam.simulation.faults.faulty_log import write_faulty
-from slam.sweeps.cells import CellFolder, CellTask, compute_cell
+from slam.sweeps.cells import Cell, CellFolder, CellResult, compute_cell
 from slam.sweeps.degradations import parse_degradations
 from slam.sweeps.outputs import to_markdown, write_outputs
-from slam.sweeps.sweep import Sweep, run_sweep
+from slam.sweeps.sweep import Sweep, run_sweep, spread_over
 from tests.helpers.short_drives import Entry, change, keep_until, write_log
 
 pytestmark = pytest.mark.slow
@@ -55,6 +55,10 @@ def sweep_over(
     return run_sweep(log, folder, parse_degradations(specifications), config, seeds=seeds, jobs=1)
 
 
+def cells_of(sweep: Sweep, degradation: str) -> list[tuple[Cell, CellResult]]:
+    return [pair for pair in sweep.results.items() if pair[0].degradation.name == degradation]
+
+
 def without_times(told: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in told.items() if key != "times"}
 
@@ -64,13 +68,12 @@ def modified_ns(folder: Path) -> dict[str, int]:
 
 
 def test_a_cell_is_what_the_three_commands_make(log: Path, finished: tuple[Path, Sweep], tmp_path: Path) -> None:
-    row = finished[1].rows[1]
-    assert [cell.seed for cell, _ in row.results] == [0, 1]
+    (cell, result) = cells_of(finished[1], "dropout=0.3")[1]
+    assert cell.seed == 1
     degradation = parse_degradations(SPECIFICATIONS)[1]
     write_faulty(log, tmp_path / "degraded.mcap", degradation.cases, seed=1)
     replay(tmp_path / "degraded.mcap", tmp_path / "map.mcap", Config())
     expected = evaluate(read_records(tmp_path / "map.mcap")).to_json_dict()
-    cell, result = row.results[1]
     assert json.loads(json.dumps(result.evaluation)) == json.loads(json.dumps(expected))
     told = json.loads((finished[0] / "cells" / cell.file_name).read_text())
     assert told["evaluation"] == json.loads(json.dumps(expected))
@@ -78,9 +81,9 @@ def test_a_cell_is_what_the_three_commands_make(log: Path, finished: tuple[Path,
 
 
 def test_seeds_are_used_only_for_random_degradations(finished: tuple[Path, Sweep]) -> None:
-    undegraded, dropout, view = finished[1].rows
-    assert [len(row.results) for row in (undegraded, dropout, view)] == [1, 2, 1]
-    spread = dropout.spreads["trajectory.ate_m"]
+    rows = finished[1].rows()
+    assert [len(cells) for cells in rows.values()] == [1, 2, 1]
+    spread = spread_over(rows["", "dropout=0.3"], "trajectory.ate_m")
     assert spread.count == 2
     assert spread.standard_deviation is not None
     assert spread.standard_deviation > 0.0
@@ -111,27 +114,21 @@ def test_another_input_or_configuration_uses_no_old_cell(log: Path, noisy_drive:
 
 
 def test_the_key_depends_on_all_that_the_result_does(finished: tuple[Path, Sweep]) -> None:
-    cell, _ = finished[1].rows[1].results[0]
+    cell = finished[1].first
     other = [
         replace(cell, seed=7),
         replace(cell, degradation=parse_degradations(["dropout=0.31"])[1]),
-        *(
-            replace(cell, drive=replace(cell.drive, **change))
-            for change in (
-                {"sha256": "0" * 64},
-                {"version": "9"},
-                {"config": load_tree(Config, None, ["keyframe.distance_m=3.0"])},
-                {"topics": (("odometry", "/wheels"),)},
-            )
-        ),
+        replace(cell, sha256="0" * 64),
+        replace(cell, version="9"),
+        replace(cell, config=load_tree(Config, None, ["keyframe.distance_m=3.0"])),
+        replace(cell, topics=(("odometry", "/wheels"),)),
     ]
     assert len({cell.key, *(each.key for each in other)}) == 1 + len(other)
-    assert replace(cell, drive=replace(cell.drive, path=Path("elsewhere.mcap"))).key == cell.key
+    assert replace(cell, log=Path("elsewhere.mcap")).key == cell.key
 
 
 def test_a_cell_cut_short_or_failed_is_computed_again(log: Path, finished: tuple[Path, Sweep], tmp_path: Path) -> None:
-    _, sweep = finished
-    (first, result), (second, _) = sweep.rows[1].results
+    (first, result), (second, _) = cells_of(finished[1], "dropout=0.3")
     with CellFolder(tmp_path).opened() as kept:
         kept.keep(first, result)
         assert kept.finished(first) is not None
@@ -148,7 +145,7 @@ def test_a_failing_cell_is_recorded_and_stops_no_other(log: Path, tmp_path: Path
     (failure,) = sweep.failures
     assert failure.startswith("keep_label=unicorn, seed 0: ")
     assert "no detection is labelled 'unicorn'" in failure
-    assert [row.spreads["trajectory.ate_m"].count for row in sweep.rows] == [1, 0, 1]
+    assert [spread_over(cells, "trajectory.ate_m").count for cells in sweep.rows().values()] == [1, 0, 1]
     assert f"- failed: {failure}" in to_markdown(sweep)
     told = sweep.to_json_dict()
     assert told["degradations"][1]["cells"][0]["error"] in failure
@@ -165,7 +162,7 @@ def test_compute_cell_records_unexpected_error(
         raise ZeroDivisionError("ours")
 
     monkeypatch.setattr("slam.sweeps.mapped_drive.replay", fail)
-    result = compute_cell(CellTask(finished[1].rows[1].results[0][0], tmp_path))
+    result = compute_cell(finished[1].first, scratch=tmp_path)
     assert result.evaluation is None
     assert result.error == "this should not happen: ZeroDivisionError: ours"
     assert list(tmp_path.iterdir()) == []
@@ -231,12 +228,10 @@ def test_variants_are_compared_over_the_same_drives(log: Path, tmp_path: Path) -
     variants = {name: load_tree(Config, None, [text]) for name, text in settings.items()}
     wanted = parse_degradations(("dropout=0.3",))
     sweep = run_sweep(log, tmp_path, wanted, Config(), seeds=1, jobs=1, variants=variants)
-    assert [(row.variant, row.degradation.name) for row in sweep.rows] == [
-        (variant, degradation.name) for variant in settings for degradation in wanted
-    ]
+    assert list(sweep.rows()) == [(variant, degradation.name) for variant in settings for degradation in wanted]
     assert sweep.computed == 2 * len(wanted)
-    assert len({cell.file_name for cell, _ in sweep.results}) == len({cell.name for cell, _ in sweep.results}) == 4
-    counts = {row.variant: row.results[0][1].evaluation["counters"]["keyframes"] for row in sweep.rows}
+    assert len({cell.file_name for cell in sweep.results}) == len({cell.name for cell in sweep.results}) == 4
+    counts = {cell.variant: result.evaluation["counters"]["keyframes"] for cell, result in sweep.results.items()}
     assert counts["fine"] > counts["coarse"]
     told = sweep.to_json_dict()
     assert told["variants"] == {name: [text] for name, text in settings.items()}

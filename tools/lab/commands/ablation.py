@@ -16,7 +16,7 @@ from tools.lab.tables import Markdown, Row, number, report
 if TYPE_CHECKING:
     from slam.common.config import Config
     from slam.evaluation.report.figures import Figure
-    from slam.sweeps.sweep import Sweep, SweepRow
+    from slam.sweeps.sweep import Sweep
 
 NOISE = "position_noise=0.001,odometry_translation_noise=0.001"
 """Of each copy: far below that of any sensor, so that copies differ only by chance."""
@@ -122,41 +122,34 @@ def _rows(sweeps: Mapping[tuple[str, str], Sweep]) -> list[Row]:
     from tools.lab.drives.ablation_parts import DEFAULT
 
     return [
-        {
-            "drive": drive,
-            "off": part,
-            **_figures(sweep.rows[0]),
-            CHANGED: _changed(sweeps[drive, DEFAULT].rows[0], sweep.rows[0]),
-        }
+        {"drive": drive, "off": part, **_figures(sweep), CHANGED: _changed(sweeps[drive, DEFAULT], sweep)}
         for (drive, part), sweep in sweeps.items()
     ]
 
 
-def _figures(row: SweepRow) -> Row:
+def _figures(sweep: Sweep) -> Row:
     """Mean and worst of each figure; of how many copies, where it is not defined in all."""
     cells = {}
-    evaluations = [result.evaluation or {} for _, result in row.results]
+    (copies,) = sweep.rows().values()
     for figure in _headline_figures():
-        values = [value for each in evaluations if (value := figure.of(each)) is not None]
-        mean = sum(values) / len(values) if values else None
-        worst = (max if figure.is_error else min)(values, default=None)
-        part = "" if len(values) in (0, len(evaluations)) else f" ({len(values)} of {len(evaluations)})"
-        both = f"{number(mean, figure.digits)}, {number(worst, figure.digits)}{part}"
-        cells[figure.heading] = both if values else number(None, 0)
+        values = copies[figure.key].dropna()
+        worst = values.max() if figure.is_error else values.min()
+        part = "" if len(values) in (0, len(copies)) else f" ({len(values)} of {len(copies)})"
+        both = f"{number(values.mean(), figure.digits)}, {number(worst, figure.digits)}{part}"
+        cells[figure.heading] = both if len(values) else number(None, 0)
     return cells
 
 
-def _changed(default: SweepRow, row: SweepRow) -> str:
+def _changed(default: Sweep, sweep: Sweep) -> str:
     """The figures whose means differ by more than the spread of the copies explains, by how much."""
     from slam.evaluation.comparison import Run, compare_runs
 
     runs = [
-        Run(f"{each.variant} {copy}", result.evaluation, f'{{"variant": "{each.variant}"}}')
-        for each in (default, row)
-        for copy, (_, result) in enumerate(each.results)
-        if result.evaluation is not None
+        Run(name, evaluation, f'{{"variant": "{each.first.variant}"}}')
+        for each in (default, sweep)
+        for name, evaluation in each.evaluations.items()
     ]
-    if row is default or len(runs) < 2:
+    if sweep is default or len(runs) < 2:
         return ""
     figures = {figure.key: figure for figure in _headline_figures()}
     return ", ".join(

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 
-from slam.sweeps.cells import CellResult, CellTask, compute_cell
+from slam.sweeps.cells import Cell, CellResult, compute_cell
 
 DEFAULT = "nothing"
 
@@ -93,7 +94,7 @@ def switched_off(part: Part) -> Iterator[None]:
         yield
 
 
-def compute_without(task: CellTask) -> CellResult:
+def compute_without(cell: Cell, *, scratch: Path) -> CellResult:
     """The cell with the part off that its variant names."""
-    with switched_off(PARTS[task.cell.drive.variant]):
-        return compute_cell(task)
+    with switched_off(PARTS[cell.variant]):
+        return compute_cell(cell, scratch=scratch)

@@ -102,7 +102,7 @@ def test_page_holds_every_part(page: str) -> None:
     assert tuple(charts_of(page)) == CHARTS
     assert page.count("<h2>") == len(CHARTS) + 3  # calibration, all numbers, not measured
     text = " ".join(text_of(page).split())
-    for part in ("66.67 %", "2 true, 1 false, 1 undecided, of 6 candidates", "intra_revisit_std_m", "121 keyframes"):
+    for part in ("66.67 %", "precision 66.67 % (2 true, 1 false)", "intra_revisit_std_m", "121 keyframes"):
         assert part in text
     for rule in evaluate(collect_records(drive())).protocol.describe().values():
         assert rule in text
