@@ -12,9 +12,10 @@ import numpy as np
 
 from logs import messages as m
 from logs.errors import InvalidRecordError
+from logs.validation import rotation_errors
 
 ROTATION_TOLERANCE = 1e-3
-"""Of squared lengths and angles [rad] of the rows of a rotation: float32 and four digits stay below it."""
+"""Of the entries of R^T R: float32 and four digits stay below it."""
 
 _COUNT = -1
 """Length of an array that has a row for each label."""
@@ -60,13 +61,10 @@ def check_record(record: m.Record) -> None:
 
 
 def _check_transform(record: m.Record, name: str, T: Any) -> None:
-    (a, b, c, _), (d, e, f, _), (g, h, i, _), last = T.tolist()
-    lengths = a * a + b * b + c * c, d * d + e * e + f * f, g * g + h * h + i * i  # squared, of the rows
-    volume = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    # Rows are perpendicular where their volume is the product of their lengths (Hadamard), mirrored where it is < 0.
-    shear = 1.0 - volume * abs(volume) / max(lengths[0] * lengths[1] * lengths[2], 1e-300)
-    if max(abs(length - 1.0) for length in lengths) > ROTATION_TOLERANCE or shear > ROTATION_TOLERANCE**2:
-        raise _error(record, name, f"not a rotation (rows of squared lengths {lengths}, volume {volume:.4g}); give one")
+    R, last = T[:3, :3].astype(np.float64), T[3].tolist()
+    error = float(rotation_errors(R[None])[0])
+    if np.isfinite(R).all() and error > ROTATION_TOLERANCE:
+        raise _error(record, name, f"not a rotation (R^T R is off by {error:.4g}, det R = {np.linalg.det(R):.4g})")
     if last != [0.0, 0.0, 0.0, 1.0]:
         raise _error(record, name, f"a matrix with the last row {last}; give 0 0 0 1: a transform maps columns")
 

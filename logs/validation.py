@@ -123,15 +123,25 @@ def transforms(values: Sequence[float], count: int, what: str) -> FloatArray:
         raise Refusal("transform is not finite", what)
     if (np.abs(T) > MAX_COORDINATE_M).any():
         raise Refusal("position is out of range", what)
-    R = T[:, :3, :3]
-    error = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
-    if (error > ROTATION_TOLERANCE).any() or (np.linalg.det(R) < 0.0).any():
+    error = rotation_errors(T[:, :3, :3])
+    if (error > ROTATION_TOLERANCE).any():
         raise Refusal("matrix is not a rotation", f"{what}: R^T R off by {error.max():.2g}")
     rounded = error > _EXACT
-    if rounded.any():
-        U, _, Vt = np.linalg.svd(R[rounded])
-        T[rounded, :3, :3] = U @ Vt
+    T[rounded, :3, :3] = nearest_rotations(T[rounded, :3, :3])
     return T
+
+
+def rotation_errors(R: FloatArray) -> FloatArray:
+    """Largest entry (N,) of |R^T R - I| of matrices (N, 3, 3); infinite where one is mirrored or not finite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        errors = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2), initial=0.0)
+        return np.where(np.isfinite(errors) & (np.linalg.det(R) > 0.0), errors, np.inf)
+
+
+def nearest_rotations(R: FloatArray) -> FloatArray:
+    """The rotations (N, 3, 3) next to matrices (N, 3, 3), by SVD."""
+    U, _, Vt = np.linalg.svd(R)
+    return np.asarray(U @ Vt)
 
 
 def usable_covariance(P: FloatArray, counters: Counter[str]) -> FloatArray | None:

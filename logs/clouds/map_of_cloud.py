@@ -10,7 +10,7 @@ import numpy as np
 
 from logs.clouds.class_names import urban_name, why_left_out
 from logs.clouds.labelled_cloud import LabelledCloud
-from logs.clouds.objects import CloudSettings, find_objects
+from logs.clouds.objects import find_objects
 from logs.errors import DatasetError
 from logs.importers.maps.map_objects import MapObjects
 
@@ -59,7 +59,7 @@ def _objects(
     numbers = np.unique(cloud.classes).tolist()
     kept = {number: name(number) for number in numbers if not reason(number)}
     try:
-        found = find_objects(cloud, kept, CloudSettings())
+        found = find_objects(cloud, kept)
     except DatasetError as error:
         raise DatasetError(f"{source}: {error}") from error
     parts = Counter(_instances(cloud))

@@ -15,30 +15,19 @@ from logs.errors import DatasetError
 from logs.messages import FloatArray, IntArray, ObjectDetections
 
 NOMINAL_REACH_M = 60.0
-"""Reach of the sensor for which the lengths of the settings are meant, where they are not given."""
+"""Reach of a car's LiDAR. The lengths below are for it, and scaled with the reach of another scan."""
+VOXEL_M = 0.1
+"""Side of the voxels whose means stand for the points."""
+GAP_M = 0.5
+"""A wider gap between two parts of one class makes two objects of them."""
+MAX_EXTENT_M = 15.0
+"""What is longer is a surface and no object."""
+MIN_SHARE = 1.0 / 4000.0
+"""Share of the points of a scan that an object must have: 30 of 120,000."""
 REACH_QUANTILE = 0.99
 MIN_POINTS = 5
 MAX_VOXELS = 2**20
 """Along an axis, so that the places of all voxels can be numbered: 100 km of those of 0.1 m."""
-
-
-@dataclass(frozen=True, slots=True)
-class CloudSettings:
-    """How objects are found. Lengths that are None are those of a car's LiDAR, scaled with the reach of the cloud.
-
-    ``voxel_m``: side of the voxels whose means stand for the points, None: 0.1 m at a reach of 60 m.
-    ``gap_m``: a wider gap between two parts of one class makes two objects of them, None: 0.5 m at that reach.
-    ``max_extent_m``: what is longer is a surface and no object, None: 15 m at that reach.
-    ``min_share``: share of the points of a scan that an object must have, and at least 5 points; 1/4000 of a scan of
-    120,000 points is 30.
-    ``upright``: z of the cloud points up.
-    """
-
-    voxel_m: float | None = None
-    gap_m: float | None = None
-    max_extent_m: float | None = None
-    min_share: float = 1.0 / 4000.0
-    upright: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,9 +64,9 @@ class CloudObjects:
 def find_objects(
     cloud: LabelledCloud,
     names: Mapping[int, str] | None = None,
-    settings: CloudSettings | None = None,
     *,
     viewpoint: FloatArray | None = None,
+    upright: bool = True,
 ) -> CloudObjects:
     """Objects of a labelled cloud.
 
@@ -87,9 +76,9 @@ def find_objects(
     Args:
         cloud: one scan, or a whole map.
         names: class number -> name of the classes that are objects; None: all but 0, named by their numbers.
-        settings: lengths and limits.
         viewpoint: (3,) m, of the sensor in the frame of the cloud, of which it is one scan: objects are then seen from
             one side, and their centres lie behind what is seen. None: a map, seen from all sides.
+        upright: z of the cloud points up.
 
     Returns:
         The objects, by class and instance or the order of their points; none of an empty cloud.
@@ -97,17 +86,16 @@ def find_objects(
     Raises:
         DatasetError: points lie more than 2^20 voxels apart.
     """
-    settings = settings or CloudSettings()
     cloud = cloud.finite()
     scale = _scale(cloud, viewpoint)
-    voxel_m = settings.voxel_m or 0.1 * scale
+    voxel_m = VOXEL_M * scale
     _check_extent(cloud, voxel_m)
     min_points = MIN_POINTS
     if viewpoint is not None:
-        min_points = max(min_points, int(np.ceil(settings.min_share * len(cloud.positions))))
+        min_points = max(min_points, int(np.ceil(MIN_SHARE * len(cloud.positions))))
     left_out: Counter[str] = Counter()
     found: list[tuple[str, int, Centre, FloatArray]] = []
-    for label, instance, points in _parts(cloud, names, settings, settings.gap_m or 0.5 * scale, voxel_m):
+    for label, instance, points in _parts(cloud, names, GAP_M * scale, voxel_m, upright=upright):
         if len(points) < min_points:
             left_out["small"] += 1
             continue
@@ -115,12 +103,12 @@ def find_objects(
         size = _size(voxels)
         if viewpoint is None:
             centre = seen_from_all_sides(voxels, voxel_m)
-        elif size[0] > (settings.max_extent_m or 15.0 * scale):
+        elif size[0] > MAX_EXTENT_M * scale:
             left_out["long"] += 1
             continue
         else:
             spacing_m = _spacing_m(points, viewpoint)
-            centre = seen_from_one_side(voxels, viewpoint, voxel_m, upright=settings.upright, spacing_m=spacing_m)
+            centre = seen_from_one_side(voxels, viewpoint, voxel_m, upright=upright, spacing_m=spacing_m)
         found.append((label, instance, centre, size))
     return CloudObjects(
         np.array([centre.position for _, _, centre, _ in found]).reshape(-1, 3),
@@ -154,7 +142,7 @@ def _check_extent(cloud: LabelledCloud, voxel_m: float) -> None:
 
 
 def _parts(
-    cloud: LabelledCloud, names: Mapping[int, str] | None, settings: CloudSettings, gap_m: float, voxel_m: float
+    cloud: LabelledCloud, names: Mapping[int, str] | None, gap_m: float, voxel_m: float, *, upright: bool
 ) -> Iterator[tuple[str, int, FloatArray]]:
     """Label, instance and points (K, 3) m of each object."""
     instances = cloud.instances if cloud.instances is not None else np.zeros(len(cloud.classes), dtype=np.int64)
@@ -170,7 +158,7 @@ def _parts(
         if instance:
             yield label, instance, points
             continue
-        for cluster in _split(points, gap_m, voxel_m, flat=settings.upright):
+        for cluster in _split(points, gap_m, voxel_m, flat=upright):
             yield label, 0, cluster
 
 

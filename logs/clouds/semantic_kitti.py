@@ -10,7 +10,7 @@ import numpy as np
 
 from logs.clouds.class_names import SEMANTIC_KITTI_OBJECTS
 from logs.clouds.labelled_cloud import LabelledCloud
-from logs.clouds.objects import CloudSettings, find_objects
+from logs.clouds.objects import find_objects
 from logs.clouds.residuals import check_poses
 from logs.errors import DatasetError
 from logs.importers.imported_log import ImportedRecord
@@ -28,9 +28,7 @@ class SemanticKitti:
     drive: KittiDrive
     scans: tuple[tuple[int, Path, Path], ...]
 
-    def detections(
-        self, settings: CloudSettings | None = None, progress: Callable[[float], None] | None = None
-    ) -> list[ObjectDetections]:
+    def detections(self, progress: Callable[[float], None] | None = None) -> list[ObjectDetections]:
         """The objects of each scan.
 
         Raises:
@@ -40,7 +38,7 @@ class SemanticKitti:
         for done, (row, points, labels) in enumerate(self.scans, start=1):
             cloud = read_semantic_kitti_scan(points, labels)
             try:
-                objects = find_objects(cloud, SEMANTIC_KITTI_OBJECTS, settings, viewpoint=_SENSOR)
+                objects = find_objects(cloud, SEMANTIC_KITTI_OBJECTS, viewpoint=_SENSOR)
             except DatasetError as error:
                 raise DatasetError(f"{points}: {error}") from error
             found.append(objects.detections(int(self.drive.stamps_ns[row]), "base_link"))
@@ -50,15 +48,13 @@ class SemanticKitti:
         check_poses(found, poses, f"{self.drive.source['calib']} and {self.drive.source['odometry']}")
         return found
 
-    def records(
-        self, settings: CloudSettings | None = None, progress: Callable[[float], None] | None = None
-    ) -> Iterator[ImportedRecord]:
+    def records(self, progress: Callable[[float], None] | None = None) -> Iterator[ImportedRecord]:
         """For each scan in the order of time: odometry, detections, truth where known.
 
         Raises:
             DatasetError: as :meth:`detections`.
         """
-        found = self.detections(settings, progress)
+        found = self.detections(progress)
         return self.drive.records(zip((row for row, _, _ in self.scans), found, strict=True))
 
 

@@ -14,7 +14,7 @@ from logs.importers.stamps import Stamps, read_stamps
 from logs.importers.tables import table_of_rows
 from logs.importers.text_files import SourceText, describe_sources, parse_numbers, read_source_text
 from logs.messages import FloatArray, GroundTruthPose, IntArray, ObjectDetections, Odometry
-from logs.validation import MAX_COORDINATE_M
+from logs.validation import MAX_COORDINATE_M, nearest_rotations, rotation_errors
 
 ROTATION_TOLERANCE = 1e-3
 """Largest |R^T R - I| of a rotation that is taken for rounding (the files have 7 digits) and not for damage."""
@@ -127,16 +127,12 @@ def body_poses(T_origin_camera: FloatArray, T_camera_velodyne: FloatArray) -> Fl
 def _rigid_transforms(name: str, lines: list[int], rows: FloatArray) -> FloatArray:
     T = np.tile(np.eye(4), (len(rows), 1, 1))
     T[:, :3] = rows.reshape(-1, 3, 4)
-    R = T[:, :3, :3]
-    with np.errstate(over="ignore", invalid="ignore"):
-        error = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
-        determinant = np.linalg.det(R)
-    wrong = ~(error <= ROTATION_TOLERANCE) | ~(determinant > 0.0)
-    if wrong.any():
-        i = int(wrong.argmax())
+    errors = rotation_errors(T[:, :3, :3])
+    if (errors > ROTATION_TOLERANCE).any():
+        i = int((errors > ROTATION_TOLERANCE).argmax())
         raise DatasetError(
-            f"{name}, line {lines[i]}: not a rotation (|R^T R - I| = {error[i]:.3g}, allowed {ROTATION_TOLERANCE:g}; "
-            f"det R = {determinant[i]:.3g}); expected a 3x4 pose, row-major"
+            f"{name}, line {lines[i]}: not a rotation (|R^T R - I| = {errors[i]:.3g}, allowed {ROTATION_TOLERANCE:g}; "
+            f"det R = {np.linalg.det(T[i, :3, :3]):.3g}); expected a 3x4 pose, row-major"
         )
     far = (np.abs(T[:, :3, 3]) > MAX_COORDINATE_M).any(axis=1)
     if far.any():
@@ -144,6 +140,5 @@ def _rigid_transforms(name: str, lines: list[int], rows: FloatArray) -> FloatArr
         raise DatasetError(
             f"{name}, line {lines[i]}: {T[i, :3, 3]} m is not finite or too far away; correct it, or remove the line"
         )
-    U, _, Vt = np.linalg.svd(R)
-    T[:, :3, :3] = U @ Vt
+    T[:, :3, :3] = nearest_rotations(T[:, :3, :3])
     return T

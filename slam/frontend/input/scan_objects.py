@@ -36,12 +36,12 @@ class ScanObjects:
 
     def _objects(self, scan: LabelledScan, body_frame: str) -> ObjectDetections:
         from logs.clouds.labelled_cloud import LabelledCloud
-        from logs.clouds.objects import CloudSettings, find_objects
+        from logs.clouds.objects import find_objects
 
         numbers = [number for number in np.unique(scan.classes).tolist() if number]
         names = {number: str(number) for number in numbers if self._labels.name(str(number)) != DROPPED}
         T_body_sensor = self._frames.find(body_frame, scan.frame_id, scan.stamp_ns)
         is_upright = T_body_sensor is None or abs(float(T_body_sensor[2, 2])) > _UPRIGHT
         cloud = LabelledCloud(scan.positions, scan.classes, scan.instances)
-        objects = find_objects(cloud, names, CloudSettings(upright=is_upright), viewpoint=np.zeros(3))
+        objects = find_objects(cloud, names, viewpoint=np.zeros(3), upright=is_upright)
         return objects.detections(scan.stamp_ns, scan.frame_id)

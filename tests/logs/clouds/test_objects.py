@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from logs.clouds.labelled_cloud import LabelledCloud
-from logs.clouds.objects import CloudSettings, find_objects
+from logs.clouds.objects import find_objects
 from tests.logs.clouds.clouds import FAR, cloud, post
 
 ORIGIN = np.zeros(3)
@@ -31,9 +31,7 @@ def test_rings_of_a_sensor_with_few_beams_are_one_object() -> None:
     points = post(20.0, 0.0)
     rings = points[np.isclose(points[:, 2] % 0.7, 0.0, atol=0.05) | np.isclose(points[:, 2] % 0.7, 0.7, atol=0.05)]
     assert len(find_objects(cloud([(80, 0, rings), FAR]), NAMES, viewpoint=ORIGIN).labels) == 1
-    tilted = find_objects(
-        cloud([(80, 0, rings), FAR]), NAMES, CloudSettings(upright=False, gap_m=0.5), viewpoint=ORIGIN
-    )
+    tilted = find_objects(cloud([(80, 0, rings), FAR]), NAMES, upright=False, viewpoint=ORIGIN)
     assert len(tilted.labels) > 1
 
 
@@ -41,8 +39,7 @@ def test_what_has_too_few_points_or_is_too_long_is_left_out_and_counted() -> Non
     wall = np.concatenate([post(6.0, y) for y in np.arange(-10.0, 10.0, 0.25)])
     found = find_objects(cloud([(80, 0, post(9.0, 0.0)), (10, 0, post(5.0, 0.0)[:3])]), NAMES)
     assert found.left_out == {"small": 1}
-    settings = CloudSettings(max_extent_m=5.0)
-    seen = find_objects(cloud([(80, 0, post(9.0, 0.0)), (71, 0, wall), FAR]), NAMES, settings, viewpoint=ORIGIN)
+    seen = find_objects(cloud([(80, 0, post(9.0, 0.0)), (71, 0, wall), FAR]), NAMES, viewpoint=ORIGIN)
     assert (seen.labels, seen.left_out) == (("pole",), {"long": 1})
 
 
@@ -56,7 +53,7 @@ def test_lengths_follow_the_reach_of_the_sensor() -> None:
 
 def test_a_map_is_seen_from_all_sides_and_gives_the_mean_of_the_voxels() -> None:
     points = np.array([[0.01, 0.0, 0.0]] * 90 + [[1.01, 0.0, 0.0]] * 10)
-    found = find_objects(cloud([(80, 5, points)]), NAMES, CloudSettings(voxel_m=0.2))
+    found = find_objects(cloud([(80, 5, points)]), NAMES)
     np.testing.assert_allclose(found.positions, [[0.51, 0.0, 0.0]], atol=1e-9)
 
 
