@@ -12,10 +12,10 @@ class RandomVector:
     """Random numbers, the same ones for the same calls in the same order."""
 
     name = "random"
+    radius_m = 30.0
+    length = 16
 
-    def __init__(self, radius_m: float = 30.0, length: int = 16) -> None:
-        self.radius_m = radius_m
-        self.length = length
+    def __init__(self) -> None:
         self._rng = np.random.default_rng(0)
 
     def describe(self, constellations: Constellations) -> NDArray[np.float32]:

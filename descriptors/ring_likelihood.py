@@ -24,35 +24,31 @@ from descriptors.constellation import Constellations
 
 CHUNK = 512
 """Constellations of up to 64 classes that are described at a time, which bounds the memory."""
+RADIUS_M, RING_M = 60.0, 0.5
+SIGMAS_M = 0.3, 1.2
+"""Of the narrow and the wide part of a kernel, which have equal shares."""
+MISS_PROBABILITY = 0.1
+"""The share e above, 1 - P_D."""
+OBJECTS_PER_KM2 = 500.0
+"""Of one class at an average place."""
 REACH_SIGMAS = 4.0
 MIN_DENSITY_PER_M = 1e-3
 
 
 class RingLikelihood:
-    """Rings of ``ring_m`` out to ``radius_m``; kernels of ``sigmas_m`` in equal shares.
-
-    ``miss_probability``: the share e above, 1 - P_D. ``objects_per_km2``: of one class at an average place.
-    ``radius_m`` is the diameter of what a sensor sees: for an object at its edge all others are neighbours.
+    """Rings of ``RING_M`` out to ``radius_m``, the diameter of what a sensor sees: for an object at its edge all others
+    are neighbours.
     """
 
     name = "ring_likelihood"
     min_nats = 0.0
+    radius_m = near_m = RADIUS_M
+    rings = round(RADIUS_M / RING_M)
 
-    def __init__(
-        self,
-        radius_m: float = 60.0,
-        ring_m: float = 0.5,
-        sigmas_m: tuple[float, float] = (0.3, 1.2),
-        miss_probability: float = 0.1,
-        objects_per_km2: float = 500.0,
-    ) -> None:
-        self.radius_m = self.near_m = radius_m
-        self.rings = round(radius_m / ring_m)
-        self._ring_m = ring_m
-        self._sigmas_m = sigmas_m
-        middles_m = (np.arange(self.rings) + 0.5) * ring_m
-        expected = 2.0 * np.pi * middles_m * objects_per_km2 * 1e-6  # of one class, per metre of distance
-        self._odds = (1.0 - miss_probability) / miss_probability / (expected + MIN_DENSITY_PER_M)
+    def __init__(self) -> None:
+        middles_m = (np.arange(self.rings) + 0.5) * RING_M
+        expected = 2.0 * np.pi * middles_m * OBJECTS_PER_KM2 * 1e-6  # of one class, per metre of distance
+        self._odds = (1.0 - MISS_PROBABILITY) / MISS_PROBABILITY / (expected + MIN_DENSITY_PER_M)
 
     def describe(self, constellations: Constellations) -> NDArray[np.float32]:
         """Vectors (B, C * rings) in nats: for each class of the vocabulary the rings from the inside out."""
@@ -72,24 +68,24 @@ class RingLikelihood:
 
     def max_nats(self, constellations: Constellations) -> NDArray[np.float32]:
         """What a query (B,) would score against an object whose neighbours stand exactly where they were seen."""
-        peak = sum(1.0 / (np.sqrt(2.0 * np.pi) * s) for s in self._sigmas_m) / len(self._sigmas_m)
+        peak = sum(1.0 / (np.sqrt(2.0 * np.pi) * s) for s in SIGMAS_M) / len(SIGMAS_M)
         best = np.log1p(self._odds * peak)[self._ring(_distances(constellations.positions))]
         total = np.bincount(constellations.owners, weights=best, minlength=len(constellations))
         return np.asarray(total, dtype=np.float32)
 
     def _ring(self, distances_m: NDArray[np.float64]) -> NDArray[np.int64]:
-        return np.minimum((distances_m / self._ring_m).astype(np.int64), self.rings - 1)
+        return np.minimum((distances_m / RING_M).astype(np.int64), self.rings - 1)
 
     def _density(self, constellations: Constellations, neighbours: slice, start: int, end: int) -> NDArray[np.float32]:
         """Neighbours per metre of distance (end - start, C * rings)."""
         distances_m = _distances(constellations.positions[neighbours])
         counts = np.diff(constellations.offsets[start : end + 1])
         rows = np.repeat(np.arange(end - start), counts) * len(constellations.vocabulary)
-        reach = int(np.ceil(REACH_SIGMAS * max(self._sigmas_m) / self._ring_m))
+        reach = int(np.ceil(REACH_SIGMAS * max(SIGMAS_M) / RING_M))
         rings = self._ring(distances_m)[:, None] + np.arange(-reach, reach + 1)  # (P, 2 reach + 1)
-        offsets_m = (rings + 0.5) * self._ring_m - distances_m[:, None]
-        kernel = sum(np.exp(-0.5 * (offsets_m / s) ** 2) / (np.sqrt(2.0 * np.pi) * s) for s in self._sigmas_m)
-        kernel = np.where((rings >= 0) & (rings < self.rings), kernel / len(self._sigmas_m), 0.0)
+        offsets_m = (rings + 0.5) * RING_M - distances_m[:, None]
+        kernel = sum(np.exp(-0.5 * (offsets_m / s) ** 2) / (np.sqrt(2.0 * np.pi) * s) for s in SIGMAS_M)
+        kernel = np.where((rings >= 0) & (rings < self.rings), kernel / len(SIGMAS_M), 0.0)
         entries = (rows + constellations.labels[neighbours])[:, None] * self.rings + np.clip(rings, 0, self.rings - 1)
         size = (end - start) * len(constellations.vocabulary) * self.rings
         density = np.bincount(entries.ravel(), weights=kernel.ravel(), minlength=size)

@@ -15,24 +15,22 @@ from descriptors.constellation import Constellations
 
 BINS = 61
 BIN_M = 1.0
+CLASS_LENGTH = 64
 
 
 class GosmatchVertex:
-    """Classes enter as fixed random vectors of ``class_length``."""
+    """Classes enter as fixed random vectors."""
 
     name = "gosmatch_vertex"
-
-    def __init__(self, radius_m: float = 30.0, class_length: int = 64) -> None:
-        self.radius_m = radius_m
-        self._class_length = class_length
+    radius_m = 30.0
 
     def describe(self, constellations: Constellations) -> NDArray[np.float32]:
-        """Vectors (B, 61 * class_length): the sums of the class vectors, from the shortest edges on."""
+        """Vectors (B, 61 * 64): the sums of the class vectors, from the shortest edges on."""
         classes = len(constellations.vocabulary)
         lengths_m = np.hypot(constellations.positions[:, 0], constellations.positions[:, 1])
         bins = np.minimum((lengths_m / BIN_M).astype(np.int64), BINS - 1)
         cells = (constellations.owners * BINS + bins) * classes + constellations.labels
         counts = np.bincount(cells, minlength=len(constellations) * BINS * classes)
         histogram = counts.reshape(len(constellations), BINS, classes).astype(np.float32)
-        described = histogram @ class_vectors(constellations.vocabulary, self._class_length)
-        return np.asarray(described.reshape(len(constellations), BINS * self._class_length), dtype=np.float32)
+        described = histogram @ class_vectors(constellations.vocabulary, CLASS_LENGTH)
+        return np.asarray(described.reshape(len(constellations), BINS * CLASS_LENGTH), dtype=np.float32)

@@ -45,19 +45,9 @@ class ReadingLimits:
         return round(self.message_mb * MEGABYTE)
 
     @property
-    def waiting_bytes(self) -> int:
-        """``waiting_mb`` in bytes."""
-        return round(self.waiting_mb * MEGABYTE)
-
-    @property
     def input_bytes(self) -> int:
         """Of one message of measurements: parsed, it may take a hundred times as much."""
         return self.objects * _BYTES_OF_AN_OBJECT
-
-    @property
-    def metadata_bytes(self) -> int:
-        """``metadata_mb`` in bytes."""
-        return round(self.metadata_mb * MEGABYTE)
 
     def check_channels(self, file: str, count: int) -> None:
         """Refuse a file with so many channels, or schemas.

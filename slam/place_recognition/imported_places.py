@@ -13,7 +13,6 @@ from slam.common.arrays import FloatArray
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.submap import Submap
 from slam.place_recognition.imported_map import ImportedMap
-from slam.place_recognition.initial_pose import InitialPose
 from slam.place_recognition.place import Place
 
 TRAVEL_M = -1e9
@@ -32,7 +31,6 @@ class ImportedPlaces:
         object_map: gets landmarks of the map as segment 0; its vocabulary begins with that of the map.
         graph: gets their positions.
         is_fixed: whether the landmarks stay where they are.
-        prior: where the robot may be, if that is known.
     """
 
     def __init__(
@@ -42,7 +40,6 @@ class ImportedPlaces:
         graph: FactorGraph,
         *,
         is_fixed: bool,
-        prior: InitialPose | None = None,
     ) -> None:
         object_map.label_indices(imported.vocabulary)
         self._imported = imported
@@ -54,7 +51,6 @@ class ImportedPlaces:
         imported.quads.read_ahead()
         self._search = imported.search()
         self._is_loaded = np.zeros(len(imported), dtype=np.bool_)
-        self.prior = prior
 
     def class_shares(self) -> FloatArray:
         """Frequency (C,) of each class in the whole map; classes that only the drive knows have that of one object."""
