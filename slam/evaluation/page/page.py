@@ -58,7 +58,7 @@ _PANELS = {
     ),
     "precision-recall": (
         "Precision and recall",
-        "Of the best candidate of each keyframe, for every threshold on its score; the mark is what the run accepted.",
+        "For the best candidate of each keyframe and every threshold on its score; the mark is the result of the run.",
     ),
     "error": (
         "Error along the path",

@@ -72,7 +72,7 @@ def scan_repeated(stream: Stream, seconds: Duration = 10.0) -> list[Entry]:
 def objects_burst(
     stream: Stream, count: Number = 5000.0, seconds: Duration = 3.0, *, rng: np.random.Generator
 ) -> list[Entry]:
-    """NUMBER more objects of the classes of the log stand around for S from half time on."""
+    """NUMBER more objects of the classes of the log appear for S from half time on."""
     begin_ns, end_ns = span_from_half(stream, seconds)
     labels, frame = labels_of(stream) or ["object"], body_frames_of(stream)
     T_odom_begin = odometry_at(stream, np.array([begin_ns], dtype=np.int64))[0]
@@ -94,7 +94,7 @@ def objects_burst(
 
 @fault(SCANS)
 def objects_few(stream: Stream, count: Number = 2.0) -> list[Entry]:
-    """Only the NUMBER objects that are seen most often are there."""
+    """Only the NUMBER objects that are seen most often remain."""
     scans = scans_with_ids(stream)
     seen = Counter(i for scan in scans for i in scan.object_ids or () if i)
     kept = {i for i, _ in sorted(seen.items(), key=lambda item: (-item[1], item[0]))[: int(count)]}

@@ -118,7 +118,7 @@ def wheel_slip(track: Track, factor: Factor = 1.5, seconds: Duration = 5.0) -> F
 
 @odometry_fault()
 def odometry_restart(track: Track) -> FloatArray:
-    """Its poses begin again at the origin at half time, as after a restart of the node."""
+    """Its poses restart at the origin at half time, as after a restart of the node."""
     changed, row = track.poses.copy(), track.last_row_at(HALF)
     changed[row:] = invert(changed[row]) @ changed[row:]
     return changed

@@ -77,13 +77,13 @@ def sensor_yaw(seen: ObjectDetections, angle_deg: Degrees = 10.0) -> ObjectDetec
 
 @detection_fault()
 def ranges_scaled(seen: ObjectDetections, factor: Factor = 1.1) -> ObjectDetections:
-    """All objects are seen farther away by a factor."""
+    """All ranges are multiplied by a factor."""
     return replace(seen, positions=factor * seen.positions)
 
 
 @detection_fault()
 def sensor_optical(seen: ObjectDetections) -> ObjectDetections:
-    """Positions are in optical axes (x right, y down, z forward); messages name other ones."""
+    """Positions are in optical axes (x right, y down, z forward), but messages name other axes."""
     return _turned(seen, _R_OPTICAL_BODY)
 
 

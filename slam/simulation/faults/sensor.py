@@ -84,7 +84,7 @@ def dropout(stream: Stream, probability: Share = 0.3, *, rng: np.random.Generato
 
 @fault(SCANS, reads=(*ODOMETRY, *TRANSFORMS), neutral=360.0)
 def field_of_view(stream: Stream, angle_deg: _Angle = 180.0) -> list[Entry]:
-    """The sensor sees DEG about straight ahead of the body."""
+    """The sensor has a field of view of DEG, centred ahead."""
     from_sensor = _from_sensor(stream)
 
     def is_ahead(detections: ObjectDetections) -> NDArray[np.bool_]:
@@ -96,7 +96,7 @@ def field_of_view(stream: Stream, angle_deg: _Angle = 180.0) -> list[Entry]:
 
 @fault(SCANS, reads=(*ODOMETRY, *TRANSFORMS))
 def max_range(stream: Stream, range_m: _Reach = 20.0) -> list[Entry]:
-    """The sensor sees M far, horizontally."""
+    """The sensor has a horizontal range of M."""
     from_sensor = _from_sensor(stream)
     return _selected(stream, lambda detections: np.linalg.norm(from_sensor(detections)[:, :2], axis=1) <= range_m)
 
@@ -119,7 +119,7 @@ def drop_label(stream: Stream, *labels: str) -> list[Entry]:
 
 @fault(DETECTIONS, neutral=0.0)
 def label_confusion(stream: Stream, probability: Share = 0.5, *, rng: np.random.Generator) -> list[Entry]:
-    """Each label becomes another one of the log with a probability."""
+    """Each label is replaced by another of the log with a probability."""
     labels = np.array(labels_of(stream))
     if len(labels) == 1:
         raise SimulationError(f"{labels[0]!r} is the only label and cannot be confused with another")
@@ -135,7 +135,7 @@ def label_confusion(stream: Stream, probability: Share = 0.5, *, rng: np.random.
 
 @fault(SCANS, reads=(*ODOMETRY, *TRANSFORMS), neutral=0.0)
 def false_positives(stream: Stream, mean: _PerScan = 10.0, *, rng: np.random.Generator) -> list[Entry]:
-    """NUMBER objects a scan are invented on average.
+    """NUMBER false objects a scan are added on average.
 
     They are evenly spread over the range and the bearings of the log's detections, and have heights, labels, scores,
     sizes and covariances of detections drawn from the log.
