@@ -25,8 +25,8 @@ SPREAD_FACTOR = 2.0
 CONFIDENCE = 0.95
 RULE = (
     "Runs of one version with the same effective configuration are one group. A difference of the means of two groups "
-    f"is marked where it exceeds {SPREAD_FACTOR:g} pooled standard deviations of the runs within all groups, and what "
-    f"chance exceeds in one comparison of {1.0 / (1.0 - CONFIDENCE):.0f} (Student's t)."
+    f"is marked where it exceeds {SPREAD_FACTOR:g} pooled standard deviations of the runs within all groups, and the "
+    f"{100.0 * (1.0 - CONFIDENCE):.0f} % significance limit of one comparison (Student's t)."
 )
 NO_SPREAD = "No group has two runs, so the spread of the seeds is unknown and no difference is marked."
 
