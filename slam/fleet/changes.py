@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -141,17 +141,13 @@ def _moves(
 
 
 def _moved(joint: JointMap, presence: Presence, when: IntArray, new: int, old: int, probability: float) -> Change:
-    base = _change(joint, presence, when, new, "appeared")
-    return Change(
-        "moved",
-        base.landmark,
-        base.label,
-        round(probability, 4),
-        _change(joint, presence, when, old, "gone").after,
-        base.before,
-        base.position,
-        joint.objects.ids[old],
-        _position(joint, old),
+    return replace(
+        _change(joint, presence, when, new, "appeared"),
+        kind="moved",
+        probability=round(probability, 4),
+        after=_change(joint, presence, when, old, "gone").after,
+        from_landmark=joint.objects.ids[old],
+        from_position=_position(joint, old),
     )
 
 

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import logging
-import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from logs.digest import file_sha256
-from logs.writer import partial_path
+from logs.storage.placement import write_text
 from slam.common.config import Config
 from slam.common.errors import FleetError, SavedMapError
 from slam.common.georeference import Georeference
@@ -37,7 +34,6 @@ from slam.sweeps.workers import Death
 logger = logging.getLogger(__name__)
 
 _KEY_DIGITS = 16
-_ARRAYS = ("place", "reference_map", "T_reference_place", "covariance", "llr", "matched", "pairs")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,7 +172,7 @@ def _find_pairs(
     index_path = folder / "joins" / f"index_{_key(*names)}.mcap"
     index_path.parent.mkdir(parents=True, exist_ok=True)
     tasks = [
-        JoinTask(number, path / MAP_NAME, index_path, index_path.with_name(f"{_key(*names[: number + 1])}.npz"))
+        JoinTask(number, path / MAP_NAME, index_path, index_path.with_name(f"{_key(*names[: number + 1])}.json"))
         for number, path in enumerate(folders)
     ]
     waiting = [task for task in tasks if not task.output.exists()]
@@ -196,13 +192,7 @@ def join_session(task: JoinTask) -> int:
     """Find the places of a session in the index; returns how many joins were written."""
     saved = load_map(task.path)
     joins = find_joins(saved, task.number, _opened(task.index), session_config(saved.metadata))
-    content = io.BytesIO()
-    columns: dict[str, Any] = {name: np.array([getattr(join, name) for join in joins]) for name in _ARRAYS[:-1]}
-    columns["pairs"] = np.array([json.dumps(join.pairs) for join in joins], dtype=np.str_)
-    np.savez(content, **columns)
-    partial = partial_path(task.output)
-    partial.write_bytes(content.getvalue())
-    os.replace(partial, task.output)
+    write_text(task.output, json.dumps([asdict(join) for join in joins], default=np.ndarray.tolist))
     return len(joins)
 
 
@@ -213,20 +203,16 @@ def _opened(path: Path) -> PlaceIndex:
 
 
 def _read_joins(task: JoinTask) -> list[Join]:
-    with np.load(task.output) as arrays:
-        columns = [arrays[name] for name in _ARRAYS]
     return [
         Join(
-            task.number,
-            int(place),
-            int(reference),
-            T,
-            covariance,
-            float(llr),
-            int(matched),
-            tuple((own, other) for own, other in json.loads(str(pairs))),
+            **{
+                **values,
+                "T_reference_place": np.array(values["T_reference_place"]),
+                "covariance": np.array(values["covariance"]),
+                "pairs": tuple((own, other) for own, other in values["pairs"]),
+            }
         )
-        for place, reference, T, covariance, llr, matched, pairs in zip(*columns, strict=True)
+        for values in json.loads(task.output.read_text(encoding="utf-8"))
     ]
 
 

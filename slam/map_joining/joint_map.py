@@ -125,13 +125,33 @@ def _rows(number: int, maps: Mapping[int, SavedMap], first: Mapping[int, int]) -
 def _placed(
     group: list[int], maps: Mapping[int, SavedMap], pairs: list[MapPair], joins: list[Join], first: Mapping[int, int]
 ) -> tuple[FloatArray, BoolArray]:
-    """Poses (K, 4, 4) of all places in the frame of the first map, and which joins (J,) agree with them.
+    """Poses (K, 4, 4) of all places in the frame of the first map, and which joins (J,) agree with them."""
+    T_joint_map = _chained(group, maps, pairs)
+    poses = np.concatenate([T_joint_map[number] @ maps[number].graph.T_map_body for number in group])
+    extent_m = float(np.ptp(poses[:, :2, 3], axis=0).max()) + 1.0
+    loose = np.diag(np.repeat([TIE_SIGMA_RAD, TIE_SIGMA_PITCHES * extent_m], 3) ** 2.0)
+    edges = [edge for number in group for edge in edges_of(maps[number].graph, _places(number, maps, first))]
+    for number in group[1:]:
+        start, end = first[group[0]], first[number]
+        edges.append(Edge(start, end, invert(poses[start]) @ poses[end], loose, EdgeKind.LOOP_CLOSURE))
+    is_closure = np.repeat([False, True], [len(edges), len(joins)])
+    edges += [_closure(join, maps, first) for join in joins]
+    pose_graph = PoseGraph(
+        vertex_ids=np.arange(len(poses)),
+        T_world_vertex=poses,
+        edges=np.array([(edge.from_keyframe, edge.to_keyframe) for edge in edges], dtype=np.int64),
+        T_from_to=np.array([edge.T_from_to for edge in edges]),
+        information=np.linalg.inv(np.array([edge.covariance for edge in edges])),
+        fixed_ids=np.zeros(0, dtype=np.int64),
+    )
+    solved = optimize_pose_graph(pose_graph, is_closure)
+    return solved.graph.T_world_vertex, solved.solution.kept
 
-    The maps are placed one by one, by the pair with the highest log-likelihood ratio that leads to the next one.
-    """
-    T_joint_map, ties = {group[0]: np.eye(4)}, list[tuple[int, int]]()
-    sets = UnionFind()
-    tree = [pair for pair in sorted(pairs, key=lambda pair: -pair.log_odds) if sets.merge(pair.first, pair.second)]
+
+def _chained(group: list[int], maps: Mapping[int, SavedMap], pairs: list[MapPair]) -> dict[int, FloatArray]:
+    """``T_joint_map`` (4, 4) of each map, along the pairs with the highest log odds that relate all maps."""
+    T_joint_map, related = {group[0]: np.eye(4)}, UnionFind()
+    tree = [pair for pair in sorted(pairs, key=lambda pair: -pair.log_odds) if related.merge(pair.first, pair.second)]
     while len(T_joint_map) < len(group):
         pair = next(p for p in tree if (p.first in T_joint_map) != (p.second in T_joint_map))
         join = pair.best
@@ -140,49 +160,22 @@ def _placed(
             T_joint_map[join.query_map] = T_joint_map[join.reference_map] @ T_reference_query
         else:
             T_joint_map[join.reference_map] = T_joint_map[join.query_map] @ invert(T_reference_query)
-        ties.append((first[pair.first], first[pair.second]))
-    poses = np.concatenate([T_joint_map[number] @ maps[number].graph.T_map_body for number in group])
-    extent_m = float(np.ptp(poses[:, :2, 3], axis=0).max()) + 1.0
-    edges, transforms, information = [], [], []
-    for number in group:
-        graph = maps[number].graph
-        edges.append(_rows_of(graph, graph.edge_keyframe_ids) + first[number])
-        transforms.append(graph.edge_transforms)
-        information.append(np.linalg.inv(graph.edge_covariances).reshape(-1, 6, 6))
-    tied = np.array(ties, dtype=np.int64)
-    loose = np.diag(np.repeat([TIE_SIGMA_RAD, TIE_SIGMA_PITCHES * extent_m], 3) ** -2.0)
-    closing = [_edge(join, maps, first) for join in joins]
-    given = sum(len(each) for each in edges) + len(tied)
-    pose_graph = PoseGraph(
-        vertex_ids=np.arange(len(poses)),
-        T_world_vertex=poses,
-        edges=np.concatenate([*edges, tied, np.array([edge[:2] for edge in closing], dtype=np.int64)]),
-        T_from_to=np.concatenate(
-            [*transforms, invert(poses[tied[:, 0]]) @ poses[tied[:, 1]], np.array([edge[2] for edge in closing])]
-        ),
-        information=np.concatenate(
-            [*information, np.tile(loose, (len(tied), 1, 1)), np.linalg.inv([join.covariance for join in joins])]
-        ),
-        fixed_ids=np.zeros(0, dtype=np.int64),
-    )
-    is_closure = np.arange(len(pose_graph.edges)) >= given
-    solved = optimize_pose_graph(pose_graph, is_closure)
-    return solved.graph.T_world_vertex, solved.solution.kept
+    return T_joint_map
 
 
-def _edge(join: Join, maps: Mapping[int, SavedMap], first: Mapping[int, int]) -> tuple[int, int, FloatArray]:
-    """From the nearest place of the reference map to the place: their numbers and the transform."""
+def _closure(join: Join, maps: Mapping[int, SavedMap], first: Mapping[int, int]) -> Edge:
+    """From the nearest place of the reference map to the recognised place."""
     T_reference = maps[join.reference_map].graph.T_map_body
     offsets = T_reference[:, :2, 3] - join.T_reference_place[:2, 3]
     nearest = int(np.hypot(offsets[:, 0], offsets[:, 1]).argmin())
     T_from_to = invert(T_reference[nearest]) @ join.T_reference_place
-    return first[join.reference_map] + nearest, first[join.query_map] + join.place, T_from_to
+    ends = first[join.reference_map] + nearest, first[join.query_map] + join.place
+    return Edge(*ends, T_from_to, join.covariance, EdgeKind.LOOP_CLOSURE)
 
 
-def _rows_of(graph: FactorGraphRecord, keyframes: IntArray) -> IntArray:
-    """Rows (...) of keyframes (...) of a graph, by their ids."""
-    order = np.argsort(graph.keyframe_ids)
-    return np.asarray(order[np.searchsorted(graph.keyframe_ids, keyframes, sorter=order)])
+def _places(number: int, maps: Mapping[int, SavedMap], first: Mapping[int, int]) -> dict[int, int]:
+    """The joint number of each place of a map."""
+    return {place: first[number] + row for row, place in enumerate(maps[number].graph.keyframe_ids.tolist())}
 
 
 def _moved(saved: SavedMap, T_joint_place: FloatArray) -> ObjectMapRecord:
@@ -227,10 +220,10 @@ def _solved(
         saved = maps[number]
         rows = object_map.restore(_moved(saved, T_map_place[place_maps == number]), travel_m=0.0)
         rows_of[number] = dict(zip(saved.objects.ids, rows.tolist(), strict=True))
-        place_of = {place: row + first[number] for row, place in enumerate(saved.graph.keyframe_ids.tolist())}
+        place_of = _places(number, maps, first)
         edges += edges_of(saved.graph, place_of)
         observations += observations_of(saved.graph, place_of, rows_of[number])
-    edges += [Edge(*_edge(join, maps, first), join.covariance, EdgeKind.LOOP_CLOSURE) for join in joins]
+    edges += [_closure(join, maps, first) for join in joins]
     graph.restore(T_map_place, edges, observations)
     _merge_matched(object_map, joins, rows_of)
     graph.alias_landmarks(object_map.aliases)
