@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -123,53 +124,39 @@ def test_import_of_parquet(
     check(dslam("import", "csv", tmp_path / "drive.mcap", *files), code, told)
 
 
-@dataclass(frozen=True)
-class Drive:
-    """``command`` of a log with odometry and a tree at 5 m in each scan, of which some things are changed."""
-
-    told: str
-    code: int = 2
-    command: str = "replay"
-    odometry: Mapping[str, object] = field(default_factory=dict)
-    detections: Mapping[str, object] = field(default_factory=dict)
-    transform: Transform | None = None
-    delay_ns: int = 0
-    options: tuple[str, ...] = ()
-
-
 LOOP = Transform(0, "lidar", "lidar_mount", np.eye(4))
 EMPTY = {"positions": np.zeros((0, 3)), "labels": (), "scores": np.zeros(0)}
-DRIVES = {
-    "a sensor that nothing connects": Drive("lidar", detections={"frame_id": "lidar"}),
-    "a sensor on another tree": Drive("lidar_mount", detections={"frame_id": "lidar"}, transform=LOOP),
-    "no object at all": Drive("not corrected, the trajectory is that of the odometry", 0, detections=EMPTY),
-    "another clock": Drive("check that both have the same clock", 0, delay_ns=10**15),
-    "another clock, looked at": Drive("not on one clock", 0, "info", delay_ns=10**15),
-    "a sensor that nothing connects, looked at": Drive(
-        "which no transform connects with base_link", 0, "info", detections={"frame_id": "lidar"}
-    ),
-    "a topic that is not there": Drive("/wheel", options=("--topic", "odometry=/wheel")),
-    "a setting that is not there": Drive("did you mean", options=("--set", "keyframe.distance=2")),
-    "no map": Drive("is a log, but no map", options=("--map", "drive.mcap")),
-}
+UNCONNECTED = {"frame_id": "lidar"}
+LATER = {"delay_ns": 10**15}
 
 
-@pytest.mark.parametrize("name", DRIVES)
-def test_logs(dslam: Run, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    case = DRIVES[name]
-    with LogWriter("drive.mcap") as log:
-        if case.transform is not None:
-            log.write("/tf_static", case.transform)
+@pytest.mark.parametrize(
+    ("command", "changed", "code", "told"),
+    [
+        ("replay", UNCONNECTED, 2, "lidar"),
+        ("replay", {**UNCONNECTED, "transform": LOOP}, 2, "lidar_mount"),
+        ("replay", EMPTY, 0, "not corrected, the trajectory is that of the odometry"),
+        ("replay", LATER, 0, "check that both have the same clock"),
+        ("info", LATER, 0, "not on one clock"),
+        ("info", UNCONNECTED, 0, "which no transform connects with base_link"),
+    ],
+)
+def test_logs(dslam: Run, tmp_path: Path, command: str, changed: Mapping[str, Any], code: int, told: str) -> None:
+    """Odometry and a tree at 5 m in each scan, of which some things are changed."""
+    detections = dict(changed)
+    transform, delay_ns = detections.pop("transform", None), detections.pop("delay_ns", 0)
+    with LogWriter(tmp_path / "drive.mcap") as log:
+        if transform is not None:
+            log.write("/tf_static", transform)
         for stamp_ns in range(0, 3 * 10**9, 10**8):
             T_odom_body = np.eye(4)
             T_odom_body[0, 3] = stamp_ns * 1e-9
-            log.write("/odom", replace(Odometry(stamp_ns, T_odom_body), **case.odometry))
-            scan = ObjectDetections(stamp_ns + case.delay_ns, "base_link", np.ones((1, 3)), ("tree",), np.ones(1))
-            log.write("/objects", replace(scan, **case.detections), stamp_ns)
-    output = ("-o", "out.mcap") if case.command == "replay" else ()
-    check(dslam(case.command, "drive.mcap", *output, *case.options), case.code, case.told)
-    assert not Path("out.mcap.part").exists()
+            log.write("/odom", Odometry(stamp_ns, T_odom_body))
+            scan = ObjectDetections(stamp_ns + delay_ns, "base_link", np.ones((1, 3)), ("tree",), np.ones(1))
+            log.write("/objects", replace(scan, **detections), stamp_ns)
+    output = ("-o", tmp_path / "out.mcap") if command == "replay" else ()
+    check(dslam(command, tmp_path / "drive.mcap", *output), code, told)
+    assert not list(tmp_path.glob("*.part"))
 
 
 MAPS = {

@@ -142,47 +142,41 @@ class TestSignals:
         result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
         assert (result.returncode, result.stderr) == (130, "dslam: interrupted\n")
 
-    def test_that_a_library_swallowed_are_raised_again(self) -> None:
+    @pytest.mark.parametrize(
+        ("summarize", "ended"),
+        [
+            pytest.param(
+                """
+    try: os.kill(os.getpid(), signal.SIGINT)
+    except BaseException: pass
+    time.sleep(60)""",
+                (130, "", "dslam: interrupted\n"),
+                id="swallowed by a library",
+            ),
+            pytest.param(
+                """
+    try: os.kill(os.getpid(), signal.SIGINT)
+    finally:
+        time.sleep(0.5)
+        print('closed')""",
+                (130, "closed\n", "dslam: interrupted\n"),
+                id="while files are closed, which goes on",
+            ),
+            pytest.param(
+                """
+    try: tools._stop(15, None)
+    except BaseException as error: raise ImportError('numpy is broken') from error""",
+                (143, "", "dslam: terminated\n"),
+                id="made another error on its way",
+            ),
+        ],
+    )
+    def test_that_do_not_come_through(self, summarize: str, ended: tuple[int, str, str]) -> None:
         code = (
-            "import os, signal, sys, time, tools\n"
-            "def swallow(*_):\n"
-            "    try: os.kill(os.getpid(), signal.SIGINT)\n"
-            "    except BaseException: pass\n"
-            "    time.sleep(60)\n"
-            "import logs.summary; logs.summary.summarize = swallow\n"
-            f"sys.argv = ['dslam', 'info', {str(SAMPLE)!r}]\n"
-            "tools.main()"
+            f"import os, signal, sys, time, tools\ndef summarize(*_):{summarize}\n"
+            "import logs.summary; logs.summary.summarize = summarize\n"
+            f"sys.argv = ['dslam', 'info', {str(SAMPLE)!r}]\ntools.main()"
         )
         command = [sys.executable, "-c", code]
         result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=50)
-        assert (result.returncode, result.stderr) == (130, "dslam: interrupted\n")
-
-    def test_are_not_raised_again_while_files_are_closed(self) -> None:
-        code = (
-            "import os, signal, sys, time, tools\n"
-            "def close_slowly(*_):\n"
-            "    try: os.kill(os.getpid(), signal.SIGINT)\n"
-            "    finally:\n"
-            "        time.sleep(0.5)\n"
-            "        print('closed')\n"
-            "import logs.summary; logs.summary.summarize = close_slowly\n"
-            f"sys.argv = ['dslam', 'info', {str(SAMPLE)!r}]\n"
-            "tools.main()"
-        )
-        command = [sys.executable, "-c", code]
-        result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-        assert (result.returncode, result.stdout, result.stderr) == (130, "closed\n", "dslam: interrupted\n")
-
-    def test_that_became_another_error_on_their_way(self) -> None:
-        code = (
-            "import sys, tools\n"
-            "def fail(*_):\n"
-            "    try: tools._stop(15, None)\n"
-            "    except BaseException as error: raise ImportError('numpy is broken') from error\n"
-            "import logs.summary; logs.summary.summarize = fail\n"
-            f"sys.argv = ['dslam', 'info', {str(SAMPLE)!r}]\n"
-            "tools.main()"
-        )
-        command = [sys.executable, "-c", code]
-        result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-        assert (result.returncode, result.stderr) == (143, "dslam: terminated\n")
+        assert (result.returncode, result.stdout, result.stderr) == ended

@@ -5,12 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from logs.messages import ObjectDetections, Odometry
 from logs.reader import LogReader
-from logs.writer import LogWriter
 from tests.tools.runs import SAMPLE, Run, assert_refused, write_log
 
 
@@ -164,15 +161,6 @@ class TestOutputs:
         log.write_bytes(mapped.read_bytes())
         assert_refused(dslam("export", log, "--tum", tmp_path / "a.txt"), "is the input")
         assert log.read_bytes() == mapped.read_bytes()
-
-    def test_a_refused_replay_leaves_nothing(self, dslam: Run, tmp_path: Path) -> None:
-        log = tmp_path / "log.mcap"
-        with LogWriter(log) as writer:
-            writer.write("/odom", Odometry(0, np.eye(4)))
-            record = ObjectDetections(0, "lidar", np.array([[5.0, 0.0, 0.0]]), ("tree",), np.ones(1))
-            writer.write("/objects", record)
-        assert_refused(dslam("replay", log, "-o", tmp_path / "out.mcap"), "lidar")
-        assert list(tmp_path.iterdir()) == [log]
 
     def test_a_reference_without_truth_is_refused(self, dslam: Run, tmp_path: Path) -> None:
         output, reference = tmp_path / "map.mcap", write_log(tmp_path / "reference.mcap")
