@@ -51,7 +51,7 @@ def show_map(path: Path, now: datetime) -> None:
         "drives": "\n".join(_drive(drive) for drive in summary.drives),
         "last drive": when(summary.stamp_ns, now),
         "descriptors": "computed when the map is loaded, by the configured descriptor; that of the last drive was "
-        f" {summary.descriptor or 'not recorded'}",
+        f"{summary.descriptor or 'not recorded'}",
         "to extend it": f"dslam replay LOG -o OUT.mcap --map {path} --save-map NEW.mcap",
         "to localize in it": f"dslam relocalize LOG --map {path} -o OUT.mcap",
     }
