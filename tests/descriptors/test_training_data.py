@@ -118,18 +118,6 @@ def test_circles_have_their_objects_at_one_distance_from_the_middle():
     assert_is_drawn_from(np.array([radius_m[0] for radius_m in radii_m]), "uniform", 4.0, 16.0)
 
 
-def test_clusters_are_normal_and_patterns_lie_anywhere_in_the_square():
-    simulation = MapSimulation(patterns=(1, 1), objects_per_pattern=(4000, 4000), kinds=("cluster",))
-    plan = simulate_map(simulation, rng=np.random.default_rng(4)).positions[:, :2]
-    variances, axes = np.linalg.eigh(np.cov(plan.T))
-    assert 3.0 < np.sqrt(variances[0]) < np.sqrt(variances[1]) < 15.0
-    assert_is_drawn_from(((plan - plan.mean(axis=0)) @ axes)[:, 0] / np.sqrt(variances[0]), "norm")
-    points = MapSimulation(patterns=(3000, 3000), objects_per_pattern=(1, 1), kinds=("line",), side_m=50.0)
-    positions = simulate_map(points, rng=np.random.default_rng(1)).positions
-    assert_is_drawn_from(positions[:, 0], "uniform", 0.0, 50.0)
-    assert_is_drawn_from(positions[:, 2], "norm", 0.0, 1.5)
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_drawn_maps_and_views_are_complete(seed):
     rng = np.random.default_rng(seed)

@@ -17,7 +17,7 @@ from descriptors.errors import DescriptorError, WeightsError
 from descriptors.learned.descriptor import LearnedDescriptor
 from descriptors.learned.networks import BATCH, describe_padded, load_network, make_network
 from descriptors.learned.weights import Weights, save_weights
-from descriptors.registry import NETWORKS, make_descriptor, shipped_weights
+from descriptors.registry import shipped_weights
 from descriptors.training.augmentation import AugmentationRates
 from descriptors.training.dataset import DatasetConfig, make_dataset
 from descriptors.training.simulation import MapSimulation
@@ -89,25 +89,9 @@ def test_class_without_a_row_of_the_embedding_is_refused_with_both_numbers(descr
         assert descriptor.describe(constellations).shape == (1, 16)
 
 
-def test_no_constellation_gives_no_vector_and_a_single_object_one_by_its_class(descriptor):
-    nobody = gather_constellations(np.zeros((0, 3)), np.zeros(0, np.int64), VOCABULARY, radius_m=30.0)
-    assert descriptor.describe(nobody).shape == (0, 16)
-    lonely = gather_constellations(np.eye(3) * 1000.0, np.array([0, 1, 0]), VOCABULARY, radius_m=30.0)
-    vectors = descriptor.describe(lonely)
-    assert_alike(vectors[0], vectors[2])
-    assert np.abs(vectors[0] - vectors[1]).max() > 1e-4
-
-
 def test_weights_without_their_radius_are_refused(tmp_path):
     with pytest.raises(WeightsError, match=r"net\.safetensors.*radius_m"):
         saved(tmp_path / "net.safetensors", {"epochs": 3})
-
-
-@pytest.mark.parametrize("name", NETWORKS)
-def test_shipped_network_describes(constellations, name):
-    descriptor = make_descriptor(name)
-    assert descriptor.name == name
-    assert np.isfinite(descriptor.describe(constellations)).all()
 
 
 def test_shipped_network_finds_as_many_views_of_other_maps_as_the_paper():

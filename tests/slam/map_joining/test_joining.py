@@ -91,35 +91,6 @@ def test_landmarks_are_fused_and_nearer_to_the_truth(joint: list[JointMap], maps
     assert np.median(errors) < 0.3
 
 
-def test_landmarks_that_joins_matched_are_one_and_none_of_one_map(
-    maps: list[SavedMap], pairs: list[MapPair], joint: list[JointMap]
-) -> None:
-    landmark_of = {(each.map_number, each.name): each.landmark for each in joint[0].sightings}
-    matched = [
-        landmark_of[join.query_map, query] == landmark_of[join.reference_map, reference]
-        for pair in pairs
-        if pair.accepted
-        for join in pair.joins
-        for query, reference in join.pairs
-    ]
-    assert len(matched) > 100
-    assert np.mean(matched) > 0.99
-    for number in joint[0].members:
-        names = [landmark for (of, _), landmark in landmark_of.items() if of == number]
-        assert len(set(names)) >= len(names) - 1
-
-
-def test_two_poses_for_the_same_places_join_nothing(maps: list[SavedMap], joins: list[Join]) -> None:
-    right = [join for join in joins if (join.query_map, join.reference_map) == (1, 0)]
-    shift = np.eye(4)
-    shift[:2, 3] = 40.0
-    wrong = [replace(join, T_reference_place=shift @ join.T_reference_place, llr=join.llr - 1.0) for join in right]
-    pair = judge_pairs(maps, right + wrong, CONFIG, penalty=6.0)[0]
-    assert not pair.accepted
-    assert "another transform" in pair.reason
-    assert pair.log_odds < 4.0
-
-
 def test_a_false_pair_is_rejected_by_the_others(maps: list[SavedMap], pairs: list[MapPair]) -> None:
     """Maps 0 and 2 joined far from where the chain over 1 puts them."""
     template = next(pair for pair in pairs if (pair.first, pair.second) == (0, 1)).joins[0]

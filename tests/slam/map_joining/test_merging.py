@@ -97,16 +97,6 @@ def test_two_maps_of_one_town_become_one(first: SavedMap, second: SavedMap) -> N
     assert [drive["input_sha256"] for drive in merged.saved.drives] == ["drive 1", "drive 2"]
 
 
-def test_each_landmark_counts_the_observations_of_both(first: SavedMap, second: SavedMap) -> None:
-    merged = merge_maps([first, second])
-    assert isinstance(merged, MergedMap)
-    counts = [saved.objects.observation_counts.sum() for saved in (first, second, merged.saved)]
-    assert counts[2] == counts[0] + counts[1]
-    assert np.median(np.trace(merged.saved.objects.covariances, axis1=1, axis2=2)) < np.median(
-        np.trace(first.objects.covariances, axis1=1, axis2=2)
-    )
-
-
 def test_maps_of_two_towns_are_not_joined(first: SavedMap) -> None:
     rng, count = np.random.default_rng(5), len(first.objects.ids)
     low, high = first.objects.positions[:, :2].min(axis=0), first.objects.positions[:, :2].max(axis=0)

@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs.messages import LoopClosureRecord, SlamPose, StatusRecord
+from logs.messages import LoopClosureRecord
 from slam.common.config import Config, LoopClosureConfig
 from slam.common.errors import SavedMapError
 from slam.final_map import FinalMap
-from slam.localization.state import State
 from slam.object_map.landmarks import RetirementReason
 from slam.object_map.map_io import SavedMap, confirmed, load_map, save_map
 from slam.place_recognition.retrieval import PlaceRetriever
@@ -84,31 +83,6 @@ def test_what_was_saved_comes_back(path: Path, known: SavedMap) -> None:
         np.testing.assert_array_equal(getattr(loaded.objects, name), getattr(known.objects, name))
     for name in ("keyframe_ids", "T_map_body", "edge_transforms", "observation_positions", "observation_covariances"):
         np.testing.assert_allclose(getattr(loaded.graph, name), getattr(known.graph, name), atol=1e-12)
-
-
-def test_a_robot_finds_itself_in_the_map_and_is_lost_until_then(known: SavedMap, second: list[Entry]) -> None:
-    slam = Slam(Config(), known)
-    assert slam.state == State.LOST
-    states: list[str] = []
-    poses_while_lost = 0
-    for _, _, record in second:
-        for update in slam.process(record):
-            if isinstance(update, StatusRecord):
-                states.append(update.state)
-            poses_while_lost += isinstance(update, SlamPose) and not slam.fixes
-    final = slam.finish()
-    assert [state for place, state in enumerate(states) if place == 0 or state != states[place - 1]] == [
-        "LOST",
-        "RELOCALIZED",
-        "TRACKING",
-    ]
-    assert poses_while_lost == 0
-    assert slam.fixes[0].travel_m < 60.0
-    landmarks = final.object_map.states.count("confirmed")
-    assert landmarks == pytest.approx(len(known.objects.ids), rel=0.1)
-    # What is extended moves.
-    moved = final.object_map.positions[: len(known.objects.ids)] - known.objects.positions
-    assert np.linalg.norm(moved, axis=1).max() > 0.01
 
 
 def test_a_map_that_is_not_extended_stays_exactly_as_it_was(known: SavedMap, kept: tuple[Slam, FinalMap]) -> None:
