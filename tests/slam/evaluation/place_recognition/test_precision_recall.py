@@ -93,20 +93,6 @@ def test_curve_and_average_precision_agree_with_scikit_learn(answers: list[tuple
     )
 
 
-@pytest.mark.parametrize(
-    ("candidates", "extended"),
-    [
-        ([(1, 2.0, True), (2, 1.0, True)], 1.0),
-        ([(1, 2.0, True), (2, 1.0, False)], 0.75),
-        ([(1, 2.0, False), (2, 1.0, True)], 0.0),  # the best score is false, so nothing has full precision
-        ([(1, 2.0, False), (2, 2.0, True)], 0.25),  # a true one shares that score
-        ([(1, 2.0, False), (2, 1.0, False)], 0.0),
-    ],
-)
-def test_extended_precision_by_hand(candidates: list[Candidate], extended: float) -> None:
-    assert figures(candidates, [1, 2])["extended_precision"] == extended
-
-
 def test_a_long_curve_is_thinned_but_not_at_its_ends() -> None:
     rng = np.random.default_rng(3)
     scores = rng.permutation(5000).astype(np.float64)
