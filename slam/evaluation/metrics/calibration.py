@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform
 from scipy.special import gammaincinv
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
@@ -135,7 +135,7 @@ def pose_errors(T_est: FloatArray, T_gt: FloatArray) -> FloatArray:
 
     It is what the covariances of poses and closures are about.
     """
-    return _logarithm(invert(T_est) @ T_gt)
+    return RigidTransform.from_matrix(invert(T_est) @ T_gt).as_exp_coords()
 
 
 def _tie_first(graph: FactorGraphRecord | None, truth: PoseSeries, protocol: Protocol) -> FloatArray | None:
@@ -177,18 +177,3 @@ def _closure_errors(judged: pd.DataFrame, truth: PoseSeries, protocol: Protocol)
     T_reference_query = np.array([record.T_reference_query for record in chosen["record"]])
     covariances = np.array([record.covariance for record in chosen["record"]])
     return pose_errors(T_reference_query, invert(T_world_reference) @ T_world_query), covariances
-
-
-def _logarithm(T: FloatArray) -> FloatArray:
-    """The tangent vector (N, 6), rotation first, of transforms (N, 4, 4); the inverse of GTSAM's ``Pose3.Expmap``."""
-    rotation = Rotation.from_matrix(T[:, :3, :3]).as_rotvec()
-    angle = np.linalg.norm(rotation, axis=1)
-    x, y, z = rotation.T
-    zeros = np.zeros(len(T))
-    skew = np.stack([zeros, -z, y, z, zeros, -x, -y, x, zeros], axis=1).reshape(-1, 3, 3)
-    is_small = angle < 1e-4
-    safe = np.where(is_small, 1.0, angle)
-    # 1 / a^2 - cot(a / 2) / (2 a), which is 1 / 12 at 0.
-    factor = np.where(is_small, 1.0 / 12.0, 1.0 / safe**2 - 0.5 / (safe * np.tan(0.5 * safe)))
-    to_tangent = np.eye(3) - 0.5 * skew + factor[:, None, None] * (skew @ skew)
-    return np.concatenate([rotation, np.einsum("nij,nj->ni", to_tangent, T[:, :3, 3])], axis=1)
