@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
 
-from logs.messages import DetectionTruth, ObjectDetections, Odometry
-from slam.common.arrays import FloatArray, IntArray
-from slam.common.geometry import invert
-from slam.simulation.faults.fault import DETECTIONS, ODOMETRY, SCANS, TRANSFORMS, Duration, Hertz, Range, Seconds, fault
+from logs.messages import ObjectDetections, Odometry
+from slam.common.arrays import IntArray
+from slam.simulation.faults.fault import DETECTIONS, ODOMETRY, SCANS, Duration, Hertz, Range, Seconds, fault
 from slam.simulation.faults.stream import (
     HALF,
     Entry,
-    Scan,
     Stream,
-    body_frames_of,
-    by_log_time,
     keep_scans,
-    move_detections,
     odometry_of,
-    poses_at,
     restamp_scans,
     scans_of,
     seconds_ns,
@@ -84,16 +76,9 @@ def scan_rate(stream: Stream, rate_hz: Hertz = 1.0) -> list[Entry]:
     return _thinned_scans(stream, rate_hz)
 
 
-@fault((*ODOMETRY, *SCANS), reads=TRANSFORMS, cases=("1", "100"))
+@fault((*ODOMETRY, *SCANS))
 def frame_rate(stream: Stream, rate_hz: Hertz = 1.0) -> list[Entry]:
-    """Odometry and detections come at HZ, thinned or filled in.
-
-    Filled-in odometry is interpolated. Filled-in scans repeat the objects of the scan before as they would be seen from
-    where the odometry is by then, errors and all.
-    """
-    stamps_ns = np.unique([s.stamp_ns for s in scans_of(stream)])
-    if len(stamps_ns) > 1 and rate_hz * 1e-9 * float(np.median(np.diff(stamps_ns))) > 1.0:
-        return _filled(stream, rate_hz)
+    """Odometry and detections come at HZ at most."""
     kept_odometry = set(_thinned(np.unique(odometry_of(stream)[0]), rate_hz).tolist())
     thinned = [e for e in stream if not isinstance(e.content, Odometry) or e.stamp_ns in kept_odometry]
     return _thinned_scans(thinned, rate_hz)
@@ -145,40 +130,3 @@ def _thinned(stamps_ns: IntArray, rate_hz: float) -> IntArray:
     # Half a nanosecond more keeps stamps that stand exactly at the period's ends.
     periods = np.floor((stamps_ns - stamps_ns[0] + 0.5) * 1e-9 * rate_hz).astype(np.int64)
     return np.asarray(stamps_ns[np.unique(periods, return_index=True)[1]])
-
-
-def _filled(stream: Stream, rate_hz: float) -> list[Entry]:
-    entries = list(stream)
-    stamps_ns, poses = odometry_of(stream)
-    for before, after in pairwise([e for e in stream if isinstance(e.content, Odometry)]):
-        between_ns = _between(before.stamp_ns, after.stamp_ns, rate_hz)
-        for stamp_ns, T in zip(between_ns.tolist(), poses_at(stamps_ns, poses, between_ns), strict=True):
-            log_time_ns = before.log_time_ns + stamp_ns - before.stamp_ns
-            entries.append(before.with_fields(log_time_ns, stamp_ns=stamp_ns, T_odom_body=T))
-    frame = body_frames_of(stream)
-    scans = scans_of(stream)
-    for scan, later in pairwise(scans):
-        between_ns = _between(scan.stamp_ns, later.stamp_ns, rate_hz)
-        T_odom_body = poses_at(stamps_ns, poses, np.concatenate([[scan.stamp_ns], between_ns]))
-        T_body_sensor = frame(scan.detections.frame_id)
-        for stamp_ns, T in zip(between_ns.tolist(), T_odom_body[1:], strict=True):
-            T_now_then = invert(T @ T_body_sensor) @ T_odom_body[0] @ T_body_sensor
-            entries += _repeated(stream, scan, stamp_ns, T_now_then)
-    return by_log_time(entries)
-
-
-def _between(first_ns: int, last_ns: int, rate_hz: float) -> IntArray:
-    """Stamps inside an interval that make messages of at least the rate, evenly."""
-    pieces = int(np.ceil((last_ns - first_ns) * 1e-9 * rate_hz - 1e-6))
-    return np.linspace(first_ns, last_ns, max(pieces, 1) + 1)[1:-1].round().astype(np.int64)
-
-
-def _repeated(stream: Stream, scan: Scan, stamp_ns: int, T_now_then: FloatArray) -> list[Entry]:
-    """Detections, and their true ids, once more at a later stamp."""
-    shift_ns = stamp_ns - scan.stamp_ns
-    detections = replace(move_detections(scan.detections, T_now_then), stamp_ns=stamp_ns)
-    entries = [stream[scan.row].having(detections, stream[scan.row].log_time_ns + shift_ns)]
-    if scan.truth_row is not None and scan.object_ids is not None:
-        truth = stream[scan.truth_row]
-        entries.append(truth.having(DetectionTruth(stamp_ns, scan.object_ids), truth.log_time_ns + shift_ns))
-    return entries

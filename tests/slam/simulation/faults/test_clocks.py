@@ -4,19 +4,14 @@ import numpy as np
 import pytest
 
 from logs.messages import DetectionTruth, ObjectDetections, Odometry
-from slam.common.geometry import apply
 from slam.simulation.faults.faulty_log import apply_faults
 from slam.simulation.faults.registry import parse_faults
 from tests.slam.simulation.faults.streams import (
     COUNT,
     HALF_NS,
-    IDS,
-    PERIOD_NS,
     STAMPS_NS,
-    T_BODY_SENSOR,
     drive,
     faulty,
-    poses,
     records,
     stamps,
 )
@@ -57,19 +52,6 @@ def test_a_lower_frame_rate_thins_all() -> None:
     changed = faulty("frame_rate=1")
     for kind in (ObjectDetections, DetectionTruth, Odometry):
         assert np.array_equal(stamps(changed, kind), STAMPS_NS[::10])
-
-
-def test_a_higher_frame_rate_fills_in() -> None:
-    changed = faulty("frame_rate=100")
-    expected = np.arange(STAMPS_NS[0], STAMPS_NS[-1] + 1, PERIOD_NS // 10)
-    for kind in (ObjectDetections, DetectionTruth, Odometry):
-        assert np.array_equal(stamps(changed, kind), expected)
-    assert all(truth.object_ids == IDS for truth in records(changed, DetectionTruth))
-    # What is repeated stands still in the frame of the odometry.
-    T_odom_sensor = poses(changed) @ T_BODY_SENSOR
-    standing = [apply(T, s.positions) for T, s in zip(T_odom_sensor, records(changed, ObjectDetections), strict=True)]
-    assert standing[3] == pytest.approx(standing[0])
-    assert standing[13] == pytest.approx(standing[10])
 
 
 def test_the_rate_as_it_is_changes_nothing() -> None:
