@@ -106,6 +106,13 @@ class TestRelocalize:
         assert np.linalg.norm(errors_m, axis=1).max() < 1.0
         assert np.median(np.abs(errors_m) / sigmas_m) < 2.0
 
+    def test_poses_in_the_map_begin_with_the_first_fix(self, found: Path) -> None:
+        first, poses = records_of(found, "/slam/relocalizations")[0], records_of(found, "/slam/pose")
+        assert 0 < len(poses) < len(records_of(found, "/odom"))
+        assert min(pose.stamp_ns for pose in poses) >= first.stamp_ns
+        states = [status.state for status in records_of(found, "/slam/status")]
+        assert list(dict.fromkeys(states)) == ["LOST", "RELOCALIZED", "TRACKING"]
+
     def test_in_another_town_it_says_so(self, dslam: Run, folder: Path, town: Path, tmp_path: Path) -> None:
         picture = tmp_path / "lost.png"
         arguments = ("relocalize", folder / "other.mcap", "--map", town, "-o", tmp_path / "out.mcap")
