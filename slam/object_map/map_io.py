@@ -108,7 +108,7 @@ def save_map(
     _refuse_fault(path, kept, graph)
     if not is_tied.all():
         logger.warning(
-            "%d keyframes and %d landmarks are not in the map: only a break of the odometry ties them to the rest",
+            "%d keyframes and %d landmarks are not in the map: only a break of the odometry connects them to the rest",
             np.count_nonzero(~is_tied),
             len(adrift),
         )
