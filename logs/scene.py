@@ -8,6 +8,7 @@ from __future__ import annotations
 import colorsys
 import zlib
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
@@ -18,9 +19,10 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from google.protobuf.message import Message
+from google.protobuf.message import DecodeError, Message
 from google.protobuf.timestamp_pb2 import Timestamp
 
+from logs.errors import UnreadableLogError
 from logs.messages import FloatArray, SceneLines, SceneMarkers, ScenePoints
 
 _SHAPES = ("cubes", "spheres", "cylinders")
@@ -87,14 +89,14 @@ def decode_lines(data: bytes) -> tuple[FloatArray, ...]:
     """The polylines (n, 3) m of an update that :func:`encode_lines` made."""
     return tuple(
         np.array([(point.x, point.y, point.z) for point in line.points]).reshape(-1, 3)
-        for entity in SceneUpdate.FromString(data).entities
+        for entity in _parse(SceneUpdate, data).entities
         for line in entity.lines
     )
 
 
 def decode_position(data: bytes) -> FloatArray:
     """The position (3,) m of a foxglove.PoseInFrame."""
-    position = PoseInFrame.FromString(data).pose.position
+    position = _parse(PoseInFrame, data).pose.position
     return np.array([position.x, position.y, position.z])
 
 
@@ -115,7 +117,12 @@ def encode_points(points: ScenePoints) -> Message:
 
 def decode_points(data: bytes) -> FloatArray:
     """The positions (N, 3) m of a cloud that :func:`encode_points` made."""
-    rows = np.frombuffer(PointCloud.FromString(data).data, dtype=_POINT)
+    points = _parse(PointCloud, data).data
+    if len(points) % _POINT.itemsize:
+        raise UnreadableLogError(
+            f"a cloud of {len(points)} bytes is not of points of {_POINT.itemsize} bytes; make the map again"
+        )
+    rows = np.frombuffer(points, dtype=_POINT)
     return np.column_stack([rows[axis] for axis in "xyz"]).astype(np.float64)
 
 
@@ -123,6 +130,15 @@ def timestamp(stamp_ns: int) -> Timestamp:
     """``stamp_ns`` as protobuf has times."""
     seconds, nanos = divmod(int(stamp_ns), 1_000_000_000)
     return Timestamp(seconds=seconds, nanos=nanos)
+
+
+def _parse(message_class: Any, data: bytes) -> Any:
+    try:
+        return message_class.FromString(data)
+    except DecodeError as error:
+        raise UnreadableLogError(
+            f"{len(data)} bytes do not decode as {message_class.DESCRIPTOR.full_name}; make the map again"
+        ) from error
 
 
 def _place(pose: Message, x: float, y: float, z: float) -> None:

@@ -174,8 +174,8 @@ def test_network_that_does_not_fit_its_architecture_is_refused_by_name(path, cha
         (lambda _, texts: texts.update(architecture='{"radius_m": 60.0}'), "no fields"),
         (lambda tensors, _: tensors.update(log_width=np.zeros(2, np.float32)), "log_width is float32"),
         (lambda tensors, _: tensors.update({"ring.2.bias": np.full(2, np.nan, np.float32)}), "not finite"),
-        (lambda _, texts: set_architecture(texts, radius_m=1e300), "no rings"),
-        (lambda _, texts: set_architecture(texts, least_ring_m=0.0), "no rings"),
+        (lambda _, texts: set_architecture(texts, radius_m=1e300), "its rings are invalid"),
+        (lambda _, texts: set_architecture(texts, least_ring_m=0.0), "its rings are invalid"),
     ],
 )
 def test_likelihood_that_does_not_fit_its_architecture_is_refused(likelihood, change, message):
