@@ -11,7 +11,9 @@ Every record is frozen, holds plain NumPy arrays and strings, and knows neither 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,6 +161,39 @@ class ObjectMapRecord:
     first_seen_ns: IntArray
     last_seen_ns: IntArray
     merged_into: tuple[str, ...] = ()
+
+    @staticmethod
+    def of_objects(
+        ids: Sequence[str],
+        positions: FloatArray,
+        classes: Sequence[int] | NDArray[np.integer[Any]],
+        vocabulary: tuple[str, ...],
+        *,
+        stamp_ns: int = 0,
+        frame_id: str = "map",
+        sigma_m: float = 0.0,
+        observations: int = 0,
+    ) -> ObjectMapRecord:
+        """Objects (N,) of known ``classes`` (N,), rows of the vocabulary, as confirmed landmarks seen at that stamp.
+
+        ``sigma_m``: standard deviation of the positions (N, 3) on each axis; ``observations``: of each object.
+        """
+        count = len(ids)
+        seen_ns = np.full(count, stamp_ns, dtype=np.int64)
+        return ObjectMapRecord(
+            stamp_ns=stamp_ns,
+            frame_id=frame_id,
+            vocabulary=vocabulary,
+            ids=tuple(ids),
+            positions=positions,
+            covariances=np.broadcast_to(sigma_m**2 * np.eye(3), (count, 3, 3)),
+            class_probabilities=np.eye(len(vocabulary))[np.asarray(classes, dtype=np.int64)],
+            states=("confirmed",) * count,
+            reasons=("",) * count,
+            observation_counts=np.full(count, observations, dtype=np.int64),
+            first_seen_ns=seen_ns,
+            last_seen_ns=seen_ns,
+        )
 
     @property
     def labels(self) -> tuple[str, ...]:

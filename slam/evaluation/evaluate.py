@@ -54,21 +54,7 @@ IN_GIVEN_MAP = "closures with keyframes of a given map have no truth in this log
 NO_MATCH = "neither a truth of the detections nor an aligned trajectory to match with"
 
 _NO_POSES = series_of(())
-_NO_IDS = np.zeros(0, dtype=np.int64)
-_NO_OBJECTS = ObjectMapRecord(
-    stamp_ns=0,
-    frame_id="",
-    vocabulary=(),
-    ids=(),
-    positions=np.zeros((0, 3)),
-    covariances=np.zeros((0, 3, 3)),
-    class_probabilities=np.zeros((0, 0)),
-    states=(),
-    reasons=(),
-    observation_counts=_NO_IDS,
-    first_seen_ns=_NO_IDS,
-    last_seen_ns=_NO_IDS,
-)
+_NO_OBJECTS = ObjectMapRecord.of_objects((), np.zeros((0, 3)), (), ())
 _Measured = TypeVar("_Measured")
 
 
@@ -281,7 +267,7 @@ class _Evaluator:
         else:
             figures = describe_closures(judged, protocol, has_truth=has_truth)
         if judged is None or queries is None:
-            no_queries = find_revisits(_NO_IDS, _NO_IDS, _NO_POSES, protocol)
+            no_queries = find_revisits(_NO_POSES.stamps_ns, _NO_POSES.stamps_ns, _NO_POSES, protocol)
             return {**figures, **undefined(describe_revisits(no_queries, nothing))}
         return {**figures, **describe_revisits(queries, judged)}
 

@@ -86,20 +86,13 @@ class ImportedMap:
 
     def landmarks(self, rows: IntArray, *, observations: int = 0) -> ObjectMapRecord:
         """Objects (K,) as confirmed landmarks with so many observations each."""
-        count, never = len(rows), np.zeros(len(rows), dtype=np.int64)
-        return ObjectMapRecord(
-            stamp_ns=0,
-            frame_id="map",
-            vocabulary=self.vocabulary,
-            ids=tuple(np.char.decode(self.ids[rows], "utf-8").tolist()),
-            positions=self.positions[rows].astype(np.float64),
-            covariances=np.broadcast_to(self.sigma_m**2 * np.eye(3), (count, 3, 3)),
-            class_probabilities=np.eye(len(self.vocabulary))[self.classes[rows]],
-            states=("confirmed",) * count,
-            reasons=("",) * count,
-            observation_counts=never + observations,
-            first_seen_ns=never,
-            last_seen_ns=never,
+        return ObjectMapRecord.of_objects(
+            np.char.decode(self.ids[rows], "utf-8").tolist(),
+            self.positions[rows].astype(np.float64),
+            self.classes[rows],
+            self.vocabulary,
+            sigma_m=self.sigma_m,
+            observations=observations,
         )
 
     def near(self, place: FloatArray, radius_m: float) -> IntArray:

@@ -152,7 +152,14 @@ def _records(
     radii_m[len(world.labels) :] = config.traffic.radius_m
 
     start_ns = _start_ns(config)
-    yield OBJECT_TRUTH_TOPIC, start_ns, _object_truth(world, start_ns)
+    known = [world.vocabulary.index(label) for label in world.labels]
+    yield (
+        OBJECT_TRUTH_TOPIC,
+        start_ns,
+        ObjectMapRecord.of_objects(
+            world.object_ids, world.positions, known, world.vocabulary, stamp_ns=start_ns, frame_id="world"
+        ),
+    )
     stamps_ns = np.concatenate([drive.stamps_ns for drive in drives])
     vehicles = traffic.drive_traffic(plan, (stamps_ns - start_ns) * 1e-9, config.traffic, rng=streams.traffic)
     object_ids = world.object_ids + vehicles.ids
@@ -196,23 +203,3 @@ def _detections(stamp_ns: int, scan: Scan, vocabulary: tuple[str, ...], with_cov
     labels = tuple(vocabulary[k] for k in scan.class_indices.tolist())
     covariances = scan.sigmas_m[:, None, None] ** 2 * np.eye(3) if with_covariances else None
     return ObjectDetections(stamp_ns, "base_link", scan.positions, labels, scan.scores, covariances)
-
-
-def _object_truth(world: World, start_ns: int) -> ObjectMapRecord:
-    count = len(world.object_ids)
-    vocabulary = world.vocabulary
-    class_indices = [vocabulary.index(label) for label in world.labels]
-    return ObjectMapRecord(
-        stamp_ns=start_ns,
-        frame_id="world",
-        vocabulary=vocabulary,
-        ids=world.object_ids,
-        positions=world.positions,
-        covariances=np.zeros((count, 3, 3)),
-        class_probabilities=np.eye(len(vocabulary))[class_indices],
-        states=("confirmed",) * count,
-        reasons=("",) * count,
-        observation_counts=np.zeros(count, dtype=np.int64),
-        first_seen_ns=np.full(count, start_ns, dtype=np.int64),
-        last_seen_ns=np.full(count, start_ns, dtype=np.int64),
-    )

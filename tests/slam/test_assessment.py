@@ -40,21 +40,9 @@ def drive(*, seen: range, landmarks: int = 2, step_m: float = 1.0) -> FactorGrap
 
 def landmarks(*, confirmed: int = 10, moving: int = 0) -> ObjectMapRecord:
     count = confirmed + moving
-    zeros = np.zeros(count, dtype=np.int64)
-    return ObjectMapRecord(
-        stamp_ns=0,
-        frame_id="map",
-        vocabulary=("car",),
-        ids=tuple(map(str, range(count))),
-        positions=np.zeros((count, 3)),
-        covariances=np.zeros((count, 3, 3)),
-        class_probabilities=np.ones((count, 1)),
-        states=("confirmed",) * confirmed + ("retired",) * moving,
-        reasons=("",) * confirmed + ("moving",) * moving,
-        observation_counts=zeros,
-        first_seen_ns=zeros,
-        last_seen_ns=zeros,
-    )
+    record = ObjectMapRecord.of_objects(tuple(map(str, range(count))), np.zeros((count, 3)), [0] * count, ("car",))
+    states = ("confirmed",) * confirmed + ("retired",) * moving
+    return replace(record, states=states, reasons=("",) * confirmed + ("moving",) * moving)
 
 
 def doubts(graph: FactorGraphRecord, object_map: ObjectMapRecord | None = None) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from logs.messages import DetectionAssociations, DetectionTruth, ObjectMapRecord
@@ -18,23 +20,16 @@ def object_map(
     first_seen_ns: IntArray | None = None,
 ) -> ObjectMapRecord:
     vocabulary = tuple(sorted(set(labels)))
-    count = len(ids)
-    seen = np.zeros(count, dtype=np.int64) if first_seen_ns is None else first_seen_ns
-    return ObjectMapRecord(
-        stamp_ns=0,
-        frame_id="map",
-        vocabulary=vocabulary,
-        ids=ids,
-        positions=np.asarray(positions, dtype=np.float64).reshape(-1, 3),
-        covariances=np.tile(np.eye(3), (count, 1, 1)),
-        class_probabilities=np.array([[float(v == label) for v in vocabulary] for label in labels]).reshape(
-            count, len(vocabulary)
-        ),
-        states=states or ("confirmed",) * count,
-        reasons=reasons or ("",) * count,
-        observation_counts=np.full(count, 5, dtype=np.int64),
-        first_seen_ns=seen,
-        last_seen_ns=seen,
+    placed = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
+    classes = [vocabulary.index(label) for label in labels]
+    record = ObjectMapRecord.of_objects(ids, placed, classes, vocabulary, sigma_m=1.0, observations=5)
+    seen_ns = record.first_seen_ns if first_seen_ns is None else first_seen_ns
+    return replace(
+        record,
+        states=states or record.states,
+        reasons=reasons or record.reasons,
+        first_seen_ns=seen_ns,
+        last_seen_ns=seen_ns,
     )
 
 

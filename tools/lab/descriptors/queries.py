@@ -35,21 +35,8 @@ class LabelledMap:
 
     def to_record(self) -> ObjectMapRecord:
         """The same as confirmed landmarks, each of them seen once and known exactly."""
-        count = len(self)
-        return ObjectMapRecord(
-            stamp_ns=0,
-            frame_id="map",
-            vocabulary=self.vocabulary,
-            ids=tuple(map(str, range(count))),
-            positions=self.positions,
-            covariances=np.zeros((count, 3, 3)),
-            class_probabilities=np.eye(len(self.vocabulary))[self.labels],
-            states=("confirmed",) * count,
-            reasons=("",) * count,
-            observation_counts=np.ones(count, dtype=np.int64),
-            first_seen_ns=np.zeros(count, dtype=np.int64),
-            last_seen_ns=np.zeros(count, dtype=np.int64),
-        )
+        ids = tuple(map(str, range(len(self))))
+        return ObjectMapRecord.of_objects(ids, self.positions, self.labels, self.vocabulary, observations=1)
 
 
 @dataclass(frozen=True, slots=True)

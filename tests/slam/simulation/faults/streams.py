@@ -107,21 +107,6 @@ def raw_messages(path: Path, *topics: str) -> list[tuple[str, int, bytes]]:
 
 
 def _objects() -> ObjectMapRecord:
-    count = len(IDS)
-    zeros = np.zeros(count, dtype=np.int64)
     vocabulary = ("bench", "lamp", "tree")
-    one_hot = np.array([[label == name for name in vocabulary] for label in LABELS], dtype=np.float64)
-    return ObjectMapRecord(
-        START_NS,
-        "world",
-        vocabulary,
-        IDS,
-        OBJECTS,
-        np.zeros((count, 3, 3)),
-        one_hot,
-        ("confirmed",) * count,
-        ("",) * count,
-        zeros,
-        zeros,
-        zeros,
-    )
+    classes = [vocabulary.index(label) for label in LABELS]
+    return ObjectMapRecord.of_objects(IDS, OBJECTS, classes, vocabulary, stamp_ns=START_NS, frame_id="world")
