@@ -29,6 +29,10 @@ class LabelledMap:
     def __len__(self) -> int:
         return len(self.labels)
 
+    def first(self, count: int) -> LabelledMap:
+        """The objects up to a number."""
+        return LabelledMap(self.positions[:count], self.labels[:count], self.vocabulary)
+
     def names(self, labels: IntArray) -> tuple[str, ...]:
         """The classes of labels (N,)."""
         return tuple(self.vocabulary[label] for label in labels.tolist())

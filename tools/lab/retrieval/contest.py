@@ -28,9 +28,10 @@ from slam.object_map.submap import Submap
 from slam.place_recognition.imported_places import HEIGHT_SIGMA_M
 from slam.registration.parameters import registration_config
 from slam.registration.registration import refine
+from tools.lab.descriptors.queries import LabelledMap
 from tools.lab.retrieval.measurement import RECALL_AT, is_right
 from tools.lab.retrieval.path_queries import PathQuery, Scenario, draw_path_queries
-from tools.lab.retrieval.proposers import MAP_SIGMA_M, QUADS, VOTES, LabelledObjects, Proposer, make_proposer
+from tools.lab.retrieval.proposers import MAP_SIGMA_M, QUADS, VOTES, Proposer, make_proposer
 
 KEY = ["world", "proposer", "size", "share", "most_classes", "objects", "missing", "clutter", "noise_m", "queries",
        "seed"]  # fmt: skip
@@ -131,9 +132,7 @@ def run_contest(
     return every[pd.MultiIndex.from_frame(every[KEY]).isin(asked)].reset_index(drop=True)
 
 
-def _pair(
-    objects: MapObjects, contest: Contest
-) -> Iterator[tuple[LabelledObjects, str, dict[Key, Sequence[PathQuery]]]]:
+def _pair(objects: MapObjects, contest: Contest) -> Iterator[tuple[LabelledMap, str, dict[Key, Sequence[PathQuery]]]]:
     """Each map with each proposer, and the queries of each scenario by their values of :data:`KEY`."""
     rng = np.random.default_rng(contest.seed)
     centre = objects.positions[int(rng.integers(len(objects)))]
@@ -175,7 +174,7 @@ def _pair(
             )
 
 
-def _measure(objects: LabelledObjects, name: str, queries: Mapping[Key, Sequence[PathQuery]]) -> pd.DataFrame:
+def _measure(objects: LabelledMap, name: str, queries: Mapping[Key, Sequence[PathQuery]]) -> pd.DataFrame:
     """A proposer in a map, with the queries of each scenario."""
     started = time.process_time()
     proposer = make_proposer(name, objects)
@@ -198,7 +197,7 @@ def _measure(objects: LabelledObjects, name: str, queries: Mapping[Key, Sequence
     )
 
 
-def _ask(proposer: Proposer, objects: LabelledObjects, tree: cKDTree, queries: Sequence[PathQuery]) -> dict[str, float]:
+def _ask(proposer: Proposer, objects: LabelledMap, tree: cKDTree, queries: Sequence[PathQuery]) -> dict[str, float]:
     """Shares and times of a cell."""
     hits = np.zeros(len(RECALL_AT))
     right, wrong, times = 0, 0, []
@@ -225,7 +224,7 @@ def _ask(proposer: Proposer, objects: LabelledObjects, tree: cKDTree, queries: S
     }
 
 
-def verify(query: Submap, poses: FloatArray, objects: LabelledObjects, tree: cKDTree) -> tuple[FloatArray | None, bool]:
+def verify(query: Submap, poses: FloatArray, objects: LabelledMap, tree: cKDTree) -> tuple[FloatArray | None, bool]:
     """The pose (4, 4) with the highest log-likelihood ratio of those proposed (H, 4, 4), each registered, and whether
     its posterior probability suffices to accept it.
     """
@@ -257,12 +256,12 @@ def verify(query: Submap, poses: FloatArray, objects: LabelledObjects, tree: cKD
     return best, bool(log_odds >= -log_odds_of(config.localization.error_probability))
 
 
-def _with_classes(positions: FloatArray, labels: Sequence[str], count: int) -> LabelledObjects:
+def _with_classes(positions: FloatArray, labels: Sequence[str], count: int) -> LabelledMap:
     names, numbers = np.unique(labels, return_inverse=True)
     by_frequency = np.argsort(-np.bincount(numbers), kind="stable")
     merged = np.empty(len(names), dtype=np.int64)
     merged[by_frequency] = np.minimum(np.arange(len(names)), count - 1)
-    return LabelledObjects(positions, merged[numbers], tuple(str(number) for number in range(min(count, len(names)))))
+    return LabelledMap(positions, merged[numbers], tuple(str(number) for number in range(min(count, len(names)))))
 
 
 def read_results(results: Path | None) -> pd.DataFrame:

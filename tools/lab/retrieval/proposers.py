@@ -2,42 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from descriptors.constellation import gather_constellations
 from descriptors.registry import make_index
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.object_map.submap import Submap
 from slam.place_recognition.map_search import MapSearch
 from slam.place_recognition.quad_index import build_quad_index
 from slam.registration.parameters import registration_config
 from slam.registration.registration import register
+from tools.lab.descriptors.queries import LabelledMap
 
 QUADS, VOTES = "quads", "quads without likelihood"
 MAP_SIGMA_M = 0.3
 """Standard deviation of a coordinate of an object of the map."""
 ADDED_AT_ONCE = 50_000
 """Objects whose neighbours are in memory at the same time."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LabelledObjects:
-    """A map: ``positions`` (N, 3) m, z up, and ``labels`` (N,) in ``vocabulary``."""
-
-    positions: FloatArray
-    labels: IntArray
-    vocabulary: tuple[str, ...]
-
-    def __len__(self) -> int:
-        return len(self.labels)
-
-    def first(self, count: int) -> LabelledObjects:
-        """Those up to a number."""
-        return LabelledObjects(self.positions[:count], self.labels[:count], self.vocabulary)
 
 
 class Proposer(Protocol):
@@ -53,7 +37,7 @@ class Proposer(Protocol):
         ...
 
 
-def make_proposer(name: str, objects: LabelledObjects) -> Proposer:
+def make_proposer(name: str, objects: LabelledMap) -> Proposer:
     """The index of a map: :data:`QUADS`, :data:`VOTES`, or a descriptor by its name in the registry.
 
     Raises:
@@ -67,7 +51,7 @@ def make_proposer(name: str, objects: LabelledObjects) -> Proposer:
 class DescriptorProposer:
     """Matches each object of a query with its nearest descriptors, and registers the matches, as loop closing does."""
 
-    def __init__(self, name: str, objects: LabelledObjects) -> None:
+    def __init__(self, name: str, objects: LabelledMap) -> None:
         self._objects = objects
         self._config = Config()
         self._index = make_index(name)
@@ -116,7 +100,7 @@ class QuadProposer:
     maps, else those with most votes.
     """
 
-    def __init__(self, objects: LabelledObjects, *, by_likelihood: bool) -> None:
+    def __init__(self, objects: LabelledMap, *, by_likelihood: bool) -> None:
         self._objects = objects
         self._quads = build_quad_index(objects.positions, objects.labels, sigma_m=MAP_SIGMA_M)
         self._search = MapSearch(self._quads, objects.positions, objects.labels, len(objects.vocabulary))

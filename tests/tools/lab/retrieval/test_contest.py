@@ -11,10 +11,11 @@ from descriptors.errors import DescriptorError
 from logs.importers.maps.map_objects import MapObjects
 from slam.common.errors import SimulationError
 from tests.tools.lab.retrieval.test_path_queries import forest
+from tools.lab.descriptors.queries import LabelledMap
 from tools.lab.retrieval.contest import GAP_M, Contest, run_contest, side_by_side
 from tools.lab.retrieval.contest_page import draw_contest, to_page
 from tools.lab.retrieval.path_queries import Scenario
-from tools.lab.retrieval.proposers import LabelledObjects, Proposer, make_proposer
+from tools.lab.retrieval.proposers import Proposer, make_proposer
 
 
 def town(count: int, extent_m: float, *, is_geodetic: bool = False) -> MapObjects:
@@ -65,7 +66,7 @@ def test_measured_cells_are_not_measured_again(tmp_path: Path, monkeypatch: pyte
     run_contest(objects, first, results=results)
     made = list[str]()
 
-    def make(name: str, objects: LabelledObjects) -> Proposer:
+    def make(name: str, objects: LabelledMap) -> Proposer:
         made.append(name)
         return make_proposer(name, objects)
 
