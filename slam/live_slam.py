@@ -156,7 +156,7 @@ class LiveSlam:
         if self._detections >= MAX_DETECTIONS:
             self._is_estimating, self._records = False, []
         counters = {key: int(value) for key, value in sorted(self.counters.items())}
-        message = f"calibrated by {self._surveyed} scans: the map was built anew"
+        message = f"calibrated by {self._surveyed} scans: the map was rebuilt"
         stamp_ns = successor.slam.latest_ns
         return [StatusRecord(stamp_ns, self.state.value, "info", message, counters), *successor.updates]
 

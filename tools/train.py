@@ -85,7 +85,7 @@ def train(
         if input_kind is not None or device != "cpu":
             raise typer.BadParameter(f"--input and --device belong to the other networks, not to {LIKELIHOOD}.")
         if anew and not maps:
-            raise typer.BadParameter("it goes with --maps.", param_hint="--anew")
+            raise typer.BadParameter("use it with --maps.", param_hint="--anew")
         recipe = _likelihood_recipe(maps or [], epochs, seed, anew=anew)
     else:
         if maps or anew:

@@ -107,7 +107,7 @@ def _why_alone(fleet: Fleet, number: int, names: list[str]) -> str:
     """Why a session joined no other."""
     pairs = [pair for pair in fleet.pairs if number in (pair.first, pair.second)]
     if not pairs:
-        return "no place of it was recognised in another log"
+        return "none of its places was recognised in another log"
     best = max(pairs, key=lambda pair: pair.log_odds)
     other = names[best.second if best.first == number else best.first]
     if best.accepted:

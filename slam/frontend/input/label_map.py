@@ -28,7 +28,7 @@ class LabelMap:
         names = [pattern for _, pattern, _ in self._rules]
         for name in names:
             if names.count(name) > 1:
-                raise ConfigurationError(f"labels: {name!r} stands in more than one of drop, rename and merge")
+                raise ConfigurationError(f"labels: {name!r} is in more than one of drop, rename and merge")
         self._known: dict[str, str] = {}
         self._used: set[str] = set()
         self._spellings: dict[str, str] = {}

@@ -145,7 +145,7 @@ def _on_log(log: Path, map_until_s: float | None, right: tuple[float, float], to
     from tools.lab.relocalization.logged import benchmark_log
 
     if map_until_s is None:
-        raise typer.BadParameter("it goes with --map-until.", param_hint="--log")
+        raise typer.BadParameter("use it with --map-until.", param_hint="--log")
     if not min(right) > 0.0:
         raise typer.BadParameter(f"{right[0]:g} m and {right[1]:g} deg must be above 0.", param_hint="--right")
     return partial(benchmark_log, log, map_until_s=map_until_s, tolerance=Tolerance(*right), topics=topics)

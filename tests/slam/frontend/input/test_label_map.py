@@ -51,7 +51,7 @@ def test_names_that_no_detection_has_are_told() -> None:
 
 
 def test_a_name_in_two_settings_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match="'car' stands in more than one of drop, rename and merge"):
+    with pytest.raises(ConfigurationError, match="'car' is in more than one of drop, rename and merge"):
         LabelMap(LabelsConfig(rename={"car": "vehicle"}, drop=("car",)))
 
 
