@@ -78,8 +78,8 @@ class DetectionCalibration(Branch):
     common_sigma_m: float = Field(
         default=0.4,
         ge=0,
-        description="error that observations of an object from one direction share, e.g. of a centroid: along the "
-        "ground, by how much it changes as the direction turns by 1 rad [m]",
+        description="error that observations of an object in one view share, e.g. of a centroid: along the ground, by "
+        "how much it changes as the direction in the sensor turns by 1 rad or the range changes by a factor of e [m]",
     )
     common_height_sigma_m: float = Field(default=0.0, ge=0, description="the same in height [m]")
     height_sigma_m: float = Field(default=0.0, ge=0, description="additional noise of heights, 0 if there is none [m]")

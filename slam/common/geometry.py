@@ -72,6 +72,15 @@ def skew(vectors: FloatArray) -> FloatArray:
     return matrices
 
 
+def view_change(before: FloatArray, after: FloatArray) -> FloatArray:
+    """By how much (N,) [rad] the view of objects differs at offsets (N, 3) from a sensor, in its axes: by the direction
+    and by the logarithm of the distance.
+    """
+    angle = np.arctan2(np.linalg.norm(np.cross(before, after), axis=1), np.einsum("ni,ni->n", before, after))
+    squares = (np.maximum(np.einsum("ni,ni->n", each, each), 1e-300) for each in (before, after))
+    return np.asarray(np.hypot(angle, 0.5 * np.subtract(*(np.log(each) for each in squares))))
+
+
 def left_jacobian(vector: FloatArray) -> FloatArray:
     """Left Jacobian (3, 3) of the rotation by a vector (3,) rad (Barfoot, State Estimation for Robotics, eq. 7.37)."""
     angle = math.sqrt(float(vector @ vector))

@@ -11,7 +11,7 @@ import numpy as np
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import Config
-from slam.common.geometry import covariance_in_axes, invert, relative, rigid
+from slam.common.geometry import covariance_in_axes, invert, relative, rigid, view_change
 from slam.frontend.data_association import Objects, squared_distances
 from slam.frontend.input.scan import MIN_SIGMA_RANGES, Scan
 from slam.frontend.local_map import GATE, LocalMap
@@ -103,10 +103,10 @@ class ActiveLandmarks:
             variances = self._noise.factors * model_variances(before, pose, config)
             vertical = self._noise.factors[0] * config.min_translation_sigma_m**2
             covariance = covariance_of(variances, pose, vertical)
-            origin = self._local.T_local_body[:3, 3]
+            T_before = self._local.T_local_body
             self._local.advance(relative(before.T_odom_body, pose.T_odom_body), covariance)
             self._pose = pose
-            self._change_view(origin)
+            self._change_view(T_before)
             self._move(before.stamp_ns, pose.stamp_ns)
         return self.T_local_body
 
@@ -116,16 +116,16 @@ class ActiveLandmarks:
             return np.asarray(self.T_local_odom @ pose.T_odom_body)
         return self.advance(pose)
 
-    def _change_view(self, origin: FloatArray) -> None:
-        """Let the error of each landmark change with the direction in which it is seen, first from ``origin`` (3,) m.
+    def _change_view(self, T_before: FloatArray) -> None:
+        """Let the error of each landmark change with the view of it, first from the pose ``T_before`` (4, 4).
 
         Detections of one view share their error: it is part of where the landmark seems to be, and walks at random.
         """
-        before, after = (self._local.positions - each for each in (origin, self.T_local_body[:3, 3]))
-        turned_rad = np.arctan2(np.linalg.norm(np.cross(before, after), axis=1), np.einsum("ki,ki->k", before, after))
+        poses = T_before, self.T_local_body
+        changed_rad = view_change(*((self._local.positions - T[:3, 3]) @ T[:3, :3] for T in poses))
         detection = self._config.calibration.detection
         variances = np.square([detection.common_sigma_m, detection.common_sigma_m, detection.common_height_sigma_m])
-        self._local.move(np.arange(len(turned_rad)), np.zeros((len(turned_rad), 3)), turned_rad[:, None] * variances)
+        self._local.move(np.arange(len(changed_rad)), np.zeros((len(changed_rad), 3)), changed_rad[:, None] * variances)
 
     def _move(self, before_ns: int, after_ns: int) -> None:
         """Let landmarks that seem to move go on moving."""

@@ -61,7 +61,7 @@ class Mapper:
         self._map = object_map
         self._graph = graph
         self._active = ActiveLandmarks(config, object_map)
-        self._tracker = Tracker(config.calibration.objects, self._active, object_map)
+        self._tracker = Tracker(config.calibration.objects, config.calibration.detection, self._active, object_map)
         self._pending = PendingObservations(config, object_map)
         self._message_count = 0
         self._sensors: set[str] = set()

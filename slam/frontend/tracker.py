@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
-from slam.common.calibration import ObjectCalibration
+from slam.common.calibration import DetectionCalibration, ObjectCalibration
 from slam.common.geometry import apply, blend, invert, relative, rigid, rotation_angle_rad
 from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.data_association import AMBIGUOUS, NEW, Assignment, Objects, associate
@@ -71,8 +71,11 @@ class Tracked:
 class Tracker:
     """Places the scans of one drive among the active landmarks."""
 
-    def __init__(self, config: ObjectCalibration, active: ActiveLandmarks, object_map: ObjectMap) -> None:
+    def __init__(
+        self, config: ObjectCalibration, detection: DetectionCalibration, active: ActiveLandmarks, object_map: ObjectMap
+    ) -> None:
         self._config = config
+        self._detection = detection
         self._active = active
         self._map = object_map
         self._scans, self._slips = PRIOR_SCANS, 1
@@ -166,7 +169,7 @@ class Tracker:
         seen = scan.seen_from(self._active.T_local_body)
         predicted = self._active.predict()
         assignment = associate(
-            Objects(seen.positions, seen.covariances, labels),
+            Objects(seen.positions, self._spread(seen), labels),
             predicted.positions,
             predicted.covariances,
             self._map.beliefs(self._active.rows),
@@ -174,8 +177,16 @@ class Tracker:
         )
         return Tracked(scan, labels, seen, self._active.rows, assignment)
 
+    def _spread(self, seen: Scan) -> FloatArray:
+        """Covariances (D, 3, 3) m^2 of detections, whose view of the objects may be any: by these they are assigned."""
+        detection = self._detection
+        views = np.square([detection.common_sigma_m, detection.common_sigma_m, detection.common_height_sigma_m])
+        return np.asarray(
+            seen.covariances + np.where(seen.has_own_covariance, 0.0, 1.0)[:, None, None] * np.diag(views)
+        )
+
     def _search_of(self, tracked: Tracked) -> ModeSearch:
-        seen = Objects(tracked.seen.positions, tracked.seen.covariances, tracked.labels)
+        seen = Objects(tracked.seen.positions, self._spread(tracked.seen), tracked.labels)
         return ModeSearch(seen, self._active.known_landmarks(), self._active.T_local_body[:3, 3], self._config)
 
     def _is_failing(self, assignment: Assignment, seen: FloatArray, origin: FloatArray) -> bool:

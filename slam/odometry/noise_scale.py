@@ -2,12 +2,14 @@
 
 If the model is right, the corrections of the pose have the covariance by which they reduce that of its error
 (covariance matching: Mehra, IEEE T-AC 1970). So the noise of translation, tilt and heading is scaled by the ratio of
-the two over a window of scans.
+the two over a window of scans, by its median: detections that err by far, and single slips, do not change it.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import chdtri
+from scipy.stats import binom
 
 from slam.common.arrays import FloatArray
 
@@ -15,10 +17,15 @@ WINDOW = 20
 """Corrections after which the scale is estimated anew."""
 GATE = 11.34
 """Chi-squared with 3 degrees of freedom at 99 %: larger corrections contradict the odometry."""
-SURE_SIGMAS = 6.0
-"""A ratio that is so many standard deviations above 1 changes the scale before the window ends."""
 AXES = (slice(3, 6), slice(0, 2), slice(2, 3))
 """Translation, tilt and heading in a pose error, rotation first."""
+DIMENSIONS = np.array([3, 2, 1])
+MEDIAN = chdtri(DIMENSIONS, 0.5) / DIMENSIONS
+"""Of the squares of normal errors by their variances."""
+FAR_PROBABILITY, CHANCE = 0.05, 1e-6
+FAR = chdtri(DIMENSIONS, FAR_PROBABILITY) / DIMENSIONS
+FAR_COUNTS = np.asarray(binom.isf(CHANCE, np.arange(WINDOW), FAR_PROBABILITY))
+"""If more of so many corrections are far, the scale changes before the window ends: chance does that to one in 1e6."""
 
 
 class NoiseScale:
@@ -31,24 +38,27 @@ class NoiseScale:
         self.factors = np.full(3, least)
         self.innovation_ratio = 0.0
         """The last squared correction by its variance and the gate, the largest of the three."""
-        self._squares, self._expected, self._count = np.zeros(3), np.zeros(3), 0
+        self._ratios: list[FloatArray] = []
 
     def add(self, correction: FloatArray, reduction: FloatArray) -> None:
         """Add a correction (6,) of the pose and by how much (6, 6) it reduces the covariance of the error."""
         variances = np.diagonal(reduction)
         squares = np.array([float(correction[axes] @ correction[axes]) for axes in AXES])
         expected = np.array([float(variances[axes].sum()) for axes in AXES])
-        self.innovation_ratio = float(np.max(squares / np.maximum(expected, 1e-300))) / GATE
-        self._squares += squares
-        self._expected += expected
-        self._count += 1
-        ratios = np.where(self._expected > 0.0, self._squares / np.maximum(self._expected, 1e-300), 1.0)
+        ratios = squares / np.maximum(expected, 1e-300)
+        self.innovation_ratio = float(np.max(ratios)) / GATE
+        self._ratios.append(ratios)
+        count = len(self._ratios)
+        is_excessive = (np.array(self._ratios) > FAR).sum(axis=0) > FAR_COUNTS[count % WINDOW]
+        is_excessive[1] = False
+        ratios = np.median(self._ratios, axis=0) / MEDIAN
         ratios[1] = 1.0  # gravity holds the tilt, whatever heights seem to say
-        excessive = ratios > 1.0 + SURE_SIGMAS * np.sqrt(2.0 / self._count)
-        if self._count < WINDOW and not excessive.any():
-            return
         gains = np.clip(ratios, 1.0 / WINDOW, WINDOW)
-        if self._count < WINDOW:
-            gains = np.where(excessive, gains, 1.0)
-        self.factors = np.maximum(self.factors * np.where(excessive, gains, np.sqrt(gains)), self._least)
-        self._squares, self._expected, self._count = np.zeros(3), np.zeros(3), 0
+        if count == WINDOW:
+            gains = np.sqrt(gains)
+        elif not is_excessive.any():
+            return
+        else:
+            gains = np.where(is_excessive, gains, 1.0)
+        self.factors = np.maximum(self.factors * gains, self._least)
+        self._ratios = []

@@ -222,7 +222,7 @@ def summarize(scans: list[SurveyScan], tracks: ObjectTracks | None = None) -> Su
     stamps_s = np.array([(scan.stamp_ns - scans[0].stamp_ns) * 1e-9 for scan in scans])
     motion = Motion(
         np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1))]),
-        np.concatenate([[0.0], np.cumsum(np.abs(np.diff(headings)))]),
+        headings,
         stamps_s,
         poses[:, 2, 3],
     )

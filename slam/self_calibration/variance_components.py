@@ -7,7 +7,7 @@ the error xi of the odometry between them in common, a turn about each axis and 
 
 with A_k by the offset of the object from the body, half-way between the scans. The diagonal matrices D_k, along the
 ray, across it and in height, and Q are linear in the variances (:class:`NoiseComponents`) by ranges, change of the
-viewing direction B, travel L, turn A and time T:
+view B (:func:`view_change`), travel L, turn A and time T:
 
     D:  2 v_r + u_r (r1^2 + r2^2) + w B;   2 v_t + u_t (r1^2 + r2^2) + w B;   the latter's first two + 2 h + w_z B
     Q:  2 j_t + a_t L + b_t T for a shift along the ground, 2 j_z + a_z L for one in height;
@@ -33,6 +33,7 @@ import numpy as np
 from scipy.special import roots_genlaguerre
 
 from slam.common.arrays import FloatArray, IntArray
+from slam.common.geometry import transform_from_xyz_yaw, view_change
 from slam.self_calibration.object_tracks import ObjectTracks
 
 BLOCKS = 8
@@ -69,7 +70,7 @@ TILT, HEADING, ALONG, RISE, LATERAL = slice(0, 2), 2, slice(3, 5), 5, 6
 @dataclass(frozen=True, slots=True)
 class NoiseComponents:
     """Variances: of a detection along and across the ray, [m^2] and by range [m^2 / m^2], of its height beyond that
-    [m^2], by the change of the viewing direction along the ground and in height [m^2 / rad]; of the odometry's jitter,
+    [m^2], by the change of the view along the ground and in height [m^2 / rad]; of the odometry's jitter,
     [m^2] and [rad^2], and of its drift by travel, turn and time.
     """
 
@@ -99,12 +100,17 @@ LENGTH_POWERS = np.array([2, 0, 2, 0, 2, 2, 2, 2, 1, 2, 2, 1, 0, -1, 0, 0, 0, -1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """Travel [m], turn [rad] and time [s] up to each scan (K,), for their differences; ``height_m`` (K,) of bodies."""
+    """Travel [m], heading [rad] and time [s] of each scan (K,), for their differences; ``height_m`` (K,) of bodies."""
 
     travel_m: FloatArray
-    turn_rad: FloatArray
+    heading_rad: FloatArray
     time_s: FloatArray
     height_m: FloatArray | None = None
+
+    @property
+    def turn_rad(self) -> FloatArray:
+        """Turn (K,) up to each scan, in either direction."""
+        return np.concatenate([[0.0], np.cumsum(np.abs(np.diff(self.heading_rad)))])
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,12 +195,14 @@ class _Displacements:
     """Displacements of objects between two scans, ordered by the pair of scans, all lengths in units of ``unit_m``.
 
     ``d``, ``x``, ``x_before`` (P, 3): displacement, and offset of the object from the body in the second and the first
-    scan; ``group`` (P,): the pair of scans; ``moved`` (G, 3): travel, turn and time between them; ``block`` (G,).
+    scan; ``x_turned`` (P, 3): the latter as it turned with the body; ``group`` (P,): the pair of scans; ``moved``
+    (G, 3): travel, turn and time between them; ``block`` (G,).
     """
 
     d: FloatArray
     x: FloatArray
     x_before: FloatArray
+    x_turned: FloatArray
     group: IntArray
     moved: FloatArray
     block: IntArray
@@ -224,8 +232,11 @@ def _displacements(tracks: ObjectTracks, motion: Motion, most_lags: int | None) 
     x_before = np.column_stack([tracks.offsets[first], heights[first] - body_m[before]])
     moved = np.stack([each[after] - each[before] for each in (motion.travel_m, motion.turn_rad, motion.time_s)], axis=1)
     moved = moved[start] / [unit_m, 1.0, 1.0]
+    turned = transform_from_xyz_yaw(np.zeros((len(before), 3)), motion.heading_rad[after] - motion.heading_rad[before])
+    x_turned = np.einsum("nij,nj->ni", turned[:, :3, :3], x_before)
     block = np.minimum(before[start] * BLOCKS // scans, BLOCKS - 1)
-    return _Displacements(d / unit_m, x / unit_m, x_before / unit_m, group, moved, block, unit_m)
+    d, x, x_before, x_turned = (each / unit_m for each in (d, x, x_before, x_turned))
+    return _Displacements(d, x, x_before, x_turned, group, moved, block, unit_m)
 
 
 def _lagged_pairs(tracks: ObjectTracks) -> Iterator[tuple[IntArray, IntArray]]:
@@ -356,9 +367,9 @@ def _own_parts(pairs: _Displacements) -> FloatArray:
     """(7, P, 3): by how much a unit of each component adds to D."""
     squares = np.einsum("ni,ni->n", pairs.x, pairs.x), np.einsum("ni,ni->n", pairs.x_before, pairs.x_before)
     lengths = np.maximum(np.sqrt(squares[0] * squares[1]), 1e-300)
-    view = np.arccos(np.clip(np.einsum("ni,ni->n", pairs.x, pairs.x_before) / lengths, -1.0, 1.0))
-    # Noise turns the direction, too; the body has not come farther than its travel.
-    view = np.minimum(view, pairs.moved[pairs.group, 0] / np.sqrt(lengths))
+    travel, turn, _ = pairs.moved[pairs.group].T
+    # Noise changes the view, too; the body has not come farther than its travel.
+    view = np.minimum(view_change(pairs.x_turned, pairs.x), travel / np.sqrt(lengths) + turn)
     two, zero, ranges = np.full_like(view, 2.0), np.zeros_like(view), squares[0] + squares[1]
     parts = [
         [two, zero, zero],

@@ -10,6 +10,8 @@ from slam.self_calibration.object_tracks import ObjectTracks, SurveyScan
 from slam.self_calibration.variance_components import Motion, NoiseComponents
 
 INTERVAL_S = 0.2
+VIEWS = 720
+"""Steps of the random walks by which the error of a view changes."""
 NO_NOISE = dict.fromkeys(NoiseComponents.__dataclass_fields__, 0.0)
 
 
@@ -84,15 +86,17 @@ class SurveyedDrive:
         self.in_body = np.stack([c * seen[:, 0] + s * seen[:, 1], -s * seen[:, 0] + c * seen[:, 1]], axis=1)
 
     def _view_noise(self, offset: FloatArray) -> FloatArray:
-        """(S, 2): of each object a random walk along the direction it is seen in."""
-        if self.noise.view == 0.0:
-            return np.zeros_like(offset)
-        azimuth = np.arctan2(offset[:, 1], offset[:, 0])
-        walk = np.cumsum(
-            self._rng.normal(size=(721, self.object.max() + 1, 2)) * np.sqrt(self.noise.view * 2.0 * np.pi / 720),
-            axis=0,
-        )
-        return np.asarray(walk[np.floor((azimuth + np.pi) / (2.0 * np.pi) * 720).astype(np.int64), self.object])
+        """(S, 2): of each object the sum of two random walks, along the bearing, where it is closed, and along the
+        logarithm of the range.
+        """
+        bearing = np.arctan2(offset[:, 1], offset[:, 0]) - self.true_headings[self.scan]
+        log_range = np.log(np.linalg.norm(offset, axis=1))
+        steps = self._rng.normal(size=(2, VIEWS, self.object.max() + 1, 2)) * np.sqrt(self.noise.view / VIEWS)
+        closed = steps[0] - steps[0].mean(axis=0)
+        by_bearing, by_range = np.cumsum([np.sqrt(2.0 * np.pi) * closed, np.sqrt(np.ptp(log_range)) * steps[1]], axis=1)
+        shares = bearing / (2.0 * np.pi) % 1.0, (log_range - log_range.min()) / np.ptp(log_range)
+        rows = [np.minimum((share * VIEWS).astype(np.int64), VIEWS - 1) for share in shares]
+        return np.asarray(by_bearing[rows[0], self.object] + by_range[rows[1], self.object])
 
     @property
     def motion(self) -> Motion:
@@ -100,8 +104,7 @@ class SurveyedDrive:
         travel_m = np.cumsum(
             np.linalg.norm(np.diff(self.true_positions, axis=0, prepend=self.true_positions[:1]), axis=1)
         )
-        turn_rad = np.cumsum(np.abs(np.diff(self.true_headings, prepend=self.true_headings[:1])))
-        return Motion(self.scale * travel_m, turn_rad, self.times_s)
+        return Motion(self.scale * travel_m, self.true_headings, self.times_s)
 
     @property
     def tracks(self) -> ObjectTracks:

@@ -261,7 +261,7 @@ def test_parked_vehicle_stays():
 
 def test_observations_of_a_group_are_right_although_the_odometry_is_too_long():
     """Lengths are 3 % too long; four keyframes 2 m apart are summed up."""
-    bench = Bench(odometry={"translation_sigma": 0.01})
+    bench = Bench(odometry={"translation_sigma": 0.01}, detection={"common_sigma_m": 0.1})
     for number in range(60):
         x = 0.5 * number
         bench.move(0.1 * number, x)

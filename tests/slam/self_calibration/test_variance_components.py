@@ -208,7 +208,9 @@ def test_component_that_stays_at_zero_is_not_known_exactly() -> None:
 
 def test_a_motion_that_never_was_tells_nothing_of_its_noise():
     drive = SurveyedDrive(0, DETECTOR, scans=400)
-    found = estimate_components(drive.tracks, replace(drive.motion, turn_rad=np.zeros_like(drive.motion.turn_rad)))
+    found = estimate_components(
+        drive.tracks, replace(drive.motion, heading_rad=np.zeros_like(drive.motion.heading_rad))
+    )
     assert found is not None
     assert found.variances.heading_by_turn == found.standard_errors.heading_by_turn == 0.0
 
@@ -220,7 +222,7 @@ def test_errors_that_scans_repeat_are_found(times):
     rows = np.repeat(np.arange(len(tracks.track)), times)
     again = tracks.of(rows)
     again = replace(again, scan=again.scan * times + np.tile(np.arange(times), len(tracks.track)))
-    motion = Motion(*(np.repeat(each, times) for each in (motion.travel_m, motion.turn_rad, motion.time_s)))
+    motion = Motion(*(np.repeat(each, times) for each in (motion.travel_m, motion.heading_rad, motion.time_s)))
     found = estimate_components(again, motion, most_repeated=16)
     assert found is not None
     assert found.repeated == times
