@@ -206,7 +206,7 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         "detection.common_sigma_m": np.sqrt(found.view),
         "detection.height_sigma_m": _height_sigma(survey, white + by_range * survey.median_range_m**2),
         "detection.common_height_sigma_m": np.sqrt(found.view_height),
-        # Errors stay the same while the viewing direction changes by 1 rad.
+        # Errors stay the same while the view changes by 1 rad.
         "detection.covariance_inflation": max(
             objects * survey.median_range_m / max(lengths.keyframe_distance_m, scan_m), 1.0
         ),

@@ -30,7 +30,7 @@ from slam.self_calibration.variance_components import ComponentEstimate, Motion,
 
 RANGE_QUANTILE = 0.95
 SAME_VIEW_RAD = 0.05
-"""Change of the viewing direction within which scans may repeat the errors of one another: what errs by the view is a
+"""Change of the view [rad] within which scans may repeat the errors of one another: what errs by the view is a
 variance component of its own.
 """
 MIN_ANGLE_RAD, MIN_SHARE, MAX_SHARE = 0.09, 0.03, 1.0 / 3.0
