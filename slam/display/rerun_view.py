@@ -5,6 +5,7 @@ Rerun draws the point clouds, frames, texts and images of a log by itself; lines
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -106,6 +107,10 @@ def send_log(log: Path, recording: rr.RecordingStream) -> None:
     import rerun as rr
     from rerun.chunk import McapReader
 
+    with LogReader(log, RESULT_LIMITS) as reader:
+        deque(reader.messages(), maxlen=0)
+        if damage := ", ".join(f"{name} {count}" for name, count in reader.counters.items()):
+            raise ViewerError(f"Rerun cannot read {log}, which is damaged ({damage}); make the log again")
     try:
         recording.send_chunks(McapReader(log).stream())
     except (ValueError, RuntimeError) as error:
