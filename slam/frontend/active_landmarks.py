@@ -93,8 +93,11 @@ class ActiveLandmarks:
         self._local.start(pose.T_odom_body)
         self._pose = pose
 
-    def advance(self, pose: OdometryPose) -> FloatArray:
-        """Follow the odometry to a pose of the same segment; returns ``T_local_body`` (4, 4) there."""
+    def advance(self, pose: OdometryPose, *, is_guess: bool = False) -> FloatArray:
+        """Follow the odometry to a pose of the same segment; returns ``T_local_body`` (4, 4) there.
+
+        ``is_guess``: the pose is no measurement, so that no view of the landmarks is known from it.
+        """
         before = self._pose
         if before is None:
             self.restart(pose)
@@ -106,7 +109,8 @@ class ActiveLandmarks:
             T_before = self._local.T_local_body
             self._local.advance(relative(before.T_odom_body, pose.T_odom_body), covariance)
             self._pose = pose
-            self._change_view(T_before)
+            if not is_guess:
+                self._change_view(T_before)
             self._move(before.stamp_ns, pose.stamp_ns)
         return self.T_local_body
 

@@ -123,7 +123,7 @@ class Tracker:
         if not self.is_tracking:
             return None
         T_reported = self._active.T_local_odom @ pose.T_odom_body
-        self._active.advance(self._expected(pose))
+        self._active.advance(self._expected(pose), is_guess=True)
         gathered = self._gathered(self._associated(scan, labels), pose.T_odom_body)
         slip = self._slip(pose.stamp_ns, 0.0, 0.0)
         components = [

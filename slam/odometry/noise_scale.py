@@ -8,8 +8,7 @@ the two over a window of scans, by its median: detections that err by far, and s
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import chdtri
-from scipy.stats import binom
+from scipy.special import bdtrc, chdtri
 
 from slam.common.arrays import FloatArray
 
@@ -24,7 +23,7 @@ MEDIAN = chdtri(DIMENSIONS, 0.5) / DIMENSIONS
 """Of the squares of normal errors by their variances."""
 FAR_PROBABILITY, CHANCE = 0.05, 1e-6
 FAR = chdtri(DIMENSIONS, FAR_PROBABILITY) / DIMENSIONS
-FAR_COUNTS = np.asarray(binom.isf(CHANCE, np.arange(WINDOW), FAR_PROBABILITY))
+FAR_COUNTS = np.argmax(bdtrc(np.arange(WINDOW)[:, None], np.arange(WINDOW), FAR_PROBABILITY) <= CHANCE, axis=0)
 """If more of so many corrections are far, the scale changes before the window ends: chance does that to one in 1e6."""
 
 

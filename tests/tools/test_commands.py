@@ -197,7 +197,7 @@ class TestFromEndToEnd:
         assert "distance_m = 1.5" in printed
         path.write_text(printed)
         assert json.loads(dslam("config", "--config", path, "--json").out)["keyframe"]["distance_m"] == 1.5
-        assert_refused(dslam("config", "--json", "--toml"), "exclude")
+        assert_refused(dslam("config", "--json", "--toml"), "cannot be combined")
 
     def test_benchmark(self, dslam: Run) -> None:
         result = dslam("benchmark", "replay", SAMPLE, "--runs", 2, "--json")
