@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
 from pydantic import Field
 
+from slam.common.arrays import FloatArray
 from slam.common.config_tree import Branch
 
 MAX_TURN = 1000.0
@@ -126,6 +128,11 @@ class DetectionCalibration(Branch):
     def reach_m(self) -> float:
         """Range [m] beyond which detections are left out."""
         return MAX_RANGES * self.sensor_range_m if self.max_range_m is None else self.max_range_m
+
+    @property
+    def view_variances(self) -> FloatArray:
+        """Variances (3,) m^2 of what observations in one view share, by coordinate."""
+        return np.square([self.common_sigma_m, self.common_sigma_m, self.common_height_sigma_m])
 
 
 class ObjectCalibration(Branch):

@@ -94,10 +94,7 @@ class ActiveLandmarks:
         self._pose = pose
 
     def advance(self, pose: OdometryPose, *, is_guess: bool = False) -> FloatArray:
-        """Follow the odometry to a pose of the same segment; returns ``T_local_body`` (4, 4) there.
-
-        ``is_guess``: the pose is no measurement, so that no view of the landmarks is known from it.
-        """
+        """Follow the odometry, or a guess, to a pose of the same segment; returns ``T_local_body`` (4, 4) there."""
         before = self._pose
         if before is None:
             self.restart(pose)
@@ -125,11 +122,9 @@ class ActiveLandmarks:
 
         Detections of one view share their error: it is part of where the landmark seems to be, and walks at random.
         """
-        poses = T_before, self.T_local_body
-        changed_rad = view_change(*((self._local.positions - T[:3, 3]) @ T[:3, :3] for T in poses))
-        detection = self._config.calibration.detection
-        variances = np.square([detection.common_sigma_m, detection.common_sigma_m, detection.common_height_sigma_m])
-        self._local.move(np.arange(len(changed_rad)), np.zeros((len(changed_rad), 3)), changed_rad[:, None] * variances)
+        views = ((self._local.positions - T[:3, 3]) @ T[:3, :3] for T in (T_before, self.T_local_body))
+        variances = view_change(*views)[:, None] * self._config.calibration.detection.view_variances
+        self._local.move(np.arange(len(variances)), np.zeros_like(variances), variances)
 
     def _move(self, before_ns: int, after_ns: int) -> None:
         """Let landmarks that seem to move go on moving."""

@@ -179,11 +179,8 @@ class Tracker:
 
     def _spread(self, seen: Scan) -> FloatArray:
         """Covariances (D, 3, 3) m^2 of detections, whose view of the objects may be any: by these they are assigned."""
-        detection = self._detection
-        views = np.square([detection.common_sigma_m, detection.common_sigma_m, detection.common_height_sigma_m])
-        return np.asarray(
-            seen.covariances + np.where(seen.has_own_covariance, 0.0, 1.0)[:, None, None] * np.diag(views)
-        )
+        own = seen.has_own_covariance[:, None, None]
+        return np.asarray(seen.covariances + np.where(own, 0.0, np.diag(self._detection.view_variances)))
 
     def _search_of(self, tracked: Tracked) -> ModeSearch:
         seen = Objects(tracked.seen.positions, self._spread(tracked.seen), tracked.labels)
