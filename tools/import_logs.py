@@ -61,25 +61,6 @@ def kitti_objects(
     write_drive(output, drive.records(), drive.source, json=json)
 
 
-@app.command("victoria-park")
-def victoria_park(
-    output: NewLog,
-    file: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="victoria_park.txt; by default the one that comes with GTSAM.")
-    ] = None,
-    json: Json = False,
-) -> None:
-    """Victoria Park: a truck among trees whose identity is known, in the plane.
-
-    Example: dslam import victoria-park park.mcap
-    """
-    check_outputs([output], [file])
-    from logs.importers.victoria_park import read_victoria_park
-
-    park = read_victoria_park(file)
-    write_drive(output, park.records(), park.source, json=json)
-
-
 @app.command("csv")
 def csv(
     output: NewLog,
@@ -98,12 +79,6 @@ def csv(
         Path | None,
         typer.Option(metavar="FILE", help="KITTI's calib.txt, if poses in that format are of the left camera."),
     ] = None,
-    pose_format: Annotated[
-        str | None,
-        typer.Option(
-            "--format", metavar="tum|kitti|euroc|csv", help="Format of the poses; by default detected from the content."
-        ),
-    ] = None,
     json: Json = False,
 ) -> None:
     """Text files: poses of the odometry, a table of detections, true poses. Files may be packed by gzip.
@@ -115,18 +90,8 @@ def csv(
     """
     check_outputs([output], [odometry, detections, ground_truth, times, calib])
     from logs.importers.text_log import read_text_log
-    from logs.importers.trajectory_files import TrajectoryFormat
 
-    if pose_format is not None and pose_format not in list(TrajectoryFormat):
-        raise typer.BadParameter(f"{pose_format!r} is not one of {', '.join(TrajectoryFormat)}.", param_hint="--format")
-    drive = read_text_log(
-        odometry=odometry,
-        detections=detections,
-        ground_truth=ground_truth,
-        times=times,
-        calib=calib,
-        format=TrajectoryFormat(pose_format) if pose_format is not None else None,
-    )
+    drive = read_text_log(odometry=odometry, detections=detections, ground_truth=ground_truth, times=times, calib=calib)
     about = {
         "odometry_format": drive.odometry.format.value,
         "odometry_length_m": drive.odometry.length_m,

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import groupby
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from logs.errors import DatasetError
 from logs.importers.stamps import Stamps, read_stamps
 from logs.importers.tables import LENGTH_UNITS, Column, Table
-from logs.messages import DetectionTruth, FloatArray, IntArray, ObjectDetections
+from logs.messages import DetectionTruth, FloatArray, ObjectDetections
 
 ONLY_LABEL = "object"
 """Class of detections that have none."""
@@ -57,12 +57,11 @@ class DetectionTable:
     left_out: tuple[str, ...]
     unlabelled_count: int
 
-    def scans(self, stamps_ns: IntArray) -> Iterator[tuple[ObjectDetections, DetectionTruth | None]]:
-        """The detections of each stamp and frame, and their truth, in the order of ``stamps_ns`` (R,)."""
-        for stamp_ns, group in groupby(enumerate(stamps_ns.tolist()), key=lambda pair: pair[1]):
-            rows = [row for row, _ in group]
-            for frame in dict.fromkeys(self.frames[row] for row in rows):
-                yield self._scan(stamp_ns, frame, [r for r in rows if self.frames[r] == frame and not self.is_empty[r]])
+    def scans(self) -> Iterator[tuple[ObjectDetections, DetectionTruth | None]]:
+        """The detections of each stamp and frame, and their truth, in the order of the stamps."""
+        rows = pd.DataFrame({"stamp_ns": self.stamps.stamps_ns, "frame": self.frames})
+        for (stamp_ns, frame), group in rows.groupby(["stamp_ns", "frame"], sort=False):
+            yield self._scan(int(stamp_ns), str(frame), group.index.to_numpy()[~self.is_empty[group.index]].tolist())
 
     def _scan(self, stamp_ns: int, frame: str, rows: list[int]) -> tuple[ObjectDetections, DetectionTruth | None]:
         detections = ObjectDetections(
@@ -89,149 +88,112 @@ def read_detections(table: Table) -> DetectionTable:
         DatasetError: a column is missing or stands there twice, a cell is wrong, the stamps are not in order, or the
             positions are in an impossible unit.
     """
-    columns = _Columns(table)
     stamps = read_stamps(table)
-    columns.used.add(stamps.column.name)
     stamps.check_increasing(strictly=False)
-    labels = columns.labels()
-    is_empty, positions = _positions(columns, stamps, labels)
-    true_ids = columns.texts(_TRUE_IDS)
+    rows = len(table.cells)
+    labels = next((found for names in LABEL_NAMES if (found := table.texts(names)) is not None), ("",) * rows)
+    is_empty, positions = _positions(table, stamps, labels)
+    true_ids = table.texts(_TRUE_IDS)
     return DetectionTable(
         stamps=stamps,
         positions=positions,
         labels=tuple(label or ONLY_LABEL for label in labels),
-        scores=_scores(columns),
-        covariances=_covariances(columns),
-        sizes=_sizes(columns),
-        track_ids=columns.texts(_TRACKS),
-        frames=tuple(frame or BODY_FRAME for frame in columns.texts(_FRAMES) or ("",) * len(labels)),
+        scores=_scores(table),
+        covariances=_covariances(table),
+        sizes=_sizes(table),
+        track_ids=table.texts(_TRACKS),
+        frames=tuple(frame or BODY_FRAME for frame in table.texts(_FRAMES) or ("",) * rows),
         true_ids=None if true_ids is None else tuple("" if name == "-1" else name for name in true_ids),
         is_empty=is_empty,
-        left_out=tuple(name for name in table.columns if name not in columns.used),
+        left_out=tuple(name for name in table.cells if name not in table.used),
         unlabelled_count=sum(not label and not empty for label, empty in zip(labels, is_empty, strict=True)),
     )
 
 
-class _Columns:
-    """The columns of a table, of which those that were found are ``used``."""
-
-    def __init__(self, table: Table) -> None:
-        self.table = table
-        self.used: set[str] = set()
-
-    def find(self, fields: tuple[str, ...], units: tuple[str, ...] = ("",)) -> Column | None:
-        column = self.table.find(fields, units)
-        if column is not None:
-            self.used.add(column.name)
-        return column
-
-    def texts(self, fields: tuple[str, ...]) -> tuple[str, ...] | None:
-        column = self.find(fields)
-        return None if column is None else tuple(self.table.columns[column.name])
-
-    def labels(self) -> tuple[str, ...]:
-        """The classes (R,), "" where there is none."""
-        found = (self.texts(names) for names in LABEL_NAMES)
-        return next((labels for labels in found if labels is not None), ("",) * len(self.table.lines))
-
-    def lengths(self, fields: tuple[str, ...]) -> FloatArray | None:
-        """Lengths (R,) m, NaN where a cell is empty or 0; None without such a column."""
-        column = self.find(fields, tuple(LENGTH_UNITS))
-        if column is None:
-            return None
-        values = self.table.optional_numbers(column, LENGTH_UNITS)
-        self.table.refuse(values < 0.0, column, "CELL is not a length; leave it empty if it is not known")
-        return np.where(values > 0.0, values, np.nan)
-
-
-def _positions(columns: _Columns, stamps: Stamps, labels: tuple[str, ...]) -> tuple[NDArray[np.bool_], FloatArray]:
+def _positions(table: Table, stamps: Stamps, labels: tuple[str, ...]) -> tuple[NDArray[np.bool_], FloatArray]:
     """Which rows (R,) have neither position nor label, and the positions (R, 3), zeros there."""
-    table = columns.table
     found: dict[int, Column] = {}
     for i, name in enumerate("xyz"):
         names = (name, f"p{name}", f"position_{name}", f"center_{name}")
-        column = columns.find(names, tuple(LENGTH_UNITS))
+        column = table.find(names, LENGTH_UNITS)
         if column is not None:
             found[i] = column
         elif name != "z":
             table.need(name, f"{name}_m", names, LENGTH_UNITS)
-    cells = [labels, *(table.columns[column.name] for column in found.values())]
-    is_empty = np.array([not any(row) for row in zip(*cells, strict=True)])
+    cells = table.cells[[column.name for column in found.values()]].assign(labels=labels)
+    is_empty = np.asarray((cells == "").all(axis=1))
     # A row without a position means that its scan is empty; beside others of the scan it is a mistake.
-    _, scans, counts = np.unique(stamps.stamps_ns, return_inverse=True, return_counts=True)
-    table.refuse(is_empty & (counts[scans] > 1), found[0], "empty, in a scan that has other rows; give a position")
+    is_alone = ~pd.Series(stamps.stamps_ns).duplicated(keep=False).to_numpy()
+    table.refuse(is_empty & ~is_alone, found[0], "empty, in a scan that has other rows; give a position")
     positions = np.zeros((len(is_empty), 3))
     for i, column in found.items():
-        values = table.optional_numbers(column, LENGTH_UNITS, remedy="correct or remove the line")
+        values = table.optional_numbers(column, LENGTH_UNITS)
         remedy = "give a number (only a row with neither position nor label is a scan without objects)"
         table.refuse(np.isnan(values) & ~is_empty, column, f"empty; {remedy}")
-        positions[:, i] = np.where(is_empty, 0.0, values)
-        _check_range(table, column, np.abs(values))
+        positions[:, i] = np.nan_to_num(values)
+        median_m = float(np.median(np.abs(positions[~is_empty, i]))) if not is_empty.all() else 0.0
+        table.refuse(
+            (np.abs(positions[:, i]) >= median_m) & (median_m > MAX_RANGE_M),
+            column,
+            f"CELL: the median of {column.name} is {median_m:.4g} m, which is no range in the body frame; if these are "
+            f"millimetres, call the column {column.name.removesuffix('_m')}_mm",
+        )
     return is_empty, positions
 
 
-def _check_range(table: Table, column: Column, lengths_m: FloatArray) -> None:
-    known = lengths_m[np.isfinite(lengths_m)]
-    median_m = float(np.median(known)) if len(known) else 0.0
-    table.refuse(
-        (lengths_m >= median_m) & (median_m > MAX_RANGE_M),
-        column,
-        f"CELL: the median of {column.name} is {median_m:.4g} m; positions are metres in the body frame: if these are "
-        f"millimetres, call the column {column.name.removesuffix('_m')}_mm",
-    )
-
-
-def _scores(columns: _Columns) -> FloatArray:
-    column = columns.find(_SCORES)
+def _scores(table: Table) -> FloatArray:
+    column = table.find(_SCORES)
     if column is None:
-        return np.ones(len(columns.table.lines))
-    scores = np.nan_to_num(columns.table.optional_numbers(column), nan=1.0)
+        return np.ones(len(table.cells))
+    scores = np.nan_to_num(table.optional_numbers(column), nan=1.0)
     fault = "CELL is not in [0, 1]; scale the scores to that, or rename the column"
-    columns.table.refuse((scores < 0.0) | (scores > 1.0), column, fault)
+    table.refuse((scores < 0.0) | (scores > 1.0), column, fault)
     return scores
 
 
-def _covariances(columns: _Columns) -> FloatArray | None:
-    table = columns.table
-    entries = {
-        (i, j): columns.find(tuple(f"{stem}{'xyz'[i]}{'xyz'[j]}" for stem in ("c", "cov_", "covariance_")), ("", "m2"))
-        for i, j in _ENTRIES
-    }
-    sigmas = {name: columns.lengths((name, name.replace("sigma", "std"))) for name in ("sigma_x", "sigma_y", "sigma_z")}
-    given = [name for name, values in sigmas.items() if values is not None]
-    there = {place: column for place, column in entries.items() if column is not None}
-    if there and given:
-        raise DatasetError(f"{table.name}: both sigmas and covariances; remove the columns of one of them")
-    P = np.zeros((len(table.lines), 3, 3))
-    for i, values in enumerate(sigmas.values()):
-        if values is not None:
-            P[:, i, i] = values**2
-    for (i, j), column in there.items():
-        P[:, i, j] = P[:, j, i] = table.optional_numbers(column, _AREA_UNITS)
-    if given and not {"sigma_x", "sigma_y"} <= {*given}:
-        raise DatasetError(f"{table.name}: only {given[0]}; give a sigma for x and one for y (and for z)")
-    missing = next((f"c{'xyz'[i]}{'xyz'[i]}" for i in (0, 1) if there and (i, i) not in there), None)
-    if missing is not None:
-        raise DatasetError(f"{table.name}: covariances without the column {missing}; give at least cxx, cxy and cyy")
-    if not there and not given:
+def _lengths(table: Table, fields: tuple[str, ...]) -> FloatArray | None:
+    """Lengths (R,) m, NaN where a cell is empty or 0; None without such a column."""
+    column = table.find(fields, LENGTH_UNITS)
+    if column is None:
         return None
-    if (2, 2) not in there and "sigma_z" not in given:  # a planar detector
+    values = table.optional_numbers(column, LENGTH_UNITS)
+    table.refuse(values < 0.0, column, "CELL is not a length; leave it empty if it is not known")
+    return np.where(values > 0.0, values, np.nan)
+
+
+def _covariances(table: Table) -> FloatArray | None:
+    """Covariances (R, 3, 3) m^2 from their entries, else from sigmas; zeros in rows where one is not known."""
+    P = np.zeros((len(table.cells), 3, 3))
+    entries = [
+        ((i, j), table.find([f"{stem}{'xyz'[i]}{'xyz'[j]}" for stem in ("c", "cov_", "covariance_")], _AREA_UNITS))
+        for i, j in _ENTRIES
+    ]
+    sigmas = [_lengths(table, (f"sigma_{axis}", f"std_{axis}")) for axis in "xyz"]
+    there = {place: column for place, column in entries if column is not None}
+    given = {place: table.optional_numbers(column, _AREA_UNITS) for place, column in there.items()}
+    given = given or {(i, i): values**2 for i, values in enumerate(sigmas) if values is not None}
+    if not given:
+        return None
+    if not {(0, 0), (1, 1)} <= given.keys():
+        raise DatasetError(f"{table.name}: a covariance needs at least cxx, cxy and cyy, or sigma_x_m and sigma_y_m")
+    for (i, j), values in given.items():
+        P[:, i, j] = P[:, j, i] = values
+    if (2, 2) not in given:  # a planar detector
         P[:, 2, 2] = 0.5 * (P[:, 0, 0] + P[:, 1, 1])
     P[~np.isfinite(P).all(axis=(1, 2))] = 0.0
     wrong = P.any(axis=(1, 2)) & (np.linalg.eigvalsh(P)[:, 0] <= 0.0)
-    names = Column(" ".join(column.name for column in there.values()), "")
     if wrong.any():
-        fault = "not positive definite; leave the cells empty if it is not known"
-        raise table.error(int(wrong.argmax()), names, fault)
+        columns = " ".join(column.name for column in there.values())
+        raise table.error(int(wrong.argmax()), columns, "not positive definite; leave the cells empty if not known")
     return P
 
 
-def _sizes(columns: _Columns) -> FloatArray | None:
-    diameter = columns.lengths(_DIAMETERS)
-    sides = [columns.lengths(names) for names in _SIDES]
+def _sizes(table: Table) -> FloatArray | None:
+    diameter = _lengths(table, _DIAMETERS)
+    sides = [_lengths(table, names) for names in _SIDES]
     if diameter is None and all(side is None for side in sides):
         return None
-    sizes = np.full((len(columns.table.lines), 3), np.nan)
+    sizes = np.full((len(table.cells), 3), np.nan)
     if diameter is not None:
         sizes[:, :2] = diameter[:, None]  # that of a pole or a stem is not its height
     for i, side in enumerate(sides):

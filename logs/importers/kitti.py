@@ -11,7 +11,7 @@ import numpy as np
 from logs.errors import DatasetError
 from logs.importers.imported_log import ImportedRecord
 from logs.importers.stamps import Stamps, read_stamps
-from logs.importers.tables import table_of_rows
+from logs.importers.tables import Rows
 from logs.importers.text_files import SourceText, describe_sources, parse_numbers, read_source_text
 from logs.messages import FloatArray, GroundTruthPose, IntArray, ObjectDetections, Odometry
 from logs.validation import MAX_COORDINATE_M, nearest_rotations, rotation_errors
@@ -107,10 +107,9 @@ def read_times(source: SourceText) -> Stamps:
     Raises:
         DatasetError: no line, one that is no time, or that does not come after the one before.
     """
-    table = table_of_rows(source, ("stamp_s",), ((line, [text]) for line, text in source.lines()))
-    if not table.lines:
-        raise DatasetError(f"{source.name}: no time in it")
-    stamps = read_stamps(table)
+    lines = source.lines()
+    rows = Rows(source.name, None, " ", [line for line, _ in lines], [[text] for _, text in lines])
+    stamps = read_stamps(rows.table(["stamp_s"]))
     stamps.check_increasing(strictly=True)
     return stamps
 

@@ -1,14 +1,16 @@
-"""Rows under named columns, from CSV with a header or JSON lines; faults are reported with their line and column."""
+"""Rows under named columns, from CSV or JSON lines; faults are reported with their line and column."""
 
 from __future__ import annotations
 
 import csv
 import json
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from logs.container.json_text import parse_json
@@ -21,7 +23,6 @@ LENGTH_UNITS: Mapping[str, float] = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3}
 NO_UNITS: Mapping[str, float] = {"": 1.0}
 
 _DELIMITERS = (",", ";", "\t")
-_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +35,14 @@ class Column:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """Cells as text, ``columns[name][row]``; ``lines`` (R,) is where each row stands in the file."""
+    """``cells`` (R, C) as text; their index is the line of each row in the file ``name``.
+
+    ``used`` collects the names of the columns that were found.
+    """
 
     name: str
-    columns: Mapping[str, Sequence[str]]
-    lines: Sequence[int]
+    cells: pd.DataFrame
+    used: set[str] = field(default_factory=set)
 
     def find(self, fields: Iterable[str], units: Iterable[str] = ("",)) -> Column | None:
         """The column that bears one of the names ``fields``, followed by one of ``units``; None if there is none.
@@ -49,10 +53,12 @@ class Table:
             DatasetError: several columns do.
         """
         wanted = {f"{field}_{unit}" if unit else field: unit for field in fields for unit in units}
-        found = [Column(name, wanted[_plain(name)]) for name in self.columns if _plain(name) in wanted]
+        plain = {name: "_".join(re.findall(r"[a-z0-9]+", name.lower())) for name in self.cells}
+        found = [Column(name, wanted[plain[name]]) for name in self.cells if plain[name] in wanted]
         if len(found) > 1:
             names = " and ".join(column.name for column in found)
             raise DatasetError(f"{self.name}: columns {names} have the same meaning; remove or rename all but one")
+        self.used.update(column.name for column in found)
         return found[0] if found else None
 
     def need(self, what: str, example: str, fields: Iterable[str], units: Iterable[str] = ("",)) -> Column:
@@ -63,9 +69,14 @@ class Table:
         """
         column = self.find(fields, units)
         if column is None:
-            there = ", ".join(self.columns)
+            there = ", ".join(self.cells)
             raise DatasetError(f"{self.name}: no column for {what} among {there}; call the one that holds it {example}")
         return column
+
+    def texts(self, fields: Iterable[str]) -> tuple[str, ...] | None:
+        """The cells (R,) of the column that bears one of the names; None without such a column."""
+        column = self.find(fields)
+        return None if column is None else tuple(self.cells[column.name])
 
     def numbers(self, column: Column, units: Mapping[str, float] = NO_UNITS) -> FloatArray:
         """The cells (R,) as finite numbers, times the factor in ``units`` of the unit of the column.
@@ -73,28 +84,21 @@ class Table:
         Raises:
             DatasetError: a cell is no finite number.
         """
-        values = self.optional_numbers(column, units, remedy="correct or remove the line")
+        values = self.optional_numbers(column, units)
         self.refuse(np.isnan(values), column, "empty; give a number, or remove the line")
         return values
 
-    def optional_numbers(
-        self,
-        column: Column,
-        units: Mapping[str, float] = NO_UNITS,
-        *,
-        remedy: str = "correct it, or leave it empty if it is not known",
-    ) -> FloatArray:
+    def optional_numbers(self, column: Column, units: Mapping[str, float] = NO_UNITS) -> FloatArray:
         """Like ``numbers``, but NaN for an empty cell.
 
         Raises:
             DatasetError: a cell that is not empty is no finite number.
         """
-        cells = self.columns[column.name]
-        wrong = next((row for row, cell in enumerate(cells) if cell and not is_number(cell)), None)
-        if wrong is not None:
-            cell = cells[wrong]
-            raise self.error(wrong, column, f"{cell!r} is not a finite number; {decimal_remedy(cell, remedy)}")
-        return np.array([float(cell or "nan") for cell in cells]) * units[column.unit]
+        cells = self.cells[column.name]
+        values = np.array([float(cell) if is_number(cell) else math.nan for cell in cells])
+        wrong = np.isnan(values) & (cells != "").to_numpy()
+        self.refuse(wrong, column, "'CELL' is not a finite number; write it with a decimal point, or leave it empty")
+        return values * units[column.unit]
 
     def refuse(self, wrong: NDArray[np.bool_], column: Column, fault: str) -> None:
         """See that none of the rows is ``wrong`` (R,); in ``fault``, "CELL" stands for the cell of the first that is.
@@ -104,12 +108,40 @@ class Table:
         """
         if wrong.any():
             row = int(wrong.argmax())
-            raise self.error(row, column, fault.replace("CELL", self.columns[column.name][row], 1))
+            raise self.error(row, column.name, fault.replace("CELL", self.cells[column.name].iloc[row][:40], 1))
 
-    def error(self, row: int, columns: Column | str, fault: str) -> DatasetError:
+    def error(self, row: int, columns: str, fault: str) -> DatasetError:
         """What is wrong with a cell (or with several columns of a row), with its place."""
-        name = columns if isinstance(columns, str) else columns.name
-        return DatasetError(f"{self.name}, line {self.lines[row]}, column {name}: {fault}")
+        return DatasetError(f"{self.name}, line {self.cells.index[row]}, column {columns}: {fault}")
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Lines of a file split into cells; ``header``: the names of the columns, None where the file has none."""
+
+    name: str
+    header: list[str] | None
+    delimiter: str
+    lines: list[int]
+    cells: list[list[str]]
+
+    def table(self, names: Sequence[str]) -> Table:
+        """The rows under the ``names`` of their columns.
+
+        Raises:
+            DatasetError: no row, a name that occurs twice, or a row with another number of cells than there are names.
+        """
+        if not self.lines:
+            raise DatasetError(f"{self.name}: no row in it; expected a header and at least one line")
+        twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+        if twice is not None:
+            raise DatasetError(f"{self.name}: column {twice} occurs twice; rename or remove one")
+        for line, row in zip(self.lines, self.cells, strict=True):
+            if len(row) != len(names):
+                raise DatasetError(
+                    f"{self.name}, line {line}: {len(row)} values where {len(names)} are expected ({', '.join(names)})"
+                )
+        return Table(self.name, pd.DataFrame(self.cells, index=self.lines, columns=list(names), dtype=object))
 
 
 def read_table(source: SourceText) -> Table:
@@ -121,78 +153,66 @@ def read_table(source: SourceText) -> Table:
     start = source.text.lstrip()[:1]
     if start == "[":
         raise DatasetError(f"{source.name}: a JSON array; write one object a line (JSON lines), or CSV with a header")
-    table = _read_json_lines(source) if start == "{" else _read_csv(source)
-    if not table.lines:
-        raise DatasetError(f"{source.name}: no row in it; expected a header and at least one line")
-    return table
+    if start == "{":
+        return _read_json_lines(source)
+    rows = read_rows(source)
+    if rows.header is None:
+        raise DatasetError(
+            f"{source.name}, line {rows.lines[0]}: numbers where the names of the columns are expected; begin the file "
+            "with a header such as stamp_s,label,x_m,y_m,z_m"
+        )
+    return rows.table(rows.header)
 
 
-def table_of_rows(source: SourceText, names: Sequence[str], rows: Iterable[tuple[int, Sequence[str]]]) -> Table:
-    """A table of rows of cells, each with its line.
+def read_rows(source: SourceText) -> Rows:
+    """The lines of ``source`` that are neither blank nor comments (#), split at commas, semicolons, tabs or blanks.
+
+    The header is the first of them if it holds names, else the comment nearest above it that is split likewise.
 
     Raises:
-        DatasetError: a row has another number of cells than there are names.
+        DatasetError: no line, or one that is not CSV.
     """
-    kept = list(rows)
-    wrong = next(((line, len(row)) for line, row in kept if len(row) != len(names)), None)
-    if wrong is not None:
-        raise DatasetError(
-            f"{source.name}, line {wrong[0]}: {wrong[1]} values where {len(names)} are expected ({', '.join(names)})"
-        )
-    columns = {name: [row[i].strip() for _, row in kept] for i, name in enumerate(names)}
-    return Table(source.name, columns, [line for line, _ in kept])
-
-
-def header_above(source: SourceText, line: int) -> str | None:
-    """The comment nearest above ``line`` that may name columns; None for none."""
-    above = source.text.splitlines()[: line - 1]
-    return next((text for text in reversed(above) if any(delimiter in text for delimiter in _DELIMITERS)), None)
-
-
-def _read_csv(source: SourceText) -> Table:
-    line, first = next(iter(source.lines()), (0, ""))
-    if not line:
+    start, first = next(iter(source.lines()), (0, ""))
+    if not start:
         raise DatasetError(f"{source.name}: no line in it; expected a header and at least one line")
-    above = header_above(source, line) if is_number(re.split(r"[,;\t]", first)[0]) else None
-    header = first if above is None else above.strip().lstrip("#")
-    lines, delimiter = source.text.splitlines(), max(_DELIMITERS, key=header.count)
-    if delimiter not in header:
-        header, lines, delimiter = ",".join(header.split()), [",".join(each.split()) for each in lines], ","
-    passed = line if above is None else line - 1
-    reader = csv.reader([header, *lines[passed:]], delimiter=delimiter)
+    delimiter = max(_DELIMITERS, key=first.count)
+    lines = source.text.splitlines()
+    if delimiter not in first:
+        delimiter, lines = " ", [" ".join(line.split()) for line in lines]
+    reader = csv.reader(lines[start - 1 :], delimiter=delimiter, skipinitialspace=True)
+    numbers, cells = list[int](), list[list[str]]()
     try:
-        names = [name.strip() for name in next(reader)]
-        if not names or is_number(names[0]) or 2 * sum(map(is_number, names)) > len(names):
-            raise DatasetError(
-                f"{source.name}, line {line}: numbers where the names of the columns are expected; "
-                "begin the file with a header such as stamp_s,label,x_m,y_m,z_m"
-            )
-        twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
-        if twice is not None:
-            raise DatasetError(f"{source.name}, line {line}: column {twice} stands there twice; rename or remove one")
-        rows = ((passed + reader.line_num - 1, row) for row in reader if row and not row[0].lstrip().startswith("#"))
-        return table_of_rows(source, names, rows)
+        for row in reader:
+            if "".join(row).strip() and not row[0].startswith("#"):
+                numbers.append(start - 1 + reader.line_num)
+                cells.append([cell.strip() for cell in row])
     except csv.Error as error:
-        raise DatasetError(f"{source.name}, line {passed + reader.line_num - 1}: not CSV ({error})") from error
+        raise DatasetError(f"{source.name}, line {start - 1 + reader.line_num}: not CSV ({error})") from error
+    if is_number(cells[0][0]) or 2 * sum(map(is_number, cells[0])) > len(cells[0]):
+        above = next((line for line in reversed(lines[: start - 1]) if delimiter != " " and delimiter in line), None)
+        names = above.strip().lstrip("#").split(delimiter) if above is not None else []
+        header = [name.strip() for name in names] if any(name.strip() for name in names) else None
+        return Rows(source.name, header, delimiter, numbers, cells)
+    return Rows(source.name, cells[0], delimiter, numbers[1:], cells[1:])
 
 
 def _read_json_lines(source: SourceText) -> Table:
-    objects: list[tuple[int, dict[str, str]]] = []
-    for line, text in source.lines():
+    objects: list[dict[str, str]] = []
+    lines = source.lines()
+    for line, text in lines:
         try:
             # Numbers stay text, so that stamps keep all their digits.
             value = parse_json(text, parse_float=str, parse_int=str, parse_constant=str)
-        except json.JSONDecodeError as error:
-            raise DatasetError(
-                f"{source.name}, line {line}: not JSON ({error.msg}, character {error.colno}); write one object a line"
-            ) from error
         except ValueError as error:
-            raise DatasetError(f"{source.name}, line {line}: {error}; write flat objects, one a line") from error
+            raise DatasetError(
+                f"{source.name}, line {line}: not JSON ({error}); write one flat object a line"
+            ) from error
         if not isinstance(value, dict):
             raise DatasetError(f'{source.name}, line {line}: not an object; write {{"stamp_s": 0.1, "x_m": 1.0, ...}}')
-        objects.append((line, {key: _cell(source, line, key, cell) for key, cell in value.items()}))
-    names = list(dict.fromkeys(name for _, value in objects for name in value))
-    return table_of_rows(source, names, ((line, [value.get(name, "") for name in names]) for line, value in objects))
+        objects.append({key: _cell(source, line, key, cell) for key, cell in value.items()})
+    names = list(dict.fromkeys(name for value in objects for name in value))
+    cells = [[value.get(name, "") for name in names] for value in objects]
+    return Rows(source.name, names, "", [line for line, _ in lines], cells).table(names)
 
 
 def _cell(source: SourceText, line: int, key: str, value: object) -> str:
@@ -202,13 +222,3 @@ def _cell(source: SourceText, line: int, key: str, value: object) -> str:
         f"{source.name}, line {line}, column {key}: {json.dumps(value)[:40]} is neither a number nor a text; "
         "write each number under a name of its own, such as x_m, y_m and z_m"
     )
-
-
-def decimal_remedy(cell: str, otherwise: str) -> str:
-    """What to do about a cell that is no number: a decimal comma is one for a point."""
-    return "write numbers with a decimal point" if _DECIMAL_COMMA.fullmatch(cell) else otherwise
-
-
-def _plain(name: str) -> str:
-    """The name in the form in which columns are compared."""
-    return "_".join(re.findall(r"[a-z0-9]+", name.lower()))

@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from logs.errors import DatasetError
 from logs.importers.detection_tables import BODY_FRAME, ONLY_LABEL, DetectionTable, read_detections
 from logs.importers.imported_log import ImportedRecord
-from logs.importers.stamps import match_clock, snap_to_span
+from logs.importers.stamps import match_clock
 from logs.importers.tables import read_table
-from logs.importers.text_files import SourceText, describe_sources, read_source_text
+from logs.importers.text_files import describe_sources, read_source_text
 from logs.importers.trajectory_files import Trajectory, TrajectoryFormat, read_trajectory
-from logs.messages import GroundTruthPose, IntArray, Odometry
+from logs.messages import GroundTruthPose, Odometry
 
 _LEANING, _UPRIGHT = 0.3, 0.03
 """1 - cos of the angle between the body's z axis and the vertical: 45 deg and 14 deg."""
@@ -26,22 +25,20 @@ _LEANING, _UPRIGHT = 0.3, 0.03
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TextLog:
-    """A validated drive; ``stamps_ns`` (R,) are those of the detections. ``notes``: what a user should know of it."""
+    """A validated drive. ``notes``: what a user should know of it."""
 
     odometry: Trajectory
     detections: DetectionTable
-    stamps_ns: IntArray
     ground_truth: Trajectory | None
     source: dict[str, str]
     notes: tuple[str, ...]
 
     def records(self) -> Iterator[ImportedRecord]:
         """Everything in the order of the stamps; at one stamp odometry, detections, the true pose, the true objects."""
-        odometry = (Odometry(stamp_ns, T) for stamp_ns, T in self.odometry.poses())
         truth = self.ground_truth.poses() if self.ground_truth is not None else ()
         streams: list[Iterable[ImportedRecord]] = [
-            odometry,
-            (record for pair in self.detections.scans(self.stamps_ns) for record in pair if record is not None),
+            (Odometry(stamp_ns, T) for stamp_ns, T in self.odometry.poses()),
+            (record for pair in self.detections.scans() for record in pair if record is not None),
             (GroundTruthPose(stamp_ns, T) for stamp_ns, T in truth),
         ]
         return merge(*streams, key=lambda record: record.stamp_ns)
@@ -54,7 +51,6 @@ def read_text_log(
     ground_truth: Path | None = None,
     times: Path | None = None,
     calib: Path | None = None,
-    format: TrajectoryFormat | None = None,
 ) -> TextLog:
     """Read and validate a drive.
 
@@ -64,7 +60,6 @@ def read_text_log(
         ground_truth: true poses of the body.
         times: seconds of each pose of the trajectories in KITTI's format.
         calib: KITTI's calibration, if those poses are of the left camera.
-        format: of the trajectories; by default found in each.
 
     Raises:
         DatasetError: a file is missing or wrong; names the file, the line, the column and the remedy.
@@ -77,39 +72,28 @@ def read_text_log(
         "calib": calib,
     }
     sources = {role: read_source_text(path) for role, path in paths.items() if path is not None}
-
-    def trajectory(role: str) -> Trajectory:
-        return read_trajectory(sources[role], times=sources.get("times"), calib=sources.get("calib"), format=format)
-
-    path = trajectory("odometry")
-    truth = trajectory("ground_truth") if ground_truth is not None else None
-    _check_used(sources, [path] if truth is None else [path, truth])
+    trajectories = {
+        role: read_trajectory(sources[role], times=sources.get("times"), calib=sources.get("calib"))
+        for role in ("odometry", "ground_truth")
+        if role in sources
+    }
+    path, truth = trajectories["odometry"], trajectories.get("ground_truth")
     table = read_detections(read_table(sources["detections"]))
     inside = match_clock(table.stamps, path.stamps)
     if truth is not None:
         match_clock(truth.stamps, path.stamps)
-    source = describe_sources("text", sources.items())
-    stamps_ns = snap_to_span(table.stamps.stamps_ns, inside, path.stamps)
     notes = (*_table_notes(table, inside), *_pose_notes(path, has_calib=calib is not None))
-    return TextLog(path, table, stamps_ns, truth, source, notes)
-
-
-def _check_used(sources: dict[str, SourceText], trajectories: list[Trajectory]) -> None:
-    for role in ("times", "calib"):
-        if role in sources and not any(t.format == TrajectoryFormat.KITTI for t in trajectories):
-            raise DatasetError(
-                f"{sources[role].name}: {role} are for poses in KITTI's format, but no trajectory has it; leave it out "
-                "or say --format kitti"
-            )
+    return TextLog(path, table, truth, describe_sources("text", sources.items()), notes)
 
 
 def _table_notes(table: DetectionTable, inside: NDArray[np.bool_]) -> list[str]:
     notes = []
     if not inside.all():
-        row, text = int(inside.argmin()), table.stamps.table
+        text = table.stamps.table
         notes.append(
-            f"{text.name}, line {text.lines[row]}, column {table.stamps.column.name}: {np.count_nonzero(~inside)} of "
-            f"{len(inside)} detections, this one first, are outside the odometry's time; a replay leaves them out"
+            f"{text.name}, line {text.cells.index[inside.argmin()]}, column {table.stamps.column.name}: "
+            f"{np.count_nonzero(~inside)} of {len(inside)} detections, this one first, are outside the odometry's "
+            "time; a replay leaves them out"
         )
     if table.unlabelled_count:
         counts = f"{table.unlabelled_count} of {len(table.labels)} detections"
@@ -128,11 +112,9 @@ def _pose_notes(path: Trajectory, *, has_calib: bool) -> list[str]:
         return [
             "poses are taken for those of the body (x forward, z up); give --calib if they are of KITTI's left camera"
         ]
-    if path.format != TrajectoryFormat.TUM:
-        return []
     q = np.asarray(Rotation.from_matrix(path.T_world_body[:, :3, :3]).as_quat())
     tilts = [np.median(1.0 - Rotation.from_quat(each).as_matrix()[:, 2, 2]) for each in (q, q[:, [1, 2, 3, 0]])]
-    if tilts[0] < _LEANING or tilts[1] > _UPRIGHT:
+    if path.format != TrajectoryFormat.TUM or tilts[0] < _LEANING or tilts[1] > _UPRIGHT:
         return []
     return [
         f"{path.name}: by these quaternions the body does not stand upright, but it would if they were in the order "

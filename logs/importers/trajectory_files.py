@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -12,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from logs.errors import DatasetError
 from logs.importers.kitti import body_poses, parse_calibration, parse_poses, read_times
-from logs.importers.stamps import Stamps, read_stamps
-from logs.importers.tables import LENGTH_UNITS, Table, header_above, read_table, table_of_rows
-from logs.importers.text_files import SourceText, is_number
+from logs.importers.stamps import UNIT_REMEDY, Stamps, read_stamps
+from logs.importers.tables import LENGTH_UNITS, Table, read_rows, read_table
+from logs.importers.text_files import SourceText
 from logs.messages import FloatArray
 from logs.validation import MAX_COORDINATE_M, QUATERNION_NORM_TOLERANCE
 
@@ -27,12 +26,9 @@ MIN_STEP_S = 1e-6
 MAX_SPEED_MPS = 100.0
 """A faster body, by the median, is no robot on the ground; a replay takes steps faster than 60 m/s for jumps."""
 
-_COLUMNS = {
-    "tum": ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw"),
-    "euroc": ("stamp_ns", "x", "y", "z", "qw", "qx", "qy", "qz"),
-}
+_TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
+_EUROC = ("stamp_ns", "x", "y", "z", "qw", "qx", "qy", "qz")
 _EUROC_NAME = "p_rs_r_x"
-_SEPARATORS = re.compile(r"\s*[,;]\s*|\s+")
 _ANGLE_UNITS = {"": 1.0, "rad": 1.0, "deg": np.pi / 180.0}
 
 
@@ -71,34 +67,28 @@ class Trajectory:
 
 
 def read_trajectory(
-    source: SourceText,
-    *,
-    times: SourceText | None = None,
-    calib: SourceText | None = None,
-    format: TrajectoryFormat | None = None,
+    source: SourceText, *, times: SourceText | None = None, calib: SourceText | None = None
 ) -> Trajectory:
-    """The trajectory in ``source``, in the format that it is found to have or that is given.
+    """The trajectory in ``source``, in the format that it is found to have.
 
     Args:
         source: the file.
         times: seconds of each pose, one a line; only for KITTI's format, which has none.
         calib: KITTI's calibration, if the poses in KITTI's format are of the left camera: the body is then the
             velodyne, and the poses are given in its frame at the origin.
-        format: for a file whose content leaves it open.
 
     Raises:
         DatasetError: a file is wrong, the stamps do not increase, or stamps or positions are in an impossible unit.
     """
-    chosen = format or find_format(source)
-    if chosen == TrajectoryFormat.KITTI:
+    format = find_format(source)
+    if format == TrajectoryFormat.KITTI:
         trajectory = _read_kitti(source, times, calib)
     else:
-        table = _pose_table(source, chosen)
+        table = _pose_table(source, format)
         stamps = read_stamps(table)
         stamps.check_increasing(strictly=True)
-        trajectory = Trajectory(source.name, table.lines, stamps, _poses(table), chosen)
-    _check_steps(trajectory)
-    _check_speed(trajectory)
+        trajectory = Trajectory(source.name, list(table.cells.index), stamps, _poses(table), format)
+    _check_plausible(trajectory)
     return trajectory
 
 
@@ -108,59 +98,45 @@ def find_format(source: SourceText) -> TrajectoryFormat:
     Raises:
         DatasetError: it fits none.
     """
-    line, first = next(iter(source.lines()), (0, ""))
-    fields = _SEPARATORS.split(first)
-    header = header_above(source, line) if "," in first or ";" in first else None
-    if first.startswith("{") or (len(fields) >= len("txy") and not is_number(fields[0])):
-        header = first
-    if header is not None:
-        return TrajectoryFormat.EUROC if _EUROC_NAME in header.lower() else TrajectoryFormat.CSV
-    if len(fields) == 8 and ("," not in first or _has_fractions(source)):
+    if source.text.lstrip().startswith("{"):
+        return TrajectoryFormat.CSV
+    rows = read_rows(source)
+    if rows.header is not None:
+        is_euroc = any(_EUROC_NAME in name.lower() for name in rows.header)
+        return TrajectoryFormat.EUROC if is_euroc else TrajectoryFormat.CSV
+    width, is_csv = len(rows.cells[0]), rows.delimiter != " "
+    if width == len(_TUM) and (not is_csv or any("." in row[0] for row in rows.cells)):
         return TrajectoryFormat.TUM
-    if "," in first and len(fields) >= 8:
+    if width >= len(_EUROC) and is_csv:
         return TrajectoryFormat.EUROC
-    if len(fields) == 12 and "," not in first:
+    if width == 12:
         return TrajectoryFormat.KITTI
     raise DatasetError(
-        f"{source.name}, line {line}: {len(fields) if first else 0} values ({first[:40]!r}) are not a pose; expected 8 "
+        f"{source.name}, line {rows.lines[0]}: {width} values are not a pose; expected 8 "
         "(TUM: stamp x y z qx qy qz qw), 12 (KITTI: 3x4), CSV of EuRoC, or a first line that names the columns "
         "(stamp_s,x_m,y_m,z_m,qx,qy,qz,qw)"
     )
 
 
-def _has_fractions(source: SourceText) -> bool:
-    """Whether the stamps, which come first, are seconds with digits behind the point and not EuRoC's nanoseconds."""
-    return any("." in _SEPARATORS.split(line)[0] for _, line in source.lines())
-
-
 def _pose_table(source: SourceText, format: TrajectoryFormat) -> Table:
-    names = _COLUMNS.get(format)
-    if names is None:
+    if format == TrajectoryFormat.CSV:
         return read_table(source)
-    rows = [(i, _SEPARATORS.split(line)) for i, line in source.lines() if _EUROC_NAME not in line.lower()]
-    count = len(names) if format == TrajectoryFormat.EUROC else None
-    table = table_of_rows(source, names, ((i, row[:count]) for i, row in rows))
-    if not table.lines:
-        raise DatasetError(f"{source.name}: no pose in it")
-    return table
+    rows = read_rows(source)
+    if format == TrajectoryFormat.TUM:
+        return rows.table(_TUM)
+    return replace(rows, cells=[row[: len(_EUROC)] for row in rows.cells]).table(_EUROC)
 
 
 def _poses(table: Table) -> FloatArray:
-    latitude = table.find(("latitude", "lat"), ("", "deg"))
-    if latitude is not None:
-        raise DatasetError(
-            f"{table.name}: column {latitude.name}: poses are read in metres; project them to a plane (for example "
-            "UTM), and call the columns x_m, y_m and z_m"
-        )
-    T = np.tile(np.eye(4), (len(table.lines), 1, 1))
+    T = np.tile(np.eye(4), (len(table.cells), 1, 1))
     for i, name in enumerate("xyz"):
         column = table.find((name, f"position_{name}", f"p{name}", f"t{name}"), LENGTH_UNITS)
         if column is not None:
             T[:, i, 3] = table.numbers(column, LENGTH_UNITS)
             too_far = np.abs(T[:, i, 3]) > MAX_COORDINATE_M
-            table.refuse(too_far, column, "CELL m is not finite or too far away; correct it, or remove the line")
+            table.refuse(too_far, column, "CELL m is too far away; correct it, or remove the line")
         elif name != "z":
-            table.need(name, f"{name}_m", (name,), LENGTH_UNITS)
+            table.need(f"{name} in metres", f"{name}_m", (name,), LENGTH_UNITS)
     T[:, :3, :3] = _rotations(table)
     return T
 
@@ -201,32 +177,23 @@ def _read_kitti(source: SourceText, times: SourceText | None, calib: SourceText 
     return Trajectory(source.name, [line for line, _ in source.lines()], stamps, T, TrajectoryFormat.KITTI)
 
 
-def _check_steps(trajectory: Trajectory) -> None:
+def _check_plausible(trajectory: Trajectory) -> None:
+    """See that the median step takes a time and a speed that a robot on the ground has."""
     stamps = trajectory.stamps
     if len(stamps.stamps_ns) < 2:
         raise DatasetError(f"{trajectory.name}: one pose only; a drive has at least two")
-    median_s = float(np.median(np.diff(stamps.stamps_ns))) * 1e-9
-    if not MIN_STEP_S <= median_s <= MAX_STEP_S:
-        raise stamps.table.error(
-            1,
-            stamps.column,
-            f"poses are {median_s:.3g} s apart (median), unlike those of any odometry; give the stamps in "
-            f"{stamps.unit_name}, or name the columns and call this one by its unit: stamp_s, stamp_ms, stamp_us or "
-            "stamp_ns",
+    steps_s = np.diff(stamps.stamps_ns) * 1e-9
+    if not MIN_STEP_S <= np.median(steps_s) <= MAX_STEP_S:
+        fault = f"poses are {np.median(steps_s):.3g} s apart (median), unlike those of any odometry"
+        raise stamps.table.error(1, stamps.column.name, f"{fault}; give the stamps in seconds, or {UNIT_REMEDY}")
+    steps_m = _steps_m(trajectory.T_world_body)
+    speeds_mps = steps_m[steps_m > 0.0] / steps_s[steps_m > 0.0]
+    if len(speeds_mps) and np.median(speeds_mps) > MAX_SPEED_MPS:
+        raise DatasetError(
+            f"{trajectory.name}, line {trajectory.lines[int((steps_m > 0.0).argmax()) + 1]}, columns x y z: the body "
+            f"moves at {np.median(speeds_mps):.4g} m/s (median); positions are metres: divide them by 1000 if these "
+            "are millimetres, and see that the stamps are right"
         )
-
-
-def _check_speed(trajectory: Trajectory) -> None:
-    moved_m = _steps_m(trajectory.T_world_body)
-    moving = np.flatnonzero(moved_m > 0.0)
-    speeds_mps = moved_m[moving] / (np.diff(trajectory.stamps.stamps_ns)[moving] * 1e-9)
-    if not len(moving) or np.median(speeds_mps) <= MAX_SPEED_MPS:
-        return
-    line = trajectory.lines[int(moving[np.argmax(speeds_mps > MAX_SPEED_MPS)]) + 1]
-    raise DatasetError(
-        f"{trajectory.name}, line {line}, columns x y z: the body moves at {np.median(speeds_mps):.4g} m/s (median); "
-        "positions are metres: divide them by 1000 if these are millimetres, and see that the stamps are right"
-    )
 
 
 def _steps_m(T: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Command lines on data of others: clouds, archives of centroids, Victoria Park, bags, and trainings that go on."""
+"""Command lines on data of others: clouds, archives of centroids, bags, and trainings that go on."""
 
 from __future__ import annotations
 
@@ -19,12 +19,6 @@ from tests.fuzz.training_mutations import mutate_checkpoint
 
 NETWORKS = {"likelihood": "descriptellation_lr", "network": "descriptellation"}
 """Whose checkpoints are altered, by the name of the folder."""
-_PARK = b"""ODOMETRY 0 1 2 0 1.5707963267948966 0.0001 0 0 4e-06 0 4e-06
-LANDMARK 1 7 3 -1 0.4 0.1 0.3
-LANDMARK 1 8 5 0 0.4 0 0.4
-ODOMETRY 1 9 1 0 0 0.0001 0 0 4e-06 0 4e-06
-LANDMARK 9 7 2 -1 0.4 0 0.4
-"""
 _OBJECTS = {
     "objects/07/bow.txt": b"1,0,1\n0,1,0\n0,0,0\n",
     "objects/07/centroids/000000.txt": b"1 2 3\n4e0 5 -6.5\n",
@@ -69,10 +63,7 @@ def cloud_arguments(folder: Path, rng: np.random.Generator) -> list[str]:
 
 
 def dataset_arguments(folder: Path, rng: np.random.Generator) -> list[str]:
-    """Victoria Park, or a sequence of KITTI with centroids in a folder or an archive, of which one file is altered."""
-    if rng.random() < 0.3:
-        (folder / "park.txt").write_bytes(mutate_text(_PARK, rng))
-        return ["import", "victoria-park", "out.mcap", "--file", "park.txt"]
+    """A sequence of KITTI with centroids in a folder or an archive, of which one file is altered."""
     files = dict(_OBJECTS)
     name = str(rng.choice(list(files)))
     files[name] = mutate_text(files[name], rng)

@@ -35,7 +35,6 @@ import csv-map out.mcap --file ODD
 import geojson out.mcap --file ODD
 import osm out.mcap --file ODD
 import ply out.mcap --file ODD
-import victoria-park out.mcap --file ODD
 import kitti-objects out.mcap --detections ODD --odometry trajectory.kitti --calib ODD --times ODD
 simulate out.mcap --config ODD
 simulate out.mcap --objects ODD --trajectory ODD

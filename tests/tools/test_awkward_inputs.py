@@ -62,21 +62,21 @@ TEXTS = {
         DATES,
     ),
     "dates in a path without a header": Text(
-        "numbers where the names of the columns are expected", odometry=DATES.partition("\n")[2]
+        "or a first line that names the columns", odometry=DATES.partition("\n")[2]
     ),
     "semicolons": Text("10 objects detected", 0, TABLE.replace(",", ";")),
     "a byte order mark": Text("10 objects detected", 0, "\ufeff" + TABLE),
     "line ends of Windows": Text("10 objects detected", 0, TABLE.replace("\n", "\r\n")),
-    "decimal commas": Text(
-        "write numbers with a decimal point", detections=TABLE.replace(",", ";").replace("2.0", "2,0")
-    ),
+    "decimal commas": Text("write it with a decimal point", detections=TABLE.replace(",", ";").replace("2.0", "2,0")),
     "no header": Text("detections.csv", detections=TABLE.partition("\n")[2]),
     "no position": Text("no column for x among stamp_s, column, y_m, label", detections=TABLE.replace("x_m", "column")),
     "an empty table": Text("detections.csv", detections=""),
     "a number that is none": Text("line 2", detections=TABLE.replace("0,5,", "0,five,")),
-    "stamps that go backwards": Text("0.5 comes after 9; sort the lines", detections=TABLE + "0.5,1,1,tree\n"),
+    "stamps that go backwards": Text(
+        "0.5 comes after a later stamp; sort the lines", detections=TABLE + "0.5,1,1,tree\n"
+    ),
     "stamps in milliseconds": Text(
-        "give the stamps in seconds, or name the columns",
+        "give the stamps in seconds, or call the column by its unit",
         odometry="".join(f"{90000 * t} {t} 0 0 0 0 0 1\n" for t in range(10)),
         detections="stamp_s,x_m,y_m\n" + "".join(f"{90000 * t},{x},{y}\n" for t, x, y in ROWS),
     ),
@@ -85,7 +85,6 @@ TEXTS = {
         "no column for x among stamp_s, lat, lon", detections=TABLE.replace("x_m,y_m", "lat,lon")
     ),
     "scores in percent": Text("score", detections=TABLE.replace("label", "score").replace("tree", "95")),
-    "an unknown format": Text("not one of tum, kitti, euroc, csv", options=("--format", "g2o")),
 }
 
 

@@ -24,7 +24,6 @@ class TestJson:
     def test_each_prints_one_object(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
         for arguments in (
             ("simulate", tmp_path / "a.mcap", "--length", 20),
-            ("import", "victoria-park", tmp_path / "b.mcap"),
             ("info", SAMPLE),
             ("info", mapped),
             ("replay", SAMPLE, "-o", tmp_path / "c.mcap"),

@@ -62,7 +62,6 @@ class TestRefusals:
         for folder in ("", ".", "..", "/"):
             assert_refused(dslam("replay", SAMPLE, "-o", folder), "is a folder")
         assert_refused(dslam("simulate", nowhere), "no folder")
-        assert_refused(dslam("import", "victoria-park", nowhere), "no folder")
         assert not list(tmp_path.iterdir())
 
     def test_output_that_is_a_link_to_itself(self, dslam: Run, tmp_path: Path) -> None:
@@ -95,7 +94,6 @@ class TestRefusals:
         assert_refused(dslam("simulate", output, "--objects", "a.csv", "--trajectory", "b.csv"), "a.csv")
 
     def test_import_without_its_files(self, dslam: Run, tmp_path: Path) -> None:
-        assert_refused(dslam("import", "victoria-park", tmp_path / "out.mcap", "--file", tmp_path / "none"), "none")
         files = ("--detections", "a.tar", "--odometry", "b.txt", "--calib", "c.txt", "--times", "d.txt")
         assert_refused(dslam("import", "kitti-objects", tmp_path / "out.mcap", *files), "a.tar")
 

@@ -11,7 +11,7 @@ import pytest
 from tests.tools.runs import ROOT, SAMPLE, Run, assert_refused
 
 COMMANDS = (
-    *("simulate", "degrade", "import kitti-objects", "import victoria-park", "info", "replay", "evaluate"),
+    *("simulate", "degrade", "import kitti-objects", "info", "replay", "evaluate"),
     *("compare", "sweep"),
     *("optimize", "view", "export", "config"),
     *("relocalize", "train", "benchmark replay", "benchmark descriptors"),

@@ -40,7 +40,7 @@ def read_object_table(path: Path) -> MapObjects:
             for axis, names in _AXES.items()
         ]
         height = table.find(("z",), LENGTH_UNITS)
-    rows = len(table.lines)
+    rows = len(table.cells)
     heights = table.optional_numbers(height, LENGTH_UNITS) if height is not None else np.zeros(rows)
     positions = np.column_stack([*plane, np.nan_to_num(heights)])
     if is_geodetic:
@@ -50,18 +50,18 @@ def read_object_table(path: Path) -> MapObjects:
 
 def _labels(table: Table, rows: int) -> tuple[str, ...]:
     name = _first_column(table, CLASS_NAMES)
-    return tuple(cell or UNKNOWN for cell in table.columns[name]) if name else (UNKNOWN,) * rows
+    return tuple(cell or UNKNOWN for cell in table.cells[name]) if name else (UNKNOWN,) * rows
 
 
 def _ids(table: Table, rows: int) -> tuple[str, ...]:
     name = _first_column(table, ID_NAMES)
     if name is None:
         return tuple(str(row) for row in range(rows))
-    ids = [cell or f"line {line}" for line, cell in zip(table.lines, table.columns[name], strict=True)]
+    ids = [cell or f"line {line}" for line, cell in zip(table.cells.index, table.cells[name], strict=True)]
     if name.lower() == _MAY_REPEAT:
         return distinct(ids)
     first_line: dict[str, int] = {}
-    for line, each in zip(table.lines, ids, strict=True):
+    for line, each in zip(table.cells.index, ids, strict=True):
         if first_line.setdefault(each, line) != line:
             raise DatasetError(
                 f"{table.name}, line {line}: {name} {each!r} is taken by line {first_line[each]}; give each object "

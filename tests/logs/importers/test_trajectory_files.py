@@ -5,7 +5,7 @@ import pytest
 
 from logs.errors import DatasetError
 from logs.importers.text_files import SourceText
-from logs.importers.trajectory_files import TrajectoryFormat, read_trajectory
+from logs.importers.trajectory_files import read_trajectory
 
 TUM = "0.1 1 2 3 0 0 0.6 0.8\n0.2 1 2 4 0 0 0 1\n"
 EUROC_HEADER = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
@@ -32,15 +32,14 @@ def source(text: str, name: str = "poses.txt") -> SourceText:
         (f"{EUROC_HEADER[1:]}\n{EUROC}", "euroc"),
         ("stamp_s,x_m,y_m,z_m,qx,qy,qz,qw\n0.1,1,2,3,0,0,0.6,0.8\n0.2,1,2,4,0,0,0,1\n", "csv"),
         ("# stamp_s,x_m,y_m,z_m,qx,qy,qz,qw\n0.1,1,2,3,0,0,0.6,0.8\n0.2,1,2,4,0,0,0,1\n", "csv"),
-        ("qw;qz;qy;qx;z [mm];y [mm];x [mm];t [ms]\n.8;.6;0;0;3000;2000;1000;100\n1;0;0;0;4000;2000;1000;200\n", None),
+        ("qw;qz;qy;qx;z [mm];y [mm];x [mm];t [ms]\n.8;.6;0;0;3000;2000;1000;100\n1;0;0;0;4000;2000;1000;200\n", "csv"),
         ('{"t": 0.1, "x": 1, "y": 2, "z": 3, "qx": 0, "qy": 0, "qz": 0.6, "qw": 0.8}\n'
          '{"t": 0.2, "x": 1, "y": 2, "z": 4, "qx": 0, "qy": 0, "qz": 0, "qw": 1}\n', "csv"),
     ],
 )  # fmt: skip
-def test_every_format_gives_the_same_poses(text: str, expected: str | None) -> None:
-    given = TrajectoryFormat.CSV if expected is None else None
-    trajectory = read_trajectory(source(text), format=given)
-    assert trajectory.format == (expected or "csv")
+def test_every_format_gives_the_same_poses(text: str, expected: str) -> None:
+    trajectory = read_trajectory(source(text))
+    assert trajectory.format == expected
     np.testing.assert_array_equal(trajectory.stamps.stamps_ns, [100_000_000, 200_000_000])
     np.testing.assert_allclose(trajectory.T_world_body[:, :3, 3], [[1, 2, 3], [1, 2, 4]])
     np.testing.assert_allclose(trajectory.T_world_body[0, :3, :3], HALF_TURN, atol=1e-12)
@@ -76,29 +75,32 @@ def test_stamps_keep_every_digit() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", r"poses\.txt, line 0: 0 values"),
+        ("", r"poses\.txt: no line in it"),
         ("1 2 3\n", r"poses\.txt, line 1: 3 values .*expected 8 .TUM.*names the columns"),
         (TUM + "0.3 1 2 3 0 0 1\n", r"poses\.txt, line 3: 7 values where 8 are expected .stamp, x"),
-        (TUM + "0.3 1 2 three 0 0 0 1\n", r"poses\.txt, line 3, column z: 'three' is not a finite number; correct"),
+        (TUM + "0.3 1 2 three 0 0 0 1\n", r"poses\.txt, line 3, column z: 'three' is not a finite number"),
         (TUM + "0.3 1 nan 3 0 0 0 1\n", r"poses\.txt, line 3, column y: 'nan' is not a finite number"),
         (TUM + "# pause\nnow 1 2 3 0 0 0 1\n", r"poses\.txt, line 4, column stamp: 'now' is not a time"),
         (
             TUM + "0.3 1 -1e308 3 0 0 0 1\n",
-            r"poses\.txt, line 3, column y: -1e308 m is not finite or too far away; correct it",
+            r"poses\.txt, line 3, column y: -1e308 m is too far away; correct it",
         ),
         (TUM + "0.3 1 2 3 0 0 0 0.5\n", r"poses\.txt, line 3, column qx qy qz qw: a quaternion of norm 0\.5"),
-        (TUM + "0.15 1 2 3 0 0 0 1\n", r"poses\.txt, line 3, column stamp: 0\.15 comes after 0\.2; sort"),
+        (TUM + "0.15 1 2 3 0 0 0 1\n", r"poses\.txt, line 3, column stamp: 0\.15 comes after a later stamp; sort"),
         (TUM + "0.2 1 2 3 0 0 0 1\n", r"poses\.txt, line 3, column stamp: 0\.2 occurs twice; remove"),
-        ("-1 0 0 0 0 0 0 1\n" + TUM, r"poses\.txt, line 1, column stamp: -1 is before 0.*add a constant"),
+        ("-1 0 0 0 0 0 0 1\n" + TUM, r"poses\.txt, line 1, column stamp: '-1' is before 0"),
         ("0.1 0 0 0 0 0 0 1\n", r"poses\.txt: one pose only"),
-        ("stamp_s,x_m,z_m,yaw\n0,1,2,3\n", r"poses\.txt: no column for y among stamp_s, x_m, z_m, yaw; call .* y_m"),
+        (
+            "stamp_s,x_m,z_m,yaw\n0,1,2,3\n",
+            r"poses\.txt: no column for y in metres among .*; call .* y_m",
+        ),
         ("stamp_s,x_m,y_m\n0,1,2\n", r"poses\.txt: no column for the quaternion's qx"),
         ("when,x_m,y_m,yaw\n0,1,2,3\n", r"poses\.txt: no column for the stamp among when, .*call .*stamp_s"),
         ("stamp_s,x,x_m,y,yaw\n0,1,1,2,3\n", r"poses\.txt: columns x and x_m have the same meaning"),
-        ("0.1,1,2,3,1,0,0,0,9\n0.2,1,2,3,1,0,0,0,9\n", r"line 1, column stamp_ns: 0\.1 are not whole nanoseconds"),
-        ("t;x;y;yaw\n0,1;1;2;3\n", r"line 2, column t: '0,1' is not a time; write numbers with a decimal point"),
+        ("0.1,1,2,3,1,0,0,0,9\n0.2,1,2,3,1,0,0,0,9\n", r"line 1, column stamp_ns: '0\.1' is not whole nanoseconds"),
+        ("t;x;y;yaw\n0,1;1;2;3\n", r"line 2, column t: '0,1' is not a time"),
         ("t;x;y;yaw\n0;1,5;2;3\n", r"line 2, column x: '1,5' is not a finite number; write .* decimal point"),
-        ("t,latitude,lon,yaw\n0,60,24,3\n", r"column latitude: poses are read in metres; project them"),
+        ("t,latitude,lon,yaw\n0,60,24,3\n", r"no column for x in metres among t, latitude"),
         ("t,x,y,yaw\n0,1,2,359\n1,1,2,1\n", r"line 3, column yaw: the heading changes by 358 rad .*yaw_deg"),
         ("0,1,2,3,1,0,0,0\n1,1,2,3,1,0,0,0\n", r"line 2, column stamp_ns: poses are 1e-09 s apart"),
         ("1 0 0 0 0 1 0 0 0 0 1 0\n", r"poses\.txt: poses in KITTI's format have no stamps; .*--times"),
@@ -110,15 +112,12 @@ def test_what_is_wrong_is_told_with_its_place(text: str, message: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(("scale", "name"), [(1e3, "milli"), (1e6, "micro"), (1e9, "nano")])
-@pytest.mark.parametrize("start_s", [0.0, 1_700_000_000.0])
-def test_tum_stamps_that_are_not_seconds_are_refused(scale: float, name: str, start_s: float) -> None:
-    text = "".join(f"{(start_s + 0.1 * i) * scale:.0f} {i} 0 0 0 0 0 1\n" for i in range(5))
-    suffix = {"milli": "ms", "micro": "us", "nano": "ns"}[name]
-    epoch = f"line 1, column stamp: .*year 2262; they look like {name}seconds: write seconds, .*stamp_{suffix}"
-    since_start = r"line 2, column stamp: poses are 1.*0.* s apart .*give the stamps in seconds"
-    message = epoch if start_s else since_start
-    with pytest.raises(DatasetError, match=message):
+@pytest.mark.parametrize(
+    ("start_s", "told"), [(0.0, r"poses are 1.*0.* s apart"), (1_700_000_000.0, "is a time after the year 2262")]
+)
+def test_tum_stamps_that_are_not_seconds_are_refused(start_s: float, told: str) -> None:
+    text = "".join(f"{(start_s + 0.1 * i) * 1e9:.0f} {i} 0 0 0 0 0 1\n" for i in range(5))
+    with pytest.raises(DatasetError, match=rf"line \d, column stamp: .*{told}.*call the column by its unit"):
         read_trajectory(source(text))
 
 

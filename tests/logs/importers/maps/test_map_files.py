@@ -68,12 +68,12 @@ class TestTable:
             ("x_m,class\n1,pole\n", "no column for y"),
             ("x_m,y_m,id\n1,2,a\n3,4,a\n", "line 3: id 'a' is taken by line 2; give each .* or rename the column"),
             ("1.5,2,tree\n3,4,tree\n", "line 1: numbers where the names of the columns are expected"),
-            ("x;y\n1,5;2\n", "line 2, column x: '1,5' is not a finite number; write numbers with a decimal point"),
+            ("x;y\n1,5;2\n", "line 2, column x: '1,5' is not a finite number; write it with a decimal point"),
             ("lat,lon\n400,24\n", "these are metres"),
             ("lat,lon\n24,160\n-30,170\n100,60\n", "not degrees"),
             ("lat,lon\n160.1,24.9\n", "latitude and longitude are swapped"),
             ("x_m,y_m\n1,abc\n", "line 2, column y_m: 'abc'"),
-            ('{"x_m": ' + "[" * 100_000 + "\n", "line 1: nested too deeply"),
+            ('{"x_m": ' + "[" * 100_000 + "\n", "line 1: not JSON .nested too deeply"),
         ],
     )
     def test_faults(self, tmp_path: Path, text: str, fault: str) -> None:
