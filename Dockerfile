@@ -2,6 +2,6 @@
 FROM python:3.11-slim
 WORKDIR /source
 COPY . .
-RUN pip install --no-cache-dir . && rm -rf /source/*
+RUN pip install --no-cache-dir '.[pictures]' && rm -rf /source/*
 WORKDIR /data
 ENTRYPOINT ["dslam"]

@@ -39,8 +39,19 @@ Topics = Annotated[
         "--topic", metavar="KIND=/TOPIC", help="Use this topic as odometry, detections, ground_truth, ... Repeatable."
     ),
 ]
+
+
+def can_draw(path: Path | None) -> Path | None:
+    """The path of a picture or page; where its libraries are missing, the command ends before any work is done."""
+    if path is not None:
+        import matplotlib  # noqa: F401
+        import plotly  # noqa: F401
+    return path
+
+
 Picture = Annotated[
-    Path | None, typer.Option("--picture", metavar="PNG", help="Draw the map from above.", show_default=False)
+    Path | None,
+    typer.Option("--picture", metavar="PNG", help="Draw the map from above.", show_default=False, callback=can_draw),
 ]
 
 

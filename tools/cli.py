@@ -25,7 +25,15 @@ _ANYWHERE = ("--debug", "--verbose", "-v")
 _PREFIX = __name__.removesuffix("tools.cli")
 """Of the names of our packages: "dslam." in a wheel."""
 
-_EXTRA_OF = {"torch": "learn", "rerun": "view", "foxglove": "live", "osmium": "osm", "fsspec": "fleet"}
+_EXTRA_OF = {
+    "matplotlib": "pictures",
+    "plotly": "pictures",
+    "torch": "learn",
+    "rerun": "view",
+    "foxglove": "live",
+    "osmium": "osm",
+    "fsspec": "fleet",
+}
 """The extra that installs each module which is not needed by all commands."""
 
 _COMMANDS = {

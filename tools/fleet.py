@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
 from tools.arguments import ConfigFile, Json, Settings
+from tools.evaluation.output import Findings, report
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from slam.evaluation.requirements import Requirement
 
 NOT_MAPPED = 1
 """Exit code if a log could not be mapped."""
@@ -27,6 +34,13 @@ class _FleetCommands(TyperGroup):
 app = typer.Typer(cls=_FleetCommands, help="Build one map of a city from many logs.", no_args_is_help=True)
 
 Folder = Annotated[Path, typer.Argument(metavar="CITY", help="Folder of a fleet.", show_default=False)]
+Require = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="KEY<=NUMBER",
+        help="Exit with 1 unless this condition (<= >= == < >) on the figures of the report holds. Repeatable.",
+    ),
+]
 
 
 @app.command()
@@ -52,6 +66,7 @@ def add(
     ] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,
+    require: Require = None,
     json: Json = False,
 ) -> None:
     """Add logs to the map of a city; those of earlier runs stay.
@@ -60,15 +75,17 @@ def add(
     reason, changes.geojson what appeared, disappeared or moved. After an interruption the same command continues. The
     exit code is 1 if a log could not be mapped.
 
-    Example: dslam fleet add city monday.mcap tuesday.mcap wednesday.mcap
+    Example: dslam fleet add city monday.mcap tuesday.mcap --require "figures.map_median_sigma_m<=0.1"
     """
     from slam.common.config import load_config
+    from slam.evaluation.requirements import parse_requirement
     from slam.fleet.fleet import map_fleet
     from slam.fleet.logs import add_logs, find_logs
     from slam.fleet.report import fleet_report, write_report
     from slam.fleet.tasks import compute_in_processes
     from tools.importers.maps import parse_origin
 
+    requirements = [parse_requirement(text) for text in require or ()]
     city, logs = _city_and_logs(folder, paths or [])
     config = load_config(config_file, settings or ())
     georeference = parse_origin(origin)
@@ -77,18 +94,19 @@ def add(
     compute = partial(compute_in_processes, workers=workers or os.cpu_count() or 1)
     result = map_fleet(members, city, config, compute, georeference=georeference, progress=_print_progress)
     write_report(city, result)
-    _finish(city, fleet_report(result), json=json)
+    _finish(city, fleet_report(result), requirements, json=json)
 
 
 @app.command()
-def status(city: Folder, json: Json = False) -> None:
+def status(city: Folder, require: Require = None, json: Json = False) -> None:
     """Show the last report of a fleet, and the logs that wait.
 
     Example: dslam fleet status city
     """
+    from slam.evaluation.requirements import parse_requirement
     from slam.fleet.report import read_report
 
-    _finish(city, read_report(city), json=json)
+    _finish(city, read_report(city), [parse_requirement(text) for text in require or ()], json=json)
 
 
 def _city_and_logs(folder: Path | None, paths: list[str]) -> tuple[Path, list[str]]:
@@ -100,15 +118,11 @@ def _city_and_logs(folder: Path | None, paths: list[str]) -> tuple[Path, list[st
     return Path(paths[0]), paths[1:]
 
 
-def _finish(city: Path, report: dict[str, Any], *, json: bool) -> None:
-    """Print a report; the exit code is that of the command."""
-    from tools import console
-
-    if json:
-        console.show_json(report)
-    else:
-        _show(city, report)
-    if any(log["status"] == "not mapped" for log in report["logs"]):
+def _finish(city: Path, results: dict[str, Any], requirements: Sequence[Requirement], *, json: bool) -> None:
+    """Print a report and whether it meets the requirements; the exit code is that of the command."""
+    findings = Findings(results, _compose(city, results), {"": results})
+    report(findings, requirements, as_json=json, with_rules=False, json_file=None)
+    if any(log["status"] == "not mapped" for log in results["logs"]):
         raise typer.Exit(NOT_MAPPED)
 
 
@@ -116,7 +130,7 @@ def _print_progress(_done: float, doing: str) -> None:
     typer.echo(doing, err=True)
 
 
-def _show(city: Path, report: dict[str, Any]) -> None:
+def _compose(city: Path, report: dict[str, Any]) -> list[RenderableType]:
     from slam.fleet.report import REPORT_NAME
     from tools import console
 
@@ -141,4 +155,4 @@ def _show(city: Path, report: dict[str, Any]) -> None:
     warnings = [f"{log['log']}: {note}" for log in report["logs"] for note in log.get("notes", [])]
     names = [*(part["map"] for part in report["parts"]), REPORT_NAME, "changes.geojson"]
     written = [str(city / name) for name in names if (city / name).exists()]
-    console.show(table, parts, *warnings, f"written: {', '.join(written)}")
+    return [table, parts, *warnings, f"written: {', '.join(written)}"]

@@ -19,7 +19,7 @@ REPORT_NAME = "report.json"
 
 
 def fleet_report(fleet: Fleet) -> dict[str, Any]:
-    """The report as JSON: of the logs, of the parts of the map, and of the pairs that did not join."""
+    """The report as JSON: of the logs, of the parts of the map, and of the pairs that did not join; and in figures."""
     names = _names(fleet)
     part_of = {number: rank for rank, part in enumerate(fleet.parts) for number in part.members}
     first: dict[str, str] = {}
@@ -35,9 +35,17 @@ def fleet_report(fleet: Fleet) -> dict[str, Any]:
             entry |= _of_session(fleet, fleet.order.index(digest), part_of, names)
         first.setdefault(digest, name)
         logs.append(entry)
+    parts = [_of_part(fleet, rank) for rank, name in enumerate(fleet.maps) if name]
+    states = [log["status"] for log in logs]
     return {
         "logs": logs,
-        "parts": [_of_part(fleet, rank) for rank, name in enumerate(fleet.maps) if name],
+        "figures": {
+            **{state.replace(" ", "_"): states.count(state) for state in ("joined", "alone", "not mapped", "repeated")},
+            "parts": len(parts),
+            "warnings": sum(len(log.get("notes", ())) for log in logs),
+            **({f"map_{key}": value for key, value in parts[0].items() if key != "map"} if parts else {}),
+        },
+        "parts": parts,
         "refused": [
             {"logs": [names[pair.first], names[pair.second]], "reason": pair.reason}
             for pair in fleet.pairs
@@ -62,7 +70,7 @@ def read_report(folder: Path) -> dict[str, Any]:
     Raises:
         FleetError: no fleet is there, or a file cannot be read.
     """
-    report: dict[str, Any] = {"logs": [], "parts": [], "refused": [], "changes": 0}
+    report: dict[str, Any] = {"logs": [], "figures": {}, "parts": [], "refused": [], "changes": 0}
     path = folder / REPORT_NAME
     if path.exists():
         try:

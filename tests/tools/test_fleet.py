@@ -50,5 +50,10 @@ def test_fleet_status_lists_reported_and_waiting_logs(dslam: Run, tmp_path: Path
     assert result.code == 0
     assert "a.mcap: its clock was set" in result.out
     assert re.search(r"b\.mcap +waiting", result.out)
+    figures = {"logs": [reported], "figures": {"joined": 3}}
+    (tmp_path / "report.json").write_text(json.dumps(figures), encoding="utf-8")
+    assert dslam("fleet", "status", tmp_path, "--require", "figures.joined>=3").code == 0
+    unmet = dslam("fleet", "status", tmp_path, "--require", "figures.joined>=4")
+    assert (unmet.code, "figures.joined is 3, where >= 4 was required" in unmet.err) == (1, True)
     (tmp_path / "report.json").write_text("[", encoding="utf-8")
     assert_refused(dslam("fleet", "status", tmp_path), "cannot be read", "run the fleet again")

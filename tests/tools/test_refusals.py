@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -126,6 +127,14 @@ class TestRefusals:
 
         monkeypatch.setattr("logs.summary.summarize", fail)
         assert_refused(dslam("info", SAMPLE), "this needs torch.nn", "pip install 'descriptellation-slam[learn]'")
+
+    def test_a_picture_without_matplotlib_is_refused_before_the_drive_is_mapped(
+        self, dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setitem(sys.modules, "matplotlib", None)
+        result = dslam("replay", SAMPLE, "-o", tmp_path / "map.mcap", "--picture", tmp_path / "map.png")
+        assert_refused(result, "this needs matplotlib", "pip install 'descriptellation-slam[pictures]'")
+        assert not list(tmp_path.iterdir())
 
     def test_interruption(self, dslam: Run, monkeypatch: pytest.MonkeyPatch) -> None:
         def interrupt(*_: object) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools.arguments import Json, Picture, SlamLog, Topics, check_outputs, parse_topics
+from tools.arguments import Json, Picture, SlamLog, Topics, can_draw, check_outputs, parse_topics
 from tools.evaluation.evaluated_log import Truth, evaluate_log
 from tools.evaluation.output import (
     Calib,
@@ -40,7 +40,7 @@ def evaluate(
     picture: Picture = None,
     page: Annotated[
         Path | None,
-        typer.Option("--html", metavar="FILE.html", help="Write a self-contained page with charts."),
+        typer.Option("--html", metavar="FILE.html", help="Write a self-contained page with charts.", callback=can_draw),
     ] = None,
     map_run: MapRun = None,
     protocol: Protocols = None,
