@@ -17,8 +17,7 @@ from descriptors.random_vector import RandomVector
 from descriptors.ring_likelihood import RingLikelihood
 
 PAPER = "descriptellation"
-NETWORKS = (PAPER, "pointnet", "sgnet")
-LEARNED = (LearnedLikelihood.name, *NETWORKS)
+LEARNED = (LearnedLikelihood.name, PAPER)
 HANDCRAFTED: dict[str, Callable[[], Descriptor]] = {
     RingLikelihood.name: RingLikelihood,
     GosmatchVertex.name: GosmatchVertex,
@@ -26,7 +25,11 @@ HANDCRAFTED: dict[str, Callable[[], Descriptor]] = {
 }
 DESCRIPTOR_NAMES = (*LEARNED, *HANDCRAFTED)
 WEIGHTS_SUFFIX = ".safetensors"
-RENAMED = {"descriptellation_paper": PAPER}
+FORMER = {
+    "descriptellation_paper": f"it is called {PAPER!r} now",
+    "pointnet": "it was removed",
+    "sgnet": "it was removed",
+}
 """Names of earlier versions."""
 
 
@@ -52,10 +55,9 @@ def make_descriptor(name: str) -> Descriptor:
         return _from_weights(Path(name))
     if is_own_class(name):
         return OwnDescriptor(name)
-    if name in RENAMED:
-        raise DescriptorError(f"no descriptor {name!r}; it is called {RENAMED[name]!r} now")
+    former = f"{FORMER[name]}; " if name in FORMER else ""
     raise DescriptorError(
-        f"no descriptor {name!r}; there are {', '.join(DESCRIPTOR_NAMES)}, weights by their path "
+        f"no descriptor {name!r}; {former}there are {', '.join(DESCRIPTOR_NAMES)}, weights by their path "
         f"(NAME{WEIGHTS_SUFFIX}), and classes of your own (module:Class)"
     )
 
@@ -69,13 +71,7 @@ def make_index(name: str) -> ConstellationIndex:
     descriptor = make_descriptor(name)
     if isinstance(descriptor, RingLikelihood | LearnedLikelihood):
         return LikelihoodIndex(descriptor)
-    if descriptor.name == PAPER:
-        from descriptors.descriptellation.index import PaperIndex  # loads torch
-        from descriptors.learned.descriptor import LearnedDescriptor
-
-        if isinstance(descriptor, LearnedDescriptor):
-            return PaperIndex(descriptor)
-    return VectorIndex(descriptor)
+    return VectorIndex(descriptor, of_own_class=descriptor.name != PAPER)
 
 
 def _from_weights(path: Path) -> Descriptor:

@@ -12,9 +12,9 @@ from tools.arguments import Json
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from descriptors.training.contrast import ContrastTraining
     from descriptors.training.folder import Epoch
     from descriptors.training.maps import TrainingMap
-    from descriptors.training.trainer import Recipe
 
 LIKELIHOOD = "descriptellation_lr"
 MAX_ROWS = 20
@@ -29,7 +29,11 @@ def train(
         ),
     ],
     network: Annotated[
-        str, typer.Option(metavar="descriptellation_lr|descriptellation|pointnet|sgnet", help="The network to train.")
+        str,
+        typer.Option(
+            metavar="descriptellation_lr|descriptellation|module:Class",
+            help="The network to train; your own one is a torch module.",
+        ),
     ] = LIKELIHOOD,
     maps: Annotated[
         list[Path] | None,
@@ -37,23 +41,14 @@ def train(
             "--maps",
             metavar="FILE",
             help="A map of your own: CSV with x_m,y_m,z_m,class, a saved map, or a log that 'dslam replay' wrote. "
-            "Repeatable; descriptellation_lr only.",
-        ),
-    ] = None,
-    input_kind: Annotated[
-        str | None,
-        typer.Option(
-            "--input",
-            metavar="embedding|one_hot|integer|position",
-            help="Input of descriptellation for each object; position has no class.",
-            show_default=False,
+            "Repeatable.",
         ),
     ] = None,
     epochs: Annotated[
         int | None,
         typer.Option(
             min=1,
-            help="By default 8 of 50 maps each for descriptellation_lr (4 with --maps), 100 for other networks.",
+            help="Epochs of 50 maps; by default 8 for descriptellation_lr (4 with --maps), 100 for other networks.",
         ),
     ] = None,
     anew: Annotated[
@@ -66,9 +61,10 @@ def train(
     ] = 2,
     json: Json = False,
 ) -> None:
-    """Train a descriptor network on simulated maps, and descriptellation_lr on maps of your own, too.
+    """Train a descriptor network on simulated maps and on maps of your own.
 
-    With maps of your own, training starts from the shipped weights, and keeps them if no epoch is better on these maps.
+    With maps of your own, training starts from the shipped weights if the network has any, and keeps them if no epoch
+    is better on these maps.
 
     After an interruption the same command continues from the last epoch. The weights are
     those of the epoch with the best top 5 on validation maps; 'dslam replay --set
@@ -77,20 +73,17 @@ def train(
     Example: dslam train out/lr --maps town.csv
     """
     from descriptors.training.folder import WEIGHTS
-    from descriptors.training.trainer import Step
+    from descriptors.training.trainer import Recipe, Step, best_of
     from descriptors.training.trainer import train as train_recipe
     from tools import console
 
-    if network == LIKELIHOOD:
-        if input_kind is not None or device != "cpu":
-            raise typer.BadParameter(f"--input and --device belong to the other networks, not to {LIKELIHOOD}.")
-        if anew and not maps:
-            raise typer.BadParameter("use it with --maps.", param_hint="--anew")
-        recipe = _likelihood_recipe(maps or [], epochs, seed, anew=anew)
-    else:
-        if maps or anew:
-            raise typer.BadParameter(f"--maps, --anew: {network} is trained on simulated maps alone; leave them out.")
-        recipe = _network_recipe(network, input_kind, epochs, seed, device)
+    if anew and not maps:
+        raise typer.BadParameter("use it with --maps.", param_hint="--anew")
+    if network == LIKELIHOOD and device != "cpu":
+        raise typer.BadParameter(f"{LIKELIHOOD} is trained on the CPU.", param_hint="--device")
+    start = _shipped(network) if maps and not anew else None
+    config = _config(network, epochs, seed, is_further=start is not None)
+    recipe = Recipe(config, [_load_map(path) for path in maps or ()], start, device=device)
     with console.progress_line(f"training {network}") as tell:
 
         def report(step: Step) -> None:
@@ -99,36 +92,38 @@ def train(
                 tell(step.done, f"loss {step.loss:.3f}, {minutes} min {seconds:02d} s left")
 
         history = train_recipe(recipe, folder, threads=threads, on_step=report)
-    best = recipe.best(history)
+    best = best_of(history)
     if json:
         console.show_json({"weights": str(folder / WEIGHTS), "best": best.as_row(), "epochs": history[-1].epoch})
         return
     console.show(_table(history, best), f"weights of epoch {best.epoch}: {folder / WEIGHTS}")
 
 
-def _likelihood_recipe(maps: list[Path], epochs: int | None, seed: int, *, anew: bool) -> Recipe:
-    from dataclasses import replace
+def _shipped(network: str) -> Path | None:
+    """The shipped weights of a network; None where there are none."""
+    from descriptors.registry import LEARNED, shipped_weights
 
-    from descriptors.registry import shipped_weights
-    from descriptors.training import contrast
-
-    is_further = bool(maps) and not anew
-    config = contrast.further_training(seed=seed) if is_further else contrast.ContrastTraining(seed=seed)
-    if epochs is not None:
-        config = replace(config, epochs=epochs)
-    given = [_load_map(path) for path in maps]
-    return contrast.ContrastRecipe(config, given, shipped_weights(LIKELIHOOD) if is_further else None)
+    return shipped_weights(network) if network in LEARNED else None
 
 
-def _network_recipe(network: str, input_kind: str | None, epochs: int | None, seed: int, device: str) -> Recipe:
+def _config(network: str, epochs: int | None, seed: int, *, is_further: bool) -> ContrastTraining:
+    """How a network is trained. Weights that are trained already are trained further in smaller steps, and with more
+    validation maps, as the differences between epochs are small.
+    """
     from dataclasses import replace
 
     from descriptors.learned.networks import default_architecture
-    from descriptors.training import triplets
+    from descriptors.training.contrast import ContrastTraining
 
-    settings = {} if input_kind is None else {"input": input_kind}
-    config = triplets.TripletTraining(architecture=default_architecture(network, **settings), seed=seed)
-    return triplets.TripletRecipe(config if epochs is None else replace(config, epochs=epochs), device)
+    config = ContrastTraining(seed=seed)
+    if network != LIKELIHOOD:
+        config = replace(
+            config, architecture=default_architecture(network), epochs=100, learning_rate=1e-3, last_rate=1e-5
+        )
+    if is_further:
+        rate = 0.1 * config.learning_rate
+        config = replace(config, epochs=4, validation_maps=96, learning_rate=rate, last_rate=0.1 * rate)
+    return config if epochs is None else replace(config, epochs=epochs)
 
 
 def _load_map(path: Path) -> TrainingMap:

@@ -2,39 +2,31 @@
 
 Xing et al., Descriptellation: Deep Learned Constellation Descriptors, Section III-B and Figure 3, on the backbone of
 Li et al., DeepGCNs: Can GCNs Go as Deep as CNNs?, ICCV 2019.
+
+The paper joins objects that are nearer than the mean distance of two objects of the map. That is more than the diameter
+of a constellation in all maps but the smallest, so all constellations are complete graphs here.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
-
-from descriptors.descriptellation.graph import Neighbourhoods, distances, group_maximum, neighbourhoods_of
-
-InputKind = Literal["position", "integer", "one_hot", "embedding"]
 
 
 @dataclass(frozen=True, slots=True)
 class DescriptellationArchitecture:
-    """Sizes of the network; ``input`` names the four kinds of input of the paper's ablation (Section IV-G).
-
-    ``length``: numbers of the descriptor. ``edge_length_m``: threshold of the graphs in training, the mean distance of
-    two objects of a simulated map, with which all constellations of 30 m are complete graphs.
-    """
+    """Sizes of the network; ``length``: numbers of the descriptor, ``radius_m``: how far neighbours count."""
 
     name: str = "descriptellation"
-    input: InputKind = "embedding"
     vocabulary_size: int = 64
     embedding_length: int = 3
     layers: int = 14
     channels: int = 32
     fusion: int = 128
     length: int = 64
-    edge_length_m: float = 72.7
+    radius_m: float = 30.0
 
 
 class Descriptellation(nn.Module):
@@ -44,10 +36,8 @@ class Descriptellation(nn.Module):
         super().__init__()
         self.architecture = architecture or DescriptellationArchitecture()
         sizes = self.architecture
-        self.edge_length_m = sizes.edge_length_m
-        """Threshold of the graphs: the mean distance of two objects of the map that is described."""
-        self.node_input = NodeInput(sizes.input, sizes.vocabulary_size, sizes.embedding_length)
-        self.head = MaxRelativeConvolution(self.node_input.length, sizes.channels)
+        self.node_input = NodeInput(sizes.vocabulary_size, sizes.embedding_length)
+        self.head = MaxRelativeConvolution(3 + sizes.embedding_length, sizes.channels)
         self.backbone = nn.ModuleList(
             MaxRelativeConvolution(sizes.channels, sizes.channels) for _ in range(sizes.layers - 1)
         )
@@ -59,52 +49,33 @@ class Descriptellation(nn.Module):
         self.pooling = AttentionPooling(sizes.length, sizes.length)
 
     def forward(self, positions: Tensor, labels: Tensor, present: Tensor) -> Tensor:
-        """Vectors (B, length) of constellations as ``PaddedConstellations`` holds them, of any length.
+        """Vectors (B, length) of padded constellations, of any length.
 
         Args:
             positions: (B, N, 3) m, the centre first and at the origin.
             labels: (B, N) places in the vocabulary, below ``vocabulary_size``.
             present: (B, N) bool, where an object is.
         """
-        near = neighbourhoods_of(distances(positions), present, self.edge_length_m)
-        layers = [self.head(self.node_input(positions[present], labels[present]), near)]
+        owners = present.nonzero(as_tuple=True)[0]
+        layers = [self.head(self.node_input(positions[present], labels[present]), owners)]
         for block in self.backbone:
-            layers.append(layers[-1] + block(layers[-1], near))
+            layers.append(layers[-1] + block(layers[-1], owners))
         gathered = torch.cat(layers, dim=1)
-        fused = group_maximum(self.fusion(gathered), near.owners, len(present))
-        predicted = self.prediction(torch.cat([fused.index_select(0, near.owners), gathered], dim=1))
-        pooled: Tensor = self.pooling(predicted, present)
+        fused = maximum_of_each(self.fusion(gathered), owners)
+        pooled: Tensor = self.pooling(self.prediction(torch.cat([fused, gathered], dim=1)), present)
         return pooled
 
 
 class NodeInput(nn.Module):
-    """What the network is given of an object: its position, and, but for ``position``, its class."""
+    """What the network is given of an object: its position, and the embedding of its class."""
 
-    def __init__(
-        self, kind: InputKind, vocabulary_size: int, embedding_length: int, position_scale_m: float = 1.0
-    ) -> None:
+    def __init__(self, vocabulary_size: int, embedding_length: int) -> None:
         super().__init__()
-        self._position_scale_m = position_scale_m
-        self._kind = kind
-        self._vocabulary_size = vocabulary_size
-        self.length = 3 + {"position": 0, "integer": 1, "one_hot": vocabulary_size, "embedding": embedding_length}[kind]
-        if kind == "embedding":
-            self.embedding = nn.Embedding(vocabulary_size, embedding_length)
+        self.embedding = nn.Embedding(vocabulary_size, embedding_length)
 
     def forward(self, positions: Tensor, labels: Tensor) -> Tensor:
-        """Features (M, length) of M objects at ``positions`` (M, 3) m with ``labels`` (M,)."""
-        scaled = positions / self._position_scale_m
-        if self._kind == "position":
-            return scaled
-        return torch.cat([scaled, self._classes(labels).to(scaled.dtype)], dim=1)
-
-    def _classes(self, labels: Tensor) -> Tensor:
-        if self._kind == "integer":
-            return labels[:, None] + 1
-        if self._kind == "one_hot":
-            return functional.one_hot(labels, self._vocabulary_size)
-        embedded: Tensor = self.embedding(labels)
-        return embedded
+        """Features (M, 3 + embedding_length) of M objects at ``positions`` (M, 3) m with ``labels`` (M,)."""
+        return torch.cat([positions, self.embedding(labels)], dim=1)
 
 
 class MaxRelativeConvolution(nn.Module):
@@ -114,11 +85,11 @@ class MaxRelativeConvolution(nn.Module):
         super().__init__()
         self.perceptron = perceptron(2 * inputs, outputs)
 
-    def forward(self, features: Tensor, near: Neighbourhoods) -> Tensor:
-        """New features (M, outputs) of objects with features (M, inputs)."""
+    def forward(self, features: Tensor, owners: Tensor) -> Tensor:
+        """New features (M, outputs) of objects with features (M, inputs), which belong to constellations (M,)."""
         # x_i does not depend on j, so the difference is taken once for each object and not for each pair.
-        largest = group_maximum(features, near.groups, near.count, near.members).index_select(0, near.of)
-        updated: Tensor = self.perceptron(torch.cat([features, largest - features], dim=1))
+        relative = maximum_of_each(features, owners) - features
+        updated: Tensor = self.perceptron(torch.cat([features, relative], dim=1))
         return updated
 
 
@@ -139,6 +110,13 @@ class AttentionPooling(nn.Module):
         owners = present.nonzero(as_tuple=True)[0]
         weighted: Tensor = weights * self.theta(features)
         return weighted.new_zeros(len(present), weighted.shape[1]).index_add(0, owners, weighted)
+
+
+def maximum_of_each(features: Tensor, owners: Tensor) -> Tensor:
+    """For each object (M, C) the largest value of each channel in its constellation, numbered by ``owners`` (M,)."""
+    largest = features.new_full((int(owners.max()) + 1, features.shape[1]), -torch.inf)
+    largest = largest.scatter_reduce(0, owners[:, None].expand_as(features), features, "amax")
+    return largest.index_select(0, owners)
 
 
 def perceptron(inputs: int, outputs: int) -> nn.Sequential:

@@ -9,10 +9,8 @@ import torch
 from numpy.typing import NDArray
 
 from descriptors.constellation import Constellations
-from descriptors.descriptellation.network import Descriptellation
-from descriptors.errors import DescriptorError, WeightsError
-from descriptors.learned.networks import describe_padded, load_network
-from descriptors.learned.padded import pad_constellations
+from descriptors.errors import DescriptorError
+from descriptors.learned.networks import architecture_of, describe_by_network, load_network
 
 
 class LearnedDescriptor:
@@ -28,21 +26,10 @@ class LearnedDescriptor:
         Raises:
             WeightsError: the file is missing, damaged or at odds with its architecture.
         """
-        self._network, weights = load_network(path)
-        self.name = str(self._network.architecture.name)  # type: ignore[union-attr]
-        self.length = int(self._network.architecture.length)  # type: ignore[union-attr, arg-type]
-        self.vocabulary_size = int(self._network.architecture.vocabulary_size)  # type: ignore[union-attr, arg-type]
-        try:
-            self.radius_m = float(weights.training["dataset"]["radius_m"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise WeightsError(
-                f"{path}: its training configuration has no dataset.radius_m, so its radius is unknown; train again"
-            ) from error
-
-    def set_edge_length(self, length_m: float) -> None:
-        """Threshold of the graphs from now on; without effect on a network whose graphs have another rule."""
-        if isinstance(self._network, Descriptellation):
-            self._network.edge_length_m = length_m
+        self._network, _ = load_network(path)
+        architecture = architecture_of(self._network)
+        self.name, self.length, self.radius_m = architecture.name, architecture.length, architecture.radius_m
+        self.vocabulary_size = architecture.vocabulary_size
 
     def describe(self, constellations: Constellations) -> NDArray[np.float32]:
         """Vectors (B, length).
@@ -59,6 +46,6 @@ class LearnedDescriptor:
         threads = torch.get_num_threads()
         torch.set_num_threads(1)  # sums over threads would differ from machine to machine
         try:
-            return describe_padded(self._network, pad_constellations(constellations), torch.device("cpu"))
+            return describe_by_network(self._network, constellations)
         finally:
             torch.set_num_threads(threads)

@@ -1,27 +1,18 @@
-"""The networks there are, by name, how one is built, and how it describes constellations.
-
-A new one: a frozen dataclass with ``name``, ``vocabulary_size`` and ``length`` and with defaults that JSON can hold, a
-module that takes it and keeps it as ``architecture``, and their line in ``NETWORKS``. One of a user's own is a module
-as ``file:Class`` that takes nothing and has a ``length``.
-"""
+"""Networks as descriptors: the paper's, and a user's own module as ``file:Class``; how they describe constellations."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from descriptors.baselines.pointnet import PointNet, PointNetArchitecture
-from descriptors.baselines.sgnet import SGNet, SGNetArchitecture
+from descriptors.constellation import Constellations
 from descriptors.descriptellation.network import Descriptellation, DescriptellationArchitecture
 from descriptors.errors import DescriptorError, WeightsError
-from descriptors.learned.padded import PaddedConstellations
 from descriptors.learned.weights import Weights, check_tensors, make_architecture, read_weights
 from descriptors.own_class import is_own_class, make_own
 
@@ -29,61 +20,47 @@ BATCH = 256
 """Constellations that are described at a time."""
 
 
-class Architecture(Protocol):
-    """What all architectures define."""
+@dataclass(frozen=True, slots=True)
+class OwnArchitecture:
+    """A module of a user's own, ``name`` as ``file:Class``, with the ``length`` of its vectors."""
 
-    @property
-    def name(self) -> str:
-        """Its name in the registry."""
-        ...
-
-    @property
-    def vocabulary_size(self) -> int:
-        """How many classes it can tell apart."""
-        ...
-
-    @property
-    def length(self) -> int:
-        """How many numbers a descriptor has."""
-        ...
+    name: str
+    length: int
+    vocabulary_size: int = 64
+    radius_m: float = 30.0
 
 
-NETWORKS: dict[str, tuple[type[Any], type[nn.Module]]] = {
-    "descriptellation": (DescriptellationArchitecture, Descriptellation),
-    "pointnet": (PointNetArchitecture, PointNet),
-    "sgnet": (SGNetArchitecture, SGNet),
-}
-_FORMER = {"descriptellation_paper": "descriptellation"}
+Architecture = DescriptellationArchitecture | OwnArchitecture
 
 
-def read_architecture(values: Mapping[str, object]) -> Architecture:
-    """The architecture with exactly these fields, ``name`` among them.
+def default_architecture(name: str) -> Architecture:
+    """The architecture of that name with its default sizes.
 
     Raises:
-        DescriptorError: a name that does not exist, or fields that are unknown, missing or of the wrong type.
-    """
-    made: Architecture = make_architecture(_named(values.get("name"))[0], values)
-    return made
-
-
-def default_architecture(name: str, **settings: object) -> Architecture:
-    """The architecture of that name with its default sizes, ``settings`` changed.
-
-    Raises:
-        DescriptorError: a name that does not exist, or settings that are unknown or of the wrong type.
+        DescriptorError: a name that does not exist, or a module that cannot be trained.
     """
     if is_own_class(name):
-        return read_architecture({**asdict(OwnArchitecture(name, int(_made(name).length))), **settings})  # type: ignore[arg-type]
-    return read_architecture({**asdict(_named(name)[0]()), **settings})
+        return OwnArchitecture(name, _make_own_network(name).length)  # type: ignore[arg-type]
+    return _kind(name)()  # type: ignore[call-arg]
 
 
 def make_network(architecture: Architecture) -> nn.Module:
     """The network of that architecture, with random weights from torch's generator.
 
     Raises:
-        DescriptorError: an architecture that is not registered.
+        DescriptorError: the module of a user cannot be made.
     """
-    return _named(architecture.name)[1](architecture)
+    if isinstance(architecture, DescriptellationArchitecture):
+        return Descriptellation(architecture)
+    network = _make_own_network(architecture.name)
+    network.architecture = architecture  # type: ignore[assignment]
+    return network
+
+
+def architecture_of(network: nn.Module) -> Architecture:
+    """The architecture that a network was made by."""
+    architecture: Architecture = network.architecture  # type: ignore[assignment]
+    return architecture
 
 
 def load_network(path: Path) -> tuple[nn.Module, Weights]:
@@ -94,7 +71,7 @@ def load_network(path: Path) -> tuple[nn.Module, Weights]:
     """
     weights = read_weights(path)
     try:
-        architecture = read_architecture(weights.architecture)
+        architecture = make_architecture(_kind(weights.architecture.get("name")), weights.architecture)
     except DescriptorError as error:
         raise WeightsError(f"{path}: {error}") from error
     with torch.device("meta"):  # shapes alone: neither memory nor random numbers for weights to be replaced
@@ -106,24 +83,16 @@ def load_network(path: Path) -> tuple[nn.Module, Weights]:
     return network.eval(), weights
 
 
-def tensors_of(constellations: PaddedConstellations, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
-    """Positions, labels and presence as networks take them."""
-    return (
-        torch.as_tensor(constellations.positions, device=device),
-        torch.as_tensor(constellations.labels, device=device),
-        torch.as_tensor(constellations.present, device=device),
-    )
-
-
-def vectors_of(network: nn.Module, constellations: PaddedConstellations, device: torch.device) -> Tensor:
+def vectors_of(network: nn.Module, constellations: Constellations, device: torch.device) -> Tensor:
     """Vectors (B, length) of a network.
 
     Raises:
         DescriptorError: it returns anything else, or numbers that are not finite.
     """
-    architecture: Architecture = network.architecture  # type: ignore[assignment]
+    architecture = architecture_of(network)
+    padded = [tensor.to(device) for tensor in pad_constellations(constellations)]
     try:
-        vectors: Tensor = network(*tensors_of(constellations, device))
+        vectors: Tensor = network(*padded)
         shape, expected = tuple(vectors.shape), (len(constellations), architecture.length)
     except (RuntimeError, AttributeError, TypeError, IndexError) as error:
         raise DescriptorError(f"{architecture.name}: fails: {str(error).splitlines()[0]}") from error
@@ -136,38 +105,45 @@ def vectors_of(network: nn.Module, constellations: PaddedConstellations, device:
     return vectors
 
 
-def describe_padded(
-    network: nn.Module, constellations: PaddedConstellations, device: torch.device
-) -> NDArray[np.float32]:
-    """Vectors (B, length) of a network in evaluation mode."""
-    sizes = constellations.present.sum(axis=1)
-    order = np.argsort(sizes, kind="stable")  # batches of about equal size need little padding
-    described = [np.zeros((0, int(network.architecture.length)), dtype=np.float32)]  # type: ignore[union-attr, arg-type]
+def describe_by_network(network: nn.Module, constellations: Constellations) -> NDArray[np.float32]:
+    """Vectors (B, length) of a network in evaluation mode, on the CPU."""
+    described = np.zeros((len(constellations), architecture_of(network).length), dtype=np.float32)
+    # Batches of about equal size need little padding.
+    order = np.argsort(np.diff(constellations.offsets), kind="stable")
     with torch.no_grad():
         for start in range(0, len(order), BATCH):
-            vectors = vectors_of(network, constellations[order[start : start + BATCH]], device)
-            described.append(vectors.cpu().numpy().astype(np.float32))
-    ranks = np.empty_like(order)
-    ranks[order] = np.arange(len(order))
-    return np.asarray(np.concatenate(described)[ranks])
+            rows = order[start : start + BATCH]
+            described[rows] = vectors_of(network, constellations[rows], torch.device("cpu")).numpy()
+    return described
 
 
-@dataclass(frozen=True, slots=True)
-class OwnArchitecture:
-    """A module of a user's own, ``name`` as ``file:Class``."""
+def pad_constellations(constellations: Constellations) -> tuple[Tensor, Tensor, Tensor]:
+    """Positions (B, N, 3) float32 m, labels (B, N) and presence (B, N) of the objects, the centre first.
 
-    name: str
-    length: int
-    vocabulary_size: int = 64
+    Positions are relative to the centre. Positions and labels are 0 where no object is.
+    """
+    counts = np.diff(constellations.offsets)
+    shape = (len(constellations), int(counts.max(initial=0)) + 1)
+    positions = np.zeros((*shape, 3), dtype=np.float32)
+    labels = np.zeros(shape, dtype=np.int64)
+    places = np.arange(shape[1])
+    present = places <= counts[:, None]
+    others = present & (places > 0)
+    positions[others] = constellations.positions
+    labels[others] = constellations.labels
+    labels[:, 0] = constellations.centre_labels
+    return torch.from_numpy(positions), torch.from_numpy(labels), torch.from_numpy(present)
 
 
-def _own_network(architecture: OwnArchitecture) -> nn.Module:
-    network = _made(architecture.name)
-    network.architecture = architecture  # type: ignore[assignment]
-    return network
+def _kind(name: object) -> type[DescriptellationArchitecture] | type[OwnArchitecture]:
+    if isinstance(name, str) and is_own_class(name):
+        return OwnArchitecture
+    if name == DescriptellationArchitecture().name:
+        return DescriptellationArchitecture
+    raise DescriptorError(f"no network {name!r}; there are descriptellation, and modules of your own (module:Class)")
 
 
-def _made(name: str) -> nn.Module:
+def _make_own_network(name: str) -> nn.Module:
     """The module of that name.
 
     Raises:
@@ -181,13 +157,3 @@ def _made(name: str) -> nn.Module:
     if not isinstance(getattr(network, "length", None), int):
         raise DescriptorError(f"{name}: has no length, the number of values of a descriptor")
     return network
-
-
-def _named(name: object) -> tuple[type[Any], Callable[[Any], nn.Module]]:
-    if isinstance(name, str) and is_own_class(name):
-        return OwnArchitecture, _own_network
-    if isinstance(name, str) and name in NETWORKS:
-        return NETWORKS[name]
-    if isinstance(name, str) and name in _FORMER:
-        raise DescriptorError(f"no architecture {name!r}; it is called {_FORMER[name]!r} now")
-    raise DescriptorError(f"no architecture {name!r}; there are {', '.join(NETWORKS)}")

@@ -52,15 +52,10 @@ class Stateful(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class TrainingFolder:
-    """A folder, made if it does not exist.
-
-    ``identity``: what is trained on what, as JSON holds it; ``extendable``: the keys of it that may differ in the
-    training that is resumed, for example the number of epochs.
-    """
+    """A folder, made if it does not exist; ``identity``: what is trained on what, as JSON holds it."""
 
     path: Path
     identity: Mapping[str, Any]
-    extendable: frozenset[str] = frozenset()
 
     @property
     def weights(self) -> Path:
@@ -103,7 +98,7 @@ class TrainingFolder:
         except Exception as error:  # what torch raises depends on where the file is broken
             raise DescriptorError(f"{path}: cannot be read: {error}; delete it to start anew") from error
         ours = json.loads(json.dumps(self.identity))
-        others = sorted(key for key in ours if key not in self.extendable and theirs.get(key) != ours[key])
+        others = sorted(key for key in ours if theirs.get(key) != ours[key])
         if others:
             raise DescriptorError(
                 f"{path}: of a training with another configuration ({', '.join(others)}); choose another folder, or "

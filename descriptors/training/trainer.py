@@ -2,22 +2,37 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.metadata
 import json
+import math
 import time
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import nn
+from torch.nn.functional import cross_entropy
 
-from descriptors.errors import DescriptorError
-from descriptors.learned.weights import Weights, save_weights
+from descriptors.descriptellation_lr.network import DescriptellationLR
+from descriptors.descriptellation_lr.rings import DescriptellationLRArchitecture
+from descriptors.errors import DescriptorError, WeightsError
+from descriptors.learned.networks import make_network
+from descriptors.learned.weights import Weights, read_weights, save_weights
+from descriptors.training.contrast import ContrastTraining, Sample, draw_sample, scores_of
 from descriptors.training.folder import Epoch, Stateful, TrainingFolder
+from descriptors.training.maps import TrainingMap
+
+STEPS_PER_EPOCH = 50
+"""New maps before the weights are validated, half a minute's work."""
+OWN_SHARE = 0.5
+"""Share of the steps that are on pieces of given maps, where there are any; the others keep what is true anywhere."""
+MAX_GRADIENT = 1.0
+"""Norm to which gradients are clipped."""
+RANKS = (1, 5, 25)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,75 +44,111 @@ class Step:
     remaining_s: float
 
 
-class Recipe(ABC):
-    """What is trained on what: a network, its data and its loss, for a number of epochs of equally many steps.
+class Recipe:
+    """What is trained on what: a network by Adam with its usual decay rates (0.9, 0.999).
 
-    Its network is trained by Adam with its usual decay rates (0.9, 0.999).
+    Half of all steps are on pieces of the ``given`` maps, if there are any, the others on simulated maps. The
+    validation maps are the same for every seed: simulated ones or, with ``start``, pieces of the given ones.
     """
-
-    extendable: frozenset[str] = frozenset()
-    """Parts of the identity that may differ in a training that is resumed."""
-    max_gradient = np.inf
-    """Norm to which gradients are clipped."""
 
     def __init__(
         self,
-        config: Any,
-        make_network: Callable[[], nn.Module],
-        decay: Callable[[int], float],
+        config: ContrastTraining,
+        given: Sequence[TrainingMap] = (),
+        start: Path | None = None,
         *,
-        steps_per_epoch: int,
         device: str = "cpu",
     ) -> None:
-        """Make the network.
-
-        Args:
-            config: a dataclass with ``epochs``, ``learning_rate`` and ``seed``, which seeds torch.
-            make_network: the network with random weights.
-            decay: factor of the learning rate at each step from 0 on.
-            steps_per_epoch: how many batches an epoch has.
-            device: as torch names it.
+        """Make the network, from the weights ``start`` if there are any; these compete with the epochs.
 
         Raises:
             DescriptorError: the device cannot be used.
+            WeightsError: ``start`` cannot be read, or is of another architecture.
         """
-        self.epochs: int = config.epochs
-        self.seed: int = config.seed
-        self.steps_per_epoch = steps_per_epoch
-        self.identity: dict[str, Any] = dict(json.loads(json.dumps(asdict(config))))
+        self.config, self.given = config, given
+        self.is_trained_further = start is not None
+        self.identity = json.loads(json.dumps(asdict(config)))
         """What is trained on what, as JSON holds it."""
+        self.identity["maps"] = [[len(each), each.classes, round(float(each.positions.sum()), 3)] for each in given]
         torch.manual_seed(config.seed)
         try:
             self.device = torch.device(device)
-            self.network = make_network().to(self.device)
+            self.network = _make_network(config).to(self.device)
         except (RuntimeError, AssertionError) as error:
             raise DescriptorError(f"device {device!r} cannot be used: {str(error).splitlines()[0]}") from error
+        if start is not None:
+            _load_tensors(self.network, start)
+            self.identity["start"] = hashlib.sha256(start.read_bytes()).hexdigest()
+        last, steps = config.last_rate / config.learning_rate, config.epochs * STEPS_PER_EPOCH
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
-        self.schedule = torch.optim.lr_scheduler.LambdaLR(self.optimizer, decay)
+        self.schedule = torch.optim.lr_scheduler.LambdaLR(
+            self.optimizer, lambda step: last + (1.0 - last) * 0.5 * (1.0 + math.cos(math.pi * step / steps))
+        )
+        self.rng = np.random.default_rng(config.seed)
         self.parts: dict[str, Stateful] = {
             "network": self.network,
             "optimizer": self.optimizer,
             "schedule": self.schedule,
+            "draws": _Draws(self.rng),
         }
         """What changes during the training."""
-        self.is_trained_further = False
-        """Whether the weights before the first epoch compete, as epoch 0."""
 
-    @abstractmethod
-    def batches(self, epoch: int) -> Iterable[Any]:
-        """The data of the steps of an epoch, counted from 0."""
+    def step(self) -> float:
+        """Draw a sample and change the weights by it; returns the loss."""
+        sample = draw_sample(self.config, self.given, OWN_SHARE, rng=self.rng)
+        scores = scores_of(self.network, sample, self.device)
+        loss = cross_entropy(scores, torch.as_tensor(sample.objects, device=self.device))
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), MAX_GRADIENT)
+        self.optimizer.step()
+        self.schedule.step()
+        return float(loss.detach())
 
-    @abstractmethod
-    def loss(self, batch: Any) -> Tensor:
-        """The loss of the network on a batch."""
-
-    @abstractmethod
     def validate(self) -> dict[str, float]:
-        """Figures of the network in evaluation mode, by their names."""
+        """Mean loss, and the mean share of objects among the first 1, 5 and 25; top 5 of views without noise, too."""
+        self.network.eval()
+        validation, exact = self._validation
+        loss, (top_1, top_5, top_25) = self._validate(validation)
+        return {
+            "validation_loss": loss,
+            "validation_top_1": top_1,
+            "validation_top_5": top_5,
+            "validation_top_25": top_25,
+            "exact_top_5": self._validate(exact)[1][1],
+        }
 
-    @abstractmethod
-    def best(self, epochs: Sequence[Epoch]) -> Epoch:
-        """The epoch whose weights are kept."""
+    @cached_property
+    def _validation(self) -> tuple[list[Sample], list[Sample]]:
+        """Samples as they are trained on, and exact ones."""
+        rng = np.random.default_rng(2**31)
+        known, share = (self.given, 1.0) if self.is_trained_further else ((), 0.0)
+        count = range(self.config.validation_maps)
+        noisy = [draw_sample(self.config, known, share, rng=rng) for _ in count]
+        return noisy, [draw_sample(self.config, known, share, rng=rng, is_exact=True) for _ in count]
+
+    def _validate(self, samples: list[Sample]) -> tuple[float, list[float]]:
+        losses, shares = [], []
+        with torch.no_grad():
+            for sample in samples:
+                scores = scores_of(self.network, sample, self.device).cpu()
+                objects = torch.as_tensor(sample.objects)
+                losses.append(float(cross_entropy(scores, objects)))
+                before = (~(scores <= scores.gather(1, objects[:, None]))).sum(dim=1)  # NaN comes before all others
+                shares.append([float((before < rank).float().mean()) for rank in RANKS])
+        return float(np.mean(losses)), np.mean(shares, axis=0).tolist()
+
+
+def best_of(epochs: Sequence[Epoch]) -> Epoch:
+    """The epoch with the best top 5 on validation maps, of equals the first: its weights are kept.
+
+    Where weights were trained further, only epochs that find no fewer objects in exact views than these weights
+    compete: training on noisy views may cost what exact ones had.
+    """
+    first = epochs[0]
+    least = first.metrics["exact_top_5"] if first.epoch == 0 else 0.0
+    competing = [each for each in epochs if each is first or each.metrics["exact_top_5"] >= least]
+    return max(competing, key=lambda each: each.metrics["validation_top_5"])
 
 
 def train(
@@ -126,53 +177,71 @@ def train(
     """
     torch.set_num_threads(threads)
     torch.use_deterministic_algorithms(True)
-    kept = TrainingFolder(folder, recipe.identity, recipe.extendable)
+    kept = TrainingFolder(folder, recipe.identity)
     epochs = kept.resume(recipe.parts, recipe.device)
     if recipe.is_trained_further and not epochs:
-        epochs.append(_validated(recipe, 0, None, time.perf_counter()))
+        started = time.perf_counter()
+        epochs.append(Epoch(0, None, recipe.validate(), time.perf_counter() - started))
         _save_weights(kept.weights, recipe, epochs[-1])
     first = (epochs[-1].epoch if epochs else 0) + 1
-    for number in range(first, recipe.epochs + 1):
+    for number in range(first, recipe.config.epochs + 1):
         started = time.perf_counter()
-        losses = _train_epoch(recipe, number - 1, on_step)
-        epochs.append(_validated(recipe, number, float(np.mean(losses)), started))
-        if recipe.best(epochs) is epochs[-1]:
+        train_loss = _train_epoch(recipe, number, on_step)
+        epochs.append(Epoch(number, train_loss, recipe.validate(), time.perf_counter() - started))
+        if best_of(epochs) is epochs[-1]:
             _save_weights(kept.weights, recipe, epochs[-1])
         kept.save(epochs, recipe.parts)
     return epochs
 
 
-def _train_epoch(recipe: Recipe, number: int, on_step: Callable[[Step], None]) -> list[float]:
+def _train_epoch(recipe: Recipe, number: int, on_step: Callable[[Step], None]) -> float:
+    """The mean loss of the steps of an epoch, counted from 1."""
     started = time.perf_counter()
     recipe.network.train()
     losses: list[float] = []
-    for batch in recipe.batches(number):
-        loss = recipe.loss(batch)
-        recipe.optimizer.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
-        torch.nn.utils.clip_grad_norm_(recipe.network.parameters(), recipe.max_gradient)
-        recipe.optimizer.step()
-        recipe.schedule.step()
-        losses.append(float(loss.detach()))
-        taken, steps = number * recipe.steps_per_epoch + len(losses), recipe.epochs * recipe.steps_per_epoch
+    steps = recipe.config.epochs * STEPS_PER_EPOCH
+    while len(losses) < STEPS_PER_EPOCH:
+        losses.append(recipe.step())
+        taken = (number - 1) * STEPS_PER_EPOCH + len(losses)
         pace_s = (time.perf_counter() - started) / len(losses)
         on_step(Step(taken / steps, losses[-1], (steps - taken) * pace_s))
-    return losses
+    return float(np.mean(losses))
 
 
-def _validated(recipe: Recipe, number: int, train_loss: float | None, started: float) -> Epoch:
-    recipe.network.eval()
-    metrics = recipe.validate()
-    return Epoch(number, train_loss, metrics, time.perf_counter() - started)
+def _make_network(config: ContrastTraining) -> nn.Module:
+    if isinstance(config.architecture, DescriptellationLRArchitecture):
+        return DescriptellationLR(config.architecture)
+    return make_network(config.architecture)
+
+
+def _load_tensors(network: nn.Module, start: Path) -> None:
+    tensors = {name: torch.from_numpy(tensor.copy()) for name, tensor in read_weights(start).tensors.items()}
+    try:
+        network.load_state_dict(tensors)
+    except RuntimeError as error:
+        raise WeightsError(f"{start}: its architecture is not {network.architecture}") from error
 
 
 def _save_weights(path: Path, recipe: Recipe, epoch: Epoch) -> None:
     weights = Weights(
         tensors={name: tensor.detach().cpu().numpy() for name, tensor in recipe.network.state_dict().items()},
-        architecture=asdict(recipe.network.architecture),  # type: ignore[call-overload]
+        architecture=asdict(recipe.config.architecture),
         training=recipe.identity,
-        seed=recipe.seed,
+        seed=recipe.config.seed,
         code_version=importlib.metadata.version("descriptellation-slam"),
         metrics={name: value for name, value in epoch.as_row().items() if name != "seconds"},
     )
     save_weights(path, weights)
+
+
+class _Draws:
+    """The state of a generator of random numbers; its integers are too long for a tensor."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+
+    def state_dict(self) -> str:
+        return json.dumps(self._rng.bit_generator.state)
+
+    def load_state_dict(self, state: str, /) -> None:
+        self._rng.bit_generator.state = json.loads(state)

@@ -14,9 +14,9 @@ from descriptors.constellation import gather_constellations
 from descriptors.errors import DescriptorError
 from descriptors.learned.networks import default_architecture
 from descriptors.registry import make_descriptor, make_index
-from descriptors.training.dataset import DatasetConfig
-from descriptors.training.trainer import train
-from descriptors.training.triplets import TripletRecipe, TripletTraining
+from descriptors.training import trainer
+from descriptors.training.contrast import ContrastTraining
+from descriptors.training.trainer import Recipe, train
 from tests.descriptors.constellations import VOCABULARY, scattered
 
 PAGE = Path(__file__).parents[2] / "docs" / "descriptors.md"
@@ -86,13 +86,17 @@ def test_vectors_whose_length_changes_are_refused(mine: Path) -> None:
         index.add(constellations)
 
 
-def small_training(name: str) -> TripletTraining:
-    architecture = default_architecture(name)
-    return TripletTraining(architecture=architecture, dataset=DatasetConfig(anchors=32, positives=2), epochs=1)
+@pytest.fixture(autouse=True)
+def _short_epochs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trainer, "STEPS_PER_EPOCH", 2)
+
+
+def small_training(name: str) -> Recipe:
+    return Recipe(ContrastTraining(architecture=default_architecture(name), epochs=1, validation_maps=1))
 
 
 def test_network_of_the_page_is_trained_and_its_weights_describe(mine: Path) -> None:
-    train(TripletRecipe(small_training("mine:Net")), mine / "out", threads=1)
+    train(small_training("mine:Net"), mine / "out", threads=1)
     vectors = described(str(mine / "out" / "weights.safetensors"))
     assert vectors.shape == (20, 32)
     np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), 1.0, rtol=1e-5)
@@ -118,7 +122,7 @@ def test_network_that_gives_no_vectors_is_refused_by_its_name(mine: Path, body: 
         f"{weights}    {body}\n"
     )
     with pytest.raises(DescriptorError, match=rf"^mine:Net: .*{message}"):
-        train(TripletRecipe(small_training("mine:Net")), mine / "out", threads=1)
+        train(small_training("mine:Net"), mine / "out", threads=1)
 
 
 def test_class_that_is_no_network_is_refused(mine: Path) -> None:

@@ -11,14 +11,14 @@ import pytest
 from descriptors.constellation import Constellations, gather_constellations
 from descriptors.errors import DescriptorError
 from descriptors.index import ConstellationIndex, Matches
-from descriptors.registry import DESCRIPTOR_NAMES, NETWORKS, PAPER, make_descriptor, make_index
+from descriptors.registry import DESCRIPTOR_NAMES, PAPER, make_descriptor, make_index
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, transform_from_xyz_yaw
 from tests.descriptors.constellations import VOCABULARY, describe, scattered
 
 # Of these, the vectors of unlike objects may be as near as those of like ones.
 VAGUE = ("random",)
-BY_NUMPY = tuple(name for name in DESCRIPTOR_NAMES if name not in (*NETWORKS, "random"))
+BY_NUMPY = tuple(name for name in DESCRIPTOR_NAMES if name not in (PAPER, "random"))
 
 every_name = pytest.mark.parametrize("name", DESCRIPTOR_NAMES)
 every_exact_name = pytest.mark.parametrize("name", BY_NUMPY)
@@ -130,6 +130,7 @@ class Own:
         ("builtins:dict", "lacks name, radius_m, describe"),
         ("no/such.safetensors", "no such file"),
         ("descriptellation_paper", "called 'descriptellation'"),
+        ("sgnet", "it was removed; there are"),
         ("rings", f"no descriptor 'rings'; there are {', '.join(DESCRIPTOR_NAMES)}"),
     ],
 )
@@ -151,7 +152,7 @@ def test_descriptors_without_a_network_do_not_load_torch():
     """It takes seconds to load."""
     code = (
         "import sys, descriptors.registry as registry\n"
-        "[registry.make_index(name) for name in registry.DESCRIPTOR_NAMES if name not in registry.NETWORKS]\n"
+        "[registry.make_index(name) for name in registry.DESCRIPTOR_NAMES if name != registry.PAPER]\n"
         "assert 'descriptors.likelihood_index' in sys.modules\n"
         "assert 'torch' not in sys.modules, 'torch was imported'\n"
     )
@@ -159,11 +160,10 @@ def test_descriptors_without_a_network_do_not_load_torch():
     assert finished.returncode == 0, finished.stderr
 
 
-@pytest.mark.parametrize("name", NETWORKS)
-def test_make_descriptor_names_the_extra_that_a_network_needs(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_make_descriptor_names_the_extra_that_a_network_needs(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in [name for name in sys.modules if name.startswith("descriptors.learned.")]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(DescriptorError, match=rf"{name} is a network and needs torch: pip install '.*\[learn\]'"):
-        make_descriptor(name)
+    with pytest.raises(DescriptorError, match=r"network and needs torch: pip install '.*\[learn\]'"):
+        make_descriptor("descriptellation")
     make_descriptor("descriptellation_lr")

@@ -32,14 +32,11 @@ _OBJECTS = {
 
 def make_trainings_small() -> None:
     """Let every training of this process be one of a few constellations: its configuration is not what is tried."""
-    from descriptors.training import contrast, triplets
-    from descriptors.training.dataset import DatasetConfig
+    from descriptors.training import contrast, trainer
 
-    small: Any = partial(triplets.TripletTraining, dataset=DatasetConfig(anchors=6, positives=2))
-    triplets.TripletTraining = small  # type: ignore[misc]
-    of_likelihood: Any = partial(contrast.ContrastTraining, validation_maps=1)
-    contrast.ContrastTraining = of_likelihood  # type: ignore[misc]
-    contrast.STEPS_PER_EPOCH = 1
+    small: Any = partial(contrast.ContrastTraining, validation_maps=1)
+    contrast.ContrastTraining = small  # type: ignore[misc]
+    trainer.STEPS_PER_EPOCH = 1
 
 
 def training_arguments(folder: str) -> list[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from slam.replay import replay
@@ -23,18 +22,15 @@ class Command:
 
 def make_commands(folder: Path) -> list[Command]:
     """Make the inputs in ``folder``; a training is made small by its number of maps."""
-    from descriptors.training import triplets
-    from descriptors.training.dataset import DatasetConfig
+    from descriptors.training import trainer
 
-    triplets.TripletTraining = partial(  # type: ignore[misc,assignment]
-        triplets.TripletTraining, dataset=DatasetConfig(anchors=6, positives=2)
-    )
+    trainer.STEPS_PER_EPOCH = 2
     log, mapped = folder / "drive.mcap", folder / "mapped.mcap"
     write_log(log, keep_until(drive(), 4.0))
     replay(log, mapped)
     text = TextDrive.make(folder)
     tables = [part for role, path in text.files().items() for part in (f"--{role.replace('_', '-')}", str(path))]
-    network = ("--network", "descriptellation", "--epochs", "2", "--threads", "1")
+    network = ("--epochs", "2", "--threads", "1")
     return [
         Command("replay", ("replay", str(log), "-o", "out.mcap", "--save-map", "map.mcap")),
         Command("evaluate", ("evaluate", str(mapped), "--html", "report.html", "--picture", "map.png")),

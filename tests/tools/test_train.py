@@ -11,24 +11,22 @@ from typing import Any
 import pytest
 import torch
 
-from descriptors.baselines.pointnet import PointNetArchitecture
 from descriptors.descriptellation.network import DescriptellationArchitecture
 from descriptors.learned.weights import read_weights
 from descriptors.likelihood_index import LikelihoodIndex
 from descriptors.registry import make_index
-from descriptors.training import contrast, trainer, triplets
+from descriptors.training import contrast, trainer
 from descriptors.training.contrast import ContrastTraining
-from descriptors.training.dataset import DatasetConfig
 from descriptors.training.folder import WEIGHTS, Epoch
 from descriptors.training.trainer import Recipe, Step
-from descriptors.training.triplets import TripletTraining
 from tests.tools.runs import Run, assert_refused
 
 Called = dict[str, Any]
 
 
-def epoch(number: int, validation_top_k: float) -> Epoch:
-    return Epoch(number, 0.2 / number, {"validation_loss": 0.3 / number, "validation_top_k": validation_top_k}, 1.5)
+def epoch(number: int, top_5: float) -> Epoch:
+    metrics = {"validation_loss": 0.3 / number, "validation_top_5": top_5, "exact_top_5": 1.0}
+    return Epoch(number, 0.2 / number, metrics, 1.5)
 
 
 @pytest.fixture
@@ -37,7 +35,7 @@ def called(monkeypatch: pytest.MonkeyPatch) -> Called:
     called: Called = {}
 
     def fake(recipe: Recipe, folder: Path, *, on_step: Callable[[Step], None], threads: int) -> list[Epoch]:
-        called.update(config=recipe._config, folder=folder, device=str(recipe.device), threads=threads)  # type: ignore[attr-defined]
+        called.update(config=recipe.config, folder=folder, device=str(recipe.device), threads=threads)
         on_step(Step(0.5, 0.3, 60.0))
         return [epoch(number + 1, ratio) for number, ratio in enumerate((0.5, 0.7, 0.975, 0.8))]
 
@@ -49,8 +47,8 @@ def called(monkeypatch: pytest.MonkeyPatch) -> Called:
 def tiny(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Trainings on a few constellations; torch's settings, which are the process's, are put back."""
     threads, deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
-    dataset = DatasetConfig(anchors=6, positives=2)
-    monkeypatch.setattr(triplets, "TripletTraining", partial(TripletTraining, dataset=dataset))
+    monkeypatch.setattr(trainer, "STEPS_PER_EPOCH", 2)
+    monkeypatch.setattr(contrast, "ContrastTraining", partial(ContrastTraining, validation_maps=2, objects_per_map=20))
     yield
     torch.set_num_threads(threads)
     torch.use_deterministic_algorithms(deterministic)
@@ -61,29 +59,25 @@ def test_the_help_has_an_example_and_names_the_networks(dslam: Run) -> None:
     told = " ".join(result.out.split())
     assert (result.code, result.err) == (0, "")
     assert "Example: dslam train" in told
-    for name in ("descriptellation_lr", "pointnet", "one_hot", "--seed", "--device", "--threads"):
+    for name in ("descriptellation_lr", "descriptellation", "module:Class", "--seed", "--device", "--threads"):
         assert name in told
 
 
 def test_every_option_reaches_the_training(dslam: Run, called: Called, tmp_path: Path) -> None:
-    options = "--network descriptellation --input one_hot --epochs 7 --seed 3 --device cpu --threads 1"
+    options = "--network descriptellation --epochs 7 --seed 3 --device cpu --threads 1"
     assert dslam("train", tmp_path / "net", *options.split()).code == 0
-    expected = TripletTraining(architecture=DescriptellationArchitecture(input="one_hot"), epochs=7, seed=3)
-    assert called == {"config": expected, "folder": tmp_path / "net", "device": "cpu", "threads": 1}
+    config = called.pop("config")
+    assert (config.architecture, config.epochs, config.seed) == (DescriptellationArchitecture(), 7, 3)
+    assert called == {"folder": tmp_path / "net", "device": "cpu", "threads": 1}
 
 
-def test_the_paper_s_network_is_trained_as_in_the_paper(dslam: Run, called: Called, tmp_path: Path) -> None:
-    assert dslam("train", tmp_path, "--network", "descriptellation").code == 0
-    assert called["config"] == TripletTraining()
-
-
-def test_another_network_can_be_chosen(dslam: Run, called: Called, tmp_path: Path) -> None:
-    assert dslam("train", tmp_path, "--network", "pointnet").code == 0
-    assert called["config"].architecture == PointNetArchitecture()
+def test_likelihood_is_trained_by_default(dslam: Run, called: Called, tmp_path: Path) -> None:
+    assert dslam("train", tmp_path).code == 0
+    assert called["config"] == ContrastTraining()
 
 
 def test_a_summary_for_people(dslam: Run, called: Called, tmp_path: Path) -> None:
-    result = dslam("train", tmp_path, "--network", "pointnet")
+    result = dslam("train", tmp_path, "--network", "descriptellation")
     assert (result.code, result.err) == (0, "")
     lines = result.out.splitlines()
     assert [line.split()[0] for line in lines[1:5]] == ["1", "2", "3", "4"]
@@ -92,17 +86,17 @@ def test_a_summary_for_people(dslam: Run, called: Called, tmp_path: Path) -> Non
 
 
 def test_json_names_the_weights_and_their_epoch(dslam: Run, called: Called, tmp_path: Path) -> None:
-    result = dslam("train", tmp_path, "--network", "pointnet", "--json")
+    result = dslam("train", tmp_path, "--network", "descriptellation", "--json")
     assert (result.code, result.err) == (0, "")
     told = json.loads(result.out)
     assert told["weights"] == str(tmp_path / WEIGHTS)
     assert told["epochs"] == 4
-    assert (told["best"]["epoch"], told["best"]["validation_top_k"]) == (3, 0.975)
+    assert (told["best"]["epoch"], told["best"]["validation_top_5"]) == (3, 0.975)
 
 
 @pytest.mark.usefixtures("tiny")
 def test_a_training_leaves_its_files_and_goes_on_where_it_was(dslam: Run, tmp_path: Path) -> None:
-    typed = ("train", tmp_path / "net", "--network", "pointnet", "--epochs", 2, "--threads", 1, "--json")
+    typed = ("train", tmp_path / "net", "--network", "descriptellation", "--epochs", 2, "--threads", 1, "--json")
     first = dslam(*typed)
     assert first.code == 0, first.err
     assert sorted(path.name for path in (tmp_path / "net").iterdir()) == [
@@ -119,29 +113,27 @@ def test_a_training_leaves_its_files_and_goes_on_where_it_was(dslam: Run, tmp_pa
 def test_the_epoch_that_is_told_is_that_of_the_weights_even_among_equals(
     dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(triplets, "top_k_ratio", lambda vectors, things, k: 0.5)
-    result = dslam("train", tmp_path, "--network", "pointnet", "--epochs", 3, "--threads", 1, "--json")
+    monkeypatch.setattr(trainer, "RANKS", (1000, 1000, 1000))
+    result = dslam("train", tmp_path, "--epochs", 3, "--threads", 1, "--json")
     assert result.code == 0, result.err
     metrics = read_weights(tmp_path / WEIGHTS).metrics
     assert json.loads(result.out)["best"]["epoch"] == metrics["epoch"]
 
 
 @pytest.mark.slow
-def test_maps_of_one_s_own_are_taken_and_the_weights_make_an_index(
-    dslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("tiny")
+@pytest.mark.parametrize("network", ["descriptellation_lr", "descriptellation"])
+def test_maps_of_one_s_own_are_taken_and_the_weights_make_an_index(dslam: Run, tmp_path: Path, network: str) -> None:
     rows = "\n".join(f"{7.0 * (i % 9)},{5.0 * (i // 9)},0,{('lamp', 'bin')[i % 2]},o{i}" for i in range(60))
     (tmp_path / "town.csv").write_text(f"x_m,y_m,z_m,class,id\n{rows}\n", encoding="utf-8")
-    monkeypatch.setattr(contrast, "STEPS_PER_EPOCH", 2)
-    monkeypatch.setattr(contrast, "ContrastTraining", partial(ContrastTraining, validation_maps=2, objects_per_map=20))
-    typed = ("train", tmp_path / "net", "--maps", tmp_path / "town.csv", "--epochs", 1, "--threads", 1, "--json")
+    typed = ("train", tmp_path / "net", "--network", network, "--maps", tmp_path / "town.csv", "--epochs", 1, "--json")
     result = dslam(*typed)
     curves = (tmp_path / "net" / "curves.csv").read_text(encoding="utf-8").splitlines()
     assert [line.split(",")[0] for line in curves] == ["epoch", "0", "1"]  # 0: the shipped weights
     assert result.code == 0, result.err
     path = tmp_path / "net" / WEIGHTS
     assert json.loads(result.out)["weights"] == str(path)
-    assert isinstance(make_index(str(path)), LikelihoodIndex)
+    assert isinstance(make_index(str(path)), LikelihoodIndex) == (network == "descriptellation_lr")
     assert json.loads(dslam(*typed).out)["best"] == json.loads(result.out)["best"]  # complete: nothing is done again
 
 
@@ -149,18 +141,15 @@ def test_maps_of_one_s_own_are_taken_and_the_weights_make_an_index(
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (("--network", "pointnet", "--maps", "town.csv"), ("--maps",)),
         (("--anew",), ("--anew", "--maps")),
-        (("--network", "transformer"), ("'transformer'", "descriptellation, pointnet, sgnet")),
-        (("--network", "pointnet", "--input", "position"), ("pointnet", "input")),
-        (("--network", "sgnet", "--input", "position"), ("sgnet", "input")),
-        (("--network", "descriptellation", "--input", "colour"), ("colour", "one_hot")),
+        (("--network", "transformer"), ("'transformer'", "descriptellation")),
+        (("--device", "cuda"), ("CPU",)),
         (("--epochs", 0), ("--epochs",)),
         (("--epochs", "many"), ("--epochs",)),
         (("--seed", -1), ("--seed",)),
         (("--threads", 0), ("--threads",)),
-        (("--network", "pointnet", "--device", "gpu"), ("gpu",)),
-        (("--network", "pointnet", "--device", "cuda:99"), ("cuda:99",)),
+        (("--network", "descriptellation", "--device", "gpu"), ("gpu",)),
+        (("--network", "descriptellation", "--device", "cuda:99"), ("cuda:99",)),
     ],
 )
 def test_train_refuses_options_that_do_not_fit(
@@ -178,4 +167,4 @@ def test_a_folder_that_cannot_be_is_refused(dslam: Run, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("tiny")
 def test_a_damaged_checkpoint_is_refused(dslam: Run, tmp_path: Path) -> None:
     (tmp_path / "checkpoint.pt").write_bytes(b"half a checkpoint")
-    assert_refused(dslam("train", tmp_path, "--network", "pointnet"), "checkpoint.pt", "cannot be read", "delete it")
+    assert_refused(dslam("train", tmp_path), "checkpoint.pt", "cannot be read", "delete it")

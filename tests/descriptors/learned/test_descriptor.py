@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,32 +12,27 @@ from numpy.typing import NDArray
 
 from descriptors.constellation import Constellations, gather_constellations
 from descriptors.descriptellation.network import DescriptellationArchitecture
-from descriptors.errors import DescriptorError, WeightsError
+from descriptors.errors import DescriptorError
 from descriptors.learned.descriptor import LearnedDescriptor
-from descriptors.learned.networks import BATCH, describe_padded, load_network, make_network
+from descriptors.learned.networks import BATCH, load_network, make_network, pad_constellations
 from descriptors.learned.weights import Weights, save_weights
-from descriptors.registry import shipped_weights
-from descriptors.training.augmentation import AugmentationRates
-from descriptors.training.dataset import DatasetConfig, make_dataset
-from descriptors.training.simulation import MapSimulation
-from descriptors.training.top_k import top_k_ratio
+from descriptors.registry import make_index, shipped_weights
+from descriptors.training.contrast import ContrastTraining
+from descriptors.training.trainer import Recipe
 from tests.descriptors.constellations import VOCABULARY, scattered
 
 pytestmark = pytest.mark.slow
 
-TINY = DescriptellationArchitecture(vocabulary_size=6, layers=2, channels=8, fusion=8, length=16)
-
-
-def saved(path: Path, training: dict[str, object]) -> LearnedDescriptor:
-    torch.manual_seed(0)
-    tensors = {name: tensor.numpy() for name, tensor in make_network(TINY).state_dict().items()}
-    save_weights(path, Weights(tensors, asdict(TINY), training))
-    return LearnedDescriptor(path)
+TINY = DescriptellationArchitecture(vocabulary_size=6, layers=2, channels=8, fusion=8, length=16, radius_m=17.5)
 
 
 @pytest.fixture(scope="module")
 def descriptor(tmp_path_factory) -> LearnedDescriptor:
-    return saved(tmp_path_factory.mktemp("weights") / "tiny.safetensors", {"dataset": {"radius_m": 17.5}})
+    path = tmp_path_factory.mktemp("weights") / "tiny.safetensors"
+    torch.manual_seed(0)
+    tensors = {name: tensor.numpy() for name, tensor in make_network(TINY).state_dict().items()}
+    save_weights(path, Weights(tensors, asdict(TINY)))
+    return LearnedDescriptor(path)
 
 
 @pytest.fixture(scope="module")
@@ -89,15 +83,38 @@ def test_class_without_a_row_of_the_embedding_is_refused_with_both_numbers(descr
         assert descriptor.describe(constellations).shape == (1, 16)
 
 
-def test_weights_without_their_radius_are_refused(tmp_path):
-    with pytest.raises(WeightsError, match=r"net\.safetensors.*radius_m"):
-        saved(tmp_path / "net.safetensors", {"epochs": 3})
+def test_radius_is_that_of_the_architecture(descriptor):
+    assert descriptor.radius_m == 17.5
 
 
-def test_shipped_network_finds_as_many_views_of_other_maps_as_the_paper():
+def test_candidates_of_the_paper_s_network_are_of_any_class():
+    positions, labels = scattered(30, seed=2)
+    index = make_index("descriptellation")
+    entries = gather_constellations(positions, labels, VOCABULARY, radius_m=index.radius_m)
+    index.add(entries)
+    matches = index.search(entries, 30, np.ones(30, dtype=np.bool_))
+    assert len(matches.queries) == 900
+
+
+def test_centre_comes_first_then_the_neighbours_then_nothing(constellations):
+    positions, labels, present = (each.numpy() for each in pad_constellations(constellations))
+    counts = np.diff(constellations.offsets)
+    assert positions.shape == (len(constellations), counts.max() + 1, 3)
+    for row in (0, 50, len(constellations) - 1):
+        own = slice(constellations.offsets[row], constellations.offsets[row + 1])
+        room = counts.max() - counts[row]
+        expected = [np.zeros(3), *constellations.positions[own], *np.zeros((room, 3))]
+        np.testing.assert_allclose(positions[row], expected, atol=1e-5)
+        np.testing.assert_array_equal(
+            labels[row], [constellations.centre_labels[row], *constellations.labels[own], *[0] * room]
+        )
+        np.testing.assert_array_equal(present[row], [True] * (counts[row] + 1) + [False] * room)
+
+
+def test_shipped_network_finds_views_of_maps_that_it_was_not_trained_on():
     network, weights = load_network(shipped_weights("descriptellation"))
     assert weights.metrics["validation_top_k"] >= 0.981
-    assert weights.training["dataset"]["anchors"] == 1000
-    dataset = make_dataset(MapSimulation(), AugmentationRates(), DatasetConfig(anchors=100), seed=12345)
-    vectors = describe_padded(network, dataset.constellations, torch.device("cpu"))
-    assert top_k_ratio(vectors, dataset.anchors, 5) >= 0.981
+    recipe = Recipe(ContrastTraining(architecture=DescriptellationArchitecture()))
+    recipe.network.load_state_dict(network.state_dict())
+    trained, untrained = recipe.validate(), Recipe(recipe.config).validate()
+    assert trained["exact_top_5"] > untrained["exact_top_5"] + 0.2
