@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperGroup
 
 from tools.arguments import ConfigFile, Json, Settings
 from tools.evaluation.output import Findings, report
@@ -23,15 +22,7 @@ NOT_MAPPED = 1
 """Exit code if a log could not be mapped."""
 
 
-class _FleetCommands(TyperGroup):
-    """``add`` is meant where no command is named: ``dslam fleet LOG... -o CITY``."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        is_named = not args or args[0] in (*self.commands, "-h", "--help")
-        return super().parse_args(ctx, args if is_named else ["add", *args])
-
-
-app = typer.Typer(cls=_FleetCommands, help="Build one map of a city from many logs.", no_args_is_help=True)
+app = typer.Typer(help="Build one map of a city from many logs.", no_args_is_help=True)
 
 Folder = Annotated[Path, typer.Argument(metavar="CITY", help="Folder of a fleet.", show_default=False)]
 Require = Annotated[
@@ -45,13 +36,9 @@ Require = Annotated[
 
 @app.command()
 def add(
-    paths: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="CITY [LOG]...", help="Folder of the fleet, then logs by path or URL."),
-    ] = None,
-    folder: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="CITY", help="The folder, if logs alone are named.", show_default=False),
+    city: Folder,
+    logs: Annotated[
+        list[str] | None, typer.Argument(metavar="[LOG]...", help="Logs by path or URL.", show_default=False)
     ] = None,
     manifest: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Paths or URLs of more logs, one a line.", show_default=False)
@@ -86,11 +73,12 @@ def add(
     from tools.importers.maps import parse_origin
 
     requirements = [parse_requirement(text) for text in require or ()]
-    city, logs = _city_and_logs(folder, paths or [])
+    if city.suffix and not city.is_dir():
+        raise typer.BadParameter("name the folder of the city before the logs.", param_hint="CITY")
     config = load_config(config_file, settings or ())
     georeference = parse_origin(origin)
     city.mkdir(parents=True, exist_ok=True)
-    members = add_logs(city, find_logs(logs, manifest, city / "logs"), only=only)
+    members = add_logs(city, find_logs(logs or [], manifest, city / "logs"), only=only)
     compute = partial(compute_in_processes, workers=workers or os.cpu_count() or 1)
     result = map_fleet(members, city, config, compute, georeference=georeference, progress=_print_progress)
     write_report(city, result)
@@ -107,15 +95,6 @@ def status(city: Folder, require: Require = None, json: Json = False) -> None:
     from slam.fleet.report import read_report
 
     _finish(city, read_report(city), [parse_requirement(text) for text in require or ()], json=json)
-
-
-def _city_and_logs(folder: Path | None, paths: list[str]) -> tuple[Path, list[str]]:
-    """The folder of the fleet, which is the first of the paths if no option gives it, and the logs."""
-    if folder is not None:
-        return folder, paths
-    if not paths or (Path(paths[0]).suffix and not Path(paths[0]).is_dir()):
-        raise typer.BadParameter("name the folder of the city before the logs.", param_hint="CITY")
-    return Path(paths[0]), paths[1:]
 
 
 def _finish(city: Path, results: dict[str, Any], requirements: Sequence[Requirement], *, json: bool) -> None:

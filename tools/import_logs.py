@@ -18,10 +18,9 @@ app.command()(maps.osm)
 app.command()(maps.geojson)
 app.command("csv-map")(maps.csv_map)
 app.command("semantic-kitti")(clouds.semantic_kitti)
-app.command("paris-lille")(clouds.paris_lille)
-app.command()(clouds.iqmulus)
+app.command("paris-lille")(clouds.urban)
+app.command("iqmulus")(clouds.urban)
 app.command()(clouds.ply)
-app.command()(clouds.pcd)
 
 
 @app.command("kitti-objects")

@@ -19,27 +19,21 @@ NOT_CONVERGED = 1
 def optimize(
     source: Annotated[Path, typer.Argument(metavar="IN.g2o", help="The pose graph to read.", show_default=False)],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.g2o", help="The pose graph to write.")],
-    weights: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="File of the closures' weights; by default OUT.json.", show_default=False),
-    ] = None,
     plain: Annotated[bool, typer.Option("--plain", help="Keep all closures: ordinary least squares.")] = False,
-    max_iterations: Annotated[
-        int, typer.Option(min=1, max=10**9, help="Maximum number of iterations of each solution.")
-    ] = 100,
     json: Json = False,
 ) -> None:
     """Optimise a pose graph (g2o, SE(2) or SE(3)) in which loop closures may be false.
 
     Edges between consecutive ids are odometry; so is the first edge between two parts that these do not connect. All
-    other edges are closures, and each gets a weight from 0 (false) to 1. OUT.g2o has the vertices at their solution and
-    all edges as they were. Lines other than VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT and FIX are ignored.
+    other edges are closures, and each gets a weight from 0 (false) to 1, in OUT.json. OUT.g2o has the vertices at their
+    solution and all edges as they were. Lines other than VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT and FIX
+    are ignored.
     Exit code 1: no convergence; the files are written all the same.
 
     Example: dslam optimize graph.g2o -o optimized.g2o
     """
     check_outputs([output], [source])
-    weights = weights or output.with_suffix(".json")
+    weights = output.with_suffix(".json")
     check_outputs([output, weights], [source])
     import numpy as np
 
@@ -50,9 +44,7 @@ def optimize(
 
     file = read_pose_graph(source)
     is_closure = file.graph.find_closures()
-    solved = optimize_pose_graph(
-        file.graph, np.zeros_like(is_closure) if plain else is_closure, max_iterations=max_iterations
-    )
+    solved = optimize_pose_graph(file.graph, np.zeros_like(is_closure) if plain else is_closure)
     summary = _summarize(solved)
     write_pose_graph(output, solved.graph)
     write_text(weights, _to_json({**summary, "closures": _closures(solved)}) + "\n")

@@ -20,13 +20,11 @@ def simulate(
     world_seed: Annotated[
         int | None, typer.Option(min=0, metavar="N", help="Seed of the town: several drives through one town.")
     ] = None,
-    speed: Annotated[float | None, typer.Option(metavar="M/S", help="Cruising speed; drive.speed_mps.")] = None,
     length: Annotated[float | None, typer.Option(metavar="M", help="Length of the drive.")] = None,
     kidnap: Annotated[
         str | None,
         typer.Option(metavar="FROM_M:TO_M", help="Carry the robot off from one place of the tour to another."),
     ] = None,
-    moving: Annotated[int | None, typer.Option(metavar="N", help="Moving vehicles; traffic.vehicles.")] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,
     json: Json = False,
@@ -47,10 +45,8 @@ def simulate(
     from slam.simulation.street_grid import generate_street_grid
     from slam.simulation.world import load_world
 
-    flags = [f"drive.speed_mps={speed}"] if speed is not None else []
-    flags += [f"traffic.vehicles={moving}"] if moving is not None else []
-    flags += kidnap_overrides(kidnap) if kidnap is not None else []
-    config = load_simulation_config(config_file, [*(settings or ()), *flags])
+    kidnapping = kidnap_overrides(kidnap) if kidnap is not None else []
+    config = load_simulation_config(config_file, [*(settings or ()), *kidnapping])
     if objects is not None and trajectory is not None:
         world = load_world(objects, trajectory)
     else:

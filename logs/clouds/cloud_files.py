@@ -1,9 +1,8 @@
-"""Labelled clouds in PLY and PCD files, by the names of their fields."""
+"""Labelled clouds in PLY files, by the names of their fields."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,42 +10,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.clouds.labelled_cloud import LabelledCloud
-from logs.clouds.point_files import read_points
+from logs.clouds.ply_file import read_points
 from logs.errors import DatasetError
 
 _PREFIX = "scalar_"
 """CloudCompare puts it before the names of fields."""
 
 
-@dataclass(frozen=True, slots=True)
-class CloudFields:
-    """Names of the fields that hold a point's class and instance, likeliest first."""
-
-    classes: tuple[str, ...]
-    instances: tuple[str, ...]
-
-
-PARIS_LILLE = CloudFields(("class",), ("label",))
-"""Paris-Lille-3D, the files of 50 classes: "label" numbers the objects (Roynard et al., IJRR 2018)."""
-IQMULUS = CloudFields(("class",), ("id",))
-"""IQmulus & TerraMobilita (Vallet et al., Computers & Graphics 2015)."""
-ANY = CloudFields(
-    ("class", "class_id", "classification", "semantic", "semantic_label", "label", "category"),
-    ("instance", "instance_id", "instance_label", "object_id", "object", "id", "label"),
-)
-"""Clouds of others: a "label" is the class, unless another field is that."""
+CLASS_FIELDS = ("class", "class_id", "classification", "semantic", "semantic_label", "label", "category")
+INSTANCE_FIELDS = ("instance", "instance_id", "instance_label", "object_id", "object", "id", "label")
+"""Names of the fields that hold a point's class and instance, likeliest first: a "label" is the class, unless another
+field is that. So they are in Paris-Lille-3D ("class", "label"; Roynard et al., IJRR 2018) and in IQmulus &
+TerraMobilita ("class", "id"; Vallet et al., Computers & Graphics 2015)."""
 
 
-def read_cloud(path: Path, fields: CloudFields = ANY) -> LabelledCloud:
-    """The labelled cloud in a PLY or PCD file.
+def read_cloud(path: Path) -> LabelledCloud:
+    """The labelled cloud in a PLY file.
 
     Raises:
         DatasetError: the file cannot be read, or has no positions, or no classes; names the fields that it has.
     """
-    return labelled_cloud(read_points(path), fields, str(path))
+    return labelled_cloud(read_points(path), str(path))
 
 
-def labelled_cloud(columns: Mapping[str, NDArray[Any]], fields: CloudFields, name: str) -> LabelledCloud:
+def labelled_cloud(columns: Mapping[str, NDArray[Any]], name: str) -> LabelledCloud:
     """The cloud of ``columns``, name -> values (N,). ``name`` is what messages call it.
 
     Where no field tells instances and the classes are those of SemanticKITTI with the instance in their upper half,
@@ -59,14 +46,12 @@ def labelled_cloud(columns: Mapping[str, NDArray[Any]], fields: CloudFields, nam
     there = ", ".join(columns) or "none"
     if not {"x", "y", "z"} <= plain.keys():
         raise DatasetError(f"{name}: no fields x, y and z; it has {there}")
-    class_field = _first(plain, fields.classes)
+    class_field = _first(plain, CLASS_FIELDS)
     if class_field is None:
-        raise DatasetError(
-            f"{name}: no field holds the class of a point ({' or '.join(fields.classes)}); it has {there}"
-        )
+        raise DatasetError(f"{name}: no field holds the class of a point ({' or '.join(CLASS_FIELDS)}); it has {there}")
     positions = np.stack([plain[axis].astype(np.float64) for axis in "xyz"], axis=1)
     classes = _whole(plain[class_field], f"{name}: field {class_field}")
-    instance_field = _first(plain, [field for field in fields.instances if field != class_field])
+    instance_field = _first(plain, [field for field in INSTANCE_FIELDS if field != class_field])
     if instance_field is not None:
         return LabelledCloud(positions, classes, _whole(plain[instance_field], f"{name}: field {instance_field}"))
     if class_field == "label" and len(classes) and classes.max() > 0xFFFF:

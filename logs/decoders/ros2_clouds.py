@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from logs.clouds.cloud_files import ANY, labelled_cloud
+from logs.clouds.cloud_files import labelled_cloud
 from logs.decoders.parts import Context, Records
 from logs.decoders.ros2_detections import place_of
 from logs.decoders.ros2_images import image_rows
@@ -34,7 +34,7 @@ def labelled_scan(message: Any, context: Context) -> Records:
         raise Refusal("fields of the points are invalid", str(error)) from error
     points = image_rows(message, int(message.row_step), int(message.width) * point_step).view(kind).ravel()
     try:
-        cloud = labelled_cloud({name: points[name] for name in fields}, ANY, "cloud").finite()
+        cloud = labelled_cloud({name: points[name] for name in fields}, "cloud").finite()
     except DatasetError as error:
         raise Refusal("cloud without labels", str(error)) from error
     return (LabelledScan(*place, cloud.positions, cloud.classes, cloud.instances),)

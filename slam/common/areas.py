@@ -47,15 +47,6 @@ class Polygon:
         if len(self.corners) < 3:
             raise GeometryError(f"a polygon has at least 3 corners, not {len(self.corners)}")
 
-    @classmethod
-    def box(cls, low: FloatArray, high: FloatArray) -> Polygon:
-        """The rectangle between two corners (2,) m, along the axes."""
-        if not (low < high).all():
-            raise GeometryError(
-                f"no area is between ({low[0]:g}, {low[1]:g}) and ({high[0]:g}, {high[1]:g}); the lower one comes first"
-            )
-        return cls(np.array([low, [high[0], low[1]], high, [low[0], high[1]]]))
-
     def contains(self, positions: FloatArray) -> BoolArray:
         """Which positions (N, 2 or 3) m lie in it (N,), by x and y: a ray from there crosses an odd number of sides."""
         x, y = positions[:, :1], positions[:, 1:2]

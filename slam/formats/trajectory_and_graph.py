@@ -12,11 +12,8 @@ from logs.storage.placement import write_text
 from slam.backend.pose_graph.pose_graph import PoseGraph
 from slam.common.arrays import FloatArray
 from slam.common.errors import InputDataError
-from slam.common.geometry import invert
 from slam.common.georeference import Georeference
 from slam.formats.g2o import format_numbers, graph_lines, position_and_quaternion
-
-T_BODY_CAMERA = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
 def write_tum(path: str | Path, trajectory: TrajectoryRecord) -> None:
@@ -60,19 +57,6 @@ def write_kitti(path: str | Path, trajectory: TrajectoryRecord) -> None:
     """
     poses = _checked_poses(trajectory.T_map_body, trajectory.stamps_ns)
     _write_lines(path, (format_numbers(T[:3].ravel()) for T in poses))
-
-
-def write_kitti_camera(path: str | Path, trajectory: TrajectoryRecord) -> None:
-    """Write poses as KITTI's own files have them: of a camera (x right, y down, z ahead), from where it was first.
-
-    The camera is taken to be at the origin of the body, and to look along its x axis.
-
-    Raises:
-        InputDataError: stamps and poses differ in number, or a pose is not finite.
-        UnwritableLogError: the file cannot be written.
-    """
-    poses = _checked_poses(trajectory.T_map_body, trajectory.stamps_ns) @ T_BODY_CAMERA
-    _write_lines(path, (format_numbers(T[:3].ravel()) for T in invert(poses[:1]) @ poses))
 
 
 def write_g2o(path: str | Path, graph: FactorGraphRecord, object_map: ObjectMapRecord | None = None) -> None:

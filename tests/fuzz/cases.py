@@ -47,10 +47,10 @@ _COMMANDS: dict[str, tuple[float, str]] = {
     "export": (1, """
         export ?mapped --tum a.txt --kitti b.txt --g2o c.g2o"""),
     "degrade": (1, """
-        degrade ?drive -o out.mcap --dropout 0.3
+        degrade ?drive -o out.mcap --fault dropout=0.3
         degrade ?drive -o out.mcap --fault reversed
         degrade ?drive -o out.mcap --fault false_positives=3
-        degrade ?drive -o out.mcap --label-confusion 0.2"""),
+        degrade ?drive -o out.mcap --fault label_confusion=0.2"""),
     "optimize": (1, """
         optimize ?graph.g2o -o out.g2o --json"""),
     "import": (1.5, """
@@ -68,7 +68,7 @@ _COMMANDS: dict[str, tuple[float, str]] = {
     "maps": (1, """
         map info ?map --json
         map crop ?map -o out.mcap --circle 0,0,20
-        map crop ?map -o out.mcap --box -9,-9,9,9
+        map crop ?map -o out.mcap --circle 0,0,9
         map crop ?map -o out.mcap --polygon '0,0 9,0 9,9'
         view ?map --save out.rrd
         map merge =map@other.mcap ?map -o out.mcap

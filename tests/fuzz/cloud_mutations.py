@@ -1,4 +1,4 @@
-"""Mutated clouds: PLY and PCD files of altered fields, and sequences of scans with labels as KITTI has them."""
+"""Mutated clouds: PLY files of altered fields, and sequences of scans with labels as KITTI has them."""
 
 from __future__ import annotations
 
@@ -39,31 +39,6 @@ def mutate_ply(rng: np.random.Generator) -> bytes:
     lines = ["ply", f"format {storage} 1.0", "comment fuzz", f"element vertex {_count(columns)}"]
     lines += [f"property {_PLY_TYPES[values.dtype.str[1:]]} {name}" for name, values in columns.items()]
     return _damaged([*lines, "end_header"], _rows(columns, storage == "ascii", order), rng)
-
-
-def mutate_pcd(rng: np.random.Generator) -> bytes:
-    """A PCD file, in any of its three storages, with a few changes."""
-    columns = _mutate_columns(make_columns(), rng)
-    storage = str(rng.choice(["ascii", "binary", "binary_compressed"]))
-    entries: dict[str, list[object]] = {
-        "VERSION": ["0.7"],
-        "FIELDS": [*columns],
-        "SIZE": [values.itemsize for values in columns.values()],
-        "TYPE": [values.dtype.kind.upper() for values in columns.values()],
-        "COUNT": [1 for _ in columns],
-        "WIDTH": [_count(columns)],
-        "HEIGHT": [1],
-        "POINTS": [_count(columns)],
-        "DATA": [storage],
-    }
-    body = _rows(columns, storage == "ascii", "<")
-    if storage == "binary_compressed":
-        content = b"".join(values.tobytes() for values in columns.values())
-        packed = b"".join(bytes([len(content[i : i + 32]) - 1]) + content[i : i + 32]
-                          for i in range(0, len(content), 32))  # fmt: skip
-        packed = mutate_bytes(packed, rng) if rng.random() < 0.3 else packed
-        body = np.array([len(packed), len(content)], dtype="<u4").tobytes() + packed
-    return _damaged([f"{key} {' '.join(map(str, values))}" for key, values in entries.items()], body, rng)
 
 
 def write_sequence(folder: Path, rng: np.random.Generator) -> None:

@@ -25,7 +25,7 @@ evaluate mapped.mcap --reference ODD
 evaluate mapped.mcap --reference trajectory.kitti --times ODD
 compare mapped.mcap ODD
 export ODD --tum out.txt
-degrade ODD -o out.mcap --dropout 0.1
+degrade ODD -o out.mcap --fault dropout=0.1
 optimize ODD -o out.g2o
 map info ODD
 map merge map.mcap ODD -o out.mcap
@@ -39,7 +39,7 @@ import kitti-objects out.mcap --detections ODD --odometry trajectory.kitti --cal
 simulate out.mcap --config ODD
 simulate out.mcap --objects ODD --trajectory ODD
 config --config ODD
-fleet --manifest ODD -o fleet
+fleet add fleet --manifest ODD
 sweep ODD -o sweep
 """.strip().splitlines()
 _WRITING = """
@@ -51,7 +51,7 @@ evaluate mapped.mcap --html ODD
 export mapped.mcap --tum ODD
 export mapped.mcap --csv ODD
 export mapped.mcap --ros2-bag ODD
-degrade drive.mcap --dropout 0.1 -o ODD
+degrade drive.mcap --fault dropout=0.1 -o ODD
 optimize graph.g2o -o ODD
 map crop map.mcap --circle 0,0,9 -o ODD
 import csv ODD --odometry trajectory.tum --detections detections.csv

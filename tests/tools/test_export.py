@@ -150,14 +150,6 @@ class TestTracks:
         }[of]()
         np.testing.assert_array_equal(positions, expected[:, :3, 3])
 
-    def test_a_camera_looks_ahead(self, dslam: Run, mapped: Path, records: EvaluationRecords, tmp_path: Path) -> None:
-        assert dslam("export", mapped, "--kitti-camera", tmp_path / "k.txt").code == 0
-        T = np.loadtxt(tmp_path / "k.txt").reshape(-1, 3, 4)
-        np.testing.assert_allclose(T[0], np.eye(4)[:3], atol=1e-12)
-        bodies = records.trajectory.T_map_body
-        forward, left, up = (np.linalg.inv(bodies[0]) @ bodies)[:, :3, 3].T
-        np.testing.assert_allclose(T[:, :, 3], np.stack([-left, -up, forward], axis=1), atol=1e-9)
-
     @pytest.mark.slow
     @pytest.mark.skipif(shutil.which("evo_ape") is None, reason="evo is not installed")
     def test_evo_finds_the_same_error(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from slam.backend.pose_graph import pose_graph_optimization
 from slam.formats.g2o import read_pose_graph, write_pose_graph
 from tests.helpers.pose_graphs import rmse_m, with_false
 from tests.tools.runs import Run, assert_refused
@@ -24,10 +26,6 @@ def source(tmp_path: Path) -> Path:
 
 
 class TestOptimize:
-    def test_iterations_are_a_number_that_the_solver_can_hold(self, dslam: Run, source: Path, tmp_path: Path) -> None:
-        result = dslam("optimize", source, "-o", tmp_path / "out.g2o", "--max-iterations", 10**12)
-        assert_refused(result, "--max-iterations")
-
     @pytest.mark.parametrize("folder", ["", ".", ".."])
     def test_a_folder_is_no_output(self, dslam: Run, source: Path, folder: str) -> None:
         assert_refused(dslam("optimize", source, "-o", folder), "is a folder")
@@ -56,9 +54,9 @@ class TestOptimize:
 
     def test_the_same_input_gives_the_same_bytes(self, dslam: Run, source: Path, tmp_path: Path) -> None:
         for name in ("a", "b"):
-            dslam("optimize", source, "-o", tmp_path / f"{name}.g2o", "--weights", tmp_path / f"{name}.txt")
+            dslam("optimize", source, "-o", tmp_path / f"{name}.g2o")
         assert (tmp_path / "a.g2o").read_bytes() == (tmp_path / "b.g2o").read_bytes()
-        assert (tmp_path / "a.txt").read_bytes() == (tmp_path / "b.txt").read_bytes()
+        assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
 
     def test_json(self, dslam: Run, source: Path, tmp_path: Path) -> None:
         result = dslam("optimize", source, "-o", tmp_path / "out.g2o", "--json")
@@ -68,8 +66,12 @@ class TestOptimize:
         assert summary["error_after"] < summary["error_before"]
         assert summary["weights"] == str(tmp_path / "out.json")
 
-    def test_what_does_not_converge_exits_with_1(self, dslam: Run, source: Path, tmp_path: Path) -> None:
-        result = dslam("optimize", source, "-o", tmp_path / "out.g2o", "--max-iterations", 1)
+    def test_what_does_not_converge_exits_with_1(
+        self, dslam: Run, source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        module = pose_graph_optimization
+        monkeypatch.setattr(module, "optimize_pose_graph", partial(module.optimize_pose_graph, max_iterations=1))
+        result = dslam("optimize", source, "-o", tmp_path / "out.g2o")
         assert result.code == 1
         assert result.err.startswith("dslam: not converged: ")
         assert result.err.count("\n") == 1

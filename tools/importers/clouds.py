@@ -1,4 +1,4 @@
-"""dslam import semantic-kitti, paris-lille, iqmulus, ply and pcd: labelled point clouds."""
+"""dslam import semantic-kitti, paris-lille, iqmulus and ply: labelled point clouds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from tools.arguments import Json, NewLog, check_outputs
 from tools.importers.maps import SURVEYED_SIGMA_M, NewMap, Origin, Sigma, make_map
 
 if TYPE_CHECKING:
-    from logs.clouds.cloud_files import CloudFields
     from logs.clouds.map_of_cloud import CloudSummary
 
 CloudFile = Annotated[Path, typer.Option(metavar="FILE", help="PLY with x, y, z, class and the number of the object.")]
@@ -78,31 +77,23 @@ def semantic_kitti(
     write_drive(output, records, sequence_files.drive.source, json=json)
 
 
-def paris_lille(
+def urban(
     output: NewMap, file: CloudFile, origin: Origin = None, sigma: Sigma = SURVEYED_SIGMA_M, json: Json = False
 ) -> None:
-    """A map of the objects of Paris-Lille-3D: a file of 50 classes, with the fields class and label (the object).
+    """A map of the objects of Paris-Lille-3D (the files of 50 classes) or of IQmulus & TerraMobilita.
 
     What moves or may move, what is unknown, bollards and surfaces are left out, as in "Descriptellation" (Xing et al.);
     printed is how many objects and classes there were and are left, as in its Table I.
 
     Example: dslam import paris-lille lille_map.mcap --file training_50_classes/Lille1.ply
     """
-    from logs.clouds.cloud_files import PARIS_LILLE
+    check_outputs([output], [file])
+    from logs.clouds.cloud_files import read_cloud
+    from logs.clouds.map_of_cloud import urban_objects
+    from logs.digest import file_sha256
 
-    _make_urban(output, file, PARIS_LILLE, origin, sigma, json=json)
-
-
-def iqmulus(
-    output: NewMap, file: CloudFile, origin: Origin = None, sigma: Sigma = SURVEYED_SIGMA_M, json: Json = False
-) -> None:
-    """A map of the objects of IQmulus & TerraMobilita, with the fields class and id; as for paris-lille.
-
-    Example: dslam import iqmulus cassette_map.mcap --file Cassette_GT.ply
-    """
-    from logs.clouds.cloud_files import IQMULUS
-
-    _make_urban(output, file, IQMULUS, origin, sigma, json=json)
+    objects, summary = urban_objects(read_cloud(file), str(file), file_sha256(file))
+    make_map(output, objects, origin, None, sigma, json=json, more={**_statistics(summary), **_left_out(summary)})
 
 
 def ply(
@@ -117,46 +108,13 @@ def ply(
 
     Example: dslam import ply town_map.mcap --file town.ply --name 80=pole --name 71=trunk
     """
-    _make_named(output, file, name, origin, sigma, json=json)
-
-
-def pcd(
-    output: NewMap,
-    file: AnyCloud,
-    name: Names = None,
-    origin: Origin = None,
-    sigma: Sigma = SURVEYED_SIGMA_M,
-    json: Json = False,
-) -> None:
-    """A map of the objects of any labelled cloud of a whole place, from a PCD file.
-
-    Example: dslam import pcd town_map.mcap --file town.pcd --name 80=pole --name 71=trunk
-    """
-    _make_named(output, file, name, origin, sigma, json=json)
-
-
-def _make_urban(
-    output: Path, file: Path, fields: CloudFields, origin: str | None, sigma_m: float, *, json: bool
-) -> None:
-    check_outputs([output], [file])
-    from logs.clouds.cloud_files import read_cloud
-    from logs.clouds.map_of_cloud import urban_objects
-    from logs.digest import file_sha256
-
-    objects, summary = urban_objects(read_cloud(file, fields), str(file), file_sha256(file))
-    make_map(output, objects, origin, None, sigma_m, json=json, more={**_statistics(summary), **_left_out(summary)})
-
-
-def _make_named(
-    output: Path, file: Path, names: list[str] | None, origin: str | None, sigma_m: float, *, json: bool
-) -> None:
     check_outputs([output], [file])
     from logs.clouds.cloud_files import read_cloud
     from logs.clouds.map_of_cloud import named_objects
     from logs.digest import file_sha256
 
-    objects, summary = named_objects(read_cloud(file), str(file), file_sha256(file), _parsed_names(names))
-    make_map(output, objects, origin, None, sigma_m, json=json, more=_left_out(summary))
+    objects, summary = named_objects(read_cloud(file), str(file), file_sha256(file), _parsed_names(name))
+    make_map(output, objects, origin, None, sigma, json=json, more=_left_out(summary))
 
 
 def _parsed_names(names: list[str] | None) -> Mapping[int, str] | None:

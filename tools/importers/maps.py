@@ -58,9 +58,6 @@ def osm(
 def geojson(
     output: NewMap,
     file: Annotated[Path, typer.Option(metavar="FILE", help="A FeatureCollection with points in WGS 84; also .gz.")],
-    class_property: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Property that holds the class; by default class, label, ...")
-    ] = None,
     origin: Origin = None,
     label: Label = None,
     sigma: Sigma = SURVEYED_SIGMA_M,
@@ -73,7 +70,7 @@ def geojson(
     check_outputs([output], [file])
     from logs.importers.maps.geojson import read_geojson
 
-    make_map(output, read_geojson(file, class_property=class_property), origin, label, sigma, json=json)
+    make_map(output, read_geojson(file), origin, label, sigma, json=json)
 
 
 def csv_map(

@@ -41,7 +41,6 @@ def info(map_log: SavedMapFile, json: Json = False) -> None:
 def crop(
     map_log: SavedMapFile,
     output: Output,
-    box: Annotated[str | None, typer.Option(metavar="XMIN,YMIN,XMAX,YMAX", help="A rectangle [m].")] = None,
     circle: Annotated[str | None, typer.Option(metavar="X,Y,RADIUS", help="A circle [m].")] = None,
     polygon: Annotated[str | None, typer.Option(metavar='"X,Y X,Y X,Y ..."', help="Corners of a polygon [m].")] = None,
 ) -> None:
@@ -50,7 +49,7 @@ def crop(
     Example: dslam map crop town.mcap -o square.mcap --circle 120,40,60
     """
     check_outputs([output], [map_log])
-    area = _area(box, circle, polygon)
+    area = _area(circle, polygon)
     from slam.localization.imported_map_editing import crop_imported_map
     from slam.localization.prior_map import load_prior_map
     from slam.object_map.map_cropping import crop_map
@@ -144,18 +143,15 @@ def _write(output: Path, saved: SavedMap) -> None:
     write_map(output, saved)
 
 
-def _area(box: str | None, circle: str | None, polygon: str | None) -> Area:
-    if sum(each is not None for each in (box, circle, polygon)) != 1:
-        raise typer.BadParameter("give one of --box, --circle and --polygon.")
+def _area(circle: str | None, polygon: str | None) -> Area:
+    if (circle is None) == (polygon is None):
+        raise typer.BadParameter("give one of --circle and --polygon.")
     import numpy as np
 
     from slam.common.areas import Circle, Polygon
 
     if circle is not None:
         return Circle(*_numbers("--circle", "X,Y,RADIUS", circle, 3))
-    if box is not None:
-        low_high = np.array(_numbers("--box", "XMIN,YMIN,XMAX,YMAX", box, 4)).reshape(2, 2)
-        return Polygon.box(*low_high)
     corners = [_numbers("--polygon", "X,Y X,Y X,Y ...", corner, 2) for corner in (polygon or "").split()]
     return Polygon(np.array(corners).reshape(-1, 2))
 

@@ -42,9 +42,6 @@ def export(
     ] = Track.ESTIMATE,
     tum: Annotated[Path | None, _file("Trajectory: stamp x y z qx qy qz qw.")] = None,
     kitti: Annotated[Path | None, _file("Trajectory: 3 x 4 matrix of the body.")] = None,
-    kitti_camera: Annotated[
-        Path | None, _file("The same of a camera at the body: z ahead, x right, from its first pose.")
-    ] = None,
     geodetic: Annotated[Path | None, _file("Trajectory: latitude, longitude and altitude, a table.")] = None,
     g2o: Annotated[Path | None, _file("Keyframes, landmarks and all factors; no robust kernels.")] = None,
     csv: Annotated[Path | None, _file("Landmarks: a table.")] = None,
@@ -65,7 +62,7 @@ def export(
 
     Example: dslam export map.mcap --tum trajectory.txt --csv landmarks.csv --ros2-bag bag
     """
-    outputs = [tum, kitti, kitti_camera, geodetic, g2o, csv, geojson, ply]
+    outputs = [tum, kitti, geodetic, g2o, csv, geojson, ply]
     if not any([*outputs, ros2_bag]):
         raise typer.BadParameter(
             "nothing to write; give --tum, --kitti, --geodetic, --g2o, --csv, --geojson, --ply or --ros2-bag."
@@ -77,7 +74,7 @@ def export(
     from tools import console
 
     source = _Source(log, of, origin)
-    for path, write in ((tum, text.write_tum), (kitti, text.write_kitti), (kitti_camera, text.write_kitti_camera)):
+    for path, write in ((tum, text.write_tum), (kitti, text.write_kitti)):
         if path is not None:
             write(path, source.track)
             console.show(f"{path}: {len(source.track.stamps_ns)} poses")

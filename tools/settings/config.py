@@ -18,7 +18,6 @@ def config(
     config_file: ConfigFile = None,
     settings: Settings = None,
     json: Json = False,
-    toml: Annotated[bool, typer.Option("--toml", help="Print TOML, the default.")] = False,
     made_from: Annotated[
         Path | None,
         typer.Option(
@@ -36,8 +35,6 @@ def config(
 
     Example: dslam config --set keyframe.distance_m=1.5 > mine.toml
     """
-    if json and toml:
-        raise typer.BadParameter("--json and --toml cannot be combined.")
     from slam.common.config import load_config
     from slam.common.config_tree import to_toml
     from slam.simulation.config import load_simulation_config

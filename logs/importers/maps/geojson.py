@@ -20,12 +20,11 @@ _MAX_KIND_LENGTH = 30
 _GLOBAL_CRS = ("CRS84", "4326", "WGS84", "4979")
 
 
-def read_geojson(path: Path, *, class_property: str | None = None) -> MapObjects:
+def read_geojson(path: Path) -> MapObjects:
     """Read the points of a FeatureCollection, or of features of which each has a line.
 
     Args:
         path: the file, packed by gzip or not.
-        class_property: which property is the class; by default the first there is of ``class``, ``label``, ...
 
     Raises:
         DatasetError: no GeoJSON, no point in it, coordinates that are no degrees, or no such property.
@@ -38,7 +37,7 @@ def read_geojson(path: Path, *, class_property: str | None = None) -> MapObjects
         if kind not in ("Point", "MultiPoint"):
             others[kind[:_MAX_KIND_LENGTH] if isinstance(kind, str) else "without geometry"] += 1
             continue
-        label = _first(properties, (class_property,) if class_property else CLASS_NAMES) or UNKNOWN
+        label = _first(properties, CLASS_NAMES) or UNKNOWN
         name = str(feature.get("id") or _first(properties, ID_NAMES) or number)
         coordinates = geometry.get("coordinates")
         points = coordinates if kind == "MultiPoint" else [coordinates]
@@ -51,8 +50,6 @@ def read_geojson(path: Path, *, class_property: str | None = None) -> MapObjects
         raise DatasetError(f"{path}: none of its features is a point ({kinds}); export points, for example centroids")
     geodetic = np.array(positions).reshape(-1, 3)
     check_degrees(str(path), geodetic)
-    if class_property and all(label == UNKNOWN for label in labels):
-        raise DatasetError(f"{path}: no feature has a property {class_property!r}; see the properties of the layer")
     notes = (f"{others.total()} features that are not points were ignored ({kinds})",) if others else ()
     return MapObjects(str(path), geodetic, tuple(labels), distinct(ids), True, source.sha256, notes)
 

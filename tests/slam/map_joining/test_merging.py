@@ -32,6 +32,10 @@ T_AWAY = transform_from_xyz_yaw(np.array([400.0, -250.0, 3.0]), 2.0)
 """Where the frame of the second map lies."""
 
 
+def box(x0: float, y0: float, x1: float, y1: float) -> Polygon:
+    return Polygon(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))
+
+
 def moved(saved: SavedMap, T_new_old: FloatArray) -> SavedMap:
     """The map in another frame."""
     R = T_new_old[:3, :3]
@@ -80,7 +84,7 @@ def errors_m(saved: SavedMap) -> np.ndarray:
 def half(saved: SavedMap, low: float, high: float) -> SavedMap:
     """The part of a map in these quantiles of its landmarks along x."""
     x = np.quantile(saved.objects.positions[:, 0], [low, high])
-    return crop_map(saved, Polygon.box(np.array([x[0] - 0.1, -1e4]), np.array([x[1] + 0.1, 1e4])))
+    return crop_map(saved, box(x[0] - 0.1, -1e4, x[1] + 0.1, 1e4))
 
 
 def test_two_maps_of_one_town_become_one(first: SavedMap, second: SavedMap) -> None:
@@ -135,9 +139,7 @@ def test_georeferences_join_maps_that_share_no_place(first: SavedMap, second: Sa
     assert find_fault(merged.saved.objects, merged.saved.graph) == ""
 
 
-@pytest.mark.parametrize(
-    "area", [Circle(30.0, 20.0, 35.0), Polygon.box(np.array([-20.0, -20.0]), np.array([50.0, 30.0]))]
-)
+@pytest.mark.parametrize("area", [Circle(30.0, 20.0, 35.0), box(-20.0, -20.0, 50.0, 30.0)])
 def test_a_part_holds_what_lies_in_it_where_it_was(first: SavedMap, area: Area, tmp_path: Path) -> None:
     part = crop_map(first, area)
     inside = area.contains(first.objects.positions)

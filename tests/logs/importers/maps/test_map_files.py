@@ -107,12 +107,6 @@ class TestGeoJson:
         with pytest.raises(DatasetError, match=r"none of its features is a point \(2 Polygon, 1 without geometry\)"):
             read_geojson(geojson(tmp_path / "a.geojson", area, area, {"type": "Feature", "geometry": None}))
 
-    def test_any_property_can_be_the_class(self, tmp_path: Path) -> None:
-        path = geojson(tmp_path / "a.geojson", feature(24.9, 60.1, art="Eiche", type="x"))
-        assert read_geojson(path, class_property="art").labels == ("Eiche",)
-        with pytest.raises(DatasetError, match="no feature has a property 'sort'"):
-            read_geojson(path, class_property="sort")
-
     def test_faults(self, tmp_path: Path) -> None:
         with pytest.raises(DatasetError, match=r"latitude 6\.6e\+06.*these are metres"):
             read_geojson(geojson(tmp_path / "a.json", feature(385000.0, 6.6e6)))
