@@ -14,11 +14,12 @@ from slam.common.errors import InputDataError
 from slam.common.geometry import invert, yaw_rad
 from slam.scan_localization import ScanLocalization, ScanLocalizer
 from tests.helpers.long_street import generate_street
-from tools.lab.descriptors.experiment import localizer_config
-from tools.lab.descriptors.queries import SCENARIOS, LabelledMap, LocalQuery, draw_queries, labelled_map
+from tools.lab.retrieval.labelled_map import LabelledMap, labelled_map
+from tools.lab.retrieval.paper import localizer_config
+from tools.lab.retrieval.paper_queries import SCENARIOS, LocalQuery, draw_queries
 
 SELF, FEWER, NOISY = SCENARIOS
-EXACT = localizer_config("ring_likelihood", 6)
+EXACT = localizer_config("ring_likelihood")
 
 
 @pytest.fixture(scope="module")

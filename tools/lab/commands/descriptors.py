@@ -22,18 +22,14 @@ Trajectory = Annotated[
 ]
 Methods = Annotated[
     list[str] | None,
-    typer.Option(
-        "--descriptor", metavar="NAME", help="Descriptor, or 'exhaustive search'. Repeatable; by default all."
-    ),
+    typer.Option("--descriptor", metavar="NAME", help="Descriptor. Repeatable; by default all."),
 ]
-Neighbours = Annotated[int, typer.Option(min=1, help="Nearest descriptors for each object (loop_closure.top_k).")]
 
 
 def descriptors(
     objects: Objects = None,
     trajectory: Trajectory = None,
     descriptor: Methods = None,
-    neighbours: Neighbours = 6,
     queries: Annotated[int, typer.Option(min=1, help="Queries for each scenario and seed.")] = 500,
     seeds: Annotated[int, typer.Option(min=1, help="Repetitions, each with different queries.")] = 5,
     output: Annotated[
@@ -62,29 +58,23 @@ def descriptors(
     from descriptors.random_vector import RandomVector
     from descriptors.registry import DESCRIPTOR_NAMES
     from tools import console
-    from tools.lab.descriptors.comparison import write_comparison
-    from tools.lab.descriptors.experiment import EXHAUSTIVE, benchmark_descriptors
-    from tools.lab.descriptors.queries import labelled_map
+    from tools.lab.retrieval.labelled_map import labelled_map
+    from tools.lab.retrieval.paper import benchmark_descriptors, write_comparison
 
     world = _world(objects, trajectory)
     objects_of_map = labelled_map(world)
-    methods = list(descriptor or [*DESCRIPTOR_NAMES, EXHAUSTIVE])
-    if RandomVector.name not in methods:
-        methods.append(RandomVector.name)
+    methods = list(dict.fromkeys([*(descriptor or DESCRIPTOR_NAMES), RandomVector.name]))
     with console.progress_bar("localizing", "localizing") as move:
         cells = benchmark_descriptors(
             objects_of_map,
             world.tour,
             methods,
-            neighbours=neighbours,
             queries=queries,
             seeds=seeds,
             on_progress=move or (lambda fraction: None),
         )
     count, classes = len(objects_of_map), len(objects_of_map.vocabulary)
-    conditions = (
-        f"{count} objects, {classes} classes; {queries} queries x {seeds} seeds, {neighbours} nearest descriptors"
-    )
+    conditions = f"{count} objects, {classes} classes; {queries} queries x {seeds} seeds"
     if output is not None:
         write_comparison(output, world.name, cells, conditions)
     rows = cells.to_dict("records")
@@ -94,7 +84,7 @@ def descriptors(
         title=f"{world.name}: {conditions}",
         texts=["scenario"],
         markdown=markdown,
-        json={**about, "neighbours": neighbours, "cells": rows} if json else None,
+        json={**about, "cells": rows} if json else None,
     )
 
 

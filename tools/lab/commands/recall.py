@@ -34,10 +34,6 @@ def recall(
         list[int] | None,
         typer.Option(min=1, metavar="N", help="Size of the map: the N objects nearest to a random one. Repeatable."),
     ] = None,
-    share: Annotated[
-        list[float] | None,
-        typer.Option(min=1e-3, max=1.0, metavar="S", help="Share of the objects that is kept. Repeatable."),
-    ] = None,
     classes: Annotated[
         list[int] | None,
         typer.Option(min=1, metavar="N", help="The N - 1 commonest classes, and one for all others. Repeatable."),
@@ -98,9 +94,8 @@ def recall(
     contest = Contest(
         proposers=tuple(proposers),
         sizes=tuple(size or [10_000]),
-        shares=tuple(share or [1.0]),
         classes=tuple(classes or [20]),
-        scenarios=_scenarios(missing or [0.1], clutter or [0.1], noise or [0.2], seen or [None]),
+        scenarios=_scenarios(missing or [0.1], clutter or [0.1], noise or [0.2], seen or [0]),
         queries=queries,
         seed=seed,
     )
@@ -121,28 +116,25 @@ def recall(
 
 
 def _scenarios(
-    missing: Sequence[float], clutter: Sequence[float], noise_m: Sequence[float], objects: Sequence[int | None]
+    missing: Sequence[float], clutter: Sequence[float], noise_m: Sequence[float], objects: Sequence[int]
 ) -> tuple[Scenario, ...]:
     """The first values of all, and each other one of them beside the first of the others."""
     from dataclasses import replace
 
     from tools.lab.retrieval.path_queries import Scenario
 
-    first = Scenario(missing[0], clutter[0], noise_m[0], objects[0])
-    others = [replace(first, missing=value) for value in missing[1:]]
-    others += [replace(first, clutter=value) for value in clutter[1:]]
-    others += [replace(first, noise_m=value) for value in noise_m[1:]]
-    others += [replace(first, objects=value) for value in objects[1:]]
-    return (first, *others)
+    first = Scenario(objects[0], missing[0], clutter[0], noise_m[0])
+    varied: dict[str, Sequence[Any]] = {"missing": missing, "clutter": clutter, "noise_m": noise_m, "objects": objects}
+    return (first, *(replace(first, **{name: each}) for name, values in varied.items() for each in values[1:]))
 
 
 def _row(cell: dict[str, Any]) -> dict[str, str]:
-    from tools.lab.retrieval.contest_page import describe_query
+    from tools.lab.retrieval.contest import scenario_of
 
     return {
         "descriptor": cell["proposer"],
         "map": f"{cell['map_objects']} of {cell['map_classes']}",
-        "query": describe_query(cell["objects"], cell["missing"], cell["clutter"], cell["noise_m"]),
+        "query": scenario_of(cell).describe(),
         "@1 %": percent(cell["at_1"]),
         "@5 %": percent(cell["at_5"]),
         "@25 %": percent(cell["at_25"]),

@@ -21,11 +21,6 @@ def retrieval(
             help="Descriptor: a name, a weights file or module:Class. Repeatable; by default all.",
         ),
     ] = None,
-    neighbours: Annotated[
-        int | None,
-        typer.Option(min=1, help="Matches for each object; by default loop_closure.top_k.", show_default=False),
-    ] = None,
-    spacing: Annotated[float, typer.Option(metavar="M", min=0.0, help="Minimum travel between two queries.")] = 4.75,
     config_file: ConfigFile = None,
     settings: Settings = None,
     topics: Topics = None,
@@ -35,28 +30,22 @@ def retrieval(
     """Measure the recall of places by descriptors alone at each revisit of a drive.
 
     The drive is mapped without closing loops, and every descriptor gets the same submaps. Places: queries with a
-    right pose (4 m, 10 deg) among the first 1, 5 and 25 that the registration finds among the matches. Objects: those
-    of the map whose counterpart is among their first 1, 5 and 25 matches.
+    right pose (4 m, 10 deg) among the first 1, 5 and 25 proposals.
 
     Example: dslam benchmark retrieval drive.mcap --descriptor ring_likelihood --descriptor descriptellation_lr
     """
     from descriptors.registry import DESCRIPTOR_NAMES
     from slam.common.config import load_config
     from tools import console
-    from tools.lab.retrieval.measurement import measure_retrieval
-    from tools.lab.retrieval.recorded_places import record_places
+    from tools.lab.retrieval.revisits import measure_revisits
 
     config = load_config(config_file, settings or ())
     names = descriptor or list(DESCRIPTOR_NAMES)
     figures: list[dict[str, Any]] = []
     for log in logs:
         with console.progress_bar(f"mapping {log.name}", "mapping") as move:
-            recorded = record_places(
-                log, config, spacing_m=spacing, topics=parse_topics(topics), on_progress=move or (lambda done: None)
-            )
-        with console.progress_bar(f"asking at {log.name}", "asking") as move:
-            figures += measure_retrieval(
-                recorded, names, neighbours=neighbours, on_progress=move or (lambda done: None)
+            figures += measure_revisits(
+                log, names, config, topics=parse_topics(topics), on_progress=move or (lambda done: None)
             )
     report(
         [_row(each) for each in figures],
@@ -67,15 +56,13 @@ def retrieval(
 
 
 def _row(figures: dict[str, Any]) -> dict[str, str]:
-    from tools.lab.retrieval.measurement import RECALL_AT
+    from tools.lab.retrieval.labelled_map import RECALL_AT
 
     return {
         "drive": figures["drive"],
         "descriptor": figures["descriptor"],
         "queries": str(figures["queries"]),
         **{f"places @{k} %": percent(figures[f"places_at_{k}"]) for k in RECALL_AT},
-        **{f"objects @{k} %": percent(figures[f"objects_at_{k}"]) for k in RECALL_AT},
-        "match ms": number(figures["match_ms"], 1),
-        "verify ms": number(figures["verify_ms"], 1),
+        "query ms": number(figures["query_ms"], 1),
         "map s": number(figures["index_s"], 2),
     }

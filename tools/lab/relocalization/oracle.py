@@ -24,9 +24,9 @@ from slam.loop_closure.likelihood_ratio import compute_log_likelihood_ratio
 from slam.object_map.submap import Submap, gravity_frame
 from slam.registration.parameters import registration_config
 from slam.registration.registration import Registration
+from tools.lab.relocalization.exhaustive_search import make_exhaustive_search
 from tools.lab.relocalization.figures import Tolerance, deviation
 from tools.lab.relocalization.known_map import KnownMap
-from tools.lab.retrieval.exhaustive_search import make_exhaustive_search
 
 REACH_M = 80.0
 """Longest pairs of objects: what is seen on 40 m of travel with a range of 30 m is mostly nearer together."""

@@ -1,1 +1,1 @@
-"""Descriptors that are asked for the place, in drives and in maps of objects."""
+"""Descriptors and quads that are asked for the place: at the revisits of drives, and in maps of objects."""

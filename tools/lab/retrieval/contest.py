@@ -1,4 +1,4 @@
-"""A contest of proposers in maps of objects: by the number, density and classes of the objects, and by the query.
+"""A contest of proposers in maps of objects: by the number and classes of the objects, and by the query.
 
 A query is what a robot has observed on a path (:mod:`tools.lab.retrieval.path_queries`). Each proposer has the same
 number of candidates, which are verified in the same way.
@@ -7,10 +7,11 @@ number of candidates, which are verified in the same way.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -28,15 +29,12 @@ from slam.object_map.submap import Submap
 from slam.place_recognition.imported_places import HEIGHT_SIGMA_M
 from slam.registration.parameters import registration_config
 from slam.registration.registration import refine
-from tools.lab.descriptors.queries import LabelledMap
-from tools.lab.retrieval.measurement import RECALL_AT, is_right
+from tools.lab.retrieval.labelled_map import RECALL_AT, LabelledMap, is_right
 from tools.lab.retrieval.path_queries import PathQuery, Scenario, draw_path_queries
 from tools.lab.retrieval.proposers import MAP_SIGMA_M, QUADS, VOTES, Proposer, make_proposer
 
-KEY = ["world", "proposer", "size", "share", "most_classes", "objects", "missing", "clutter", "noise_m", "queries",
-       "seed"]  # fmt: skip
-"""Columns that tell one row from all others; 0 ``objects`` are all on the travel of a submap."""
-Key = tuple[object, ...]
+KEY = ["world", "proposer", "size", "most_classes", "objects", "missing", "clutter", "noise_m", "queries", "seed"]
+"""Columns that tell one row from all others."""
 GAP_M = 200.0
 """Between maps that are put side by side: no constellation has objects of two."""
 
@@ -45,14 +43,12 @@ GAP_M = 200.0
 class Contest:
     """What is measured: each proposer in maps of the objects nearest to one of them, which is drawn.
 
-    ``sizes``: objects of a map before it is thinned to a ``share``. ``classes``: how many; the commonest keep their
-    names, all others are of one class. The ``queries`` of a scenario are drawn in the smallest map of a share and a
-    number of classes, and asked in all of these.
+    ``sizes``: objects of a map. ``classes``: how many; the commonest keep their names, all others are of one class. The
+    ``queries`` of a scenario are drawn in the smallest map, and asked in all.
     """
 
     proposers: tuple[str, ...]
     sizes: tuple[int, ...]
-    shares: tuple[float, ...] = (1.0,)
     classes: tuple[int, ...] = (20,)
     scenarios: tuple[Scenario, ...] = (Scenario(),)
     queries: int = 60
@@ -93,135 +89,55 @@ def run_contest(
 ) -> pd.DataFrame:
     """Each proposer in each map with the queries of each scenario, one a row.
 
-    ``KEY`` has the columns that tell one from all others. ``map_objects``, ``map_classes``, ``neighbours`` (mean number
-    within range of an object); ``build_s``: time to make the index, of ``bytes_per_object``. ``at_1``, ``at_5``,
-    ``at_25``: shares of the queries with a right pose (4 m, 10 deg) among the first proposals. ``right``: share with a
-    right pose after verification, ``wrong``: share whose verified pose is accepted and wrong. ``propose_ms``,
-    ``propose_p95_ms``, ``verify_ms``: of a query, median and 95th percentile. All times are of the processor.
+    ``KEY`` has the columns that tell one from all others. ``map_objects``, ``map_classes``; ``build_s``: time to make
+    the index, of ``bytes_per_object``. ``at_1``, ``at_5``, ``at_25``: shares of the queries with a right pose (4 m, 10
+    deg) among the first proposals. ``right``: share with a right pose after verification, ``wrong``: share whose
+    verified pose is accepted and wrong. ``propose_ms``, ``propose_p95_ms``, ``verify_ms``: of a query, median and 95th
+    percentile. All times are of the processor.
 
     Args:
         objects: in metres.
         contest: what is measured.
-        results: a CSV file; rows that it has are not measured again, and each new one is added to it at once.
+        results: a CSV file; rows that it has are not measured again, and new ones are added to it at once.
         on_progress: called with the fraction done, in [0, 1].
 
     Raises:
-        SimulationError: objects in degrees, or so sparse that hardly any path passes enough of them.
+        SimulationError: objects so sparse that hardly any path passes enough of them.
         DescriptorError: a descriptor that does not exist.
     """
-    if objects.is_geodetic:
-        raise SimulationError("objects in degrees; give metres")
     for name in contest.proposers:  # what cannot be made is refused before anything is measured
         if name not in (QUADS, VOTES):
             make_index(name)
-    known = read_results(results)
-    before = set(known[KEY].itertuples(index=False, name=None)) if len(known) else set[Key]()
-    maps = len(contest.sizes) * len(contest.shares) * len(contest.classes)
-    asked, measured = list[Key](), [known] if len(known) else []
-    with threadpool_limits(limits=1):
-        for done, (world, proposer, queries) in enumerate(_pair(objects, contest), start=1):
-            asked += queries
-            new = {key: drawn for key, drawn in queries.items() if key not in before}
-            if new:
-                cells = _measure(world, proposer, new)
-                measured.append(cells)
-                if results is not None:
-                    cells.to_csv(results, mode="a", header=not results.exists(), index=False)
-            on_progress(done / (maps * len(contest.proposers)))
-    every = pd.concat(measured, ignore_index=True)
-    return every[pd.MultiIndex.from_frame(every[KEY]).isin(asked)].reset_index(drop=True)
-
-
-def _pair(objects: MapObjects, contest: Contest) -> Iterator[tuple[LabelledMap, str, dict[Key, Sequence[PathQuery]]]]:
-    """Each map with each proposer, and the queries of each scenario by their values of :data:`KEY`."""
-    rng = np.random.default_rng(contest.seed)
-    centre = objects.positions[int(rng.integers(len(objects)))]
-    order = np.argsort(np.hypot(*(objects.positions[:, :2] - centre[:2]).T), kind="stable")
+    order = _by_distance(objects.positions, np.random.default_rng(contest.seed))
     sizes = sorted({min(size, len(order)) for size in contest.sizes})
-    for share, most_classes in product(contest.shares, contest.classes):
-        kept = order[rng.random(len(order)) < share]
-        world = _with_classes(objects.positions[kept], [objects.labels[row] for row in kept.tolist()], most_classes)
-        smallest = world.first(round(share * sizes[0]))
-        names = [smallest.vocabulary[label] for label in smallest.labels.tolist()]
-        drawn = {
-            # the same paths, whatever the classes
-            scenario: draw_path_queries(
-                smallest.positions,
-                names,
-                contest.queries,
-                rng=np.random.default_rng((contest.seed, 1)),
-                scenario=scenario,
-            )
-            for scenario in contest.scenarios
-        }
-        for size, proposer in product(sizes, contest.proposers):
-            where = (objects.source, proposer, size, share, most_classes)
-            yield (
-                world.first(round(share * size)),
-                proposer,
-                {
-                    (
-                        *where,
-                        each.objects or 0,
-                        each.missing,
-                        each.clutter,
-                        each.noise_m,
-                        contest.queries,
-                        contest.seed,
-                    ): of
-                    for each, of in drawn.items()
-                },
-            )
+    known = read_results(results)
+    measured, asked = [known] if len(known) else [], list[dict[str, Any]]()
+    runs = list(product(contest.classes, sizes, contest.proposers))
+    with threadpool_limits(limits=1):
+        for done, (classes, size, proposer) in enumerate(runs, start=1):
+            about = {"world": objects.source, "proposer": proposer, "size": size, "most_classes": classes}
+            about |= {"queries": contest.queries, "seed": contest.seed}
+            keys = [about | asdict(scenario) for scenario in contest.scenarios]
+            asked += keys
+            new = [key for key in keys if not len(_rows_of(known, [key]))]
+            if new:
+                world = _with_classes(objects.positions[order], [objects.labels[row] for row in order], classes)
+                found = pd.DataFrame(_measure(world, sizes[0], new))
+                measured.append(found)
+                if results is not None:
+                    found.to_csv(results, mode="a", header=not results.exists(), index=False)
+            on_progress(done / len(runs))
+    return _rows_of(pd.concat(measured, ignore_index=True), asked)
 
 
-def _measure(objects: LabelledMap, name: str, queries: Mapping[Key, Sequence[PathQuery]]) -> pd.DataFrame:
-    """A proposer in a map, with the queries of each scenario."""
-    started = time.process_time()
-    proposer = make_proposer(name, objects)
-    build_s = time.process_time() - started
-    some = objects.positions[:: max(len(objects) // 1000, 1), :2]
-    tree = cKDTree(objects.positions[:, :2])
-    around = tree.query_ball_point(some, Config().sensor_range_m, return_length=True)
-    about_map = {
-        "map_objects": len(objects),
-        "map_classes": len(objects.vocabulary),
-        "neighbours": float(np.mean(around)) - 1.0,
-        "bytes_per_object": proposer.nbytes / len(objects),
-        "build_s": build_s,
-    }
-    return pd.DataFrame(
-        [
-            {**dict(zip(KEY, key, strict=True)), **about_map, **_ask(proposer, objects, tree, drawn)}
-            for key, drawn in queries.items()
-        ]
-    )
+def read_results(results: Path | None) -> pd.DataFrame:
+    """The rows in a CSV file; none without a file."""
+    return pd.read_csv(results) if results is not None and results.exists() else pd.DataFrame(columns=KEY)
 
 
-def _ask(proposer: Proposer, objects: LabelledMap, tree: cKDTree, queries: Sequence[PathQuery]) -> dict[str, float]:
-    """Shares and times of a cell."""
-    hits = np.zeros(len(RECALL_AT))
-    right, wrong, times = 0, 0, []
-    for query in queries:
-        submap = query.labelled_as(objects.vocabulary)
-        started = time.process_time()
-        poses = proposer.propose(submap, RECALL_AT[-1])
-        proposed = time.process_time()
-        T_verified, is_accepted = verify(submap, poses[: Config().loop_closure.max_candidates], objects, tree)
-        times.append((proposed - started, time.process_time() - proposed))
-        proposals = np.flatnonzero(is_right(poses, query.T_map_query_gt[None]))
-        hits += [proposals.min(initial=RECALL_AT[-1]) < k for k in RECALL_AT]
-        found = T_verified is not None and bool(is_right(T_verified[None], query.T_map_query_gt[None])[0])
-        right += found
-        wrong += is_accepted and not found
-    propose_ms, verify_ms = 1e3 * np.array(times).T
-    shares = dict(zip([f"at_{k}" for k in RECALL_AT], (hits / len(queries)).tolist(), strict=True))
-    return shares | {
-        "right": right / len(queries),
-        "wrong": wrong / len(queries),
-        "propose_ms": float(np.median(propose_ms)),
-        "propose_p95_ms": float(np.percentile(propose_ms, 95)),
-        "verify_ms": float(np.median(verify_ms)),
-    }
+def scenario_of(cell: Mapping[Any, Any]) -> Scenario:
+    """The scenario of a row."""
+    return Scenario(**{each.name: cell[each.name] for each in fields(Scenario)})
 
 
 def verify(query: Submap, poses: FloatArray, objects: LabelledMap, tree: cKDTree) -> tuple[FloatArray | None, bool]:
@@ -256,14 +172,73 @@ def verify(query: Submap, poses: FloatArray, objects: LabelledMap, tree: cKDTree
     return best, bool(log_odds >= -log_odds_of(config.localization.error_probability))
 
 
+def _measure(world: LabelledMap, smallest: int, keys: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A proposer in a map, with the queries of each scenario, which are drawn in the ``smallest`` map."""
+    objects = world.first(keys[0]["size"])
+    started = time.process_time()
+    proposer = make_proposer(keys[0]["proposer"], objects)
+    about = {
+        "map_objects": len(objects),
+        "map_classes": len(objects.vocabulary),
+        "build_s": time.process_time() - started,
+        "bytes_per_object": proposer.nbytes / len(objects),
+    }
+    tree = cKDTree(objects.positions[:, :2])
+    rows = []
+    for key in keys:
+        rng = np.random.default_rng((key["seed"], 1))  # the same paths, whatever the classes
+        queries = draw_path_queries(world.first(smallest), key["queries"], rng=rng, scenario=scenario_of(key))
+        rows.append({**key, **about, **_ask(proposer, objects, tree, queries)})
+    return rows
+
+
+def _ask(proposer: Proposer, objects: LabelledMap, tree: cKDTree, queries: Sequence[PathQuery]) -> dict[str, float]:
+    """Shares and times of a cell."""
+    answers = pd.DataFrame([_answer(proposer, objects, tree, query) for query in queries])
+    return {
+        **{f"at_{k}": float((answers["rank"] < k).mean()) for k in RECALL_AT},
+        "right": float(answers["right"].mean()),
+        "wrong": float(answers["wrong"].mean()),
+        "propose_ms": float(answers["propose_ms"].median()),
+        "propose_p95_ms": float(np.percentile(answers["propose_ms"], 95)),
+        "verify_ms": float(answers["verify_ms"].median()),
+    }
+
+
+def _answer(proposer: Proposer, objects: LabelledMap, tree: cKDTree, query: PathQuery) -> dict[str, float]:
+    """The rank of the first right proposal from 0, whether the verified pose is right, or accepted and wrong; times."""
+    truth = query.T_map_query_gt[None]
+    started = time.process_time()
+    poses = proposer.propose(query.submap, RECALL_AT[-1])
+    proposed = time.process_time()
+    T_verified, is_accepted = verify(query.submap, poses[: Config().loop_closure.max_candidates], objects, tree)
+    verified = time.process_time()
+    found = T_verified is not None and bool(is_right(T_verified[None], truth)[0])
+    return {
+        "rank": np.flatnonzero(is_right(poses, truth)).min(initial=RECALL_AT[-1]),
+        "right": found,
+        "wrong": is_accepted and not found,
+        "propose_ms": 1e3 * (proposed - started),
+        "verify_ms": 1e3 * (verified - proposed),
+    }
+
+
+def _rows_of(cells: pd.DataFrame, keys: Sequence[dict[str, Any]]) -> pd.DataFrame:
+    """The rows with these values of :data:`KEY`."""
+    wanted = pd.MultiIndex.from_frame(pd.DataFrame(keys)[KEY])
+    return cells[pd.MultiIndex.from_frame(cells[KEY]).isin(wanted)].reset_index(drop=True)
+
+
+def _by_distance(positions: FloatArray, rng: np.random.Generator) -> list[int]:
+    """Rows of objects (N, 3) by their distance from one of them, which is drawn."""
+    centre = positions[int(rng.integers(len(positions)))]
+    order: list[int] = np.argsort(np.hypot(*(positions[:, :2] - centre[:2]).T), kind="stable").tolist()
+    return order
+
+
 def _with_classes(positions: FloatArray, labels: Sequence[str], count: int) -> LabelledMap:
     names, numbers = np.unique(labels, return_inverse=True)
     by_frequency = np.argsort(-np.bincount(numbers), kind="stable")
     merged = np.empty(len(names), dtype=np.int64)
     merged[by_frequency] = np.minimum(np.arange(len(names)), count - 1)
     return LabelledMap(positions, merged[numbers], tuple(str(number) for number in range(min(count, len(names)))))
-
-
-def read_results(results: Path | None) -> pd.DataFrame:
-    """The rows in a CSV file; none without a file."""
-    return pd.read_csv(results) if results is not None and results.exists() else pd.DataFrame()

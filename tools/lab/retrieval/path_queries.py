@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -13,6 +12,7 @@ from slam.common.config import Config
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.object_map.submap import SUBMAP_RANGES, Submap
+from tools.lab.retrieval.labelled_map import LabelledMap
 
 MIN_OBJECTS = 8
 """A path with fewer objects is no query."""
@@ -28,43 +28,35 @@ class Scenario:
 
     ``missing``: share of the objects in range that are not observed; ``clutter``: share of the observed ones that the
     map does not have; ``noise_m``: standard deviation of each coordinate. ``objects``: number of objects, those nearest
-    to the robot after as much travel as it takes; None: all within range on the travel of a submap.
+    to the robot after as much travel as it takes; 0: all within range on the travel of a submap.
     """
 
+    objects: int = 0
     missing: float = 0.1
     clutter: float = 0.1
     noise_m: float = 0.2
-    objects: int | None = None
+
+    def describe(self) -> str:
+        """The scenario in a few words."""
+        seen = f"{self.objects} objects" if self.objects else "objects of 50 m"
+        return f"{seen}, {self.missing:.0%} missing, {self.clutter:.0%} clutter, {self.noise_m:g} m"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathQuery:
-    """``submap`` in the frame of the robot, labels as in ``vocabulary``, and where it is, ``T_map_query_gt`` (4, 4)."""
+    """``submap`` in the frame of the robot, and where it is, ``T_map_query_gt`` (4, 4)."""
 
     submap: Submap
-    vocabulary: tuple[str, ...]
     T_map_query_gt: FloatArray
-
-    def labelled_as(self, vocabulary: Sequence[str]) -> Submap:
-        """The submap with labels as in another vocabulary, which has all classes of this one."""
-        number = {name: place for place, name in enumerate(vocabulary)}
-        labels = np.array([number[name] for name in self.vocabulary], dtype=np.int64)[self.submap.labels]
-        return replace(self.submap, labels=labels)
 
 
 def draw_path_queries(
-    positions: FloatArray,
-    labels: Sequence[str],
-    count: int,
-    *,
-    rng: np.random.Generator,
-    scenario: Scenario | None = None,
+    objects: LabelledMap, count: int, *, rng: np.random.Generator, scenario: Scenario | None = None
 ) -> list[PathQuery]:
     """Queries from straight paths that begin at objects of the map, in any direction.
 
     Args:
-        positions: (N, 3) m of the map.
-        labels: (N,) classes.
+        objects: the map.
         count: how many queries.
         rng: draws the paths and what is observed.
         scenario: the default one if None.
@@ -73,20 +65,19 @@ def draw_path_queries(
         SimulationError: objects so sparse that hardly any path passes enough of them.
     """
     scenario = scenario or Scenario()
-    tree = cKDTree(positions[:, :2])
-    names = {name: number for number, name in enumerate(sorted(set(labels)))}
-    classes = np.array([names[label] for label in labels], dtype=np.int64)
+    tree = cKDTree(objects.positions[:, :2])
     drawn: list[PathQuery] = []
     for _ in range(100 * count):
         if len(drawn) == count:
             return drawn
-        begin, yaw = positions[int(rng.integers(len(positions)))], rng.uniform(-np.pi, np.pi)
+        begin, yaw = objects.positions[int(rng.integers(len(objects)))], rng.uniform(-np.pi, np.pi)
         seen, end = _drive(tree, begin[:2], yaw, scenario, rng)
         if len(seen) < (scenario.objects or MIN_OBJECTS):
             continue
-        place = np.array([*end, float(np.median(positions[seen, 2]))])
+        place = np.array([*end, float(np.median(objects.positions[seen, 2]))])
         T_map_query = transform_from_xyz_yaw(place, yaw)
-        drawn.append(_observe(positions[seen], classes[seen], T_map_query, tuple(names), scenario, rng))
+        local = apply(invert(T_map_query), objects.positions[seen])
+        drawn.append(PathQuery(_observe(local, objects.labels[seen], scenario, rng), T_map_query))
     raise SimulationError(
         f"hardly any path passes {scenario.objects or MIN_OBJECTS} objects within "
         f"{Config().sensor_range_m:g} m; give a denser map"
@@ -99,14 +90,14 @@ def _drive(
     """Objects (K,), ascending, that are observed on a path from ``begin`` (2,) m, and where it ends (2,) m."""
     range_m = Config().sensor_range_m
     submap_m, step_m = SUBMAP_RANGES * range_m, STEP_RANGES * range_m
-    travel_m = submap_m if scenario.objects is None else MAX_TRAVEL_SUBMAPS * submap_m
+    travel_m = MAX_TRAVEL_SUBMAPS * submap_m if scenario.objects else submap_m
     path = begin + np.arange(0.0, travel_m + 0.5 * step_m, step_m)[:, None] * np.array([np.cos(yaw), np.sin(yaw)])
     in_range = [np.asarray(rows, dtype=np.int64) for rows in tree.query_ball_point(path, range_m)]
     rows, first_step = np.unique(np.concatenate(in_range), return_index=True)
     first_step = np.repeat(np.arange(len(path)), [len(each) for each in in_range])[first_step]
     is_observed = rng.random(len(rows)) >= scenario.missing
     rows, first_step = rows[is_observed], first_step[is_observed]
-    if scenario.objects is None or len(rows) < scenario.objects:
+    if not scenario.objects or len(rows) < scenario.objects:
         return rows, path[-1]
     last = int(np.partition(first_step, scenario.objects - 1)[scenario.objects - 1])
     rows = rows[first_step <= last]
@@ -115,17 +106,9 @@ def _drive(
     return np.sort(rows[nearest]), path[last]
 
 
-def _observe(
-    positions: FloatArray,
-    classes: IntArray,
-    T_map_query: FloatArray,
-    vocabulary: tuple[str, ...],
-    scenario: Scenario,
-    rng: np.random.Generator,
-) -> PathQuery:
-    local = apply(invert(T_map_query), positions)
+def _observe(local: FloatArray, labels: IntArray, scenario: Scenario, rng: np.random.Generator) -> Submap:
+    """The objects at ``local`` (N, 3) m, some of which are clutter elsewhere instead, with noise."""
     clutter = rng.choice(len(local), int(rng.binomial(len(local), scenario.clutter)), replace=False)
     local[clutter, :2] = rng.uniform(local[:, :2].min(axis=0), local[:, :2].max(axis=0), (len(clutter), 2))
     local[:, :2] += rng.normal(0.0, scenario.noise_m, (len(local), 2))
-    sigmas = np.full(len(local), scenario.noise_m)
-    return PathQuery(Submap(local, sigmas, classes, np.arange(len(local))), vocabulary, T_map_query)
+    return Submap(local, np.full(len(local), scenario.noise_m), labels, np.arange(len(local)))

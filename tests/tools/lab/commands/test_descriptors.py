@@ -31,25 +31,22 @@ def write_world(folder: Path) -> tuple[object, ...]:
 
 @pytest.mark.slow
 def test_json_has_every_measure_of_every_scenario(dslam: Run) -> None:
-    result = benchmark(dslam, "--descriptor", "ring_likelihood", "--descriptor", "exhaustive search", "--json")
+    result = benchmark(dslam, "--descriptor", "ring_likelihood", "--json")
     assert (result.code, result.err) == (0, "")
     told = json.loads(result.out)
     assert (told["map"], told["objects"], told["classes"]) == ("street-grid", 699, 16)
-    assert (told["queries"], told["seeds"], told["neighbours"]) == (5, 1, 6)
+    assert (told["queries"], told["seeds"]) == (5, 1)
     cells = {(cell["method"], cell["scenario"]): cell for cell in told["cells"]}
-    assert list(cells) == [
-        (name, scenario) for name in ("ring_likelihood", "exhaustive search", "random") for scenario in SCENARIOS
-    ]
+    assert list(cells) == [(name, scenario) for name in ("ring_likelihood", "random") for scenario in SCENARIOS]
     for cell in cells.values():
         assert set(cell) == {"method", "scenario"} | MEASURES
     assert cells["ring_likelihood", "self"]["success"] == cells["ring_likelihood", "self"]["ceiling"] == 1.0
-    assert cells["exhaustive search", "self"]["top_5"] is None
 
 
 def test_a_table_for_people(dslam: Run) -> None:
     result = benchmark(dslam, "--descriptor", "ring_likelihood")
     assert (result.code, result.err) == (0, "")
-    assert "699 objects, 16 classes; 5 queries x 1 seeds, 6 nearest descriptors" in result.out
+    assert "699 objects, 16 classes; 5 queries x 1 seeds" in result.out
     assert "of ceiling %" in result.out
     lines = [line for line in result.out.splitlines() if line.startswith("ring_likel")]
     assert [scenario in line for scenario, line in zip(SCENARIOS, lines, strict=True)] == [True] * 3
@@ -57,10 +54,10 @@ def test_a_table_for_people(dslam: Run) -> None:
 
 def test_a_map_of_one_s_own(dslam: Run, tmp_path: Path) -> None:
     files = write_world(tmp_path)
-    result = benchmark(dslam, *files, "--descriptor", "ring_likelihood", "--neighbours", 7, "--json")
+    result = benchmark(dslam, *files, "--descriptor", "ring_likelihood", "--json")
     assert result.code == 0, result.err
     told = json.loads(result.out)
-    assert (told["map"], told["objects"], told["classes"], told["neighbours"]) == (tmp_path.name, 60, 3, 7)
+    assert (told["map"], told["objects"], told["classes"]) == (tmp_path.name, 60, 3)
     assert told["cells"][0]["ceiling"] == 1.0
 
 
@@ -73,7 +70,6 @@ def test_objects_and_trajectory_belong_together(dslam: Run, tmp_path: Path, whic
 def test_what_cannot_be_is_refused(dslam: Run, tmp_path: Path) -> None:
     files = write_world(tmp_path)
     assert_refused(benchmark(dslam, "--descriptor", "rings"), "'rings'", "ring_likelihood")
-    assert_refused(benchmark(dslam, "--neighbours", 0), "--neighbours")
     assert_refused(dslam("benchmark", "descriptors", "--queries", 0), "--queries")
     assert_refused(dslam("benchmark", "descriptors", "--seeds", 0), "--seeds")
     (tmp_path / "trajectory.csv").write_text("x_m,y_m\n9000,0\n9100,0\n")

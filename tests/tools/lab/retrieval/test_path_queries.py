@@ -5,6 +5,7 @@ import pytest
 
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply
+from tools.lab.retrieval.labelled_map import LabelledMap
 from tools.lab.retrieval.path_queries import Scenario, draw_path_queries
 
 
@@ -13,11 +14,15 @@ def forest(count: int, extent_m: float, seed: int = 0) -> np.ndarray:
     return np.column_stack([xy, np.zeros(count)])
 
 
+def map_of(positions: np.ndarray) -> LabelledMap:
+    return LabelledMap(positions, np.zeros(len(positions), np.int64), ("tree",))
+
+
 @pytest.mark.parametrize("clutter", [0.0, 0.3])
 def test_observed_objects_are_those_of_the_map_but_for_clutter(clutter: float) -> None:
     positions = forest(600, 300.0)
     scenario = Scenario(clutter=clutter, noise_m=0.05)
-    queries = draw_path_queries(positions, ["tree"] * 600, 20, rng=np.random.default_rng(0), scenario=scenario)
+    queries = draw_path_queries(map_of(positions), 20, rng=np.random.default_rng(0), scenario=scenario)
     of_map = []
     for query in queries:
         placed = apply(query.T_map_query_gt, query.submap.positions)
@@ -29,7 +34,7 @@ def test_observed_objects_are_those_of_the_map_but_for_clutter(clutter: float) -
 def test_robot_drives_until_it_has_seen_as_many_objects_as_the_scenario_has() -> None:
     positions = forest(600, 600.0)
     few, many = (
-        draw_path_queries(positions, ["tree"] * 600, 5, rng=np.random.default_rng(0), scenario=Scenario(objects=count))
+        draw_path_queries(map_of(positions), 5, rng=np.random.default_rng(0), scenario=Scenario(objects=count))
         for count in (10, 40)
     )
     assert {len(query.submap) for query in few} == {10}
@@ -40,7 +45,7 @@ def test_robot_drives_until_it_has_seen_as_many_objects_as_the_scenario_has() ->
 def test_missing_objects_are_not_observed() -> None:
     positions = forest(3000, 500.0)
     counts = [
-        np.mean([len(q.submap) for q in draw_path_queries(positions, ["tree"] * 3000, 20, rng=rng, scenario=scenario)])
+        np.mean([len(q.submap) for q in draw_path_queries(map_of(positions), 20, rng=rng, scenario=scenario)])
         for rng, scenario in (
             (np.random.default_rng(0), Scenario(missing=0.0)),
             (np.random.default_rng(0), Scenario(missing=0.5)),
@@ -49,13 +54,6 @@ def test_missing_objects_are_not_observed() -> None:
     assert counts[1] / counts[0] == pytest.approx(0.5, abs=0.1)
 
 
-def test_labels_of_a_query_follow_the_vocabulary_of_the_map() -> None:
-    query = draw_path_queries(forest(600, 300.0), ["tree", "lamp"] * 300, 1, rng=np.random.default_rng(0))[0]
-    names = [query.vocabulary[label] for label in query.submap.labels]
-    other = ("bench", "lamp", "post", "tree")
-    assert [other[label] for label in query.labelled_as(other).labels] == names
-
-
 def test_map_too_sparse_for_queries_is_refused() -> None:
     with pytest.raises(SimulationError, match="denser"):
-        draw_path_queries(forest(50, 5000.0), ["tree"] * 50, 2, rng=np.random.default_rng(0))
+        draw_path_queries(map_of(forest(50, 5000.0)), 2, rng=np.random.default_rng(0))

@@ -10,7 +10,8 @@ from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply
 from tests.helpers.long_street import generate_street
-from tools.lab.descriptors.queries import SCENARIOS, LabelledMap, draw_queries, labelled_map, visible
+from tools.lab.retrieval.labelled_map import LabelledMap, labelled_map
+from tools.lab.retrieval.paper_queries import SCENARIOS, draw_queries, visible
 
 SELF, FEWER, NOISY = SCENARIOS
 RING_M = 20.0
@@ -60,27 +61,15 @@ def test_where_nothing_can_be_told_everything_is_visible(offsets):
 
 
 @pytest.mark.parametrize("scenario", [SELF, FEWER], ids=lambda scenario: scenario.name)
-def test_without_noise_the_true_pose_puts_every_object_onto_its_own(street, scenario):
+def test_query_without_noise_is_all_that_is_visible_within_the_radius(street, scenario):
     objects, tour = street
-    for query in draw_queries(objects, tour, scenario, count=30, rng=np.random.default_rng(1)):
-        assert len(query) == len(query.positions) == len(query.objects) > 5
-        assert len(np.unique(query.objects)) == len(query)
-        np.testing.assert_allclose(
-            apply(query.T_map_query_gt, query.positions), objects.positions[query.objects], atol=1e-9
-        )
-        np.testing.assert_array_equal(query.labels, objects.labels[query.objects])
-
-
-@pytest.mark.parametrize("scenario", SCENARIOS[:2], ids=lambda scenario: scenario.name)
-def test_nothing_beyond_the_radius_is_seen_and_nothing_near_is_left_out_but_for_what_is_hidden(street, scenario):
-    objects, tour = street
-    hidden = 0
     for query in draw_queries(objects, tour, scenario, count=30, rng=np.random.default_rng(2)):
         offsets = objects.positions[:, :2] - query.T_map_query_gt[:2, 3]
         near = np.flatnonzero(np.hypot(*offsets.T) < scenario.radius_m)
-        assert set(query.objects) == set(near[visible(offsets[near])])
-        hidden += len(near) - len(query)
-    assert hidden > 0
+        assert query.objects.tolist() == near[visible(offsets[near])].tolist()
+        placed = apply(query.T_map_query_gt, query.positions)
+        np.testing.assert_allclose(placed, objects.positions[query.objects], atol=1e-9)
+        np.testing.assert_array_equal(query.labels, objects.labels[query.objects])
 
 
 # The noise.
@@ -121,7 +110,7 @@ def test_a_wrong_class_is_any_other_one_and_twice_as_frequent_at_twice_the_range
         assert query.labels.min() >= 0
         assert query.labels.max() < classes
     share, is_wrong, step = np.concatenate(shares), np.concatenate(wrong), np.concatenate(steps)
-    for low, high in ((0.0, 0.4), (0.4, 0.6), (0.6, 0.8), (0.8, 0.95), (0.95, 1.01)):
+    for low, high in ((0.0, 0.6), (0.6, 1.01)):
         inside = (share >= low) & (share < high)
         expected = 0.2 * share[inside]
         deviation = np.sqrt(np.sum(expected * (1.0 - expected)))

@@ -13,8 +13,8 @@ from slam.common.geometry import transform_from_xyz_yaw
 from slam.simulation.config import DriveConfig, SimulationConfig
 from slam.simulation.world import World
 from tests.helpers.short_drives import drive, write_log
-from tools.lab.retrieval.measurement import is_right, measure_retrieval
-from tools.lab.retrieval.recorded_places import RecordedPlaces, record_places
+from tools.lab.retrieval.labelled_map import is_right
+from tools.lab.retrieval.revisits import measure_revisits
 
 BLOCK_M = 60.0
 
@@ -23,7 +23,7 @@ def town(laps: int) -> World:
     rng = np.random.default_rng(11)
     corners = np.array([[0.0, 0.0], [BLOCK_M, 0.0], [BLOCK_M, BLOCK_M], [0.0, BLOCK_M]])
     positions = np.column_stack([rng.uniform(-10.0, BLOCK_M + 10.0, (110, 2)), np.ones(110)])
-    labels = tuple(rng.choice(["bench", "bin", "hydrant", "lamp", "sign", "tree"], 110).tolist())
+    labels = ("tree",) * 110  # with classes random vectors find places in so small a map, too
     return World("town", tuple(f"o{i}" for i in range(110)), positions, labels, np.vstack([corners] * laps))
 
 
@@ -32,38 +32,23 @@ def log(folder: Path, laps: int) -> Path:
     return write_log(folder / "town.mcap", drive(simulation, seed=4, world=town(laps)))
 
 
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> RecordedPlaces:
-    return record_places(log(tmp_path_factory.mktemp("log"), 3), Config(), spacing_m=10.0)
-
-
 @pytest.mark.slow
-def test_a_good_descriptor_finds_what_random_vectors_do_not(recorded: RecordedPlaces) -> None:
-    good, random = measure_retrieval(recorded, ["ring_likelihood", "random"])
-    assert (good["queries"], good["entries"]) == (random["queries"], random["entries"])
-    assert good["queries"] >= 3
-    assert good["places_at_1"] == 1.0
-    assert good["objects_at_1"] > 0.6 > random["objects_at_1"]
+def test_descriptor_finds_places_that_random_vectors_do_not(tmp_path: Path) -> None:
+    done: list[float] = []
+    good, random = measure_revisits(log(tmp_path, 3), ["ring_likelihood", "random"], Config(), on_progress=done.append)
+    assert (good["drive"], good["descriptor"], random["descriptor"]) == ("town", "ring_likelihood", "random")
+    assert good["queries"] == random["queries"] >= 3
+    assert good["places_at_1"] > random["places_at_1"] + 0.2
     for figures in (good, random):
-        for kind in ("places", "objects"):
-            assert figures[f"{kind}_at_1"] <= figures[f"{kind}_at_5"] <= figures[f"{kind}_at_25"]
-
-
-@pytest.mark.slow
-def test_a_query_never_finds_its_own_landmarks(recorded: RecordedPlaces) -> None:
-    for place in recorded.asked:
-        assert (
-            len(place.allowed)
-            == len(place.entry_positions)
-            == sum(len(part.centres) for part in recorded.parts[: place.parts])
-        )
-        assert place.allowed.any()
+        assert figures["places_at_1"] <= figures["places_at_5"] <= figures["places_at_25"]
+    assert done == sorted(done)
+    assert done[-1] == 1.0
 
 
 @pytest.mark.slow
 def test_a_drive_that_never_comes_back_asks_nothing(tmp_path: Path) -> None:
     with pytest.raises(EvaluationError, match="never comes back"):
-        record_places(log(tmp_path, 1), Config(), spacing_m=10.0)
+        measure_revisits(log(tmp_path, 1), ["random"], Config())
 
 
 def test_a_pose_is_right_within_4_m_and_10_deg_of_any_true_one() -> None:

@@ -12,19 +12,14 @@ from slam.common.config import Config
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from tests.helpers.long_street import generate_street
-from tools.lab.descriptors.experiment import (
-    EXHAUSTIVE,
-    NOISE_PER_M,
-    benchmark_descriptors,
-    fit_truth,
-    localizer_config,
-)
-from tools.lab.descriptors.queries import SCENARIOS, LabelledMap, LocalQuery, draw_queries, labelled_map
+from tools.lab.retrieval.labelled_map import LabelledMap, labelled_map
+from tools.lab.retrieval.paper import NOISE_PER_M, benchmark_descriptors, fit_truth, localizer_config
+from tools.lab.retrieval.paper_queries import SCENARIOS, LocalQuery, draw_queries
 
 pytestmark = pytest.mark.slow
 
 SELF, FEWER, NOISY = SCENARIOS
-METHODS = ("ring_likelihood", "gosmatch_vertex", EXHAUSTIVE, "random")
+METHODS = ("ring_likelihood", "gosmatch_vertex", "random")
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +34,7 @@ def street() -> tuple[LabelledMap, FloatArray]:
 @pytest.fixture(scope="module")
 def measured(street) -> tuple[pd.DataFrame, list[float]]:
     told: list[float] = []
-    result = benchmark_descriptors(*street, METHODS, neighbours=20, queries=10, seeds=1, on_progress=told.append)
+    result = benchmark_descriptors(*street, METHODS, queries=10, seeds=1, on_progress=told.append)
     return result, told
 
 
@@ -56,8 +51,7 @@ def test_every_method_is_measured_in_every_scenario(measured):
 def test_without_noise_the_ceiling_is_one_and_the_good_methods_reach_it(measured):
     cells = measured[0].set_index(["scenario", "method"]).loc[SELF.name]
     assert (cells["ceiling"] == 1.0).all()
-    for method in ("ring_likelihood", EXHAUSTIVE):
-        assert cells.loc[method, ["success", "deviation", "of_ceiling"]].tolist() == [1.0, 0.0, 1.0]
+    assert cells.loc["ring_likelihood", ["success", "deviation", "of_ceiling"]].tolist() == [1.0, 0.0, 1.0]
 
 
 def test_a_descriptor_that_means_something_has_the_counterpart_among_its_nearest_more_often(measured):
@@ -69,17 +63,17 @@ def test_a_descriptor_that_means_something_has_the_counterpart_among_its_nearest
 
 def test_what_cannot_be_measured_is_refused(street):
     with pytest.raises(DescriptorError, match=r"'rings'.*ring_likelihood"):
-        benchmark_descriptors(*street, ["rings"], neighbours=5, queries=2, seeds=1)
+        benchmark_descriptors(*street, ["rings"], queries=2, seeds=1)
     with pytest.raises(SimulationError, match="no length"):
-        benchmark_descriptors(street[0], np.zeros((3, 2)), ["gosmatch_vertex"], neighbours=5, queries=2, seeds=1)
+        benchmark_descriptors(street[0], np.zeros((3, 2)), ["gosmatch_vertex"], queries=2, seeds=1)
     with pytest.raises(SimulationError, match="no object"):
-        benchmark_descriptors(street[0], street[1] + 9000.0, ["gosmatch_vertex"], neighbours=5, queries=2, seeds=1)
+        benchmark_descriptors(street[0], street[1] + 9000.0, ["gosmatch_vertex"], queries=2, seeds=1)
 
 
 def test_a_map_that_nothing_can_be_localized_in_has_no_share_of_the_ceiling():
     lonely = LabelledMap(np.array([[10.0, 3.0, 0.0]]), np.zeros(1, np.int64), ("tree",))
     tour = np.array([[0.0, 0.0], [20.0, 0.0]])
-    result = benchmark_descriptors(lonely, tour, ["ring_likelihood"], neighbours=5, queries=5, seeds=1)
+    result = benchmark_descriptors(lonely, tour, ["ring_likelihood"], queries=5, seeds=1)
     assert result[["success", "ceiling", "of_ceiling"]].to_numpy().tolist() == [[0.0, 0.0, None]] * 3
 
 
@@ -112,16 +106,11 @@ def test_what_determines_no_pose_has_no_fit(positions):
     assert fit_truth(objects, query, SELF) is None
 
 
-def test_the_configuration_is_the_shipped_one_with_the_noise_of_the_queries():
+def test_configuration_is_the_shipped_one_with_the_noise_of_the_queries():
     shipped = Config()
     for noisy in (False, True):
-        config = localizer_config(EXHAUSTIVE, 100, noisy=noisy)
+        config = localizer_config("gosmatch_vertex", noisy=noisy)
         assert config.localization == shipped.localization
-        assert config.loop_closure == shipped.loop_closure
+        assert config.loop_closure == shipped.loop_closure.model_copy(update={"descriptor": "gosmatch_vertex"})
         assert config.registration == shipped.registration.model_copy(update={"estimate_scale": noisy})
         assert np.sqrt(2.0) * config.calibration.objects.landmark_sigma_per_m == pytest.approx(NOISE_PER_M * noisy)
-    limits = localizer_config("gosmatch_vertex", 100).loop_closure
-    assert (limits.descriptor, limits.top_k) == ("gosmatch_vertex", 100)
-
-
-# Among the nearest.

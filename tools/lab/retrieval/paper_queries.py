@@ -8,39 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from logs.messages import ObjectMapRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import SimulationError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
-from slam.simulation.world import World
+from tools.lab.retrieval.labelled_map import LabelledMap
 
 FLIPPING_RADIUS = 100.0
 """Of hidden-point removal, in distances of the farthest object."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LabelledMap:
-    """Objects (M, 3) m with labels (M,) in ``vocabulary``."""
-
-    positions: FloatArray
-    labels: IntArray
-    vocabulary: tuple[str, ...]
-
-    def __len__(self) -> int:
-        return len(self.labels)
-
-    def first(self, count: int) -> LabelledMap:
-        """The objects up to a number."""
-        return LabelledMap(self.positions[:count], self.labels[:count], self.vocabulary)
-
-    def names(self, labels: IntArray) -> tuple[str, ...]:
-        """The classes of labels (N,)."""
-        return tuple(self.vocabulary[label] for label in labels.tolist())
-
-    def to_record(self) -> ObjectMapRecord:
-        """The same as confirmed landmarks, each of them seen once and known exactly."""
-        ids = tuple(map(str, range(len(self))))
-        return ObjectMapRecord.of_objects(ids, self.positions, self.labels, self.vocabulary, observations=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,13 +53,6 @@ class LocalQuery:
 
     def __len__(self) -> int:
         return len(self.labels)
-
-
-def labelled_map(world: World) -> LabelledMap:
-    """The objects of a world, its classes numbered by their sorted names."""
-    vocabulary = world.vocabulary
-    number = {name: place for place, name in enumerate(vocabulary)}
-    return LabelledMap(world.positions, np.array([number[label] for label in world.labels], np.int64), vocabulary)
 
 
 def draw_queries(

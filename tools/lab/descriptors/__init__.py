@@ -1,1 +1,0 @@
-"""Descriptors and registration, measured on single queries."""

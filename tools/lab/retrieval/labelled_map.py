@@ -1,0 +1,55 @@
+"""A map of labelled objects, and which poses in it are right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.messages import ObjectMapRecord
+from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.common.geometry import invert, rotation_angle_rad
+from slam.evaluation.inputs.protocol import Protocol
+from slam.simulation.world import World
+
+RECALL_AT = (1, 5, 25)
+"""Numbers of proposals among which a right pose is looked for."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelledMap:
+    """Objects (M, 3) m with labels (M,) in ``vocabulary``."""
+
+    positions: FloatArray
+    labels: IntArray
+    vocabulary: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def first(self, count: int) -> LabelledMap:
+        """The objects up to a number."""
+        return LabelledMap(self.positions[:count], self.labels[:count], self.vocabulary)
+
+    def names(self, labels: IntArray) -> tuple[str, ...]:
+        """The classes of labels (N,)."""
+        return tuple(self.vocabulary[label] for label in labels.tolist())
+
+    def to_record(self) -> ObjectMapRecord:
+        """The same as confirmed landmarks, each of them seen once and known exactly."""
+        ids = tuple(map(str, range(len(self))))
+        return ObjectMapRecord.of_objects(ids, self.positions, self.labels, self.vocabulary, observations=1)
+
+
+def labelled_map(world: World) -> LabelledMap:
+    """The objects of a world, its classes numbered by their sorted names."""
+    return LabelledMap(world.positions, np.searchsorted(world.vocabulary, world.labels), world.vocabulary)
+
+
+def is_right(poses: FloatArray, truth: FloatArray) -> BoolArray:
+    """Which poses (H, 4, 4) are within 4 m and 10 deg of a true one (R, 4, 4), as in the protocol of closures: (H,)."""
+    protocol = Protocol()
+    T_error = invert(truth)[None] @ poses[:, None]
+    near = np.linalg.norm(T_error[..., :3, 3], axis=2) <= protocol.closure_translation_m
+    near &= rotation_angle_rad(T_error) <= np.deg2rad(protocol.closure_rotation_deg)
+    return np.asarray(near.any(axis=1))
