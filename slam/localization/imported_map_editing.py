@@ -1,11 +1,10 @@
-"""Parts of imported maps, and several of them as one."""
+"""Several imported maps as one."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from slam.common.areas import Area
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.errors import SavedMapError
 from slam.common.geometry import apply
@@ -13,28 +12,6 @@ from slam.place_recognition.imported_map import ImportedMap, make_imported_map
 
 SAME_SIGMAS = 2.0
 """Objects of two maps are one if they are that near, in standard deviations of their difference: 86 % are."""
-
-
-def crop_imported_map(imported: ImportedMap, area: Area) -> ImportedMap:
-    """The objects that lie in an area, where they were.
-
-    Raises:
-        SavedMapError: fewer than four lie in it.
-    """
-    rows = np.flatnonzero(area.contains(imported.positions.astype(np.float64)))
-    if len(rows) < 4:
-        low, high = imported.positions[:, :2].min(axis=0), imported.positions[:, :2].max(axis=0)
-        raise SavedMapError(
-            f"{len(rows)} of {len(imported)} objects lie in that area, and a map needs 4; the map extends from "
-            f"({low[0]:.0f}, {low[1]:.0f}) to ({high[0]:.0f}, {high[1]:.0f}) m"
-        )
-    objects = imported.objects
-    return _made(
-        imported,
-        objects.positions[rows],
-        [objects.labels[row] for row in rows.tolist()],
-        [objects.ids[row] for row in rows.tolist()],
-    )
 
 
 def merge_imported_maps(first: ImportedMap, second: ImportedMap) -> ImportedMap:
@@ -59,12 +36,13 @@ def merge_imported_maps(first: ImportedMap, second: ImportedMap) -> ImportedMap:
             unused += "'"
         known.add(unused)
         ids.append(unused)
-    return _made(
-        first,
+    return make_imported_map(
         np.concatenate([here.positions, others[new]]),
         [*labels, *(other_labels[row] for row in new)],
         ids,
         sigma_m=max(first.sigma_m, second.sigma_m),
+        georeference=first.georeference,
+        source={key: first.metadata[key] for key in ("source", "input_sha256", "version") if key in first.metadata},
     )
 
 
@@ -82,17 +60,3 @@ def _duplicates(
         same = (distances_m <= radius_m) & (np.asarray(back)[nearest] == np.arange(len(theirs)))
         found += theirs[same].tolist()
     return np.array(found, dtype=np.int64)
-
-
-def _made(
-    like: ImportedMap, positions: FloatArray, labels: list[str], ids: list[str], sigma_m: float | None = None
-) -> ImportedMap:
-    """A map of these objects, with the frame and the source of another."""
-    return make_imported_map(
-        positions,
-        labels,
-        ids,
-        sigma_m=like.sigma_m if sigma_m is None else sigma_m,
-        georeference=like.georeference,
-        source={key: like.metadata[key] for key in ("source", "input_sha256", "version") if key in like.metadata},
-    )

@@ -66,10 +66,7 @@ _COMMANDS: dict[str, tuple[float, str]] = {
         config --simulation --config ?simulation.toml --json
         config --config ?settings.toml --json"""),
     "maps": (1, """
-        map info ?map --json
-        map crop ?map -o out.mcap --circle 0,0,20
-        map crop ?map -o out.mcap --circle 0,0,9
-        map crop ?map -o out.mcap --polygon '0,0 9,0 9,9'
+        info ?map --json
         view ?map --save out.rrd
         map merge =map@other.mcap ?map -o out.mcap
         map merge ?map =map@other.mcap -o out.mcap"""),

@@ -2,71 +2,20 @@
 
 from __future__ import annotations
 
-import math
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools.arguments import Json, check_outputs
-from tools.inspection import info_map
+from tools.arguments import check_outputs
 
 if TYPE_CHECKING:
-    from slam.common.areas import Area
     from slam.localization.prior_map import PriorMap
     from slam.object_map.map_io import SavedMap
 
-app = typer.Typer(help="Show, crop and merge saved maps.", no_args_is_help=True)
+app = typer.Typer(help="Merge saved maps.", no_args_is_help=True)
 
-SavedMapFile = Annotated[Path, typer.Argument(metavar="MAP.mcap", help="A saved or imported map.", show_default=False)]
 Output = Annotated[Path, typer.Option("-o", "--output", metavar="NEW.mcap", help="The map to write.")]
-
-
-@app.command()
-def info(map_log: SavedMapFile, json: Json = False) -> None:
-    """Show the contents of a map.
-
-    Example: dslam map info town.mcap
-    """
-    from tools import console
-
-    if json:
-        console.show_json(info_map.plain_map(map_log))
-    else:
-        info_map.show_map(map_log, datetime.now(UTC))
-
-
-@app.command()
-def crop(
-    map_log: SavedMapFile,
-    output: Output,
-    circle: Annotated[str | None, typer.Option(metavar="X,Y,RADIUS", help="A circle [m].")] = None,
-    polygon: Annotated[str | None, typer.Option(metavar='"X,Y X,Y X,Y ..."', help="Corners of a polygon [m].")] = None,
-) -> None:
-    """Keep the landmarks and keyframes in an area of the map frame; coordinates do not change.
-
-    Example: dslam map crop town.mcap -o square.mcap --circle 120,40,60
-    """
-    check_outputs([output], [map_log])
-    area = _area(circle, polygon)
-    from slam.localization.imported_map_editing import crop_imported_map
-    from slam.localization.prior_map import load_prior_map
-    from slam.object_map.map_cropping import crop_map
-    from slam.place_recognition.imported_map import ImportedMap, save_imported_map
-    from tools import console
-
-    known = load_prior_map(map_log)
-    if isinstance(known, ImportedMap):
-        part = crop_imported_map(known, area)
-        save_imported_map(output, part)
-        console.show(f"{output}: {len(part)} of {len(known)} landmarks")
-        return
-    _write(output, cropped := crop_map(known, area))
-    console.show(
-        f"{output}: {len(cropped.objects.ids)} of {len(known.objects.ids)} landmarks, "
-        f"{len(cropped.graph.keyframe_ids)} of {len(known.graph.keyframe_ids)} keyframes"
-    )
 
 
 @app.command()
@@ -88,6 +37,7 @@ def merge(
     check_outputs([output], map_logs)
     from slam.localization.imported_map_editing import merge_imported_maps
     from slam.localization.prior_map import load_prior_map
+    from slam.object_map.map_io import write_map
     from slam.place_recognition.imported_map import ImportedMap, save_imported_map
     from tools import console
 
@@ -106,7 +56,7 @@ def merge(
             f"{_first_imported(maps)} is an imported map and {driven[0][0]} is not; map the drive again by "
             "'dslam replay LOG -o OUT.mcap --map IMPORTED.mcap'."
         )
-    _write(output, _merge_driven(driven))
+    write_map(output, _merge_driven(driven))
     console.show(str(output))
 
 
@@ -135,32 +85,3 @@ def _merge_driven(maps: list[tuple[Path, SavedMap]]) -> SavedMap:
             f"warning: the drive with the input {sha256[:8]} is in more than one map, and counts more than once"
         )
     return merged.saved
-
-
-def _write(output: Path, saved: SavedMap) -> None:
-    from slam.object_map.map_io import write_map
-
-    write_map(output, saved)
-
-
-def _area(circle: str | None, polygon: str | None) -> Area:
-    if (circle is None) == (polygon is None):
-        raise typer.BadParameter("give one of --circle and --polygon.")
-    import numpy as np
-
-    from slam.common.areas import Circle, Polygon
-
-    if circle is not None:
-        return Circle(*_numbers("--circle", "X,Y,RADIUS", circle, 3))
-    corners = [_numbers("--polygon", "X,Y X,Y X,Y ...", corner, 2) for corner in (polygon or "").split()]
-    return Polygon(np.array(corners).reshape(-1, 2))
-
-
-def _numbers(option: str, pattern: str, text: str, count: int) -> list[float]:
-    try:
-        numbers = [float(word) for word in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        raise typer.BadParameter(f"{text!r} is not {pattern}.", param_hint=option)
-    return numbers

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import cos, radians
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from slam.common.areas import Area, Circle, Polygon
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import SavedMapError
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.common.georeference import Georeference
 from slam.final_map import FinalMap
-from slam.localization.imported_map_editing import crop_imported_map, merge_imported_maps
+from slam.localization.imported_map_editing import merge_imported_maps
 from slam.map_joining.merging import MergedMap, merge_maps
-from slam.object_map.map_cropping import crop_map
-from slam.object_map.map_io import SavedMap, confirmed, load_map, write_map
+from slam.object_map.map_io import SavedMap, confirmed, observing, of_rows
 from slam.object_map.map_validation import find_fault
 from slam.place_recognition.imported_map import ImportedMap, make_imported_map
 from slam.simulation.config import SimulationConfig
@@ -30,10 +27,6 @@ pytestmark = pytest.mark.slow
 
 T_AWAY = transform_from_xyz_yaw(np.array([400.0, -250.0, 3.0]), 2.0)
 """Where the frame of the second map lies."""
-
-
-def box(x0: float, y0: float, x1: float, y1: float) -> Polygon:
-    return Polygon(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))
 
 
 def moved(saved: SavedMap, T_new_old: FloatArray) -> SavedMap:
@@ -82,9 +75,15 @@ def errors_m(saved: SavedMap) -> np.ndarray:
 
 
 def half(saved: SavedMap, low: float, high: float) -> SavedMap:
-    """The part of a map in these quantiles of its landmarks along x."""
+    """The part of a map in these quantiles of its landmarks along x, as the longest pass of the drive saw it."""
     x = np.quantile(saved.objects.positions[:, 0], [low, high])
-    return crop_map(saved, box(x[0] - 0.1, -1e4, x[1] + 0.1, 1e4))
+    kept = of_rows(saved.objects, (saved.objects.positions[:, 0] >= x[0]) & (saved.objects.positions[:, 0] <= x[1]))
+    at = saved.graph.T_map_body[:, 0, 3]
+    outside = np.flatnonzero(np.concatenate([[True], (at < x[0]) | (at > x[1]), [True]]))
+    longest = int(np.diff(outside).argmax())
+    rows = np.arange(len(at))
+    is_kept = (rows >= outside[longest]) & (rows < outside[longest + 1] - 1)
+    return replace(saved, objects=kept, graph=observing(saved.graph, kept, is_kept))
 
 
 def test_two_maps_of_one_town_become_one(first: SavedMap, second: SavedMap) -> None:
@@ -139,50 +138,6 @@ def test_georeferences_join_maps_that_share_no_place(first: SavedMap, second: Sa
     assert find_fault(merged.saved.objects, merged.saved.graph) == ""
 
 
-@pytest.mark.parametrize("area", [Circle(30.0, 20.0, 35.0), box(-20.0, -20.0, 50.0, 30.0)])
-def test_a_part_holds_what_lies_in_it_where_it_was(first: SavedMap, area: Area, tmp_path: Path) -> None:
-    part = crop_map(first, area)
-    inside = area.contains(first.objects.positions)
-    assert 0 < inside.sum() < len(inside)
-    np.testing.assert_array_equal(part.objects.positions, first.objects.positions[inside])
-    at_keyframes = first.graph.T_map_body[:, :3, 3]
-    np.testing.assert_array_equal(part.graph.T_map_body[:, :3, 3], at_keyframes[area.contains(at_keyframes)])
-    assert set(part.graph.observation_landmark_ids) <= set(part.objects.ids)
-    write_map(tmp_path / "part.mcap", part)
-    back = load_map(tmp_path / "part.mcap")
-    np.testing.assert_array_equal(back.objects.positions, part.objects.positions)
-    assert len(back.graph.keyframe_ids) == len(part.graph.keyframe_ids)
-    assert [drive["input_sha256"] for drive in back.drives] == ["drive 1"]
-
-
-def test_what_lay_between_two_parts_becomes_an_edge(first: SavedMap) -> None:
-    """Two opposite sides of the block: the drive left the area and came back."""
-    x = first.graph.T_map_body[:, 0, 3]
-    low, high = np.quantile(x, [0.3, 0.7])
-    outer = [[-1e3, 1e3], [-1e3, -1e3], [1e3, -1e3], [1e3, 1e3]]
-    notch = [[high, 1e3], [high, -999], [low, -999], [low, 1e3]]
-    ring = np.array([*outer, *notch])
-    part = crop_map(first, Polygon(ring))
-    assert find_fault(part.objects, part.graph) == ""
-    new = len(part.graph.edge_kinds) - sum(
-        set(ends) <= set(part.graph.keyframe_ids.tolist()) for ends in first.graph.edge_keyframe_ids.tolist()
-    )
-    assert new >= 1
-    row_of = {int(keyframe): row for row, keyframe in enumerate(part.graph.keyframe_ids)}
-    for (a, b), T, P in list(
-        zip(part.graph.edge_keyframe_ids, part.graph.edge_transforms, part.graph.edge_covariances, strict=True)
-    )[-new:]:
-        T_a, T_b = (part.graph.T_map_body[row_of[int(k)]] for k in (a, b))
-        np.testing.assert_allclose(T, invert(T_a) @ T_b, atol=1e-9)
-        # No surer than one step, and less sure than any of them.
-        assert np.trace(P[3:, 3:]) > 5 * np.median(np.trace(first.graph.edge_covariances[:, 3:, 3:], axis1=1, axis2=2))
-
-
-def test_an_area_beside_the_map_is_refused(first: SavedMap) -> None:
-    with pytest.raises(SavedMapError, match=r"0 of .* landmarks"):
-        crop_map(first, Circle(1e4, 0.0, 10.0))
-
-
 def city(origin: Georeference, positions: np.ndarray, ids: list[str]) -> ImportedMap:
     labels = ["tree" if row % 2 else "lamp" for row in range(len(ids))]
     return make_imported_map(positions, labels, ids, sigma_m=0.3, georeference=origin)
@@ -202,18 +157,6 @@ def test_imported_maps_are_joined_by_their_georeferences() -> None:
     np.testing.assert_allclose(merged.positions[order, :2], whole.positions[known, :2], atol=0.01)
     with pytest.raises(SavedMapError, match="--origin"):
         merge_imported_maps(whole, replace(whole, georeference=None))
-
-
-def test_a_part_of_an_imported_map() -> None:
-    objects = np.column_stack([np.repeat(np.arange(10.0), 10), np.tile(np.arange(10.0), 10), np.zeros(100)]) * 20.0
-    whole = city(Georeference(52.0, 13.0), objects, [str(row) for row in range(100)])
-    part = crop_imported_map(whole, Circle(0.0, 0.0, 45.0))
-    assert sorted(map(tuple, part.positions[:, :2].tolist())) == [
-        (0.0, 0.0), (0.0, 20.0), (0.0, 40.0), (20.0, 0.0), (20.0, 20.0), (20.0, 40.0), (40.0, 0.0), (40.0, 20.0)
-    ]  # fmt: skip
-    assert part.georeference == whole.georeference
-    with pytest.raises(SavedMapError, match="0 of 100 objects"):
-        crop_imported_map(whole, Circle(1e4, 0.0, 10.0))
 
 
 def test_a_drive_that_is_in_two_maps_is_told(first: SavedMap) -> None:
