@@ -81,7 +81,6 @@ def replay(
     online: bool = False,
     map_path: str | os.PathLike[str] | None = None,
     copy: Collection[str] = (),
-    view: Callable[[str, Record, int], None] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> ReplaySummary:
     """Map the log ``source`` into the log ``output``.
@@ -98,7 +97,6 @@ def replay(
             whole log before it.
         map_path: where to save the map, for later drives.
         copy: further topics of the input, for example of cameras, that go into the output as they are.
-        view: called with topic, record and log time of all that is written, while the drive is mapped.
         progress: called with the fraction done, in [0, 1].
 
     Raises:
@@ -122,7 +120,7 @@ def replay(
         # One thread: the products are small, and threads would add them up in another order on another machine.
         with threadpool_limits(1, user_api="blas"), LogWriter(output, refusals=(LogError, SlamError)) as writer:
             georeference = prior_map.georeference if isinstance(prior_map, ImportedMap) else None
-            drive = _Drive(slam, prepared, clocks, OutputLog(writer, display, view, georeference))
+            drive = _Drive(slam, prepared, clocks, OutputLog(writer, display, None, georeference))
             final = drive.map(reader, writer, progress)
             provenance = provenance_of(reader, config, prepared, drive.calibration, prior_map, extend=extend)
             writer.add_metadata("dslam", provenance)

@@ -34,7 +34,7 @@ SHORTER = {
 ELSEWHERE = {
     r"import semantic-kitti": "its importer has tests of its own",
     r"import osm": "pyosmium may not be here; tests/logs/importers/maps",
-    r"^view map\.mcap$|--view|\.rrd": "needs Rerun or opens a window; tests/slam/display draws without one",
+    r"^view map\.mcap$|\.rrd": "needs Rerun or opens a window; tests/slam/display draws without one",
     r"mine:Rings": "tests/descriptors/test_own_class.py has the class of the page",
     r"^live ": "serves until its input ends; tests/tools/test_live.py",
     r"relocalize .*trees_map|places.csv": "the drives have no satellite fixes; tests/slam/localization/test_gnss.py",

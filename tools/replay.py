@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -23,7 +23,6 @@ from tools.arguments import (
 from tools.pictures import draw_drive
 
 if TYPE_CHECKING:
-    from logs.messages import Record
     from slam.replay import ReplaySummary
 
 # Everything else that is counted was used, or is a number of landmarks.
@@ -66,7 +65,6 @@ def replay(
         list[str] | None,
         typer.Option("--copy", metavar="/TOPIC", help="Also copy this topic, for example of a camera. Repeatable."),
     ] = None,
-    view: Annotated[bool, typer.Option("--view", help="Show the drive in Rerun while it is mapped.")] = False,
     json: Json = False,
     picture: Picture = None,
 ) -> None:
@@ -82,7 +80,6 @@ def replay(
     from tools import console
 
     config = load_config(config_file, settings or (), calibration=calibration)
-    show = _open_view(output) if view else None
     prior_map = load_prior_map(map_log) if map_log is not None else None
     with console.progress_bar("mapping", "optimising everything at once") as progress:
         summary = replay_log(
@@ -94,7 +91,6 @@ def replay(
             online=online,
             map_path=save_map,
             copy=copy or (),
-            view=show,
             progress=progress,
         )
     if picture is not None:
@@ -104,20 +100,6 @@ def replay(
         console.show_json({"output": str(output), **asdict(summary), "real_time_factor": _real_time_factor(summary)})
     else:
         _show(written, summary)
-
-
-def _open_view(output: Path) -> Callable[[str, Record, int], None]:
-    """What shows each message in Rerun's viewer, which is started for it."""
-    from slam.display import rerun_view
-    from slam.display.rerun_viewer import start_viewer
-
-    rerun_view.import_rerun()
-    import rerun as rr
-
-    recording = rr.RecordingStream(rerun_view.APPLICATION, recording_id=output.stem)
-    _, address = start_viewer()
-    recording.connect_grpc(address, default_blueprint=rerun_view.make_blueprint())
-    return rerun_view.LiveView(recording).show
 
 
 def _show(written: list[str], summary: ReplaySummary) -> None:

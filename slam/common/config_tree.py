@@ -11,7 +11,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 
 from logs.container.json_text import parse_json
@@ -29,20 +29,13 @@ _TYPE_NAMES = {"float": "a number", "int": "a whole number", "bool": "true or fa
 
 
 class Branch(BaseModel):
-    """Settings that belong together: frozen, without keys of other names, and without absurd numbers."""
+    """Settings that belong together: frozen, and without keys of other names."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     def __hash__(self) -> int:
         """By the values, tables included, whose own type has no hash."""
         return hash(self.model_dump_json())
-
-    @field_validator("*")
-    @classmethod
-    def _check_magnitude(cls, value: Any) -> Any:
-        if isinstance(value, int | float) and value and not _SMALLEST <= abs(value) <= _LARGEST:
-            raise ValueError(f"numbers other than 0 are from {_SMALLEST:g} to {_LARGEST}")
-        return value
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,13 +73,18 @@ def load_tree(
             _update(data, tree)
             flagged.add(key)
         # By way of JSON, in which a list may become a tuple but a text never a number.
-        return model.model_validate_json(json.dumps(data, default=str), strict=True)
+        tree = model.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
         raise _refusal(model, error, flagged, path) from error
     except RecursionError as error:
         raise ConfigurationError(
             f"{path or _FLAG}: values are nested too deeply; 'dslam config' lists the keys"
         ) from error
+    for each in settings_of(tree):
+        if isinstance(each.value, int | float) and each.value and not _SMALLEST <= abs(each.value) <= _LARGEST:
+            limits = f"numbers other than 0 are from {_SMALLEST:g} to {_LARGEST}"
+            raise ConfigurationError(f"{_origin(each.key, flagged, path)}: {each.key}={each.value} is absurd; {limits}")
+    return tree
 
 
 def settings_of(tree: BaseModel, prefix: str = "") -> Iterator[Setting]:
@@ -198,15 +196,20 @@ def _allowed(field: FieldInfo) -> str:
     return " ".join([name, " and ".join(bounds)]).strip()
 
 
+def _origin(key: str, flagged: set[str], path: Path | None) -> str:
+    """Who gave the value of a key, or began its branch: the flag, or the file."""
+    parent = key.rpartition(".")[0]
+    is_flagged = any(f.startswith((key, f"{parent}.")) or key.startswith(f"{f}.") for f in flagged)
+    return _FLAG if is_flagged or path is None else str(path)
+
+
 def _refusal(
     model: type[BaseModel], error: ValidationError, flagged: set[str], path: Path | None
 ) -> ConfigurationError:
-    """The first unknown key, or else the first wrong value, in one line; it names the flag or the file."""
+    """The first unknown key, or else the first wrong value, in one line."""
     first = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
     key, given = ".".join(str(part) for part in first["loc"] if isinstance(part, str)), first["input"]
-    parent = key.rpartition(".")[0]
-    is_flagged = any(f.startswith((key, f"{parent}.")) or key.startswith(f"{f}.") for f in flagged)
-    where = _FLAG if is_flagged or path is None else str(path)
+    where = _origin(key, flagged, path)
     if first["type"] == "extra_forbidden":
         wanted = _deepest(key, given)
         return ConfigurationError(f"{where}: there is no {wanted!r}; {_hint(model, wanted)}")

@@ -1,4 +1,4 @@
-"""A drive in Rerun: the layout, the log of a drive, and the drive while it is mapped.
+"""A drive in Rerun: the layout, and the log of a drive.
 
 Rerun draws the point clouds, frames, texts and images of a log by itself; lines and the robot are added to them.
 """
@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from logs.container.limits import RESULT_LIMITS
-from logs.messages import FrameTree, LogMessage, Record, SceneLines, ScenePoints, SlamPose
 from logs.reader import LogReader
 from logs.scene import decode_lines, decode_points, decode_position
 from slam.common.arrays import FloatArray
@@ -57,7 +56,7 @@ def import_rerun() -> None:
         raise ViewerError(f"Rerun is not installed; {_REMEDY}") from error
 
 
-def make_blueprint(extent: FloatArray | None = None, images: Collection[str] = ()) -> rrb.Blueprint:
+def _make_blueprint(extent: FloatArray | None, images: Collection[str]) -> rrb.Blueprint:
     """The layout: the map from above, beside it the texts and the images.
 
     Args:
@@ -95,7 +94,7 @@ def blueprint_of(log: Path) -> rrb.Blueprint:
         paths = [decode_lines(raw.data) for raw in reader.messages([PATH])]
         clouds = [decode_points(raw.data) for raw in reader.messages([POINTS_TOPIC])]
     corners = np.concatenate([*(paths[-1] if paths else ()), *clouds, np.zeros((0, 3))])
-    return make_blueprint(np.stack([corners.min(axis=0), corners.max(axis=0)]) if len(corners) else None, images)
+    return _make_blueprint(np.stack([corners.min(axis=0), corners.max(axis=0)]) if len(corners) else None, images)
 
 
 def send_log(log: Path, recording: rr.RecordingStream) -> None:
@@ -128,39 +127,6 @@ def send_log(log: Path, recording: rr.RecordingStream) -> None:
     if positions:
         times = rr.TimeColumn(TIMELINE, timestamp=np.array(poses_ns, dtype="datetime64[ns]"))
         recording.send_columns(ROBOT, [times], rr.Points3D.columns(positions=np.array(positions)))
-
-
-class LiveView:
-    """Shows the messages of a drive while they are made."""
-
-    def __init__(self, recording: rr.RecordingStream) -> None:
-        self._recording = recording
-        _style(recording)
-
-    def show(self, topic: str, record: Record, log_time_ns: int) -> None:
-        """Show a message; one that is not for viewers is passed over."""
-        import rerun as rr
-
-        _set_time(self._recording, log_time_ns)
-        match record:
-            case ScenePoints():
-                points = rr.Points3D(record.positions, colors=record.colors, radii=_radius(topic))
-                self._recording.log(topic, points)
-            case SceneLines():
-                self._recording.log(topic, _lines(record.polylines, topic))
-            case LogMessage():
-                self._recording.log(topic, rr.TextLog(record.text, level=record.level.upper()))
-            case SlamPose():
-                self._recording.log(ROBOT, rr.Points3D([record.T_map_body[:3, 3]]))
-            case FrameTree():
-                for each in record.transforms:
-                    transform = rr.Transform3D(
-                        translation=each.T_parent_child[:3, 3],
-                        mat3x3=each.T_parent_child[:3, :3],
-                        parent_frame=each.parent_frame_id,
-                        child_frame=each.child_frame_id,
-                    )
-                    self._recording.log(f"{topic}/{each.child_frame_id}", transform)
 
 
 def _style(recording: rr.RecordingStream) -> None:

@@ -20,11 +20,10 @@ from slam.replay import replay
 from tests.helpers.short_drives import drive, write_log
 
 pytest.importorskip("rerun", reason="Rerun is an extra: pip install 'descriptellation-slam[view]'")
-import rerun as rr
 from PIL import Image
 from rerun.experimental import ViewerClient
 
-from slam.display.rerun_view import TIMELINE, LiveView, make_blueprint
+from slam.display.rerun_view import TIMELINE
 from slam.display.rerun_viewer import start_viewer
 from tools.cli import run
 
@@ -121,16 +120,6 @@ def test_a_log_without_the_map_fails_these_tests(output, tmp_path):
                 writer.write_raw(raw)
     with opened(empty) as client:
         assert maps_of(client) == []
-
-
-def test_a_drive_is_shown_while_it_is_mapped(output, tmp_path):
-    recording = rr.RecordingStream("dslam")
-    recording.save(tmp_path / "live.rrd", default_blueprint=make_blueprint())
-    replay(output.parent / "drive.mcap", tmp_path / "map.mcap", view=LiveView(recording).show)
-    recording.disconnect()
-    with opened(tmp_path / "live.rrd") as client:
-        picture = screenshot(client, times(output)[2], lambda drawn: pixels_of(drawn, PATH_COLOR) > 50)
-    assert pixels_of(picture, PATH_COLOR) > 50
 
 
 def test_a_log_that_was_not_mapped_is_refused(output, tmp_path, capsys):
