@@ -67,10 +67,10 @@ def load_tree(
         for text in overrides:
             key, value = _parse_override(text)
             *parents, name = key.split(".")
-            tree = {name: value}
+            given = {name: value}
             for parent in reversed(parents):
-                tree = {parent: tree}
-            _update(data, tree)
+                given = {parent: given}
+            _update(data, given)
             flagged.add(key)
         # By way of JSON, in which a list may become a tuple but a text never a number.
         tree = model.model_validate_json(json.dumps(data, default=str), strict=True)
