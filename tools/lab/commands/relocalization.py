@@ -14,9 +14,10 @@ from tools.lab.tables import number, percent, report
 
 _Benchmark = Callable[..., dict[str, Any]]
 RIGHT = (4.0, 10.0)
+"""Largest error of a right fix in a real drive, in metres and degrees: that of a true closure in an evaluation."""
 _ALWAYS = {"kidnaps", "max_travel", "config_file", "settings", "json"}
 MODES = {
-    "--log": _ALWAYS | {"log", "map_until", "right", "topics"},
+    "--log": _ALWAYS | {"log", "map_until", "topics"},
     "--map": _ALWAYS | {"map_log", "seed", "noise", "changed"},
     "--objects": _ALWAYS | {"objects", "trajectory", "map_log", "seed", "noise", "changed", "thin", "oracle", "jobs"},
 }
@@ -48,9 +49,6 @@ MapUntil = Annotated[
         metavar="SECONDS", min=1.0, help="With --log: time in seconds at which the map ends.", show_default=False
     ),
 ]
-Right = Annotated[
-    tuple[float, float], typer.Option(metavar="METRES DEGREES", help="With --log: largest error of a right fix.")
-]
 Noise = Annotated[float, typer.Option(min=0.0, max=10.0, help="Factor on the errors of the sensor after mapping.")]
 Changed = Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of the objects replaced after mapping.")]
 Thin = Annotated[float, typer.Option(metavar="FACTOR", min=1.0, help="Keep one of N objects before mapping.")]
@@ -67,7 +65,6 @@ def relocalization(
     map_log: MapLog = None,
     log: RealLog = None,
     map_until: MapUntil = None,
-    right: Right = RIGHT,
     kidnaps: Annotated[int, typer.Option(min=1, help="Number of kidnappings.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the map, the places and all errors.")] = 0,
     noise: Noise = 1.0,
@@ -115,8 +112,8 @@ def relocalization(
     chances = {"seed": seed, "noise": noise, "changed": changed}
     run: _Benchmark
     if log is not None:
-        conditions: dict[str, Any] = {"map_until_s": map_until, "right": list(right)}
-        run = _on_log(log, map_until, right, parse_topics(topics))
+        conditions: dict[str, Any] = {"map_until_s": map_until}
+        run = _on_log(log, map_until, parse_topics(topics))
     elif mode == "--map":
         conditions, run = chances, partial(_in_map(map_log), **chances)
     else:
@@ -140,20 +137,18 @@ def _refuse_options_of_other_modes(context: typer.Context, mode: str) -> None:
         raise typer.BadParameter(f"{why}.", param_hint=", ".join(wrong))
 
 
-def _on_log(log: Path, map_until_s: float | None, right: tuple[float, float], topics: dict[str, str]) -> _Benchmark:
-    from tools.lab.relocalization.figures import Tolerance
+def _on_log(log: Path, map_until_s: float | None, topics: dict[str, str]) -> _Benchmark:
     from tools.lab.relocalization.logged import benchmark_log
+    from tools.lab.relocalization.trial import Tolerance
 
     if map_until_s is None:
         raise typer.BadParameter("use it with --map-until.", param_hint="--log")
-    if not min(right) > 0.0:
-        raise typer.BadParameter(f"{right[0]:g} m and {right[1]:g} deg must be above 0.", param_hint="--right")
-    return partial(benchmark_log, log, map_until_s=map_until_s, tolerance=Tolerance(*right), topics=topics)
+    return partial(benchmark_log, log, map_until_s=map_until_s, tolerance=Tolerance(*RIGHT), topics=topics)
 
 
 def _in_map(map_log: Path | None) -> _Benchmark:
     from slam.localization.prior_map import load_prior_map
-    from tools.lab.relocalization.unknown_streets import benchmark_in_map
+    from tools.lab.relocalization.worlds import benchmark_in_map
 
     assert map_log is not None
     return partial(benchmark_in_map, load_prior_map(map_log))
@@ -165,7 +160,7 @@ def _in_world(objects: Path | None, trajectory: Path | None, map_log: Path | Non
     from slam.localization.prior_map import load_prior_map
     from slam.simulation.street_grid import generate_street_grid
     from slam.simulation.world import load_world
-    from tools.lab.relocalization.simulated import benchmark_relocalization
+    from tools.lab.relocalization.worlds import benchmark_relocalization
 
     if objects is not None and trajectory is not None:
         world = load_world(objects, trajectory)

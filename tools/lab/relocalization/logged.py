@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +22,9 @@ from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.synchronization import PoseSeries
-from tools.lab.relocalization.figures import (
-    RECOVERED_WITHIN_M,
-    Outcome,
-    Tolerance,
-    sum_up,
-)
+from tools.lab.relocalization.figures import sum_up
 from tools.lab.relocalization.known_map import KnownMap, map_drive, truth_of
-from tools.lab.relocalization.trial import Drive, put_down
+from tools.lab.relocalization.trial import RECOVERED_WITHIN_M, Drive, Tolerance, put_down
 
 REVISIT_M = 5.0
 """The robot is where the map has been if the mapped path is that near, all the way that it has for a fix."""
@@ -86,7 +80,7 @@ def benchmark_log(
         known = map_drive(first, config)
         chosen = [_spread(mapped, kidnaps), _spread(elsewhere, kidnaps)]
         drives = [_drive(known, records, truth, int(row), max_travel_m) for rows in chosen for row in rows]
-        outcomes = list[Outcome]()
+        outcomes = list[dict[str, Any]]()
         for drive in drives:
             outcomes.append(put_down(known, drive, config, tolerance))
             if on_progress is not None:
@@ -100,8 +94,8 @@ def benchmark_log(
         landmarks=known.landmark_count,
         map_ate_m=known.ate_m,
         elsewhere_kidnaps=len(elsewhere_outcomes),
-        elsewhere_fixes=sum(each.distance_m is not None for each in elsewhere_outcomes),
-        elsewhere_outcomes=[asdict(each) for each in elsewhere_outcomes],
+        elsewhere_fixes=sum(each["distance_m"] is not None for each in elsewhere_outcomes),
+        elsewhere_outcomes=elsewhere_outcomes,
     )
 
 
@@ -118,19 +112,17 @@ def _starts(truth: PoseSeries, end_ns: int, max_travel_m: float) -> tuple[IntArr
     travelled_m, passed = truth.travelled_m, int(np.searchsorted(truth.stamps_ns, end_ns, side="right"))
     distances_m = np.asarray(cKDTree(truth.positions[:passed]).query(truth.positions)[0])
     begins_m = np.arange(travelled_m[min(passed, len(travelled_m) - 1)], travelled_m[-1], STEP_M)
-    rows = np.unique(np.searchsorted(travelled_m, begins_m))
-    here = [row for row in rows if _ahead(travelled_m, distances_m, row, RECOVERED_WITHIN_M, np.max) <= REVISIT_M]
-    away = [row for row in rows if _ahead(travelled_m, distances_m, row, max_travel_m, np.min) > ELSEWHERE_M]
-    return np.array(here, dtype=np.int64), np.array(away, dtype=np.int64)
 
+    def starts(length_m: float, is_start: Callable[[FloatArray], bool]) -> IntArray:
+        """Where all distances over the next stretch fulfil a condition."""
+        rows = np.unique(np.searchsorted(travelled_m, begins_m[begins_m + length_m <= travelled_m[-1]]))
+        ends = np.searchsorted(travelled_m, travelled_m[rows] + length_m) + 1
+        return np.array([row for row, end in zip(rows, ends, strict=True) if is_start(distances_m[row:end])], np.int64)
 
-def _ahead(
-    travelled_m: FloatArray, distances_m: FloatArray, row: int, length_m: float, measure: Callable[[FloatArray], float]
-) -> float:
-    """Of the distances over the next stretch; not a number where the drive ends within it."""
-    if travelled_m[row] + length_m > travelled_m[-1]:
-        return np.nan
-    return float(measure(distances_m[row : int(np.searchsorted(travelled_m, travelled_m[row] + length_m)) + 1]))
+    return (
+        starts(RECOVERED_WITHIN_M, lambda apart_m: bool(np.all(apart_m <= REVISIT_M))),
+        starts(max_travel_m, lambda apart_m: bool(np.all(apart_m > ELSEWHERE_M))),
+    )
 
 
 def _spread(rows: IntArray, count: int) -> IntArray:

@@ -3,27 +3,48 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
 from logs.messages import GroundTruthPose, LoopClosureRecord, ObjectDetections, Odometry, Record, SlamPose
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.common.geometry import interpolate
+from slam.common.geometry import interpolate, invert, yaw_rad
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.localization.state import State
 from slam.object_map.map_io import SavedMap
 from slam.system import Slam
-from tools.lab.relocalization.figures import (
-    HOLDS_FOR_M,
-    Outcome,
-    Tolerance,
-    deviation,
-    judge,
-)
 from tools.lab.relocalization.known_map import KnownMap, truth_of
+
+RECOVERED_WITHIN_M = 40.0
+"""Travel within which a right fix is a success."""
+HOLDS_FOR_M = 10.0
+"""Travel after which a fix is checked again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """A fix that is no farther from the truth, in the plane and in heading, is right."""
+
+    metres: float
+    degrees: float
+
+    def allows(self, errors: tuple[float, float]) -> bool:
+        """Whether a fix with these errors [m], [deg] is right."""
+        return errors[0] <= self.metres and errors[1] <= self.degrees
+
+
+class Verdict(StrEnum):
+    """What became of a kidnapping: a right fix soon enough, a right one later, a wrong one, or none."""
+
+    RECOVERED = "recovered"
+    LATE = "late"
+    WRONG = "wrong"
+    NOT_FOUND = "not found"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,14 +59,25 @@ class Drive:
     start_m: float
     is_along: bool
     objects: int
-    records: tuple[Record, ...]
+    records: Sequence[Record]
 
 
-def put_down(known: KnownMap, drive: Drive, config: Config, tolerance: Tolerance) -> Outcome:
-    """Drive until the robot believes to know where it is, and 10 m more."""
+def put_down(known: KnownMap, drive: Drive, config: Config, tolerance: Tolerance) -> dict[str, Any]:
+    """Drive until the robot believes to know where it is, and 10 m more.
+
+    Returns:
+        ``number``, ``start_m``, ``is_along`` and ``objects`` of the drive, the ``verdict``, and of the first fix
+        ``distance_m`` and ``seconds`` from the start, ``error_m`` and ``error_deg`` in the plane and in heading: None
+        without a fix. ``local_error_m``, ``local_error_deg``: without the distortion of the map, which is taken at its
+        word about where its own drive was nearby; by these the fix ``is_misplaced``, if they are too large.
+        ``later_right``: whether the estimate is right 10 m after the fix, or at the end of the drive; None if the robot
+        then knows that it is lost. ``load_s``: from the saved map to the end of the first search; ``query_ms``: each
+        search after that until the fix. ``places``: of the likeliest place of each search, in a map with keyframes, its
+        posterior log odds and whether it is right in the map.
+    """
     truth = truth_of(drive.records)
-    tried = _drive(known, drive.records, truth, config)
-    fix = tried.fix
+    tried = _search(known, drive.records, truth, config)
+    fix, last = tried.fix, tried.last
 
     def errors(T_map_body: FloatArray, stamp_ns: int, *, nearby: bool = False) -> tuple[float, float]:
         within_ns = np.clip(np.array([stamp_ns], dtype=np.int64), truth.stamps_ns[0], truth.stamps_ns[-1])
@@ -57,33 +89,51 @@ def put_down(known: KnownMap, drive: Drive, config: Config, tolerance: Tolerance
         assert record.posterior_log_odds is not None
         assert record.T_reference_query is not None
         T_map_body = known.driven.graph.T_map_body[record.reference_keyframe_id] @ record.T_reference_query
-        return record.posterior_log_odds, tolerance.allows(*errors(T_map_body, record.stamp_ns, nearby=True))
+        return record.posterior_log_odds, tolerance.allows(errors(T_map_body, record.stamp_ns, nearby=True))
 
-    distance_m = float(truth.travelled_at_m(np.array([fix.stamp_ns]))[0]) if fix else None
-    error = errors(fix.T_map_body, fix.stamp_ns) if fix else (None, None)
-    local_error = errors(fix.T_map_body, fix.stamp_ns, nearby=True) if fix else (None, None)
-    return Outcome(
-        number=drive.number,
-        start_m=drive.start_m,
-        is_along=drive.is_along,
-        objects=drive.objects,
-        verdict=judge(distance_m, error, tolerance),
-        distance_m=distance_m,
-        seconds=1e-9 * (fix.stamp_ns - tried.first_ns) if fix else None,
-        error_m=error[0],
-        error_deg=error[1],
-        local_error_m=local_error[0],
-        local_error_deg=local_error[1],
-        is_misplaced=not tolerance.allows(*local_error) if fix else None,
-        later_right=tolerance.allows(*errors(tried.last.T_map_body, tried.last.stamp_ns)) if tried.last else None,
-        load_s=tried.load_s,
-        query_ms=tried.query_ms,
-        places=tuple(place(each) for each in tried.places) if isinstance(known.saved, SavedMap) else (),
-    )
+    outcome: dict[str, Any] = {
+        "number": drive.number,
+        "start_m": drive.start_m,
+        "is_along": drive.is_along,
+        "objects": drive.objects,
+        "verdict": Verdict.NOT_FOUND,
+        **dict.fromkeys(("distance_m", "seconds", "error_m", "error_deg", "local_error_m", "local_error_deg")),
+        "is_misplaced": None,
+        "later_right": tolerance.allows(errors(last.T_map_body, last.stamp_ns)) if last else None,
+        "load_s": tried.load_s,
+        "query_ms": tried.query_ms,
+        "places": [place(each) for each in tried.places] if isinstance(known.saved, SavedMap) else [],
+    }
+    if fix is not None:
+        distance_m = float(truth.travelled_at_m(np.array([fix.stamp_ns]))[0])
+        error, local_error = errors(fix.T_map_body, fix.stamp_ns), errors(fix.T_map_body, fix.stamp_ns, nearby=True)
+        outcome |= {
+            "verdict": judge(distance_m, error, tolerance),
+            "distance_m": distance_m,
+            "seconds": 1e-9 * (fix.stamp_ns - tried.first_ns),
+            **dict(zip(("error_m", "error_deg"), error, strict=True)),
+            **dict(zip(("local_error_m", "local_error_deg"), local_error, strict=True)),
+            "is_misplaced": not tolerance.allows(local_error),
+        }
+    return outcome
+
+
+def deviation(T_world_body_est: FloatArray, T_world_body_gt: FloatArray) -> tuple[float, float]:
+    """Distance in the plane [m] and difference of heading [deg], both >= 0, of two poses (4, 4)."""
+    offset = T_world_body_est[:2, 3] - T_world_body_gt[:2, 3]
+    turn_rad = float(yaw_rad(invert(T_world_body_gt) @ T_world_body_est))
+    return float(np.hypot(*offset)), abs(float(np.rad2deg(turn_rad)))
+
+
+def judge(distance_m: float, errors: tuple[float, float], tolerance: Tolerance) -> Verdict:
+    """The verdict on a fix after so much travel, with errors in metres and degrees."""
+    if not tolerance.allows(errors):
+        return Verdict.WRONG
+    return Verdict.RECOVERED if distance_m <= RECOVERED_WITHIN_M else Verdict.LATE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Trial:
+class _Search:
     """``fix``: the first pose in the map; ``last``: the one at the end; None if the robot is lost. ``places``: the
     likeliest of each search until the fix.
     """
@@ -93,10 +143,10 @@ class _Trial:
     first_ns: int
     places: list[LoopClosureRecord]
     load_s: float
-    query_ms: tuple[float, ...]
+    query_ms: list[float]
 
 
-def _drive(known: KnownMap, records: Iterable[Record], truth: PoseSeries, config: Config) -> _Trial:
+def _search(known: KnownMap, records: Sequence[Record], truth: PoseSeries, config: Config) -> _Search:
     """Search for the place of a drive."""
     started = time.perf_counter()
     slam = Slam(config, known.saved, extend=False)
@@ -122,11 +172,11 @@ def _drive(known: KnownMap, records: Iterable[Record], truth: PoseSeries, config
             if fix is not None:
                 end_m = float(truth.travelled_at_m(np.array([fix.stamp_ns]))[0]) + HOLDS_FOR_M
     # The first search enters the whole map into the index of places before it begins.
-    return _Trial(
+    return _Search(
         fix,
         last if slam.state != State.LOST else None,
         slam.first_stamp_ns,
         places,
         load_s + sum(query_s[:1]),
-        tuple(1e3 * seconds for seconds in query_s[1:]),
+        [1e3 * seconds for seconds in query_s[1:]],
     )

@@ -16,8 +16,8 @@ from slam.common.geometry import transform_from_xyz_yaw
 from slam.simulation.config import DriveConfig, SimulationConfig
 from slam.simulation.world import World
 from tests.helpers.short_drives import Entry, change, drive, write_log
-from tools.lab.relocalization.figures import Tolerance, Verdict
 from tools.lab.relocalization.logged import ELSEWHERE_M, benchmark_log
+from tools.lab.relocalization.trial import Tolerance, Verdict
 
 pytestmark = pytest.mark.slow
 
