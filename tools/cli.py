@@ -52,7 +52,6 @@ _COMMANDS = {
     "sweep": "evaluation.sweep:sweep",
     "view": "results.view:view",
     "export": "results.export:export",
-    "optimize": "optimize:optimize",
     "config": "settings.config:config",
     "train": "train:train",
     "benchmark": "lab.commands.app:app",

@@ -16,7 +16,7 @@ from logs.messages import ObjectMapRecord, TrajectoryRecord
 from logs.scene import class_color
 from logs.storage.ros2_definitions import typestore
 from slam.common.arrays import FloatArray
-from slam.formats.g2o import quaternions
+from slam.formats.trajectories import quaternions
 
 _VERSION: Literal[8] = 8  # of the metadata: read by ROS 2 Humble and all later releases
 _CUBE = 1

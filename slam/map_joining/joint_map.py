@@ -137,12 +137,10 @@ def _placed(
     is_closure = np.repeat([False, True], [len(edges), len(joins)])
     edges += [_closure(join, maps, first) for join in joins]
     pose_graph = PoseGraph(
-        vertex_ids=np.arange(len(poses)),
         T_world_vertex=poses,
         edges=np.array([(edge.from_keyframe, edge.to_keyframe) for edge in edges], dtype=np.int64),
         T_from_to=np.array([edge.T_from_to for edge in edges]),
-        information=np.linalg.inv(np.array([edge.covariance for edge in edges])),
-        fixed_ids=np.zeros(0, dtype=np.int64),
+        covariances=np.array([edge.covariance for edge in edges]),
     )
     solved = optimize_pose_graph(pose_graph, is_closure)
     return solved.graph.T_world_vertex, solved.solution.kept

@@ -51,8 +51,6 @@ _COMMANDS: dict[str, tuple[float, str]] = {
         degrade ?drive -o out.mcap --fault reversed
         degrade ?drive -o out.mcap --fault false_positives=3
         degrade ?drive -o out.mcap --fault label_confusion=0.2"""),
-    "optimize": (1, """
-        optimize ?graph.g2o -o out.g2o --json"""),
     "import": (1.5, """
         import csv out.mcap --odometry ?trajectory.tum|trajectory.kitti --detections =detections.csv
         import csv out.mcap --odometry =trajectory.tum|trajectory.kitti --detections ?detections.csv"""),

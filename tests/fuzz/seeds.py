@@ -17,10 +17,8 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from logs.decoders.protobuf import DECODERS
 from logs.reader import LogReader
 from logs.writer import LogWriter
-from slam.formats.g2o import write_pose_graph
 from tests.fuzz.dataset_cases import NETWORKS, make_trainings_small, training_arguments
 from tests.fuzz.mcap_file import McapFile, Message, read_file
-from tests.helpers.pose_graphs import with_false
 from tests.helpers.ros2_logs import Message as RosMessage
 from tests.helpers.ros2_logs import at, detection3d, encoded, header, tf, write_bag, write_ros1_bag
 from tests.logs.examples import every_kind
@@ -51,14 +49,13 @@ def make_seeds(folder: Path) -> Seeds:
     _run("export", mapped, "--kitti", folder / "trajectory.kitti")
     _write_kinds(folder / "kinds.mcap")
     _write_ros(folder / "ros.mcap")
-    write_pose_graph(folder / "graph.g2o", with_false(4, 4))
     (folder / "settings.toml").write_text(_run("config"))
     (folder / "simulation.toml").write_text(_run("config", "--simulation"))
     (folder / "detections.csv").write_text(_detections_table(drive))
     _run("export", mapped, "--csv", folder / "objects.csv")
     _write_objects(folder)
     names = ("drive", "mapped", "map", "kinds", "ros")
-    texts = ("trajectory.tum", "trajectory.kitti", "graph.g2o", "settings.toml", "simulation.toml", "detections.csv",
+    texts = ("trajectory.tum", "trajectory.kitti", "settings.toml", "simulation.toml", "detections.csv",
              "objects.csv", "objects.geojson", "objects.osm", WEIGHTS.name)  # fmt: skip
     shutil.copy(WEIGHTS, folder)
     logs = {name: read_file(str(folder / f"{name}.mcap")) for name in names}

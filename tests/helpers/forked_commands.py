@@ -12,7 +12,7 @@ SCRATCH = "/dev/shm" if Path("/dev/shm").is_dir() else None
 of most commands."""
 _IMPORTED = ("slam.replay", "slam.evaluation.evaluate", "slam.evaluation.page.page", "logs.summary",
              "slam.display.map_picture", "slam.backend.pose_graph.robust_optimization", "rich.table",
-             "matplotlib.pyplot", "slam.object_map.map_io", "slam.formats.g2o", "tools.console",
+             "matplotlib.pyplot", "slam.object_map.map_io", "tools.console",
              "plotly.graph_objects", "descriptors.learned.descriptor",
              "descriptors.training.contrast", "slam.simulation.faults.registry",
              "slam.simulation.faults.faulty_log", "logs.importers.text_log", "logs.importers.detection_tables",

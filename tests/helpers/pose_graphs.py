@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slam.backend.pose_graph.pose_graph import PoseGraph
-from slam.common.arrays import FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.geometry import invert, make_transform, transform_from_xyz_yaw
 
 ROUND = 60
@@ -36,17 +36,15 @@ def two_rounds(closures: IntArray, T_from_to: FloatArray, *, seed: int = 0) -> P
         poses.append(poses[-1] @ step)
     ids = np.arange(VERTICES)
     return PoseGraph(
-        vertex_ids=ids,
         T_world_vertex=np.array(poses),
         edges=np.concatenate([np.column_stack([ids[:-1], ids[1:]]), closures]),
         T_from_to=np.concatenate([steps, T_from_to]),
-        information=np.concatenate(
+        covariances=np.concatenate(
             [
-                np.tile(np.diag(ODOMETRY_SIGMAS**-2.0), (len(steps), 1, 1)),
-                np.tile(np.diag(CLOSURE_SIGMAS**-2.0), (len(closures), 1, 1)),
+                np.tile(np.diag(ODOMETRY_SIGMAS**2), (len(steps), 1, 1)),
+                np.tile(np.diag(CLOSURE_SIGMAS**2), (len(closures), 1, 1)),
             ]
         ),
-        fixed_ids=np.array([0]),
     )
 
 
@@ -73,6 +71,11 @@ def with_false(true_count: int, false_count: int, *, seed: int = 1) -> PoseGraph
     parts = (true_closures(true_count, rng), false_closures(false_count, rng))
     pairs, transforms = (np.concatenate(part) for part in zip(*parts, strict=True))
     return two_rounds(pairs, transforms)
+
+
+def are_closures(graph: PoseGraph) -> BoolArray:
+    """Which edges (E,) of a drive are closures: all after the odometry."""
+    return np.asarray(np.arange(len(graph.edges)) >= VERTICES - 1)
 
 
 def rmse_m(graph: PoseGraph) -> float:

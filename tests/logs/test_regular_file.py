@@ -22,9 +22,8 @@ from logs.reader import LogReader
 from logs.storage import regular_file
 from logs.storage.regular_file import max_unpacked_bytes, open_regular, read_regular
 from slam.common.config import load_config
-from slam.common.errors import InputDataError, SlamError
+from slam.common.errors import SlamError
 from slam.fleet.logs import find_logs
-from slam.formats.g2o import read_pose_graph
 
 READERS: dict[str, Callable[[Path], object]] = {
     "log": LogReader,
@@ -34,7 +33,6 @@ READERS: dict[str, Callable[[Path], object]] = {
     "cloud": read_points,
     "settings": load_config,
     "objects": read_object_table,
-    "pose graph": read_pose_graph,
     "manifest": lambda path: find_logs([], path, path.parent),
 }
 
@@ -73,14 +71,6 @@ def test_a_file_that_is_read_as_a_whole_may_not_be_larger_than_the_limit(tmp_pat
         read_source_text(path)
     path.write_bytes(b"1,2\n")
     assert read_regular(path) == b"1,2\n"
-
-
-def test_a_pose_graph_has_no_endless_line(tmp_path: Path) -> None:
-    path = tmp_path / "graph.g2o"
-    with path.open("wb") as stream:
-        stream.truncate(10 * regular_file.MAX_BYTES)
-    with pytest.raises(InputDataError, match="a line of 100000 characters or more"):
-        read_pose_graph(path)
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from tests.tools.runs import ROOT, SAMPLE, Run, assert_refused
 COMMANDS = (
     *("simulate", "degrade", "import kitti-objects", "info", "replay", "evaluate"),
     *("compare", "sweep"),
-    *("optimize", "view", "export", "config"),
+    *("view", "export", "config"),
     *("relocalize", "train", "benchmark replay", "benchmark descriptors"),
     *("benchmark relocalization", "benchmark faults", "benchmark ablation"),
     *("benchmark robots", "benchmark recall", "benchmark retrieval", "benchmark fleet", "benchmark kidnapping"),

@@ -69,7 +69,8 @@ def export(
         )
     check_outputs(outputs, [log])
     from slam.formats import landmark_tables as tables
-    from slam.formats import trajectory_and_graph as text
+    from slam.formats import trajectories as text
+    from slam.formats.g2o import write_g2o
     from slam.formats.ros2_bag import write_ros2_bag
     from tools import console
 
@@ -95,7 +96,7 @@ def export(
         console.show(f"{ros2_bag}: {len(source.track.stamps_ns)} poses, {len(source.objects.ids)} landmarks")
     if g2o is not None:
         graph = source.graph
-        text.write_g2o(g2o, graph, source.records.object_map)
+        write_g2o(g2o, graph, source.records.object_map)
         console.show(
             f"{g2o}: {len(graph.keyframe_ids)} keyframes, {len(graph.edge_kinds)} edges, without the robust kernels of "
             "the configuration, which g2o files cannot hold"

@@ -19,8 +19,8 @@ WIDE_KERNEL_WIDTH = 10.0
 """Width at which many closures outweigh few that happen to fit the odometry."""
 MIN_WEIGHT = 0.02
 """A closure whose weight is less is rejected: one that is off by more than seven standard deviations."""
-DIMENSIONS = (3, 6)
-"""Of the error between two poses, in the plane and in space."""
+DIMENSION = 6
+"""Of the error between two poses."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,7 +167,7 @@ def _could_be_lower(
 
 def _checked_closure(graph: gtsam.NonlinearFactorGraph, index: int) -> gtsam.NoiseModelFactor:
     factor = graph.at(index) if 0 <= index < graph.size() and graph.exists(index) else None
-    if not isinstance(factor, gtsam.NoiseModelFactor) or len(factor.keys()) != 2 or factor.dim() not in DIMENSIONS:
+    if not isinstance(factor, gtsam.NoiseModelFactor) or len(factor.keys()) != 2 or factor.dim() != DIMENSION:
         raise FactorGraphError(f"factor {index} is not a closure between two poses")
     if isinstance(factor.noiseModel(), gtsam.noiseModel.Robust):
         raise FactorGraphError(f"closure {index} has a kernel already; give it plain noise")

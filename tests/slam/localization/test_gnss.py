@@ -19,7 +19,7 @@ from slam.common.config import Config
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.common.georeference import Georeference
 from slam.evaluation.inputs.records import read_records
-from slam.formats.trajectory_and_graph import write_geodetic
+from slam.formats.trajectories import write_geodetic
 from slam.localization.gnss import GnssPrior, find_georeference
 from slam.output_log import LOCATION
 from slam.replay import replay

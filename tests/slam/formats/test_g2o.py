@@ -12,7 +12,8 @@ from logs.messages import FactorGraphRecord, TrajectoryRecord
 from slam.common.arrays import FloatArray
 from slam.common.errors import InputDataError
 from slam.common.geometry import invert, make_transform
-from slam.formats.trajectory_and_graph import write_g2o, write_kitti, write_tum
+from slam.formats.g2o import write_g2o
+from slam.formats.trajectories import write_kitti, write_tum
 from tests.slam.evaluation.maps import object_map
 
 

@@ -1,0 +1,102 @@
+"""Trajectories in the text formats of other programs: TUM, KITTI, and a table of places on earth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from logs.messages import TrajectoryRecord
+from logs.storage.placement import write_text
+from slam.common.arrays import FloatArray
+from slam.common.errors import InputDataError
+from slam.common.georeference import Georeference
+
+
+def write_tum(path: str | Path, trajectory: TrajectoryRecord) -> None:
+    """Write ``stamp x y z qx qy qz qw`` a line: seconds with all nine digits of the nanoseconds, metres, body in map.
+
+    Numbers other than the stamp are the shortest decimals that read back to the same float64.
+
+    Raises:
+        InputDataError: stamps and poses differ in number, or a pose is not finite.
+        UnwritableLogError: the file cannot be written.
+    """
+    rows = position_and_quaternion(checked_poses(trajectory.T_map_body, trajectory.stamps_ns))
+    stamps = map(_seconds, trajectory.stamps_ns.tolist())
+    write_lines(path, (f"{stamp} {format_numbers(row)}" for stamp, row in zip(stamps, rows, strict=True)))
+
+
+def write_geodetic(path: Path, trajectory: TrajectoryRecord, georeference: Georeference) -> None:
+    """Write a row a pose: time [s], latitude, longitude [deg] and altitude [m] on WGS 84.
+
+    Raises:
+        UnwritableLogError: the file cannot be written.
+    """
+    places = georeference.to_geodetic(trajectory.T_map_body[:, :3, 3]).tolist()
+    rows = [
+        f"{_seconds(stamp_ns)},{latitude:.9f},{longitude:.9f},{altitude_m:.3f}"
+        for stamp_ns, (latitude, longitude, altitude_m) in zip(trajectory.stamps_ns.tolist(), places, strict=True)
+    ]
+    write_lines(path, ["stamp_s,latitude_deg,longitude_deg,altitude_m", *rows])
+
+
+def write_kitti(path: str | Path, trajectory: TrajectoryRecord) -> None:
+    """Write the upper 3x4 part of each ``T_map_body``, row by row, a pose a line.
+
+    The poses are those of the **body** (x forward, y left, z up) in the map, one for each odometry message; KITTI's own
+    files hold the left camera's (x right, y down, z forward). Errors over stretches of path compare either way,
+    provided that both files hold the same frame. The format has no stamps.
+
+    Raises:
+        InputDataError: stamps and poses differ in number, or a pose is not finite.
+        UnwritableLogError: the file cannot be written.
+    """
+    poses = checked_poses(trajectory.T_map_body, trajectory.stamps_ns)
+    write_lines(path, (format_numbers(T[:3].ravel()) for T in poses))
+
+
+def write_lines(path: str | Path, lines: Iterable[str]) -> None:
+    """Write a text file of these lines.
+
+    Raises:
+        UnwritableLogError: the file cannot be written.
+    """
+    write_text(path, "".join(f"{line}\n" for line in lines))
+
+
+def checked_poses(poses: FloatArray, names: Sequence[object] | np.ndarray) -> FloatArray:
+    """The poses (N, 4, 4), of which each has a name.
+
+    Raises:
+        InputDataError: another number of them, or one that is not finite.
+    """
+    poses = poses.reshape(-1, 4, 4)
+    if len(poses) != len(names):
+        raise InputDataError(f"{len(names)} stamps or ids do not belong to {len(poses)} transforms")
+    broken = np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2)))
+    if len(broken):
+        raise InputDataError(f"transform {broken[0]} of {len(poses)} is not finite; nothing was exported")
+    return poses
+
+
+def _seconds(stamp_ns: int) -> str:
+    whole, rest = divmod(abs(stamp_ns), 1_000_000_000)
+    return f"{'-' if stamp_ns < 0 else ''}{whole}.{rest:09d}"
+
+
+def format_numbers(values: FloatArray) -> str:
+    """Values (N,) with blanks between, the shortest decimals that read back to the same float64."""
+    return " ".join(map(repr, values.tolist()))
+
+
+def quaternions(poses: FloatArray) -> FloatArray:
+    """(N, 4) x y z w of poses (N, 4, 4); N = 0 gives (0, 4)."""
+    return Rotation.from_matrix(poses[:, :3, :3]).as_quat() if len(poses) else np.zeros((0, 4))
+
+
+def position_and_quaternion(poses: FloatArray) -> FloatArray:
+    """(N, 7) x y z and quaternion x y z w of poses (N, 4, 4)."""
+    return np.hstack([poses[:, :3, 3], quaternions(poses)])
