@@ -33,8 +33,6 @@ from slam.evaluation.metrics.landmarks import (
 from slam.evaluation.metrics.relocalization import describe_losses, evaluate_relocalization
 from slam.evaluation.metrics.trajectory import TrajectoryErrors, evaluate_trajectory
 from slam.evaluation.place_recognition.closures import describe_closures, judge_closures
-from slam.evaluation.place_recognition.online_protocol import evaluate_online
-from slam.evaluation.place_recognition.precision_recall import describe_sweep
 from slam.evaluation.place_recognition.revisits import describe_revisits, find_missed, find_revisits
 from slam.evaluation.result import Evaluation, describe_trajectories, plain, undefined
 
@@ -130,7 +128,6 @@ class _Evaluator:
             "associations": self._describe_associations(labelled),
             "landmarks": self._describe_landmarks(labelled, matches, T_world_map),
             "closures": self._describe_closures(judged, queries),
-            "literature_protocols": {"online": self._describe_online()},
             "relocalization": self._describe_relocalization(T_world_map),
             "calibration": describe_calibration(consistency, protocol.coverage_probability),
             "counters": records.status.counters if records.status else {},
@@ -270,15 +267,6 @@ class _Evaluator:
             no_queries = find_revisits(_NO_POSES.stamps_ns, _NO_POSES.stamps_ns, _NO_POSES, protocol)
             return {**figures, **undefined(describe_revisits(no_queries, nothing))}
         return {**figures, **describe_revisits(queries, judged)}
-
-    def _describe_online(self) -> dict[str, Any]:
-        graph, truth = self._records.graph, self._closure_truth
-        if graph is None or not len(truth):
-            self._unavailable["literature_protocols"] = NO_KEYFRAMES if graph is None else NO_TRUTH
-            counts = dict.fromkeys(("query_count", "revisit_count", "found_count", "recall_at_1"))
-            return {**counts, **describe_sweep(None)}
-        candidates = find_final_decisions(self._records.closures)
-        return evaluate_online(candidates, graph, self._odometry.stamps_ns, truth, self._protocol)
 
     def _describe_relocalization(self, T_world_estimate: FloatArray | None) -> dict[str, Any]:
         records = self._records

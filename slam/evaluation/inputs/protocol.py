@@ -24,7 +24,6 @@ LENGTHS = (
     "query_spacing_m",
     "revisit_distance_m",
     "closure_run_gap_m",
-    "pair_positive_m",
     "relocalization_translation_m",
 )
 """Those of them that mean nothing in a hall of ten metres."""
@@ -56,8 +55,6 @@ class Protocol:
     same_heading_deg: float = 45.0
     opposite_heading_deg: float = 135.0
     closure_run_gap_m: float = 10.0
-    pair_positive_m: float = 3.0
-    pair_frames: int = 50
     relocalization_translation_m: float = 4.0
     relocalization_rotation_deg: float = 10.0
     coverage_probability: float = 0.95
@@ -135,7 +132,6 @@ class Protocol:
             "shown by a confirmed landmark.",
             "class_accuracy": "Confirmed landmarks whose most probable class is that of their object.",
             **self._describe_closures(),
-            **self._describe_literature_protocols(),
             **self._describe_relocalization(),
             **self._describe_calibration(),
         }
@@ -172,16 +168,6 @@ class Protocol:
             "extended_precision": "The mean of the precision at the highest score and the largest recall at full "
             "precision (Ferrarini et al., 2020); the latter is 0 if the best score is false. Undefined without a "
             "candidate, as average precision and F1 are.",
-        }
-
-    def _describe_literature_protocols(self) -> dict[str, str]:
-        apart = f"more than {self.pair_frames} frames apart (odometry messages, or keyframes where the log has none)"
-        return {
-            "literature_online": f"Each keyframe is a query against all earlier ones {apart}. Its answer is the "
-            "keyframe nearest to the pose of its best-scoring candidate in the final map, or none if it is "
-            f"{self.pair_positive_m:g} m away or more; it is right if both are less than {self.pair_positive_m:g} m "
-            "apart by the truth. Recall is over the queries with such a keyframe; recall at 1 ignores the score. "
-            "Papers query every frame, and each has an answer.",
         }
 
     def _describe_relocalization(self) -> dict[str, str]:

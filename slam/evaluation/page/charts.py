@@ -6,37 +6,22 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from scipy.special import chdtr
 
-from logs.closures import STAGES
-from logs.messages import LoopClosureRecord
 from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
-from slam.common.geometry import apply, invert, travelled_m, yaw_rad
+from slam.common.geometry import apply, travelled_m
 from slam.display import palette
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries, SynchronizedPoses, synchronize
 from slam.evaluation.metrics.calibration import Consistency
 from slam.evaluation.metrics.trajectory import TrajectoryErrors
-from slam.evaluation.page.traces import Chart, Trace, draw_line, draw_points, label, make_axis, make_chart, thin
+from slam.evaluation.page.traces import Chart, Trace, draw_line, draw_points, label, make_axis, make_chart
 from slam.evaluation.report.figures import value_at
-from slam.evaluation.report.picture import poses_at
 from slam.evaluation.result import Evaluation
 
 COLORS = ("#0b5cad", "#d97706", "#15803d", "#b91c1c", "#7c3aed", "#0891b2", "#be185d", "#65a30d", "#475569", "#a16207")
 DASHES = ("solid", "dash", "dot", "dashdot")
-STAGE_COLORS = {
-    **dict.fromkeys(STAGES, "#8a94a3"),
-    "registration": "#7d9cc0",
-    "acceptance": "#c9a50a",
-    "consistency": "#e377c2",
-    "association": "#8c6bb1",
-    "back_end": "#d64545",
-    "accepted": palette.TRUE_CLOSURE,
-}
-MAX_REJECTED = 1500
-"""So many rejected candidates are drawn of each stage."""
 _CALIBRATED = {"pose": palette.ESTIMATE, "landmark": "#8456c4", "closure": palette.TRUE_CLOSURE}
 
 
@@ -93,60 +78,6 @@ def draw_error_along_path(records: EvaluationRecords, evaluation: Evaluation) ->
             traces.append(draw_line(x, y, title, color) | {"hoverinfo": "y+name"})
     x_axis = make_axis("true path travelled [m]", rangemode="tozero")
     return make_chart(traces, x_axis, make_axis("position error [m]", rangemode="tozero"), hovermode="x unified")
-
-
-def draw_candidates(judged: pd.DataFrame | None, path: PoseSeries) -> Chart | None:
-    """Score of each candidate over time, coloured by the stage of its decision; None where there is no candidate."""
-    if judged is None:
-        return None
-    stages = judged["stage"].where(judged["stage"].isin(STAGES), "another")
-    start_ns = int(path.stamps_ns[0]) if len(path) else 0
-    traces = [
-        _draw_stage(judged[stages == stage], stage, start_ns, path)
-        for stage in (*STAGES, "another")
-        if (stages == stage).any()
-    ]
-    return make_chart(traces, make_axis("time [s]"), make_axis("score"))
-
-
-def _draw_stage(candidates: pd.DataFrame, stage: str, start_ns: int, path: PoseSeries) -> Trace:
-    shown, count = candidates, len(candidates)
-    if stage != "accepted":
-        shown = candidates.iloc[thin(np.ones(count, dtype=np.bool_), MAX_REJECTED)]
-    name = f"{stage.replace('_', ' ')} ({count if len(shown) == count else f'{len(shown)} of {count}'})"
-    symbols = np.select([shown["true"], shown["decided"]], ["circle", "x-thin-open"], "circle-open")
-    color = STAGE_COLORS.get(stage, palette.OTHER_COLOR)
-    seconds = (shown["stamp_ns"] - start_ns) * 1e-9
-    places = np.column_stack([seconds, np.nan_to_num(shown["score"], nan=0.0, posinf=0.0, neginf=0.0)])
-    texts = [_describe(*row) for row in zip(shown["record"], shown["decided"], shown["true"], strict=True)]
-    trace = draw_points(places, name, texts, color, symbols.tolist())
-    trace["marker"]["line"] = {"color": color, "width": 1.2}
-    return trace | {"customdata": _places(shown, path)}
-
-
-def _describe(candidate: LoopClosureRecord, decided: bool, true: bool) -> str:
-    earlier = "no place" if candidate.reference_keyframe_id < 0 else f"{candidate.reference_keyframe_id}"
-    verdict = "undecided" if not decided else "true" if true else "false"
-    stage = f"{label(candidate.stage)}, {verdict} by the truth"
-    return f"keyframe {candidate.query_keyframe_id} → {earlier}<br>{stage}<br>{label(candidate.reason)}"
-
-
-def _places(candidates: pd.DataFrame, path: PoseSeries) -> list[list[float] | None]:
-    """For each candidate x and y of query and reference, and where it moves landmarks: x, y, yaw; map frame, m, rad.
-
-    None where it has no transform, or the path does not reach its keyframes.
-    """
-    T_map_query = poses_at(path, candidates["stamp_ns"].to_numpy())
-    T_map_reference = poses_at(path, candidates["reference_stamp_ns"].to_numpy())
-    places: list[list[float] | None] = []
-    for record, query, reference in zip(candidates["record"], T_map_query, T_map_reference, strict=True):
-        if record.T_reference_query is None or not (np.isfinite(query).all() and np.isfinite(reference).all()):
-            places.append(None)
-            continue
-        moved = reference @ record.T_reference_query @ invert(query)
-        numbers = [*query[:2, 3], *reference[:2, 3], *moved[:2, 3], yaw_rad(moved)]
-        places.append([round(float(number), 4) for number in numbers])
-    return places
 
 
 def draw_calibration(parts: Mapping[str, Consistency]) -> Chart | None:

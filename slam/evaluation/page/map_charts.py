@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 
 from slam.common.arrays import FloatArray
-from slam.common.calibration import DetectionCalibration
 from slam.display import palette
 from slam.display.map_picture import MapPicture
 from slam.evaluation.inputs.records import EvaluationRecords
@@ -97,7 +96,6 @@ def draw_object_map(picture: MapPicture, records: EvaluationRecords) -> Chart | 
     return make_chart(
         traces,
         **view_from_above(points),
-        meta={"sensor_range_m": records.sensor_range_m or DetectionCalibration().sensor_range_m},
     )
 
 

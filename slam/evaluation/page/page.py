@@ -21,7 +21,6 @@ from slam.common.config_tree import changes
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.page.charts import (
     draw_calibration,
-    draw_candidates,
     draw_error_along_path,
     draw_precision_recall,
 )
@@ -64,13 +63,6 @@ _PANELS = {
         "Error along the path",
         "Distance from the true position, each trajectory aligned as a whole.",
     ),
-    "candidates": (
-        "Candidates over time",
-        "The score of each candidate (0 if it has none), coloured by the stage that decided it: dots are true by the "
-        "ground truth, crosses false, rings undecided. A click shows the candidate on the object map: a line between "
-        "its keyframes, and the landmarks around the later one, as rings, at the pose of the candidate. Rings around "
-        "dots show a true candidate.",
-    ),
     "calibration": (
         "Calibration",
         "Share of the errors within the confidence regions of the map. Below the dotted line the map is overconfident "
@@ -109,7 +101,7 @@ def write_report(path: Path, records: EvaluationRecords, evaluation: Evaluation,
 def compose_page(records: EvaluationRecords, evaluation: Evaluation, *, title: str) -> str:
     """The whole page as text; as :func:`write_report`."""
     results = evaluation.to_json_dict()
-    picture, path = compose_picture(records, evaluation), estimated_path(records)
+    picture = compose_picture(records, evaluation)
     missing = evaluation.unavailable
     without_closures = missing.get("closures") or "no revisit, or no candidate"
     charts: dict[str, tuple[Chart | None, str]] = {
@@ -123,7 +115,6 @@ def compose_page(records: EvaluationRecords, evaluation: Evaluation, *, title: s
             draw_error_along_path(records, evaluation),
             missing.get("trajectory", "no trajectory has ground truth"),
         ),
-        "candidates": (draw_candidates(evaluation.closures, path), "no loop-closure candidate in the log"),
         "calibration": (draw_calibration(evaluation.consistency), missing.get("calibration", "no error to compare")),
     }
     return _render(

@@ -84,7 +84,6 @@ def test_every_key_about_places_is_documented() -> None:
     text = (Path(__file__).parents[3] / "docs" / "evaluation.md").read_text(encoding="utf-8")
     results = evaluate(EvaluationRecords()).to_json_dict()
     parts = [results[name] for name in ("closures", "relocalization")]
-    parts.append(results["literature_protocols"]["online"])
     keys = {key for part in parts for key in part if not key.startswith("revisit_count_")}
     assert len(keys) > 50
     assert {key for key in keys if key not in text} == set()

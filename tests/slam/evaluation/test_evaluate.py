@@ -30,7 +30,7 @@ from tests.slam.evaluation.results import at_json, graph
 COUNT = 400
 PARTS = {
     *("trajectory", "odometry", "online", "associations", "landmarks"),
-    *("closures", "literature_protocols", "relocalization", "counters"),
+    *("closures", "relocalization", "counters"),
 }
 T_WORLD_MAP = transform_from_xyz_yaw(np.array([20.0, 30.0, 1.0]), 0.7)
 
@@ -141,7 +141,6 @@ def test_the_keys_do_not_depend_on_what_is_there() -> None:
     assert full.keys() == empty.keys()
     for part in ("trajectory", "associations", "landmarks", "closures", "relocalization", "protocol"):
         assert full[part].keys() == empty[part].keys()
-    assert full["literature_protocols"]["online"].keys() == empty["literature_protocols"]["online"].keys()
 
 
 def test_an_unfinished_run_is_measured_by_its_online_poses() -> None:

@@ -37,9 +37,9 @@ def test_sensor_range_is_estimated_or_given(estimated, given, expected):
 
 
 def test_with_thresholds_replaces_thresholds():
-    changed = Protocol().with_thresholds({"closure_translation_m": 1.0, "pair_frames": 10.0})
-    assert changed == replace(Protocol(), closure_translation_m=1.0, pair_frames=10)
-    assert isinstance(changed.pair_frames, int)
+    changed = Protocol().with_thresholds({"closure_translation_m": 1.0, "least_detections": 10.0})
+    assert changed == replace(Protocol(), closure_translation_m=1.0, least_detections=10)
+    assert isinstance(changed.least_detections, int)
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def test_with_thresholds_replaces_thresholds():
     [
         ({"closure_m": 1.0}, "no threshold closure_m"),
         ({"relative_lengths_m": 1.0}, "no threshold relative_lengths_m"),
-        ({"pair_frames": 1.5}, "whole number"),
+        ({"least_detections": 1.5}, "whole number"),
         ({"closure_translation_m": -1.0}, "must be positive"),
         ({"coverage_probability": 1.0}, "coverage_probability"),
     ],

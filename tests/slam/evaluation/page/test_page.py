@@ -40,7 +40,7 @@ from tests.slam.evaluation.results import graph
 
 HOSTILE = '</script><b>O\'Brien & "sons"\n%{x}'
 PATHS = (TrajectoryRecord, SlamPose, Odometry, GroundTruthPose)
-CHARTS = ("trajectory", "objects", "precision-recall", "error", "candidates")
+CHARTS = ("trajectory", "objects", "precision-recall", "error")
 _CHART = re.compile(r'Plotly\.newPlot\(\s*"chart-([\w-]+)",\s*(\[.*?\]),\s*(\{.*?\}),\s*\{"displaylogo"', re.DOTALL)
 
 
@@ -138,7 +138,7 @@ def test_same_input_gives_same_bytes(page: str, tmp_path: Path) -> None:
     ("left_out", "missing", "reason"),
     [
         ((GroundTruthPose,), {"precision-recall", "error"}, "no ground truth"),
-        ((LoopClosureRecord,), {"precision-recall", "candidates"}, "no loop-closure candidate"),
+        ((LoopClosureRecord,), {"precision-recall"}, "no revisit, or no candidate"),
         ((FactorGraphRecord,), {"precision-recall"}, "no keyframes in the log"),
         ((ObjectMapRecord,), {"objects"}, "no object map in the log"),
         ((TrajectoryRecord,), set(), "was not finished"),
@@ -206,15 +206,11 @@ def test_thinning_keeps_ends_and_breaks() -> None:
     assert thin(np.ones(10, dtype=np.bool_), 20).tolist() == list(range(10))
 
 
-def test_accepted_closures_and_landmarks_are_thinned_fairly() -> None:
-    truth = there_and_back()
-    rejected = (replace(closure(200, 40, stage="acceptance"), query_keyframe_id=k) for k in range(8_000))
-    accepted = (replace(closure(200, 40, truth=truth), query_keyframe_id=k) for k in range(9_000, 10_000))
+def test_landmarks_are_thinned_by_class() -> None:
     labels = tuple("tree" if row % 3 else "pole" for row in range(12_000))
     many = object_map(tuple(map(str, range(12_000))), np.random.default_rng(0).normal(size=(12_000, 3)), labels)
-    records = replace(without(LoopClosureRecord, ObjectMapRecord), closures=(*rejected, *accepted), object_map=many)
+    records = replace(without(ObjectMapRecord), object_map=many)
     charts = charts_of(page_of(records))
-    assert [t["name"] for t in charts["candidates"]] == ["acceptance (1500 of 8000)", "accepted (1000)"]
     assert [t["name"] for t in charts["objects"]][1:] == ["tree (3333 of 8000)", "pole (1666 of 4000)"]
 
 
@@ -300,27 +296,3 @@ def test_browser_draws_the_page(browser: Browser, file: Path, width_px: int) -> 
         "return ['xaxis', 'yaxis'].map(a => l[a]._length / (l[a].range[1] - l[a].range[0]))"
     )
     assert x == pytest.approx(y, rel=1e-3)
-
-
-@needs_chromium
-@pytest.mark.slow
-def test_click_shows_candidate_on_the_map(browser: Browser, file: Path) -> None:
-    browser.open(file, width_px=1280)
-    browser.console()
-    browser.run(
-        """const chart = document.getElementById('chart-candidates');
-        const trace = chart.data.find(t => t.name.startsWith('accepted'));
-        chart.emit('plotly_click', {points: [{customdata: trace.customdata[0]}]});"""
-    )
-    browser.wait("return document.getElementById('chart-objects').data.some(t => t.isCandidate)")
-    assert browser.console() == []
-    x, y, ring_x, ring_y = browser.run(
-        """const data = document.getElementById('chart-objects').data, old = data.find(t => t.name.startsWith('tree'));
-        const rings = data.filter(t => t.isCandidate && t.name === 'moved' && t.marker.color === old.marker.color);
-        return [[...old.x], [...old.y], rings.flatMap(t => t.x), rings.flatMap(t => t.y)]"""
-    )
-    known = [(a, b) for a, b in zip(x, y, strict=True) if a is not None and b is not None]
-    assert len(ring_x) > 0
-    # The first one is 9 m off: every ring lies that far beside a landmark of its class.
-    for at_x, at_y in zip(ring_x, ring_y, strict=True):
-        assert min(np.hypot(at_x - a, at_y - b) for a, b in known) == pytest.approx(9.0, abs=0.05)
