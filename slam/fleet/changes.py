@@ -14,9 +14,9 @@ from scipy.spatial import cKDTree
 from logs.storage.placement import write_text
 from slam.common.arrays import IntArray
 from slam.common.georeference import Georeference
+from slam.fleet.parts import Part
 from slam.fleet.passes import find_passes
 from slam.fleet.presence import Presence, estimate_presence, seen_probabilities
-from slam.map_joining.joint_map import JointMap
 
 REPORTED = 0.5
 """Changes of at least that probability are reported."""
@@ -42,23 +42,23 @@ class Change:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LivingMap:
-    """``presence`` of the landmarks of a joint map, and the ``changes`` that this shows."""
+    """``presence`` of the landmarks of a part, and the ``changes`` that this shows."""
 
     presence: Presence
     changes: tuple[Change, ...]
 
 
-def detect_changes(joint: JointMap, stamps_ns: Sequence[int]) -> LivingMap:
-    """What changed in a joint map.
+def detect_changes(part: Part, stamps_ns: Sequence[int]) -> LivingMap:
+    """What changed in a part of the map.
 
     Args:
-        joint: the map; its members have to be in the order of their dates.
-        stamps_ns: when each member drove.
+        part: with sessions numbered in the order of their dates.
+        stamps_ns: when each of its sessions drove.
     """
-    passes = find_passes(joint)
+    passes = find_passes(part)
     when = np.array(stamps_ns, dtype=np.int64)
     presence = estimate_presence(passes.seen, seen_probabilities(passes.seen, passes.in_view_m), when)
-    return LivingMap(presence, _changes(joint, presence, when, area_m2=_area_m2(joint)))
+    return LivingMap(presence, _changes(part, presence, when, area_m2=_area_m2(part)))
 
 
 def write_changes(path: Path, changes: Sequence[Change], georeference: Georeference | None) -> None:
@@ -91,40 +91,40 @@ def _coordinates(position: tuple[float, float, float], georeference: Georeferenc
     return [round(longitude, 9), round(latitude, 9), round(altitude_m, 3)]
 
 
-def _area_m2(joint: JointMap) -> float:
+def _area_m2(part: Part) -> float:
     """Area of the map, as its landmarks cover it: points at random are half a mean spacing from the nearest other."""
-    positions = joint.objects.positions[:, :2]
+    positions = part.objects.positions[:, :2]
     if len(positions) < 2:
         return 1.0
     nearest_m = np.asarray(cKDTree(positions).query(positions, k=2)[0])[:, 1]
     return len(positions) * (2.0 * float(np.median(nearest_m)) + 1e-3) ** 2
 
 
-def _changes(joint: JointMap, presence: Presence, when: IntArray, *, area_m2: float) -> tuple[Change, ...]:
+def _changes(part: Part, presence: Presence, when: IntArray, *, area_m2: float) -> tuple[Change, ...]:
     if len(when) < 2:
         return ()
     appeared = np.flatnonzero(presence.appeared >= REPORTED).tolist()
     gone = np.flatnonzero(presence.gone >= REPORTED).tolist()
-    moves = _moves(joint, presence, appeared, gone, area_m2)
+    moves = _moves(part, presence, appeared, gone, area_m2)
     came, went = {new for new, _, _ in moves}, {old for _, old, _ in moves}
     changes = [
-        *(_moved(joint, presence, when, *move) for move in moves),
-        *(_change(joint, presence, when, row, "appeared") for row in appeared if row not in came),
-        *(_change(joint, presence, when, row, "gone") for row in gone if row not in went),
+        *(_moved(part, presence, when, *move) for move in moves),
+        *(_change(part, presence, when, row, "appeared") for row in appeared if row not in came),
+        *(_change(part, presence, when, row, "gone") for row in gone if row not in went),
     ]
     return tuple(sorted(changes, key=lambda change: (change.before, change.kind, int(change.landmark))))
 
 
 def _moves(
-    joint: JointMap, presence: Presence, appeared: list[int], gone: list[int], area_m2: float
+    part: Part, presence: Presence, appeared: list[int], gone: list[int], area_m2: float
 ) -> list[tuple[int, int, float]]:
     """Rows of what appeared and of what went that are one object, with the probability.
 
     Another object of the class appears by chance within the distance d with probability 1 - exp(-density pi d^2); the
     two have to be the nearest of each other.
     """
-    labels = np.array(joint.objects.labels)
-    positions = joint.objects.positions[:, :2]
+    labels = np.array(part.objects.labels)
+    positions = part.objects.positions[:, :2]
     moves = []
     for label in sorted({*labels[appeared].tolist()} & {*labels[gone].tolist()}):
         new, old = [row for row in appeared if labels[row] == label], [row for row in gone if labels[row] == label]
@@ -140,18 +140,18 @@ def _moves(
     return moves
 
 
-def _moved(joint: JointMap, presence: Presence, when: IntArray, new: int, old: int, probability: float) -> Change:
+def _moved(part: Part, presence: Presence, when: IntArray, new: int, old: int, probability: float) -> Change:
     return replace(
-        _change(joint, presence, when, new, "appeared"),
+        _change(part, presence, when, new, "appeared"),
         kind="moved",
         probability=round(probability, 4),
-        after=_change(joint, presence, when, old, "gone").after,
-        from_landmark=joint.objects.ids[old],
-        from_position=_position(joint, old),
+        after=_change(part, presence, when, old, "gone").after,
+        from_landmark=part.objects.ids[old],
+        from_position=_position(part, old),
     )
 
 
-def _change(joint: JointMap, presence: Presence, when: IntArray, row: int, kind: str) -> Change:
+def _change(part: Part, presence: Presence, when: IntArray, row: int, kind: str) -> Change:
     """A change of one landmark, between the sessions around the likeliest time."""
     column = ("appeared", "gone").index(kind)
     probability = float((presence.appeared, presence.gone)[column][row])
@@ -160,17 +160,17 @@ def _change(joint: JointMap, presence: Presence, when: IntArray, row: int, kind:
     span = np.flatnonzero(likely > 0.05 * likely.max())
     return Change(
         kind,
-        joint.objects.ids[row],
-        joint.objects.labels[row],
+        part.objects.ids[row],
+        part.objects.labels[row],
         round(probability, 4),
         _date(int(when[span[0]])),
         _date(int(when[span[-1] + 1])),
-        _position(joint, row),
+        _position(part, row),
     )
 
 
-def _position(joint: JointMap, row: int) -> tuple[float, float, float]:
-    x, y, z = joint.objects.positions[row].tolist()
+def _position(part: Part, row: int) -> tuple[float, float, float]:
+    x, y, z = part.objects.positions[row].tolist()
     return x, y, z
 
 

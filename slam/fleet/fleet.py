@@ -20,11 +20,12 @@ from slam.common.errors import FleetError, SavedMapError
 from slam.common.georeference import Georeference
 from slam.fleet.changes import REPORTED, Change, LivingMap, detect_changes, write_changes
 from slam.fleet.logs import FleetLog
+from slam.fleet.parts import Part, are_saved, fold_part, join_parts, load_parts, save_parts, saved_parts, session_part
 from slam.fleet.sessions import MAP_NAME, Session, SessionTask, map_session, read_session, remove_scratch
 from slam.fleet.tasks import Compute
 from slam.map_joining.acceptance import MapPair, judge_pairs
+from slam.map_joining.condensed_map import stretch_length_m
 from slam.map_joining.joins import Join, find_joins
-from slam.map_joining.joint_map import JointMap, join_maps
 from slam.map_joining.place_index import PlaceIndex, make_place_index, opened_place_index
 from slam.map_joining.session_config import common_config, session_config
 from slam.object_map.map_io import SavedMap, load_map, of_rows
@@ -34,20 +35,24 @@ from slam.sweeps.workers import Death
 logger = logging.getLogger(__name__)
 
 _KEY_DIGITS = 16
+BLOCK = 8
+"""Sessions that are folded together, by date; as many of the latest sessions are not, at least."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fleet:
     """``logs``: digest by name, in the order given; ``sessions`` by digest; ``order``: the digests of those that were
-    mapped, by date: their numbers; ``pairs`` of these; ``parts``: joint maps, ``living`` what changed in each;
-    ``maps``: the file of each part, empty for a log that nothing joins.
+    mapped, by date: their numbers; ``blocks``: the sessions of each map that was joined last, of one or of many that
+    were folded, and ``pairs`` of these maps; ``parts`` of the result, ``living`` what changed in each; ``maps``: the
+    file of each part, empty for a log that nothing joins.
     """
 
     logs: Mapping[str, str]
     sessions: Mapping[str, Session]
     order: tuple[str, ...]
+    blocks: tuple[tuple[int, ...], ...]
     pairs: tuple[MapPair, ...]
-    parts: tuple[JointMap, ...]
+    parts: tuple[Part, ...]
     living: tuple[LivingMap, ...]
     maps: tuple[str, ...]
 
@@ -59,7 +64,7 @@ class Fleet:
 
 @dataclass(frozen=True, slots=True)
 class JoinTask:
-    """Session ``number`` with the map at ``path`` is to be found in the ``index``; ``output`` takes the joins."""
+    """Map ``number``, at ``path``, is to be found in the ``index``; ``output`` takes the joins."""
 
     number: int
     path: Path
@@ -96,19 +101,20 @@ def map_fleet(
     if not order:
         reasons = "; ".join(f"{name}: {sessions[digest].reason}" for name, digest in digests.items())
         raise FleetError(f"none of {len(logs)} logs could be mapped: {reasons}")
-    maps = [load_map(folders[digest] / MAP_NAME) for digest in order]
-    pairs = _find_pairs(maps, [folders[digest] for digest in order], folder, compute, progress)
-    progress(0.95, "joining the maps")
-    joint_config = common_config(saved.metadata for saved in maps)
-    parts = join_maps(dict(enumerate(maps)), pairs, joint_config)
+    joiner = _Joiner([folders[digest] / MAP_NAME for digest in order], folder, compute, progress)
+    count = max(len(order) // BLOCK - 1, 0) * BLOCK
+    joined = joiner.join(count, joiner.fold(count), len(order))
+    parts, joint_config = joined.parts, joined.config
     stamps_ns = [sessions[digest].first_ns for digest in order]
-    living = [detect_changes(part, [stamps_ns[number] for number in part.members]) for part in parts]
+    living = [detect_changes(part, [stamps_ns[number] for number in part.sessions]) for part in parts]
     names = [
         _save(folder, rank, part, alive, joint_config, georeference)
         for rank, (part, alive) in enumerate(zip(parts, living, strict=True), start=1)
     ]
     write_changes(folder / "changes.geojson", living[0].changes, georeference)
-    return Fleet(digests, sessions, tuple(order), tuple(pairs), tuple(parts), tuple(living), tuple(names))
+    return Fleet(
+        digests, sessions, tuple(order), joined.blocks, joined.pairs, tuple(parts), tuple(living), tuple(names)
+    )
 
 
 def _map_sessions(
@@ -159,37 +165,72 @@ def _ordered(sessions: Mapping[str, Session]) -> list[str]:
     return [each.sha256 for each in sorted(mapped, key=lambda session: (session.first_ns, session.sha256))]
 
 
-def _find_pairs(
-    maps: Sequence[SavedMap],
-    folders: Sequence[Path],
-    folder: Path,
-    compute: Compute,
-    progress: Callable[[float, str], None],
-) -> list[MapPair]:
-    """The verdicts on all pairs of sessions. Each session is searched for in those before it, once."""
-    config = common_config(saved.metadata for saved in maps)
-    names = [each.name for each in folders]
-    index_path = folder / "joins" / f"index_{_key(*names)}.mcap"
-    index_path.parent.mkdir(parents=True, exist_ok=True)
-    tasks = [
-        JoinTask(number, path / MAP_NAME, index_path, index_path.with_name(f"{_key(*names[: number + 1])}.json"))
-        for number, path in enumerate(folders)
-    ]
-    waiting = [task for task in tasks if not task.output.exists()]
-    if waiting and not index_path.exists():
-        for outdated in index_path.parent.glob("index_*.mcap"):
-            outdated.unlink()
-        index = make_place_index(maps, sigma_m=config.calibration.objects.landmark_sigma_m)
-        save_imported_map(index_path, index.objects)
-    for finished, (task, outcome) in enumerate(compute(join_session, waiting), start=1):
-        if isinstance(outcome, Death):
-            raise FleetError(f"the process that searches for the places of {task.path} died; give it more memory")
-        progress(0.8 + 0.15 * finished / len(waiting), f"found the places of {finished} of {len(waiting)} sessions")
-    return judge_pairs(maps, [join for task in tasks for join in _read_joins(task)], config)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Joined:
+    """``parts`` of the maps of ``blocks``, which ``pairs`` relate; ``config``: by which they were compared."""
+
+    blocks: tuple[tuple[int, ...], ...]
+    pairs: tuple[MapPair, ...]
+    parts: list[Part]
+    config: Config
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Joiner:
+    """Joins the sessions whose maps are at ``paths``, by date; ``folder`` keeps what is done."""
+
+    paths: Sequence[Path]
+    folder: Path
+    compute: Compute
+    progress: Callable[[float, str], None]
+
+    def fold(self, count: int) -> list[Path]:
+        """Join and fold the first ``count`` sessions, block by block; returns the files of the parts."""
+        names = [path.parent.name for path in self.paths]
+        kept: list[Path] = []
+        for end in range(BLOCK, count + 1, BLOCK):
+            folder = self.folder / "folded" / _key(*names[:end])
+            if not are_saved(folder):
+                joined = self.join(end - BLOCK, kept, end)
+                stretch_m = stretch_length_m(joined.config)
+                save_parts(folder, [fold_part(part, stretch_m=stretch_m) for part in joined.parts])
+            kept = saved_parts(folder)
+        return kept
+
+    def join(self, first: int, kept: Sequence[Path], end: int) -> _Joined:
+        """The sessions from ``first`` to ``end`` and, in the files ``kept``, those before them."""
+        parts = load_parts(kept[0].parent) if kept else []
+        parts += [session_part(number, load_map(self.paths[number])) for number in range(first, end)]
+        config = common_config(part.saved.metadata for part in parts)
+        pairs = self._find_pairs([part.saved for part in parts], [*kept, *self.paths[first:end]], len(kept), config)
+        self.progress(0.95, "joining the maps")
+        blocks = tuple(part.sessions for part in parts)
+        return _Joined(blocks, tuple(pairs), join_parts(parts, pairs, config), config)
+
+    def _find_pairs(self, maps: Sequence[SavedMap], paths: Sequence[Path], known: int, config: Config) -> list[MapPair]:
+        """The verdicts on all pairs of maps. Each but the first ``known`` ones is searched for in those before it."""
+        names = [f"{path.parent.name}/{path.name}" for path in paths]
+        index_path = self.folder / "joins" / f"index_{_key(*names)}.mcap"
+        index_path.parent.mkdir(parents=True, exist_ok=True)
+        tasks = [
+            JoinTask(number, path, index_path, index_path.with_name(f"{_key(*names[: number + 1])}.json"))
+            for number, path in enumerate(paths)
+        ][known:]
+        waiting = [task for task in tasks if not task.output.exists()]
+        if waiting and not index_path.exists():
+            for outdated in index_path.parent.glob("index_*.mcap"):
+                outdated.unlink()
+            index = make_place_index(maps, sigma_m=config.calibration.objects.landmark_sigma_m)
+            save_imported_map(index_path, index.objects)
+        for finished, (task, outcome) in enumerate(self.compute(join_session, waiting), start=1):
+            if isinstance(outcome, Death):
+                raise FleetError(f"the process that searches for the places of {task.path} died; give it more memory")
+            self.progress(0.8 + 0.15 * finished / len(waiting), f"places of {finished} of {len(waiting)} maps found")
+        return judge_pairs(maps, [join for task in tasks for join in _read_joins(task)], config)
 
 
 def join_session(task: JoinTask) -> int:
-    """Find the places of a session in the index; returns how many joins were written."""
+    """Find the places of a map in the index; returns how many joins were written."""
     saved = load_map(task.path)
     joins = find_joins(saved, task.number, _opened(task.index), session_config(saved.metadata))
     write_text(task.output, json.dumps([asdict(join) for join in joins], default=np.ndarray.tolist))
@@ -219,13 +260,13 @@ def _read_joins(task: JoinTask) -> list[Join]:
 def _save(
     folder: Path,
     rank: int,
-    part: JointMap,
+    part: Part,
     living: LivingMap,
     config: Config,
     georeference: Georeference | None,
 ) -> str:
     """Write the landmarks of a part that a session would see now as a map of tiles; returns its name, empty if none."""
-    if rank > 1 and len(part.members) == 1:
+    if rank > 1 and len(part.sessions) == 1:
         return ""
     is_present = living.presence.useful >= REPORTED
     now = of_rows(part.objects, is_present)
@@ -237,7 +278,7 @@ def _save(
             now.ids,
             sigma_m=config.calibration.objects.landmark_sigma_m,
             georeference=georeference if rank == 1 else None,
-            source={"source": f"a fleet of {len(part.members)} sessions", "version": version("descriptellation-slam")},
+            source={"source": f"a fleet of {len(part.sessions)} sessions", "version": version("descriptellation-slam")},
         )
     except SavedMapError as error:
         logger.warning("%s is not written: %s", name, error)

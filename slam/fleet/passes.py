@@ -1,4 +1,4 @@
-"""How the members of a joint map passed its landmarks: which they saw, and how much of a path each was in view of."""
+"""How the sessions of a part passed its landmarks: which they saw, and how much of a path each was in view of."""
 
 from __future__ import annotations
 
@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from slam.backend.factors import EdgeKind
 from slam.common.arrays import BoolArray, FloatArray
-from slam.map_joining.joint_map import JointMap
-from slam.object_map.map_io import are_of_kind
+from slam.fleet.parts import Part
 
 REACH_QUANTILE = 0.99
 """Share of the sightings that are nearer to the path than what is taken to be the reach of the sensors."""
@@ -20,7 +18,7 @@ SAMPLES_A_STEP = 25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Passes:
-    """Of L landmarks by M members: ``seen`` (L, M), and ``in_view_m`` (L, M), the length of the path of the member
+    """Of L landmarks by M sessions: ``seen`` (L, M), and ``in_view_m`` (L, M), the length of the path of the session
     within the reach of the sensors from the landmark, 0 where it did not pass.
     """
 
@@ -36,34 +34,27 @@ class _Path:
     lengths_m: FloatArray
 
 
-def find_passes(joint: JointMap) -> Passes:
-    """The passes of all members of a joint map, in their order."""
-    row_of = {name: row for row, name in enumerate(joint.objects.ids)}
-    column_of = {number: column for column, number in enumerate(joint.members)}
-    seen = np.zeros((len(row_of), len(column_of)), dtype=np.bool_)
-    for sighting in joint.sightings:
-        seen[row_of[sighting.landmark], column_of[sighting.map_number]] = True
-    landmarks = joint.objects.positions[:, :2]
-    paths = [_path(joint, number) for number in joint.members]
+def find_passes(part: Part) -> Passes:
+    """The passes of all sessions of a part, in their order."""
+    column_of = {number: column for column, number in enumerate(part.sessions)}
+    seen = np.zeros((len(part.objects.ids), len(column_of)), dtype=np.bool_)
+    for row, name in enumerate(part.objects.ids):
+        seen[row, [column_of[number] for number in part.seen.get(name, ())]] = True
+    landmarks = part.objects.positions[:, :2]
+    paths = [_path(part.paths[number][:, :, :2]) for number in part.sessions]
     nearest_m = np.column_stack([cdist(landmarks, path.points).min(axis=1) for path in paths])
     reach_m = float(np.quantile(nearest_m[seen], REACH_QUANTILE)) if seen.any() else 0.0
     in_view_m = [(cdist(landmarks, path.points) <= reach_m) @ path.lengths_m for path in paths]
     return Passes(seen, np.column_stack(in_view_m))
 
 
-def _path(joint: JointMap, number: int) -> _Path:
-    """The path of a member through its places, and on to where it began and ended.
+def _path(steps: FloatArray) -> _Path:
+    """The path of a session through its places by steps (S, 2, 2) m, and on to where it began and ended.
 
     A place is the middle of a stretch of the drive, and all stretches but the last are equally long: the drive began
     half a stretch before the first place, and ended beyond the last one by half of what that step lacks of a stretch.
     """
-    graph = joint.graph
-    steps = graph.edge_keyframe_ids[are_of_kind(graph, EdgeKind.ODOMETRY)]
-    steps = steps[joint.place_maps[steps[:, 0]] == number]
-    positions = graph.T_map_body[:, :2, 3]
-    if not len(steps):
-        return _Path(positions[np.flatnonzero(joint.place_maps == number)[:1]], np.zeros(1))
-    starts, ends = positions[steps[:, 0]], positions[steps[:, 1]]
+    starts, ends = steps[:, 0], steps[:, 1]
     lengths_m = np.linalg.norm(ends - starts, axis=1)
     half_m = 0.5 * float(np.median(lengths_m))
     begin = _beyond(ends[0], starts[0], half_m)

@@ -21,7 +21,7 @@ REPORT_NAME = "report.json"
 def fleet_report(fleet: Fleet) -> dict[str, Any]:
     """The report as JSON: of the logs, of the parts of the map, and of the pairs that did not join; and in figures."""
     names = _names(fleet)
-    part_of = {number: rank for rank, part in enumerate(fleet.parts) for number in part.members}
+    part_of = {number: rank for rank, part in enumerate(fleet.parts) for number in part.sessions}
     first: dict[str, str] = {}
     logs = []
     for name, digest in fleet.logs.items():
@@ -47,7 +47,7 @@ def fleet_report(fleet: Fleet) -> dict[str, Any]:
         },
         "parts": parts,
         "refused": [
-            {"logs": [names[pair.first], names[pair.second]], "reason": pair.reason}
+            {"logs": [_name(fleet, block, names) for block in (pair.first, pair.second)], "reason": pair.reason}
             for pair in fleet.pairs
             if not pair.accepted
         ],
@@ -90,18 +90,22 @@ def read_report(folder: Path) -> dict[str, Any]:
 def _of_session(fleet: Fleet, number: int, part_of: dict[int, int], names: list[str]) -> dict[str, Any]:
     session = fleet.sessions[fleet.order[number]]
     rank = part_of[number]
+    block = next(block for block, sessions in enumerate(fleet.blocks) if number in sessions)
     joined = [
         {
-            "log": names[pair.second if pair.first == number else pair.first],
+            "log": _name(fleet, pair.second if pair.first == block else pair.first, names),
             "places": len(pair.joins),
             "log_odds": round(pair.log_odds, 1),
         }
         for pair in fleet.pairs
-        if pair.accepted and number in (pair.first, pair.second) and part_of[pair.first] == part_of[pair.second]
+        if pair.accepted
+        and block in (pair.first, pair.second)
+        and part_of[fleet.blocks[pair.first][0]] == part_of[fleet.blocks[pair.second][0]]
     ]
+    is_alone = len(fleet.parts[rank].sessions) == 1
     entry: dict[str, Any] = {
-        "status": "joined" if joined else "alone",
-        "reason": "" if joined else _why_alone(fleet, number, names),
+        "status": "alone" if is_alone else "joined",
+        "reason": _why_alone(fleet, block, names) if is_alone else "",
         "map": fleet.maps[rank],
         "travel_m": session.travel_m,
         "landmarks": session.landmarks,
@@ -111,13 +115,19 @@ def _of_session(fleet: Fleet, number: int, part_of: dict[int, int], names: list[
     return entry
 
 
-def _why_alone(fleet: Fleet, number: int, names: list[str]) -> str:
+def _name(fleet: Fleet, block: int, names: list[str]) -> str:
+    """What a map that was joined is called: by its log, or by how many were folded to it."""
+    first, *others = fleet.blocks[block]
+    return f"the map of {len(others) + 1} earlier logs" if others else names[first]
+
+
+def _why_alone(fleet: Fleet, block: int, names: list[str]) -> str:
     """Why a session joined no other."""
-    pairs = [pair for pair in fleet.pairs if number in (pair.first, pair.second)]
+    pairs = [pair for pair in fleet.pairs if block in (pair.first, pair.second)]
     if not pairs:
         return "none of its places was recognised in another log"
     best = max(pairs, key=lambda pair: pair.log_odds)
-    other = names[best.second if best.first == number else best.first]
+    other = _name(fleet, best.second if best.first == block else best.first, names)
     if best.accepted:
         return f"its joins contradict those of other logs; the best was with {other}"
     return f"the best was with {other}: {best.reason}"
@@ -128,12 +138,12 @@ def _of_part(fleet: Fleet, rank: int) -> dict[str, Any]:
     sigmas_m = np.sqrt(np.trace(part.objects.covariances[:, :2, :2], axis1=1, axis2=2) / 2.0)
     return {
         "map": fleet.maps[rank],
-        "logs": len(part.members),
+        "logs": len(part.sessions),
         "landmarks": len(part.objects.ids),
-        "landmarks_of_logs": len(part.sightings),
+        "landmarks_of_logs": sum(map(len, part.seen.values())),
         "present": int(np.count_nonzero(living.presence.present >= REPORTED)),
         "median_sigma_m": round(float(np.median(sigmas_m)), 3),
-        "joins_rejected": len(part.rejected),
+        "joins_rejected": part.rejected,
         "hazard_per_day": living.presence.hazard_per_day,
         "changes": len(living.changes),
     }

@@ -57,8 +57,19 @@ def condense_map(saved: SavedMap, *, stretch_m: float) -> SavedMap:
     The keyframes of the result are these places, upright, numbered from 0 along the drive; edges of kind odometry lead
     from each to the next one, those of kind closure are loop closures between stretches.
     """
+    return _condense(saved, _stretches(saved.graph, stretch_m), stretch_m)
+
+
+def condense_area(saved: SavedMap, *, stretch_m: float) -> SavedMap:
+    """The same landmarks, observed from one place in each cell of ``stretch_m`` that a drive passed.
+
+    However many drives there are, the graph is as large as their area; its edges are all of kind closure.
+    """
+    return _condense(saved, _cells(saved.graph, stretch_m), stretch_m)
+
+
+def _condense(saved: SavedMap, stretches: _Stretches, stretch_m: float) -> SavedMap:
     graph = saved.graph
-    stretches = _stretches(graph, stretch_m)
     T_map_place = gravity_frame(graph.T_map_body[stretches.middles])
     condensed = make_graph_record(
         graph.stamp_ns,
@@ -98,15 +109,28 @@ def _stretches(graph: FactorGraphRecord, stretch_m: float) -> _Stretches:
     return _Stretches(of, np.array(middles, dtype=np.int64), steps)
 
 
+def _cells(graph: FactorGraphRecord, side_m: float) -> _Stretches:
+    """The keyframes in a cell, of whichever drive, in place of those in a stretch; no steps relate their middles."""
+    positions = graph.T_map_body[:, :3, 3]
+    of = np.unique(np.floor(positions / side_m), axis=0, return_inverse=True)[1].ravel()
+    middles = []
+    for cell in range(int(of.max()) + 1):
+        rows = np.flatnonzero(of == cell)
+        offsets = positions[rows] - positions[rows].mean(axis=0)
+        middles.append(int(rows[np.linalg.norm(offsets, axis=1).argmin()]))
+    return _Stretches(of, np.array(middles, dtype=np.int64), {})
+
+
 def _edges(graph: FactorGraphRecord, stretches: _Stretches, T_map_place: FloatArray) -> list[Edge]:
-    """Edges between places, numbered from 0: those of the odometry, and one for each two that closures relate."""
+    """Edges between places, numbered from 0: those of the odometry, and one for each two that other edges relate."""
     found: dict[tuple[int, int], tuple[FloatArray, EdgeKind]] = {}
     for place, (first, last) in enumerate(zip(stretches.middles[:-1], stretches.middles[1:], strict=True)):
         steps = [stretches.steps.get(row, -1) for row in range(first, last)]
         if min(steps, default=-1) >= 0:
             found[place, place + 1] = _composed(graph, steps, last), EdgeKind.ODOMETRY
     place_of = dict(zip(graph.keyframe_ids.tolist(), stretches.of.tolist(), strict=True))
-    for edge in np.flatnonzero(are_of_kind(graph, EdgeKind.LOOP_CLOSURE)).tolist():
+    is_between = are_of_kind(graph, EdgeKind.ODOMETRY) | are_of_kind(graph, EdgeKind.LOOP_CLOSURE)
+    for edge in np.flatnonzero(is_between).tolist():
         first, second = (place_of[keyframe] for keyframe in graph.edge_keyframe_ids[edge].tolist())
         if first != second:
             found.setdefault((first, second), (graph.edge_covariances[edge], EdgeKind.LOOP_CLOSURE))

@@ -176,12 +176,21 @@ def _places(number: int, maps: Mapping[int, SavedMap], first: Mapping[int, int])
     return {place: first[number] + row for row, place in enumerate(maps[number].graph.keyframe_ids.tolist())}
 
 
-def _moved(saved: SavedMap, T_joint_place: FloatArray) -> ObjectMapRecord:
-    """The landmarks of a map as they move along with its nearest places, which are at (K, 4, 4) now."""
-    nearest = cKDTree(saved.graph.T_map_body[:, :3, 3]).query(saved.objects.positions)[1]
+def carry_along(saved: SavedMap, T_joint_place: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points (N, 3) m of a map as they move along with its nearest places, which are at (K, 4, 4) now.
+
+    Returns:
+        The points in the joint map, and the rotations (N, 3, 3) that they took part in.
+    """
+    nearest = cKDTree(saved.graph.T_map_body[:, :3, 3]).query(points)[1]
     T = (T_joint_place @ invert(saved.graph.T_map_body))[nearest]
     R = T[:, :3, :3]
-    positions = np.einsum("nij,nj->ni", R, saved.objects.positions) + T[:, :3, 3]
+    return np.einsum("nij,nj->ni", R, points) + T[:, :3, 3], R
+
+
+def _moved(saved: SavedMap, T_joint_place: FloatArray) -> ObjectMapRecord:
+    """The landmarks of a map as they move along with its nearest places, which are at (K, 4, 4) now."""
+    positions, R = carry_along(saved, T_joint_place, saved.objects.positions)
     return replace(saved.objects, positions=positions, covariances=R @ saved.objects.covariances @ np.swapaxes(R, 1, 2))
 
 

@@ -30,7 +30,16 @@ def session_config(metadata: Mapping[str, str]) -> Config:
 
 
 def common_config(maps: Iterable[Mapping[str, str]]) -> Config:
-    """The configuration for maps with these metadata, one at least, by which their landmarks are compared.
+    """The configuration for maps with these metadata, one at least: that of :func:`common_metadata`.
+
+    Raises:
+        SavedMapError: as :func:`session_config`.
+    """
+    return session_config(common_metadata(maps))
+
+
+def common_metadata(maps: Iterable[Mapping[str, str]]) -> Mapping[str, str]:
+    """Of these metadata of maps, one at least, those by whose configuration their landmarks are compared.
 
     It is that of the map whose landmarks are less exact than in nine of ten maps: landmarks of one object are as far
     apart as the errors of the worse of two maps, but one robot that is lost in noise is not to decide for all.
@@ -38,7 +47,5 @@ def common_config(maps: Iterable[Mapping[str, str]]) -> Config:
     Raises:
         SavedMapError: as :func:`session_config`.
     """
-    configs = sorted(
-        (session_config(metadata) for metadata in maps), key=lambda each: each.calibration.objects.landmark_sigma_m
-    )
-    return configs[math.ceil(EXACT_SHARE * (len(configs) - 1))]
+    ordered = sorted(maps, key=lambda metadata: session_config(metadata).calibration.objects.landmark_sigma_m)
+    return ordered[math.ceil(EXACT_SHARE * (len(ordered) - 1))]

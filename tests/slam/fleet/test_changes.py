@@ -11,10 +11,10 @@ from slam.common.config import Config
 from slam.common.geometry import apply, invert
 from slam.common.georeference import Georeference
 from slam.fleet.changes import Change, detect_changes, write_changes
+from slam.fleet.parts import join_parts, session_part
 from slam.map_joining.acceptance import judge_pairs
 from slam.map_joining.condensed_map import condense_map
 from slam.map_joining.joins import find_joins
-from slam.map_joining.joint_map import join_maps
 from slam.map_joining.place_index import make_place_index
 from slam.simulation.world import World
 from tests.helpers.driven_maps import drive_poses, driven_map, town, without
@@ -65,8 +65,9 @@ def changes(story: tuple[World, World, int, int, int]) -> tuple[Change, ...]:
     ]
     index = make_place_index(maps, sigma_m=CONFIG.calibration.objects.landmark_sigma_m)
     joins = [join for number, each in enumerate(maps) for join in find_joins(each, number, index, CONFIG)]
-    (joint,) = join_maps(dict(enumerate(maps)), judge_pairs(maps, joins, CONFIG, penalty=6.0), CONFIG)
-    return detect_changes(joint, [month * MONTH_NS for month in range(MONTHS)]).changes
+    sessions = [session_part(month, saved) for month, saved in enumerate(maps)]
+    (part,) = join_parts(sessions, judge_pairs(maps, joins, CONFIG, penalty=6.0), CONFIG)
+    return detect_changes(part, [month * MONTH_NS for month in range(MONTHS)]).changes
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from slam.common.geometry import apply
 from slam.evaluation.metrics.alignment import align_yaw_translation
 from slam.fleet.changes import Change
 from slam.fleet.fleet import Fleet
-from slam.map_joining.joint_map import JointMap
+from slam.fleet.parts import Part
 from slam.object_map.map_io import SavedMap
 from tools.lab.fleets.simulated_fleet import Event, SimulatedFleet, TrueDrive
 
@@ -69,20 +69,20 @@ def score_fleet(truth: SimulatedFleet, fleet: Fleet, maps: Sequence[SavedMap]) -
     """
     name_of = {digest: name for name, digest in reversed(list(fleet.logs.items()))}
     drives = [truth.drives[name_of[digest]] for digest in fleet.order]
-    joint = [(part, living) for part, living in zip(fleet.parts, fleet.living, strict=True) if len(part.members) > 1]
+    joint = [(part, living) for part, living in zip(fleet.parts, fleet.living, strict=True) if len(part.sessions) > 1]
     errors, duplicates, landmarks, false_joins = list[FloatArray](), 0, 0, 0
     reported = right = counted = found = 0
     best: dict[int, int] = {}
     for part, living in joint:
-        city = drives[part.members[0]].city
+        city = drives[part.sessions[0]].city
         if city >= 0:
-            best[city] = max(best.get(city, 0), len(part.members))
-        fit = _fit(part.objects, drives[part.members[0]], _everything(truth, city))
+            best[city] = max(best.get(city, 0), len(part.sessions))
+        fit = _fit(part.objects, drives[part.sessions[0]], _everything(truth, city))
         errors.append(fit.errors_m)
         duplicates += fit.duplicates
         landmarks += len(part.objects.ids)
         false_joins += _false_joins(part, drives, fit.T_world_map)
-        members = [drives[number] for number in part.members]
+        members = [drives[number] for number in part.sessions]
         a, b, c, d = _score_changes(living.changes, truth.events[city], members, fit.T_world_map)
         reported, right, counted, found = reported + a, right + b, counted + c, found + d
     single = [
@@ -159,14 +159,14 @@ def _matches(positions: FloatArray, labels: Sequence[str], world: _Objects) -> t
     return np.concatenate(landmarks or empty), np.concatenate(matched or empty)
 
 
-def _false_joins(part: JointMap, drives: Sequence[TrueDrive], T_world_map: FloatArray) -> int:
+def _false_joins(part: Part, drives: Sequence[TrueDrive], T_world_map: FloatArray) -> int:
     """Members of another city than the first, or whose places are not on their path."""
     wrong = 0
-    for number in part.members:
-        places = part.graph.T_map_body[part.place_maps == number, :3, 3]
+    for number, steps in part.paths.items():
+        places = steps.reshape(-1, 3)
         drive = drives[number]
         away_m = np.asarray(cKDTree(drive.path).query(apply(T_world_map, places)[:, :2])[0])
-        wrong += drive.city != drives[part.members[0]].city or bool(np.median(away_m) > FALSE_JOIN_M)
+        wrong += drive.city != drives[part.sessions[0]].city or bool(np.median(away_m) > FALSE_JOIN_M)
     return wrong
 
 
