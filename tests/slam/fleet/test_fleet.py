@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -140,6 +141,25 @@ def test_a_killed_driver_goes_on_where_it_was(logs: list[FleetLog], mapped: tupl
     assert same_bytes(mapped[0], tmp_path)
     assert not list(tmp_path.glob("sessions/*/mapping-*"))
     assert finished == {path: path.stat().st_mtime_ns for path in finished}
+
+
+def test_folded_sessions_give_the_same_map_night_by_night_and_at_once(
+    logs: list[FleetLog], mapped: tuple[Path, Fleet], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slam.fleet.fleet.BLOCK", 1)
+    for folder in ("nights", "once"):
+        shutil.copytree(mapped[0] / "sessions", tmp_path / folder / "sessions")
+    for night in range(1, len(logs) + 1):
+        run(logs[:night], tmp_path / "nights", compute_inline)
+    fleet = run(logs, tmp_path / "once", compute_inline)
+    assert same_bytes(tmp_path / "nights", tmp_path / "once")
+    assert fleet.parts[0].sessions == mapped[1].parts[0].sessions
+    assert len(fleet.parts[0].objects.ids) == len(mapped[1].parts[0].objects.ids)
+    np.testing.assert_allclose(
+        np.sort(fleet.parts[0].objects.positions, axis=0),
+        np.sort(mapped[1].parts[0].objects.positions, axis=0),
+        atol=0.05,
+    )
 
 
 def test_a_fleet_in_which_nothing_can_be_mapped_is_refused(logs: list[FleetLog], tmp_path: Path) -> None:

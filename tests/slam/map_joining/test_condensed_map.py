@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from slam.common.geometry import apply, invert
-from slam.map_joining.condensed_map import condense_map, place_submap_rows
+from slam.map_joining.condensed_map import condense_area, condense_map, place_submap_rows
 from slam.object_map.map_validation import find_fault
 from tests.helpers.driven_maps import driven_map, town
 
@@ -24,6 +26,31 @@ def test_a_condensed_map_keeps_its_landmarks_and_shape() -> None:
     ):
         expected = condensed.objects.positions[condensed.objects.ids.index(name)]
         np.testing.assert_allclose(apply(condensed.graph.T_map_body[place], position[None])[0], expected, atol=1e-9)
+
+
+def test_a_second_drive_along_a_street_adds_no_places_but_its_observations() -> None:
+    once = driven_map(town(), 0.0, 100.0)
+    graph = once.graph
+    count = len(graph.keyframe_ids)
+    again = replace(
+        graph,
+        keyframe_ids=np.append(graph.keyframe_ids, graph.keyframe_ids + count),
+        keyframe_stamps_ns=np.tile(graph.keyframe_stamps_ns, 2),
+        T_map_body=np.tile(graph.T_map_body, (2, 1, 1)),
+        edge_keyframe_ids=np.vstack([graph.edge_keyframe_ids, graph.edge_keyframe_ids + count, [[0, count]]]),
+        edge_transforms=np.concatenate([graph.edge_transforms, graph.edge_transforms, np.eye(4)[None]]),
+        edge_covariances=np.concatenate([graph.edge_covariances, graph.edge_covariances, np.eye(6)[None]]),
+        edge_kinds=(*graph.edge_kinds * 2, "closure"),
+        observation_keyframe_ids=np.append(graph.observation_keyframe_ids, graph.observation_keyframe_ids + count),
+        observation_landmark_ids=graph.observation_landmark_ids * 2,
+        observation_positions=np.tile(graph.observation_positions, (2, 1)),
+        observation_covariances=np.tile(graph.observation_covariances, (2, 1, 1)),
+    )
+    single, double = (condense_area(replace(once, graph=each), stretch_m=STRETCH_M) for each in (graph, again))
+    assert find_fault(double.objects, double.graph) == ""
+    assert double.objects.ids == single.objects.ids
+    np.testing.assert_array_equal(double.graph.T_map_body, single.graph.T_map_body)
+    np.testing.assert_allclose(double.graph.observation_covariances, 0.5 * single.graph.observation_covariances)
 
 
 def test_observations_of_a_stretch_add_up() -> None:
