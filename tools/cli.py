@@ -32,7 +32,6 @@ _EXTRA_OF = {
     "rerun": "view",
     "foxglove": "live",
     "osmium": "osm",
-    "fsspec": "fleet",
 }
 """The extra that installs each module which is not needed by all commands."""
 

@@ -38,10 +38,7 @@ Require = Annotated[
 def add(
     city: Folder,
     logs: Annotated[
-        list[str] | None, typer.Argument(metavar="[LOG]...", help="Logs by path or URL.", show_default=False)
-    ] = None,
-    manifest: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Paths or URLs of more logs, one a line.", show_default=False)
+        list[str] | None, typer.Argument(metavar="[LOG]...", help="Logs to add.", show_default=False)
     ] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Tasks at a time. \\[default: one a core]", show_default=False)
@@ -78,7 +75,7 @@ def add(
     config = load_config(config_file, settings or ())
     georeference = parse_origin(origin)
     city.mkdir(parents=True, exist_ok=True)
-    members = add_logs(city, find_logs(logs or [], manifest, city / "logs"), only=only)
+    members = add_logs(city, find_logs(logs or []), only=only)
     compute = partial(compute_in_processes, workers=workers or os.cpu_count() or 1)
     result = map_fleet(members, city, config, compute, georeference=georeference, progress=_print_progress)
     write_report(city, result)

@@ -1,12 +1,9 @@
-"""The logs of a fleet: files, and URLs that are fetched once."""
+"""The logs of a fleet, by their content."""
 
 from __future__ import annotations
 
-import hashlib
-import importlib.util
 import json
 import os
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,12 +11,9 @@ from pathlib import Path
 from logs.container.json_text import parse_json
 from logs.digest import file_sha256
 from logs.storage.placement import write_text
-from logs.storage.regular_file import read_regular
-from logs.writer import partial_path
 from slam.common.errors import FleetError
 
 MEMBERS_NAME = "logs.json"
-_REMOTE = "://"
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,19 +25,17 @@ class FleetLog:
     sha256: str = ""
 
 
-def find_logs(sources: Sequence[str], manifest: Path | None, cache: Path) -> list[FleetLog]:
-    """Logs by path or URL, those of a manifest after the others; each once, in that order.
-
-    Args:
-        sources: as they are written; names of files are relative to the working folder.
-        manifest: a text file with one a line, relative to its own folder; lines that begin with # are left out.
-        cache: folder for what is fetched.
+def find_logs(sources: Sequence[str]) -> list[FleetLog]:
+    """Logs by their paths, each once, in that order.
 
     Raises:
-        FleetError: a manifest that cannot be read, a log that is not there, or a URL without fsspec.
+        FleetError: a log that is not there.
     """
-    named = dict.fromkeys([*sources, *(_listed(manifest) if manifest is not None else ())])
-    return [FleetLog(name, _fetched(name, cache) if _REMOTE in name else _checked(Path(name))) for name in named]
+    logs = [FleetLog(name, Path(name)) for name in dict.fromkeys(sources)]
+    for log in logs:
+        if not log.path.exists():
+            raise FleetError(f"there is no log {log.path}; check the path")
+    return logs
 
 
 def add_logs(folder: Path, named: Sequence[FleetLog], *, only: bool = False) -> list[FleetLog]:
@@ -91,40 +83,3 @@ def read_members(folder: Path) -> list[FleetLog]:
         return [FleetLog(str(each["name"]), Path(each["path"]), str(each["sha256"])) for each in entries]
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise FleetError(f"the list of logs {path} cannot be read ({error}); remove it and name all logs") from error
-
-
-def _listed(manifest: Path) -> list[str]:
-    try:
-        lines = [line.strip() for line in read_regular(manifest).decode().splitlines()]
-    except (OSError, UnicodeDecodeError) as error:
-        raise FleetError(
-            f"the manifest {manifest} cannot be read ({error}); give a text file, one log a line"
-        ) from error
-    wanted = [line for line in lines if line and not line.startswith("#")]
-    return [line if _REMOTE in line else os.fspath(manifest.parent / line) for line in wanted]
-
-
-def _checked(path: Path) -> Path:
-    if not path.exists():
-        raise FleetError(f"there is no log {path}; check the path")
-    return path
-
-
-def _fetched(url: str, cache: Path) -> Path:
-    """A copy of what is at a URL; one that exists already is not fetched again."""
-    path = cache / f"{hashlib.sha256(url.encode()).hexdigest()[:16]}_{url.rpartition('/')[2] or 'log'}"
-    if path.exists():
-        return path
-    if importlib.util.find_spec("fsspec") is None:
-        raise FleetError(f"{url} needs fsspec: pip install 'descriptellation-slam[fleet]'")
-    import fsspec
-
-    cache.mkdir(parents=True, exist_ok=True)
-    partial = partial_path(path)
-    try:
-        with fsspec.open(url, "rb") as source, partial.open("wb") as copy:
-            shutil.copyfileobj(source, copy)
-    except (OSError, ValueError, ImportError) as error:
-        raise FleetError(f"{url} cannot be fetched: {error}; check the address, or fetch it yourself") from error
-    os.replace(partial, path)
-    return path

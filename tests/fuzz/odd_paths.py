@@ -37,7 +37,7 @@ import kitti-objects out.mcap --detections ODD --odometry trajectory.kitti --cal
 simulate out.mcap --config ODD
 simulate out.mcap --objects ODD --trajectory ODD
 config --config ODD
-fleet add fleet --manifest ODD
+fleet add fleet ODD
 sweep ODD -o sweep
 """.strip().splitlines()
 _WRITING = """

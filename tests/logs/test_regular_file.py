@@ -23,7 +23,6 @@ from logs.storage import regular_file
 from logs.storage.regular_file import max_unpacked_bytes, open_regular, read_regular
 from slam.common.config import load_config
 from slam.common.errors import SlamError
-from slam.fleet.logs import find_logs
 
 READERS: dict[str, Callable[[Path], object]] = {
     "log": LogReader,
@@ -33,7 +32,6 @@ READERS: dict[str, Callable[[Path], object]] = {
     "cloud": read_points,
     "settings": load_config,
     "objects": read_object_table,
-    "manifest": lambda path: find_logs([], path, path.parent),
 }
 
 

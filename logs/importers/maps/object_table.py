@@ -6,14 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.errors import DatasetError
 from logs.importers.maps.map_objects import MapObjects, check_degrees, distinct
 from logs.importers.tables import LENGTH_UNITS, Table, read_table
 from logs.importers.text_files import read_source_text
 
 CLASS_NAMES = ("class", "label", "category", "type", "kind", "species")
 ID_NAMES = ("id", "object_id", "uid", "name")
-_MAY_REPEAT = "name"
 _AXES = {"x": ("x", "easting", "east"), "y": ("y", "northing", "north")}
 DEGREES = {"": 1.0, "deg": 1.0}
 UNKNOWN = "object"
@@ -24,7 +22,7 @@ def read_object_table(path: Path) -> MapObjects:
     where known ``class`` and ``id``.
 
     Raises:
-        DatasetError: a column that is missing, a cell that is no number, or an id that occurs twice.
+        DatasetError: a column that is missing, or a cell that is no number.
     """
     source = read_source_text(path)
     table = read_table(source)
@@ -40,37 +38,25 @@ def read_object_table(path: Path) -> MapObjects:
             for axis, names in _AXES.items()
         ]
         height = table.find(("z",), LENGTH_UNITS)
-    rows = len(table.cells)
-    heights = table.optional_numbers(height, LENGTH_UNITS) if height is not None else np.zeros(rows)
+    heights = table.optional_numbers(height, LENGTH_UNITS) if height is not None else np.zeros(len(table.cells))
     positions = np.column_stack([*plane, np.nan_to_num(heights)])
     if is_geodetic:
         check_degrees(str(path), positions)
-    return MapObjects(str(path), positions, _labels(table, rows), _ids(table, rows), is_geodetic, source.sha256)
+    return MapObjects(str(path), positions, find_labels(table), find_ids(table), is_geodetic, source.sha256)
 
 
-def _labels(table: Table, rows: int) -> tuple[str, ...]:
-    name = _first_column(table, CLASS_NAMES)
-    return tuple(cell or UNKNOWN for cell in table.cells[name]) if name else (UNKNOWN,) * rows
+def find_labels(table: Table) -> tuple[str, ...]:
+    """The class (R,) of each row, ``UNKNOWN`` where the table has none."""
+    return tuple(cell or UNKNOWN for cell in _first_column(table, CLASS_NAMES))
 
 
-def _ids(table: Table, rows: int) -> tuple[str, ...]:
-    name = _first_column(table, ID_NAMES)
-    if name is None:
-        return tuple(str(row) for row in range(rows))
-    ids = [cell or f"line {line}" for line, cell in zip(table.cells.index, table.cells[name], strict=True)]
-    if name.lower() == _MAY_REPEAT:
-        return distinct(ids)
-    first_line: dict[str, int] = {}
-    for line, each in zip(table.cells.index, ids, strict=True):
-        if first_line.setdefault(each, line) != line:
-            raise DatasetError(
-                f"{table.name}, line {line}: {name} {each!r} is taken by line {first_line[each]}; give each object "
-                "one of its own, or rename the column"
-            )
-    return tuple(first_line)
+def find_ids(table: Table) -> tuple[str, ...]:
+    """A name of its own for each row (R,): that in the table, with the place behind it if it occurs before."""
+    cells = zip(table.cells.index, _first_column(table, ID_NAMES), strict=True)
+    return distinct(cell or f"line {line}" for line, cell in cells)
 
 
-def _first_column(table: Table, names: tuple[str, ...]) -> str | None:
-    """Name of the column that bears the first of the names that any does."""
-    found = (table.find((name,)) for name in names)
-    return next((column.name for column in found if column is not None), None)
+def _first_column(table: Table, names: tuple[str, ...]) -> tuple[str, ...]:
+    """The cells (R,) of the column that bears the first of the names that any does, else empty ones."""
+    found = (table.texts((name,)) for name in names)
+    return next((cells for cells in found if cells is not None), ("",) * len(table.cells))
