@@ -217,7 +217,7 @@ class TestInfo:
     def test_no_solver_is_loaded_to_look_into_a_map(self, town: Path) -> None:
         heavy = ("gtsam", "scipy", "torch", "matplotlib", "slam.localization", "slam.common.config")
         code = (
-            f"import sys; from tools.cli import run; run(['map', 'info', {str(town)!r}]); "
+            f"import sys; from tools.cli import run; run(['info', {str(town)!r}]); "
             f"print([m for m in {heavy!r} if m in sys.modules])"
         )
         result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
