@@ -5,12 +5,10 @@ from __future__ import annotations
 import heapq
 import logging
 import os
-from array import array
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
-import numpy as np
 from mcap import records as mcap_records
 from mcap.opcode import Opcode
 
@@ -31,6 +29,9 @@ from logs.storage.regular_file import open_regular
 from logs.storage.storage import ChannelInfo
 from logs.topics import Channel, RawMessage
 from logs.validation import LAST_NS
+
+_MESSAGE_BYTES = 300
+"""Of a message in memory, besides its content."""
 
 _log = logging.getLogger(__name__)
 
@@ -108,26 +109,26 @@ class McapFile:
         empty = {id for id, channel in wanted.items() if channel.topic in without_content}
         waiting = [b for b in self._index.blocks if b.channel_ids is None or not b.channel_ids.isdisjoint(wanted)]
         waiting.reverse()
-        # (log time, offset of its block) is unique, so that messages are never compared.
-        heap: list[tuple[int, int, _PendingMessages]] = []
-        held_bytes = 0
+        # (log time, offset of its block) is unique, so that messages are never compared; the next ones stand last.
+        heap: list[tuple[int, int, list[RawMessage]]] = []
+        held_bytes = Counter[int]()
         while waiting or heap:
             while waiting and (not heap or waiting[-1].start_ns <= heap[0][0]):
                 block = waiting.pop()
-                pending = self._read(block, wanted, empty)
-                if pending is not None and pending.next_ns is not None:
-                    held_bytes += pending.size_bytes
-                    heapq.heappush(heap, (pending.next_ns, block.offset, pending))
-                    self._check_held(held_bytes if len(heap) > 1 else 0)
+                messages = self._read(block, wanted, empty)
+                if messages:
+                    held_bytes[block.offset] = sum(len(message.data) + _MESSAGE_BYTES for message in messages)
+                    heapq.heappush(heap, (messages[-1].log_time_ns, block.offset, messages))
+                    self._check_held(held_bytes.total() if len(heap) > 1 else 0)
             if not heap:
                 continue
-            _, offset, pending = heap[0]
-            message = pending.take()
-            if pending.next_ns is None:
-                heapq.heappop(heap)
-                held_bytes -= pending.size_bytes
+            _, offset, messages = heap[0]
+            message = messages.pop()
+            if messages:
+                heapq.heapreplace(heap, (messages[-1].log_time_ns, offset, messages))
             else:
-                heapq.heapreplace(heap, (pending.next_ns, offset, pending))
+                heapq.heappop(heap)
+                del held_bytes[offset]
             yield message
 
     def metadata(self) -> dict[str, dict[str, str]]:
@@ -149,11 +150,11 @@ class McapFile:
             found[record.name] = record.metadata
         return found
 
-    def _read(self, block: Block, wanted: Mapping[int, Channel], empty: Collection[int]) -> _PendingMessages | None:
-        """The wanted messages of ``block``; None, counted, if it is damaged."""
+    def _read(self, block: Block, wanted: Mapping[int, Channel], empty: Collection[int]) -> list[RawMessage]:
+        """The wanted messages of ``block``, the latest first; none, counted, if it is damaged."""
         try:
             content = read_block(self._stream, block, self._limits.chunk_bytes)
-            pending = _PendingMessages(content, wanted, empty, self._limits.message_bytes)
+            return self._messages_in(content, wanted, empty)
         except OSError as error:
             raise UnreadableLogError(
                 f"cannot continue to read {self._name}: {error.strerror}; check the disk"
@@ -161,15 +162,33 @@ class McapFile:
         except OversizedChunkError as error:
             self._index.oversized[block.offset] = error.size
             self._report(f"a chunk of {error.size / MEGABYTE:.0f} MB", "chunk_mb")
-            return None
         except DAMAGE:
             self._index.lost_blocks[block.offset] = block.length
-            return None
-        self._reading_counters["messages_without_time"] += pending.without_time
-        if pending.oversized:
-            self._reading_counters["messages_too_large"] += pending.oversized
+        return []
+
+    def _messages_in(self, content: bytes, wanted: Mapping[int, Channel], empty: Collection[int]) -> list[RawMessage]:
+        """The messages of a block on the channels ``wanted``, the latest first; those on ``empty`` without content."""
+        messages, counters = list[RawMessage](), Counter[str]()
+        for opcode, begin, end in records(content):
+            if opcode != Opcode.MESSAGE:
+                continue
+            id, sequence, log_time_ns, publish_time_ns = MESSAGE_HEADER.unpack_from(content, begin)
+            if id not in wanted:
+                continue
+            data_begin = end if id in empty else begin + MESSAGE_HEADER.size
+            if log_time_ns > LAST_NS:
+                counters["messages_without_time"] += 1
+            elif end - data_begin > self._limits.message_bytes:
+                counters["messages_too_large"] += 1
+            else:
+                data = content[data_begin:end]
+                messages.append(RawMessage(wanted[id], log_time_ns, publish_time_ns, sequence, data))
+        self._reading_counters += counters
+        if counters["messages_too_large"]:
             self._report("a message", "message_mb")
-        return pending
+        messages.reverse()
+        messages.sort(key=lambda message: -message.log_time_ns)
+        return messages
 
     def _report(self, what: str, limit: str) -> None:
         """Warn once of what goes beyond a limit."""
@@ -185,53 +204,3 @@ class McapFile:
                 f"{self._name}: chunks that overlap in time hold more than {self._limits.waiting_mb:g} MB of messages "
                 "until they are read; write the log again in the order of time, or raise limits.waiting_mb"
             )
-
-
-class _PendingMessages:
-    """The messages on the channels ``wanted`` among the records of a block, in the order of log time, held as bytes.
-
-    Those on channels in ``empty`` come without content. ``oversized`` and ``without_time`` count those that were left
-    out because they have more than ``max_bytes``, or a time after :data:`LAST_NS`. ``next_ns``: log time of the next
-    message, None after the last.
-    """
-
-    def __init__(self, content: bytes, wanted: Mapping[int, Channel], empty: Collection[int], max_bytes: int) -> None:
-        self.oversized = self.without_time = 0
-        kept, ends, times = bytearray(), array("q", [0]), array("q")
-        view = memoryview(content)
-        for opcode, begin, end in records(content):
-            if opcode != Opcode.MESSAGE:
-                continue
-            id, _, log_time_ns, _ = MESSAGE_HEADER.unpack_from(content, begin)
-            if id not in wanted:
-                continue
-            if log_time_ns > LAST_NS:
-                self.without_time += 1
-            elif end - begin > max_bytes and id not in empty:
-                self.oversized += 1
-            else:
-                kept += view[begin : begin + MESSAGE_HEADER.size if id in empty else end]
-                ends.append(len(kept))
-                times.append(log_time_ns)
-        order = np.argsort(np.frombuffer(times, dtype=np.int64), kind="stable") if times else ()
-        rows = array("q", order)
-        self.size_bytes = len(kept) + 24 * len(times)
-        self._messages = _in_order(bytes(kept), ends, rows, wanted)
-        self._times_ns = (times[row] for row in rows)
-        self.next_ns = next(self._times_ns, None)
-
-    def take(self) -> RawMessage:
-        """The next message."""
-        self.next_ns = next(self._times_ns, None)
-        return next(self._messages)
-
-
-def _in_order(
-    content: bytes, ends: array[int], rows: array[int], channels: Mapping[int, Channel]
-) -> Iterator[RawMessage]:
-    """The messages of ``content`` that end at ``ends``, in the order of ``rows``."""
-    for row in rows:
-        start, end = ends[row], ends[row + 1]
-        id, sequence, log_time_ns, publish_time_ns = MESSAGE_HEADER.unpack_from(content, start)
-        data = content[start + MESSAGE_HEADER.size : end]
-        yield RawMessage(channels[id], log_time_ns, publish_time_ns, sequence, data)

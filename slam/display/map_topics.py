@@ -12,8 +12,7 @@ from slam.display.snapshot import MapSnapshot
 
 MAP_FRAME = "map"
 LANDMARKS, LANDMARK_POINTS, SUBMAP = "/slam/landmarks", "/slam/landmark_points", "/slam/submap"
-PATH, PATH_POINTS = "/slam/path", "/slam/path_points"
-CLOSURES, CLOSURE_POINTS = "/slam/closure_lines", "/slam/closure_points"
+PATH, CLOSURES = "/slam/path", "/slam/closure_lines"
 PATH_COLOR = (0.15, 0.45, 1.0, 1.0)
 CLOSURE_COLOR = (0.84, 0.15, 0.79, 0.9)
 SUBMAP_COLOR = (1.0, 1.0, 1.0, 1.0)
@@ -24,7 +23,6 @@ SMALL_MAP = 5_000
 with its square."""
 TOLERANCE_RANGES = 1.0 / 3000.0
 """What has moved by less, in sensor ranges, stays where viewers have it."""
-_POINTS_OF_CLOSURE = 5
 
 Message = tuple[str, Record]
 """Topic and record."""
@@ -55,7 +53,7 @@ class MapTopics:
         messages: list[Message] = []
         if len(changed) or len(removed) or is_final:
             messages.append((LANDMARKS, self._markers(snapshot.stamp_ns, changed, removed, replaces=is_final)))
-        messages.append((SUBMAP, self._submap(snapshot)))
+        messages.append(self._submap(snapshot))
         if is_final or self._is_due(snapshot, is_closed=is_closed):
             messages += [self._landmark_points(snapshot.stamp_ns), *self._path_and_closures(snapshot)]
         elif not self._are_points_right():
@@ -66,7 +64,7 @@ class MapTopics:
         """Whether the whole map is to be written: after an interval that grows with it; sooner after a closure."""
         if self._written_ns is None:
             return True
-        points = len(snapshot.landmarks) + len(self._path) + _POINTS_OF_CLOSURE * len(snapshot.closures)
+        points = len(snapshot.landmarks) + len(self._path) + len(snapshot.closures)
         interval_ns = INTERVAL_NS * max(points / SMALL_MAP, 1.0) - is_closed * INTERVAL_NS
         return snapshot.stamp_ns - self._written_ns >= interval_ns
 
@@ -106,15 +104,9 @@ class MapTopics:
         )
         self._path = path
         polylines = tuple(np.split(path, np.cumsum([len(part) for part in snapshot.path])[:-1]))
-        fractions = np.linspace(0.0, 1.0, _POINTS_OF_CLOSURE)[:, None]
-        starts, ends = snapshot.closures[:, :1], snapshot.closures[:, 1:]
-        dots = (starts + fractions * (ends - starts)).reshape(-1, 3)
-        at = snapshot.stamp_ns
         return [
-            (PATH, SceneLines(at, MAP_FRAME, polylines, PATH_COLOR)),
-            (PATH_POINTS, _points(at, path, PATH_COLOR)),
-            (CLOSURES, SceneLines(at, MAP_FRAME, tuple(snapshot.closures), CLOSURE_COLOR)),
-            (CLOSURE_POINTS, _points(at, dots, CLOSURE_COLOR)),
+            (PATH, SceneLines(snapshot.stamp_ns, MAP_FRAME, polylines, PATH_COLOR)),
+            (CLOSURES, SceneLines(snapshot.stamp_ns, MAP_FRAME, tuple(snapshot.closures), CLOSURE_COLOR)),
         ]
 
     def _markers(self, stamp_ns: int, changed: IntArray, removed: IntArray, *, replaces: bool) -> SceneMarkers:
@@ -128,14 +120,11 @@ class MapTopics:
             replaces=replaces,
         )
 
-    def _submap(self, snapshot: MapSnapshot) -> ScenePoints:
-        return _points(snapshot.stamp_ns, self._positions[snapshot.submap], SUBMAP_COLOR)
+    def _submap(self, snapshot: MapSnapshot) -> Message:
+        positions = self._positions[snapshot.submap]
+        return SUBMAP, ScenePoints(snapshot.stamp_ns, MAP_FRAME, positions, np.tile(SUBMAP_COLOR, (len(positions), 1)))
 
 
 def _are_near(first: FloatArray, second: FloatArray, tolerance_m: float) -> NDArray[np.bool_]:
     """Which of the positions (N, 3) are the same to within the tolerance; a NaN is not."""
     return np.asarray(np.linalg.norm(first - second, axis=1) <= tolerance_m)
-
-
-def _points(stamp_ns: int, positions: FloatArray, color: tuple[float, float, float, float]) -> ScenePoints:
-    return ScenePoints(stamp_ns, MAP_FRAME, positions, np.tile(color, (len(positions), 1)))

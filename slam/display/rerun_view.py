@@ -19,13 +19,11 @@ from slam.common.arrays import FloatArray
 from slam.common.errors import ViewerError
 from slam.display.map_topics import (
     CLOSURE_COLOR,
-    CLOSURE_POINTS,
     CLOSURES,
     LANDMARK_POINTS,
     MAP_FRAME,
     PATH,
     PATH_COLOR,
-    PATH_POINTS,
     SUBMAP,
 )
 from slam.object_map.map_io import POINTS_TOPIC
@@ -72,7 +70,6 @@ def _make_blueprint(extent: FloatArray | None, images: Collection[str]) -> rrb.B
         eye = rrb.EyeControls3D(position=position, look_target=centre, eye_up=(0.0, 0.0, 1.0))
     the_map = rrb.Spatial3DView(
         name="map",
-        contents=["$origin/**", f"- {PATH_POINTS}", f"- {CLOSURE_POINTS}"],
         spatial_information=rrb.SpatialInformation(target_frame=MAP_FRAME),
         eye_controls=eye,
     )
@@ -133,7 +130,7 @@ def _style(recording: rr.RecordingStream) -> None:
     """Frames and sizes of what is drawn, for all times."""
     import rerun as rr
 
-    for topic in (LANDMARK_POINTS, POINTS_TOPIC, SUBMAP, PATH, PATH_POINTS, CLOSURES, CLOSURE_POINTS, ROBOT):
+    for topic in (LANDMARK_POINTS, POINTS_TOPIC, SUBMAP, PATH, CLOSURES, ROBOT):
         recording.log(topic, rr.CoordinateFrame(MAP_FRAME), static=True)
     for topic in (LANDMARK_POINTS, POINTS_TOPIC, SUBMAP):
         recording.log(topic, rr.Points3D.from_fields(radii=_radius(topic)), static=True)

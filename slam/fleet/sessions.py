@@ -100,7 +100,7 @@ def _mapped(task: SessionTask, scratch: Path) -> Session:
         reason="",
         keyframes=len(saved.graph.keyframe_ids),
         landmarks=len(saved.objects.ids),
-        travel_m=round(summarize_map(saved).path_m, 3),
+        travel_m=round(summarize_map(saved)["path_m"], 3),
         first_ns=int(stamps_ns.min()),
         last_ns=int(stamps_ns.max()),
         notes=summary.notes,

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterator
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,8 @@ def find_fault(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
     """
     if not objects.ids or not len(graph.keyframe_ids):
         return "it is a map without landmarks or keyframes; nothing can be found in it"
-    return _fault_of_objects(objects) or _fault_of_names(objects, graph) or _fault_of_graph(graph)
+    faults = chain(_faults_of_names(objects, graph), _faults_of_objects(objects), _faults_of_graph(graph))
+    return next(faults, "")
 
 
 def parts(graph: FactorGraphRecord, counts: NDArray[np.bool_]) -> IntArray:
@@ -37,70 +39,53 @@ def parts(graph: FactorGraphRecord, counts: NDArray[np.bool_]) -> IntArray:
     return find_components(len(row_of), ends.reshape(-1, 2))
 
 
-def _fault_of_objects(objects: ObjectMapRecord) -> str:
-    twice = _repeated(objects.ids)
-    if twice is not None:
-        return f"landmark {twice} is in it more than once"
-    twice = _repeated(objects.vocabulary)
-    if twice is not None:
-        return f"class {twice} is in its vocabulary more than once"
+def _faults_of_names(objects: ObjectMapRecord, graph: FactorGraphRecord) -> Iterator[str]:
+    keyframes = graph.keyframe_ids.tolist()
+    named = {"landmark": objects.ids, "class": objects.vocabulary, "keyframe": keyframes}
+    for what, names in named.items():
+        yield from (f"{what} {name} is in it more than once" for name, count in Counter(names).items() if count > 1)
+    used = {
+        "an edge of its graph ends at keyframe": set(graph.edge_keyframe_ids.ravel().tolist()) - set(keyframes),
+        "its graph observes from keyframe": set(graph.observation_keyframe_ids.tolist()) - set(keyframes),
+        "its graph observes landmark": set(graph.observation_landmark_ids) - set(objects.ids),
+    }
+    for what, unknown in used.items():
+        yield from (f"{what} {name}, which it does not have" for name in sorted(unknown))
+    kinds = sorted(set(graph.edge_kinds) - set(EdgeKind))
+    yield from (f"its graph has edges of a kind {kind!r} that is not known" for kind in kinds)
+
+
+def _faults_of_objects(objects: ObjectMapRecord) -> Iterator[str]:
     probabilities = objects.class_probabilities
+    is_normalised = np.abs(probabilities.sum(axis=1) - 1.0) <= PROBABILITY_TOLERANCE
     faults = {
         "is not confirmed": np.array([state != "confirmed" for state in objects.states]),
         "has a place that is not finite": ~np.isfinite(objects.positions).all(axis=1),
         "has a matrix that is not a covariance": ~_are_covariances(objects.covariances),
-        "has class probabilities that do not sum to 1": (
-            np.abs(probabilities.sum(axis=1) - 1.0) > PROBABILITY_TOLERANCE
-        )
-        | (probabilities < 0.0).any(axis=1),
+        "has class probabilities that do not sum to 1": ~is_normalised | (probabilities < 0.0).any(axis=1),
         "was never seen": objects.observation_counts < 1,
     }
-    return next(
-        (f"landmark {objects.ids[int(wrong.argmax())]} {what}" for what, wrong in faults.items() if wrong.any()), ""
-    )
+    for what, wrong in faults.items():
+        yield from (f"landmark {objects.ids[row]} {what}" for row in np.flatnonzero(wrong))
 
 
-def _fault_of_names(objects: ObjectMapRecord, graph: FactorGraphRecord) -> str:
-    keyframes = graph.keyframe_ids.tolist()
-    twice = _repeated(keyframes)
-    if twice is not None:
-        return f"keyframe {twice} is in it more than once"
-    known = set(keyframes)
-    unknown = set(graph.edge_keyframe_ids.ravel().tolist()) - known
-    if unknown:
-        return f"an edge of its graph ends at keyframe {min(unknown)}, which it does not have"
-    unknown = set(graph.observation_keyframe_ids.tolist()) - known
-    if unknown:
-        return f"its graph observes from keyframe {min(unknown)}, which it does not have"
-    missing = set(graph.observation_landmark_ids) - set(objects.ids)
-    if missing:
-        return f"its graph observes landmark {min(missing)}, which it does not have"
-    kinds = set(graph.edge_kinds) - set(EdgeKind)
-    return f"its graph has edges of a kind {min(kinds)!r} that is not known" if kinds else ""
-
-
-def _fault_of_graph(graph: FactorGraphRecord) -> str:
-    wrong = ~_are_definite(graph.edge_covariances)
-    if wrong.any():
-        first, second = graph.edge_keyframe_ids[int(wrong.argmax())]
-        return f"edge {first} -> {second} of its graph has a covariance that is not positive definite"
-    wrong = ~_are_definite(graph.observation_covariances)
-    if wrong.any():
-        row = int(wrong.argmax())
-        return (
+def _faults_of_graph(graph: FactorGraphRecord) -> Iterator[str]:
+    ends = graph.edge_keyframe_ids
+    for first, second in ends[~_are_definite(graph.edge_covariances)]:
+        yield f"edge {first} -> {second} of its graph has a covariance that is not positive definite"
+    for row in np.flatnonzero(~_are_definite(graph.observation_covariances)):
+        yield (
             f"its graph observes landmark {graph.observation_landmark_ids[row]} from keyframe "
             f"{graph.observation_keyframe_ids[row]} with a covariance that is not positive definite"
         )
     inflations = graph.observation_redundancies
-    if len(inflations) and (len(inflations) != len(wrong) or (inflations <= 0.0).any()):
-        return "the covariance inflations (redundancies) of the observations in its graph are not positive for each"
-    ends = graph.edge_keyframe_ids
-    loops = ends[np.asarray(ends[:, 0] == ends[:, 1])]
-    if len(loops):
-        return f"an edge of its graph leads from keyframe {loops[0, 0]} to itself"
+    if len(inflations) and (len(inflations) != len(graph.observation_covariances) or (inflations <= 0.0).any()):
+        yield "the covariance inflations (redundancies) of the observations in its graph are not positive for each"
+    for keyframe, _ in ends[np.asarray(ends[:, 0] == ends[:, 1])]:
+        yield f"an edge of its graph leads from keyframe {keyframe} to itself"
     part = parts(graph, np.ones(len(graph.edge_kinds), dtype=np.bool_))
-    loose = graph.keyframe_ids[np.flatnonzero(part != part[0])]
-    return f"no edge ties keyframe {loose[0]} to the first one" if len(loose) else ""
+    for keyframe in graph.keyframe_ids[part != part[0]]:
+        yield f"no edge ties keyframe {keyframe} to the first one"
 
 
 def _are_covariances(P: FloatArray) -> NDArray[np.bool_]:
@@ -115,7 +100,3 @@ def _are_definite(P: FloatArray) -> NDArray[np.bool_]:
     """Which matrices (N, n, n) can weigh a measurement."""
     usable = np.asarray(np.isfinite(P).all(axis=(1, 2)))
     return np.asarray(usable & (np.linalg.eigvalsh(np.where(usable[:, None, None], P, 0.0))[:, 0] > 0.0))
-
-
-def _repeated(names: Iterable[str | int]) -> str | int | None:
-    return next((name for name, count in Counter(names).items() if count > 1), None)

@@ -71,7 +71,7 @@ def test_the_pictures_are_there_in_the_viewers_own_schemas(noisy_output):
     assert schemas["/slam/pose"][0] == "foxglove.PoseInFrame"
     assert schemas["/tf"][0] == "foxglove.FrameTransforms"
     assert schemas["/slam/log"][0] == "foxglove.Log"
-    for topic in ("landmark_points", "path_points", "closure_points", "submap"):
+    for topic in ("landmark_points", "submap"):
         assert schemas[f"/slam/{topic}"][0] == "foxglove.PointCloud"
 
 

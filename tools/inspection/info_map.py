@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from slam.object_map.map_summary import MapSummary
     from slam.place_recognition.imported_map import ImportedMap
 
 METADATA = "dslam_map"
@@ -26,7 +24,7 @@ def plain_map(path: Path) -> dict[str, Any]:
     imported, summary, fault = _read(path)
     if imported is not None:
         return {"usable": True, "fault": "", **_plain_imported(imported)}
-    return {"usable": summary is not None, "fault": fault, **(asdict(summary) if summary is not None else {})}
+    return {"usable": summary is not None, "fault": fault, **(summary or {})}
 
 
 def show_map(path: Path, now: datetime) -> None:
@@ -41,24 +39,25 @@ def show_map(path: Path, now: datetime) -> None:
         console.show(console.pairs({"saved map": f"cannot be used: {fault}"}), "")
         return
     rows = {
-        "saved map": f"format version {summary.format_version}; {summary.gravity}",
-        "landmarks": f"{summary.landmark_count} confirmed, of {len(summary.classes)} classes "
-        f"(vocabulary of {summary.vocabulary_size}); standard deviation {summary.median_sigma_m:.2f} m in the median, "
-        "in the plane, from the origin of the map",
-        "keyframes": f"{summary.keyframe_count}, connected by {summary.odometry_edge_count} steps of odometry, "
-        f"{summary.closure_count} closures and {summary.observation_count} observations of landmarks",
-        "extent": f"{summary.width_m:.0f} m x {summary.height_m:.0f} m (x and y); {summary.path_m:.0f} m driven",
-        "drives": "\n".join(_drive(drive) for drive in summary.drives),
-        "last drive": when(summary.stamp_ns, now),
+        "saved map": f"format version {summary['format_version']}; {summary['gravity']}",
+        "landmarks": f"{summary['landmark_count']} confirmed, of {len(summary['classes'])} classes "
+        f"(vocabulary of {summary['vocabulary_size']}); standard deviation {summary['median_sigma_m']:.2f} m in the "
+        "median, in the plane, from the origin of the map",
+        "keyframes": f"{summary['keyframe_count']}, connected by {summary['odometry_edge_count']} steps of odometry, "
+        f"{summary['closure_count']} closures and {summary['observation_count']} observations of landmarks",
+        "extent": f"{summary['width_m']:.0f} m x {summary['height_m']:.0f} m (x and y); "
+        f"{summary['path_m']:.0f} m driven",
+        "drives": "\n".join(_drive(drive) for drive in summary["drives"]),
+        "last drive": when(summary["stamp_ns"], now),
         "descriptors": "computed when the map is loaded, by the configured descriptor; that of the last drive was "
-        f"{summary.descriptor or 'not recorded'}",
+        f"{summary['descriptor'] or 'not recorded'}",
         "to extend it": f"dslam replay LOG -o OUT.mcap --map {path} --save-map NEW.mcap",
         "to localize in it": f"dslam relocalize LOG --map {path} -o OUT.mcap",
     }
     console.show(console.pairs(rows), "", _class_table(summary), "")
 
 
-def _read(path: Path) -> tuple[ImportedMap | None, MapSummary | None, str]:
+def _read(path: Path) -> tuple[ImportedMap | None, dict[str, Any] | None, str]:
     """An imported map, or the summary of one that was driven, or why it cannot be used."""
     from logs.reader import LogReader
     from slam.common.errors import SavedMapError
@@ -129,12 +128,12 @@ def when(stamp_ns: int, now: datetime) -> str:
     return f"ended {ended:%Y-%m-%d %H:%M} UTC, {since}" if days >= 0 else f"ended {ended:%Y-%m-%d %H:%M} UTC"
 
 
-def _class_table(summary: MapSummary) -> Any:
+def _class_table(summary: dict[str, Any]) -> Any:
     from tools import console
 
     table = console.grid({"class": False, "landmarks": True, "median sigma m": True}, "Landmarks by class")
-    for each in summary.classes[:_MOST_CLASSES]:
-        table.add_row(each.label, str(each.landmark_count), f"{each.median_sigma_m:.3f}")
-    if rest := summary.classes[_MOST_CLASSES:]:
-        table.add_row(f"{len(rest)} others", str(sum(each.landmark_count for each in rest)), "")
+    for each in summary["classes"][:_MOST_CLASSES]:
+        table.add_row(each["label"], str(each["landmark_count"]), f"{each['median_sigma_m']:.3f}")
+    if rest := summary["classes"][_MOST_CLASSES:]:
+        table.add_row(f"{len(rest)} others", str(sum(each["landmark_count"] for each in rest)), "")
     return table

@@ -87,7 +87,6 @@ def test_viewer_has_whole_map_after_seek(logs, fraction):
     newer = len(expected) - len(player.clouds[LANDMARK_POINTS])
     assert 0 <= newer <= 0.35 * len(expected)
     assert player.entities["/slam/path"]["lines"].lines
-    assert len(player.clouds["/slam/path_points"]) > 3
     assert len(player.clouds["/slam/submap"]) > 3
     assert player.parents == {"map": "world", "odom": "map", "base_link": "odom"}
 
@@ -99,11 +98,10 @@ def test_the_status_is_told_as_text(logs):
     assert last.startswith("mapping: optimised")
 
 
-def test_closures_are_shown_as_lines_and_points():
+def test_closures_are_shown_as_lines():
     closures = np.array([[[0.0, 0, 0], [8.0, 0, 0]]])
     messages = dict(MapTopics(30.0).update(replace(snapshot(0, {}), closures=closures)))
     np.testing.assert_array_equal(messages["/slam/closure_lines"].polylines, closures)
-    np.testing.assert_array_equal(messages["/slam/closure_points"].positions[:, 0], np.arange(0.0, 9.0, 2.0))
 
 
 @pytest.mark.slow

@@ -32,7 +32,7 @@ def set_first(values, value):
 
 OBJECT_FAULTS = {
     "landmark 1 is in it more than once": lambda o: replace(o, ids=("1", *o.ids[1:])),
-    "class bench is in its vocabulary more than once": lambda o: replace(o, vocabulary=("bench",) * len(o.vocabulary)),
+    "class bench is in it more than once": lambda o: replace(o, vocabulary=("bench",) * len(o.vocabulary)),
     "is not confirmed": lambda o: replace(o, states=set_first(o.states, "tentative")),
     "damaged": lambda o: replace(o, positions=set_first(o.positions, np.nan)),
     "has a matrix that is not a covariance": lambda o: replace(o, covariances=set_first(o.covariances, -np.eye(3))),
