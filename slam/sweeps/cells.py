@@ -14,13 +14,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from logs.container.json_text import parse_json
+from pydantic import TypeAdapter, ValidationError
+
 from logs.errors import UnwritableLogError
 from logs.storage.placement import write_text
 from slam.common.config import Config
 from slam.common.errors import EvaluationError
 from slam.evaluation.inputs.protocol import Protocol
-from slam.sweeps.degradations import Degradation
+from slam.sweeps.degradations import cases_of
 from slam.sweeps.mapped_drive import DriveTask, map_drive
 
 
@@ -35,7 +36,7 @@ class Cell:
     sha256: str
     config: Config
     version: str
-    degradation: Degradation
+    degradation: str
     seed: int
     topics: tuple[tuple[str, str], ...] = ()
     variant: str = ""
@@ -43,7 +44,7 @@ class Cell:
     @property
     def name(self) -> str:
         """For people."""
-        return ", ".join(each for each in (self.variant, self.degradation.name, f"seed {self.seed}") if each)
+        return ", ".join(each for each in (self.variant, self.degradation, f"seed {self.seed}") if each)
 
     @property
     def key(self) -> str:
@@ -52,7 +53,7 @@ class Cell:
         content = {
             "input_sha256": self.sha256,
             "topics": sorted(self.topics),
-            "degradation": self.degradation.name,
+            "degradation": self.degradation,
             "seed": self.seed,
             "configuration": self.config.model_dump(mode="json"),
             "version": self.version,
@@ -63,21 +64,22 @@ class Cell:
     @property
     def file_name(self) -> str:
         """For people the degradation and the seed, for the program the key."""
-        safe_name = re.sub(r"[^\w.,=+-]", "_", self.degradation.name)[:80]
+        safe_name = re.sub(r"[^\w.,=+-]", "_", self.degradation)[:80]
         return f"{safe_name}_seed{self.seed}_{self.key[:16]}.json"
 
 
 @dataclass(frozen=True, slots=True)
 class CellResult:
-    """The ``evaluation`` of a cell as JSON, or why there is none.
+    """The ``evaluation`` of a cell as JSON, or why there is none; ``reported``: what the replay told.
 
     ``times``: seconds of the replay (``replay_s``), seconds of the processor for everything (``cpu_s``), which do not
     depend on how busy the machine is, and the ``real_time_factor``.
     """
 
     evaluation: Mapping[str, Any] | None
-    error: str
-    times: Mapping[str, float]
+    error: str = ""
+    times: Mapping[str, float] | None = None
+    reported: str = ""
 
 
 def compute_cell(cell: Cell, *, scratch: Path) -> CellResult:
@@ -87,12 +89,12 @@ def compute_cell(cell: Cell, *, scratch: Path) -> CellResult:
         cell: what to do.
         scratch: folder in which a process that is killed may leave logs behind.
     """
-    faults = tuple(case.name for case in cell.degradation.cases)
+    faults = tuple(case.name for case in cases_of(cell.degradation))
     run = map_drive(DriveTask(cell.name, cell.log, cell.config, scratch, dict(cell.topics), faults, cell.seed))
     times = {"replay_s": run.seconds, "cpu_s": run.cpu_s}
     if run.summary is not None and run.seconds > 0.0:
         times["real_time_factor"] = run.summary.log_s / run.seconds
-    return CellResult(run.evaluation or None, run.error, times)
+    return CellResult(run.evaluation or None, run.error, times, run.reported)
 
 
 class CellFolder:
@@ -112,8 +114,7 @@ class CellFolder:
         """
         try:
             self._cells.mkdir(parents=True, exist_ok=True)
-            # The system takes the lock back from a process that is killed.
-            lock = os.open(self._cells, os.O_RDONLY)
+            lock = os.open(self._cells, os.O_RDONLY)  # the system takes it back from a process that is killed
         except OSError as error:
             raise UnwritableLogError(
                 f"cannot write into {self._cells}: {error.strerror}; give another folder"
@@ -137,12 +138,11 @@ class CellFolder:
     def finished(self, cell: Cell) -> CellResult | None:
         """The result of a cell that was computed before; one that failed or cannot be read is to be tried again."""
         try:
-            stored = parse_json((self._cells / cell.file_name).read_text(encoding="utf-8"))
-            result = CellResult(stored["evaluation"], stored["error"], stored["times"])
-            is_right = stored["key"] == cell.key and isinstance(result.evaluation, dict)
-        except (OSError, ValueError, TypeError, KeyError):
+            stored = json.loads((self._cells / cell.file_name).read_text(encoding="utf-8"))
+            result = TypeAdapter(CellResult).validate_python(stored)
+        except (OSError, ValueError, TypeError, KeyError, RecursionError, ValidationError):
             return None
-        return result if is_right else None
+        return result if stored["key"] == cell.key and result.evaluation is not None else None
 
     def keep(self, cell: Cell, result: CellResult) -> None:
         """Write the result, whole or not at all.
@@ -150,14 +150,7 @@ class CellFolder:
         Raises:
             UnwritableLogError: it cannot be written.
         """
-        stored = {
-            "key": cell.key,
-            "degradation": cell.degradation.name,
-            "seed": cell.seed,
-            "input_sha256": cell.sha256,
-            "version": cell.version,
-            **asdict(result),
-        }
+        stored = {"key": cell.key, "name": cell.name, **asdict(result)}
         write_text(self._cells / cell.file_name, json.dumps(stored, indent=1, allow_nan=False) + "\n")
 
     def _clean_up(self) -> None:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from slam.common.errors import ConfigurationError
 from slam.simulation.faults.fault import FaultCase
-from slam.simulation.faults.registry import DEGRADATIONS, parse_fault
+from slam.simulation.faults.registry import DEGRADATIONS, all_cases, parse_fault
 
 DEFAULT_SPECIFICATIONS = (
     "dropout=0.7",
@@ -16,52 +15,35 @@ DEFAULT_SPECIFICATIONS = (
     "false_positives=10",
     "odometry_yaw_noise=0.005",
 )
-UNDEGRADED = "undegraded"
+UNDEGRADED, EVERY_FAULT = "undegraded", "every fault"
 _ORDER = {name: number for number, name in enumerate(DEGRADATIONS)}
 
 
-@dataclass(frozen=True, slots=True)
-class Degradation:
-    """Faults of a log, by a ``name`` that is the same for two that do the same."""
+def parse_degradations(specifications: Sequence[str]) -> list[str]:
+    """The names of the undegraded log, then of each degradation once, in the order given.
 
-    name: str
-
-    @property
-    def cases(self) -> tuple[FaultCase, ...]:
-        """The faults in the order in which they are applied."""
-        return () if self.is_undegraded else tuple(parse_fault(part) for part in self.name.split(","))
-
-    @property
-    def is_undegraded(self) -> bool:
-        """Whether the log is not changed."""
-        return self.name == UNDEGRADED
-
-    @property
-    def is_random(self) -> bool:
-        """Whether the seed matters."""
-        return any(case.fault.is_random for case in self.cases)
-
-    @property
-    def strength(self) -> tuple[str, float] | None:
-        """The fault and its value, where there is one fault with one number."""
-        values = [(case.fault.name, value) for case in self.cases for value in case.values]
-        if len(self.cases) != 1 or len(values) != 1:
-            return None
-        name, value = values[0]
-        return None if isinstance(value, str) else (name, value)
-
-
-def parse_degradations(specifications: Sequence[str]) -> list[Degradation]:
-    """The undegraded log, then each degradation once, in the order given.
+    Two degradations that do the same have the same name. :data:`EVERY_FAULT` stands for all faults, one at a time.
 
     Raises:
         ConfigurationError: a fault that does not exist, or a value that is not allowed.
     """
-    found = [Degradation(UNDEGRADED), *(_parse(text) for text in specifications or DEFAULT_SPECIFICATIONS)]
-    return list({degradation.name: degradation for degradation in found}.values())
+    found = [UNDEGRADED]
+    for text in specifications or DEFAULT_SPECIFICATIONS:
+        found += [case.name for case in all_cases()] if text == EVERY_FAULT else [_parse(text)]
+    return list(dict.fromkeys(found))
 
 
-def _parse(text: str) -> Degradation:
+def cases_of(degradation: str) -> tuple[FaultCase, ...]:
+    """The faults of a degradation by its name, in the order in which they are applied."""
+    return () if degradation == UNDEGRADED else tuple(parse_fault(part) for part in degradation.split(","))
+
+
+def is_random(degradation: str) -> bool:
+    """Whether the seed matters."""
+    return any(case.fault.is_random for case in cases_of(degradation))
+
+
+def _parse(text: str) -> str:
     cases: dict[str, FaultCase] = {}
     try:
         for part in text.split(","):
@@ -75,4 +57,4 @@ def _parse(text: str) -> Degradation:
         raise ConfigurationError(f"--degrade {text!r}: {error}") from error
     # Degradations in their fixed order, then other faults as they are given.
     ordered = sorted(cases.values(), key=lambda case: _ORDER.get(case.fault.name, len(_ORDER)))
-    return Degradation(",".join(case.name for case in ordered if not case.is_neutral) or UNDEGRADED)
+    return ",".join(case.name for case in ordered if not case.is_neutral) or UNDEGRADED

@@ -61,6 +61,13 @@ class MappedDrive:
     cpu_s: float = 0.0
     error: str = ""
 
+    @property
+    def reported(self) -> str:
+        """How the replay ended, its notes and its warnings; or the error."""
+        if self.summary is None:
+            return f"error: {self.error}"
+        return "; ".join(dict.fromkeys([self.summary.final_status, *self.summary.notes, *self.warnings]))
+
     def figure(self, key: str) -> float | None:
         """A number of the evaluation by its dotted key; None where it is undefined."""
         value: Any = self.evaluation

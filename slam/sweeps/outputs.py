@@ -45,20 +45,21 @@ def write_outputs(folder: Path, sweep: Sweep) -> list[Path]:
 
 
 def make_tables(sweep: Sweep) -> dict[str, pd.DataFrame]:
-    """Loop closures, and trajectory and map, with a row for each degradation and variant."""
-    closures, of_map = dict[str, dict[str, str]](), dict[str, dict[str, str]]()
+    """Loop closures, trajectory and map, and what is reported, with a row for each degradation and variant."""
+    closures, of_map, reported = dict[str, dict[str, str]](), dict[str, dict[str, str]](), dict[str, dict[str, str]]()
     for (variant, degradation), cells in sweep.rows().items():
         name = f"{degradation}: {variant}" if variant else degradation
         failed = int((cells["error"] != "").sum())
         runs = f"{len(cells)}" + (f", {failed} failed" if failed else "")
         closures[name] = {"runs": runs, **_figures(cells, _CLOSURES)}
         of_map[name] = {**_figures(cells, _MAP), "x real time": spread_over(cells, "real_time_factor").text(1)}
-    tables = {"loop closures": closures, "trajectory and map": of_map}
+        reported[name] = {"reported": cells["reported"].iloc[0]}
+    tables = {"loop closures": closures, "trajectory and map": of_map, "by the first seed": reported}
     return {title: pd.DataFrame(rows).T.rename_axis("degradation") for title, rows in tables.items()}
 
 
 def to_markdown(sweep: Sweep) -> str:
-    """Both tables side by side, and what they were made from."""
+    """The tables side by side, and what they were made from."""
     table = pd.concat(make_tables(sweep).values(), axis=1)
     headings = ["degradation", *table.columns]
     rows = [[str(name), *cells] for name, cells in zip(table.index, table.to_numpy().tolist(), strict=True)]

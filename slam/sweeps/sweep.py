@@ -31,7 +31,7 @@ from slam.evaluation.metrics.statistics import Spread
 from slam.evaluation.report.figures import HEADLINE_FIGURES
 from slam.evaluation.result import plain
 from slam.sweeps.cells import Cell, CellFolder, CellResult, compute_cell
-from slam.sweeps.degradations import Degradation
+from slam.sweeps.degradations import is_random
 from slam.sweeps.workers import Death, compute_all
 
 _log = logging.getLogger(__name__)
@@ -66,17 +66,18 @@ class Sweep:
         return {cell.name: each.evaluation for cell, each in self.results.items() if each.evaluation is not None}
 
     def rows(self) -> dict[tuple[str, str], pd.DataFrame]:
-        """The cells of each variant and degradation: ``seed``, ``file``, ``error``, ``real_time_factor``, and the
-        headline figures by their keys, NaN where they are undefined.
+        """The cells of each variant and degradation: ``seed``, ``file``, ``error``, ``reported``,
+        ``real_time_factor``, and the headline figures by their keys, NaN where they are undefined.
         """
         table = pd.DataFrame(
             {
                 "variant": cell.variant,
-                "degradation": cell.degradation.name,
+                "degradation": cell.degradation,
                 "seed": cell.seed,
                 "file": cell.file_name,
                 "error": result.error,
-                "real_time_factor": result.times.get("real_time_factor", math.nan),
+                "reported": result.reported,
+                "real_time_factor": (result.times or {}).get("real_time_factor", math.nan),
             }
             | {figure.key: figure.of(result.evaluation or {}) for figure in HEADLINE_FIGURES}
             for cell, result in self.results.items()
@@ -97,10 +98,10 @@ class Sweep:
             "protocol": {**plain(protocol), "rules": protocol.describe()},
             "times": {
                 "wall_s": self.wall_s,
-                "cpu_s": sum(result.times.get("cpu_s", 0.0) for result in self.results.values()),
+                "cpu_s": sum((result.times or {}).get("cpu_s", 0.0) for result in self.results.values()),
                 "computed": self.computed,
                 "reused": len(self.results) - self.computed,
-                "cells": {cell.file_name: dict(result.times) for cell, result in self.results.items()},
+                "cells": {cell.file_name: dict(result.times or {}) for cell, result in self.results.items()},
             },
         }
 
@@ -113,7 +114,7 @@ def spread_over(cells: pd.DataFrame, column: str) -> Spread:
 def run_sweep(
     source: Path,
     folder: Path,
-    degradations: Sequence[Degradation],
+    degradations: Sequence[str],
     config: Config,
     *,
     seeds: int,
@@ -131,7 +132,7 @@ def run_sweep(
     Args:
         source: a log that can be mapped, with the truth.
         folder: keeps the cells; made if it is not there.
-        degradations: what to do to the log, no two alike.
+        degradations: what to do to the log, by their names, no two alike.
         config: of the estimator, where there are no variants.
         seeds: 0, 1, ... of the degradations.
         jobs: processes at a time.
@@ -152,7 +153,7 @@ def run_sweep(
         Cell(source, sha256, each, version("descriptellation-slam"), degradation, seed, of_topics, variant)
         for variant, each in (variants or {"": config}).items()
         for degradation in degradations
-        for seed in range(seeds if degradation.is_random else 1)
+        for seed in range(seeds if is_random(degradation) else 1)
     ]
     with CellFolder(folder).opened() as kept:
         results = {cell: result for cell in cells if (result := kept.finished(cell)) is not None}
@@ -180,22 +181,20 @@ def _refuse_without_truth(source: Path, topics: Mapping[str, str] | None) -> Non
 
 def _after_death(death: Death) -> CellResult:
     why = f"the process ended with code {death.exit_code}, perhaps for lack of memory; try fewer jobs"
-    return CellResult(None, why, {})
+    return CellResult(None, why)
 
 
 def _describe(variant: str, name: str, cells: pd.DataFrame) -> dict[str, Any]:
-    degradation = Degradation(name)
-    strength = degradation.strength
     return {
         "name": name,
         "variant": variant,
-        "options": {case.fault.name: list(case.values) for case in degradation.cases},
-        "strength": None if strength is None else {"option": strength[0], "value": strength[1]},
         "figures": {key: asdict(spread_over(cells, key)) for key in _FIGURES},
         "cells": [
             {**cell, "figures": plain(figures)}
             for cell, figures in zip(
-                cells[["seed", "file", "error"]].to_dict("records"), cells[_FIGURES].to_dict("records"), strict=True
+                cells[["seed", "file", "error", "reported"]].to_dict("records"),
+                cells[_FIGURES].to_dict("records"),
+                strict=True,
             )
         ],
     }

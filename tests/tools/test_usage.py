@@ -15,7 +15,7 @@ COMMANDS = (
     *("compare", "sweep"),
     *("view", "export", "config"),
     *("relocalize", "train", "benchmark replay", "benchmark descriptors"),
-    *("benchmark relocalization", "benchmark faults", "benchmark ablation"),
+    *("benchmark relocalization", "benchmark ablation"),
     *("benchmark robots", "benchmark recall", "benchmark retrieval", "benchmark fleet", "benchmark kidnapping"),
 )
 

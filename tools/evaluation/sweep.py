@@ -21,7 +21,8 @@ def sweep(
         list[str] | None,
         typer.Option(
             metavar="KEY=VALUE,...",
-            help="Options of 'dslam degrade', joined by commas. Repeatable; by default five degradations.",
+            help="Faults of 'dslam degrade --list-faults', joined by commas; 'every fault': each alone. Repeatable; by "
+            "default five degradations.",
         ),
     ] = None,
     variant: Annotated[

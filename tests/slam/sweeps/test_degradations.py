@@ -5,49 +5,51 @@ from __future__ import annotations
 import pytest
 
 from slam.common.errors import ConfigurationError
-from slam.sweeps import degradations
-from slam.sweeps.degradations import DEFAULT_SPECIFICATIONS, parse_degradations
+from slam.sweeps.degradations import (
+    DEFAULT_SPECIFICATIONS,
+    EVERY_FAULT,
+    cases_of,
+    is_random,
+    parse_degradations,
+)
 
 
-def parse(text: str) -> degradations.Degradation:
+def parse(text: str) -> str:
     return parse_degradations([text])[-1]
 
 
 def test_several_faults_make_one_degradation() -> None:
-    found = parse("gyro_bias,field-of-view=90, keep_label=tree,keep_label=lamp,reversed,dropout=.3,time_offset=-0.1")
-    assert [case.name for case in found.cases] == [
+    found = cases_of(
+        parse("gyro_bias,field-of-view=90, keep_label=tree,keep_label=lamp,reversed,dropout=.3,time_offset=-0.1")
+    )
+    assert [case.name for case in found] == [
         "reversed", "time_offset=-0.1", "dropout=0.3", "field_of_view=90", "keep_label=tree:lamp", "gyro_bias=3:10",
     ]  # fmt: skip
 
 
 def test_the_log_as_it_is_comes_first_and_everything_once() -> None:
-    names = [each.name for each in parse_degradations(["dropout=0.30", "reversed", "dropout=.3", "dropout=0"])]
-    assert names == ["undegraded", "dropout=0.3", "reversed"]
+    assert parse_degradations(["dropout=0.30", "reversed", "dropout=.3", "dropout=0"]) == [
+        "undegraded",
+        "dropout=0.3",
+        "reversed",
+    ]
 
 
 def test_default_degradations_are_random() -> None:
     found = parse_degradations([])
-    assert [each.name for each in found] == ["undegraded", *DEFAULT_SPECIFICATIONS]
-    assert [each.is_random for each in found] == [False] + [True] * 5
+    assert found == ["undegraded", *DEFAULT_SPECIFICATIONS]
+    assert [is_random(each) for each in found] == [False] + [True] * 5
 
 
-@pytest.mark.parametrize(
-    ("text", "strength"),
-    [
-        ("dropout=0.3", ("dropout", 0.3)),
-        ("field_of_view=90", ("field_of_view", 90.0)),
-        ("dropout=0.3,max_range=20", None),
-        ("reversed", None),
-        ("keep_label=tree", None),
-    ],
-)
-def test_one_number_is_a_strength(text: str, strength: tuple[str, float] | None) -> None:
-    assert parse(text).strength == strength
+def test_every_fault_is_a_degradation_of_its_own() -> None:
+    found = parse_degradations([EVERY_FAULT, "dropout=0.3,reversed"])
+    assert {"undegraded", "heading_jump=5:0.5", "labels_random", "reversed,dropout=0.3"} < set(found)
+    assert all(len(cases_of(each)) == 1 for each in found[1:-1])
 
 
 @pytest.mark.parametrize("text", ["field_of_view=90", "reversed", "max_range=20", "time_offset=0.2", "drop_label=tree"])
 def test_the_seed_does_not_matter_where_nothing_is_random(text: str) -> None:
-    assert not parse(text).is_random
+    assert not is_random(parse(text))
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from slam.sweeps.sweep import Sweep
 
 def result(ate_m: float | None, precision: float | None) -> CellResult:
     evaluation = {"trajectory": {"ate_m": ate_m}, "closures": {"precision": precision, "recall": 0.5}}
-    return CellResult(evaluation, "", {})
+    return CellResult(evaluation)
 
 
 def sweep(*specifications: str, results: tuple[CellResult, ...]) -> Sweep:
@@ -53,7 +53,7 @@ def test_means_are_drawn_in_the_order_of_the_degradations(drawn: list[Figure]) -
     assert ate.get_ylim()[1] > 3.0  # mean and standard deviation are in sight
 
 
-@pytest.mark.parametrize("undefined", [result(1.0, None), CellResult(None, "broken", {})])
+@pytest.mark.parametrize("undefined", [result(1.0, None), CellResult(None, "broken")])
 def test_undefined_and_failed_figures_are_not_drawn(drawn: list[Figure], undefined: CellResult) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")

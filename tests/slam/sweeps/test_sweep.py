@@ -23,7 +23,7 @@ from slam.evaluation.inputs.records import read_records
 from slam.replay import replay
 from slam.simulation.faults.faulty_log import write_faulty
 from slam.sweeps.cells import Cell, CellFolder, CellResult, compute_cell
-from slam.sweeps.degradations import parse_degradations
+from slam.sweeps.degradations import cases_of, parse_degradations
 from slam.sweeps.outputs import to_markdown, write_outputs
 from slam.sweeps.sweep import Sweep, run_sweep, spread_over
 from tests.helpers.short_drives import Entry, change, keep_until, write_log
@@ -56,7 +56,7 @@ def sweep_over(
 
 
 def cells_of(sweep: Sweep, degradation: str) -> list[tuple[Cell, CellResult]]:
-    return [pair for pair in sweep.results.items() if pair[0].degradation.name == degradation]
+    return [pair for pair in sweep.results.items() if pair[0].degradation == degradation]
 
 
 def without_times(told: Mapping[str, Any]) -> dict[str, Any]:
@@ -71,7 +71,7 @@ def test_a_cell_is_what_the_three_commands_make(log: Path, finished: tuple[Path,
     (cell, result) = cells_of(finished[1], "dropout=0.3")[1]
     assert cell.seed == 1
     degradation = parse_degradations(SPECIFICATIONS)[1]
-    write_faulty(log, tmp_path / "degraded.mcap", degradation.cases, seed=1)
+    write_faulty(log, tmp_path / "degraded.mcap", cases_of(degradation), seed=1)
     replay(tmp_path / "degraded.mcap", tmp_path / "map.mcap", Config())
     expected = evaluate(read_records(tmp_path / "map.mcap")).to_json_dict()
     assert json.loads(json.dumps(result.evaluation)) == json.loads(json.dumps(expected))
@@ -218,7 +218,7 @@ def test_the_json_names_what_it_was_made_from(log: Path, finished: tuple[Path, S
     assert told == json.loads(json.dumps(sweep.to_json_dict()))
     assert told["input"]["log"] == log.name
     assert [each["name"] for each in told["degradations"]] == ["undegraded", *SPECIFICATIONS]
-    assert told["degradations"][2]["strength"] == {"option": "field_of_view", "value": 120.0}
+    assert told["degradations"][2]["cells"][0]["reported"].startswith("optimised")
     assert all(os.path.exists(folder / "cells" / name) for name in told["times"]["cells"])
     assert (folder / "sweep.md").read_text().count("\n| dropout=0.3 | 2 |") == 1
 
@@ -228,7 +228,7 @@ def test_variants_are_compared_over_the_same_drives(log: Path, tmp_path: Path) -
     variants = {name: load_tree(Config, None, [text]) for name, text in settings.items()}
     wanted = parse_degradations(("dropout=0.3",))
     sweep = run_sweep(log, tmp_path, wanted, Config(), seeds=1, jobs=1, variants=variants)
-    assert list(sweep.rows()) == [(variant, degradation.name) for variant in settings for degradation in wanted]
+    assert list(sweep.rows()) == [(variant, degradation) for variant in settings for degradation in wanted]
     assert sweep.computed == 2 * len(wanted)
     assert len({cell.file_name for cell in sweep.results}) == len({cell.name for cell in sweep.results}) == 4
     counts = {cell.variant: result.evaluation["counters"]["keyframes"] for cell, result in sweep.results.items()}

@@ -90,7 +90,7 @@ def _run(
     from tools.lab.drives.ablation_drives import DRIVES
     from tools.lab.drives.ablation_parts import compute_without
 
-    noise = [each for each in parse_degradations([NOISE]) if not each.is_undegraded]
+    noise = parse_degradations([NOISE])[1:]
     for drive in drives:
         own = folder / _file_name(drive)
         own.mkdir(parents=True, exist_ok=True)

@@ -6,7 +6,6 @@ import typer
 
 from tools.lab.commands.ablation import ablation
 from tools.lab.commands.descriptors import descriptors
-from tools.lab.commands.faults import faults
 from tools.lab.commands.fleet import fleet
 from tools.lab.commands.kidnapping import kidnapping
 from tools.lab.commands.live import live
@@ -17,9 +16,7 @@ from tools.lab.commands.retrieval import retrieval
 from tools.lab.commands.robots import robots
 
 app = typer.Typer(help="Measure accuracy, recall, speed and memory.", no_args_is_help=True)
-for command in (
-    *(descriptors, faults, fleet, kidnapping, ablation, live, recall, relocalization, replay, retrieval, robots),
-):
+for command in (*(descriptors, fleet, kidnapping, ablation, live, recall, relocalization, replay, retrieval, robots),):
     app.command()(command)
 
 
