@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from descriptors.constellation import Constellations
 from descriptors.index import Matches
-from descriptors.ring_likelihood import count_at_a_time
 
+CHUNK = 512
+"""Constellations of up to 64 classes that are described at a time, which bounds the memory."""
 STEP_NATS = 1.0 / 32.0
 """Entries are kept in bytes, a quarter of the memory: 8 nats from the least on, which hold all but one neighbour in the
 first ring."""
@@ -190,6 +191,11 @@ class _Shelf:
             total[query] = np.add.reduce(rows[start:end], axis=0, dtype=kind)
         total += (self.zero * (np.diff(offsets) - np.diff(starts)))[:, None].astype(np.int32)
         return total if len(columns) == len(self.numbers) else total[:, columns]
+
+
+def count_at_a_time(constellations: Constellations) -> int:
+    """How many to describe at once: fewer where a vector is long for its many classes."""
+    return int(np.clip(CHUNK * 64 // max(len(constellations.vocabulary), 1), 1, CHUNK))
 
 
 def _likeliest(steps: NDArray[np.int32], k: int, window: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -14,12 +14,10 @@ from descriptors.learned.weights import read_weights
 from descriptors.likelihood_index import LikelihoodIndex
 from descriptors.own_class import OwnDescriptor, is_own_class
 from descriptors.random_vector import RandomVector
-from descriptors.ring_likelihood import RingLikelihood
 
 PAPER = "descriptellation"
 LEARNED = (LearnedLikelihood.name, PAPER)
 HANDCRAFTED: dict[str, Callable[[], Descriptor]] = {
-    RingLikelihood.name: RingLikelihood,
     GosmatchVertex.name: GosmatchVertex,
     RandomVector.name: RandomVector,
 }
@@ -29,6 +27,7 @@ FORMER = {
     "descriptellation_paper": f"it is called {PAPER!r} now",
     "pointnet": "it was removed",
     "sgnet": "it was removed",
+    "ring_likelihood": "it was removed",
 }
 """Names of earlier versions."""
 
@@ -69,7 +68,7 @@ def make_index(name: str) -> ConstellationIndex:
         DescriptorError: as :func:`make_descriptor`.
     """
     descriptor = make_descriptor(name)
-    if isinstance(descriptor, RingLikelihood | LearnedLikelihood):
+    if isinstance(descriptor, LearnedLikelihood):
         return LikelihoodIndex(descriptor)
     return VectorIndex(descriptor, of_own_class=descriptor.name != PAPER)
 

@@ -170,7 +170,7 @@ def test_looking_into_a_log_loads_only_what_reads_it() -> None:
 def test_likelihoods_of_constellations_need_no_torch() -> None:
     assert importers_of("torch", "slam", "tools", "logs") == set()
     code = (
-        "import sys; from descriptors.registry import make_index; make_index('ring_likelihood'); "
+        "import sys; from descriptors.registry import make_index; make_index('descriptellation_lr'); "
         "make_index('descriptellation_lr'); "
         "import slam.system; print('torch' in sys.modules)"
     )

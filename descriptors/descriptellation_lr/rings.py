@@ -20,7 +20,7 @@ SMOOTHED_RINGS = 4
 PRIOR_OBJECTS = 2.0
 """Constellations that the prior background stands for: a few of the map outweigh it."""
 PRIOR_PER_KM2 = 500.0
-"""Objects of one class on a square kilometre of a city, as in :mod:`descriptors.ring_likelihood`."""
+"""Objects of one class on a square kilometre of a city."""
 SHARED = 0.5
 """Share of the background that all classes have in common: half, as nothing is known of how much they differ."""
 

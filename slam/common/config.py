@@ -58,7 +58,7 @@ class LoopClosureConfig(Branch):
     enabled: bool = Field(default=True, description="close loops")
     descriptor: str = Field(
         default="descriptellation_lr",
-        description="descriptor of constellations: descriptellation_lr, ring_likelihood, one of the baselines, a "
+        description="descriptor of constellations: descriptellation_lr, one of the baselines, a "
         "file of weights (NAME.safetensors) or a class of your own (module:Class)",
     )
     min_travel_m: float | None = Field(

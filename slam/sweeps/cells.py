@@ -150,7 +150,7 @@ class CellFolder:
         Raises:
             UnwritableLogError: it cannot be written.
         """
-        stored = {"key": cell.key, "name": cell.name, **asdict(result)}
+        stored = {"key": cell.key, "degradation": cell.degradation, "seed": cell.seed, **asdict(result)}
         write_text(self._cells / cell.file_name, json.dumps(stored, indent=1, allow_nan=False) + "\n")
 
     def _clean_up(self) -> None:

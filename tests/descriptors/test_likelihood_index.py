@@ -8,14 +8,36 @@ from numpy.typing import NDArray
 
 from descriptors.constellation import Constellations, gather_constellations
 from descriptors.index import ConstellationIndex, Matches
-from descriptors.likelihood_index import STEP_NATS, LikelihoodIndex
-from descriptors.ring_likelihood import CHUNK, RingLikelihood
+from descriptors.likelihood_index import CHUNK, STEP_NATS, LikelihoodIndex, count_at_a_time
 from slam.common.arrays import FloatArray
 from tests.descriptors.constellations import VOCABULARY, constellation, scattered, thinned
 
 RADIUS_M = 60.0
 EVERYTHING = 1e6
 """A window that nothing falls out of."""
+
+
+class RingLikelihood:
+    """Neighbours counted by class and ring of half a metre, as nats."""
+
+    radius_m = near_m = RADIUS_M
+    min_nats = 0.0
+
+    def __init__(self, odds: float = 50.0) -> None:
+        self._odds = odds
+
+    def describe(self, constellations: Constellations) -> NDArray[np.float32]:
+        size = 120 * len(constellations.vocabulary)
+        cells = constellations.owners * size + self.cells(constellations)
+        counts = np.bincount(cells, minlength=size * len(constellations)).reshape(-1, size)
+        return np.log1p(self._odds * counts).astype(np.float32)
+
+    def cells(self, constellations: Constellations) -> NDArray[np.int64]:
+        distances_m = np.hypot(constellations.positions[:, 0], constellations.positions[:, 1])
+        return constellations.labels * 120 + np.minimum(2.0 * distances_m, 119.0).astype(np.int64)
+
+    def max_nats(self, constellations: Constellations) -> NDArray[np.float32]:
+        return (8.0 * np.diff(constellations.offsets)).astype(np.float32)
 
 
 def gathered(count: int, *, seed: int, side_m: float = 80.0, noise_m: float = 0.0) -> Constellations:
@@ -148,16 +170,21 @@ def test_nothing_is_found_in_an_empty_index_for_no_query_or_among_none_allowed(e
     assert (matches.queries.dtype, matches.distances.dtype) == (np.int64, np.float32)
 
 
+def test_fewer_are_described_at_a_time_where_there_are_many_classes():
+    few, many = (in_larger_vocabulary(gathered(9, seed=1), tuple(map(str, range(size)))) for size in (64, 5000))
+    assert (count_at_a_time(few), count_at_a_time(many)) == (CHUNK, 6)
+
+
 @pytest.mark.parametrize("count", [256, 257, 258, 259, 1000])
 def test_hundreds_of_neighbours_add_up_without_overflow(count):
     """Their bytes do not fit in two."""
     crowd = constellation([(1, 2.25, 0.0)] * count)
-    index = LikelihoodIndex(RingLikelihood(), window_nats=EVERYTHING)
+    index = LikelihoodIndex(RingLikelihood(1e4 / count), window_nats=EVERYTHING)
     index.add(constellation([(1, 2.25, 0.0)]))
     index.add(crowd)
     matches = index.search(crowd, 2, everyone(index))
     assert matches.entries.tolist() == [1, 0]
-    lacking = RingLikelihood().max_nats(crowd)[0] - count * 255 * STEP_NATS
+    lacking = count * (8.0 - 255 * STEP_NATS)
     assert matches.distances[0] == pytest.approx(max(lacking, 0.0), abs=0.1)
 
 

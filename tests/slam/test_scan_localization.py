@@ -19,7 +19,7 @@ from tools.lab.retrieval.paper import localizer_config
 from tools.lab.retrieval.paper_queries import SCENARIOS, LocalQuery, draw_queries
 
 SELF, FEWER, NOISY = SCENARIOS
-EXACT = localizer_config("ring_likelihood")
+EXACT = localizer_config("descriptellation_lr")
 
 
 @pytest.fixture(scope="module")

@@ -31,7 +31,10 @@ def maps(short_log: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path
     for seed in (0, 1):
         degraded = folder / f"degraded{seed}.mcap"
         made.append(folder / f"map{seed}.mcap")
-        assert cli.run(["degrade", str(short_log), "-o", str(degraded), "--dropout", "0.2", "--seed", str(seed)]) == 0
+        assert (
+            cli.run(["degrade", str(short_log), "-o", str(degraded), "--fault", "dropout=0.2", "--seed", str(seed)])
+            == 0
+        )
         assert cli.run(["replay", str(degraded), "-o", str(made[-1]), *AS_SET]) == 0
     made.append(folder / "blind.mcap")
     one_keyframe = ("--set", "keyframe.distance_m=30")

@@ -134,11 +134,11 @@ class TestReplay:
     def test_another_descriptor_serves_the_same_map(self, dslam: Run, folder: Path, town: Path, tmp_path: Path) -> None:
         output = tmp_path / "out.mcap"
         arguments = ("relocalize", folder / "second.mcap", "--map", town, "-o", output)
-        told = json.loads(dslam(*arguments, "--set", "loop_closure.descriptor=ring_likelihood", "--json").out)
+        told = json.loads(dslam(*arguments, "--set", "loop_closure.descriptor=gosmatch_vertex", "--json").out)
         assert told["found"] is True
         with LogReader(output) as reader:
             configuration = json.loads(reader.metadata()["dslam"]["configuration"])
-        assert configuration["loop_closure"]["descriptor"] == "ring_likelihood"
+        assert configuration["loop_closure"]["descriptor"] == "gosmatch_vertex"
 
     def test_a_second_drive_goes_into_the_map(self, dslam: Run, folder: Path, town: Path, tmp_path: Path) -> None:
         grown = tmp_path / "grown.mcap"

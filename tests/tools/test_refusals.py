@@ -52,7 +52,7 @@ class TestRefusals:
     def test_a_descriptor_that_does_not_exist(self, dslam: Run, tmp_path: Path) -> None:
         output = tmp_path / "out.mcap"
         result = dslam("replay", SAMPLE, "-o", output, "--set", "loop_closure.descriptor=rings")
-        assert_refused(result, "rings", "ring_likelihood")
+        assert_refused(result, "rings", "descriptellation_lr")
         assert not output.exists()
 
     def test_output_that_cannot_be(self, dslam: Run, tmp_path: Path) -> None:

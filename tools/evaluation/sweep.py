@@ -50,7 +50,7 @@ def sweep(
 
     Example: dslam sweep drive.mcap -o out/sweep --degrade dropout=0.5 --degrade dropout=0.8,max_range=30
 
-    Example: dslam sweep drive.mcap -o out/descriptors --variant loop_closure.descriptor=ring_likelihood
+    Example: dslam sweep drive.mcap -o out/descriptors --variant loop_closure.descriptor=gosmatch_vertex
     --variant loop_closure.descriptor=descriptellation_lr
     """
     chosen = parse_topics(topics)

@@ -62,7 +62,7 @@ class TestSpread:
 
 class TestGroups:
     def test_groups_follow_configuration_in_order_of_runs(self) -> None:
-        other = "loop_closure.descriptor=ring_likelihood"
+        other = "loop_closure.descriptor=gosmatch_vertex"
         comparison = compare_runs([run("a", 1.0, other), run("b", 2.0), run("c", 3.0, other), run("d", 4.0)], [ATE])
         assert [[each.name for each in group.runs] for group in comparison.groups] == [["a", "c"], ["b", "d"]]
         assert [group.label for group in comparison.groups] == [other, "defaults"]

@@ -53,7 +53,7 @@ def descriptors(
     is among their five nearest. Without CSV files the map is the generated town of 'dslam simulate --seed 0'. Random
     vectors are always measured.
 
-    Example: dslam benchmark descriptors --descriptor descriptellation_lr --descriptor ring_likelihood --queries 100
+    Example: dslam benchmark descriptors --descriptor descriptellation_lr --descriptor gosmatch_vertex --queries 100
     """
     from descriptors.random_vector import RandomVector
     from descriptors.registry import DESCRIPTOR_NAMES

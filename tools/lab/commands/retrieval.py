@@ -32,7 +32,7 @@ def retrieval(
     The drive is mapped without closing loops, and every descriptor gets the same submaps. Places: queries with a
     right pose (4 m, 10 deg) among the first 1, 5 and 25 proposals.
 
-    Example: dslam benchmark retrieval drive.mcap --descriptor ring_likelihood --descriptor descriptellation_lr
+    Example: dslam benchmark retrieval drive.mcap --descriptor gosmatch_vertex --descriptor descriptellation_lr
     """
     from descriptors.registry import DESCRIPTOR_NAMES
     from slam.common.config import load_config

@@ -31,30 +31,30 @@ def write_world(folder: Path) -> tuple[object, ...]:
 
 @pytest.mark.slow
 def test_json_has_every_measure_of_every_scenario(dslam: Run) -> None:
-    result = benchmark(dslam, "--descriptor", "ring_likelihood", "--json")
+    result = benchmark(dslam, "--descriptor", "descriptellation_lr", "--json")
     assert (result.code, result.err) == (0, "")
     told = json.loads(result.out)
     assert (told["map"], told["objects"], told["classes"]) == ("street-grid", 699, 16)
     assert (told["queries"], told["seeds"]) == (5, 1)
     cells = {(cell["method"], cell["scenario"]): cell for cell in told["cells"]}
-    assert list(cells) == [(name, scenario) for name in ("ring_likelihood", "random") for scenario in SCENARIOS]
+    assert list(cells) == [(name, scenario) for name in ("descriptellation_lr", "random") for scenario in SCENARIOS]
     for cell in cells.values():
         assert set(cell) == {"method", "scenario"} | MEASURES
-    assert cells["ring_likelihood", "self"]["success"] == cells["ring_likelihood", "self"]["ceiling"] == 1.0
+    assert cells["descriptellation_lr", "self"]["success"] == cells["descriptellation_lr", "self"]["ceiling"] == 1.0
 
 
 def test_a_table_for_people(dslam: Run) -> None:
-    result = benchmark(dslam, "--descriptor", "ring_likelihood")
+    result = benchmark(dslam, "--descriptor", "descriptellation_lr")
     assert (result.code, result.err) == (0, "")
     assert "699 objects, 16 classes; 5 queries x 1 seeds" in result.out
     assert "of ceiling %" in result.out
-    lines = [line for line in result.out.splitlines() if line.startswith("ring_likel")]
+    lines = [line for line in result.out.splitlines() if line.startswith("descriptel")]
     assert [scenario in line for scenario, line in zip(SCENARIOS, lines, strict=True)] == [True] * 3
 
 
 def test_a_map_of_one_s_own(dslam: Run, tmp_path: Path) -> None:
     files = write_world(tmp_path)
-    result = benchmark(dslam, *files, "--descriptor", "ring_likelihood", "--json")
+    result = benchmark(dslam, *files, "--descriptor", "descriptellation_lr", "--json")
     assert result.code == 0, result.err
     told = json.loads(result.out)
     assert (told["map"], told["objects"], told["classes"]) == (tmp_path.name, 60, 3)
@@ -69,23 +69,23 @@ def test_objects_and_trajectory_belong_together(dslam: Run, tmp_path: Path, whic
 
 def test_what_cannot_be_is_refused(dslam: Run, tmp_path: Path) -> None:
     files = write_world(tmp_path)
-    assert_refused(benchmark(dslam, "--descriptor", "rings"), "'rings'", "ring_likelihood")
+    assert_refused(benchmark(dslam, "--descriptor", "rings"), "'rings'", "descriptellation_lr")
     assert_refused(dslam("benchmark", "descriptors", "--queries", 0), "--queries")
     assert_refused(dslam("benchmark", "descriptors", "--seeds", 0), "--seeds")
     (tmp_path / "trajectory.csv").write_text("x_m,y_m\n9000,0\n9100,0\n")
-    assert_refused(benchmark(dslam, *files, "--descriptor", "ring_likelihood"), "no object", "30 m")
+    assert_refused(benchmark(dslam, *files, "--descriptor", "descriptellation_lr"), "no object", "30 m")
     assert_refused(benchmark(dslam, "--objects", tmp_path / "none.csv", *files[2:]), "none.csv")
 
 
 def test_comparison_is_written_as_csv_latex_and_figure(dslam: Run, tmp_path: Path) -> None:
     files = write_world(tmp_path)
-    result = benchmark(dslam, *files, "--descriptor", "ring_likelihood", "-o", tmp_path / "out")
+    result = benchmark(dslam, *files, "--descriptor", "descriptellation_lr", "-o", tmp_path / "out")
     assert result.code == 0, result.err
     frame = pd.read_csv(tmp_path / "out" / "descriptors.csv")
-    assert frame["method"].tolist() == ["ring_likelihood"] * 3 + ["random"] * 3
+    assert frame["method"].tolist() == ["descriptellation_lr"] * 3 + ["random"] * 3
     latex = (tmp_path / "out" / "descriptors.tex").read_text()
     best = frame[frame["scenario"] == "self"]["success"].max()
-    assert rf"ring\_likelihood & \textbf{{{100 * best:.1f}}}" in latex
+    assert rf"descriptellation\_lr & \textbf{{{100 * best:.1f}}}" in latex
     assert r"\caption" in latex
     assert r"\label" in latex
     assert (tmp_path / "out" / "descriptors.png").stat().st_size > 5000

@@ -19,7 +19,7 @@ from tools.lab.retrieval.paper_queries import SCENARIOS, LocalQuery, draw_querie
 pytestmark = pytest.mark.slow
 
 SELF, FEWER, NOISY = SCENARIOS
-METHODS = ("ring_likelihood", "gosmatch_vertex", "random")
+METHODS = ("descriptellation_lr", "gosmatch_vertex", "random")
 
 
 @pytest.fixture(scope="module")
@@ -51,18 +51,18 @@ def test_every_method_is_measured_in_every_scenario(measured):
 def test_without_noise_the_ceiling_is_one_and_the_good_methods_reach_it(measured):
     cells = measured[0].set_index(["scenario", "method"]).loc[SELF.name]
     assert (cells["ceiling"] == 1.0).all()
-    assert cells.loc["ring_likelihood", ["success", "deviation", "of_ceiling"]].tolist() == [1.0, 0.0, 1.0]
+    assert cells.loc["descriptellation_lr", ["success", "deviation", "of_ceiling"]].tolist() == [1.0, 0.0, 1.0]
 
 
 def test_a_descriptor_that_means_something_has_the_counterpart_among_its_nearest_more_often(measured):
     top_5 = measured[0].set_index(["method", "scenario"])["top_5"]
     for scenario in SCENARIOS:
-        assert top_5["ring_likelihood", scenario.name] > top_5["random", scenario.name] + 0.1
-    assert top_5["ring_likelihood", SELF.name] > 0.95
+        assert top_5["descriptellation_lr", scenario.name] > top_5["random", scenario.name] + 0.1
+    assert top_5["descriptellation_lr", SELF.name] > 0.95
 
 
 def test_what_cannot_be_measured_is_refused(street):
-    with pytest.raises(DescriptorError, match=r"'rings'.*ring_likelihood"):
+    with pytest.raises(DescriptorError, match=r"'rings'.*descriptellation_lr"):
         benchmark_descriptors(*street, ["rings"], queries=2, seeds=1)
     with pytest.raises(SimulationError, match="no length"):
         benchmark_descriptors(street[0], np.zeros((3, 2)), ["gosmatch_vertex"], queries=2, seeds=1)
@@ -73,7 +73,7 @@ def test_what_cannot_be_measured_is_refused(street):
 def test_a_map_that_nothing_can_be_localized_in_has_no_share_of_the_ceiling():
     lonely = LabelledMap(np.array([[10.0, 3.0, 0.0]]), np.zeros(1, np.int64), ("tree",))
     tour = np.array([[0.0, 0.0], [20.0, 0.0]])
-    result = benchmark_descriptors(lonely, tour, ["ring_likelihood"], queries=5, seeds=1)
+    result = benchmark_descriptors(lonely, tour, ["descriptellation_lr"], queries=5, seeds=1)
     assert result[["success", "ceiling", "of_ceiling"]].to_numpy().tolist() == [[0.0, 0.0, None]] * 3
 
 

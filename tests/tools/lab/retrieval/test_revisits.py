@@ -35,8 +35,10 @@ def log(folder: Path, laps: int) -> Path:
 @pytest.mark.slow
 def test_descriptor_finds_places_that_random_vectors_do_not(tmp_path: Path) -> None:
     done: list[float] = []
-    good, random = measure_revisits(log(tmp_path, 3), ["ring_likelihood", "random"], Config(), on_progress=done.append)
-    assert (good["drive"], good["descriptor"], random["descriptor"]) == ("town", "ring_likelihood", "random")
+    good, random = measure_revisits(
+        log(tmp_path, 3), ["descriptellation_lr", "random"], Config(), on_progress=done.append
+    )
+    assert (good["drive"], good["descriptor"], random["descriptor"]) == ("town", "descriptellation_lr", "random")
     assert good["queries"] == random["queries"] >= 3
     assert good["places_at_1"] > random["places_at_1"] + 0.2
     for figures in (good, random):
