@@ -18,7 +18,7 @@ help:
 	@echo 'make lint     only ruff and mypy'
 	@echo 'make ci       lint, types, all tests, 2,000 mutated files of seed 0 (2 min at most), audit'
 	@echo 'make audit    known weaknesses of the dependencies; skipped where the database cannot be reached'
-	@echo 'make wheel    the wheel, and the list of what it needs (SBOM, CycloneDX), in dist'
+	@echo 'make wheel    the wheel, and the list of what is installed with it (SBOM, CycloneDX), in dist'
 	@echo 'make mutants  break the estimator in N=60 random places of SEED=0: do the fast tests notice?'
 	@echo 'make bombs    files that are much larger inside than outside, through dslam info'
 	@echo 'make kills    kill N=200 commands at random times, and give them again'
@@ -119,7 +119,8 @@ audit: $(DEVELOPED)
 
 wheel: $(DEVELOPED) $(AUDIT)/.installed
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
-	$(BIN)/python -m tests.supply_chain $(AUDIT)/bin --sbom dist/descriptellation-slam.cdx.json
+	$(AUDIT)/bin/cyclonedx-py environment --pyproject pyproject.toml --of JSON --output-reproducible \
+	  -o dist/descriptellation-slam.cdx.json $(BIN)/python
 
 docs: $(DEVELOPED)
 	NO_MKDOCS_2_WARNING=true $(BIN)/mkdocs build --strict --quiet

@@ -1,4 +1,4 @@
-"""Landmarks for other programs: a table (CSV), places on earth (GeoJSON), points (PLY)."""
+"""Landmarks for other programs: a table (CSV), and places on earth (GeoJSON)."""
 
 from __future__ import annotations
 
@@ -10,9 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from logs.messages import ObjectMapRecord
-from logs.scene import class_color
 from logs.storage.placement import write_text
-from slam.common.errors import InputDataError
 from slam.common.georeference import Georeference
 
 _DEGREES = 9  # a tenth of a millimetre
@@ -72,23 +70,3 @@ def write_geojson(path: Path, objects: ObjectMapRecord, georeference: Georeferen
         )
     ]
     write_text(path, json.dumps({"type": "FeatureCollection", "features": features}, indent=1) + "\n")
-
-
-def write_ply(path: Path, objects: ObjectMapRecord) -> None:
-    """Write a coloured vertex a landmark, in text; the class is an index into the comments of the header.
-
-    Raises:
-        InputDataError: a class whose name has line breaks.
-        UnwritableLogError: the file cannot be written.
-    """
-    labels = objects.labels
-    classes = sorted(set(labels))
-    if any(len(name.splitlines()) > 1 for name in classes):
-        raise InputDataError("a class has a name of several lines, which a PLY file cannot hold")
-    lines = ["ply", "format ascii 1.0", *(f"comment class {i} {ascii(name)[1:-1]}" for i, name in enumerate(classes))]
-    lines += [f"element vertex {len(labels)}", *(f"property double {axis}" for axis in "xyz")]
-    lines += [*(f"property uchar {color}" for color in ("red", "green", "blue")), "property int class", "end_header"]
-    for (x, y, z), label in zip(objects.positions.tolist(), labels, strict=True):
-        red, green, blue = (round(255 * part) for part in class_color(label)[:3])
-        lines.append(f"{x!r} {y!r} {z!r} {red} {green} {blue} {classes.index(label)}")
-    write_text(path, "\n".join(lines) + "\n")

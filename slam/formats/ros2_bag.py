@@ -13,15 +13,12 @@ from rosbags.rosbag2 import Writer, WriterError
 
 from logs.errors import UnwritableLogError
 from logs.messages import ObjectMapRecord, TrajectoryRecord
-from logs.scene import class_color
 from logs.storage.ros2_definitions import typestore
 from slam.common.arrays import FloatArray
 from slam.formats.trajectories import quaternions
 
 _VERSION: Literal[8] = 8  # of the metadata: read by ROS 2 Humble and all later releases
-_CUBE = 1
 _UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
-_MARKER_SIZE_M = 0.6
 _NO_TIME = QosTime(0, 0)
 _LATCHED = Qos(
     QosHistory.KEEP_LAST,
@@ -43,9 +40,8 @@ def write_ros2_bag(
 
     * ``/slam/odometry`` nav_msgs/Odometry: the body in the map, at each stamp, and the same on
       ``/tf`` tf2_msgs/TFMessage.
-    * ``/slam/path`` nav_msgs/Path, ``/slam/landmarks`` visualization_msgs/MarkerArray, ``/slam/map``
-      vision_msgs/Detection3DArray: once, at the first stamp, kept for late subscribers. A hypothesis has the class and
-      its probability, the pose the landmark's covariance.
+    * ``/slam/path`` nav_msgs/Path, ``/slam/map`` vision_msgs/Detection3DArray: once, at the first stamp, kept for late
+      subscribers. A hypothesis has the class and its probability, the pose the landmark's covariance.
 
     Args:
         folder: is made; it must not be there.
@@ -96,8 +92,6 @@ def _messages(
     poses = [{"header": at, "pose": pose} for _, at, pose in stamped]
     rows = range(len(objects.ids))
     yield "/slam/path", "nav_msgs/msg/Path", first_ns, {"header": header, "poses": poses}
-    markers = {"markers": [_marker(objects, row, header) for row in rows]}
-    yield "/slam/landmarks", "visualization_msgs/msg/MarkerArray", first_ns, markers
     detections = {"header": header, "detections": [_detection(objects, row, header) for row in rows]}
     yield "/slam/map", "vision_msgs/msg/Detection3DArray", first_ns, detections
     for stamp_ns, at, pose in stamped:
@@ -115,20 +109,6 @@ def _header(stamp_ns: int, frame_id: str) -> dict[str, Any]:
 def _pose(xyz: FloatArray, xyzw: FloatArray = _UPRIGHT) -> dict[str, Any]:
     position, orientation = (dict(zip("xyzw", part.tolist(), strict=False)) for part in (xyz, xyzw))
     return {"position": position, "orientation": orientation}
-
-
-def _marker(objects: ObjectMapRecord, row: int, header: dict[str, Any]) -> dict[str, Any]:
-    label = objects.labels[row]
-    return {
-        "header": header,
-        "ns": label,
-        "id": row,
-        "type": _CUBE,
-        "pose": _pose(objects.positions[row]),
-        "scale": dict.fromkeys("xyz", _MARKER_SIZE_M),
-        "color": dict(zip("rgba", class_color(label), strict=True)),
-        "text": label,
-    }
 
 
 def _detection(objects: ObjectMapRecord, row: int, header: dict[str, Any]) -> dict[str, Any]:

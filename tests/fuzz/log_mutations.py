@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from google.protobuf.descriptor import FieldDescriptor
+from google.protobuf.json_format import MessageToDict, ParseDict, ParseError
 from google.protobuf.message import DecodeError
 
 from logs.decoders.protobuf import DECODERS
@@ -15,12 +15,6 @@ from tests.fuzz.byte_mutations import FLOATS, INTEGERS, TEXTS, mutate_bytes
 from tests.fuzz.mcap_file import McapFile, Message, odd_layout, write_file
 
 _TIMES = (0, 1, 2**31, 2**62, 2**63 - 1, 2**63, 2**64 - 1)
-_RANGES = {
-    FieldDescriptor.CPPTYPE_INT32: (-(2**31), 2**31 - 1),
-    FieldDescriptor.CPPTYPE_UINT32: (0, 2**32 - 1),
-    FieldDescriptor.CPPTYPE_INT64: (-(2**63), 2**63 - 1),
-    FieldDescriptor.CPPTYPE_UINT64: (0, 2**64 - 1),
-}
 
 
 def mutate_log(file: McapFile, rng: np.random.Generator) -> bytes:
@@ -67,61 +61,13 @@ def _payloads(file: McapFile, rng: np.random.Generator) -> None:
 
 
 def _mutate_protobuf(name: str, data: bytes, rng: np.random.Generator) -> bytes:
-    message = DECODERS[name][0]()
+    """By way of JSON; where protobuf has no place for the odd value, any bytes."""
     try:
-        message.ParseFromString(data)
-    except DecodeError:
+        tree = json.dumps(MessageToDict(DECODERS[name][0].FromString(data)), allow_nan=False).encode()
+        altered = json.loads(mutate_json(tree, rng), parse_constant=str)
+        return bytes(ParseDict(altered, DECODERS[name][0]()).SerializeToString())
+    except (DecodeError, ParseError, ValueError, TypeError, AttributeError):
         return mutate_bytes(data, rng)
-    for _ in range(int(rng.choice([1, 1, 3]))):
-        _mutate_field(message, rng)
-    return message.SerializeToString()
-
-
-def _mutate_field(message: Any, rng: np.random.Generator) -> None:
-    field = message.DESCRIPTOR.fields[int(rng.integers(len(message.DESCRIPTOR.fields)))]
-    value = getattr(message, field.name)
-    is_message = field.cpp_type == FieldDescriptor.CPPTYPE_MESSAGE
-    if field.message_type is not None and field.message_type.GetOptions().map_entry:
-        value.clear()
-        return
-    if field.is_repeated:
-        if len(value) and is_message and rng.random() < 0.8:
-            _mutate_field(value[int(rng.integers(len(value)))], rng)
-            return
-        match int(rng.integers(4)):
-            case 0:
-                del value[int(rng.integers(len(value) + 1)) :]
-            case 1:
-                value.extend(list(value) * int(rng.choice([1, 1, 50])))
-            case _ if len(value) and not is_message:
-                place = int(rng.integers(len(value)))
-                if rng.random() < 0.3:
-                    odd = _odd(field, rng)
-                    value[:] = [odd for _ in value]
-                else:
-                    value[place] = _odd(field, rng)
-        return
-    if is_message:
-        if rng.random() < 0.1:
-            message.ClearField(field.name)
-        else:
-            _mutate_field(value, rng)
-        return
-    setattr(message, field.name, _odd(field, rng))
-
-
-def _odd(field: FieldDescriptor, rng: np.random.Generator) -> Any:
-    if field.cpp_type in (FieldDescriptor.CPPTYPE_DOUBLE, FieldDescriptor.CPPTYPE_FLOAT):
-        return float(rng.choice(FLOATS))
-    if field.cpp_type == FieldDescriptor.CPPTYPE_STRING:
-        text = str(rng.choice(np.array(TEXTS, dtype=object)))
-        return text.encode() if field.type == FieldDescriptor.TYPE_BYTES else text
-    if field.cpp_type in _RANGES:
-        low, high = _RANGES[field.cpp_type]
-        return min(max(int(rng.choice(np.array(INTEGERS, dtype=object))), low), high)
-    if field.cpp_type == FieldDescriptor.CPPTYPE_ENUM:
-        return 0
-    return bool(rng.integers(2))
 
 
 def _mutate_cdr(data: bytes, rng: np.random.Generator) -> bytes:
@@ -140,7 +86,7 @@ def _mutate_cdr(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def mutate_json(data: bytes, rng: np.random.Generator) -> bytes:
-    """Another value, of another kind perhaps, at one place of the tree."""
+    """Another value, mostly of the same kind, at one place of the tree; or a list of another length."""
     if rng.random() < 0.2:
         return mutate_bytes(data, rng)
     try:
@@ -153,7 +99,12 @@ def mutate_json(data: bytes, rng: np.random.Generator) -> bytes:
         if isinstance(node[key], (dict, list)) and node[key] and rng.random() < 0.9:
             node = node[key]
             continue
-        node[key] = rng.choice(np.array([*FLOATS, *INTEGERS, *TEXTS, None, True, [], {}], dtype=object))
+        if isinstance(node[key], list) and rng.random() < 0.7:
+            node[key] = node[key] * int(rng.choice([0, 2, 50]))
+            break
+        odd = np.array([*FLOATS, *INTEGERS, *TEXTS, None, True, [], {}], dtype=object)
+        alike = [value for value in odd if type(value) is type(node[key])] if rng.random() < 0.7 else []
+        node[key] = alike[int(rng.integers(len(alike)))] if alike else rng.choice(odd)
         break
     return json.dumps(tree).encode()
 

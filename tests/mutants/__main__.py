@@ -6,11 +6,13 @@ import argparse
 import difflib
 import os
 import sys
+import tempfile
 import time
 from collections import Counter
+from pathlib import Path
 
 from tests.mutants.mutant import FOLDERS, ROOT, Mutant, sample_mutants
-from tests.mutants.trial import Verdict, import_libraries, run_tests
+from tests.mutants.trial import Verdict, copy_repository, run_tests
 
 MIN_CAUGHT = 0.9
 
@@ -27,19 +29,20 @@ def main() -> int:
     if options.list:
         print("\n".join(each.name for each in mutants))
         return 0
-    import_libraries()
-    broken = [tests for tests in dict.fromkeys(each.tests for each in mutants) if run_tests(tests) != Verdict.SURVIVED]
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+        return _run(mutants, copy_repository(Path(folder)))
+
+
+def _run(mutants: list[Mutant], repository: Path) -> int:
+    suites = dict.fromkeys(each.tests for each in mutants)
+    broken = [tests for tests in suites if run_tests(repository, tests) != Verdict.SURVIVED]
     if broken:
         print(f"fail without any mutant: {broken}")
         return 1
-    return _run(mutants)
-
-
-def _run(mutants: list[Mutant]) -> int:
     started = time.monotonic()
     verdicts: Counter[str] = Counter()
     for mutant in mutants:
-        verdict = run_tests(mutant.tests, mutant)
+        verdict = run_tests(repository, mutant.tests, mutant)
         verdicts[verdict.value] += 1
         if verdict != Verdict.CAUGHT:
             print(f"{verdict.value}: {mutant.name}\n{_difference(mutant)}", flush=True)

@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("cosmic_ray")
 
 from tests.mutants.mutant import Mutant, sample_mutants
-from tests.mutants.trial import Verdict, run_tests
+from tests.mutants.trial import Verdict, copy_repository, run_tests
 
 
 def test_sample_depends_on_the_seed_alone():
@@ -21,7 +21,8 @@ def test_sample_depends_on_the_seed_alone():
 
 
 @pytest.mark.slow
-def test_tests_notice_a_broken_rule_and_no_intact_one():
+def test_tests_notice_a_broken_rule_and_no_intact_one(tmp_path):
+    repository = copy_repository(tmp_path)
     mutant = Mutant("slam/odometry/noise.py", "core/ReplaceBinaryOperator_Add_Sub", 0)
-    assert run_tests(mutant.tests[:1]) is Verdict.SURVIVED
-    assert run_tests(mutant.tests[:1], mutant) is Verdict.CAUGHT
+    assert run_tests(repository, mutant.tests[:1]) is Verdict.SURVIVED
+    assert run_tests(repository, mutant.tests[:1], mutant) is Verdict.CAUGHT

@@ -92,16 +92,6 @@ class TestLandmarks:
         assert_refused(dslam("export", mapped, "--geojson", tmp_path / "l.json"), "--origin")
         assert_refused(dslam("export", mapped, "--geojson", tmp_path / "l.json", "--origin", "north"), "LAT,LON")
 
-    def test_points(self, dslam: Run, mapped: Path, records: EvaluationRecords, tmp_path: Path) -> None:
-        assert dslam("export", mapped, "--ply", tmp_path / "l.ply").code == 0
-        header, _, body = (tmp_path / "l.ply").read_text().partition("end_header\n")
-        objects = confirmed(records.object_map)
-        assert f"element vertex {len(objects.ids)}\n" in header
-        rows = np.array([line.split() for line in body.splitlines()], dtype=np.float64)
-        np.testing.assert_array_equal(rows[:, :3], objects.positions)
-        names = [line.split()[3] for line in header.splitlines() if line.startswith("comment class")]
-        assert [names[int(row)] for row in rows[:, 6]] == list(objects.labels)
-
 
 class TestBag:
     def test_ros_reads_the_same_poses_and_landmarks(
@@ -123,8 +113,8 @@ class TestBag:
         ):
             np.testing.assert_array_equal([[p.x, p.y, p.z] for p in poses], expected.T_map_body[:, :3, 3])
         objects = confirmed(records.object_map)
-        (_, markers), (_, detections) = found["/slam/landmarks"][0], found["/slam/map"][0]
-        assert [m.ns for m in markers.markers] == list(objects.labels)
+        _, detections = found["/slam/map"][0]
+        assert [d.results[0].hypothesis.class_id for d in detections.detections] == list(objects.labels)
         assert [d.id for d in detections.detections] == list(objects.ids)
         centres = [d.results[0].pose.pose.position for d in detections.detections]
         np.testing.assert_array_equal([[p.x, p.y, p.z] for p in centres], objects.positions)

@@ -46,9 +46,8 @@ def export(
     g2o: Annotated[Path | None, _file("Keyframes, landmarks and all factors; no robust kernels.")] = None,
     csv: Annotated[Path | None, _file("Landmarks: a table.")] = None,
     geojson: Annotated[Path | None, _file("Landmarks: places on earth (WGS 84).")] = None,
-    ply: Annotated[Path | None, _file("Landmarks: coloured points.")] = None,
     ros2_bag: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="ROS 2 bag: Odometry, Path, markers, detections, frames.")
+        Path | None, typer.Option(metavar="FOLDER", help="ROS 2 bag: Odometry, Path, detections, frames.")
     ] = None,
     origin: Annotated[
         str | None,
@@ -62,10 +61,10 @@ def export(
 
     Example: dslam export map.mcap --tum trajectory.txt --csv landmarks.csv --ros2-bag bag
     """
-    outputs = [tum, kitti, geodetic, g2o, csv, geojson, ply]
+    outputs = [tum, kitti, geodetic, g2o, csv, geojson]
     if not any([*outputs, ros2_bag]):
         raise typer.BadParameter(
-            "nothing to write; give --tum, --kitti, --geodetic, --g2o, --csv, --geojson, --ply or --ros2-bag."
+            "nothing to write; give --tum, --kitti, --geodetic, --g2o, --csv, --geojson or --ros2-bag."
         )
     check_outputs(outputs, [log])
     from slam.formats import landmark_tables as tables
@@ -82,10 +81,9 @@ def export(
     if geodetic is not None:
         text.write_geodetic(geodetic, source.track, source.georeference)
         console.show(f"{geodetic}: {len(source.track.stamps_ns)} poses")
-    for path, write_objects in ((csv, tables.write_csv), (ply, tables.write_ply)):
-        if path is not None:
-            write_objects(path, source.objects)
-            console.show(f"{path}: {len(source.objects.ids)} landmarks")
+    if csv is not None:
+        tables.write_csv(csv, source.objects)
+        console.show(f"{csv}: {len(source.objects.ids)} landmarks")
     if geojson is not None:
         tables.write_geojson(geojson, source.objects, source.georeference)
         console.show(f"{geojson}: {len(source.objects.ids)} landmarks")
