@@ -14,9 +14,7 @@ from tools.importers.drives import write_drive
 app = typer.Typer(
     help="Convert other data to a log for 'dslam replay', or to a map for its --map.", no_args_is_help=True
 )
-app.command()(maps.osm)
-app.command()(maps.geojson)
-app.command("csv-map")(maps.csv_map)
+app.command("map")(maps.map_of_objects)
 app.command("semantic-kitti")(clouds.semantic_kitti)
 app.command("paris-lille")(clouds.urban)
 app.command("iqmulus")(clouds.urban)

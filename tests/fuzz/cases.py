@@ -55,9 +55,9 @@ _COMMANDS: dict[str, tuple[float, str]] = {
         import csv out.mcap --odometry ?trajectory.tum|trajectory.kitti --detections =detections.csv
         import csv out.mcap --odometry =trajectory.tum|trajectory.kitti --detections ?detections.csv"""),
     "objects": (1, """
-        import csv-map out.mcap --file ?objects.csv|objects.csv|objects.csv.gz
-        import geojson out.mcap --file ?objects.geojson|objects.geojson|objects.geojson.gz
-        import osm out.mcap --file ?objects.osm|objects.osm|objects.osm.gz"""),
+        import map out.mcap --file ?objects.csv|objects.csv|objects.csv.gz
+        import map out.mcap --file ?objects.geojson|objects.geojson|objects.geojson.gz
+        import map out.mcap --file ?objects.osm|objects.osm|objects.osm.gz"""),
     "weights": (0.5, f"""
         replay =drive -o out.mcap --set loop_closure.descriptor=?{WEIGHTS.name}"""),
     "toml": (0.5, """

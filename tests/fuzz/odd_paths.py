@@ -29,9 +29,7 @@ degrade ODD -o out.mcap --fault dropout=0.1
 map merge map.mcap ODD -o out.mcap
 import csv out.mcap --odometry ODD --detections detections.csv
 import csv out.mcap --odometry trajectory.tum --detections ODD
-import csv-map out.mcap --file ODD
-import geojson out.mcap --file ODD
-import osm out.mcap --file ODD
+import map out.mcap --file ODD
 import ply out.mcap --file ODD
 import kitti-objects out.mcap --detections ODD --odometry trajectory.kitti --calib ODD --times ODD
 simulate out.mcap --config ODD

@@ -165,7 +165,7 @@ MAPS = {
     "latitude and longitude swapped": (PLACES.replace("60.1", "160.1"), (), 2, "are swapped"),
     "a national grid": (GRID, ("--origin", "60,24"), 2, "national grid"),
     "three objects": (MAP.rpartition("6,8")[0], (), 2, "needs four at least"),
-    "an id twice": (MAP.replace("label", "id").replace("pole", "tree"), (), 2, "is taken by line 2"),
+    "an id twice": (MAP.replace("label", "id").replace("pole", "tree"), (), 2, "is taken by an earlier line"),
 }
 
 
@@ -173,7 +173,7 @@ MAPS = {
 def test_import_of_maps(dslam: Run, tmp_path: Path, name: str) -> None:
     text, options, code, told = MAPS[name]
     (tmp_path / "objects.csv").write_text(text, encoding="utf-8")
-    check(dslam("import", "csv-map", tmp_path / "map.mcap", "--file", tmp_path / "objects.csv", *options), code, told)
+    check(dslam("import", "map", tmp_path / "map.mcap", "--file", tmp_path / "objects.csv", *options), code, told)
     assert (tmp_path / "map.mcap").exists() == (code == 0)
 
 

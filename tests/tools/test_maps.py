@@ -196,7 +196,7 @@ class TestKinds:
         if kind == "imported":
             (tmp_path / "objects.csv").write_text("x_m,y_m,label\n0,0,tree\n5,0,pole\n0,7,tree\n6,8,tree\n")
             map_log = tmp_path / "imported.mcap"
-            assert dslam("import", "csv-map", map_log, "--file", tmp_path / "objects.csv").code == 0
+            assert dslam("import", "map", map_log, "--file", tmp_path / "objects.csv").code == 0
         count = len(read_map(map_log).ids)
         table, places, picture = (tmp_path / f"map.{suffix}" for suffix in ("csv", "geojson", "png"))
         assert dslam("export", map_log, "--csv", table).code == 0

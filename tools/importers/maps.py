@@ -1,4 +1,4 @@
-"""dslam import osm, geojson and csv-map: maps of objects from open data."""
+"""dslam import map: a map of objects from open data."""
 
 from __future__ import annotations
 
@@ -27,71 +27,63 @@ Sigma = Annotated[
 SURVEYED_SIGMA_M, DRAWN_SIGMA_M = 0.3, 1.0
 
 
-def osm(
+def map_of_objects(
     output: NewMap,
     file: Annotated[
-        Path, typer.Option(metavar="FILE", help="Extract of OpenStreetMap: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")
+        Path,
+        typer.Option(
+            metavar="FILE",
+            help="OpenStreetMap (.osm, .osm.gz, .osm.pbf), GeoJSON (.geojson, .json; points in WGS 84), or a table: "
+            "CSV with a header, or JSON lines; also packed by gzip.",
+        ),
     ],
     tag: Annotated[
         list[str] | None,
         typer.Option(
-            "--tag", metavar="KEY[=VALUE]", help="Tag of the objects, instead of those of street furniture. Repeatable."
+            "--tag",
+            metavar="KEY[=VALUE]",
+            help="Tag of the objects in OpenStreetMap, instead of those of street furniture. Repeatable.",
         ),
     ] = None,
     origin: Origin = None,
     label: Label = None,
-    sigma: Sigma = DRAWN_SIGMA_M,
+    sigma: Annotated[
+        float | None,
+        typer.Option(
+            "--sigma",
+            metavar="METRES",
+            min=0.01,
+            help=f"Standard deviation of a coordinate of an object; by default {SURVEYED_SIGMA_M:g}, and "
+            f"{DRAWN_SIGMA_M:g} for OpenStreetMap.",
+        ),
+    ] = None,
     json: Json = False,
 ) -> None:
-    """A map of the street furniture in OpenStreetMap, in which 'relocalize' and 'replay --map' find a robot.
+    """A map of objects from open data, in which 'relocalize' and 'replay --map' find a robot.
 
-    Needs pyosmium: pip install 'descriptellation-slam[osm]'.
+    Columns of a table: x_m and y_m, or lat and lon in degrees; where known z_m, class and id. --origin says where on
+    earth metres are counted from, east and north of it. OpenStreetMap needs pyosmium: pip install
+    'descriptellation-slam[osm]'.
 
-    Example: dslam import osm helsinki_map.mcap --file Helsinki.osm.pbf
+    Example: dslam import map town_map.mcap --file objects.csv --origin 60.17,24.94
     """
     check_outputs([output], [file])
-    from logs.importers.maps.osm import read_osm
+    suffix = Path(file.name.removesuffix(".gz")).suffix
+    is_drawn = suffix in (".osm", ".pbf", ".bz2")
+    if is_drawn:
+        from logs.importers.maps.osm import read_osm
 
-    make_map(output, read_osm(file, tags=tag or ()), origin, label, sigma, json=json)
+        objects = read_osm(file, tags=tag or ())
+    elif suffix in (".geojson", ".geojsonl", ".json"):
+        from logs.importers.maps.geojson import read_geojson
 
+        objects = read_geojson(file)
+    else:
+        from logs.importers.maps.object_table import read_object_table
 
-def geojson(
-    output: NewMap,
-    file: Annotated[Path, typer.Option(metavar="FILE", help="A FeatureCollection with points in WGS 84; also .gz.")],
-    origin: Origin = None,
-    label: Label = None,
-    sigma: Sigma = SURVEYED_SIGMA_M,
-    json: Json = False,
-) -> None:
-    """A map of the points of a GeoJSON layer, in which 'relocalize' and 'replay --map' find a robot.
-
-    Example: dslam import geojson trees_map.mcap --file trees.geojson --class tree
-    """
-    check_outputs([output], [file])
-    from logs.importers.maps.geojson import read_geojson
-
-    make_map(output, read_geojson(file), origin, label, sigma, json=json)
-
-
-def csv_map(
-    output: NewMap,
-    file: Annotated[Path, typer.Option(metavar="FILE", help="CSV with a header, or JSON lines; also .gz.")],
-    origin: Origin = None,
-    label: Label = None,
-    sigma: Sigma = SURVEYED_SIGMA_M,
-    json: Json = False,
-) -> None:
-    """A map of the objects in a table, in which 'relocalize' and 'replay --map' find a robot.
-
-    Columns: x_m and y_m, or lat and lon in degrees; where known z_m, class and id. --origin says where on earth metres
-    are counted from, east and north of it.
-
-    Example: dslam import csv-map town_map.mcap --file objects.csv --origin 60.17,24.94
-    """
-    check_outputs([output], [file])
-    from logs.importers.maps.object_table import read_object_table
-
-    make_map(output, read_object_table(file), origin, label, sigma, json=json)
+        objects = read_object_table(file)
+    sigma_m = sigma or (DRAWN_SIGMA_M if is_drawn else SURVEYED_SIGMA_M)
+    make_map(output, objects, origin, label, sigma_m, json=json)
 
 
 def make_map(

@@ -11,7 +11,8 @@ from logs.importers.tables import LENGTH_UNITS, Table, read_table
 from logs.importers.text_files import read_source_text
 
 CLASS_NAMES = ("class", "label", "category", "type", "kind", "species")
-ID_NAMES = ("id", "object_id", "uid", "name")
+_UNIQUE_IDS = ("id", "object_id", "uid")
+ID_NAMES = (*_UNIQUE_IDS, "name")
 _AXES = {"x": ("x", "easting", "east"), "y": ("y", "northing", "north")}
 DEGREES = {"": 1.0, "deg": 1.0}
 UNKNOWN = "object"
@@ -22,7 +23,7 @@ def read_object_table(path: Path) -> MapObjects:
     where known ``class`` and ``id``.
 
     Raises:
-        DatasetError: a column that is missing, or a cell that is no number.
+        DatasetError: a column that is missing, a cell that is no number, or an id that occurs twice.
     """
     source = read_source_text(path)
     table = read_table(source)
@@ -42,6 +43,11 @@ def read_object_table(path: Path) -> MapObjects:
     positions = np.column_stack([*plane, np.nan_to_num(heights)])
     if is_geodetic:
         check_degrees(str(path), positions)
+    for column in filter(None, (table.find((name,)) for name in _UNIQUE_IDS)):
+        cells = table.cells[column.name]
+        is_repeated = np.asarray(cells.duplicated() & (cells != ""))
+        remedy = "give each object one of its own, or rename the column"
+        table.refuse(is_repeated, column, f"'CELL' is taken by an earlier line; {remedy}")
     return MapObjects(str(path), positions, find_labels(table), find_ids(table), is_geodetic, source.sha256)
 
 

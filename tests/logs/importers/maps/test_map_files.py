@@ -66,6 +66,7 @@ class TestTable:
         ("text", "fault"),
         [
             ("x_m,class\n1,pole\n", "no column for y"),
+            ("x_m,y_m,id\n1,2,a\n3,4,a\n", "line 3, column id: 'a' is taken by an earlier line; give each"),
             ("1.5,2,tree\n3,4,tree\n", "line 1: numbers where the names of the columns are expected"),
             ("x;y\n1,5;2\n", "line 2, column x: '1,5' is not a finite number; write it with a decimal point"),
             ("lat,lon\n400,24\n", "these are metres"),
