@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.font_manager import fontManager
+from matplotlib.font_manager import findSystemFonts, fontManager
 
 from logs.container.names import visible
 from logs.storage.placement import replacing
@@ -95,10 +96,8 @@ def draw_map(path_png: str | Path, picture: MapPicture, *, width_px: int = 1600)
     if len(points) == 0 or not np.isfinite(points).all():
         raise EvaluationError("no position to draw" if len(points) == 0 else "a position to be drawn is not finite")
     low, high = _limits(points)
-    installed = set(fontManager.get_font_names())
-    fonts = [name for name in _FONTS if name in installed]
     # A dollar sign in a name is one.
-    with rc_context({"text.parse_math": False, "font.family": fonts or ["sans-serif"]}):
+    with rc_context({"text.parse_math": False, "font.family": _fonts() or ["sans-serif"]}):
         height_in = float(min(12.2 * (high - low)[1] / (high - low)[0] + 1.5, 16.0))
         figure = Figure(figsize=(16.0, height_in), dpi=width_px / 16.0, facecolor="white")
         figure.set_layout_engine("constrained", h_pad=0.15, w_pad=0.15)
@@ -113,6 +112,15 @@ def draw_map(path_png: str | Path, picture: MapPicture, *, width_px: int = 1600)
         place: dict[str, Any] = {"xycoords": "axes fraction", "xytext": (0.0, 6.0), "textcoords": "offset points"}
         axes.annotate(_subtitle(picture), (0.0, 1.0), **place, fontsize=13, color=_MUTED)
         save_figure(figure, Path(path_png))
+
+
+def _fonts() -> list[str]:
+    """Those of ``_FONTS`` that are installed, also since matplotlib first listed the fonts of this machine."""
+    for path in sorted(set(findSystemFonts()) - {entry.fname for entry in fontManager.ttflist}):
+        with suppress(OSError, RuntimeError):  # no font that matplotlib can read
+            fontManager.addfont(path)
+    installed = set(fontManager.get_font_names())
+    return [name for name in _FONTS if name in installed]
 
 
 def save_figure(figure: Figure, target: Path) -> None:

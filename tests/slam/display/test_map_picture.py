@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
+from matplotlib.font_manager import fontManager
 from matplotlib.image import imread
 
 from logs.errors import UnwritableLogError
@@ -42,6 +43,16 @@ def test_picture_has_given_width_and_same_bytes(tmp_path: Path) -> None:
     pixels = imread(tmp_path / "a.png")
     assert pixels.shape[1] == 800
     assert pixels[..., :3].std() > 0.05
+
+
+def test_a_font_that_was_installed_since_matplotlib_listed_them_is_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chinese = MapPicture(np.zeros((0, 3)), landmarks=np.eye(3), labels=("路灯",) * 3)
+    draw_map(tmp_path / "a.png", chinese)
+    monkeypatch.setattr(fontManager, "ttflist", [each for each in fontManager.ttflist if "DejaVu" in each.name])
+    draw_map(tmp_path / "b.png", chinese)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
 def test_false_closures_are_red_and_cannot_be_overlooked(tmp_path: Path) -> None:
