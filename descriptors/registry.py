@@ -56,8 +56,8 @@ def make_descriptor(name: str) -> Descriptor:
         return OwnDescriptor(name)
     former = f"{FORMER[name]}; " if name in FORMER else ""
     raise DescriptorError(
-        f"no descriptor {name!r}; {former}there are {', '.join(DESCRIPTOR_NAMES)}, weights by their path "
-        f"(NAME{WEIGHTS_SUFFIX}), and classes of your own (module:Class)"
+        f"unknown descriptor {name!r}; {former}choose one of {', '.join(DESCRIPTOR_NAMES)}, weights by their path "
+        f"(NAME{WEIGHTS_SUFFIX}), or a class of your own (module:Class)"
     )
 
 

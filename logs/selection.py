@@ -191,7 +191,7 @@ def _kind(name: str) -> RecordKind:
         return RecordKind(name)
     except ValueError:
         kinds = ", ".join(RecordKind)
-        raise TopicSelectionError(f"--topic {name}=...: there is no such part; the parts are {kinds}") from None
+        raise TopicSelectionError(f"--topic {name}=...: unknown part; the parts are {kinds}") from None
 
 
 def _overridden(there: list[TopicInfo], kind: RecordKind, text: str, mappings: dict[str, FieldMapping]) -> str:

@@ -154,7 +154,7 @@ def _checked_copies(reader: LogReader, topics: Collection[str]) -> set[str]:
     there = {info.topic for info in reader.topics()}
     for topic in topics:
         if topic == FRAMES or topic.startswith(OUTPUT_PREFIX):
-            raise TopicSelectionError(f"{topic} cannot be copied: the output has a topic of that name of its own")
+            raise TopicSelectionError(f"{topic} cannot be copied: the output already has a topic of that name")
         if topic not in there:
             raise TopicSelectionError(f"the log has no topic {topic} to copy; it has {', '.join(sorted(there))}")
     return set(topics)

@@ -105,7 +105,7 @@ def replay(
     """
     if map_path is not None and prior_map is not None and not extend:
         raise SavedMapError(
-            f"the given map does not change, so {map_path} would be a copy of it; extend it, or save none"
+            f"the given map does not change, so {map_path} would be a copy of it; extend the map, or do not save it"
         )
     started = time.perf_counter()
     source, output = Path(source), Path(output)

@@ -69,7 +69,7 @@ class ScanLocalizer:
             DescriptorError: there is no such descriptor.
         """
         if len(objects.ids) == 0:
-            raise InputDataError("the map holds no confirmed landmark, so that no scan can be found in it")
+            raise InputDataError("the map holds no confirmed landmark, so no scan can be localized in it")
         config = Config() if config is None else config
         self._objects = config.calibration.objects
         self._sensor_range_m = config.sensor_range_m

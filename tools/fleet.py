@@ -41,12 +41,12 @@ def add(
         list[str] | None, typer.Argument(metavar="[LOG]...", help="Logs to add.", show_default=False)
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Tasks at a time. \\[default: one a core]", show_default=False)
+        int | None, typer.Option(min=1, help="Tasks at a time. \\[default: one per core]", show_default=False)
     ] = None,
     only: Annotated[bool, typer.Option("--only", help="Remove the logs of earlier runs that are not named.")] = False,
     origin: Annotated[
         str | None,
-        typer.Option(metavar="LAT,LON", help="Position on earth at which the first log begins.", show_default=False),
+        typer.Option(metavar="LAT,LON", help="Start of the first log, in latitude and longitude.", show_default=False),
     ] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,
@@ -84,7 +84,7 @@ def add(
 
 @app.command()
 def status(city: Folder, require: Require = None, json: Json = False) -> None:
-    """Show the last report of a fleet, and the logs that wait.
+    """Show the last report of a fleet, and logs that are not mapped yet.
 
     Example: dslam fleet status city
     """

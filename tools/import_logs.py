@@ -39,7 +39,7 @@ def kitti_objects(
     sequence: Annotated[str | None, typer.Option(help="Name of the sequence, if there are several.")] = None,
     json: Json = False,
 ) -> None:
-    """KITTI odometry with objects that were clustered in its scans.
+    """KITTI odometry with objects clustered from its scans.
 
     Example: dslam import kitti-objects kitti00.mcap --detections 00.tar.xz --odometry vo.txt --calib calib.txt
     --times times.txt --ground-truth poses/00.txt

@@ -23,7 +23,9 @@ def simulate(
     length: Annotated[float | None, typer.Option(metavar="M", help="Length of the drive.")] = None,
     kidnap: Annotated[
         str | None,
-        typer.Option(metavar="FROM_M:TO_M", help="Carry the robot off from one place of the tour to another."),
+        typer.Option(
+            metavar="FROM_M:TO_M", help="Kidnap the robot: the drive jumps from one place of the tour to another."
+        ),
     ] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,

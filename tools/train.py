@@ -32,7 +32,7 @@ def train(
         str,
         typer.Option(
             metavar="descriptellation_lr|descriptellation|module:Class",
-            help="The network to train; your own one is a torch module.",
+            help="The network to train: a name, or a torch module of your own (module:Class).",
         ),
     ] = LIKELIHOOD,
     maps: Annotated[
@@ -153,7 +153,7 @@ def _load_map(path: Path) -> TrainingMap:
 
             record = read_records(path).object_map
             if record is None:
-                raise InputDataError(f"{path}: no map in it; give a saved map, or a log that 'dslam replay' wrote")
+                raise InputDataError(f"{path} holds no map; give a saved map, or a log that 'dslam replay' wrote")
             objects = confirmed(record)
         positions, labels = objects.positions, objects.class_probabilities.argmax(axis=1)
     found, numbers = np.unique(np.asarray(labels), return_inverse=True)

@@ -140,7 +140,7 @@ def _kind(name: object) -> type[DescriptellationArchitecture] | type[OwnArchitec
         return OwnArchitecture
     if name == DescriptellationArchitecture().name:
         return DescriptellationArchitecture
-    raise DescriptorError(f"no network {name!r}; there are descriptellation, and modules of your own (module:Class)")
+    raise DescriptorError(f"unknown network {name!r}; choose descriptellation, or a module of your own (module:Class)")
 
 
 def _make_own_network(name: str) -> nn.Module:

@@ -147,7 +147,7 @@ def _read(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
             return tensors, dict(file.metadata() or {})
     except (SafetensorError, OSError, TypeError) as error:
-        raise WeightsError(f"{path}: truncated, or no safetensors file: {error}; get it again") from error
+        raise WeightsError(f"{path}: truncated, or not a safetensors file: {error}; get it again") from error
 
 
 def _typed(path: Path, texts: Mapping[str, str], key: str, kind: type[_T]) -> _T:

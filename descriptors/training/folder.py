@@ -96,13 +96,13 @@ class TrainingFolder:
             theirs = dict(json.loads(state["identity"]))
             epochs = [Epoch(*each) for each in json.loads(state["epochs"])]
         except Exception as error:  # what torch raises depends on where the file is broken
-            raise DescriptorError(f"{path}: cannot be read: {error}; delete it to start anew") from error
+            raise DescriptorError(f"{path}: cannot be read: {error}; delete it to start again") from error
         ours = json.loads(json.dumps(self.identity))
         others = sorted(key for key in ours if theirs.get(key) != ours[key])
         if others:
             raise DescriptorError(
-                f"{path}: of a training with another configuration ({', '.join(others)}); choose another folder, or "
-                "delete it to start anew"
+                f"{path}: from a run with another configuration ({', '.join(others)}); choose another folder or "
+                "delete it to start again"
             )
         for name, part in parts.items():
             part.load_state_dict(state[name])

@@ -37,9 +37,9 @@ def read_points(path: Path) -> Mapping[str, NDArray[Any]]:
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror}); check the path") from error
     except (ValueError, OverflowError, IndexError) as error:
-        raise DatasetError(f"{path}: no PLY file that can be read ({error}); write it again") from error
+        raise DatasetError(f"{path}: not a readable PLY file ({error}); write it again") from error
     if len(points) < count:
-        raise DatasetError(f"{path}: {len(points)} of {count} points are there; it is cut off: copy it again")
+        raise DatasetError(f"{path}: {len(points)} of {count} points are there; the file is truncated, copy it again")
     return {name: points[name] for name in points.dtype.names or ()}
 
 
@@ -83,7 +83,7 @@ def _read_rows(stream: BinaryIO, count: int, row: np.dtype[Any], order: str) -> 
     min_bytes = row.itemsize if order else 2 * len(names)
     left = os.fstat(stream.fileno()).st_size - stream.tell() + 1  # the last byte may be left out
     if count * min_bytes > left:
-        raise ValueError(f"at most {left // min_bytes} of {count} points are there; it is cut off")
+        raise ValueError(f"at most {left // min_bytes} of {count} points are there; the file is truncated")
     if order:
         return np.fromfile(stream, row, count)
     if not count:

@@ -101,7 +101,7 @@ def _read(path: Path, dtype: str, width: int) -> np.ndarray:
     size = np.dtype(dtype).itemsize * width
     if len(data) % size:
         raise DatasetError(
-            f"{path}: {len(data)} bytes are not a multiple of {size}, the bytes of a point; it is cut off"
+            f"{path}: {len(data)} bytes are not a multiple of {size}, the size of a point; it is truncated"
         )
     return np.frombuffer(data, dtype=dtype).reshape(-1, width)
 
@@ -109,7 +109,7 @@ def _read(path: Path, dtype: str, width: int) -> np.ndarray:
 def _pairs(scans: Path, labels: Path, count: int) -> Iterator[tuple[int, Path, Path]]:
     points = sorted((path for path in scans.glob("*.bin") if path.stem.isdecimal()), key=lambda path: int(path.stem))
     if not points:
-        raise DatasetError(f"{scans}: no scan NNNNNN.bin in it; give the folder velodyne of a sequence")
+        raise DatasetError(f"{scans} holds no scan NNNNNN.bin; give the folder velodyne of a sequence")
     for path in points:
         if int(path.stem) >= count:
             raise DatasetError(f"{path}: there are only {count} poses; give poses and times of this sequence")

@@ -100,7 +100,7 @@ def _covariance_6x6(values: Sequence[float], T: FloatArray, counters: Counter[st
     if len(values) == 0:
         return None
     if len(values) != 36:
-        raise Refusal("lengths disagree", f"covariance of {len(values)} numbers, not 36")
+        raise Refusal("lengths disagree", f"covariance of {len(values)} numbers, expected 36")
     P = np.array(values, dtype=np.float64).reshape(6, 6)
     given = P.any(axis=0) | P.any(axis=1)
     if not given.all():
@@ -119,11 +119,11 @@ def fix_records(context: Context, place: Place, message: Any) -> Records:
     """
     latitude, longitude, altitude_m = message.latitude, message.longitude, message.altitude
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
-        raise Refusal("not a latitude and longitude", f"latitude {latitude}, longitude {longitude}")
+        raise Refusal("not a valid latitude and longitude", f"latitude {latitude}, longitude {longitude}")
     P = None
     if message.position_covariance_type:
         if len(message.position_covariance) != 9:
-            raise Refusal("lengths disagree", f"covariance of {len(message.position_covariance)} numbers, not 9")
+            raise Refusal("lengths disagree", f"covariance of {len(message.position_covariance)} numbers, expected 9")
         P = usable_covariance(np.array(message.position_covariance, np.float64).reshape(3, 3), context.counters)
     return (GeodeticFix(*place, latitude, longitude, altitude_m if abs(altitude_m) <= MAX_COORDINATE_M else 0.0, P),)
 

@@ -134,7 +134,7 @@ class _Member(tarfile.TarInfo):
 def _sequence_folder(path: Path, files: Mapping[str, bytes], sequence: str | None) -> PurePosixPath:
     folders = sorted(PurePosixPath(name).parent for name in files if PurePosixPath(name).name == "bow.txt")
     if not folders:
-        raise DatasetError(f"{path}: no bow.txt in it; expected <sequence>/bow.txt and <sequence>/centroids/NNNNNN.txt")
+        raise DatasetError(f"{path} holds no bow.txt; expected <sequence>/bow.txt and <sequence>/centroids/NNNNNN.txt")
     if sequence is not None:
         folders = [folder for folder in folders if folder.name == sequence]
     if len(folders) != 1:

@@ -132,7 +132,7 @@ class Rows:
             DatasetError: no row, a name that occurs twice, or a row with another number of cells than there are names.
         """
         if not self.lines:
-            raise DatasetError(f"{self.name}: no row in it; expected a header and at least one line")
+            raise DatasetError(f"{self.name} has no rows; expected a header and at least one line")
         twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
         if twice is not None:
             raise DatasetError(f"{self.name}: column {twice} occurs twice; rename or remove one")
@@ -152,7 +152,7 @@ def read_table(source: SourceText) -> Table:
     """
     start = source.text.lstrip()[:1]
     if start == "[":
-        raise DatasetError(f"{source.name}: a JSON array; write one object a line (JSON lines), or CSV with a header")
+        raise DatasetError(f"{source.name}: a JSON array; write one object per line (JSON lines), or CSV with a header")
     if start == "{":
         return _read_json_lines(source)
     rows = read_rows(source)
@@ -174,7 +174,7 @@ def read_rows(source: SourceText) -> Rows:
     """
     start, first = next(iter(source.lines()), (0, ""))
     if not start:
-        raise DatasetError(f"{source.name}: no line in it; expected a header and at least one line")
+        raise DatasetError(f"{source.name} is empty; expected a header and at least one line")
     delimiter = max(_DELIMITERS, key=first.count)
     lines = source.text.splitlines()
     if delimiter not in first:
@@ -205,7 +205,7 @@ def _read_json_lines(source: SourceText) -> Table:
             value = parse_json(text, parse_float=str, parse_int=str, parse_constant=str)
         except ValueError as error:
             raise DatasetError(
-                f"{source.name}, line {line}: not JSON ({error}); write one flat object a line"
+                f"{source.name}, line {line}: not JSON ({error}); write one flat object per line"
             ) from error
         if not isinstance(value, dict):
             raise DatasetError(f'{source.name}, line {line}: not an object; write {{"stamp_s": 0.1, "x_m": 1.0, ...}}')

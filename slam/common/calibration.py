@@ -80,8 +80,8 @@ class DetectionCalibration(Branch):
     common_sigma_m: float = Field(
         default=0.4,
         ge=0,
-        description="error that observations of an object in one view share, e.g. of a centroid: along the ground, by "
-        "how much it changes as the direction in the sensor turns by 1 rad or the range changes by a factor of e [m]",
+        description="error shared by the observations of an object from one view, e.g. of a centroid, along the "
+        "ground: how much it changes as the bearing changes by 1 rad or the range changes by a factor of e [m]",
     )
     common_height_sigma_m: float = Field(default=0.0, ge=0, description="the same in height [m]")
     height_sigma_m: float = Field(default=0.0, ge=0, description="additional noise of heights, 0 if there is none [m]")
@@ -153,7 +153,7 @@ class ObjectCalibration(Branch):
     new_object_density: float = Field(
         default=0.002,
         gt=0,
-        description="new objects and false positives a scan and cubic metre [1/m^3]; higher: fewer matches",
+        description="new objects and false positives per scan and cubic metre [1/m^3]; higher: fewer matches",
     )
     spacing_m: float = Field(
         default=4.0, gt=0, description="distance below which objects of a class can be confused [m]"

@@ -83,7 +83,9 @@ def load_tree(
     for each in settings_of(tree):
         if isinstance(each.value, int | float) and each.value and not _SMALLEST <= abs(each.value) <= _LARGEST:
             limits = f"numbers other than 0 are from {_SMALLEST:g} to {_LARGEST}"
-            raise ConfigurationError(f"{_origin(each.key, flagged, path)}: {each.key}={each.value} is absurd; {limits}")
+            raise ConfigurationError(
+                f"{_origin(each.key, flagged, path)}: {each.key}={each.value} is out of range; {limits}"
+            )
     return tree
 
 

@@ -135,7 +135,7 @@ def _map_sessions(
             sessions[digest] = done
         elif not log.path.exists():
             raise FleetError(
-                f"{log.name} has to be mapped, and does not exist at {log.path} any more; remove it by --only"
+                f"{log.name} has to be mapped, and does not exist at {log.path} any more; remove it with --only"
             )
         elif all(task.sha256 != digest for task in tasks):
             tasks.append(SessionTask(log.path, digest, config, folders[digest]))

@@ -261,7 +261,7 @@ def _assembled(about: Mapping[str, str], arrays: Mapping[str, NDArray[Any]]) -> 
 def _checked_spacing(positions: FloatArray) -> float:
     """Median distance [m] of an object to its nearest neighbour, of positions that can be metres."""
     if len(positions) < 4:
-        raise SavedMapError(f"{len(positions)} objects; a map in which a robot can be found needs four at least")
+        raise SavedMapError(f"{len(positions)} objects; a map for relocalization needs at least four")
     if not np.isfinite(positions).all():
         raise SavedMapError(f"object {int((~np.isfinite(positions)).any(axis=1).argmax())} has no finite position")
     plane = positions[:, :2]

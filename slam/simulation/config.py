@@ -19,7 +19,7 @@ class DriveConfig(_Branch):
     """How the body follows the tour."""
 
     speed_mps: float = Field(default=8.0, gt=0, le=50, description="cruising speed [m/s]")
-    rate_hz: float = Field(default=10.0, gt=0, le=1000, description="scans and odometry messages a second [1/s]")
+    rate_hz: float = Field(default=10.0, gt=0, le=1000, description="scans and odometry messages per second [1/s]")
     corner_smoothing_m: float = Field(
         default=1.5, ge=0, le=20, description="sigma of the Gaussian along the tour that rounds its corners [m]"
     )
@@ -37,13 +37,13 @@ class OdometryConfig(_Branch):
     """How the odometry drifts; see ``slam.simulation.odometry`` for the exact model."""
 
     scale_drift_percent: float = Field(
-        default=1.0, ge=0, le=50, description="rms error of the length of 100 m of path, per cent of it"
+        default=1.0, ge=0, le=50, description="rms error of the length accumulated over 100 m of path, in percent of it"
     )
     scale_correlation_m: float = Field(
         default=20.0, ge=0, le=1000, description="path over which the scale error decays to 1/e; 0: white noise [m]"
     )
     heading_drift_deg_per_100m: float = Field(
-        default=0.5, ge=0, le=90, description="rms error of the heading gathered over 100 m of path [deg]"
+        default=0.5, ge=0, le=90, description="rms error of the heading accumulated over 100 m of path [deg]"
     )
 
 
@@ -66,7 +66,7 @@ class SensorConfig(_Branch):
     )
     dropout: float = Field(default=0.1, ge=0, le=1, description="probability that a visible object is missed in a scan")
     false_positives_per_scan: float = Field(
-        default=0.5, ge=0, le=1000, description="mean number of false objects a scan"
+        default=0.5, ge=0, le=1000, description="mean number of false objects per scan"
     )
     misclassification: float = Field(
         default=0.1, ge=0, le=1, description="probability of a wrong label at max_range_m; linear in the range, 0 at 0"

@@ -131,7 +131,7 @@ def _drives(plan: DrivePlan, config: SimulationConfig) -> list[Drive]:
     if plan.length_m < MIN_TOUR_M or fewest < 2:
         raise SimulationError(
             f"a tour of {plan.length_m:g} m whose shortest stretch has {fewest} scans is too short; give it at least "
-            f"{MIN_TOUR_M:g} m, and two scans before and after a kidnapping (drive.rate_hz scans a second)"
+            f"{MIN_TOUR_M:g} m, and two scans before and after a kidnapping (drive.rate_hz scans per second)"
         )
     return drives
 

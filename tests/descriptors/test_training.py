@@ -190,5 +190,5 @@ def test_epochs_that_find_fewer_objects_in_exact_views_do_not_compete():
 
 def test_network_that_does_not_exist_is_refused():
     assert default_architecture("descriptellation") == DescriptellationArchitecture()
-    with pytest.raises(DescriptorError, match=r"no network 'transformer'; there are descriptellation"):
+    with pytest.raises(DescriptorError, match=r"unknown network 'transformer'; choose descriptellation"):
         default_architecture("transformer")

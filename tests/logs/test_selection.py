@@ -103,7 +103,7 @@ def test_truth_has_topics_of_its_own():
         ({"odometry": "/nowhere"}, "--topic odometry=/nowhere: the log has no such topic"),
         ({"odometry": "/detections"}, "dslam.ObjectDetections does not decode to odometry"),
         ({"odometry": "/camera"}, "sensor_msgs/msg/Image does not decode to odometry"),
-        ({"odometri": "/odom"}, "there is no such part"),
+        ({"odometri": "/odom"}, "unknown part"),
     ],
 )
 def test_overrides_that_do_not_fit(overrides, complaint):

@@ -37,7 +37,7 @@ class TestRefusals:
         assert_refused(dslam("replay", log, "-o", output), "/visual, /wheels", "--topic odometry=/visual")
         assert dslam("replay", log, "-o", output, "--topic", "odometry=/wheels").code == 0
         assert_refused(dslam("replay", log, "-o", output, "--topic", "odometry=/none"), "/none", "/wheels")
-        assert_refused(dslam("replay", log, "-o", output, "--topic", "speed=/wheels"), "no such part")
+        assert_refused(dslam("replay", log, "-o", output, "--topic", "speed=/wheels"), "unknown part")
         assert_refused(dslam("replay", log, "-o", output, "--topic", "/wheels"), "KIND=/TOPIC")
 
     def test_settings(self, dslam: Run, tmp_path: Path) -> None:

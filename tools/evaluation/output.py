@@ -34,7 +34,7 @@ Times = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Seconds of each pose in KITTI's format; not needed for one pose an odometry message.",
+        help="Seconds of each pose in KITTI's format; not needed with one pose per odometry message.",
         show_default=False,
     ),
 ]

@@ -34,7 +34,7 @@ def sweep(
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="Seeds of each degradation.")] = 3,
     jobs: Annotated[
-        int | None, typer.Option(min=1, help="Processes. \\[default: one a core]", show_default=False)
+        int | None, typer.Option(min=1, help="Processes. \\[default: one per core]", show_default=False)
     ] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,

@@ -131,7 +131,7 @@ class _Source:
             Track.TRUTH: ("world", records.true_path),
         }[self._of]
         if not len(path):
-            raise InputDataError(f"{self._log} has no poses of the {self._of}; choose another by --of")
+            raise InputDataError(f"{self._log} has no poses of the {self._of}; choose another with --of")
         return TrajectoryRecord(int(path.stamps_ns[-1]), frame, path.stamps_ns, path.T_world_body)
 
     @cached_property

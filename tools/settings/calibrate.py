@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 def calibrate(
     logs: Annotated[
-        list[Path], typer.Argument(metavar="LOG...", help="Logs of one robot, which are pooled.", show_default=False)
+        list[Path],
+        typer.Argument(metavar="LOG...", help="Logs of one robot; their data are pooled.", show_default=False),
     ],
     output: Annotated[
         Path | None,

@@ -72,7 +72,7 @@ def _features(path: Path, text: str) -> list[Any]:
         return [_parsed(f"{path}, line {i}", line) for i, line in lines]
     content = _parsed(str(path), text)
     if not isinstance(content, dict) or content.get("type") != "FeatureCollection":
-        raise DatasetError(f"{path}: no GeoJSON FeatureCollection; export the layer as GeoJSON")
+        raise DatasetError(f"{path}: not a GeoJSON FeatureCollection; export the layer as GeoJSON")
     crs = str(content.get("crs") or "")
     if crs and not any(name in crs.replace("::", ":").replace(" ", "").upper() for name in _GLOBAL_CRS):
         raise DatasetError(f"{path}: coordinates of {crs[:80]}; export the layer in WGS 84 (EPSG:4326)")
@@ -84,4 +84,4 @@ def _parsed(where: str, text: str) -> Any:
     try:
         return parse_json(text)
     except ValueError as error:
-        raise DatasetError(f"{where}: not JSON ({error}); the file may be cut off, export the layer again") from error
+        raise DatasetError(f"{where}: not JSON ({error}); the file may be truncated, export the layer again") from error

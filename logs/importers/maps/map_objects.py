@@ -55,7 +55,7 @@ def check_degrees(source: str, geodetic: FloatArray) -> None:
         DatasetError: metres, or the two the other way round; with the values and the remedy.
     """
     if not len(geodetic):
-        raise DatasetError(f"{source}: no object in it; give it at least four")
+        raise DatasetError(f"{source} holds no objects; give at least four")
     wrong = _outside(geodetic[:, 0], geodetic[:, 1])
     if not wrong.any():
         return

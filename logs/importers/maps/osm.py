@@ -53,7 +53,7 @@ def read_osm(path: Path, *, tags: Sequence[str] = ()) -> MapObjects:
     try:
         import osmium
     except ImportError as error:
-        raise DatasetError(f"{path}: OpenStreetMap is read by pyosmium, which is missing; {INSTALL}") from error
+        raise DatasetError(f"{path}: OpenStreetMap is read with pyosmium, which is not installed; {INSTALL}") from error
     wanted = _parsed(tags) if tags else TAGS
     positions, labels, ids = list[tuple[float, float, float]](), list[str](), list[str]()
     try:
@@ -67,10 +67,12 @@ def read_osm(path: Path, *, tags: Sequence[str] = ()) -> MapObjects:
                 ids.append(f"n{node.id}")
     except (RuntimeError, OSError, ValueError, osmium.InvalidLocationError) as error:
         reason = getattr(error, "strerror", None) or " ".join(str(error).split())
-        raise DatasetError(f"{path}: no extract of OpenStreetMap, or cut off ({reason}); download it again") from error
+        raise DatasetError(
+            f"{path}: not an extract of OpenStreetMap, or truncated ({reason}); download it again"
+        ) from error
     if not labels:
         names = ", ".join(wanted)
-        raise DatasetError(f"{path}: no node is an object by its tags ({names}); say which by --tag KEY=VALUE")
+        raise DatasetError(f"{path}: no node is an object by its tags ({names}); say which with --tag KEY=VALUE")
     return MapObjects(str(path), np.array(positions), tuple(labels), tuple(ids), True, file_sha256(path))
 
 

@@ -129,7 +129,7 @@ class EvaluationRecords:
         if not (reference.true_poses or reference.detection_truths or reference.true_objects):
             raise EvaluationError(
                 "the reference holds no truth: no pose on /ground_truth, no topic /ground_truth/detections or "
-                "/ground_truth/objects; name the one that holds it by --topic ground_truth=/name"
+                "/ground_truth/objects; name the one that holds it with --topic ground_truth=/name"
             )
         return replace(
             self,

@@ -179,7 +179,7 @@ def _resolve_aliases(aliases: Mapping[str, str]) -> dict[str, str]:
         name = aliases[start]
         while name in aliases:
             if name in passed:
-                raise EvaluationError(f"landmark {start!r} is merged in a circle through {name!r}")
+                raise EvaluationError(f"landmark {start!r} is merged into itself through {name!r}")
             passed.add(name)
             name = aliases[name]
         surviving[start] = name

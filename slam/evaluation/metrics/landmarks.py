@@ -187,7 +187,7 @@ def evaluate_landmarks(
     rows_est, rows_gt = matches.landmark_rows[matched], matches.object_rows[matched]
     positions_est, positions_gt = map_est.positions[rows_est], map_gt.positions[rows_gt]
     if not (np.isfinite(positions_est).all() and np.isfinite(positions_gt).all()):
-        raise EvaluationError("a landmark or a true object has a position that is not finite")
+        raise EvaluationError("the position of a landmark or a true object is not finite")
     windowed = _windowed(map_est, rows_est, positions_est, positions_gt, path_gt, protocol)
     distances = {
         "": np.linalg.norm(windowed.residuals, axis=1),

@@ -40,7 +40,7 @@ def parse_fault(text: str) -> FaultCase:
     if fault is None:
         near = difflib.get_close_matches(name, FAULTS, n=1)
         hint = f"did you mean {near[0]}?" if near else "'dslam degrade --list-faults' lists them"
-        raise ConfigurationError(f"there is no fault {name!r}; {hint}")
+        raise ConfigurationError(f"unknown fault {name!r}; {hint}")
     words = values.split(":") if equals else []
     if fault.takes_labels:
         if not all(words) or not words:

@@ -116,7 +116,7 @@ def test_file_that_cannot_be_finished_leaves_the_old_one(path):
 def test_missing_or_damaged_file_is_refused(path, content):
     for kept in (0, 5, 300, -1) if content == b"" else (None,):
         path.write_bytes(path.read_bytes()[:kept] if content == b"" else content or b"")
-        with pytest.raises(WeightsError, match=r"net.safetensors: truncated, or no safetensors file"):
+        with pytest.raises(WeightsError, match=r"net.safetensors: truncated, or not a safetensors file"):
             read_weights(path)
     with pytest.raises(WeightsError, match="no such file"):
         read_weights(path.with_name("nowhere"))
@@ -155,7 +155,7 @@ def test_altered_file_is_refused_by_what_was_altered(path, change, message):
         (lambda tensors, _: tensors.update({"fusion.0.bias": np.zeros(9)}), r"fusion\.0\.bias.*\(9,\).*\(8,\)"),
         (lambda tensors, _: tensors.update({"fusion.0.bias": np.zeros(8)}), r"fusion\.0\.bias is float64.*float32"),
         (lambda _, texts: set_architecture(texts, channels=16), r"tensor backbone\.0.*\(8,.*\(16,"),
-        (lambda _, texts: set_architecture(texts, name="transformer"), r"no network 'transformer'"),
+        (lambda _, texts: set_architecture(texts, name="transformer"), r"unknown network 'transformer'"),
         (lambda _, texts: set_architecture(texts, heads=4), r"unknown fields \['heads'\]"),
         (lambda _, texts: set_architecture(texts, channels="8"), r"channels = '8'"),
         (lambda _, texts: texts.update(architecture='{"name": "descriptellation"}'), r"no fields \['channels'"),

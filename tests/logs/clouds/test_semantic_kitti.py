@@ -110,12 +110,12 @@ def test_labels_shorter_than_their_scan_are_told(sequence: Sequence) -> None:
 def test_files_that_are_missing_or_cut_off_are_told(sequence: Sequence) -> None:
     path = sequence.root / "velodyne/000002.bin"
     path.write_bytes(path.read_bytes()[:-3])
-    with pytest.raises(DatasetError, match=r"000002.bin: .* it is cut off"):
+    with pytest.raises(DatasetError, match=r"000002.bin: .* it is truncated"):
         write(sequence.root / "out.mcap", sequence.files())
     (sequence.root / "labels/000004.label").unlink()
     with pytest.raises(DatasetError, match=r"000004.label: missing"):
         write(sequence.root / "out.mcap", sequence.files())
-    with pytest.raises(DatasetError, match=r"no scan NNNNNN.bin in it"):
+    with pytest.raises(DatasetError, match=r"holds no scan NNNNNN.bin"):
         write(sequence.root / "out.mcap", sequence.files() | {"scans": sequence.root})
 
 

@@ -102,8 +102,8 @@ ROW = "stamp_s,label,x_m,y_m,z_m,score,diameter_m\n0,a,1,2,3,0.5,0.2\n"
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", r"det\.csv: no line in it"),
-        ("stamp_s,x_m,y_m\n", r"det\.csv: no row in it"),
+        ("", r"det\.csv is empty"),
+        ("stamp_s,x_m,y_m\n", r"det\.csv has no rows"),
         ("0,1,2\n", r"det\.csv, line 1: numbers where the names of the columns are expected; begin .* header"),
         ("stamp_s,label,y_m\n0,a,2\n", r"det\.csv: no column for x among stamp_s, label, y_m; call .* x_m"),
         ("label,x_m,y_m\na,1,2\n", r"det\.csv: no column for the stamp among .*; call .* stamp_s"),
@@ -136,7 +136,7 @@ ROW = "stamp_s,label,x_m,y_m,z_m,score,diameter_m\n0,a,1,2,3,0.5,0.2\n"
         ('{"stamp_s": 0, "x": 1,\n', r"det\.csv, line 1: not JSON .*one flat object a line"),
         ('{"stamp_s": 0, "position": [1, 2, 3]}\n', r"line 1, column position: \[.* is neither a number nor a text"),
         ('{"stamp_s": 0, "x": 1, "y": 1}\n3\n', r"det\.csv, line 2: not an object"),
-        ('[{"stamp_s": 0}]', r"det\.csv: a JSON array; write one object a line"),
+        ('[{"stamp_s": 0}]', r"det\.csv: a JSON array; write one object per line"),
         ('{"stamp_s": 0, "x": NaN, "y": 1}\n', r"line 1, column x: 'NaN' is not a finite number"),
     ],
 )

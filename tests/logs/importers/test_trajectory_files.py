@@ -75,7 +75,7 @@ def test_stamps_keep_every_digit() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", r"poses\.txt: no line in it"),
+        ("", r"poses\.txt is empty"),
         ("1 2 3\n", r"poses\.txt, line 1: 3 values .*expected 8 .TUM.*names the columns"),
         (TUM + "0.3 1 2 3 0 0 1\n", r"poses\.txt, line 3: 7 values where 8 are expected .stamp, x"),
         (TUM + "0.3 1 2 three 0 0 0 1\n", r"poses\.txt, line 3, column z: 'three' is not a finite number"),

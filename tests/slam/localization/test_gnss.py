@@ -123,7 +123,7 @@ class TestMessages:
         np.testing.assert_array_equal(fix.covariance, np.diag([1.0, 4.0, 9.0]))
         assert decoded(position_covariance_type=0)[0].covariance is None
         assert decoded(status={"status": -1, "service": 1}) == ()
-        with pytest.raises(InvalidRecordError, match="not a latitude and longitude"):
+        with pytest.raises(InvalidRecordError, match="not a valid latitude and longitude"):
             decoded(latitude=float("nan"))
 
     def test_location_fix_comes_back_as_written(self, tmp_path: Path) -> None:

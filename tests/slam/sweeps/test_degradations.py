@@ -56,7 +56,7 @@ def test_the_seed_does_not_matter_where_nothing_is_random(text: str) -> None:
     ("text", "told"),
     [
         ("drop=0.3", "did you mean dropout?"),
-        ("", "there is no fault"),
+        ("", "unknown fault"),
         ("dropout=3", "'3' is not allowed"),
         ("keep_label", "needs a label"),
         ("dropout=0.3,dropout=0.4", "given twice"),

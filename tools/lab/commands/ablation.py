@@ -38,9 +38,11 @@ def ablation(
         list[str] | None,
         typer.Option(metavar="NAME", help="Only this part; the row with all parts is always measured. Repeatable."),
     ] = None,
-    copies: Annotated[int, typer.Option(min=1, help="Copies of each drive, each with different noise of 1e-3.")] = 10,
+    copies: Annotated[
+        int, typer.Option(min=1, help="Perturbed copies of each drive, each with its own noise (1e-3).")
+    ] = 10,
     jobs: Annotated[
-        int | None, typer.Option(min=1, help="Processes. \\[default: one a core]", show_default=False)
+        int | None, typer.Option(min=1, help="Processes. \\[default: one per core]", show_default=False)
     ] = None,
     config_file: ConfigFile = None,
     settings: Settings = None,

@@ -18,7 +18,7 @@ Objects = Annotated[
     Path | None, typer.Option(metavar="CSV", help="Objects of a map: x_m,y_m,z_m,class,id.", show_default=False)
 ]
 Trajectory = Annotated[
-    Path | None, typer.Option(metavar="CSV", help="Path on which queries are drawn: x_m,y_m.", show_default=False)
+    Path | None, typer.Option(metavar="CSV", help="Path along which queries are sampled: x_m,y_m.", show_default=False)
 ]
 Methods = Annotated[
     list[str] | None,

@@ -26,7 +26,7 @@ def fleet(
     length: Annotated[float, typer.Option(min=50.0, help="Length of a drive.")] = 250.0,
     months: Annotated[int, typer.Option(min=1, help="Months over which the drives are spread.")] = 4,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Tasks at a time. \\[default: one a core]", show_default=False)
+        int | None, typer.Option(min=1, help="Tasks at a time. \\[default: one per core]", show_default=False)
     ] = None,
     nights: Annotated[
         int | None,

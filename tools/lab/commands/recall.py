@@ -54,7 +54,7 @@ def recall(
     ] = None,
     seen: Annotated[
         list[int] | None,
-        typer.Option(min=3, metavar="N", help="Objects of a query; by default those of 50 m. Repeatable."),
+        typer.Option(min=3, metavar="N", help="Objects of a query; by default those seen along 50 m. Repeatable."),
     ] = None,
     queries: Annotated[int, typer.Option(min=1, help="Queries in each map and scenario.")] = 60,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the place, the thinning and the queries.")] = 0,

@@ -27,9 +27,7 @@ MODES = {
 Objects = Annotated[
     Path | None, typer.Option(metavar="CSV", help="Objects of a world: x_m,y_m,z_m,class,id.", show_default=False)
 ]
-Trajectory = Annotated[
-    Path | None, typer.Option(metavar="CSV", help="Tour that is mapped: x_m,y_m.", show_default=False)
-]
+Trajectory = Annotated[Path | None, typer.Option(metavar="CSV", help="Tour to map: x_m,y_m.", show_default=False)]
 MapLog = Annotated[
     Path | None,
     typer.Option(
@@ -51,9 +49,9 @@ MapUntil = Annotated[
 ]
 Noise = Annotated[float, typer.Option(min=0.0, max=10.0, help="Factor on the errors of the sensor after mapping.")]
 Changed = Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of the objects replaced after mapping.")]
-Thin = Annotated[float, typer.Option(metavar="FACTOR", min=1.0, help="Keep one of N objects before mapping.")]
+Thin = Annotated[float, typer.Option(metavar="FACTOR", min=1.0, help="Keep one in N objects before mapping.")]
 WithOracle = Annotated[
-    bool, typer.Option("--oracle", help="Also measure the ceiling: all poses tested with all observations of 40 m.")
+    bool, typer.Option("--oracle", help="Also measure the ceiling: test all poses with all observations along 40 m.")
 ]
 MaxTravel = Annotated[float, typer.Option("--max-travel", metavar="METRES", min=5.0, help="Length of each drive.")]
 

@@ -35,13 +35,13 @@ def find_drives(folder: Path, names: Sequence[str] = ()) -> list[RobotDrive]:
     drives = sorted((_drive(folder, each) for each in found), key=lambda drive: drive.name)
     if not drives:
         raise InputDataError(
-            f"{folder}: no drive in it; expected folders with odometry.tum(.gz), detections.csv(.gz) and, for the "
+            f"{folder} holds no drives; expected folders with odometry.tum(.gz), detections.csv(.gz) and, for the "
             "errors, groundtruth.tum(.gz)"
         )
     for name in names:
         if not any(_is_in(drive, name) for drive in drives):
             there = ", ".join(drive.name for drive in drives)
-            raise InputDataError(f"{folder}: no drive {name!r} in it; there are {there}")
+            raise InputDataError(f"{folder} holds no drive {name!r}; it holds {there}")
     return [drive for drive in drives if not names or any(_is_in(drive, name) for name in names)]
 
 

@@ -92,7 +92,7 @@ def _add_night(folder: Path, logs: Sequence[Path], *, is_killed: bool) -> Night:
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
     _, status, used = os.wait4(process.pid, 0)
     if os.waitstatus_to_exitcode(status) > 1:  # 1: a damaged log could not be mapped
-        raise FleetError(f"'{' '.join(command)}' fails; run it to see why")
+        raise FleetError(f"'{' '.join(command)}' failed; run it to see why")
     return Night(len(logs), used.ru_utime + used.ru_stime, used.ru_maxrss * 1024 / 1e6, is_killed)
 
 

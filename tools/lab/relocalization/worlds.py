@@ -133,7 +133,7 @@ def benchmark_in_map(
         SlamError: a number is out of range.
     """
     if not isinstance(known, ImportedMap):
-        raise SavedMapError("the map was driven, not imported; give its --objects and --trajectory")
+        raise SavedMapError("the map was made by a drive, not imported; give its --objects and --trajectory")
     rng = np.random.default_rng([seed, 4])
     simulation = SimulationConfig()
     reach_m = simulation.sensor.max_range_m
@@ -198,7 +198,7 @@ def search_all(
     outcomes = list[dict[str, Any]]()
     for _, outcome in compute_all(relocalize, searches, jobs=jobs):
         if isinstance(outcome, Death):
-            raise SimulationError(f"a process that searched ended with {outcome.exit_code}; try fewer jobs")
+            raise SimulationError(f"a search process exited with code {outcome.exit_code}; try fewer jobs")
         outcomes.append(outcome)
         if on_progress is not None:
             on_progress(len(outcomes) / len(searches))

@@ -102,7 +102,7 @@ def run_contest(
         on_progress: called with the fraction done, in [0, 1].
 
     Raises:
-        SimulationError: objects so sparse that hardly any path passes enough of them.
+        SimulationError: objects so sparse that too few paths pass enough of them.
         DescriptorError: a descriptor that does not exist.
     """
     for name in contest.proposers:  # what cannot be made is refused before anything is measured

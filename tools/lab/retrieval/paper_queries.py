@@ -66,7 +66,7 @@ def draw_queries(
     lengths = np.linalg.norm(np.diff(tour, axis=0), axis=1)
     along = np.append(0.0, np.cumsum(lengths))
     if not along[-1] > 0.0:
-        raise SimulationError("the trajectory has no length; queries are drawn along it")
+        raise SimulationError("the trajectory has no length; queries are sampled along it")
     queries = []
     for _ in range(count):
         at = rng.uniform(0.0, along[-1])

@@ -62,7 +62,7 @@ def draw_path_queries(
         scenario: the default one if None.
 
     Raises:
-        SimulationError: objects so sparse that hardly any path passes enough of them.
+        SimulationError: objects so sparse that too few paths pass enough of them.
     """
     scenario = scenario or Scenario()
     tree = cKDTree(objects.positions[:, :2])
@@ -79,7 +79,7 @@ def draw_path_queries(
         local = apply(invert(T_map_query), objects.positions[seen])
         drawn.append(PathQuery(_observe(local, objects.labels[seen], scenario, rng), T_map_query))
     raise SimulationError(
-        f"hardly any path passes {scenario.objects or MIN_OBJECTS} objects within "
+        f"too few paths pass {scenario.objects or MIN_OBJECTS} objects within "
         f"{Config().sensor_range_m:g} m; give a denser map"
     )
 

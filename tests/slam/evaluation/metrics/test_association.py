@@ -62,7 +62,7 @@ def test_merged_landmarks_count_for_the_one_they_became() -> None:
     merged = quality(*detections, aliases={"3": "2", "2": "1"})
     assert merged["landmark_count"] == 1
     assert merged["precision"] == 1.0
-    with pytest.raises(EvaluationError, match="circle"):
+    with pytest.raises(EvaluationError, match="into itself"):
         quality(*detections, aliases={"1": "2", "2": "1"})
 
 

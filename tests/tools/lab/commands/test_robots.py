@@ -57,6 +57,6 @@ def test_json_has_every_figure(dslam: Run, data: Path) -> None:
 
 
 def test_what_cannot_be_is_refused(dslam: Run, data: Path, tmp_path: Path) -> None:
-    assert_refused(dslam("benchmark", "robots", tmp_path / "nowhere"), "no drive in it")
+    assert_refused(dslam("benchmark", "robots", tmp_path / "nowhere"), "holds no drives")
     assert_refused(dslam("benchmark", "robots", data, "--drive", "goo"), "no drive 'goo'", "bad/one, good")
     assert_refused(dslam("benchmark", "robots", data, "--set", "keyframe.distance=1"), "distance_m")

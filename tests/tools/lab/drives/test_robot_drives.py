@@ -33,10 +33,10 @@ def test_a_folder_may_itself_be_a_drive(data: Path) -> None:
 def test_names_choose_drives_and_folders_of_drives(data: Path) -> None:
     assert [drive.name for drive in find_drives(data, ["a"])] == ["a/two"]
     assert [drive.name for drive in find_drives(data, ["b", "a/two"])] == ["a/two", "b"]
-    with pytest.raises(InputDataError, match="no drive 'a/t' in it; there are a/two, b"):
+    with pytest.raises(InputDataError, match="holds no drive 'a/t'; it holds a/two, b"):
         find_drives(data, ["a/t"])
 
 
 def test_a_folder_without_drives_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputDataError, match=r"no drive in it; expected folders with odometry\.tum"):
+    with pytest.raises(InputDataError, match=r"holds no drives; expected folders with odometry\.tum"):
         find_drives(tmp_path)
