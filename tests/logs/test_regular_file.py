@@ -81,7 +81,7 @@ def test_a_log_that_unpacks_to_far_more_than_any_is_not_unpacked(tmp_path: Path)
     path = tmp_path / "log.mcap.zstd"
     path.write_bytes(zstandard.compress(b"\0" * 10_000_000))
     assert max_unpacked_bytes(path.stat().st_size) < 1_000_000
-    with pytest.raises(UnreadableLogError, match=r"unpacks to more than 0 MB, the limit for a log; unpack it"):
+    with pytest.raises(UnreadableLogError, match=r"unpacks to more than 0 MB, more than a log; unpack it"):
         LogReader(path)
 
 

@@ -133,7 +133,7 @@ ROW = "stamp_s,label,x_m,y_m,z_m,score,diameter_m\n0,a,1,2,3,0.5,0.2\n"
         ("stamp_s,x,y,sigma_x\n0,1,2,.1\n", r"det\.csv: a covariance needs at least .*sigma_y_m"),
         ("stamp_s,x,y,cxx,cxy\n0,1,2,.1,0\n", r"det\.csv: a covariance needs at least cxx, cxy and cyy"),
         ("stamp_s,x,y,cxx,cxy,cyy\n0,1,2,1,0,1\n0,1,2,1,2,1\n", r"line 3, column cxx cxy cyy: not positive definite"),
-        ('{"stamp_s": 0, "x": 1,\n', r"det\.csv, line 1: not JSON .*one flat object a line"),
+        ('{"stamp_s": 0, "x": 1,\n', r"det\.csv, line 1: not JSON .*one flat object per line"),
         ('{"stamp_s": 0, "position": [1, 2, 3]}\n', r"line 1, column position: \[.* is neither a number nor a text"),
         ('{"stamp_s": 0, "x": 1, "y": 1}\n3\n', r"det\.csv, line 2: not an object"),
         ('[{"stamp_s": 0}]', r"det\.csv: a JSON array; write one object per line"),
