@@ -130,8 +130,8 @@ class Own:
         ("builtins:dict", "lacks name, radius_m, describe"),
         ("no/such.safetensors", "no such file"),
         ("descriptellation_paper", "called 'descriptellation'"),
-        ("sgnet", "it was removed; there are"),
-        ("rings", f"no descriptor 'rings'; there are {', '.join(DESCRIPTOR_NAMES)}"),
+        ("sgnet", "it was removed; choose one of"),
+        ("rings", f"unknown descriptor 'rings'; choose one of {', '.join(DESCRIPTOR_NAMES)}"),
     ],
 )
 def test_unknown_descriptor_is_refused_with_the_reason(name, message):

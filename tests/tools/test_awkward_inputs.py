@@ -164,7 +164,7 @@ MAPS = {
     "degrees called metres": (PLACES.replace("lat,lon", "x_m,y_m"), (), 2, "call the columns lat and lon"),
     "latitude and longitude swapped": (PLACES.replace("60.1", "160.1"), (), 2, "are swapped"),
     "a national grid": (GRID, ("--origin", "60,24"), 2, "national grid"),
-    "three objects": (MAP.rpartition("6,8")[0], (), 2, "needs four at least"),
+    "three objects": (MAP.rpartition("6,8")[0], (), 2, "needs at least four"),
     "an id twice": (MAP.replace("label", "id").replace("pole", "tree"), (), 2, "is taken by an earlier line"),
 }
 
