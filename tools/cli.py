@@ -45,7 +45,6 @@ _COMMANDS = {
     "live": "live:live",
     "relocalize": "relocalize:relocalize",
     "fleet": "fleet:app",
-    "map": "maps.commands:app",
     "evaluate": "evaluation.evaluate:evaluate",
     "compare": "evaluation.compare:compare",
     "sweep": "evaluation.sweep:sweep",

@@ -16,8 +16,6 @@ from logs.container.json_text import parse_json
 from slam.common.arrays import FloatArray
 from slam.common.errors import GeometryError
 
-_BASELINE_M = 100.0
-"""Over that length the heading of one frame in another is taken."""
 _ITERATIONS = 5
 """Each brings the point nearer to the ellipsoid by a factor of about 1e-3 at 100 km."""
 
@@ -56,15 +54,6 @@ class Georeference:
                 c * x - s * y, s * x + c * y, up, self.latitude_deg, self.longitude_deg, 0.0
             )
         return np.column_stack([latitude, longitude, positions[:, 2] + self.altitude_m])
-
-    def T_map_other(self, other: Georeference) -> FloatArray:
-        """``T_map_other`` (4, 4): where the frame of another georeference lies in this one, both upright."""
-        from slam.common.geometry import transform_from_xyz_yaw
-
-        ends = np.array([[0.0, 0.0, 0.0], [_BASELINE_M, 0.0, 0.0]])
-        origin, ahead = self.to_map(other.to_geodetic(ends))
-        along = ahead - origin
-        return transform_from_xyz_yaw(origin, float(np.arctan2(along[1], along[0])))
 
     def to_json(self) -> str:
         """As it stands in the metadata of maps and logs."""

@@ -46,11 +46,6 @@ def stretch_length_m(config: Config) -> float:
     return SUBMAP_RANGES * config.sensor_range_m / STRETCHES_A_SUBMAP
 
 
-def place_rows(saved: SavedMap, *, stretch_m: float) -> IntArray:
-    """Rows (S,) of the keyframes that :func:`condense_map` makes places."""
-    return _stretches(saved.graph, stretch_m).middles
-
-
 def condense_map(saved: SavedMap, *, stretch_m: float) -> SavedMap:
     """The same landmarks, observed from a place in each stretch of ``stretch_m`` of travel.
 

@@ -66,8 +66,8 @@ _COMMANDS: dict[str, tuple[float, str]] = {
     "maps": (1, """
         info ?map --json
         view ?map --save out.rrd
-        map merge =map@other.mcap ?map -o out.mcap
-        map merge ?map =map@other.mcap -o out.mcap"""),
+        export ?map --csv a.csv
+        replay =drive --map ?map -o out.mcap --save-map saved.mcap"""),
     "several": (0.7, """
         compare =mapped@other.mcap ?mapped --json
         compare =mapped@other.mcap ?mapped --table out.html

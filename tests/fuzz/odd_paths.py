@@ -26,7 +26,6 @@ evaluate mapped.mcap --reference trajectory.kitti --times ODD
 compare mapped.mcap ODD
 export ODD --tum out.txt
 degrade ODD -o out.mcap --fault dropout=0.1
-map merge map.mcap ODD -o out.mcap
 import csv out.mcap --odometry ODD --detections detections.csv
 import csv out.mcap --odometry trajectory.tum --detections ODD
 import map out.mcap --file ODD
@@ -48,7 +47,6 @@ export mapped.mcap --tum ODD
 export mapped.mcap --csv ODD
 export mapped.mcap --ros2-bag ODD
 degrade drive.mcap --fault dropout=0.1 -o ODD
-map merge map.mcap map.mcap -o ODD
 import csv ODD --odometry trajectory.tum --detections detections.csv
 """.strip().splitlines()
 

@@ -18,7 +18,7 @@ _IMPORTED = ("slam.replay", "slam.evaluation.evaluate", "slam.evaluation.page.pa
              "slam.simulation.faults.faulty_log", "logs.importers.text_log", "logs.importers.detection_tables",
              "osmium",
              "logs.importers.maps.osm", "slam.map_joining.joint_map", "slam.evaluation.comparison",
-             "slam.sweeps.sweep", "slam.localization.imported_map_editing", "slam.evaluation.report.tables",
+             "slam.sweeps.sweep", "slam.evaluation.report.tables",
              "tools.evaluation.evaluate", "tools.evaluation.compare", "logs.clouds.map_of_cloud",
              "logs.clouds.semantic_kitti", "multiprocessing.pool", "encodings.idna", "_strptime")  # fmt: skip
 

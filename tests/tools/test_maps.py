@@ -163,32 +163,6 @@ class TestReplay:
         assert not target.exists()
 
 
-class TestMap:
-    def test_merged_map_has_all_drives(self, dslam: Run, folder: Path, town: Path, tmp_path: Path) -> None:
-        monday, tuesday = town, tmp_path / "tuesday.mcap"
-        assert dslam("replay", folder / "second.mcap", "-o", tmp_path / "o.mcap", "--save-map", tuesday).code == 0
-        merged = tmp_path / "merged.mcap"
-        result = dslam("map", "merge", monday, tuesday, "-o", merged)
-        assert result.code == 0
-        assert re.search(r"\d+ places recognised \d+ landmarks in more than one map", " ".join(result.out.split()))
-        told = json.loads(dslam("info", merged, "--json").out)["map"]
-        assert len(told["drives"]) == 2
-        assert told["landmark_count"] <= 1.05 * json.loads(dslam("info", monday, "--json").out)["map"]["landmark_count"]
-        assert "keyframes" in dslam("info", merged).out
-        found = dslam("relocalize", folder / "second.mcap", "--map", merged, "-o", tmp_path / "found.mcap", "--json")
-        assert json.loads(found.out)["found"] is True
-
-    def test_what_shares_no_place_is_not_merged(self, dslam: Run, folder: Path, town: Path, tmp_path: Path) -> None:
-        other = tmp_path / "other.mcap"
-        assert dslam("replay", folder / "other.mcap", "-o", tmp_path / "o.mcap", "--save-map", other).code == 0
-        result = dslam("map", "merge", town, other, "-o", tmp_path / "both.mcap")
-        assert_refused(result, "no place of", "is recognised", "not all maps are georeferenced")
-        assert not (tmp_path / "both.mcap").exists()
-
-    def test_one_map_is_not_merged(self, dslam: Run, town: Path, tmp_path: Path) -> None:
-        assert_refused(dslam("map", "merge", town, "-o", tmp_path / "m.mcap"), "give at least two maps")
-
-
 class TestKinds:
     @pytest.mark.parametrize("kind", ["saved", "imported"])
     def test_every_kind_is_viewed_and_exported(self, dslam: Run, town: Path, tmp_path: Path, kind: str) -> None:
