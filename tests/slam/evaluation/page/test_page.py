@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+import shutil
 from dataclasses import replace
 from html import unescape
 from pathlib import Path
@@ -33,7 +33,6 @@ from slam.evaluation.page.charts import draw_calibration
 from slam.evaluation.page.page import compose_page, write_report
 from slam.evaluation.page.traces import label, thin
 from slam.evaluation.report.picture import compose_picture
-from tests.slam.evaluation.browser import Browser, needs_chromium, open_browser
 from tests.slam.evaluation.loops import closure, there_and_back
 from tests.slam.evaluation.maps import object_map
 from tests.slam.evaluation.results import graph
@@ -41,6 +40,7 @@ from tests.slam.evaluation.results import graph
 HOSTILE = '</script><b>O\'Brien & "sons"\n%{x}'
 PATHS = (TrajectoryRecord, SlamPose, Odometry, GroundTruthPose)
 CHARTS = ("trajectory", "objects", "precision-recall", "error")
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 _CHART = re.compile(r'Plotly\.newPlot\(\s*"chart-([\w-]+)",\s*(\[.*?\]),\s*(\{.*?\}),\s*\{"displaylogo"', re.DOTALL)
 
 
@@ -261,38 +261,36 @@ def test_robot_without_first_fix_is_not_marked_as_lost() -> None:
     assert (evaluation.results["relocalization"]["loss_count"], len(picture.lost), len(picture.found)) == (2, 1, 2)
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with open_browser(tmp_path_factory.mktemp("profile")) as started:
-        yield started
-
-
-@pytest.fixture(scope="module")
-def file(page: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("report") / "report.html"
-    path.write_text(page, encoding="utf-8")
-    return path
-
-
-@needs_chromium
+@pytest.mark.skipif(not CHROMIUM or not DRIVER, reason="needs chromium and chromedriver (Debian: chromium-driver)")
 @pytest.mark.slow
 @pytest.mark.parametrize("width_px", [390, 1280])
-def test_browser_draws_the_page(browser: Browser, file: Path, width_px: int) -> None:
-    browser.console()
-    browser.requests()
-    browser.open(file, width_px=width_px, dark=width_px == 390)
-    assert browser.console() == []
-    assert set(browser.requests()) == {file.as_uri()}
-    assert browser.run("return document.documentElement.scrollWidth") == width_px
-    drawn = browser.run(
-        "return [...document.querySelectorAll('.js-plotly-plot')]"
-        ".filter(c => c.querySelectorAll('svg .scatterlayer .trace').length).map(c => c.id)"
-    )
-    assert {name.removeprefix("chart-") for name in drawn} == set(CHARTS)
-    buttons = browser.run("return [...document.querySelectorAll('.modebar-btn')].map(b => b.dataset.title)")
-    assert not [title for title in buttons if "Share" in title or "Cloud" in title or "link" in title.lower()]
-    x, y = browser.run(
-        "const l = document.getElementById('chart-trajectory')._fullLayout;"
-        "return ['xaxis', 'yaxis'].map(a => l[a]._length / (l[a].range[1] - l[a].range[0]))"
-    )
-    assert x == pytest.approx(y, rel=1e-3)
+def test_browser_draws_the_page(page: str, tmp_path: Path, width_px: int) -> None:
+    from selenium import webdriver
+    from selenium.webdriver.chrome.service import Service
+
+    file = tmp_path / "report.html"
+    file.write_text(page, encoding="utf-8")
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM or ""
+    for flag in ("headless=new", "no-sandbox", "disable-gpu", "disable-dev-shm-usage", "hide-scrollbars"):
+        options.add_argument(f"--{flag}")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    with webdriver.Chrome(options=options, service=Service(DRIVER)) as browser:
+        metrics = {"width": width_px, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        browser.get(file.as_uri())
+        assert browser.execute_script("return document.documentElement.dataset.charts") == "drawn"
+        assert browser.get_log("browser") == []
+        events = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+        asked = {e["params"]["request"]["url"] for e in events if e["method"] == "Network.requestWillBeSent"}
+        assert {url for url in asked if not url.startswith(("data:", "blob:", "chrome"))} == {file.as_uri()}
+        assert browser.execute_script("return document.documentElement.scrollWidth") == width_px
+        drawn = browser.execute_script(
+            "return [...document.querySelectorAll('.js-plotly-plot')]"
+            ".filter(c => c.querySelectorAll('svg .scatterlayer .trace').length).map(c => c.id)"
+        )
+        assert {name.removeprefix("chart-") for name in drawn} == set(CHARTS)
+        buttons = browser.execute_script(
+            "return [...document.querySelectorAll('.modebar-btn')].map(b => b.dataset.title)"
+        )
+        assert not [title for title in buttons if "Share" in title or "Cloud" in title or "link" in title.lower()]
