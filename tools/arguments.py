@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from slam.common.georeference import Georeference
 
 InputLog = Annotated[
     Path, typer.Argument(metavar="LOG", help="MCAP file, or rosbag2 folder or file.", show_default=False)
@@ -64,6 +68,22 @@ def parse_topics(pairs: Sequence[str] | None) -> dict[str, str]:
             raise typer.BadParameter(f"{pair!r} is not KIND=/TOPIC, for example odometry=/odom.", param_hint="--topic")
         topics[kind] = f"{topics[kind]},{topic}" if kind in topics else topic
     return topics
+
+
+def parse_origin(text: str) -> Georeference:
+    """The place on earth that "LAT,LON[,ALT[,YAW]]" names, degrees and metres."""
+    from slam.common.georeference import Georeference
+
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        numbers = []
+    if not (2 <= len(numbers) <= 4 and all(map(math.isfinite, numbers))):
+        raise typer.BadParameter(
+            f"{text!r} is not LAT,LON[,ALT[,YAW]], for example 60.17,24.94.", param_hint="--origin"
+        )
+    latitude, longitude, altitude_m, yaw_deg = [*numbers, 0.0, 0.0][:4]
+    return Georeference(latitude, longitude, altitude_m, math.radians(yaw_deg))
 
 
 def check_outputs(outputs: Sequence[Path | None], inputs: Sequence[Path | None] = ()) -> None:

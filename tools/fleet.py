@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tools.arguments import ConfigFile, Json, Settings
+from tools.arguments import ConfigFile, Json, Settings, parse_origin
 from tools.evaluation.output import Findings, report
 
 if TYPE_CHECKING:
@@ -67,13 +67,12 @@ def add(
     from slam.fleet.logs import add_logs, find_logs
     from slam.fleet.report import fleet_report, write_report
     from slam.fleet.tasks import compute_in_processes
-    from tools.importers.maps import parse_origin
 
     requirements = [parse_requirement(text) for text in require or ()]
     if city.suffix and not city.is_dir():
         raise typer.BadParameter("name the folder of the city before the logs.", param_hint="CITY")
     config = load_config(config_file, settings or ())
-    georeference = parse_origin(origin)
+    georeference = None if origin is None else parse_origin(origin)
     city.mkdir(parents=True, exist_ok=True)
     members = add_logs(city, find_logs(logs or []), only=only)
     compute = partial(compute_in_processes, workers=workers or os.cpu_count() or 1)

@@ -156,17 +156,14 @@ def _class_counts(name: str, line: int, text: str) -> list[int]:
 
 def _scan_names(path: Path, files: Mapping[str, bytes], folder: PurePosixPath, scan_count: int) -> list[str]:
     """Name of the file of each scan."""
-    by_scan: dict[int, str] = {}
-    for name in sorted(files):
-        member = PurePosixPath(name)
-        if member.parent == folder / "centroids":
-            index = int(member.stem)
-            if index in by_scan:
-                raise DatasetError(f"{path}: scan {index}: both {by_scan[index]} and {name} hold it")
-            by_scan[index] = name
-    missing = [index for index in range(scan_count) if index not in by_scan]
-    extra = sorted(index for index in by_scan if index >= scan_count)
-    if missing or extra:
-        fault = f"scan {missing[0]} has no file" if missing else f"scan {extra[0]} is not counted in bow.txt"
-        raise DatasetError(f"{path}: bow.txt counts {scan_count} scans, centroids holds {len(by_scan)}; {fault}")
-    return [by_scan[index] for index in range(scan_count)]
+    members = [PurePosixPath(name) for name in sorted(files)]
+    numbered = sorted((int(each.stem), str(each)) for each in members if each.parent == folder / "centroids")
+    numbers = [number for number, _ in numbered]
+    if numbers != list(range(scan_count)):
+        twice = [number for number in numbers if numbers.count(number) > 1]
+        wrong = min([*twice, *({*numbers} ^ {*range(scan_count)})])
+        raise DatasetError(
+            f"{path}: bow.txt counts {scan_count} scans, centroids holds {len(numbers)} files; scan {wrong} has "
+            "not one line and one file"
+        )
+    return [name for _, name in numbered]

@@ -27,10 +27,6 @@ class UnionFind:
             item = parent
         return item
 
-    def is_dropped(self, item: int) -> bool:
-        """Whether another item stands for this one."""
-        return item in self._parent
-
     def merge(self, kept: int, dropped: int) -> bool:
         """Make one set of those of two items, represented by the representative of ``kept``.
 

@@ -55,17 +55,6 @@ class TestLandmarks:
         positions = np.array([[float(row[f"{axis}_m"]) for axis in "xyz"] for row in rows])
         np.testing.assert_array_equal(positions, objects.positions)
 
-    def test_places_on_earth(self, dslam: Run, mapped: Path, records: EvaluationRecords, tmp_path: Path) -> None:
-        assert dslam("export", mapped, "--geojson", tmp_path / "l.json", "--origin", ORIGIN).code == 0
-        features = json.loads((tmp_path / "l.json").read_text())["features"]
-        found = np.array([feature["geometry"]["coordinates"] for feature in features])
-        objects = confirmed(records.object_map)
-        expected = Georeference(60.1699, 24.9384, 12.5, np.deg2rad(30.0)).to_geodetic(objects.positions)
-        np.testing.assert_allclose(found[:, [1, 0]], expected[:, :2], rtol=0, atol=1e-6)
-        # Some metres from the origin the earth is flat, and a degree of latitude is 111.4 km at 60 degrees.
-        north_m = np.sin(np.deg2rad(30)) * objects.positions[:, 0] + np.cos(np.deg2rad(30)) * objects.positions[:, 1]
-        np.testing.assert_allclose(found[:, 1], 60.1699 + north_m / 111.415e3, rtol=0, atol=1e-6)
-
     def test_geopandas_reads_exported_places(
         self, dslam: Run, mapped: Path, records: EvaluationRecords, tmp_path: Path
     ) -> None:

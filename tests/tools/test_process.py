@@ -39,19 +39,6 @@ def odd_names(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_starts_beside_packages_of_the_names_of_our_folders(tmp_path: Path) -> None:
-    """Whatever else PYTHONPATH holds, and from any folder."""
-    for name in ("tools", "logs", "slam", "descriptors"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "__init__.py").write_text("raise ImportError('not this one')\n", encoding="utf-8")
-    command = [sys.executable, "-m", "dslam", "info", str(SAMPLE)]
-    # The checkout comes last, as it does where an editable install put it.
-    variables = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
-    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, env=variables)
-    assert (result.returncode, result.stderr) == (0, "")
-    assert "replay uses" in result.stdout
-
-
 class TestNames:
     def test_are_shown_as_they_stand(self, dslam: Run, odd_names: Path) -> None:
         result = dslam("info", odd_names)

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools.arguments import Json, check_outputs
+from tools.arguments import Json, check_outputs, parse_origin
 
 if TYPE_CHECKING:
     from logs.importers.maps.map_objects import MapObjects
-    from slam.common.georeference import Georeference
 
 NewMap = Annotated[Path, typer.Argument(metavar="MAP.mcap", help="The map to write.", show_default=False)]
 Origin = Annotated[
@@ -103,7 +102,7 @@ def make_map(
 
     if label is not None:
         objects = objects.relabelled(label)
-    imported = import_map(objects, sigma_m=sigma_m, origin=parse_origin(origin))
+    imported = import_map(objects, sigma_m=sigma_m, origin=None if origin is None else parse_origin(origin))
     save_imported_map(output, imported)
     counts = Counter(objects.labels).most_common()
     georeference = imported.georeference
@@ -134,18 +133,3 @@ def make_map(
         *(f"  {name}: {value}" for name, value in (more or {}).items()),
         *(f"  note: {note}" for note in objects.notes),
     )
-
-
-def parse_origin(origin: str | None) -> Georeference | None:
-    """Latitude and longitude of "LAT,LON"; None where nothing was said."""
-    from slam.common.georeference import Georeference
-
-    if origin is None:
-        return None
-    try:
-        latitude, longitude = (float(part) for part in origin.split(","))
-    except ValueError as error:
-        raise typer.BadParameter(
-            f"{origin!r} is not LAT,LON, for example 60.17,24.94.", param_hint="--origin"
-        ) from error
-    return Georeference(latitude, longitude)

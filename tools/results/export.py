@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tools.arguments import check_outputs
+from tools.arguments import check_outputs, parse_origin
 
 if TYPE_CHECKING:
     from logs.messages import FactorGraphRecord, ObjectMapRecord, TrajectoryRecord
@@ -153,7 +153,7 @@ class _Source:
         from slam.common.georeference import Georeference
 
         if self._origin is not None:
-            return _parse_origin(self._origin)
+            return parse_origin(self._origin)
         for values in self._metadata.values():
             if "georeference" in values:
                 return Georeference.from_json(values["georeference"])
@@ -173,18 +173,3 @@ class _Source:
         return InputDataError(
             f"{self._log} has no final trajectory, map and graph; give one that 'dslam replay' finished"
         )
-
-
-def _parse_origin(text: str) -> Georeference:
-    import math
-
-    from slam.common.georeference import Georeference
-
-    try:
-        numbers = [float(word) for word in text.split(",")]
-    except ValueError:
-        numbers = []
-    if not (2 <= len(numbers) <= 4 and all(map(math.isfinite, numbers))):
-        raise typer.BadParameter(f"{text!r} is not LAT,LON, LAT,LON,ALT or LAT,LON,ALT,YAW.")
-    latitude, longitude, altitude_m, yaw_deg = [*numbers, *([0.0] * (4 - len(numbers)))]
-    return Georeference(latitude, longitude, altitude_m, math.radians(yaw_deg))
