@@ -16,7 +16,7 @@ help:
 	@echo 'make test     lint, types and all tests'
 	@echo 'make bench-check  the headline figures against their bands, in docs/results/drives.md (minutes; needs ../shared/data)'
 	@echo 'make lint     only ruff and mypy'
-	@echo 'make ci       lint, types, all tests, 2,000 mutated files of seed 0 (2 min at most), audit'
+	@echo 'make ci       lint, types, all tests, 2,000 mutated files of seed 0 (2 min at most), audit, figures out of date'
 	@echo 'make audit    known weaknesses of the dependencies; skipped where the database cannot be reached'
 	@echo 'make wheel    the wheel, and the list of what is installed with it (SBOM, CycloneDX), in dist'
 	@echo 'make mutants  break the estimator in N=60 random places of SEED=0: do the fast tests notice?'
@@ -105,6 +105,7 @@ soak: $(DEVELOPED)
 # The same each time; other files by `make fuzz SEED=...`.
 ci: test audit
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz --count 2000 --minutes 2 --seed 0
+	OMP_NUM_THREADS=1 $(BIN)/python docs/run_results.py --stale
 
 # Tools of their own environment: their dependencies are not ours.
 AUDIT := build/audit

@@ -3,6 +3,10 @@
 A block of commands is followed by ``<!-- output of NAME -->`` and ``<!-- end -->``; between these marks stand the
 version, the date and what the commands print. ``README.md`` beside the pages lists the main figures, which are read
 from these blocks. A block that was run before with the same commands is not run again, unless it is named.
+
+The block ``demo`` tells whether the estimator has changed: it keeps its date while its figures stay the same, within
+5 %, and then the date of the change before. ``--stale`` fails if its figures are others than recorded, or if a block
+is older than the change before the last one. Its output stands in the quick start, too.
 """
 
 from __future__ import annotations
@@ -20,12 +24,15 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "docs" / "results"
+QUICK_START = ROOT / "docs" / "quick_start.md"
+DEMO, TOLERANCE = "demo", 0.05
 FIRST = "drives"
 """The page whose logs other pages use."""
 _BLOCK = re.compile(
     r"^```\n(?P<commands>(?:(?!```)[^\n]*\n)+)```\n\n<!-- output of (?P<name>\S+) -->\n(?P<output>.*?)<!-- end -->",
     re.DOTALL | re.MULTILINE,
 )
+_DATE, _NUMBER = re.compile(r"\d{4}-\d\d-\d\d"), re.compile(r"\d+(?:\.\d+)?")
 _TABLE = re.compile(r"(?<=<!-- figures -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
@@ -108,14 +115,47 @@ def run(block: Block, folder: Path, data: Path) -> str | None:
 
 def write_output(block: Block, printed: str) -> None:
     """Put what was printed below the commands, with version and date; tables in Markdown stay as they are."""
-    date, printed = datetime.now(tz=UTC).date(), printed.strip()
+    date, printed = f"{datetime.now(tz=UTC).date()}", printed.strip()
+    if block.name == DEMO and block.output:
+        last, *earlier = _DATE.findall(block.output.splitlines()[0])
+        date = f"{date}, before {last}" if have_changed(block.output, printed) else ", before ".join([last, *earlier])
     shown = printed if "\n| ---" in printed else f"```text\n{printed}\n```"
     head = f"Version {version('descriptellation-slam')}, {date}:\n\n"
-    text = block.page.read_text(encoding="utf-8")
     begin = f"<!-- output of {block.name} -->\n"
-    before, _, rest = text.partition(begin)
-    after = rest[rest.index("<!-- end -->") :]
-    block.page.write_text(f"{before}{begin}{head}{shown}\n{after}", encoding="utf-8")
+    for page in (block.page, QUICK_START):
+        before, mark, rest = page.read_text(encoding="utf-8").partition(begin)
+        if mark:
+            after = rest[rest.index("<!-- end -->") :]
+            page.write_text(f"{before}{begin}{head}{shown}\n{after}", encoding="utf-8")
+
+
+def have_changed(recorded: str, printed: str) -> bool:
+    """Whether the figures that are printed differ from those of a recorded output."""
+    old, new = (
+        [float(figure) for figure in _NUMBER.findall(text)] for text in (recorded.partition("```text\n")[2], printed)
+    )
+    return len(old) != len(new) or any(abs(a - b) > TOLERANCE * max(a, b) for a, b in zip(old, new, strict=True))
+
+
+def stale_blocks(blocks: Sequence[Block]) -> list[str]:
+    """Names of the blocks that were run before the last change but one of the figures of the demo."""
+    demo = next(block for block in blocks if block.name == DEMO)
+    change = _DATE.findall(demo.output.splitlines()[0])[-1]
+    return [block.name for block in blocks if block.output and _DATE.findall(block.output)[0] < change]
+
+
+def report_stale(folder: Path, data: Path) -> int:
+    """Run the demo and print what is out of date; 1 if anything is."""
+    blocks = all_blocks()
+    demo = next(block for block in blocks if block.name == DEMO)
+    printed = run(demo, folder, data)
+    if printed is None or have_changed(demo.output, printed):
+        print(f"the figures of the demo have changed; run {DEMO} and the blocks that this concerns again:\n{printed}")
+        return 1
+    stale = stale_blocks(blocks)
+    if stale:
+        print(f"older than the change of the estimator before the last one: {', '.join(stale)}; run them again")
+    return int(bool(stale))
 
 
 def figure_rows(outputs: Mapping[str, Block]) -> Iterator[str]:
@@ -150,12 +190,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", help="blocks to run, also those run before; all that were not, by default")
     parser.add_argument("--list", action="store_true", help="print the commands instead")
+    parser.add_argument("--stale", action="store_true", help="run the demo, and fail if outputs are out of date")
     parser.add_argument("--check", action="store_true", help="print the output, and leave the pages as they are")
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data", help="the folder $D")
     chosen = parser.parse_args(arguments)
     blocks = [each for each in all_blocks() if each.name in chosen.names or not (chosen.names or each.output)]
     folder = ROOT / "out" / "results"
     folder.mkdir(parents=True, exist_ok=True)
+    if chosen.stale:
+        return report_stale(folder, chosen.data.resolve())
     failed = []
     for block in blocks:
         print(f"# {block.name}\n{block.commands}", flush=True)

@@ -151,6 +151,33 @@ def test_results_stand_below_the_commands_that_print_them(results: dict[str, Any
     assert results["run"](replace(block, commands="false\n"), tmp_path, tmp_path) is None
 
 
+def test_outputs_older_than_the_change_before_the_last_are_stale(results: dict[str, Any], tmp_path: Path) -> None:
+    figures = "ATE 0.086 m, 441 landmarks"
+    head = "Version 0.1.0, 2026-05-01, before 2026-03-01:\n\n"
+    demo = results["Block"](tmp_path, "demo", "", f"{head}```text\n{figures}\n```\n")
+    blocks = [
+        results["Block"](tmp_path, date, "", f"Version 0.1.0, {date}:\n") for date in ("2026-02-28", "2026-03-02")
+    ]
+    assert results["stale_blocks"]([*blocks, demo]) == ["2026-02-28"]
+    assert not results["have_changed"](demo.output, figures.replace("441", "445"))
+    assert results["have_changed"](demo.output, figures.replace("0.086", "0.186"))
+
+
+def test_the_demo_keeps_its_date_until_its_figures_change(results: dict[str, Any], tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("```\necho\n```\n\n<!-- output of demo -->\n<!-- end -->\n", encoding="utf-8")
+    results["write_output"].__globals__["QUICK_START"] = page
+    written = []
+    for printed in ("ATE 1.0 m", "ATE 1.01 m", "ATE 2.0 m"):
+        (block,) = results["read_blocks"](page)
+        earlier = re.sub(r"[\d-]{10}", "2026-01-01", block.output)
+        results["write_output"](replace(block, output=earlier), printed)
+        written.append(page.read_text(encoding="utf-8"))
+    assert "2026-01-01" not in written[0]
+    assert "Version 0.1.0, 2026-01-01:" in written[1]
+    assert ", before 2026-01-01:" in written[2]
+
+
 def test_summary_of_results_holds_the_figures_of_the_pages() -> None:
     results = runpy.run_path(str(ROOT / "docs" / "run_results.py"))
     blocks = {block.name: block for block in results["all_blocks"]()}

@@ -78,7 +78,7 @@ def csv(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Text files: poses of the odometry, a table of detections, true poses. Files may be packed by gzip.
+    """Text files: poses of the odometry, a table of detections, true poses. Files may be compressed with gzip.
 
     Columns of detections: stamp_s, x_m, y_m, and where known z_m, label, score, sigma_x_m ... or cxx ..., diameter_m,
     track_id, frame, object_id (the truth). Other columns are listed and ignored.
