@@ -117,7 +117,7 @@ def select_topics(
         kind = _kind(name)
         chosen[kind] = [_overridden(there, kind, each.strip(), mappings) for each in topic.split(",")]
         if len(chosen[kind]) > 1 and kind == RecordKind.ODOMETRY:
-            raise TopicSelectionError(f"--topic {kind}={topic}: a robot has one odometry; name one topic")
+            raise TopicSelectionError(f"--topic {kind}={topic}: the odometry is a single topic; name one")
     for kind in _SCHEMAS:
         if kind not in chosen:
             chosen[kind] = _strongest(there, inputs, kind, is_needed=kind in needed)

@@ -68,5 +68,5 @@ def _file_names(content: Any) -> list[str]:
     information = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None
     names = information.get(_LIST) if isinstance(information, dict) else None
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise ValueError(f"no list {_LIST} of texts")
+        raise ValueError(f"{_LIST} is not a list of strings")
     return names

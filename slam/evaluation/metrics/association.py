@@ -68,7 +68,7 @@ def label_detections(
         if not len(object_ids) == len(frame.landmark_ids) == len(frame.created):
             raise EvaluationError(
                 f"the frame at {frame.stamp_ns} ns has {len(frame.landmark_ids)} landmark ids, {len(frame.created)} "
-                f"flags and {len(object_ids)} true ids; the truth is not of this log"
+                f"flags and {len(object_ids)} true ids; the ground truth belongs to another log"
             )
         landmark_ids = (surviving.get(name, name) for name in frame.landmark_ids)
         created = (bool(each) for each in frame.created)

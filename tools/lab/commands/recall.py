@@ -68,7 +68,7 @@ def recall(
         ),
     ] = None,
     markdown: Annotated[
-        bool, typer.Option("--markdown", help="Print tables in Markdown, with all that is in the folder.")
+        bool, typer.Option("--markdown", help="Print all measurements in the folder as tables in Markdown.")
     ] = False,
     json: Json = False,
 ) -> None:
