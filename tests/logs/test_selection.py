@@ -122,7 +122,7 @@ def test_several_topics_can_be_the_detections_but_one_the_odometry():
     with pytest.raises(TopicSelectionError, match="or use all: --topic detections=/left,/right"):
         select_topics(there)
     assert select_topics(there, {"detections": "/left, /right"}).topics_of("detections") == ("/left", "/right")
-    with pytest.raises(TopicSelectionError, match="one odometry"):
+    with pytest.raises(TopicSelectionError, match="the odometry is a single topic"):
         select_topics([*there, topic("/wheels", ODOMETRY)], {"odometry": "/odom,/wheels"})
 
 
