@@ -9,13 +9,13 @@ of a constellation in all maps but the smallest, so all constellations are compl
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
+from pydantic import ConfigDict
+from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, config=ConfigDict(extra="forbid"))
 class DescriptellationArchitecture:
     """Sizes of the network; ``length``: numbers of the descriptor, ``radius_m``: how far neighbours count."""
 

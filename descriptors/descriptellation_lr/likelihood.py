@@ -20,8 +20,8 @@ from descriptors.descriptellation_lr.rings import (
     neighbour_features,
     ring_features,
 )
-from descriptors.errors import DescriptorError, WeightsError
-from descriptors.learned.weights import check_tensors, make_architecture, read_weights
+from descriptors.errors import WeightsError
+from descriptors.learned.weights import make_architecture, read_weights
 
 MAX_NATS = 6.0
 """Most of one neighbour: what a byte of the index holds above ``min_nats``, 8 nats from -2 on."""
@@ -117,16 +117,16 @@ class LearnedLikelihood:
 def _load(path: Path) -> tuple[dict[str, NDArray[Any]], DescriptellationLRArchitecture]:
     """Tensors of a file, and the architecture that they fit."""
     weights = read_weights(path)
-    try:
-        architecture = make_architecture(DescriptellationLRArchitecture, weights.architecture)
-    except DescriptorError as error:
-        raise WeightsError(f"{path}: {error}") from error
+    architecture = make_architecture(path, DescriptellationLRArchitecture, weights.architecture)
     hidden, of_rings, kernels = architecture.hidden, architecture.ring_hidden, len(architecture.widths_m)
     shapes = {"gate.0.weight": (hidden, FEATURES), "gate.0.bias": (hidden,), "gate.2.weight": (kernels, hidden),
               "gate.2.bias": (kernels,), "log_width": (kernels + 1,), "log_growth": (kernels + 1,),
               "ring.0.weight": (of_rings, 2), "ring.0.bias": (of_rings,), "ring.2.weight": (2, of_rings),
               "ring.2.bias": (2,)}  # fmt: skip
-    check_tensors(path, weights, {name: (shape, "float32") for name, shape in shapes.items()})
+    found = {name: tensor.shape for name, tensor in weights.tensors.items() if tensor.dtype == np.float32}
+    wrong = sorted(name for name in {*weights.tensors, *shapes} if found.get(name) != shapes.get(name))
+    if wrong:
+        raise WeightsError(f"{path}: tensors that do not fit the architecture: {', '.join(wrong)}")
     if not all(np.isfinite(tensor).all() for tensor in weights.tensors.values()):
         raise WeightsError(f"{path}: a tensor is not finite; get it again")
     least_m = architecture.radius_m / MAX_RINGS

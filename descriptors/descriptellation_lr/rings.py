@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+from pydantic import ConfigDict
+from pydantic.dataclasses import dataclass
 
 from descriptors.constellation import Constellations
 
@@ -25,7 +25,7 @@ SHARED = 0.5
 """Share of the background that all classes have in common: half, as nothing is known of how much they differ."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, config=ConfigDict(extra="forbid"))
 class DescriptellationLRArchitecture:
     """Sizes of the likelihood. ``widths_m`` and ``widths_per_m``: of the kernels before training, at distance 0 and how
     they grow with it; ``level_width_m``, ``level_width_per_m``: of the kernel that measures how crowded an object is;

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import ConfigDict
+from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
 from descriptors.constellation import Constellations
 from descriptors.descriptellation.network import Descriptellation, DescriptellationArchitecture
 from descriptors.errors import DescriptorError, WeightsError
-from descriptors.learned.weights import Weights, check_tensors, make_architecture, read_weights
+from descriptors.learned.weights import Weights, make_architecture, read_weights
 from descriptors.own_class import is_own_class, make_own
 
 BATCH = 256
 """Constellations that are described at a time."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, config=ConfigDict(extra="forbid"))
 class OwnArchitecture:
     """A module of a user's own, ``name`` as ``file:Class``, with the ``length`` of its vectors."""
 
@@ -70,16 +71,14 @@ def load_network(path: Path) -> tuple[nn.Module, Weights]:
         WeightsError: no such file, or one that is damaged or at odds with its architecture.
     """
     weights = read_weights(path)
-    try:
-        architecture = make_architecture(_kind(weights.architecture.get("name")), weights.architecture)
-    except DescriptorError as error:
-        raise WeightsError(f"{path}: {error}") from error
-    with torch.device("meta"):  # shapes alone: neither memory nor random numbers for weights to be replaced
-        network = make_network(architecture)
-    expected = {name: (tuple(t.shape), str(t.dtype).removeprefix("torch.")) for name, t in network.state_dict().items()}
-    check_tensors(path, weights, expected)
     tensors = {name: torch.from_numpy(tensor.copy()) for name, tensor in weights.tensors.items()}
-    network.load_state_dict(tensors, assign=True)
+    try:
+        architecture = make_architecture(path, _kind(weights.architecture.get("name")), weights.architecture)
+        with torch.device("meta"):  # neither memory nor random numbers for weights to be replaced
+            network = make_network(architecture)
+        network.to_empty(device="cpu").load_state_dict(tensors)
+    except (DescriptorError, RuntimeError) as error:
+        raise WeightsError(f"{path}: {' '.join(str(error).split())}") from error
     return network.eval(), weights
 
 

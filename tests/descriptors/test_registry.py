@@ -128,7 +128,7 @@ class Own:
         ("no_such_module:Own", "ModuleNotFoundError"),
         ("tests.descriptors.test_registry:Other", "AttributeError"),
         ("builtins:dict", "lacks name, radius_m, describe"),
-        ("no/such.safetensors", "no such file"),
+        ("no/such.safetensors", "No such file"),
         ("descriptellation_paper", "called 'descriptellation'"),
         ("sgnet", "it was removed; choose one of"),
         ("rings", f"unknown descriptor 'rings'; choose one of {', '.join(DESCRIPTOR_NAMES)}"),

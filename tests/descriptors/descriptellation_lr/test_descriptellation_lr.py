@@ -32,7 +32,7 @@ def test_numpy_and_torch_compute_the_same_likelihood(tmp_path) -> None:
     for parameter in network.parameters():
         torch.nn.init.normal_(parameter, -0.3, 0.1)
     tensors = {name: tensor.numpy() for name, tensor in network.state_dict().items()}
-    save_weights(tmp_path / "lr.safetensors", Weights(tensors, asdict(network.architecture)))
+    save_weights(tmp_path / "lr.safetensors", Weights(tensors=tensors, architecture=asdict(network.architecture)))
     with torch.no_grad():
         expected = network(constellations, background_of(constellations, network.rings)).flatten(1).numpy()
     found = LearnedLikelihood(tmp_path / "lr.safetensors").describe(constellations)

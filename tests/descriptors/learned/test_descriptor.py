@@ -31,7 +31,7 @@ def descriptor(tmp_path_factory) -> LearnedDescriptor:
     path = tmp_path_factory.mktemp("weights") / "tiny.safetensors"
     torch.manual_seed(0)
     tensors = {name: tensor.numpy() for name, tensor in make_network(TINY).state_dict().items()}
-    save_weights(path, Weights(tensors, asdict(TINY)))
+    save_weights(path, Weights(tensors=tensors, architecture=asdict(TINY)))
     return LearnedDescriptor(path)
 
 
