@@ -66,7 +66,7 @@ def write_ros2_bag(
                     connections[topic] = writer.add_connection(
                         topic, type_name, typestore=typestore(), offered_qos_profiles=profiles
                     )
-                data = typestore().serialize_cdr(_make(type_name, values), type_name)
+                data = typestore().serialize_cdr(make_message(type_name, values), type_name)
                 writer.write(connections[topic], stamp_ns, data)
         (part / folder.name).rename(folder)
         part.rmdir()
@@ -118,13 +118,13 @@ def _detection(objects: ObjectMapRecord, row: int, header: dict[str, Any]) -> di
     score = float(objects.class_probabilities[row].max())
     result = {
         "hypothesis": {"class_id": objects.labels[row], "score": score},
-        "pose": {"pose": pose, "covariance": covariance.ravel()},
+        "pose": {"pose": pose, "covariance": covariance},
     }
     return {"header": header, "results": [result], "bbox": {"center": pose}, "id": objects.ids[row]}
 
 
-def _make(type_name: str, values: Mapping[str, Any]) -> Any:
-    """A message from its fields by name; those that are not given are 0 or empty."""
+def make_message(type_name: str, values: Mapping[str, Any]) -> Any:
+    """A message from its fields by name, those of messages within it likewise; what is left out is 0 or empty."""
     store = typestore()
     _, fields = store.fielddefs[type_name]
     return store.types[type_name](**{name: _make_field(kind, values.get(name)) for name, kind in fields})
@@ -133,10 +133,11 @@ def _make(type_name: str, values: Mapping[str, Any]) -> Any:
 def _make_field(kind: Any, value: Any) -> Any:
     node, detail = kind
     if node == Nodetype.NAME:
-        return _make(detail, value or {})
+        return make_message(detail, value or {})
     if node == Nodetype.BASE:
         return value if value is not None else "" if detail[0] == "string" else 0
     (element, element_type), count = detail
     if element == Nodetype.NAME:
-        return [_make(element_type, each) for each in value or ()]
-    return np.zeros(count, dtype=element_type[0]) if value is None else value
+        return [make_message(element_type, each) for each in value or ()]
+    dtype = np.uint8 if element_type[0] in ("octet", "byte") else element_type[0]
+    return np.zeros(count, dtype) if value is None else np.array(value, dtype).ravel()

@@ -16,6 +16,7 @@ from logs import messages as m
 from logs.storage.ros2_definitions import typestore
 from logs.topics import Channel, RawMessage, Schema
 from logs.validation import covariance_to_parent, quaternion_xyzw
+from slam.formats.ros2_bag import make_message
 from tests.helpers.short_drives import Entry
 
 TYPES = typestore()
@@ -23,33 +24,8 @@ Message = tuple[str, str, int, dict[str, Any]]
 """Topic, type, log time, fields; those left out are zero."""
 
 
-def fill(type_name: str, values: dict[str, Any]) -> Any:
-    """The message ``type_name`` with these fields."""
-    fields = {name: _value(kind, values.get(name)) for name, kind in TYPES.fielddefs[type_name][1]}
-    unknown = values.keys() - fields.keys()
-    assert not unknown, f"{type_name} has no {unknown}"
-    return TYPES.types[type_name](**fields)
-
-
-def _value(description: Any, value: Any) -> Any:
-    kind, detail = description
-    if kind == 1:
-        return detail_default(detail[0]) if value is None else value
-    if kind == 2:
-        return fill(detail, value or {})
-    (inner_kind, inner), count = detail
-    if inner_kind == 1 and inner[0] != "string":
-        dtype = {"octet": np.uint8, "byte": np.uint8}.get(inner[0], inner[0])
-        return np.zeros(count if kind == 3 else 0, dtype) if value is None else np.array(value, dtype).ravel()
-    return [_value((inner_kind, inner), item) for item in (value or ([None] * count if kind == 3 else []))]
-
-
-def detail_default(name: str) -> Any:
-    return "" if name == "string" else False if name == "bool" else 0.0 if name.startswith("float") else 0
-
-
 def cdr(type_name: str, values: dict[str, Any]) -> bytes:
-    return bytes(TYPES.serialize_cdr(fill(type_name, values), type_name))
+    return bytes(TYPES.serialize_cdr(make_message(type_name, values), type_name))
 
 
 def header(stamp_ns: int = 0, frame: str = "") -> dict[str, Any]:

@@ -48,8 +48,13 @@ def test_json_lines_may_leave_out_what_is_not_known() -> None:
     np.testing.assert_array_equal(table.scores, [0.25, 1.0])
 
 
+@pytest.mark.parametrize("name", ["class_id", "name", "type", "category_id"])
+def test_names_of_labels(name: str) -> None:
+    assert read(f"stamp_s,{name},x,y\n0,7,1,2\n").labels == ("7",)
+
+
 def test_labels_may_be_of_any_alphabet_and_quoted() -> None:
-    table = read('\N{BYTE ORDER MARK}stamp_s;class;x;y\n0;"pole; tall";1;2\n0;\N{GREEK SMALL LETTER PI};1;2\n'[1:])
+    table = read('stamp_s;class;x;y\n0;"pole; tall";1;2\n0;\N{GREEK SMALL LETTER PI};1;2\n')
     assert table.labels == ("pole; tall", "\N{GREEK SMALL LETTER PI}")
 
 
