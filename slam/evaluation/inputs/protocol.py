@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
-from typing import Self
+from dataclasses import fields, replace
+from typing import Annotated, Self
+
+from pydantic import ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError
+from pydantic.dataclasses import dataclass
 
 from slam.common.errors import EvaluationError
 from slam.evaluation.metrics.alignment import STRAIGHT_LINE_RATIO
@@ -29,73 +32,57 @@ LENGTHS = (
 """Those of them that mean nothing in a hall of ten metres."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, config=ConfigDict(extra="forbid"))
 class Protocol:
-    """Thresholds, with KITTI's values for the relative errors; units are in the names.
-
-    Raises:
-        EvaluationError: a threshold is not positive, windows of fewer than three landmarks are asked for, the
-        headings that count as the same and as opposite overlap, or the coverage is not below 1.
+    """Thresholds, with KITTI's values for the relative errors; units are in the names. All are positive, and a window
+    of fewer than three landmarks leaves no residual.
     """
 
-    max_truth_gap_s: float = 1.5
-    relative_lengths_m: tuple[float, ...] = KITTI_LENGTHS_M
-    short_relative_lengths_m: tuple[float, ...] = (1.0, 10.0)
-    relative_start_step: int = KITTI_START_STEP
-    revisit_m: float = 100.0
-    window_m: float = 50.0
-    window_stride_m: float = 25.0
-    window_least_landmarks: int = 3
-    match_distance_m: float = 2.0
-    least_detections: int = 5
-    closure_translation_m: float = 4.0
-    closure_rotation_deg: float = 10.0
-    query_spacing_m: float = 2.0
-    revisit_distance_m: float = 5.0
-    same_heading_deg: float = 45.0
-    opposite_heading_deg: float = 135.0
-    closure_run_gap_m: float = 10.0
-    relocalization_translation_m: float = 4.0
-    relocalization_rotation_deg: float = 10.0
-    coverage_probability: float = 0.95
+    max_truth_gap_s: PositiveFloat = 1.5
+    relative_lengths_m: tuple[PositiveFloat, ...] = KITTI_LENGTHS_M
+    short_relative_lengths_m: tuple[PositiveFloat, ...] = (1.0, 10.0)
+    relative_start_step: PositiveInt = KITTI_START_STEP
+    revisit_m: PositiveFloat = 100.0
+    window_m: PositiveFloat = 50.0
+    window_stride_m: PositiveFloat = 25.0
+    window_least_landmarks: Annotated[int, Field(ge=3)] = 3
+    match_distance_m: PositiveFloat = 2.0
+    least_detections: PositiveInt = 5
+    closure_translation_m: PositiveFloat = 4.0
+    closure_rotation_deg: PositiveFloat = 10.0
+    query_spacing_m: PositiveFloat = 2.0
+    revisit_distance_m: PositiveFloat = 5.0
+    same_heading_deg: PositiveFloat = 45.0
+    opposite_heading_deg: Annotated[float, Field(gt=0.0, le=180.0)] = 135.0
+    closure_run_gap_m: PositiveFloat = 10.0
+    relocalization_translation_m: PositiveFloat = 4.0
+    relocalization_rotation_deg: PositiveFloat = 10.0
+    coverage_probability: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.95
 
     def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            values = value if isinstance(value, tuple) else (value,)
-            if not all(number > 0 for number in values):
-                raise EvaluationError(f"{name} = {value} of the evaluation protocol must be positive")
-        if not self.same_heading_deg <= self.opposite_heading_deg <= 180.0:
+        if self.same_heading_deg > self.opposite_heading_deg:
             raise EvaluationError(
-                f"same_heading_deg = {self.same_heading_deg} and opposite_heading_deg = {self.opposite_heading_deg} of "
-                "the evaluation protocol must not exceed one another and 180"
-            )
-        if not self.coverage_probability < 1.0:
-            raise EvaluationError(
-                f"coverage_probability = {self.coverage_probability} of the evaluation protocol must be below 1"
-            )
-        if self.window_least_landmarks < 3:
-            raise EvaluationError(
-                f"window_least_landmarks = {self.window_least_landmarks}: fewer than 3 landmarks leave no residual"
+                f"same_heading_deg = {self.same_heading_deg} of the evaluation protocol exceeds opposite_heading_deg = "
+                f"{self.opposite_heading_deg}"
             )
 
     def for_range(self, sensor_range_m: float) -> Self:
         """The same with all ``LENGTHS`` in proportion to a sensor range [m]."""
         scale = sensor_range_m / RANGE_M
-        return replace(self, **{name: scale * getattr(self, name) for name in LENGTHS})
+        return self.with_thresholds({name: scale * getattr(self, name) for name in LENGTHS})
 
     def with_thresholds(self, thresholds: Mapping[str, float]) -> Self:
         """The same with other thresholds, by name.
 
         Raises:
-            EvaluationError: there is no such threshold, or one value.
+            EvaluationError: there is no such threshold, or it cannot have this value.
         """
-        numbers = {name: type(value) for name, value in asdict(self).items() if not isinstance(value, tuple)}
-        for name, value in thresholds.items():
-            if name not in numbers:
-                raise EvaluationError(f"the protocol has no threshold {name}; it has {', '.join(numbers)}")
-            if not numbers[name](value) == value:
-                raise EvaluationError(f"{name} = {value} of the evaluation protocol must be a whole number")
-        return replace(self, **{name: numbers[name](value) for name, value in thresholds.items()})
+        try:
+            return replace(self, **thresholds)  # type: ignore[arg-type]
+        except ValidationError as error:
+            first, names = error.errors()[0], [each.name for each in fields(self)]
+            why = first["msg"] if first["loc"][0] in names else f"no such threshold; there are {', '.join(names)}"
+            raise EvaluationError(f"{first['loc'][0]} = {first['input']} of the evaluation protocol: {why}") from error
 
     def describe(self) -> dict[str, str]:
         """Each rule in one sentence, with the thresholds in it."""

@@ -45,11 +45,13 @@ def test_with_thresholds_replaces_thresholds():
 @pytest.mark.parametrize(
     ("thresholds", "told"),
     [
-        ({"closure_m": 1.0}, "no threshold closure_m"),
-        ({"relative_lengths_m": 1.0}, "no threshold relative_lengths_m"),
-        ({"least_detections": 1.5}, "whole number"),
-        ({"closure_translation_m": -1.0}, "must be positive"),
-        ({"coverage_probability": 1.0}, "coverage_probability"),
+        ({"closure_m": 1.0}, "closure_m = 1.0 .*no such threshold"),
+        ({"relative_lengths_m": 1.0}, "relative_lengths_m = 1.0 .*valid tuple"),
+        ({"least_detections": 1.5}, "valid integer"),
+        ({"closure_translation_m": -1.0}, "greater than 0"),
+        ({"coverage_probability": 1.0}, "coverage_probability .*less than 1"),
+        ({"window_least_landmarks": 2.0}, "greater than or equal to 3"),
+        ({"same_heading_deg": 140.0}, "exceeds opposite_heading_deg"),
     ],
 )
 def test_a_threshold_that_makes_no_sense_is_refused(thresholds, told):
