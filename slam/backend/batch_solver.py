@@ -67,6 +67,11 @@ class BatchSolver(Solver):
         with self._calls.doing("the batch optimisation"):
             return self._optimize(MAX_ITERATIONS, ROUGH_MIN_DECREASE if roughly else MIN_DECREASE)
 
+    def log_determinant(self) -> float:
+        """Of the information of all variables together."""
+        with self._calls.doing("the elimination of all variables"):
+            return 2.0 * float(self.graph.linearize(self._values).eliminateMultifrontal().logDeterminant())
+
     def values(self) -> gtsam.Values:
         """The estimate of all variables, as of the last step."""
         return self._values

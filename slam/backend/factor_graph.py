@@ -119,6 +119,10 @@ class FactorGraph(EditableGraph):
         """Solve the whole graph at once, from the incremental estimate; ``roughly``: to a standard deviation."""
         return self.settle().optimize(roughly=roughly)
 
+    def log_determinant(self) -> float:
+        """Of the information of all variables together, at the current estimate."""
+        return self.settle().log_determinant()
+
     def condense(self, anchors: Mapping[int, int]) -> None:
         """Attach keyframes to others, as they are at the optimum; the incremental estimate goes on from there.
 

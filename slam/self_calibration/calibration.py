@@ -43,10 +43,12 @@ PRIOR_NOISE = NoiseComponents(
 """Variances where a log tells nothing, lengths in sensor ranges: detections are off by 2 % of the range, the odometry
 by 5 % of it, and by 11 deg, after as much travel, and by 6 deg after turning by 1 rad.
 """
-MIN_DRIFT, MIN_TURN_RAD, MIN_TILT = 0.01, 0.005, 1e-6
+MIN_DRIFT, MIN_TURN_RAD = 0.01, 0.005
 """Detections cannot tell an odometry better than that: off by such a share of the sensor range after as much travel,
 and by so many radians. An estimate of zero only says that the noise is below what detections show.
 """
+CERTAIN = 2.0
+"""Standard errors by which a noise is larger, with a probability of 98 %."""
 MIN_SIGMA = 1e-4
 """Least noise of a position, in sensor ranges."""
 UNIQUE_SPACING = 1e3
@@ -194,10 +196,7 @@ def _noise(config: Config, survey: Survey) -> dict[str, float]:
         "odometry.translation_sigma_by_time": np.sqrt(drift * found.translation_by_time),
         "odometry.yaw_sigma": np.sqrt(turn * found.heading_by_travel),
         "odometry.min_translation_sigma_m": MIN_SIGMA * survey.range_m,
-        # Gravity holds the tilt; what heights seem to say beyond that is put down to the detections.
-        "odometry.tilt_sigma": float(
-            np.clip(np.sqrt(found.tilt_by_travel), MIN_TILT, OdometryCalibration().tilt_sigma)
-        ),
+        "odometry.tilt_sigma": _tilt_sigma(survey),
         "odometry.yaw_sigma_by_turn": np.sqrt(turn * found.heading_by_turn),
         "odometry.yaw_sigma_by_time": np.sqrt(turn * found.heading_by_time),
         "detection.base_sigma_m": np.sqrt(white),
@@ -224,6 +223,23 @@ def _floors(survey: Survey) -> dict[str, float]:
         "detection.base_sigma_m": position_m,
         "objects.landmark_sigma_m": position_m,
     }
+
+
+def _tilt_sigma(survey: Survey) -> float:
+    """Noise of roll and pitch by travel: that of an odometry whose tilt gravity holds, unless the log contradicts it.
+
+    Heights of detections that err by the view look like a tilt, and no odometry knows its tilt worse than its heading:
+    what both show for certain is noise of the tilt.
+    """
+    usual, estimate = OdometryCalibration().tilt_sigma, survey.components
+    if estimate is None:
+        return usual
+    found, errors = estimate.variances, estimate.standard_errors
+    certain = min(
+        found.tilt_by_travel - CERTAIN * errors.tilt_by_travel,
+        found.heading_by_travel - CERTAIN * errors.heading_by_travel,
+    )
+    return float(np.sqrt(max(certain, usual**2)))
 
 
 def _sight_noise(config: Config, survey: Survey, found: NoiseComponents) -> tuple[float, float, float]:

@@ -363,3 +363,20 @@ def test_false_detections_beyond_the_usual_make_new_objects_denser(surveyed):
 def test_it_is_told_if_most_detections_are_never_seen_again(surveyed, share, told):
     notes = " ".join(calibrate(Config(), replace(surveyed, clutter=Clutter(share, 49.0, 0.02))).notes)
     assert ("49 of" in notes and "detections a scan are never seen again and are probably false" in notes) == told
+
+
+@pytest.mark.parametrize(
+    ("tilt", "heading", "sigma"),
+    [
+        ((0.09, 0.01), (0.04, 0.01), np.sqrt(0.02)),  # the heading is known best
+        ((0.04, 0.01), (0.09, 0.01), np.sqrt(0.02)),
+        ((0.04, 0.03), (0.09, 0.01), 0.0003),  # the heights do not show it for certain
+        ((0.04, 0.01), (0.0, 0.0), 0.0003),  # heights err alike
+    ],
+)
+def test_tilt_noise_is_what_heights_and_headings_show_for_certain(surveyed, tilt, heading, sigma):
+    variances = replace(surveyed.components.variances, tilt_by_travel=tilt[0], heading_by_travel=heading[0])
+    errors = replace(surveyed.components.standard_errors, tilt_by_travel=tilt[1], heading_by_travel=heading[1])
+    components = replace(surveyed.components, variances=variances, standard_errors=errors)
+    found = calibrate(Config(), replace(surveyed, components=components)).config.calibration.odometry
+    assert found.tilt_sigma == pytest.approx(sigma)
