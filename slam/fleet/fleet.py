@@ -35,7 +35,7 @@ from slam.sweeps.workers import Death
 logger = logging.getLogger(__name__)
 
 _KEY_DIGITS = 16
-BLOCK = 8
+BLOCK = 16
 """Sessions that are folded together, by date; as many of the latest sessions are not, at least."""
 
 
