@@ -68,7 +68,7 @@ class IncrementalSolver(Solver):
                 result = self._isam.update(new, self._new_values, self._removed_slots)
                 numbers = list(self._new_factors)
             except RuntimeError as error:
-                logger.info("the incremental update failed (%s); solving afresh by QR", first_line(error))
+                logger.info("the incremental update failed (%s); solving again with QR", first_line(error))
                 # The failed update has the new variables already.
                 numbers, result = self._solve_afresh(self._isam.getLinearizationPoint(), "QR")
         self._note_update(numbers, result)
@@ -89,7 +89,7 @@ class IncrementalSolver(Solver):
         try:
             numbers, result = self._solve_afresh(values, "CHOLESKY")
         except RuntimeError as error:
-            logger.info("the solution by Cholesky failed (%s); solving afresh by QR", first_line(error))
+            logger.info("the solution by Cholesky failed (%s); solving again with QR", first_line(error))
             numbers, result = self._solve_afresh(values, "QR")
         self._note_update(numbers, result)
 

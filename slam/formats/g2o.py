@@ -51,7 +51,7 @@ def write_g2o(path: str | Path, graph: FactorGraphRecord, object_map: ObjectMapR
         raise InputDataError("an observation of the graph has a position that is not finite; nothing was exported")
     unknown = {*graph.edge_keyframe_ids.ravel().tolist(), *graph.observation_keyframe_ids.tolist()} - row_of.keys()
     if unknown:
-        raise InputDataError(f"edges or observations name keyframe {min(unknown)}, which the graph does not hold")
+        raise InputDataError(f"edges or observations refer to keyframe {min(unknown)}, which the graph does not hold")
     seen_from = poses[[row_of[keyframe] for keyframe in graph.observation_keyframe_ids.tolist()]]
     information = _invert(graph.edge_covariances, "edge")
     steps = checked_poses(graph.edge_transforms, graph.edge_keyframe_ids)

@@ -19,7 +19,7 @@ Origin = Annotated[
     str | None,
     typer.Option(metavar="LAT,LON", help="Origin of the map; by default the median position of objects in degrees."),
 ]
-Label = Annotated[str | None, typer.Option("--class", metavar="NAME", help="Give all objects this class.")]
+Label = Annotated[str | None, typer.Option("--class", metavar="NAME", help="Assign this class to all objects.")]
 Sigma = Annotated[
     float, typer.Option("--sigma", metavar="METRES", min=0.01, help="Standard deviation of a coordinate of an object.")
 ]

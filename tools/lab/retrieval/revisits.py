@@ -78,7 +78,7 @@ def measure_revisits(
             else:
                 asking.process(entry.record)
     if asking.asked_m < 0.0:
-        raise EvaluationError(f"{path}: the drive never comes back to a place, so there are no places to recognise")
+        raise EvaluationError(f"{path}: the drive never revisits a place, so there is nothing to recognise")
     return [{"drive": path.stem, **each.figures()} for each in asking.asked]
 
 

@@ -49,7 +49,7 @@ def test_descriptor_finds_places_that_random_vectors_do_not(tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_a_drive_that_never_comes_back_asks_nothing(tmp_path: Path) -> None:
-    with pytest.raises(EvaluationError, match="never comes back"):
+    with pytest.raises(EvaluationError, match="never revisits"):
         measure_revisits(log(tmp_path, 1), ["random"], Config())
 
 
