@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tools.arguments import Json
-from tools.lab.tables import number, percent, report
+from tools.lab.tables import Markdown, number, percent, report
 
 if TYPE_CHECKING:
     from tools.lab.retrieval.path_queries import Scenario
@@ -67,9 +67,7 @@ def recall(
             help="Folder of the table and the picture; finished measurements in it are kept.",
         ),
     ] = None,
-    markdown: Annotated[
-        bool, typer.Option("--markdown", help="Print all measurements in the folder as tables in Markdown.")
-    ] = False,
+    markdown: Markdown = False,
     json: Json = False,
 ) -> None:
     """Compare descriptors and quads of objects: recall of places in a map of objects.
@@ -86,8 +84,8 @@ def recall(
     from descriptors.registry import DESCRIPTOR_NAMES
     from logs.importers.maps.object_table import read_object_table
     from tools import console
-    from tools.lab.retrieval.contest import Contest, read_results, run_contest, side_by_side
-    from tools.lab.retrieval.contest_page import draw_contest, to_page
+    from tools.lab.retrieval.contest import Contest, run_contest, side_by_side
+    from tools.lab.retrieval.contest_picture import draw_contest
     from tools.lab.retrieval.proposers import QUADS
 
     proposers = dict.fromkeys([*(descriptor or [*DESCRIPTOR_NAMES, QUADS]), RandomVector.name])
@@ -99,20 +97,22 @@ def recall(
         queries=queries,
         seed=seed,
     )
-    results = None
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-        results = output / RESULTS
     world = side_by_side([read_object_table(path) for path in objects])
     with console.progress_bar("measuring", "measuring") as move:
-        cells = run_contest(world, contest, results=results, on_progress=move or (lambda fraction: None))
+        cells = run_contest(
+            world, contest, results=output and output / RESULTS, on_progress=move or (lambda fraction: None)
+        )
     if output is not None:
         draw_contest(output / PICTURE, cells)
-    if markdown:
-        typer.echo(to_page(cells if results is None else read_results(results)))
-        return
     found = cells.to_dict("records")
-    report([_row(each) for each in found], json={"figures": found} if json else None)
+    report(
+        [_row(each) for each in found],
+        texts=("map", "query"),
+        markdown=markdown,
+        json={"figures": found} if json else None,
+    )
 
 
 def _scenarios(

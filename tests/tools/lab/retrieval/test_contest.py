@@ -12,7 +12,7 @@ from logs.importers.maps.map_objects import MapObjects
 from slam.common.errors import SimulationError
 from tests.tools.lab.retrieval.test_path_queries import forest
 from tools.lab.retrieval.contest import GAP_M, Contest, run_contest, side_by_side
-from tools.lab.retrieval.contest_page import draw_contest, to_page
+from tools.lab.retrieval.contest_picture import draw_contest
 from tools.lab.retrieval.labelled_map import LabelledMap
 from tools.lab.retrieval.path_queries import Scenario
 from tools.lab.retrieval.proposers import Proposer, make_proposer
@@ -93,14 +93,7 @@ def test_degrees_and_unknown_descriptors_are_refused() -> None:
         run_contest(town(50, 100.0), replace(contest, proposers=("rings",)))
 
 
-def test_page_has_right_poses_and_cost_of_each_proposer_in_each_map(tmp_path: Path) -> None:
+def test_picture_of_several_maps_and_queries(tmp_path: Path) -> None:
     contest = Contest(("random", "quads"), sizes=(100, 200), scenarios=(Scenario(), Scenario(missing=0.3)), queries=1)
-    cells = run_contest(town(300, 250.0), contest)
-    draw_contest(tmp_path / "contest.png", cells)
+    draw_contest(tmp_path / "contest.png", run_contest(town(300, 250.0), contest))
     assert (tmp_path / "contest.png").stat().st_size > 10_000
-    text = to_page(cells.drop(index=[0]))  # random was not asked the first query in the smaller map
-    assert "| objects of 50 m, 10% missing, 10% clutter, 0.2 m | – | 100 |" in text
-    assert text.count("right poses, %") == 2
-    assert text.count("| objects of 50 m, 30% missing, 10% clutter, 0.2 m |") == 2
-    assert text.count("\n| quads |") == 2
-    assert text.count("| query | random | quads |") == 2
