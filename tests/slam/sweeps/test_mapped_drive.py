@@ -89,5 +89,5 @@ def test_robot_is_imported_and_mapped(tmp_path: Path) -> None:
 def test_broken_files_of_a_robot_are_a_result(tmp_path: Path) -> None:
     TextDrive.make(tmp_path).write("odometry.tum", "nothing\n")
     (broken,) = find_drives(tmp_path)
-    assert "odometry.tum: no row in it" in map_robot(broken, Config()).error
+    assert "odometry.tum has no rows" in map_robot(broken, Config()).error
     assert "no file detections.*" in map_robot(RobotDrive("c", tmp_path / "odometry.tum", None, None), Config()).error
