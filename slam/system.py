@@ -175,7 +175,8 @@ class Slam:
             self._mapper.retire_gone(self._closer.missing_landmarks())
         if self._extends:
             self._condenser.fuse_landmarks()
-        optimization = optimize_with_gravity(self._graph)
+        optimize_with_gravity(self._graph)
+        optimization = self._graph.match_noise()
         self.counters["batch_iterations"] = optimization.iterations
         return removed, warning, optimization
 

@@ -13,7 +13,7 @@ from gtsam.symbol_shorthand import L, X
 from logs.messages import FactorGraphRecord
 from slam.backend.batch_solver import BatchSolver, Optimization
 from slam.backend.condensing.condensed_factors import condensed_factors, relative_covariances, summed_at_estimate
-from slam.backend.covariance.marginals import Marginals, compute_marginals
+from slam.backend.covariance.marginals import Marginals, compute_marginals, matched_covariances
 from slam.backend.editable_graph import EditableGraph
 from slam.backend.estimates import Estimates, read_estimates
 from slam.backend.factors import Edge, Factor, Observation
@@ -118,6 +118,17 @@ class FactorGraph(EditableGraph):
     def optimize(self, *, roughly: bool = False) -> Optimization:
         """Solve the whole graph at once, from the incremental estimate; ``roughly``: to a standard deviation."""
         return self.settle().optimize(roughly=roughly)
+
+    def match_noise(self) -> Optimization:
+        """Solve the whole graph with the noise of odometry and closures that their residuals show."""
+        solver = self.settle()
+        with self._calls.doing("the estimation of the noise"):
+            records = [self._factors[number] for number in solver.factors]
+            found = matched_covariances(solver.graph, solver.values(), records, self._config)
+        self.replace_covariances(
+            {number: each for number, each in zip(solver.factors, found, strict=True) if each is not None}
+        )
+        return self.optimize()
 
     def log_determinant(self) -> float:
         """Of the information of all variables together, at the current estimate."""

@@ -68,17 +68,52 @@ def compute_marginals(
     Raises:
         RuntimeError: the graph does not determine all variables.
     """
-    # The columns stand in the order of the keys, and the letter of a landmark comes before that of a pose.
-    keys = np.array(sorted(values.keys()), dtype=np.uint64)
-    points = int(np.searchsorted(keys, np.uint64(X(0))))
-    owners = np.repeat(np.arange(len(keys)), np.where(np.arange(len(keys)) < points, POINT_SIZE, POSE_SIZE))
-    system = _linearize(graph, values, factors, config, owners)
+    keys, points = _ordered_keys(values)
+    system = _linearize(graph, values, factors, config)
     try:
         blocks = covariance_blocks(system, variance_factors(system))
     except np.linalg.LinAlgError as error:
         logger.info("marginals are computed one at a time by GTSAM: %s", error)
         return _marginals_one_by_one(graph, values)
     return Marginals(keys[points:], keys[:points], blocks[points:], blocks[:points, :POINT_SIZE, :POINT_SIZE].copy())
+
+
+def matched_covariances(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, factors: Sequence[Factor], config: FactorGraphConfig
+) -> list[FloatArray | None]:
+    """For each factor the covariance (6, 6) that the drive itself shows; None where it is the configured one.
+
+    Arguments as of ``compute_marginals``.
+    """
+    system = _linearize(graph, values, factors, config)
+    try:
+        found = variance_factors(system)
+    except np.linalg.LinAlgError as error:
+        logger.info("the noise stays as it is configured: %s", error)
+        return [None] * len(factors)
+    parts = np.split(found, np.cumsum(_sizes(factors))[:-1])
+    return [
+        _scaled(each.covariance, part) if isinstance(each, Edge) and np.any(part != 1.0) else None
+        for each, part in zip(factors, parts, strict=True)
+    ]
+
+
+def _scaled(covariance: FloatArray, factors: FloatArray) -> FloatArray:
+    """A covariance (6, 6) with variances scaled by ``factors`` (6,) along the axes that GTSAM whitens."""
+    axes = np.linalg.inv(np.linalg.cholesky(np.linalg.inv(covariance)).T)
+    return np.asarray((axes * factors) @ axes.T)
+
+
+def _ordered_keys(values: gtsam.Values) -> tuple[KeyArray, int]:
+    """The keys (V,) of all variables, ascending, as the columns stand; and how many are landmarks, which come first."""
+    keys = np.array(sorted(values.keys()), dtype=np.uint64)
+    return keys, int(np.searchsorted(keys, np.uint64(X(0))))
+
+
+def _sizes(factors: Sequence[Factor]) -> IntArray:
+    """Rows (F,) of factors."""
+    is_small = np.array([isinstance(each, Observation | LandmarkPrior) for each in factors])
+    return np.where(is_small, POINT_SIZE, POSE_SIZE)
 
 
 def _marginals_one_by_one(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Marginals:
@@ -90,8 +125,7 @@ def _marginals_one_by_one(graph: gtsam.NonlinearFactorGraph, values: gtsam.Value
         if graph.exists(place):
             factors.add(graph.at(place))
     isam.update(factors, values)
-    keys = np.array(sorted(values.keys()), dtype=np.uint64)
-    points = int(np.searchsorted(keys, np.uint64(X(0))))
+    keys, points = _ordered_keys(values)
     covariances = [np.asarray(isam.marginalCovariance(int(key))) for key in keys]
     return Marginals(
         keys[points:],
@@ -106,10 +140,10 @@ def _linearize(
     values: gtsam.Values,
     factors: Sequence[Factor],
     config: FactorGraphConfig,
-    owners: IntArray,
 ) -> LinearSystem:
-    is_small = np.array([isinstance(each, Observation | LandmarkPrior) for each in factors])
-    sizes = np.where(is_small, POINT_SIZE, POSE_SIZE)
+    keys, points = _ordered_keys(values)
+    owners = np.repeat(np.arange(len(keys)), np.where(np.arange(len(keys)) < points, POINT_SIZE, POSE_SIZE))
+    sizes = _sizes(factors)
     starts = np.cumsum(sizes) - sizes
     row, column, entry = np.asarray(graph.linearize(values).sparseJacobian_())
     # Both are counted from one; the last column is the right side.

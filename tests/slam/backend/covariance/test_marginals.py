@@ -158,3 +158,31 @@ def test_what_is_not_determined_is_refused() -> None:
         values.insert(X(k), gtsam.Pose3(T[k]))
     with pytest.raises(RuntimeError):
         compute_marginals(factors, values, [edges[0]], PLAIN)
+
+
+def test_noise_of_odometry_is_matched_to_residuals_axis_by_axis() -> None:
+    rng, count = np.random.default_rng(1), 600
+    true_sigmas = np.sqrt(np.diagonal(EDGE_COVARIANCE)) * [1.0, 1.0, 5.0, 1.0, 1.0, 1.0]
+    step = transform_from_xyz_yaw(np.array([2.0, 0.0, 0.0]), 0.02)
+    T = [np.eye(4)]
+    for _ in range(count - 1):
+        T.append(T[-1] @ step)
+    edges = []
+    for k in range(count - 1):
+        error = rng.normal(scale=true_sigmas)
+        measured = step @ make_transform(Rotation.from_rotvec(error[:3]).as_matrix(), error[3:])
+        edges.append(Edge(k, k + 1, measured, EDGE_COVARIANCE, "odometry"))
+    graph = built(np.array(T), edges, [], PLAIN)
+    for k in range(4, count, 4):
+        graph.add_edge(Edge(0, k, T[k], np.diag(np.repeat([1e-3, 1e-2], 3)) ** 2, "closure"))
+    graph.optimize()
+    before = pose_error_m(graph, np.array(T))
+    graph.match_noise()
+    assert pose_error_m(graph, np.array(T)) < 0.95 * before
+    of_steps = [each.covariance for each in graph.factors.values() if isinstance(each, Edge) and each.kind == "odometry"]
+    sigmas = np.sqrt(np.diagonal(of_steps[0]))
+    np.testing.assert_allclose(sigmas, true_sigmas, rtol=0.3)
+
+
+def pose_error_m(graph: FactorGraph, T: FloatArray) -> float:
+    return float(np.sqrt(np.mean((graph.poses()[:, :3, 3] - T[:, :3, 3]) ** 2)))
