@@ -1,14 +1,14 @@
 """Covariances of an optimised graph whose noise differs from the configured noise.
 
-The marginals of least squares assume that the configured noise of every factor is true. They are corrected in two ways;
-the estimate does not change:
+The marginals of least squares assume that the configured noise of every factor is true. They are corrected in two ways:
 
 * Robust kernels weight observations and closures, by about half in the mean where the configured noise is true. These
   weights are not an estimate of the noise: all but outliers, whose residuals have ``OUTLIER_PROBABILITY``, keep the
   configured noise. How far the estimate follows them is their ``kernel_weight``, the mean slope of the influence.
 * The errors of odometry are correlated. An error of its scale is the same for many steps, so the sum is larger than
   the covariances of the steps predict. Its variance is estimated from the drive: over stretches of 50 steps the
-  residuals of all steps are added up, axis by axis. The variance of closures is estimated likewise.
+  residuals of all steps are added up, axis by axis. The variance of closures is estimated likewise. The final estimate
+  of a drive has this noise, too (``FactorGraph.match_noise``).
 
 With rows a of the Jacobian, their kernel weights t and the factors f on their variance, the estimate has the covariance
 H^-1 M H^-1, H = sum t a a^T, M = sum t^2 f a a^T (the "sandwich": Huber 1967, The behavior of maximum likelihood
