@@ -26,8 +26,8 @@ from logs.record_checks import check_record
 from slam.assessment import assess, diagnose_uncorrected
 from slam.backend.batch_solver import Optimization
 from slam.backend.factor_graph import FactorGraph
+from slam.backend.matched_noise import optimize_with_matched_noise
 from slam.backend.solver_options import UPDATE_KEYFRAMES, FactorGraphConfig
-from slam.backend.tilt_noise import optimize_with_gravity
 from slam.common.calibration import Calibration
 from slam.common.config import Config
 from slam.common.errors import InputDataError
@@ -175,8 +175,7 @@ class Slam:
             self._mapper.retire_gone(self._closer.missing_landmarks())
         if self._extends:
             self._condenser.fuse_landmarks()
-        optimize_with_gravity(self._graph)
-        optimization = self._graph.match_noise()
+        optimization = optimize_with_matched_noise(self._graph)
         self.counters["batch_iterations"] = optimization.iterations
         return removed, warning, optimization
 

@@ -1,4 +1,4 @@
-"""The noise of the odometry's roll and pitch, by the whole graph.
+"""The final solution, with the noise of the odometry and of closures that the whole graph shows.
 
 Over single steps the detections tell the tilt of the odometry no better than they tell heights. Over a whole drive they
 tell it: gravity holds the tilt of an odometry with an IMU, and that of a camera alone drifts. If gravity holds it, the
@@ -34,7 +34,13 @@ CHANCE = 0.01
 """Probability that a tilt that gravity holds is freed."""
 
 
-def optimize_with_gravity(graph: FactorGraph) -> Optimization:
+def optimize_with_matched_noise(graph: FactorGraph) -> Optimization:
+    """Optimise the whole graph with the noise that it shows, that of the tilt first."""
+    hold_tilt(graph)
+    return graph.match_noise()
+
+
+def hold_tilt(graph: FactorGraph) -> None:
     """Optimise the whole graph, with the tilt of the odometry held unless the graph contradicts that."""
     free = graph.optimize()
     steps = {
@@ -43,18 +49,19 @@ def optimize_with_gravity(graph: FactorGraph) -> Optimization:
         if isinstance(each, Edge) and each.kind == EdgeKind.ODOMETRY
     }
     if not steps:
-        return free
+        return
     try:
         freedom = _effective_freedom(graph, steps)
     except FactorGraphError as error:
         logger.warning("the noise of the tilt stays as it is: %s", error)
-        return free
+        graph.replace_covariances(_scaled(graph, steps, 1.0))
+        return
     graph.replace_covariances(_scaled(graph, steps, HELD))
     held = graph.optimize()
     if chdtrc(freedom, 2.0 * max(held.error_after - free.error_after, 0.0)) > CHANCE:
-        return held
+        return
     graph.replace_covariances(_scaled(graph, steps, 1.0))
-    return graph.optimize()
+    graph.optimize()
 
 
 def _effective_freedom(graph: FactorGraph, steps: Mapping[int, Edge]) -> float:

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
-from slam.backend.tilt_noise import optimize_with_gravity
+from slam.backend.matched_noise import hold_tilt, optimize_with_matched_noise
 from slam.common.arrays import FloatArray
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
 from tests.slam.backend.graphs import PLAIN
@@ -62,7 +62,7 @@ def test_exact_tilt_is_held(seed):
     graph = drive(0.0, seed)
     graph.optimize()
     free = tilt_errors_rad(graph)
-    optimize_with_gravity(graph)
+    hold_tilt(graph)
     assert tilt_errors_rad(graph).max() < 0.2 * free.max()
 
 
@@ -71,11 +71,11 @@ def test_drifting_tilt_is_estimated(seed):
     graph = drive(TILT_RAD, seed)
     graph.optimize()
     free = graph.poses()
-    optimize_with_gravity(graph)
+    hold_tilt(graph)
     np.testing.assert_allclose(graph.poses(), free, atol=1e-3)
 
 
 def test_graph_without_odometry_is_optimised():
     graph = FactorGraph(PLAIN)
     graph.add_first_keyframe(0, np.eye(4))
-    assert optimize_with_gravity(graph).converged
+    assert optimize_with_matched_noise(graph).converged
