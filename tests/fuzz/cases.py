@@ -52,8 +52,10 @@ _COMMANDS: dict[str, tuple[float, str]] = {
         degrade ?drive -o out.mcap --fault false_positives=3
         degrade ?drive -o out.mcap --fault label_confusion=0.2"""),
     "import": (1.5, """
-        import csv out.mcap --odometry ?trajectory.tum|trajectory.kitti --detections =detections.csv
-        import csv out.mcap --odometry =trajectory.tum|trajectory.kitti --detections ?detections.csv"""),
+        import csv out.mcap --odometry ?trajectory.tum --detections =detections.csv
+        import csv out.mcap --odometry ?trajectory.kitti --times =times.txt --detections =detections.csv
+        import csv out.mcap --odometry =trajectory.kitti --times ?times.txt --detections =detections.csv
+        import csv out.mcap --odometry =trajectory.tum --detections ?detections.csv"""),
     "objects": (1, """
         import map out.mcap --file ?objects.csv|objects.csv|objects.csv.gz
         import map out.mcap --file ?objects.geojson|objects.geojson|objects.geojson.gz

@@ -47,6 +47,8 @@ def make_seeds(folder: Path) -> Seeds:
     _run("replay", drive, "-o", mapped, "--save-map", saved)
     _run("export", mapped, "--tum", folder / "trajectory.tum", "--g2o", folder / "map.g2o")
     _run("export", mapped, "--kitti", folder / "trajectory.kitti")
+    rows = (folder / "trajectory.tum").read_text().splitlines()
+    (folder / "times.txt").write_text("\n".join(row.partition(" ")[0] for row in rows))
     _write_kinds(folder / "kinds.mcap")
     _write_ros(folder / "ros.mcap")
     (folder / "settings.toml").write_text(_run("config"))
@@ -55,7 +57,7 @@ def make_seeds(folder: Path) -> Seeds:
     _run("export", mapped, "--csv", folder / "objects.csv")
     _write_objects(folder)
     names = ("drive", "mapped", "map", "kinds", "ros")
-    texts = ("trajectory.tum", "trajectory.kitti", "settings.toml", "simulation.toml", "detections.csv",
+    texts = ("trajectory.tum", "trajectory.kitti", "times.txt", "settings.toml", "simulation.toml", "detections.csv",
              "objects.csv", "objects.geojson", "objects.osm", WEIGHTS.name)  # fmt: skip
     shutil.copy(WEIGHTS, folder)
     logs = {name: read_file(str(folder / f"{name}.mcap")) for name in names}
