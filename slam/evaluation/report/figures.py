@@ -78,7 +78,7 @@ SUMMARY = {
         "; {closures.independent_count} independent: at most {closures.largest_false_share:.0%} false",
     ),
     "relocalization": (
-        "{relocalization.fix_count} fixes after {relocalization.loss_count} losses or starts in a map",
+        "a fix after {relocalization.fix_count} of {relocalization.loss_count} losses or starts in a map",
         ", right {relocalization.right_count}, wrong {relocalization.wrong_count}",
         "; median travel to a fix {relocalization.median_distance_m:.1f} m",
     ),
