@@ -55,7 +55,7 @@ class TestOneLog:
     def test_thresholds_can_be_given(self, dslam: Run, mapped: Path) -> None:
         told = dslam("evaluate", mapped, "--rules", "--protocol", "closure_translation_m=1.25")
         assert "within 1.25 m and" in told.out
-        assert_refused(dslam("evaluate", mapped, "--protocol", "closure_m=1"), "no threshold closure_m")
+        assert_refused(dslam("evaluate", mapped, "--protocol", "closure_m=1"), "no such threshold")
         assert_refused(dslam("evaluate", mapped, "--protocol", "closure_m"), "NAME=NUMBER")
 
     def test_a_fix_is_measured_in_the_map_that_was_given(self, dslam: Run, short_log: Path, tmp_path: Path) -> None:
