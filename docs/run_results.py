@@ -5,7 +5,7 @@ version, the date and what the commands print. ``README.md`` beside the pages li
 from these blocks. A block that was run before with the same commands is not run again, unless it is named.
 
 The block ``demo`` tells whether the estimator has changed: it keeps its date while its figures stay the same, within
-5 %, and then the date of the change before. ``--stale`` fails if its figures are others than recorded, or if a block
+10 %, and then the date of the change before. ``--stale`` fails if its figures are others than recorded, or if a block
 is older than the change before the last one. Its output stands in the quick start, too.
 """
 
@@ -25,14 +25,14 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "docs" / "results"
 QUICK_START = ROOT / "docs" / "quick_start.md"
-DEMO, TOLERANCE = "demo", 0.05
+DEMO, TOLERANCE = "demo", 0.1
 FIRST = "drives"
 """The page whose logs other pages use."""
 _BLOCK = re.compile(
     r"^```\n(?P<commands>(?:(?!```)[^\n]*\n)+)```\n\n<!-- output of (?P<name>\S+) -->\n(?P<output>.*?)<!-- end -->",
     re.DOTALL | re.MULTILINE,
 )
-_DATE, _NUMBER = re.compile(r"\d{4}-\d\d-\d\d"), re.compile(r"\d+(?:\.\d+)?")
+_DATE, _NUMBER = re.compile(r"\d{4}-\d\d-\d\d"), re.compile(r"\d+\.\d+")
 _TABLE = re.compile(r"(?<=<!-- figures -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
@@ -130,7 +130,7 @@ def write_output(block: Block, printed: str) -> None:
 
 
 def have_changed(recorded: str, printed: str) -> bool:
-    """Whether the figures that are printed differ from those of a recorded output."""
+    """Whether figures that are printed differ from those of a recorded output; counts differ from machine to machine."""
     old, new = (
         [float(figure) for figure in _NUMBER.findall(text)] for text in (recorded.partition("```text\n")[2], printed)
     )
