@@ -130,7 +130,7 @@ def write_output(block: Block, printed: str) -> None:
 
 
 def have_changed(recorded: str, printed: str) -> bool:
-    """Whether figures that are printed differ from those of a recorded output; counts differ from machine to machine."""
+    """Whether figures differ from those of a recorded output; counts do so from machine to machine."""
     old, new = (
         [float(figure) for figure in _NUMBER.findall(text)] for text in (recorded.partition("```text\n")[2], printed)
     )
