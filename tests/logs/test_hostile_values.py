@@ -166,7 +166,7 @@ def test_numbers_of_scans_of_thousands_of_digits(tmp_path: Path) -> None:
             member = tarfile.TarInfo(name)
             member.size = 6
             archive.addfile(member, BytesIO(b"0,0,0\n"))
-    with pytest.raises(DatasetError, match="scan 0 has no file"):
+    with pytest.raises(DatasetError, match="scan 0 has not one line and one file"):
         read_object_scans(path)
 
 

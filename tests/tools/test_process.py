@@ -98,7 +98,12 @@ class TestSignals:
         process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         part = output.with_name(output.name + ".part")
         deadline = time.monotonic() + 60.0
-        while seconds < 0 and not part.exists() and process.poll() is None and time.monotonic() < deadline:
+        while (
+            seconds < 0
+            and not (part.exists() and part.stat().st_size)
+            and process.poll() is None
+            and time.monotonic() < deadline
+        ):
             time.sleep(0.01)
         time.sleep(max(seconds, 0.0))
         process.send_signal(number)
