@@ -5,6 +5,7 @@ Rerun draws the point clouds, frames, texts and images of a log by itself; lines
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Collection
 from pathlib import Path
@@ -43,11 +44,12 @@ _REMEDY = "install it by: pip install 'descriptellation-slam[view]'"
 
 
 def import_rerun() -> None:
-    """Check that Rerun is there.
+    """Check that Rerun is there, whose messages are to be plain text.
 
     Raises:
         ViewerError: it is not.
     """
+    os.environ.setdefault("NO_COLOR", "1")
     try:
         import rerun  # noqa: F401
     except ImportError as error:

@@ -100,7 +100,7 @@ def matched_covariances(
 
 def _scaled(covariance: FloatArray, factors: FloatArray) -> FloatArray:
     """A covariance (6, 6) with variances scaled by ``factors`` (6,) along the axes that GTSAM whitens."""
-    axes = np.linalg.inv(np.linalg.cholesky(np.linalg.inv(covariance)).T)
+    axes = np.linalg.cholesky(covariance[::-1, ::-1])[::-1, ::-1]
     return np.asarray((axes * factors) @ axes.T)
 
 
