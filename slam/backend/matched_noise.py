@@ -50,17 +50,18 @@ def hold_tilt(graph: FactorGraph) -> None:
     }
     if not steps:
         return
+    configured = {number: each.covariance for number, each in steps.items()}
     try:
         freedom = _effective_freedom(graph, steps)
     except FactorGraphError as error:
-        logger.warning("the noise of the tilt stays as it is: %s", error)
-        graph.replace_covariances(_scaled(graph, steps, 1.0))
+        logger.info("the noise of the tilt stays as it is configured: %s", error)
+        graph.replace_covariances(configured)
         return
     graph.replace_covariances(_scaled(graph, steps, HELD))
     held = graph.optimize()
     if chdtrc(freedom, 2.0 * max(held.error_after - free.error_after, 0.0)) > CHANCE:
         return
-    graph.replace_covariances(_scaled(graph, steps, 1.0))
+    graph.replace_covariances(configured)
     graph.optimize()
 
 

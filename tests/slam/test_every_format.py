@@ -81,7 +81,9 @@ def test_one_drive_in_four_encodings_is_one_map(tmp_path: Path) -> None:
     for other in maps[1:]:
         assert other.labels == maps[0].labels
         assert other.states == maps[0].states
-        np.testing.assert_allclose(other.positions, maps[0].positions, atol=1e-7)
+        np.testing.assert_allclose(other.positions[:, :2], maps[0].positions[:, :2], atol=1e-9)
+        # Heights follow from the tilt, which is held so firmly that rounding of the solution shows.
+        np.testing.assert_allclose(other.positions[:, 2], maps[0].positions[:, 2], atol=1e-7)
     assert maps[0].states.count("confirmed") > 10
 
 

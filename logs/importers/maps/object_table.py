@@ -57,7 +57,7 @@ def find_labels(table: Table) -> tuple[str, ...]:
 
 
 def find_ids(table: Table) -> tuple[str, ...]:
-    """A name of its own for each row (R,): that in the table, with the place behind it if it occurs before."""
+    """Unique names of rows (R,): those in the table; repeated ones are followed by their place."""
     cells = zip(table.cells.index, _first_column(table, ID_NAMES), strict=True)
     return distinct(cell or f"line {line}" for line, cell in cells)
 
