@@ -81,7 +81,7 @@ FIGURES = (
     Figure("forest evo", "ATE m", "forests", r"evo \| \S+ \| (\S+)"),
     Figure("forest wild03", "ATE m", "forests", r"wild03 \| \S+ \| (\S+)"),
     Figure("lost_in_the_woods", "ATE m", "robots", r"lost_in_the_woods \| \S+ \| (\S+)"),
-    Figure("helsinki, imported", "robots found within 60 m, %", "relocalization-city", r"everywhere +\d+ +(\S+)"),
+    Figure("helsinki, imported", "robots found within 40 m, %", "relocalization-city", r"everywhere +\d+ +(\S+)"),
     Figure(
         "10,000 street trees",
         "places retrieved first, %",

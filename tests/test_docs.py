@@ -235,7 +235,7 @@ def test_what_commands_of_results_read_is_data_or_made_before(wrong: str) -> Non
 def test_reference_pages_hold_every_command_setting_and_key() -> None:
     pages = {name: make() for name, make in runpy.run_path(str(ROOT / "docs" / "reference.py"))["PAGES"].items()}
     assert {f"docs/reference/{name}.md" for name in pages} == GENERATED
-    assert "## dslam benchmark replay" in pages["commands"]
+    assert "## dslam benchmark robots" in pages["commands"]
     assert "`--save-map`" in pages["commands"]
     assert "`keyframe.distance_m`" in pages["settings"]
     assert "- `trajectory.ate_m`" in pages["json"]

@@ -42,7 +42,7 @@ NO_KEYFRAMES = "no keyframes in the log (/slam/graph), so revisits are unknown"
 NO_STATUS = "no status in the log (/slam/status)"
 NO_RUN_TIME = (
     "logs hold no times of the machine that made them, so that they do not depend on it; "
-    "'dslam replay --json' and 'dslam benchmark replay' print them"
+    "'dslam replay --json' prints them"
 )
 NO_TRUTH = "no ground truth: pass --reference LOG.mcap or record /ground_truth"
 NO_DETECTION_TRUTH = "no truth of the detections: pass --reference LOG.mcap or record /ground_truth/detections"
@@ -94,10 +94,6 @@ class _Evaluator:
         self._map_alignment = map_alignment
         self._unavailable: dict[str, str] = {}
         self._truth = records.true_path
-        closure_poses = records.closure_true_poses
-        self._closure_truth = (
-            series_of((r.stamp_ns, r.T_world_body) for r in closure_poses) if closure_poses else self._truth
-        )
         self._odometry = records.odometry_path
 
     def run(self) -> Evaluation:
@@ -106,9 +102,6 @@ class _Evaluator:
             "estimate": self._trajectory("trajectory", final, self._truth, NO_TRAJECTORY),
             "odometry": self._trajectory("odometry", self._odometry, self._truth, NO_ODOMETRY),
             "online": self._trajectory("online", records.online_path, self._truth, "no /slam/pose in the log"),
-            "closure_reference": None
-            if self._closure_truth is self._truth
-            else self._trajectory("closure_reference", final, self._closure_truth, NO_TRAJECTORY),
         }
         best = trajectories["estimate"] or trajectories["online"]
         T_world_map = best.alignment.T_world_map if best else None
@@ -237,7 +230,7 @@ class _Evaluator:
 
     def _judge_closures(self) -> tuple[pd.DataFrame | None, pd.DataFrame | None]:
         """The candidates, None without any; and the keyframes that may be revisits, None where they are not known."""
-        graph, records, truth = self._records.graph, self._records.closures, self._closure_truth
+        graph, records, truth = self._records.graph, self._records.closures, self._truth
         if not records and (graph is None or not len(truth)):
             self._unavailable["closures"] = "no loop-closure candidate in the log"
             return None, None
@@ -257,7 +250,7 @@ class _Evaluator:
         return judged, find_revisits(ids, stamps_ns, truth, self._protocol) if len(truth) and len(ids) else None
 
     def _describe_closures(self, judged: pd.DataFrame | None, queries: pd.DataFrame | None) -> dict[str, Any]:
-        protocol, has_truth = self._protocol, len(self._closure_truth) > 0
+        protocol, has_truth = self._protocol, len(self._truth) > 0
         nothing = judge_closures((), {}, _NO_POSES, protocol)
         if judged is None:
             figures = undefined(describe_closures(nothing, protocol, has_truth=False))
@@ -279,7 +272,7 @@ class _Evaluator:
         is_located = is_given and self._map_alignment is not None
         figures = evaluate_relocalization(
             records,
-            self._truth if is_given else self._closure_truth,
+            self._truth,
             self._odometry,
             self._protocol,
             T_world_map=self._map_alignment if is_located else T_world_estimate,

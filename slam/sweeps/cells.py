@@ -55,6 +55,7 @@ class Cell:
             "topics": sorted(self.topics),
             "degradation": self.degradation,
             "seed": self.seed,
+            "variant": self.variant,
             "configuration": self.config.model_dump(mode="json"),
             "version": self.version,
             "protocol": [asdict(protocol), protocol.describe()],

@@ -39,7 +39,6 @@ class DriveTask:
     topics: Mapping[str, str] = field(default_factory=dict)
     faults: tuple[str, ...] = ()
     seed: int = 0
-    is_evaluated: bool = True
     online: bool = False
     online_from: float = 0.0
 
@@ -105,8 +104,6 @@ def _map(task: DriveTask, folder: Path) -> MappedDrive:
     started = time.perf_counter()
     summary = replay(source, mapped, task.config, topics=task.topics, online=task.online)
     seconds, peak = time.perf_counter() - started, _peak_memory_bytes()
-    if not task.is_evaluated:
-        return MappedDrive(task.name, summary, peak_memory_bytes=peak, seconds=seconds)
     # The replay copies the truth, so that the truth of a scaled log is the scaled one.
     records = _with_online_from(read_records(mapped), task.online_from)
     warnings = dict.fromkeys(status.message for status in records.statuses if status.level != "info")

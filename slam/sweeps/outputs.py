@@ -1,4 +1,4 @@
-"""What a sweep leaves in its folder beside the cells: tables, a page and a picture."""
+"""The files that a sweep writes beside its cells."""
 
 from __future__ import annotations
 
@@ -9,12 +9,8 @@ import pandas as pd
 
 from logs.storage.placement import write_text
 from slam.evaluation.report.figures import HEADLINE_FIGURES
-from slam.evaluation.report.table_files import write_tables
-from slam.sweeps.picture import draw_sweep
 from slam.sweeps.sweep import Sweep, spread_over
 
-JSON_NAME, TABLE_NAME, PICTURE_NAME = "sweep.json", "sweep.md", "sweep.png"
-SHEET_NAMES = ("sweep.csv", "sweep.tex", "sweep.html")
 NOTE = (
     "Mean ± standard deviation over the seeds. Precision, recall and opposite (recall over revisits in the opposite "
     "direction) are of accepted loop closures, associations the share of right ones, landmarks the share of objects in "
@@ -35,13 +31,14 @@ def write_outputs(folder: Path, sweep: Sweep) -> list[Path]:
     Raises:
         UnwritableLogError: one cannot be written.
     """
-    paths = [folder / name for name in (JSON_NAME, TABLE_NAME, *SHEET_NAMES, PICTURE_NAME)]
-    write_text(paths[0], json.dumps(sweep.to_json_dict(), indent=2, allow_nan=False) + "\n")
-    write_text(paths[1], to_markdown(sweep))
-    for path in paths[2:-1]:
-        write_tables(path, f"{sweep.first.log.stem}, degraded", make_tables(sweep), NOTE, sweep.evaluations)
-    draw_sweep(paths[-1], sweep)
-    return paths
+    texts = {
+        "sweep.json": json.dumps(sweep.to_json_dict(), indent=2, allow_nan=False) + "\n",
+        "sweep.md": to_markdown(sweep),
+        "sweep.csv": pd.concat(make_tables(sweep).values(), axis=1).to_csv(lineterminator="\n"),
+    }
+    for name, text in texts.items():
+        write_text(folder / name, text)
+    return [folder / name for name in texts]
 
 
 def make_tables(sweep: Sweep) -> dict[str, pd.DataFrame]:

@@ -139,8 +139,7 @@ def run_sweep(
         topics: kind -> topic, where the log leaves a choice.
         variants: configurations by name, to be compared over the same degraded drives.
         on_progress: called with the fraction of the cells done, in [0, 1].
-        compute: a function of a module that computes a cell, as :func:`compute_cell` does; results of several need a
-            folder each.
+        compute: a function of a module that computes a cell, as :func:`compute_cell` does.
 
     Raises:
         LogError: the input cannot be read or the folder cannot be written.

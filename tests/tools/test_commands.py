@@ -207,13 +207,3 @@ class TestFromEndToEnd:
         assert "distance_m = 1.5" in printed
         path.write_text(printed)
         assert json.loads(dslam("config", "--config", path, "--json").out)["keyframe"]["distance_m"] == 1.5
-
-    def test_benchmark(self, dslam: Run) -> None:
-        result = dslam("benchmark", "replay", SAMPLE, "--runs", 2, "--json")
-        assert result.code == 0, result.err
-        (measured,) = json.loads(result.out)["logs"]
-        assert measured["runs"] == 2
-        assert measured["wall_min_s"] <= measured["wall_s"] <= measured["wall_max_s"]
-        assert 0.0 < measured["solver_share"] < 1.0
-        assert measured["peak_memory_bytes"] > 10**7
-        assert_refused(dslam("benchmark", "replay", "none.mcap"), "none.mcap")

@@ -68,7 +68,7 @@ class TestOneLog:
         ]
         assert [each["method"] for each in told] == ["trajectory", "map"]
 
-    def test_truth_in_text_files_and_two_side_by_side(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
+    def test_truth_in_text_files(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
         alone = json.loads(dslam("evaluate", mapped, "--json").out)
         tum, kitti = tmp_path / "gt.tum", tmp_path / "gt.txt"
         assert dslam("export", mapped, "--of", "truth", "--tum", tum, "--kitti", kitti).code == 0
@@ -76,15 +76,6 @@ class TestOneLog:
             told = json.loads(dslam("evaluate", mapped, "--reference", path, "--json").out)
             for key in ("ate_m", "rpe_rotation_deg_per_100m"):
                 assert told["trajectory"][key] == pytest.approx(alone["trajectory"][key], abs=1e-5)
-        lines = [line.split() for line in tum.read_text().splitlines() if not line.startswith("#")]
-        stretched = [[at, *(str(1.1 * float(number)) for number in rest[:3]), *rest[3:]] for at, *rest in lines]
-        tum.write_text("".join(" ".join(line) + "\n" for line in stretched))
-        result = dslam("evaluate", mapped, "--closure-reference", tum, "--json")
-        both = json.loads(result.out)
-        assert both["trajectory"]["ate_m"] == alone["trajectory"]["ate_m"]
-        assert both["trajectory"]["closure_reference_ate_m"] > 2.0 * alone["trajectory"]["ate_m"]
-        assert alone["trajectory"]["closure_reference_ate_m"] is None
-        assert "by the closure reference" in dslam("evaluate", mapped, "--closure-reference", tum).out
 
     def test_a_reference_that_is_none(self, dslam: Run, mapped: Path, tmp_path: Path) -> None:
         text = tmp_path / "gt.txt"
@@ -142,16 +133,15 @@ class TestSeveralLogs:
 
 
 class TestSweep:
-    def test_it_leaves_tables_and_a_picture(self, dslam: Run, short_log: Path, tmp_path: Path) -> None:
+    def test_it_writes_tables(self, dslam: Run, short_log: Path, tmp_path: Path) -> None:
         folder = tmp_path / "sweep"
         command = ("sweep", short_log, "-o", folder, "--degrade", "dropout=0.5", "--seeds", 1, "--jobs", 1)
         result = dslam(*command, "--rules", "--set", "keyframe.distance_m=3")
         assert (result.code, result.err) == (0, "")
         assert "2 cells computed" in result.out
         assert "rules" in result.out
-        endings = ("json", "md", "png", "csv", "tex", "html")
+        endings = ("json", "md", "csv")
         assert {path.name for path in folder.iterdir()} == {"cells", *(f"sweep.{ending}" for ending in endings)}
-        assert (folder / "sweep.png").read_bytes().startswith(b"\x89PNG")
         again = dslam(*command, "--json", "--set", "keyframe.distance_m=3", "--require", "trajectory.ate_m<=0")
         assert again.code == 1
         assert "dropout=0.5, seed 0: trajectory.ate_m is" in again.err

@@ -14,7 +14,7 @@ COMMANDS = (
     *("simulate", "degrade", "import kitti-objects", "info", "replay", "evaluate"),
     *("compare", "sweep"),
     *("view", "export", "config"),
-    *("relocalize", "train", "benchmark replay", "benchmark descriptors"),
+    *("relocalize", "train", "benchmark descriptors"),
     *("benchmark relocalization", "benchmark ablation"),
     *("benchmark robots", "benchmark recall", "benchmark retrieval", "benchmark fleet", "benchmark kidnapping"),
 )

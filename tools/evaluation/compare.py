@@ -12,7 +12,6 @@ from tools.arguments import Json, Topics, check_outputs, parse_topics
 from tools.evaluation.evaluated_log import Truth, evaluate_log
 from tools.evaluation.output import (
     Calib,
-    ClosureReference,
     Findings,
     JsonFile,
     MapRun,
@@ -34,7 +33,6 @@ def compare(
         list[Path], typer.Argument(metavar="OUT.mcap...", help="Logs that 'dslam replay' wrote.", show_default=False)
     ],
     reference: Reference = None,
-    closure_reference: ClosureReference = None,
     times: Times = None,
     calib: Calib = None,
     topics: Topics = None,
@@ -47,8 +45,8 @@ def compare(
     table: Annotated[
         list[Path] | None,
         typer.Option(
-            metavar="FILE.csv|.tex|.html",
-            help="Write the table: CSV, LaTeX, or a page with the precision-recall curves of all runs. Repeatable.",
+            metavar="FILE.csv|.tex",
+            help="Write the table as CSV or LaTeX. Repeatable.",
         ),
     ] = None,
 ) -> None:
@@ -57,16 +55,16 @@ def compare(
     Runs of one version and configuration count as repetitions; differences
     larger than their spread are marked.
 
-    Example: dslam compare a1.mcap a2.mcap a3.mcap b1.mcap b2.mcap b3.mcap --table ab.html --table ab.tex
+    Example: dslam compare a1.mcap a2.mcap a3.mcap b1.mcap b2.mcap b3.mcap --table ab.csv --table ab.tex
     """
     chosen = parse_topics(topics)
     if len(logs) < 2:
         raise typer.BadParameter("one log was given; give two or more, or use 'dslam evaluate'", param_hint="OUT.mcap")
-    check_outputs([json_file, *(table or ())], [*logs, reference, closure_reference, times, calib, map_run])
+    check_outputs([json_file, *(table or ())], [*logs, reference, times, calib, map_run])
     from slam.evaluation.requirements import parse_requirement
 
     requirements = [parse_requirement(text) for text in require or ()]
-    truth = Truth(reference, closure_reference, times, calib, chosen, map_run, parse_thresholds(protocol))
+    truth = Truth(reference, times, calib, chosen, map_run, parse_thresholds(protocol))
     findings = compare_logs(logs, truth, table or ())
     report(findings, requirements, as_json=as_json, with_rules=rules, json_file=json_file)
 
@@ -78,7 +76,7 @@ def compare_logs(logs: Sequence[Path], truth: Truth, tables: Sequence[Path] = ()
         LogError, SlamError: a log cannot be evaluated, or two are the same.
     """
     from slam.evaluation.comparison import NO_SPREAD, RULE, compare_runs
-    from slam.evaluation.report.table_files import check_endings, write_tables
+    from slam.evaluation.report.table_files import check_endings, write_table
     from tools import console
 
     check_endings(tables)
@@ -88,7 +86,7 @@ def compare_logs(logs: Sequence[Path], truth: Truth, tables: Sequence[Path] = ()
     evaluations = {run.name: run.results for run in runs}
     table, note = comparison.to_table(), RULE if comparison.has_spread else NO_SPREAD
     for path in tables:
-        write_tables(path, "Runs side by side", {"runs side by side": table}, note, evaluations)
+        write_table(path, table, note)
     groups = comparison.groups if len(comparison.groups) > 1 else ()
     members = [f"{group.label}: {', '.join(run.name for run in group.runs)}" for group in groups]
     return Findings(

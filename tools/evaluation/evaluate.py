@@ -11,7 +11,6 @@ from tools.arguments import Json, Picture, SlamLog, Topics, can_draw, check_outp
 from tools.evaluation.evaluated_log import Truth, evaluate_log
 from tools.evaluation.output import (
     Calib,
-    ClosureReference,
     Findings,
     JsonFile,
     MapRun,
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
 def evaluate(
     log: SlamLog,
     reference: Reference = None,
-    closure_reference: ClosureReference = None,
     times: Times = None,
     calib: Calib = None,
     topics: Topics = None,
@@ -55,11 +53,11 @@ def evaluate(
     Example: dslam evaluate map.mcap --require "trajectory.ate_m<=4.0" --picture map.png
     """
     chosen = parse_topics(topics)
-    check_outputs([json_file, picture, page], [log, reference, closure_reference, times, calib, map_run])
+    check_outputs([json_file, picture, page], [log, reference, times, calib, map_run])
     from slam.evaluation.requirements import parse_requirement
 
     requirements = [parse_requirement(text) for text in require or ()]
-    truth = Truth(reference, closure_reference, times, calib, chosen, map_run, parse_thresholds(protocol))
+    truth = Truth(reference, times, calib, chosen, map_run, parse_thresholds(protocol))
     findings = _evaluate_log(log, truth, picture, page, json_file, every=every)
     report(findings, requirements, as_json=as_json, with_rules=rules, json_file=json_file)
 

@@ -19,13 +19,11 @@ if TYPE_CHECKING:
 class Truth:
     """What the logs are compared with, if it is not in themselves.
 
-    ``reference``: the log, or the file of poses, that holds the truth; ``closure_reference``: another one for closures;
-    ``times`` and ``calib``: of poses in KITTI's format; ``topics``: by kind; ``map_run``: the drive that made the map
+    ``reference``: the log, or the file of poses, that holds the truth; ``times`` and ``calib``: of poses in KITTI's format; ``topics``: by kind; ``map_run``: the drive that made the map
     in which the robot found itself; ``thresholds``: of the protocol, by name, that are not its own.
     """
 
     reference: Path | None = None
-    closure_reference: Path | None = None
     times: Path | None = None
     calib: Path | None = None
     topics: Mapping[str, str] | None = None
@@ -51,12 +49,7 @@ def evaluate_log(log: Path, truth: Truth) -> tuple[EvaluationRecords, Evaluation
     from slam.evaluation.evaluate import evaluate, protocol_of
     from slam.evaluation.inputs.records import read_records
 
-    records = read_records(
-        log,
-        reference=truth.of(truth.reference),
-        closure_reference=truth.of(truth.closure_reference),
-        topics=truth.topics,
-    )
+    records = read_records(log, reference=truth.of(truth.reference), topics=truth.topics)
     map_alignment = None if truth.map_run is None else _locate_map_of(truth.map_run)
     if records.trajectory is None and not records.online_poses:
         raise EvaluationError(f"{log} holds no estimate (no topics under /slam); give a log that 'dslam replay' wrote")

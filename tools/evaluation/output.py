@@ -26,10 +26,6 @@ Reference = Annotated[
         show_default=False,
     ),
 ]
-ClosureReference = Annotated[
-    Path | None,
-    typer.Option(metavar="LOG|POSES", help="Measure closures by another ground truth.", show_default=False),
-]
 Times = Annotated[
     Path | None,
     typer.Option(

@@ -62,14 +62,12 @@ class EvaluationRecords:
 
     ``configuration``: the tree by which the log was made, empty where it does not tell. ``provenance``: what the replay
     recorded of itself. ``has_prior_map``: the robot was to find itself in the map of an earlier drive.
-    ``closure_true_poses``: by which closures are measured; empty: as all else.
     """
 
     trajectory: TrajectoryRecord | None = None
     online_poses: tuple[SlamPose, ...] = ()
     odometry: tuple[Odometry, ...] = ()
     true_poses: tuple[GroundTruthPose, ...] = ()
-    closure_true_poses: tuple[GroundTruthPose, ...] = ()
     associations: tuple[DetectionAssociations, ...] = ()
     detection_truths: tuple[DetectionTruth, ...] = ()
     object_map: ObjectMapRecord | None = None
@@ -180,7 +178,6 @@ def read_records(
     path: str | os.PathLike[str],
     *,
     reference: TextReference | str | os.PathLike[str] | None = None,
-    closure_reference: TextReference | str | os.PathLike[str] | None = None,
     topics: Mapping[str, str] | None = None,
 ) -> EvaluationRecords:
     """Read an output log in one pass, and the truth from a reference where one is given.
@@ -188,7 +185,6 @@ def read_records(
     Args:
         path: log with the topics under ``/slam/``, and with copies of odometry and truth if it was recorded so.
         reference: log, or file of poses, whose truth replaces that of ``path``, kind by kind.
-        closure_reference: another, whose poses closures are measured by.
         topics: record kind -> topic, where odometry or truth are not where they usually are; they apply to the
             reference if there is one, else to the output. Before them stands what the replay used.
 
@@ -198,14 +194,10 @@ def read_records(
         TopicSelectionError: ``topics`` names a kind or a topic that does not exist.
         EvaluationError: a reference holds no truth, or not the poses of this robot's body.
     """
-    found = _read(path, None if reference else topics)
-    output = found
-    if reference is not None:
-        found = found.with_truth_of(_read_reference(reference, topics, output))
-    if closure_reference is not None:
-        second = found.with_truth_of(_read_reference(closure_reference, topics, output))
-        found = replace(found, closure_true_poses=second.true_poses)
-    return found
+    if reference is None:
+        return _read(path, topics)
+    output = _read(path, None)
+    return output.with_truth_of(_read_reference(reference, topics, output))
 
 
 def _read_reference(

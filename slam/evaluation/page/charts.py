@@ -16,34 +16,28 @@ from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries, SynchronizedPoses, synchronize
 from slam.evaluation.metrics.calibration import Consistency
 from slam.evaluation.metrics.trajectory import TrajectoryErrors
-from slam.evaluation.page.traces import Chart, Trace, draw_line, draw_points, label, make_axis, make_chart
-from slam.evaluation.report.figures import value_at
+from slam.evaluation.page.traces import Chart, Trace, draw_line, draw_points, make_axis, make_chart
 from slam.evaluation.result import Evaluation
 
-COLORS = ("#0b5cad", "#d97706", "#15803d", "#b91c1c", "#7c3aed", "#0891b2", "#be185d", "#65a30d", "#475569", "#a16207")
-DASHES = ("solid", "dash", "dot", "dashdot")
 _CALIBRATED = {"pose": palette.ESTIMATE, "landmark": "#8456c4", "closure": palette.TRUE_CLOSURE}
 
 
-def draw_precision_recall(runs: Mapping[str, Mapping[str, Any]]) -> Chart | None:
-    """Precision over recall of every threshold on the score, and where each run stood; None where none has a curve.
+def draw_precision_recall(results: Mapping[str, Any]) -> Chart | None:
+    """Precision over recall of every threshold on the score, and that of the run; None without a curve.
 
     Args:
-        runs: the evaluation of each run as JSON, by the run's name.
+        results: the evaluation as JSON.
     """
-    traces: list[Trace] = []
-    for name, results in runs.items():
-        curve = value_at(results, "closures.precision_recall_curve")
-        if not curve or not curve["recall"]:
-            continue
-        number = len(traces) // 2
-        color, dash = COLORS[number % len(COLORS)], DASHES[number // len(COLORS) % len(DASHES)]
-        recall, precision = np.array(curve["recall"]), np.array(curve["precision"])
-        group = {"legendgroup": f"run {number}"}
-        traces.append(draw_line(recall, precision, label(name), color, 2.2, dash=dash) | group)
-        at = np.array([[value_at(results, f"closures.{key}") for key in ("recall", "precision")]], dtype=np.float64)
-        text = f"{label(name)}, accepted: precision {at[0, 1]:.2%}, recall {at[0, 0]:.2%}"
-        traces.append(draw_points(at, "accepted", [text], color, size=12, showlegend=False, cliponaxis=False) | group)
+    curve = results["closures"]["precision_recall_curve"]
+    if not curve["recall"]:
+        return None
+    recall, precision = np.array(curve["recall"]), np.array(curve["precision"])
+    at = np.array([[results["closures"][key] for key in ("recall", "precision")]], dtype=np.float64)
+    text = f"accepted: precision {at[0, 1]:.2%}, recall {at[0, 0]:.2%}"
+    traces = [
+        draw_line(recall, precision, "every threshold on the score", palette.ESTIMATE),
+        draw_points(at, "accepted", [text], palette.ESTIMATE, size=12, cliponaxis=False),
+    ]
     share = {"tickformat": ".0%", "rangemode": "tozero"}
     x = make_axis("recall of revisits", range=[0.0, 1.03], **share)
     return make_chart(traces, x, make_axis("precision", range=[0.0, 1.05], **share))

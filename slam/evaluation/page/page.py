@@ -110,7 +110,7 @@ def compose_page(records: EvaluationRecords, evaluation: Evaluation, *, title: s
             draw_object_map(picture, records),
             "no object map in the log (/slam/map), or no confirmed landmark",
         ),
-        "precision-recall": (draw_precision_recall({"every threshold on the score": results}), without_closures),
+        "precision-recall": (draw_precision_recall(results), without_closures),
         "error": (
             draw_error_along_path(records, evaluation),
             missing.get("trajectory", "no trajectory has ground truth"),
@@ -125,20 +125,6 @@ def compose_page(records: EvaluationRecords, evaluation: Evaluation, *, title: s
         missing=missing,
         rules=evaluation.protocol.describe(),
     )
-
-
-def compose_runs_page(title: str, tables: Mapping[str, pd.DataFrame], note: str, runs: Mapping[str, Any]) -> str:
-    """Tables and the precision-recall curves of several runs as one page.
-
-    Args:
-        title: plain text.
-        tables: by their titles.
-        note: how to read them.
-        runs: the evaluation of each run as JSON, by the run's name.
-    """
-    absent = "No run has a curve: no revisit, no ground truth, or no candidate."
-    panels = [_make_panel("precision-recall", draw_precision_recall(runs), absent)]
-    return _render(title, lines={"tables": note}, panels=panels, tables=tables, missing={}, rules={})
 
 
 def describe_run(records: EvaluationRecords, evaluation: Evaluation) -> dict[str, str]:

@@ -54,7 +54,6 @@ SUMMARY = {
         "ATE {trajectory.ate_m:.3f} m",
         ", odometry {trajectory.odometry_ate_m:.3f} m",
         ", online {trajectory.online_ate_m:.3f} m",
-        ", {trajectory.closure_reference_ate_m:.3f} m by the closure reference",
         "; {trajectory.estimate.pose_count} poses over {trajectory.estimate.length_m:.0f} m",
     ),
     "landmarks": (

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
 from logs.storage.placement import write_text
 from slam.common.errors import EvaluationError
 
-ENDINGS = (".csv", ".tex", ".html")
+ENDINGS = (".csv", ".tex")
 
 
 def check_endings(paths: Sequence[Path]) -> None:
@@ -25,24 +24,13 @@ def check_endings(paths: Sequence[Path]) -> None:
             raise EvaluationError(f"{path}: the name of a table ends in {', '.join(ENDINGS)}")
 
 
-def write_tables(
-    path: Path, title: str, tables: Mapping[str, pd.DataFrame], note: str, runs: Mapping[str, Mapping[str, Any]]
-) -> None:
-    """Write tables as CSV, LaTeX, or a page with the precision-recall curves of ``runs`` by name; whole or not at all.
+def write_table(path: Path, table: pd.DataFrame, note: str) -> None:
+    """Write a table as CSV or LaTeX, whole or not at all.
 
     Raises:
         EvaluationError: the name has another ending.
         UnwritableLogError: the file cannot be written.
     """
     check_endings([path])
-    match path.suffix.lower():
-        case ".csv":
-            text = "\n".join(frame.to_csv(lineterminator="\n") for frame in tables.values())
-        case ".tex":
-            parts = (f"% {name}. {note}\n{frame.to_latex(escape=True)}" for name, frame in tables.items())
-            text = "\n".join(parts)
-        case _:
-            from slam.evaluation.page.page import compose_runs_page
-
-            text = compose_runs_page(title, tables, note, runs)
-    write_text(path, text)
+    is_csv = path.suffix.lower() == ".csv"
+    write_text(path, table.to_csv(lineterminator="\n") if is_csv else f"% {note}\n{table.to_latex(escape=True)}")

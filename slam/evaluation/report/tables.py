@@ -10,7 +10,7 @@ import pandas as pd
 from slam.evaluation.metrics.statistics import UNDEFINED
 from slam.evaluation.report.figures import format_number, leaves
 
-_TRAJECTORIES = ("estimate", "odometry", "online", "closure_reference")
+_TRAJECTORIES = ("estimate", "odometry", "online")
 _RELATIVE = {"translation_percent": "%", "rotation_deg_per_100m": "deg/100 m"}
 _APART = ("trajectory", "unavailable", "protocol")
 

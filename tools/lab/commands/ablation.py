@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
+import json as json_text
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tools.arguments import ConfigFile, Json, Settings
-from tools.lab.tables import Markdown, Row, number, report
+from tools.lab.tables import UNDEFINED, Markdown, report
 
 if TYPE_CHECKING:
     from slam.common.config import Config
-    from slam.evaluation.report.figures import Figure
-    from slam.sweeps.sweep import Sweep
+    from slam.evaluation.comparison import Comparison
 
 NOISE = "position_noise=0.001,odometry_translation_noise=0.001"
 """Of each copy: far below that of any sensor, so that copies differ only by chance."""
 
 FIGURES = ("trajectory.ate_m", "closures.precision", "closures.recall", "relocalization.success_rate",
            "associations.precision")  # fmt: skip
-CHANGED = "beyond the spread"
 
 
 def ablation(
@@ -56,22 +55,31 @@ def ablation(
 
     Example: dslam benchmark ablation data -o out/ablation --drive demo --part calibration --copies 3
     """
+    import pandas as pd
+
     from slam.common.config import load_config
     from slam.evaluation.comparison import RULE
+    from slam.evaluation.report.figures import HEADLINE_FIGURES
     from tools.lab.drives.ablation_drives import DRIVES
     from tools.lab.drives.ablation_parts import DEFAULT, PARTS
 
     drives = _chosen(drive, DRIVES, "--drive")
     parts = list(dict.fromkeys([DEFAULT, *_chosen(part, PARTS, "--part")]))
     configs = {name: load_config(config_file, [*(settings or ()), *PARTS[name].settings]) for name in parts}
-    sweeps = dict[tuple[str, str], "Sweep"]()
-    for key, sweep in _run(drives, data, folder, configs, copies, jobs or os.cpu_count() or 1):
-        sweeps[key] = sweep
-        for failure in sweep.failures:
-            typer.echo(f"{key[0]}: {failure}", err=True)
-    found = [{"drive": name, **each.to_json_dict()} for (name, _), each in sweeps.items()] if json else []
-    note = f"{copies} copies with the noise {NOISE}, seeds 0 to {copies - 1}. Each figure: mean, worst. {RULE}"
-    report(_rows(sweeps), note, texts=("off", CHANGED), markdown=markdown, json={"rows": found} if json else None)
+    compared = {
+        name: _compare_parts(name, data, folder / _file_name(name), configs, copies, jobs or os.cpu_count() or 1)
+        for name in drives
+    }
+    tables = pd.concat({name: each.to_table().T for name, each in compared.items()}, names=["drive", "off"])
+    headings = [figure.heading for figure in HEADLINE_FIGURES if figure.key in FIGURES]
+    rows = tables.reindex(columns=headings).fillna(UNDEFINED).reset_index().to_dict("records")
+    report(
+        [{str(heading): cell for heading, cell in row.items()} for row in rows],
+        f"{copies} copies with the noise {NOISE}, seeds 0 to {copies - 1}: mean ± deviation. {RULE}",
+        texts=["off"],
+        markdown=markdown,
+        json={name: each.to_json_dict() for name, each in compared.items()} if json else None,
+    )
 
 
 def _chosen(names: Sequence[str] | None, there: Mapping[str, object], option: str) -> list[str]:
@@ -82,85 +90,42 @@ def _chosen(names: Sequence[str] | None, there: Mapping[str, object], option: st
     return [name for name in there if not names or name in names]
 
 
-def _run(
-    drives: Sequence[str], data: Path, folder: Path, configs: Mapping[str, Config], copies: int, jobs: int
-) -> Iterator[tuple[tuple[str, str], Sweep]]:
-    """A sweep for each drive and part; ``folder`` keeps the log of the drive and each cell that is finished."""
+def _compare_parts(
+    drive: str, data: Path, folder: Path, configs: Mapping[str, Config], copies: int, jobs: int
+) -> Comparison:
+    """Map the copies of a drive without each part; ``folder`` keeps the log and the copies that are finished."""
+    from slam.evaluation.comparison import Run, compare_runs
     from slam.sweeps.degradations import parse_degradations
     from slam.sweeps.sweep import run_sweep
     from tools import console
     from tools.lab.drives.ablation_drives import DRIVES
-    from tools.lab.drives.ablation_parts import compute_without
+    from tools.lab.drives.ablation_parts import DEFAULT, compute_without
 
-    noise = parse_degradations([NOISE])[1:]
-    for drive in drives:
-        own = folder / _file_name(drive)
-        own.mkdir(parents=True, exist_ok=True)
-        log = own / "drive.mcap"
-        if not log.exists():
-            DRIVES[drive](log, data)
-        for part, config in configs.items():
-            with console.progress_bar(drive, part) as move:
-                sweep = run_sweep(
-                    log,
-                    own / _file_name(part),
-                    noise,
-                    config,
-                    seeds=copies,
-                    jobs=jobs,
-                    variants={part: config},
-                    on_progress=move,
-                    compute=compute_without,
-                )
-            yield (drive, part), sweep
+    folder.mkdir(parents=True, exist_ok=True)
+    log = folder / "drive.mcap"
+    if not log.exists():
+        DRIVES[drive](log, data)
+    with console.progress_bar(drive, drive) as move:
+        sweep = run_sweep(
+            log,
+            folder,
+            parse_degradations([NOISE])[1:],
+            configs[DEFAULT],
+            seeds=copies,
+            jobs=jobs,
+            variants=configs,
+            on_progress=move,
+            compute=compute_without,
+        )
+    for failure in sweep.failures:
+        typer.echo(f"{drive}: {failure}", err=True)
+    return compare_runs(
+        [
+            Run(cell.name, result.evaluation or {}, json_text.dumps({"off": cell.variant}))
+            for cell, result in sweep.results.items()
+        ]
+    )
 
 
 def _file_name(name: str) -> str:
     return re.sub(r"\W+", "_", name)
-
-
-def _rows(sweeps: Mapping[tuple[str, str], Sweep]) -> list[Row]:
-    """Drive, part that is off, mean and worst of each figure, and the figures that it changes."""
-    from tools.lab.drives.ablation_parts import DEFAULT
-
-    return [
-        {"drive": drive, "off": part, **_figures(sweep), CHANGED: _changed(sweeps[drive, DEFAULT], sweep)}
-        for (drive, part), sweep in sweeps.items()
-    ]
-
-
-def _figures(sweep: Sweep) -> Row:
-    """Mean and worst of each figure; of how many copies, where it is not defined in all."""
-    cells = {}
-    (copies,) = sweep.rows().values()
-    for figure in _headline_figures():
-        values = copies[figure.key].dropna()
-        worst = values.max() if figure.is_error else values.min()
-        part = "" if len(values) in (0, len(copies)) else f" ({len(values)} of {len(copies)})"
-        both = f"{number(values.mean(), figure.digits)}, {number(worst, figure.digits)}{part}"
-        cells[figure.heading] = both if len(values) else number(None, 0)
-    return cells
-
-
-def _changed(default: Sweep, sweep: Sweep) -> str:
-    """The figures whose means differ by more than the spread of the copies explains, by how much."""
-    from slam.evaluation.comparison import Run, compare_runs
-
-    runs = [
-        Run(name, evaluation, f'{{"variant": "{each.first.variant}"}}')
-        for each in (default, sweep)
-        for name, evaluation in each.evaluations.items()
-    ]
-    if sweep is default or len(runs) < 2:
-        return ""
-    figures = {figure.key: figure for figure in _headline_figures()}
-    return ", ".join(
-        f"{figures[each.key].heading} {each.difference:+.{figures[each.key].digits}f}"
-        for each in compare_runs(runs, tuple(figures.values())).marked
-    )
-
-
-def _headline_figures() -> list[Figure]:
-    from slam.evaluation.report.figures import HEADLINE_FIGURES
-
-    return [figure for figure in HEADLINE_FIGURES if figure.key in FIGURES]

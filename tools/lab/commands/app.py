@@ -11,12 +11,11 @@ from tools.lab.commands.kidnapping import kidnapping
 from tools.lab.commands.live import live
 from tools.lab.commands.recall import recall
 from tools.lab.commands.relocalization import relocalization
-from tools.lab.commands.replay import replay
 from tools.lab.commands.retrieval import retrieval
 from tools.lab.commands.robots import robots
 
 app = typer.Typer(help="Measure accuracy, recall, speed and memory.", no_args_is_help=True)
-for command in (*(descriptors, fleet, kidnapping, ablation, live, recall, relocalization, replay, retrieval, robots),):
+for command in (*(descriptors, fleet, kidnapping, ablation, live, recall, relocalization, retrieval, robots),):
     app.command()(command)
 
 

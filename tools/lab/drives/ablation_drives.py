@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -15,7 +16,6 @@ from slam.simulation.simulation import write_simulation
 from slam.simulation.street_grid import generate_street_grid
 from slam.simulation.world import World, load_world
 from tools.lab.drives.robot_drives import find_drives, import_drive
-from tools.lab.relocalization.kidnaps import thin_world
 
 SEED = 1
 """Of the simulated worlds and drives."""
@@ -26,10 +26,16 @@ def _write_town(log: Path, data: Path, *overrides: str) -> None:
     write_simulation(log, world, load_simulation_config(overrides=overrides), seed=SEED)
 
 
-def _write_city(log: Path, data: Path, *, city: str, thinned: float) -> None:
+def _write_city(log: Path, data: Path, *, city: str, every: int) -> None:
+    """A drive among every so many objects of a city."""
     folder = data / "cities" / city
     world = load_world(folder / "objects.csv", folder / "trajectory.csv")
-    world = thin_world(world, thinned, rng=np.random.default_rng(SEED))
+    world = replace(
+        world,
+        object_ids=world.object_ids[::every],
+        positions=world.positions[::every],
+        labels=world.labels[::every],
+    )
     write_simulation(log, world, load_simulation_config(), seed=SEED)
 
 
@@ -83,8 +89,8 @@ DRIVES: dict[str, Callable[[Path, Path], None]] = {
     "kidnapped silently": lambda log, data: _write_town(
         log, data, "kidnap.from_m=900", "kidnap.to_m=300", "kidnap.silent=true"
     ),
-    "villeurbanne, a tenth": partial(_write_city, city="villeurbanne", thinned=10.0),
-    "villeurbanne": partial(_write_city, city="villeurbanne", thinned=1.0),
+    "villeurbanne, a tenth": partial(_write_city, city="villeurbanne", every=10),
+    "villeurbanne": partial(_write_city, city="villeurbanne", every=1),
     "kitti00": _write_kitti,
 }
 """Functions that write the log of a drive (first path) from a folder of data (second path), the cheap ones first."""

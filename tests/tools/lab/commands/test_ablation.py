@@ -43,17 +43,21 @@ def test_table_has_a_row_for_each_part(dslam: Run, data: Path) -> None:
     arguments = ("benchmark", "ablation", data, "-o", data / "out", "--copies", 2, "--jobs", 1, "--markdown")
     result = dslam(*arguments, "--part", "calibration")
     rows = [line.split(" | ")[:2] for line in result.out.splitlines() if line.startswith("| tiny")]
-    assert rows == [["| tiny", DEFAULT], ["| tiny", "calibration"]]
+    assert rows == [["| tiny", f"off={DEFAULT} (2 runs)"], ["| tiny", "off=calibration (2 runs)"]]
     assert "2 copies with the noise" in result.out
 
 
 @pytest.mark.slow
-def test_finished_cells_are_kept(dslam: Run, data: Path) -> None:
+def test_finished_copies_of_each_part_are_kept(dslam: Run, data: Path) -> None:
+    """Also of a part that no setting switches off."""
     arguments = ("benchmark", "ablation", data, "-o", data / "out", "--copies", 1, "--jobs", 1, "--json")
-    part = ("--part", "loop closures")
-    for computed in (1, 0):
-        rows = json.loads(dslam(*arguments, *part).out)["rows"]
-        assert [row["times"]["computed"] for row in rows] == [computed, computed]
+    parts = ("--part", "existence of landmarks")
+    groups = json.loads(dslam(*arguments, *parts).out)["tiny"]["groups"]
+    assert [group["label"] for group in groups] == [f"off={DEFAULT}", "off=existence of landmarks"]
+    cells = {path: path.stat().st_mtime_ns for path in (data / "out" / "tiny" / "cells").glob("*.json")}
+    assert len(cells) == 2
+    assert dslam(*arguments, *parts).code == 0
+    assert cells == {path: path.stat().st_mtime_ns for path in cells}
 
 
 def test_unknown_names_are_refused(dslam: Run, tmp_path: Path) -> None:
