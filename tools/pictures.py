@@ -30,7 +30,8 @@ def draw_landmarks(map_log: Path, picture: Path) -> None:
     """Draw the landmarks of a map of any kind."""
     import numpy as np
 
-    from slam.display.map_picture import MapPicture, draw_map
+    from slam.display.map_layers import MapPicture
+    from slam.display.map_picture import draw_map
     from slam.library import read_map
 
     objects = read_map(map_log)

@@ -5,14 +5,12 @@ from __future__ import annotations
 import logging
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.font_manager import findSystemFonts, fontManager
 
@@ -20,10 +18,9 @@ from logs.container.names import visible
 from logs.storage.placement import replacing
 from slam.common.arrays import FloatArray
 from slam.common.errors import EvaluationError
-from slam.display import palette
+from slam.display.map_layers import Layer, MapPicture, layers_of
 
-_INK, _MUTED, _GRID, _KNOWN = "#1f2937", "#4b5563", "#e5e7eb", "#9ca3af"
-_MARKERS = "os^DvPXhp*<>"
+_INK, _MUTED, _GRID = "#1f2937", "#4b5563", "#e5e7eb"
 _MAX_NAME_LENGTH, _MAX_TITLE_LENGTH = 40, 60
 """Letters that have room in the key and above the map."""
 _FONTS = ("DejaVu Sans", "Noto Sans CJK SC", "Noto Sans CJK JP", "WenQuanYi Zen Hei", "Droid Sans Fallback", "Unifont")
@@ -34,52 +31,8 @@ _FONTS = ("DejaVu Sans", "Noto Sans CJK SC", "Noto Sans CJK JP", "WenQuanYi Zen 
 logging.getLogger("matplotlib.font_manager").setLevel(logging.ERROR)
 
 
-def _no_points() -> FloatArray:
-    return np.zeros((0, 3))
-
-
-def _no_lines() -> FloatArray:
-    return np.zeros((0, 2, 3))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MapPicture:
-    """What to draw, all in metres and in one frame (the map, into which the caller has aligned the others).
-
-    estimate, odometry, truth (N, 3) positions along the path, N may be 0, a row of NaN where no line is to be drawn;
-    landmarks (L, 3) with ``labels`` (L,); closures, true_closures, false_closures (C, 2, 3) ends of accepted loop
-    closures of which it is unknown whether they are right, that are, that are not; missed_revisits (M, 3) where a
-    closure was possible and not made; lost, found (J, 3) where the robot lost and found its place; known (K, 3)
-    landmarks of a map that was given, drawn in grey; errors of estimate and odometry where they are known.
-    """
-
-    estimate: FloatArray
-    odometry: FloatArray = field(default_factory=_no_points)
-    truth: FloatArray = field(default_factory=_no_points)
-    landmarks: FloatArray = field(default_factory=_no_points)
-    labels: tuple[str, ...] = ()
-    closures: FloatArray = field(default_factory=_no_lines)
-    true_closures: FloatArray = field(default_factory=_no_lines)
-    false_closures: FloatArray = field(default_factory=_no_lines)
-    missed_revisits: FloatArray = field(default_factory=_no_points)
-    lost: FloatArray = field(default_factory=_no_points)
-    found: FloatArray = field(default_factory=_no_points)
-    known: FloatArray = field(default_factory=_no_points)
-    title: str = "Object map"
-    ate_m: float | None = None
-    odometry_ate_m: float | None = None
-
-    @property
-    def points(self) -> FloatArray:
-        """Everything that has to be in sight (N, 3), metres."""
-        every = np.concatenate([self.estimate, self.odometry, self.truth, self.landmarks, self.known])
-        return np.asarray(every[~np.isnan(every).all(axis=1)])
-
-
 def draw_map(path_png: str | Path, picture: MapPicture, *, width_px: int = 1600) -> None:
     """Draw a map from above (x to the right, y up, equal scales) into a PNG file.
-
-    The most frequent classes have a colour and a marker each, ties by name; the rest is "other".
 
     Args:
         path_png: file to write, by way of ``NAME.part``.
@@ -103,8 +56,8 @@ def draw_map(path_png: str | Path, picture: MapPicture, *, width_px: int = 1600)
         figure.set_layout_engine("constrained", h_pad=0.15, w_pad=0.15)
         axes = figure.add_subplot()
         _prepare(axes, low, high)
-        _draw_landmarks(axes, picture)
-        _draw_paths(axes, picture)
+        for number, layer in enumerate(layers_of(picture), start=2):  # above the grid
+            _draw(axes, layer, number)
         figure.legend(loc="outside right upper", fontsize=13, frameon=False, labelcolor=_INK)
         axes.set_title(
             _cut(picture.title, _MAX_TITLE_LENGTH), loc="left", fontsize=20, fontweight="bold", color=_INK, pad=30
@@ -156,59 +109,17 @@ def _prepare(axes: Axes, low: FloatArray, high: FloatArray) -> None:
     axes.spines[:].set_visible(False)
 
 
-def _draw_points(
-    axes: Axes, points: FloatArray, name: str, color: str, marker: str, size: float, zorder: float, edge: str = "white"
-) -> None:
-    if len(points):
-        x, y = points[:, :2].T
-        width = 0.07 * size**0.5 if edge == "white" else 1.4
-        axes.scatter(
-            x, y, s=size, marker=marker, color=color, edgecolors=edge, linewidths=width, zorder=zorder, label=name
-        )
-
-
-def _draw_landmarks(axes: Axes, picture: MapPicture) -> None:
-    # A thousand landmarks need smaller markers than ten.
-    size = float(np.clip(12000.0 / max(len(picture.labels), len(picture.known), 1), 24.0, 70.0))
-    _draw_points(axes, picture.known, f"landmarks of the map ({len(picture.known)})", _KNOWN, "o", size, 1.5)
-    for group in palette.group_classes(picture.labels):
-        name = f"{_entry(group.name)} ({len(group.rows)})"
-        marker = "o" if group.index < 0 else _MARKERS[group.index]
-        _draw_points(axes, picture.landmarks[group.rows], name, group.color, marker, size, 2.0)
-
-
-def _draw_paths(axes: Axes, picture: MapPicture) -> None:
-    """Draw trajectories, closures (only false ones over them), missed revisits, losses, start and end."""
-    for positions, name, color, width, style, zorder in (
-        (picture.estimate, "estimate", palette.ESTIMATE, 2.8, "-", 4.0),
-        (picture.odometry, "odometry", palette.ODOMETRY, 1.6, "-", 3.0),
-        (picture.truth, "ground truth", palette.TRUTH, 1.2, (0, (6, 4)), 4.5),
-    ):
-        if len(positions):
-            axes.plot(*positions[:, :2].T, color=color, linewidth=width, linestyle=style, zorder=zorder, label=name)
-    missed = picture.missed_revisits
-    _draw_points(axes, missed, f"missed revisits ({len(missed)})", "white", "o", 30.0, 4.8, palette.MISSED)
-    for lines, name, color, width, zorder in (
-        (picture.closures, "loop closures", palette.CLOSURE, 1.2, 1.8),
-        (picture.true_closures, "true loop closures", palette.TRUE_CLOSURE, 1.6, 3.5),
-        (picture.false_closures, "false loop closures", palette.FALSE_CLOSURE, 4.0, 7.0),
-    ):
-        if len(lines):
-            strokes = LineCollection(
-                list(lines[:, :, :2]), colors=color, linewidths=width, zorder=zorder, label=f"{name} ({len(lines)})"
-            )
-            axes.add_collection(strokes, autolim=False)
-    _draw_points(axes, picture.lost, f"lost ({len(picture.lost)})", palette.LOST, "v", 180.0, 6.5)
-    _draw_points(axes, picture.found, f"found ({len(picture.found)})", palette.FOUND, "^", 180.0, 6.5)
-    shown = next((path for path in (picture.estimate, picture.truth, picture.odometry) if len(path)), _no_points())
-    _draw_points(axes, shown[:1], "start", palette.START, "o", 170.0, 6.0)
-    _draw_points(axes, shown[-1:], "end", palette.END, "s", 170.0, 6.0)
-
-
-def _entry(name: str) -> str:
-    """A class in the legend, from which the library leaves out what begins with an underscore."""
-    text = _cut(name, _MAX_NAME_LENGTH)
-    return f" {text}" if text.startswith("_") else text
+def _draw(axes: Axes, layer: Layer, zorder: int) -> None:
+    name = _cut(layer.name, _MAX_NAME_LENGTH) + ("" if layer.count is None else f" ({layer.count})")
+    if name.startswith("_"):
+        name = f" {name}"  # the key leaves out what begins with an underscore
+    x, y = layer.positions[:, :2].T
+    if layer.size:
+        edge: dict[str, Any] = {"linewidths": 0.07 * layer.size, "edgecolors": "white"}
+        axes.scatter(x, y, s=layer.size**2, c=layer.color, marker=layer.marker, zorder=zorder, label=name, **edge)
+    else:
+        style = (0, (6, 4)) if layer.is_dashed else "-"
+        axes.plot(x, y, color=layer.color, linewidth=layer.width, linestyle=style, zorder=zorder, label=name)
 
 
 def _cut(name: str, most: int) -> str:

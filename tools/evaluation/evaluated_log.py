@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 class Truth:
     """What the logs are compared with, if it is not in themselves.
 
-    ``reference``: the log, or the file of poses, that holds the truth; ``times`` and ``calib``: of poses in KITTI's format; ``topics``: by kind; ``map_run``: the drive that made the map
-    in which the robot found itself; ``thresholds``: of the protocol, by name, that are not its own.
+    ``reference``: the log, or the file of poses, that holds the truth; ``times`` and ``calib``: of poses in KITTI's
+    format; ``topics``: by kind; ``map_run``: the drive that made the map in which the robot found itself;
+    ``thresholds``: of the protocol, by name, that are not its own.
     """
 
     reference: Path | None = None

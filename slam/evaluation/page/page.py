@@ -19,12 +19,7 @@ from logs.storage.placement import write_text
 from slam.common.config import Config
 from slam.common.config_tree import changes
 from slam.evaluation.inputs.records import EvaluationRecords
-from slam.evaluation.page.charts import (
-    draw_calibration,
-    draw_error_along_path,
-    draw_precision_recall,
-)
-from slam.evaluation.page.map_charts import draw_object_map, draw_trajectory
+from slam.evaluation.page.charts import draw_calibration, draw_error_along_path, draw_map, draw_precision_recall
 from slam.evaluation.page.traces import Chart
 from slam.evaluation.report.figures import summarize
 from slam.evaluation.report.picture import compose_picture, estimated_path
@@ -45,15 +40,11 @@ _BUTTONS = ["zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d", "toImage
 _CONFIG = {"displaylogo": False, "responsive": True, "modeBarButtons": [_BUTTONS]}
 _COUNTED = {"keyframes": "keyframes", "landmarks_confirmed": "landmarks"}
 _PANELS = {
-    "trajectory": (
-        "Trajectory",
+    "map": (
+        "Map",
         "Odometry and estimate have the same start; the truth is aligned with the estimate. Lines are interrupted "
-        "where the robot was kidnapped or the odometry jumped. A dot is a keyframe at which a loop was closed; its "
-        "stroke leads to the earlier keyframe.",
-    ),
-    "objects": (
-        "Object map",
-        "The confirmed landmarks. A click on a class hides it, a double click shows it alone.",
+        "where the robot was kidnapped or the odometry jumped. Strokes join the keyframes of loop closures. A click on "
+        "an entry hides it, a double click shows it alone.",
     ),
     "precision-recall": (
         "Precision and recall",
@@ -105,11 +96,7 @@ def compose_page(records: EvaluationRecords, evaluation: Evaluation, *, title: s
     missing = evaluation.unavailable
     without_closures = missing.get("closures") or "no revisit, or no candidate"
     charts: dict[str, tuple[Chart | None, str]] = {
-        "trajectory": (draw_trajectory(picture, records, evaluation), "the log holds neither an estimate nor odometry"),
-        "objects": (
-            draw_object_map(picture, records),
-            "no object map in the log (/slam/map), or no confirmed landmark",
-        ),
+        "map": (draw_map(picture, records, evaluation), "the log holds neither an estimate nor odometry nor a map"),
         "precision-recall": (draw_precision_recall(results), without_closures),
         "error": (
             draw_error_along_path(records, evaluation),

@@ -10,8 +10,8 @@ import numpy as np
 from logs.container.names import visible
 from slam.common.arrays import FloatArray, IntArray
 
-MAX_POINTS = 2500
-"""A line or a cloud of points is thinned to so many: more than a screen has pixels, and a page stays small."""
+MAX_POINTS = 5000
+"""A line, and all marks of a chart, are thinned to so many: a browser draws each mark as an object of its own."""
 MAX_NAME_LENGTH = 80
 
 Trace = dict[str, Any]
@@ -27,20 +27,6 @@ def make_chart(traces: list[Trace], x: dict[str, Any], y: dict[str, Any], **layo
 def make_axis(title: str, **more: Any) -> dict[str, Any]:
     """An axis with its title, unit included."""
     return {"title": {"text": title}, **more}
-
-
-def view_from_above(points: FloatArray) -> dict[str, Any]:
-    """Axes in equal scales for points (N, 2 or 3), metres: x to the right, y up."""
-    known = points[np.isfinite(points).all(axis=1), :2]
-    low, high = (known.min(axis=0), known.max(axis=0)) if len(known) else (np.zeros(2), np.zeros(2))
-    margin = max(0.04 * float(np.max(high - low)), 1.0)
-    spans = np.round(np.stack([low - margin, high + margin], axis=1), 1).tolist()
-    return {
-        "x": make_axis("x [m]", range=spans[0]),
-        "y": make_axis("y [m]", range=spans[1], scaleanchor="x", scaleratio=1),
-        "dragmode": "pan",
-        "height": 640,
-    }
 
 
 def draw_line(x: FloatArray, y: FloatArray, name: str, color: str, width: float = 2.0, **more: Any) -> Trace:
@@ -66,9 +52,12 @@ def draw_points(
     return trace | {"hovertemplate": "%{text}<extra></extra>"} | more
 
 
-def thin(is_known: np.ndarray, most: int = MAX_POINTS) -> IntArray:
-    """At most ``most`` rows (R,) of N, evenly spread, the first and the last among them, and all breaks of a line."""
-    count = len(is_known)
+def thin(is_known: np.ndarray, share: float = 1.0) -> IntArray:
+    """Rows (R,) of N, evenly spread, the first and the last among them, and all breaks of a line.
+
+    At most :data:`MAX_POINTS` of them, or that ``share`` of so many.
+    """
+    count, most = len(is_known), max(int(share * MAX_POINTS), 1)
     evenly = np.round(np.linspace(0, count - 1, most)).astype(np.int64) if count > most else np.arange(count)
     breaks = np.flatnonzero(~is_known)
     around = np.concatenate([breaks - 1, breaks, breaks + 1])

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import pandas as pd
 
 from logs.messages import FactorGraphRecord
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, interpolate, invert
-from slam.display.map_picture import MapPicture
+from slam.display.map_layers import MapPicture
 from slam.evaluation.inputs.records import EvaluationRecords
 from slam.evaluation.inputs.synchronization import PoseSeries
 from slam.evaluation.metrics.landmarks import CONFIRMED
@@ -54,24 +53,14 @@ def estimated_path(records: EvaluationRecords) -> PoseSeries:
     return records.final_path if records.trajectory else records.online_path
 
 
-def poses_at(path: PoseSeries, at_ns: IntArray) -> FloatArray:
-    """``T_map_body`` (M, 4, 4) at any times (M,); NaN where the path does not reach."""
-    poses = np.full((len(at_ns), 4, 4), np.nan)
+def positions_at(path: PoseSeries, at_ns: IntArray | Sequence[int]) -> FloatArray:
+    """Positions (M, 3), metres, at any times (M,); NaN where the path does not reach."""
+    at_ns = np.asarray(at_ns, dtype=np.int64)
+    positions = np.full((len(at_ns), 3), np.nan)
     if len(path):
         inside = (at_ns >= path.stamps_ns[0]) & (at_ns <= path.stamps_ns[-1])
-        poses[inside] = interpolate(path.stamps_ns, path.T_world_body, at_ns[inside])
-    return poses
-
-
-def positions_at(path: PoseSeries, at_ns: IntArray | Sequence[int]) -> FloatArray:
-    """Positions (M, 3), metres, as :func:`poses_at`."""
-    return poses_at(path, np.asarray(at_ns, dtype=np.int64))[:, :3, 3]
-
-
-def closure_ends(path: PoseSeries, closures: pd.DataFrame) -> FloatArray:
-    """Positions (C, 2, 3) of the query and the reference keyframe of each closure, NaN as :func:`poses_at`."""
-    ends = [positions_at(path, closures[name].to_numpy()) for name in ("stamp_ns", "reference_stamp_ns")]
-    return np.stack(ends, axis=1)
+        positions[inside] = interpolate(path.stamps_ns, path.T_world_body, at_ns[inside])[:, :3, 3]
+    return positions
 
 
 def _closures(evaluation: Evaluation, estimate: PoseSeries) -> dict[str, FloatArray]:
@@ -79,7 +68,9 @@ def _closures(evaluation: Evaluation, estimate: PoseSeries) -> dict[str, FloatAr
     if evaluation.closures is None:
         return {}
     closures = evaluation.closures[evaluation.closures["accepted"]]
-    ends = closure_ends(estimate, closures)
+    ends = np.stack(
+        [positions_at(estimate, closures[k].to_numpy()) for k in ("stamp_ns", "reference_stamp_ns")], axis=1
+    )
     is_known = np.isfinite(ends).all(axis=(1, 2))
     true, decided = closures["true"].to_numpy(), closures["decided"].to_numpy()
     return {

@@ -12,8 +12,8 @@ from matplotlib.image import imread
 
 from logs.errors import UnwritableLogError
 from slam.common.errors import EvaluationError
-from slam.display.map_picture import MapPicture, draw_map
-from slam.display.palette import CLASS_COLORS, ESTIMATE, ODOMETRY, TRUE_CLOSURE, group_classes
+from slam.display.map_layers import CLASS_COLORS, ESTIMATE, ODOMETRY, TRUE_CLOSURE, MapPicture, layers_of
+from slam.display.map_picture import draw_map
 from tests.slam.evaluation.drives import straight_path, winding_path
 
 
@@ -102,13 +102,13 @@ def test_what_cannot_be_drawn_is_refused(tmp_path: Path, picture: MapPicture, me
     assert list(tmp_path.iterdir()) == []
 
 
-def test_group_classes_names_most_frequent_classes() -> None:
+def test_most_frequent_classes_have_a_layer_each() -> None:
     labels = tuple(f"c{i:02d}" for i in range(20) for _ in range(1 + (i == 19)))
-    groups = group_classes(labels)
-    assert [group.name for group in groups] == ["c19", *(f"c{i:02d}" for i in range(len(CLASS_COLORS) - 1)), "other"]
-    assert sorted(np.concatenate([group.rows for group in groups]).tolist()) == list(range(21))
-    assert group_classes(()) == []
-    assert [group.name for group in group_classes(("a", "b", "b"))] == ["b", "a"]
+    layers = layers_of(MapPicture(np.zeros((0, 3)), landmarks=np.ones((21, 3)), labels=labels))
+    names = ["c19", *(f"c{i:02d}" for i in range(len(CLASS_COLORS) - 1)), "other"]
+    assert [layer.name for layer in layers] == names
+    assert [layer.count for layer in layers] == [2, *[1] * 11, 8]
+    assert len({(layer.color, layer.marker) for layer in layers}) == len(layers)
 
 
 def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:

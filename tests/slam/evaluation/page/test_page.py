@@ -31,7 +31,7 @@ from slam.evaluation.inputs.records import EvaluationRecords, collect_records
 from slam.evaluation.metrics.calibration import Consistency
 from slam.evaluation.page.charts import draw_calibration
 from slam.evaluation.page.page import compose_page, write_report
-from slam.evaluation.page.traces import label, thin
+from slam.evaluation.page.traces import MAX_POINTS, label, thin
 from slam.evaluation.report.picture import compose_picture
 from tests.slam.evaluation.loops import closure, there_and_back
 from tests.slam.evaluation.maps import object_map
@@ -39,7 +39,7 @@ from tests.slam.evaluation.results import graph
 
 HOSTILE = '</script><b>O\'Brien & "sons"\n%{x}'
 PATHS = (TrajectoryRecord, SlamPose, Odometry, GroundTruthPose)
-CHARTS = ("trajectory", "objects", "precision-recall", "error")
+CHARTS = ("map", "precision-recall", "error")
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 _CHART = re.compile(r'Plotly\.newPlot\(\s*"chart-([\w-]+)",\s*(\[.*?\]),\s*(\{.*?\}),\s*\{"displaylogo"', re.DOTALL)
 
@@ -111,11 +111,11 @@ def test_page_holds_every_part(page: str) -> None:
 def test_names_from_log_stay_text(page: str) -> None:
     assert "<b>O'" not in page
     assert 'O\'Brien & "sons"' in text_of(page)
-    shown = [text for traces in charts_of(page).values() for trace in traces for text in trace.get("text", ())]
+    traces = [trace for chart in charts_of(page).values() for trace in chart]
+    shown = [text for trace in traces for text in (trace["name"], *trace.get("text", ()))]
     assert any("&lt;/script&gt;&lt;b&gt;O'Brien" in text for text in shown)
     assert not any("<i>" in text or "</script>" in text for text in shown)
-    templates = [trace.get("hovertemplate", "") for traces in charts_of(page).values() for trace in traces]
-    assert not any("Brien" in template for template in templates)
+    assert not any("Brien" in trace.get("hovertemplate", "") for trace in traces)
     assert len(label("x" * 1000)) == 80
 
 
@@ -140,13 +140,8 @@ def test_same_input_gives_same_bytes(page: str, tmp_path: Path) -> None:
         ((GroundTruthPose,), {"precision-recall", "error"}, "no ground truth"),
         ((LoopClosureRecord,), {"precision-recall"}, "no revisit, or no candidate"),
         ((FactorGraphRecord,), {"precision-recall"}, "no keyframes in the log"),
-        ((ObjectMapRecord,), {"objects"}, "no object map in the log"),
         ((TrajectoryRecord,), set(), "was not finished"),
-        (
-            (TrajectoryRecord, SlamPose, Odometry, GroundTruthPose),
-            {"trajectory", "precision-recall", "error"},
-            "neither",
-        ),
+        ((*PATHS, ObjectMapRecord), set(CHARTS), "neither"),
     ],
 )
 def test_page_names_what_is_missing(left_out: tuple[type, ...], missing: set[str], reason: str) -> None:
@@ -163,13 +158,13 @@ def test_charts_show_measurements() -> None:
     records = collect_records(drive())
     evaluation = evaluate(records)
     charts = charts_of(compose_page(records, evaluation, title=""))
-    trajectory = {(t["name"], t["mode"]): t for t in charts["trajectory"]}
-    missed = trajectory["missed revisits (35)", "markers"]
+    of_map = {trace["name"]: trace for trace in charts["map"]}
+    missed = of_map["missed revisits (35)"]
     seconds = (np.array(evaluation.missed_ns) - records.true_poses[0].stamp_ns) * 1e-9
     np.testing.assert_allclose(missed["x"], 240.0 - seconds, atol=0.01)
-    assert trajectory["false closures (1)", "lines"]["x"] == [90.0, 0.0, None]
-    assert "off by 0.500 m" in trajectory["true closures (2)", "markers"]["text"][0]
-    dots = np.array(trajectory["estimate by its error", "markers"]["marker"]["color"])
+    assert of_map["false loop closures (1)"]["x"] == [90.0, 0.0, None]
+    assert of_map["tree (2)"]["x"] == [60.0, 110.0]
+    dots = np.array(of_map["estimate by its error"]["marker"]["color"])
     assert np.sqrt(np.mean(dots**2)) == pytest.approx(evaluation.estimate.absolute.rmse_m, abs=2e-3)
     measured = (evaluation.odometry, evaluation.online, evaluation.estimate)
     for trace, errors in zip(charts["error"], measured, strict=True):
@@ -180,8 +175,9 @@ def test_charts_show_measurements() -> None:
 
 
 def test_error_is_drawn_over_closures_and_under_false_ones() -> None:
-    names = [trace["name"] for trace in charts_of(page_of(collect_records(drive())))["trajectory"]]
-    order = [names.index(name) for name in ("true closures (2)", "estimate by its error", "false closures (1)")]
+    names = [trace["name"] for trace in charts_of(page_of(collect_records(drive())))["map"]]
+    drawn = ("true loop closures (2)", "estimate by its error", "false loop closures (1)")
+    order = [names.index(name) for name in drawn]
     assert order == sorted(order)
 
 
@@ -198,20 +194,20 @@ def test_calibration_chart_tells_right_from_small_covariances() -> None:
 def test_thinning_keeps_ends_and_breaks() -> None:
     is_known = np.ones(100_000, dtype=np.bool_)
     is_known[54_321] = False
-    rows = thin(is_known, 2_500)
+    rows = thin(is_known, 0.5)
     assert (rows[0], rows[-1]) == (0, 99_999)
     assert {54_320, 54_321, 54_322} <= set(rows.tolist())
-    assert len(rows) <= 2_503
+    assert len(rows) <= 0.5 * MAX_POINTS + 3
     assert np.diff(rows).max() <= 41
-    assert thin(np.ones(10, dtype=np.bool_), 20).tolist() == list(range(10))
+    assert thin(np.ones(10, dtype=np.bool_)).tolist() == list(range(10))
 
 
 def test_landmarks_are_thinned_by_class() -> None:
     labels = tuple("tree" if row % 3 else "pole" for row in range(12_000))
     many = object_map(tuple(map(str, range(12_000))), np.random.default_rng(0).normal(size=(12_000, 3)), labels)
-    records = replace(without(ObjectMapRecord), object_map=many)
-    charts = charts_of(page_of(records))
-    assert [t["name"] for t in charts["objects"]][1:] == ["tree (3333 of 8000)", "pole (1666 of 4000)"]
+    traces = charts_of(page_of(replace(without(*PATHS, LoopClosureRecord), object_map=many)))["map"]
+    shown = {trace["name"]: len(trace["x"]) for trace in traces}
+    assert shown == {"tree (8000)": MAX_POINTS * 2 // 3, "pole (4000)": MAX_POINTS // 3}
 
 
 def kidnapped_drive() -> EvaluationRecords:
@@ -241,8 +237,8 @@ def kidnapped_drive() -> EvaluationRecords:
 def test_kidnapping_is_marked_and_breaks_the_lines() -> None:
     records = kidnapped_drive()
     charts = charts_of(page_of(records))
-    traces = {trace["name"]: trace for trace in charts["trajectory"]}
-    for name in ("estimate (after)", "odometry (before)", "ground truth"):
+    traces = {trace["name"]: trace for trace in charts["map"]}
+    for name in ("estimate", "odometry", "ground truth"):
         x = np.array(traces[name]["x"], dtype=float)
         assert np.isnan(x).sum() == 1, name
         assert np.nanmax(np.abs(np.diff(x))) < 5.0, name
