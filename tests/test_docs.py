@@ -224,7 +224,7 @@ def test_what_commands_of_results_read_is_data_or_made_before(wrong: str) -> Non
     for block in [*blocks, replace(blocks[0], commands=wrong)]:
         texts = [text.replace("$D", str(data)) for text in expanded(block.commands)]
         used = [files_of(arguments) for text in texts for arguments in commands(text, variables=False)]
-        made.update(*(writes for _, writes in used))
+        made.update(*(writes for _, writes in used), re.findall(r"> (\S+\.csv)", block.commands))
         read = set[str]().union(*(reads for reads, _ in used)) - made
         is_data = {each for each in read if each.startswith(str(data))}
         there = {each for each in is_data if Path(each).is_file() or not data.is_dir()}
