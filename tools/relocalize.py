@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from slam.place_recognition.initial_pose import InitialPose
     from slam.replay import ReplaySummary
 
-NOT_FOUND = 1
-
 
 def relocalize(
     source: InputLog,
@@ -102,7 +100,7 @@ def relocalize(
     else:
         _show(summary, output, picture if summary.relocalization_times_s else None)
     if not summary.relocalization_times_s:
-        raise typer.Exit(NOT_FOUND)
+        raise typer.Exit(1)
 
 
 def _parsed_prior(near: str | None) -> InitialPose | None:

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from descriptors.training.maps import TrainingMap
 
 LIKELIHOOD = "descriptellation_lr"
-MAX_ROWS = 20
-"""Epochs in the table, besides the first, the best and the last one."""
 
 
 def train(
@@ -96,7 +94,7 @@ def train(
     if json:
         console.show_json({"weights": str(folder / WEIGHTS), "best": best.as_row(), "epochs": history[-1].epoch})
         return
-    console.show(_table(history, best), f"weights of epoch {best.epoch}: {folder / WEIGHTS}")
+    console.show(_table(history), f"weights of epoch {best.epoch}: {folder / WEIGHTS}")
 
 
 def _shipped(network: str) -> Path | None:
@@ -160,14 +158,12 @@ def _load_map(path: Path) -> TrainingMap:
     return TrainingMap(np.asarray(positions, dtype=np.float64), numbers.astype(np.int64), len(found))
 
 
-def _table(history: list[Epoch], best: Epoch) -> Table:
+def _table(history: list[Epoch]) -> Table:
     from tools import console
 
-    table = console.grid(dict.fromkeys((name.replace("_", " ") for name in [*best.as_row()]), True))
-    step = max(1, len(history) // MAX_ROWS)
+    table = console.grid(dict.fromkeys((name.replace("_", " ") for name in [*history[0].as_row()]), True))
     for epoch in history:
-        if epoch.epoch % step == 0 or epoch in (history[0], best, history[-1]):
-            table.add_row(*(_cell(name, value) for name, value in epoch.as_row().items()))
+        table.add_row(*(_cell(name, value) for name, value in epoch.as_row().items()))
     return table
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 import numpy as np
@@ -30,7 +30,7 @@ from slam.evaluation.metrics.landmarks import (
     match_by_detections,
     match_by_position,
 )
-from slam.evaluation.metrics.relocalization import describe_losses, evaluate_relocalization
+from slam.evaluation.metrics.relocalization import evaluate_relocalization
 from slam.evaluation.metrics.trajectory import TrajectoryErrors, evaluate_trajectory
 from slam.evaluation.place_recognition.closures import describe_closures, judge_closures
 from slam.evaluation.place_recognition.revisits import describe_revisits, find_missed, find_revisits
@@ -88,6 +88,8 @@ def find_aliases(object_map: ObjectMapRecord | None) -> dict[str, str]:
 
 
 class _Evaluator:
+    """Measures part by part; a part that raises :class:`EvaluationError` is unavailable for this reason."""
+
     def __init__(self, records: EvaluationRecords, protocol: Protocol, map_alignment: FloatArray | None) -> None:
         self._records = records
         self._protocol = protocol
@@ -97,16 +99,15 @@ class _Evaluator:
         self._odometry = records.odometry_path
 
     def run(self) -> Evaluation:
-        records, final, protocol = self._records, self._records.final_path, self._protocol
-        trajectories = {
-            "estimate": self._trajectory("trajectory", final, self._truth, NO_TRAJECTORY),
-            "odometry": self._trajectory("odometry", self._odometry, self._truth, NO_ODOMETRY),
-            "online": self._trajectory("online", records.online_path, self._truth, "no /slam/pose in the log"),
-        }
-        best = trajectories["estimate"] or trajectories["online"]
+        records, protocol, nothing = self._records, self._protocol, _describe_nothing(self._protocol)
+        estimate = self._trajectory("trajectory", records.final_path, NO_TRAJECTORY)
+        odometry = self._trajectory("odometry", self._odometry, NO_ODOMETRY)
+        online = self._trajectory("online", records.online_path, "no /slam/pose in the log")
+        best = estimate or online
         T_world_map = best.alignment.T_world_map if best else None
-        labelled = self._label_detections()
+        labelled = self._measure("associations", self._label_detections)
         matches = self._match_by_detections(labelled)
+        landmarks = self._measure("landmarks", lambda: self._describe_landmarks(labelled, matches, T_world_map))
         judged, queries = self._judge_closures()
         consistency, missing = evaluate_calibration(
             records.graph, records.object_map, records.true_objects, matches, judged, self._truth, protocol
@@ -117,11 +118,11 @@ class _Evaluator:
             self._unavailable["counters"] = NO_STATUS
         self._unavailable["run_time"] = NO_RUN_TIME
         results = {
-            "trajectory": describe_trajectories(trajectories),
-            "associations": self._describe_associations(labelled),
-            "landmarks": self._describe_landmarks(labelled, matches, T_world_map),
-            "closures": self._describe_closures(judged, queries),
-            "relocalization": self._describe_relocalization(T_world_map),
+            "trajectory": describe_trajectories({"estimate": estimate, "odometry": odometry, "online": online}),
+            "associations": nothing["associations"] if labelled is None else self._describe_associations(labelled),
+            "landmarks": landmarks or nothing["landmarks"],
+            "closures": nothing["closures"] | self._describe_closures(judged, queries),
+            "relocalization": self._describe_relocalization(T_world_map) or nothing["relocalization"],
             "calibration": describe_calibration(consistency, protocol.coverage_probability),
             "counters": records.status.counters if records.status else {},
             "unavailable": self._unavailable,
@@ -131,68 +132,56 @@ class _Evaluator:
             protocol,
             plain(results),
             self._unavailable,
-            estimate=trajectories["estimate"],
-            odometry=trajectories["odometry"],
-            online=trajectories["online"],
+            estimate=estimate,
+            odometry=odometry,
+            online=online,
             closures=judged,
             missed_ns=() if judged is None or queries is None else find_missed(queries, judged),
             consistency=consistency,
         )
 
-    def _measure(
-        self, part: str, compute: Callable[[], _Measured], missing: dict[str, bool] | None = None
-    ) -> _Measured | None:
-        """What ``compute`` returns; None, with its reason noted, where something is ``missing`` or cannot be used."""
-        reason = next((why for why, is_missing in (missing or {}).items() if is_missing), "")
-        if not reason:
-            try:
-                return compute()
-            except EvaluationError as error:
-                reason = str(error)
-        self._unavailable[part] = reason
-        return None
+    def _measure(self, part: str, compute: Callable[[], _Measured]) -> _Measured | None:
+        """What ``compute`` returns; None where it raises the reason why the part is unavailable."""
+        try:
+            return compute()
+        except EvaluationError as error:
+            self._unavailable[part] = str(error)
+            return None
 
-    def _trajectory(
-        self, part: str, estimate: PoseSeries, truth: PoseSeries, no_estimate: str
-    ) -> TrajectoryErrors | None:
+    def _trajectory(self, part: str, estimate: PoseSeries, no_estimate: str) -> TrajectoryErrors | None:
         protocol = self._protocol
-        return self._measure(
-            part,
-            lambda: evaluate_trajectory(
+
+        def compute() -> TrajectoryErrors:
+            _require({no_estimate: len(estimate) > 0, NO_TRUTH: len(self._truth) > 0})
+            return evaluate_trajectory(
                 estimate,
-                truth,
+                self._truth,
                 max_gap_s=protocol.max_truth_gap_s,
                 lengths_m=protocol.relative_lengths_m,
                 short_lengths_m=protocol.short_relative_lengths_m,
                 start_step=protocol.relative_start_step,
-            ),
-            {no_estimate: not len(estimate), NO_TRUTH: not len(truth)},
-        )
+            )
 
-    def _label_detections(self) -> LabelledDetections | None:
+        return self._measure(part, compute)
+
+    def _label_detections(self) -> LabelledDetections:
         records = self._records
         path = self._odometry if len(self._odometry) else self._truth
+        _require(
+            {
+                "no associations in the log (/slam/associations)": bool(records.associations),
+                NO_DETECTION_TRUTH: bool(records.detection_truths),
+                "neither odometry nor ground truth, so travel between measurements is unknown": len(path) > 0,
+            }
+        )
+        aliases = find_aliases(records.object_map)
+        labelled = label_detections(records.associations, records.detection_truths, path, aliases=aliases)
+        count = len(records.associations)
+        _require({f"none of {count} frames has a stamp with truth: the reference is of another drive":
+                  labelled.frame_count > 0})  # fmt: skip
+        return labelled
 
-        def label() -> LabelledDetections:
-            aliases = find_aliases(records.object_map)
-            labelled = label_detections(records.associations, records.detection_truths, path, aliases=aliases)
-            if labelled.frame_count == 0:
-                raise EvaluationError(
-                    f"none of {len(records.associations)} frames has a stamp with truth: the reference is of "
-                    "another drive"
-                )
-            return labelled
-
-        missing = {
-            "no associations in the log (/slam/associations)": not records.associations,
-            NO_DETECTION_TRUTH: not records.detection_truths,
-            "neither odometry nor ground truth, so travel between measurements is unknown": not len(path),
-        }
-        return self._measure("associations", label, missing)
-
-    def _describe_associations(self, labelled: LabelledDetections | None) -> dict[str, Any]:
-        if labelled is None:
-            return dict.fromkeys(evaluate_associations(label_detections((), (), _NO_POSES)))
+    def _describe_associations(self, labelled: LabelledDetections) -> dict[str, Any]:
         objects, confirmed = self._records.object_map, None
         if objects:
             confirmed = [name for name, state in zip(objects.ids, objects.states, strict=True) if state == CONFIRMED]
@@ -210,23 +199,21 @@ class _Evaluator:
         self, labelled: LabelledDetections | None, matches: LandmarkMatches | None, T_world_map: FloatArray | None
     ) -> dict[str, Any]:
         map_est, map_gt, protocol = self._records.object_map, self._records.true_objects, self._protocol
-        if matches is None and map_est is not None and map_gt is not None and T_world_map is not None:
+        if map_est is None or map_gt is None:
+            raise EvaluationError(NO_MAP if map_est is None else NO_TRUE_OBJECTS)
+        if matches is None:
+            if T_world_map is None:
+                raise EvaluationError(NO_MATCH)
             matches = match_by_position(map_est, map_gt, T_world_map, max_distance_m=protocol.match_distance_m)
-        figures = self._measure(
-            "landmarks",
-            lambda: evaluate_landmarks(
-                map_est or _NO_OBJECTS,
-                map_gt or _NO_OBJECTS,
-                matches or match_by_detections(_NO_OBJECTS, _NO_OBJECTS, {}),
-                protocol,
-                path_gt=self._truth,
-                T_world_map=T_world_map,
-                object_detection_counts=count_detections(labelled.table) if labelled else None,
-            ),
-            {NO_MAP: map_est is None, NO_TRUE_OBJECTS: map_gt is None, NO_MATCH: matches is None},
+        return evaluate_landmarks(
+            map_est,
+            map_gt,
+            matches,
+            protocol,
+            path_gt=self._truth,
+            T_world_map=T_world_map,
+            object_detection_counts=count_detections(labelled.table) if labelled else None,
         )
-        nothing = match_by_detections(_NO_OBJECTS, _NO_OBJECTS, {})
-        return figures or dict.fromkeys(evaluate_landmarks(_NO_OBJECTS, _NO_OBJECTS, nothing))
 
     def _judge_closures(self) -> tuple[pd.DataFrame | None, pd.DataFrame | None]:
         """The candidates, None without any; and the keyframes that may be revisits, None where they are not known."""
@@ -234,15 +221,10 @@ class _Evaluator:
         if not records and (graph is None or not len(truth)):
             self._unavailable["closures"] = "no loop-closure candidate in the log"
             return None, None
-        missing = {
-            NO_TRUTH: not len(truth),
-            NO_KEYFRAMES: graph is None,
-            IN_GIVEN_MAP: self._records.has_prior_map,
-        }
-        reason = next((why for why, is_missing in missing.items() if is_missing), "")
-        if reason:
-            self._unavailable["closures"] = reason
-        if graph is None or self._records.has_prior_map:
+        is_own_map = not self._records.has_prior_map
+        there = {NO_TRUTH: len(truth) > 0, NO_KEYFRAMES: graph is not None, IN_GIVEN_MAP: is_own_map}
+        self._measure("closures", lambda: _require(there))
+        if graph is None or not is_own_map:
             return judge_closures(find_final_decisions(records), {}, truth, self._protocol), None
         ids, stamps_ns = graph.keyframe_ids, graph.keyframe_stamps_ns
         stamp_of_keyframe = dict(zip(ids.tolist(), stamps_ns.tolist(), strict=True))
@@ -250,22 +232,16 @@ class _Evaluator:
         return judged, find_revisits(ids, stamps_ns, truth, self._protocol) if len(truth) and len(ids) else None
 
     def _describe_closures(self, judged: pd.DataFrame | None, queries: pd.DataFrame | None) -> dict[str, Any]:
-        protocol, has_truth = self._protocol, len(self._truth) > 0
-        nothing = judge_closures((), {}, _NO_POSES, protocol)
         if judged is None:
-            figures = undefined(describe_closures(nothing, protocol, has_truth=False))
-        else:
-            figures = describe_closures(judged, protocol, has_truth=has_truth)
-        if judged is None or queries is None:
-            no_queries = find_revisits(_NO_POSES.stamps_ns, _NO_POSES.stamps_ns, _NO_POSES, protocol)
-            return {**figures, **undefined(describe_revisits(no_queries, nothing))}
-        return {**figures, **describe_revisits(queries, judged)}
+            return {}
+        figures = describe_closures(judged, self._protocol, has_truth=len(self._truth) > 0)
+        return figures if queries is None else figures | describe_revisits(queries, judged)
 
-    def _describe_relocalization(self, T_world_estimate: FloatArray | None) -> dict[str, Any]:
+    def _describe_relocalization(self, T_world_estimate: FloatArray | None) -> dict[str, Any] | None:
         records = self._records
         if not records.statuses:
             self._unavailable["relocalization"] = NO_STATUS
-            return {"losses": [], "lost_time_ratio": None, "method": None, **undefined(describe_losses([]))}
+            return None
         is_given = records.has_prior_map
         if self._map_alignment is not None and not is_given:
             self._unavailable["map_alignment"] = "not used: in this log the robot made its own map and was given none"
@@ -283,3 +259,31 @@ class _Evaluator:
             reason = "no truth at their stamps" if len(self._truth) else NO_TRUTH
             self._unavailable["relocalization"] = f"{undecided} of {fixes} fixes: {reason}"
         return figures
+
+
+def _require(is_there: Mapping[str, bool]) -> None:
+    """Raise the first reason that applies.
+
+    Raises:
+        EvaluationError: something is not there.
+    """
+    for reason, there in is_there.items():
+        if not there:
+            raise EvaluationError(reason)
+
+
+def _describe_nothing(protocol: Protocol) -> dict[str, Any]:
+    """The keys of each part where nothing could be measured."""
+    no_landmarks = match_by_detections(_NO_OBJECTS, _NO_OBJECTS, {})
+    no_closures = judge_closures((), {}, _NO_POSES, protocol)
+    no_queries = find_revisits(_NO_POSES.stamps_ns, _NO_POSES.stamps_ns, _NO_POSES, protocol)
+    described: dict[str, Any] = undefined(
+        {
+            "associations": evaluate_associations(label_detections((), (), _NO_POSES)),
+            "landmarks": evaluate_landmarks(_NO_OBJECTS, _NO_OBJECTS, no_landmarks),
+            "closures": describe_closures(no_closures, protocol, has_truth=False)
+            | describe_revisits(no_queries, no_closures),
+            "relocalization": evaluate_relocalization(EvaluationRecords(), _NO_POSES, _NO_POSES, protocol),
+        }
+    )
+    return described

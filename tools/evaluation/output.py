@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from slam.evaluation.requirements import Requirement
 
-FELL_SHORT = 1
-
 Reference = Annotated[
     Path | None,
     typer.Option(
@@ -104,7 +102,7 @@ def report(
     if lines:
         sys.stdout.flush()
         print(f"dslam: {' '.join('; '.join(lines).split())}", file=sys.stderr)
-        raise typer.Exit(FELL_SHORT)
+        raise typer.Exit(1)
 
 
 def parse_thresholds(texts: Sequence[str] | None) -> dict[str, float]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tools.arguments import InputLog, Json, Settings, Topics, parse_topics
-from tools.inspection import frames, info_map
+from tools.inspection import MAX_LISTED, frames, info_map
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 METADATA = "dslam"
 """What makes a log one that a replay wrote."""
 _OWN_TOPICS = ("/slam/", "/tf")
-_MAX_CLASSES = 12
 _CANDIDATE = (
     *("stamp_ns", "query_keyframe_id", "reference_keyframe_id", "reference_stamp_ns", "accepted", "inserted", "stage"),
     *("reason", "inlier_count", "retrieval_distance", "inlier_fraction", "score", "log_likelihood_ratio"),
@@ -31,8 +30,6 @@ _CANDIDATE = (
     "represented_by_keyframe_id",
 )
 _MAX_VALUE_LENGTH = 300
-_MAX_CANDIDATES = 40
-_MAX_REASONS = 30
 
 
 def info(
@@ -44,7 +41,7 @@ def info(
         typer.Option(metavar="ID", help="Only the candidates of this query keyframe; implies --closures.", min=0),
     ] = None,
     every: Annotated[
-        bool, typer.Option("--all", help=f"List all candidates, not only {_MAX_CANDIDATES}; implies --closures.")
+        bool, typer.Option("--all", help=f"List all candidates, not only {MAX_LISTED}; implies --closures.")
     ] = False,
     topics: Topics = None,
     settings: Settings = None,
@@ -74,7 +71,7 @@ def info(
         if is_map:
             info_map.show_map(log, datetime.now(UTC))
     if wanted:
-        _show_closures(summary, candidates, keyframe, most=len(candidates) if every else _MAX_CANDIDATES)
+        _show_closures(summary, candidates, keyframe, most=len(candidates) if every else MAX_LISTED)
 
 
 def _limits(settings: Sequence[str] | None) -> ReadingLimits | None:
@@ -122,8 +119,8 @@ def _show(summary: LogSummary) -> None:
     rows: dict[str, str] = {}
     is_mapped = METADATA in summary.metadata
     if classes := list((_landmarks_by_class(summary) if is_mapped else summary.class_counts).items()):
-        more = f", and {len(classes) - _MAX_CLASSES} more classes" if len(classes) > _MAX_CLASSES else ""
-        listed = ", ".join(f"{name} {count}" for name, count in classes[:_MAX_CLASSES])
+        more = f", and {len(classes) - MAX_LISTED} more classes" if len(classes) > MAX_LISTED else ""
+        listed = ", ".join(f"{name} {count}" for name, count in classes[:MAX_LISTED])
         rows["landmarks" if is_mapped else "objects"] = listed + more
     inputs = [topic for topic in summary.topics if not (is_mapped and topic.topic.startswith(_OWN_TOPICS))]
     if not is_mapped and (tree := frames.draw_tree(summary.topics)):
@@ -250,10 +247,10 @@ def _closure_table(summary: LogSummary) -> Table:
     from tools import console
 
     table = console.grid({"decision": False, "stage": False, "reason": False, "candidates": True}, "Loop closures")
-    shown = summary.closures[:_MAX_REASONS]
+    shown = summary.closures[:MAX_LISTED]
     for count in shown:
         table.add_row(_decision(accepted=count.accepted), count.stage, count.reason, str(count.count))
-    if rest := summary.closures[_MAX_REASONS:]:
+    if rest := summary.closures[MAX_LISTED:]:
         table.add_row("", "", f"{len(rest)} other reasons (--json)", str(sum(count.count for count in rest)))
     return table
 

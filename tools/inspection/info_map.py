@@ -6,6 +6,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tools.inspection import MAX_LISTED
+
 if TYPE_CHECKING:
     from slam.place_recognition.imported_map import ImportedMap
 
@@ -14,7 +16,6 @@ METADATA = "dslam_map"
 SHOWN = ("format_version", "gravity", "drives", "version")
 """What of it :func:`show_map` tells."""
 OBSTACLE = "this is a saved map, not a drive; give it to replay or relocalize by --map"
-_MOST_CLASSES = 20
 _FIRST_DATE_NS = 10**17
 """Stamps before that, in 1973, count from the start of something else."""
 
@@ -98,7 +99,7 @@ def _plain_imported(imported: ImportedMap) -> dict[str, Any]:
 def _imported_rows(path: Path, imported: ImportedMap) -> dict[str, str]:
     plain = _plain_imported(imported)
     frequent = sorted(plain["class_counts"].items(), key=lambda pair: -pair[1])
-    classes = ", ".join(f"{name} {count}" for name, count in frequent[:_MOST_CLASSES])
+    classes = ", ".join(f"{name} {count}" for name, count in frequent[:MAX_LISTED])
     width_m, height_m = plain["extent_m"]
     origin = plain["origin"]
     return {
@@ -132,8 +133,8 @@ def _class_table(summary: dict[str, Any]) -> Any:
     from tools import console
 
     table = console.grid({"class": False, "landmarks": True, "median sigma m": True}, "Landmarks by class")
-    for each in summary["classes"][:_MOST_CLASSES]:
+    for each in summary["classes"][:MAX_LISTED]:
         table.add_row(each["label"], str(each["landmark_count"]), f"{each['median_sigma_m']:.3f}")
-    if rest := summary["classes"][_MOST_CLASSES:]:
+    if rest := summary["classes"][MAX_LISTED:]:
         table.add_row(f"{len(rest)} others", str(sum(each["landmark_count"] for each in rest)), "")
     return table

@@ -64,7 +64,7 @@ def recall(
             "--output",
             "-o",
             metavar="FOLDER",
-            help="Folder of the table and the picture; finished measurements in it are kept.",
+            help="Folder of a table and a picture, to which the measurements are added.",
         ),
     ] = None,
     markdown: Markdown = False,
@@ -84,7 +84,7 @@ def recall(
     from descriptors.registry import DESCRIPTOR_NAMES
     from logs.importers.maps.object_table import read_object_table
     from tools import console
-    from tools.lab.retrieval.contest import Contest, run_contest, side_by_side
+    from tools.lab.retrieval.contest import Contest, add_results, run_contest, side_by_side
     from tools.lab.retrieval.contest_picture import draw_contest
     from tools.lab.retrieval.proposers import QUADS
 
@@ -97,15 +97,12 @@ def recall(
         queries=queries,
         seed=seed,
     )
-    if output is not None:
-        output.mkdir(parents=True, exist_ok=True)
     world = side_by_side([read_object_table(path) for path in objects])
     with console.progress_bar("measuring", "measuring") as move:
-        cells = run_contest(
-            world, contest, results=output and output / RESULTS, on_progress=move or (lambda fraction: None)
-        )
+        cells = run_contest(world, contest, on_progress=move or (lambda fraction: None))
     if output is not None:
-        draw_contest(output / PICTURE, cells)
+        output.mkdir(parents=True, exist_ok=True)
+        draw_contest(output / PICTURE, add_results(output / RESULTS, cells))
     found = cells.to_dict("records")
     report(
         [_row(each) for each in found],

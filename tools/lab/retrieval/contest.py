@@ -20,6 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from descriptors.registry import make_index
 from logs.importers.maps.map_objects import MapObjects
+from logs.storage.placement import write_text
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
 from slam.common.errors import SimulationError
@@ -81,11 +82,7 @@ def side_by_side(maps: Sequence[MapObjects]) -> MapObjects:
 
 
 def run_contest(
-    objects: MapObjects,
-    contest: Contest,
-    *,
-    results: Path | None = None,
-    on_progress: Callable[[float], None] = lambda fraction: None,
+    objects: MapObjects, contest: Contest, *, on_progress: Callable[[float], None] = lambda fraction: None
 ) -> pd.DataFrame:
     """Each proposer in each map with the queries of each scenario, one a row.
 
@@ -98,7 +95,6 @@ def run_contest(
     Args:
         objects: in metres.
         contest: what is measured.
-        results: a CSV file; rows that it has are not measured again, and new ones are added to it at once.
         on_progress: called with the fraction done, in [0, 1].
 
     Raises:
@@ -110,29 +106,28 @@ def run_contest(
             make_index(name)
     order = _by_distance(objects.positions, np.random.default_rng(contest.seed))
     sizes = sorted({min(size, len(order)) for size in contest.sizes})
-    known = read_results(results)
-    measured, asked = [known] if len(known) else [], list[dict[str, Any]]()
     runs = list(product(contest.classes, sizes, contest.proposers))
+    rows = list[dict[str, Any]]()
     with threadpool_limits(limits=1):
         for done, (classes, size, proposer) in enumerate(runs, start=1):
             about = {"world": objects.source, "proposer": proposer, "size": size, "most_classes": classes}
             about |= {"queries": contest.queries, "seed": contest.seed}
-            keys = [about | asdict(scenario) for scenario in contest.scenarios]
-            asked += keys
-            new = [key for key in keys if not len(_rows_of(known, [key]))]
-            if new:
-                world = _with_classes(objects.positions[order], [objects.labels[row] for row in order], classes)
-                found = pd.DataFrame(_measure(world, sizes[0], new))
-                measured.append(found)
-                if results is not None:
-                    found.to_csv(results, mode="a", header=not results.exists(), index=False)
+            world = _with_classes(objects.positions[order], [objects.labels[row] for row in order], classes)
+            rows += _measure(world, sizes[0], [about | asdict(scenario) for scenario in contest.scenarios])
             on_progress(done / len(runs))
-    return _rows_of(pd.concat(measured, ignore_index=True), asked)
+    return pd.DataFrame(rows)
 
 
-def read_results(results: Path | None) -> pd.DataFrame:
-    """The rows in a CSV file; none without a file."""
-    return pd.read_csv(results) if results is not None and results.exists() else pd.DataFrame(columns=KEY)
+def add_results(path_csv: Path, cells: pd.DataFrame) -> pd.DataFrame:
+    """Add rows to those that a CSV file has, in place of earlier ones with the same :data:`KEY`; returns all of them.
+
+    Raises:
+        UnwritableLogError: it cannot be written.
+    """
+    known = [pd.read_csv(path_csv)] if path_csv.exists() else []
+    every = pd.concat([*known, cells], ignore_index=True).drop_duplicates(KEY, keep="last")
+    write_text(path_csv, every.to_csv(index=False, lineterminator="\n"))
+    return every
 
 
 def scenario_of(cell: Mapping[Any, Any]) -> Scenario:
@@ -221,12 +216,6 @@ def _answer(proposer: Proposer, objects: LabelledMap, tree: cKDTree, query: Path
         "propose_ms": 1e3 * (proposed - started),
         "verify_ms": 1e3 * (verified - proposed),
     }
-
-
-def _rows_of(cells: pd.DataFrame, keys: Sequence[dict[str, Any]]) -> pd.DataFrame:
-    """The rows with these values of :data:`KEY`."""
-    wanted = pd.MultiIndex.from_frame(pd.DataFrame(keys)[KEY])
-    return cells[pd.MultiIndex.from_frame(cells[KEY]).isin(wanted)].reset_index(drop=True)
 
 
 def _by_distance(positions: FloatArray, rng: np.random.Generator) -> list[int]:

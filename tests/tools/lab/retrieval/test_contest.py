@@ -11,11 +11,9 @@ from descriptors.errors import DescriptorError
 from logs.importers.maps.map_objects import MapObjects
 from slam.common.errors import SimulationError
 from tests.tools.lab.retrieval.test_path_queries import forest
-from tools.lab.retrieval.contest import GAP_M, Contest, run_contest, side_by_side
+from tools.lab.retrieval.contest import GAP_M, Contest, add_results, run_contest, side_by_side
 from tools.lab.retrieval.contest_picture import draw_contest
-from tools.lab.retrieval.labelled_map import LabelledMap
 from tools.lab.retrieval.path_queries import Scenario
-from tools.lab.retrieval.proposers import Proposer, make_proposer
 
 
 def town(count: int, extent_m: float, *, is_geodetic: bool = False) -> MapObjects:
@@ -58,24 +56,13 @@ def test_the_same_paths_are_asked_with_any_classes() -> None:
     assert alone[same].tolist() == after_another[same].tolist()
 
 
-def test_measured_cells_are_not_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    objects, results = town(600, 400.0), tmp_path / "contest.csv"
-    first = Contest(("random",), sizes=(300,), queries=1)
-    run_contest(objects, first, results=results)
-    made = list[str]()
-
-    def make(name: str, objects: LabelledMap) -> Proposer:
-        made.append(name)
-        return make_proposer(name, objects)
-
-    monkeypatch.setattr("tools.lab.retrieval.contest.make_proposer", make)
-    wider = replace(first, proposers=("random", "quads"), scenarios=(Scenario(), Scenario(missing=0.3)))
-    cells = run_contest(objects, wider, results=results)
-    assert made == ["random", "quads"]  # random for the second scenario alone
-    assert len(pd.read_csv(results)) == len(cells) == 4
-    assert run_contest(objects, wider, results=results)["proposer"].tolist() == cells["proposer"].tolist()
-    assert len(made) == 2
-    assert len(run_contest(objects, first, results=results)) == 1
+def test_results_are_added_to_those_in_file(tmp_path: Path) -> None:
+    path = tmp_path / "contest.csv"
+    first = run_contest(town(600, 400.0), Contest(("random",), sizes=(300,), queries=1))
+    assert len(add_results(path, first)) == 1
+    both = add_results(path, pd.concat([first.assign(right=0.5), first.assign(proposer="quads")]))
+    assert both[["proposer", "right"]].to_numpy().tolist() == [["random", 0.5], ["quads", first["right"].iloc[0]]]
+    assert len(pd.read_csv(path)) == 2
 
 
 def test_maps_side_by_side_do_not_meet() -> None:
