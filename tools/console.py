@@ -6,7 +6,7 @@ import json
 import logging
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import StringIO
 from typing import TYPE_CHECKING, Any
@@ -91,6 +91,15 @@ def grid(columns: Mapping[str, bool], title: str | None = None) -> Table:
     for heading, is_number in columns.items():
         table.add_column(heading, justify="right" if is_number else "left", overflow="fold")
     return table
+
+
+def table(rows: Sequence[Mapping[str, str]], *, texts: Collection[str] = (), title: str | None = None) -> Table:
+    """Rows with the same headings as a table; the first column and ``texts`` are to the left."""
+    headings = list(rows[0]) if rows else []
+    shown = grid({heading: heading not in (*headings[:1], *texts) for heading in headings}, title)
+    for row in rows:
+        shown.add_row(*row.values())
+    return shown
 
 
 def frame(table: pd.DataFrame, title: str | None = None) -> Table:

@@ -161,10 +161,8 @@ def _load_map(path: Path) -> TrainingMap:
 def _table(history: list[Epoch]) -> Table:
     from tools import console
 
-    table = console.grid(dict.fromkeys((name.replace("_", " ") for name in [*history[0].as_row()]), True))
-    for epoch in history:
-        table.add_row(*(_cell(name, value) for name, value in epoch.as_row().items()))
-    return table
+    rows = [{name.replace("_", " "): _cell(name, value) for name, value in epoch.as_row().items()} for epoch in history]
+    return console.table(rows)
 
 
 def _cell(name: str, value: float | None) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -69,7 +68,7 @@ def info(
     if keyframe is None:
         _show(summary)
         if is_map:
-            info_map.show_map(log, datetime.now(UTC))
+            info_map.show_map(log)
     if wanted:
         _show_closures(summary, candidates, keyframe, most=len(candidates) if every else MAX_LISTED)
 
@@ -215,20 +214,22 @@ def _topic_table(summary: LogSummary) -> Table:
     """Times count from the first stamp of the odometry, or else from the first message."""
     from tools import console
 
-    numbers = dict.fromkeys(("messages", "Hz", "from s", "to s"), True)
-    table = console.grid({"topic": False, **numbers, "schema": False, "frames": False})
-    table.columns[0].no_wrap = True
     start_ns = summary.start_ns if summary.first_stamp_ns is None else summary.first_stamp_ns
-    for topic in summary.topics:
-        times = [f"{(stamp_ns - start_ns) * 1e-9:.1f}" for stamp_ns in (topic.first_ns, topic.last_ns)]
-        table.add_row(
-            topic.topic,
-            str(topic.message_count),
-            _number(topic.rate_hz, ".1f"),
-            *(times if topic.message_count else ("", "")),
-            topic.schema_name,
-            ", ".join(topic.frames),
-        )
+    rows = [
+        {
+            "topic": topic.topic,
+            "messages": str(topic.message_count),
+            "Hz": _number(topic.rate_hz, ".1f"),
+            "from s": f"{(topic.first_ns - start_ns) * 1e-9:.1f}" if topic.message_count else "",
+            "to s": f"{(topic.last_ns - start_ns) * 1e-9:.1f}" if topic.message_count else "",
+            "schema": topic.schema_name,
+            "frames": ", ".join(topic.frames),
+        }
+        for topic in summary.topics
+    ]
+    table = console.table(rows, texts=("schema", "frames"))
+    for column in table.columns[:1]:
+        column.no_wrap = True
     return table
 
 
@@ -246,37 +247,37 @@ def _faults(topic: TopicSummary) -> str:
 def _closure_table(summary: LogSummary) -> Table:
     from tools import console
 
-    table = console.grid({"decision": False, "stage": False, "reason": False, "candidates": True}, "Loop closures")
-    shown = summary.closures[:MAX_LISTED]
-    for count in shown:
-        table.add_row(_decision(accepted=count.accepted), count.stage, count.reason, str(count.count))
+    counts = [(_decision(accepted=c.accepted), c.stage, c.reason, c.count) for c in summary.closures[:MAX_LISTED]]
     if rest := summary.closures[MAX_LISTED:]:
-        table.add_row("", "", f"{len(rest)} other reasons (--json)", str(sum(count.count for count in rest)))
-    return table
+        counts.append(("", "", f"{len(rest)} other reasons (--json)", sum(count.count for count in rest)))
+    rows = [
+        {"decision": decision, "stage": stage, "reason": reason, "candidates": str(count)}
+        for decision, stage, reason, count in counts
+    ]
+    return console.table(rows, texts=("stage", "reason"), title="Loop closures")
 
 
 def _candidate_table(summary: LogSummary, candidates: Sequence[LoopClosureRecord]) -> Table:
     from tools import console
 
-    numbers = dict.fromkeys(("time s", "query", "reference", "score", "LLR", "penalty", "inliers"), True)
-    table = console.grid(
-        {**numbers, "decision": False, "stage": False, "reason": False}, "Candidates by query keyframe"
-    )
+    rows = [
+        {
+            "query": str(each.query_keyframe_id),
+            "reference": str(each.reference_keyframe_id),
+            "time s": f"{_time_s(summary, each):.1f}",
+            "score": f"{each.score:.3g}",
+            "LLR": _number(each.log_likelihood_ratio),
+            "penalty": _number(each.odometry_penalty),
+            "inliers": str(each.inlier_count),
+            "decision": _decision(accepted=each.accepted),
+            "stage": each.stage,
+            "reason": each.reason,
+        }
+        for each in candidates
+    ]
+    table = console.table(rows, texts=("decision", "stage", "reason"), title="Candidates by query keyframe")
     for column in table.columns[:-1]:
         column.no_wrap = True
-    for candidate in candidates:
-        table.add_row(
-            f"{_time_s(summary, candidate):.1f}",
-            str(candidate.query_keyframe_id),
-            str(candidate.reference_keyframe_id),
-            f"{candidate.score:.3g}",
-            _number(candidate.log_likelihood_ratio),
-            _number(candidate.odometry_penalty),
-            str(candidate.inlier_count),
-            _decision(accepted=candidate.accepted),
-            candidate.stage,
-            candidate.reason,
-        )
     return table
 
 

@@ -56,11 +56,7 @@ def report(
     elif markdown:
         typer.echo("\n\n".join([*filter(None, [title]), to_markdown(rows, texts=texts), *notes]))
     else:
-        headings = list(rows[0]) if rows else []
-        table = console.grid({heading: heading not in (*headings[:1], *texts) for heading in headings}, title=title)
-        for row in rows:
-            table.add_row(*row.values())
-        console.show(table, *notes)
+        console.show(console.table(rows, texts=texts, title=title), *notes)
 
 
 def to_markdown(rows: Sequence[Row], *, texts: Collection[str] = ()) -> str:
