@@ -98,13 +98,10 @@ def compare_logs(logs: Sequence[Path], truth: Truth, tables: Sequence[Path] = ()
 
 
 def _evaluate(log: Path, truth: Truth) -> Run:
-    from logs.container.limits import RESULT_LIMITS
-    from logs.reader import LogReader
     from slam.evaluation.comparison import Run
 
-    _, evaluation = evaluate_log(log, truth)
-    with LogReader(log, RESULT_LIMITS) as reader:
-        made = reader.metadata().get("dslam", {})
+    records, evaluation = evaluate_log(log, truth)
+    made = records.provenance
     return Run(
         name=str(log),
         results=evaluation.to_json_dict(),

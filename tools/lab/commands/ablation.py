@@ -72,7 +72,7 @@ def ablation(
     }
     tables = pd.concat({name: each.to_table().T for name, each in compared.items()}, names=["drive", "off"])
     headings = [figure.heading for figure in HEADLINE_FIGURES if figure.key in FIGURES]
-    rows = tables.reindex(columns=headings).fillna(UNDEFINED).reset_index().to_dict("records")
+    rows = tables.reindex(columns=headings).astype(object).fillna(UNDEFINED).reset_index().to_dict("records")
     report(
         [{str(heading): cell for heading, cell in row.items()} for row in rows],
         f"{copies} copies with the noise {NOISE}, seeds 0 to {copies - 1}: mean ± deviation. {RULE}",
