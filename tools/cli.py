@@ -7,6 +7,7 @@ import logging
 import sys
 import traceback
 from collections.abc import Sequence
+from enum import IntEnum
 from importlib import import_module
 from typing import Annotated
 
@@ -15,9 +16,14 @@ import typer
 from tools import Stopped, stopped
 from tools import main as main
 
-BAD_INPUT = 2
-INTERNAL_ERROR = 70
-INTERRUPTED = 130
+
+class ExitCode(IntEnum):
+    """Of a command that did not end well; 1 is of a requirement that is not met."""
+
+    BAD_INPUT = 2
+    INTERNAL_ERROR = 70
+    INTERRUPTED = 130
+
 
 _LONGEST_MESSAGE = 1000
 
@@ -115,31 +121,33 @@ def run(arguments: Sequence[str]) -> int:
         code = make_app(rest)(args=[*moved, *rest], prog_name="dslam", standalone_mode=False)
         sys.stdout.flush()
     except KeyboardInterrupt:
-        code = INTERRUPTED
+        code = ExitCode.INTERRUPTED
     except Stopped as error:
         return _fail(_with_notes(error), error.code)
     except typer.TyperException as error:
         message = error.format_message().rstrip(".")
         if not message:  # no command was given, and the help has been printed
-            return BAD_INPUT
+            return ExitCode.BAD_INPUT
         context = getattr(error, "ctx", None)
-        return _fail(f"{message}; see '{context.command_path if context else 'dslam'} --help'", BAD_INPUT)
+        return _fail(f"{message}; see '{context.command_path if context else 'dslam'} --help'", ExitCode.BAD_INPUT)
     except Exception as error:
         if (stop := stopped()) is not None:  # it became another error on its way
             return _fail(str(stop), stop.code)
         if debug:
             traceback.print_exc()
         if _is_expected(error):
-            return _fail(_with_notes(error), BAD_INPUT)
+            return _fail(_with_notes(error), ExitCode.BAD_INPUT)
         if isinstance(error, ModuleNotFoundError) and (extra := _EXTRA_OF.get((error.name or "").partition(".")[0])):
-            return _fail(f"this needs {error.name}: pip install 'descriptellation-slam[{extra}]'", BAD_INPUT)
+            return _fail(f"this needs {error.name}: pip install 'descriptellation-slam[{extra}]'", ExitCode.BAD_INPUT)
         if isinstance(error, MemoryError):
-            return _fail("the memory does not suffice; give a smaller log, or lower the limits.* settings", BAD_INPUT)
+            return _fail(
+                "the memory does not suffice; give a smaller log, or lower the limits.* settings", ExitCode.BAD_INPUT
+            )
         what = f"{type(error).__name__}: {error}"
         remedy = "please report it with the traceback above" if debug else "please report it with the output of --debug"
-        return _fail(f"this should not happen: {what}; {remedy}", INTERNAL_ERROR)
-    if code == INTERRUPTED:  # Typer makes it of a KeyboardInterrupt
-        return _fail("interrupted", INTERRUPTED)
+        return _fail(f"this should not happen: {what}; {remedy}", ExitCode.INTERNAL_ERROR)
+    if code == ExitCode.INTERRUPTED:  # Typer makes it of a KeyboardInterrupt
+        return _fail("interrupted", ExitCode.INTERRUPTED)
     return code if isinstance(code, int) else 0
 
 

@@ -18,11 +18,10 @@ from logs.container.json_text import parse_json
 from slam.common.config import Config
 from slam.common.config_tree import changes
 from slam.common.errors import EvaluationError
-from slam.evaluation.metrics.statistics import Spread
+from slam.evaluation.metrics.statistics import CONFIDENCE, Spread
 from slam.evaluation.report.figures import HEADLINE_FIGURES, Figure
 
 SPREAD_FACTOR = 2.0
-CONFIDENCE = 0.95
 RULE = (
     "Runs of one version with the same effective configuration are one group. A difference of the means of two groups "
     f"is marked where it exceeds {SPREAD_FACTOR:g} pooled standard deviations of the runs within all groups, and the "

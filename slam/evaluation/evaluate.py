@@ -51,8 +51,6 @@ NO_TRUE_OBJECTS = "no true objects: pass --reference LOG.mcap or record /ground_
 IN_GIVEN_MAP = "closures with keyframes of a given map have no truth in this log: see relocalization"
 NO_MATCH = "neither a truth of the detections nor an aligned trajectory to match with"
 
-_NO_POSES = series_of(())
-_NO_OBJECTS = ObjectMapRecord.of_objects((), np.zeros((0, 3)), (), ())
 _Measured = TypeVar("_Measured")
 
 
@@ -274,16 +272,17 @@ def _require(is_there: Mapping[str, bool]) -> None:
 
 def _describe_nothing(protocol: Protocol) -> dict[str, Any]:
     """The keys of each part where nothing could be measured."""
-    no_landmarks = match_by_detections(_NO_OBJECTS, _NO_OBJECTS, {})
-    no_closures = judge_closures((), {}, _NO_POSES, protocol)
-    no_queries = find_revisits(_NO_POSES.stamps_ns, _NO_POSES.stamps_ns, _NO_POSES, protocol)
+    no_poses, no_objects = series_of(()), ObjectMapRecord.of_objects((), np.zeros((0, 3)), (), ())
+    no_landmarks = match_by_detections(no_objects, no_objects, {})
+    no_closures = judge_closures((), {}, no_poses, protocol)
+    no_queries = find_revisits(no_poses.stamps_ns, no_poses.stamps_ns, no_poses, protocol)
     described: dict[str, Any] = undefined(
         {
-            "associations": evaluate_associations(label_detections((), (), _NO_POSES)),
-            "landmarks": evaluate_landmarks(_NO_OBJECTS, _NO_OBJECTS, no_landmarks),
+            "associations": evaluate_associations(label_detections((), (), no_poses)),
+            "landmarks": evaluate_landmarks(no_objects, no_objects, no_landmarks),
             "closures": describe_closures(no_closures, protocol, has_truth=False)
             | describe_revisits(no_queries, no_closures),
-            "relocalization": evaluate_relocalization(EvaluationRecords(), _NO_POSES, _NO_POSES, protocol),
+            "relocalization": evaluate_relocalization(EvaluationRecords(), no_poses, no_poses, protocol),
         }
     )
     return described

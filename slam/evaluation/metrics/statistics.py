@@ -9,6 +9,8 @@ from statistics import fmean, stdev
 import numpy as np
 
 UNDEFINED = "–"
+CONFIDENCE = 0.95
+"""Of statements about what chance explains."""
 
 
 def fraction(part: int, whole: int) -> float | None:

@@ -15,8 +15,7 @@ import pandas as pd
 from scipy.special import betaincinv
 
 from slam.evaluation.inputs.protocol import Protocol
-
-CONFIDENCE = 0.95
+from slam.evaluation.metrics.statistics import CONFIDENCE
 
 
 def describe_discoveries(accepted: pd.DataFrame, protocol: Protocol, *, has_truth: bool) -> dict[str, Any]:

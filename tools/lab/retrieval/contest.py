@@ -30,14 +30,13 @@ from slam.object_map.submap import Submap
 from slam.place_recognition.imported_places import HEIGHT_SIGMA_M
 from slam.registration.parameters import registration_config
 from slam.registration.registration import refine
+from tools.importers.maps import SURVEYED_SIGMA_M
 from tools.lab.retrieval.labelled_map import RECALL_AT, LabelledMap, is_right
 from tools.lab.retrieval.path_queries import PathQuery, Scenario, draw_path_queries
-from tools.lab.retrieval.proposers import MAP_SIGMA_M, QUADS, VOTES, Proposer, make_proposer
+from tools.lab.retrieval.proposers import QUADS, VOTES, Proposer, make_proposer
 
 KEY = ["world", "proposer", "size", "most_classes", "objects", "missing", "clutter", "noise_m", "queries", "seed"]
 """Columns that tell one row from all others."""
-GAP_M = 200.0
-"""Between maps that are put side by side: no constellation has objects of two."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,19 +56,19 @@ class Contest:
 
 
 def side_by_side(maps: Sequence[MapObjects]) -> MapObjects:
-    """The maps along x, one beside the other, as one.
+    """The maps along x as one, farther apart than any sensor sees: no constellation has objects of two.
 
     Raises:
         SimulationError: objects in degrees.
     """
-    placed, end_m = list[FloatArray](), 0.0
+    placed, end_m, gap_m = list[FloatArray](), 0.0, 5.0 * Config().sensor_range_m
     for each in maps:
         if each.is_geodetic:
             raise SimulationError(f"{each.source}: objects in degrees; give metres")
         if len(maps) == 1:
             return each
         moved = each.positions - [*each.positions[:, :2].min(axis=0), 0.0] + [end_m, 0.0, 0.0]
-        end_m = float(moved[:, 0].max()) + GAP_M
+        end_m = float(moved[:, 0].max()) + gap_m
         placed.append(moved)
     return MapObjects(
         " + ".join(each.source for each in maps),
@@ -145,7 +144,7 @@ def verify(query: Submap, poses: FloatArray, objects: LabelledMap, tree: cKDTree
     best, best_llr = None, -np.inf
     for T_proposed in poses:
         near = np.sort(np.asarray(tree.query_ball_point(T_proposed[:2, 3], reach_m), dtype=np.int64))
-        reference = Submap(objects.positions[near], np.full(len(near), MAP_SIGMA_M), objects.labels[near], near)
+        reference = Submap(objects.positions[near], np.full(len(near), SURVEYED_SIGMA_M), objects.labels[near], near)
         found = refine(
             query.positions,
             query.labels,

@@ -16,11 +16,10 @@ from slam.place_recognition.map_search import MapSearch
 from slam.place_recognition.quad_index import build_quad_index
 from slam.registration.parameters import registration_config
 from slam.registration.registration import register
+from tools.importers.maps import SURVEYED_SIGMA_M
 from tools.lab.retrieval.labelled_map import LabelledMap
 
 QUADS, VOTES = "quads", "quads without likelihood"
-MAP_SIGMA_M = 0.3
-"""Standard deviation of a coordinate of an object of the map."""
 ADDED_AT_ONCE = 50_000
 """Objects whose neighbours are in memory at the same time."""
 
@@ -70,7 +69,7 @@ def _propose_by_descriptors(name: str, objects: LabelledMap) -> Proposer:
             np.column_stack([matches.queries, references]),
             registration_config(config),
             query_sigmas=query.sigmas,
-            reference_sigmas=np.full(len(entries), MAP_SIGMA_M),
+            reference_sigmas=np.full(len(entries), SURVEYED_SIGMA_M),
             count=count,
         )
         poses = [each.T_reference_query for each in found if each.T_reference_query is not None]
@@ -83,11 +82,11 @@ def _propose_by_quads(objects: LabelledMap, *, by_likelihood: bool) -> Proposer:
     """Poses on which quads of the query and of the map agree: ``by_likelihood`` the likeliest first, as in imported
     maps, else those with most votes.
     """
-    quads = build_quad_index(objects.positions, objects.labels, sigma_m=MAP_SIGMA_M)
+    quads = build_quad_index(objects.positions, objects.labels, sigma_m=SURVEYED_SIGMA_M)
     search = MapSearch(quads, objects.positions, objects.labels, len(objects.vocabulary))
 
     def propose(query: Submap, count: int) -> FloatArray:
-        sigma_m = float(np.hypot(np.median(query.sigmas), MAP_SIGMA_M))
+        sigma_m = float(np.hypot(np.median(query.sigmas), SURVEYED_SIGMA_M))
         if by_likelihood:
             return search.find_poses(query.positions, query.labels, sigma_m=sigma_m, count=count)
         return quads.find_poses(query.positions, query.labels, objects.positions, sigma_m=sigma_m, count=count)
