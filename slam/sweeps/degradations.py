@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from slam.common.errors import ConfigurationError
 from slam.simulation.faults.fault import FaultCase
-from slam.simulation.faults.registry import DEGRADATIONS, all_cases, parse_fault
+from slam.simulation.faults.registry import all_cases, parse_fault
 
 DEFAULT_SPECIFICATIONS = (
     "dropout=0.7",
@@ -16,7 +16,6 @@ DEFAULT_SPECIFICATIONS = (
     "odometry_yaw_noise=0.005",
 )
 UNDEGRADED, EVERY_FAULT = "undegraded", "every fault"
-_ORDER = {name: number for number, name in enumerate(DEGRADATIONS)}
 
 
 def parse_degradations(specifications: Sequence[str]) -> list[str]:
@@ -44,17 +43,8 @@ def is_random(degradation: str) -> bool:
 
 
 def _parse(text: str) -> str:
-    cases: dict[str, FaultCase] = {}
+    """The name of a degradation; its faults are applied in the order in which they are typed."""
     try:
-        for part in text.split(","):
-            case = parse_fault(part)
-            name = case.fault.name
-            if name in cases and not case.fault.takes_labels:
-                raise ConfigurationError(f"{name} is given twice; give it once")
-            before = cases[name].values if name in cases else ()
-            cases[name] = FaultCase(case.fault, (*before, *case.values))
+        return ",".join(parse_fault(part).name for part in text.split(","))
     except ConfigurationError as error:
         raise ConfigurationError(f"--degrade {text!r}: {error}") from error
-    # Degradations in their fixed order, then other faults as they are given.
-    ordered = sorted(cases.values(), key=lambda case: _ORDER.get(case.fault.name, len(_ORDER)))
-    return ",".join(case.name for case in ordered if not case.is_neutral) or UNDEGRADED

@@ -56,7 +56,7 @@ def test_refusals(dslam: Run, tmp_path: Path) -> None:
     degrade = ("degrade", SAMPLE, "-o", output)
     assert_refused(dslam(*degrade), "no fault was given", "--fault dropout")
     assert_refused(dslam(*degrade, "--seed", 3), "no fault was given")
-    assert_refused(dslam(*degrade, "--fault", "dropout=1.5"), "dropout=1.5", ">= 0 and <= 1")
+    assert_refused(dslam(*degrade, "--fault", "dropout=1.5"), "dropout=1.5", "less than or equal to 1")
     assert_refused(dslam(*degrade, "--fault", "max_range=nan"), "max_range=nan", "not allowed")
     assert_refused(dslam(*degrade, "--fault", "field_of_view=wide"), "field_of_view")
     assert_refused(dslam(*degrade, "--fault", "dropout=0.1", "--seed", -1), "negative")

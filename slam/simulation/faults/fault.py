@@ -1,83 +1,73 @@
-"""A fault of the input: a function from the messages of a log to others, with numbers that say how strong it is."""
+"""A fault of the input: a function from a recording to another, with numbers that say how strong it is."""
 
 from __future__ import annotations
 
 import inspect
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated
 
-from logs.topics import RecordKind
-from slam.simulation.faults.stream import Entry, Stream, alter_detections
-from slam.simulation.faults.track import track_of, with_poses
+from pydantic import Field
 
-ODOMETRY = (RecordKind.ODOMETRY,)
-DETECTIONS = (RecordKind.DETECTIONS,)
-SCANS = (RecordKind.DETECTIONS, RecordKind.DETECTION_TRUTH)
-TRANSFORMS = (RecordKind.TRANSFORMS,)
-TRUTH = (RecordKind.GROUND_TRUTH, RecordKind.OBJECT_TRUTH)
-EVERYTHING = (*ODOMETRY, *SCANS, *TRANSFORMS, *TRUTH)
+from slam.simulation.faults.recording import Recording
 
-
-@dataclass(frozen=True, slots=True)
-class Range:
-    """Values that a parameter may have, and its unit or kind."""
-
-    unit: str
-    min: float = 0.0
-    max: float = math.inf
-    is_whole: bool = False
-
-
-Part = Annotated[float, Range("part of the drive", max=1.0)]
-Share = Annotated[float, Range("share", max=1.0)]
-Seconds = Annotated[float, Range("s", min=-1e6, max=1e6)]
-Duration = Annotated[float, Range("s", max=1e6)]
-Degrees = Annotated[float, Range("deg", min=-360.0, max=360.0)]
-Factor = Annotated[float, Range("factor", max=1e3)]
-Metres = Annotated[float, Range("m", min=-1e6, max=1e6)]
-Sigma = Annotated[float, Range("m", max=1e3)]
-Hertz = Annotated[float, Range("Hz", min=1e-3, max=1e3)]
-Number = Annotated[float, Range("number", min=1.0, max=1e6, is_whole=True)]
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """A number that a fault takes."""
-
-    default: float
-    range: Range
+Part = Annotated[float, Field(ge=0.0, le=1.0, description="part of the drive")]
+Share = Annotated[float, Field(ge=0.0, le=1.0, description="share")]
+Seconds = Annotated[float, Field(ge=-1e6, le=1e6, description="s")]
+Duration = Annotated[float, Field(ge=0.0, le=1e6, description="s")]
+Degrees = Annotated[float, Field(ge=-360.0, le=360.0, description="deg")]
+Factor = Annotated[float, Field(ge=0.0, le=1e3, description="factor")]
+Metres = Annotated[float, Field(ge=-1e6, le=1e6, description="m")]
+Sigma = Annotated[float, Field(ge=0.0, le=1e3, description="m")]
+Hertz = Annotated[float, Field(ge=1e-3, le=1e3, description="Hz")]
+Number = Annotated[int, Field(ge=1, le=1_000_000, description="number")]
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One kind of fault.
+    """One kind of fault, described by the docstring of ``function`` and by the annotations of its parameters.
 
-    ``function`` takes the messages of a log and a number for each of the ``parameters``, or any number of labels
-    (``takes_labels``), and a generator where it is random. ``changes``: kinds of records that may differ after it;
-    ``reads``: others that it looks at. ``neutral``: the value of its only parameter that changes nothing. ``cases``:
-    values by which it is measured. ``keeps_others``: topics that hold neither of these kinds are copied.
+    ``function`` takes a recording and a number for each parameter, or any number of labels (``takes_labels``), and a
+    generator where it is random. ``cases``: values by which it is measured.
     """
 
-    name: str
-    meaning: str
-    function: Callable[..., list[Entry]]
-    changes: tuple[RecordKind, ...]
-    reads: tuple[RecordKind, ...]
-    parameters: tuple[Parameter, ...]
-    is_random: bool
-    takes_labels: bool
-    neutral: float | None
-    cases: tuple[str, ...]
-    keeps_others: bool
+    function: Callable[..., Recording]
+    cases: tuple[str, ...] = ("",)
+
+    @property
+    def name(self) -> str:
+        """As it is typed."""
+        return self.function.__name__
+
+    @property
+    def meaning(self) -> str:
+        """What it does, in a line."""
+        return (self.function.__doc__ or "").partition("\n")[0].rstrip(".")
+
+    @property
+    def parameters(self) -> list[inspect.Parameter]:
+        """The numbers that it takes, with their defaults."""
+        return [p for p in self._signature if p.kind is p.POSITIONAL_OR_KEYWORD][1:]
+
+    @property
+    def is_random(self) -> bool:
+        """Whether it takes a generator."""
+        return any(p.name == "rng" for p in self._signature)
+
+    @property
+    def takes_labels(self) -> bool:
+        """Whether its values are labels."""
+        return any(p.kind is p.VAR_POSITIONAL for p in self._signature)
 
     @property
     def usage(self) -> str:
         """How it is written, with its defaults: "gyro_bias=3:10"."""
         default = ("LABEL",) if self.takes_labels else tuple(p.default for p in self.parameters)
         return FaultCase(self, default).name
+
+    @property
+    def _signature(self) -> list[inspect.Parameter]:
+        return list(inspect.signature(self.function, eval_str=True).parameters.values())
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,66 +83,7 @@ class FaultCase:
         values = ":".join(value if isinstance(value, str) else f"{value:g}" for value in self.values)
         return f"{self.fault.name}={values}" if values else self.fault.name
 
-    @property
-    def is_neutral(self) -> bool:
-        """Whether it changes nothing."""
-        return self.fault.neutral is not None and self.values == (self.fault.neutral,)
 
-
-def fault(
-    changes: tuple[RecordKind, ...],
-    *,
-    reads: tuple[RecordKind, ...] = (),
-    cases: tuple[str, ...] = ("",),
-    neutral: float | None = None,
-    keeps_others: bool = True,
-    name: str = "",
-    adapt: Callable[[Callable[..., Any]], Callable[..., list[Entry]]] | None = None,
-) -> Callable[[Callable[..., Any]], Fault]:
-    """Make a fault of a function: its name, its docstring and the annotations of its parameters describe it.
-
-    The function takes and returns messages of a log, unless ``adapt`` makes such a one of it.
-    """
-
-    def make(function: Callable[..., Any]) -> Fault:
-        parameters = inspect.signature(function).parameters
-        hints: dict[str, Any] = get_type_hints(function, include_extras=True)
-        return Fault(
-            name=name or function.__name__,
-            meaning=(function.__doc__ or "").partition("\n")[0].rstrip("."),
-            function=adapt(function) if adapt else function,
-            changes=changes,
-            reads=reads,
-            parameters=tuple(
-                Parameter(each.default, hints[key].__metadata__[0])
-                for key, each in parameters.items()
-                if hasattr(hints[key], "__metadata__")
-            ),
-            is_random="rng" in parameters,
-            takes_labels=any(each.kind is inspect.Parameter.VAR_POSITIONAL for each in parameters.values()),
-            neutral=neutral,
-            cases=cases,
-            keeps_others=keeps_others,
-        )
-
-    return make
-
-
-def _on_odometry(function: Callable[..., Any]) -> Callable[..., list[Entry]]:
-    def on_stream(stream: Stream, *values: float, **rng: Any) -> list[Entry]:
-        return with_poses(stream, function(track_of(stream), *values, **rng))
-
-    return on_stream
-
-
-def _on_detections(function: Callable[..., Any]) -> Callable[..., list[Entry]]:
-    def on_stream(stream: Stream, *values: float, **rng: Any) -> list[Entry]:
-        return alter_detections(stream, lambda seen: function(seen, *values, **rng))
-
-    return on_stream
-
-
-odometry_fault = partial(fault, ODOMETRY, adapt=_on_odometry)
-"""Makes a fault of a function from a :class:`~slam.simulation.faults.track.Track` to its new poses (N, 4, 4)."""
-detection_fault = partial(fault, DETECTIONS, adapt=_on_detections)
-"""Makes a fault of a function from one message of detections to another with the same stamp and number of objects."""
+def fault(*cases: str) -> Callable[[Callable[..., Recording]], Fault]:
+    """Make a fault of a function; ``cases``: values by which it is measured, by default those of its parameters."""
+    return lambda function: Fault(function, cases or ("",))

@@ -20,15 +20,15 @@ def parse(text: str) -> str:
 
 def test_several_faults_make_one_degradation() -> None:
     found = cases_of(
-        parse("gyro_bias,field-of-view=90, keep_label=tree,keep_label=lamp,reversed,dropout=.3,time_offset=-0.1")
+        parse("gyro_bias,field-of-view=90, keep_label=tree:lamp,reversed,dropout=.3,time_offset=-0.1")
     )
     assert [case.name for case in found] == [
-        "reversed", "time_offset=-0.1", "dropout=0.3", "field_of_view=90", "keep_label=tree:lamp", "gyro_bias=3:10",
+        "gyro_bias=3:10", "field_of_view=90", "keep_label=tree:lamp", "reversed", "dropout=0.3", "time_offset=-0.1",
     ]  # fmt: skip
 
 
 def test_the_log_as_it_is_comes_first_and_everything_once() -> None:
-    assert parse_degradations(["dropout=0.30", "reversed", "dropout=.3", "dropout=0"]) == [
+    assert parse_degradations(["dropout=0.30", "reversed", "dropout=.3"]) == [
         "undegraded",
         "dropout=0.3",
         "reversed",
@@ -43,7 +43,7 @@ def test_default_degradations_are_random() -> None:
 
 def test_every_fault_is_a_degradation_of_its_own() -> None:
     found = parse_degradations([EVERY_FAULT, "dropout=0.3,reversed"])
-    assert {"undegraded", "heading_jump=5:0.5", "labels_random", "reversed,dropout=0.3"} < set(found)
+    assert {"undegraded", "heading_jump=5:0.5", "labels_random", "dropout=0.3,reversed"} < set(found)
     assert all(len(cases_of(each)) == 1 for each in found[1:-1])
 
 
@@ -59,7 +59,6 @@ def test_the_seed_does_not_matter_where_nothing_is_random(text: str) -> None:
         ("", "unknown fault"),
         ("dropout=3", "'3' is not allowed"),
         ("keep_label", "needs a label"),
-        ("dropout=0.3,dropout=0.4", "given twice"),
         ("field_of_view=wide", "is not allowed"),
         ("dropout=nan", "is not allowed"),
     ],

@@ -1,20 +1,27 @@
-"""A made-up drive of ten seconds as a stream, and how tests read one."""
+"""A made-up drive of ten seconds, and how tests read a recording."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
-from logs.messages import DetectionTruth, GroundTruthPose, ObjectDetections, ObjectMapRecord, Odometry, Transform
+from logs.messages import (
+    DetectionTruth,
+    GroundTruthPose,
+    ObjectDetections,
+    ObjectMapRecord,
+    Odometry,
+    Record,
+    Transform,
+)
 from logs.reader import LogReader
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply, invert, transform_from_xyz_yaw
 from slam.simulation.faults.faulty_log import apply_faults
+from slam.simulation.faults.recording import Message, Recording, make_recording
 from slam.simulation.faults.registry import parse_faults
-from slam.simulation.faults.stream import Entry
 
 COUNT = 101
 PERIOD_NS = 100_000_000
@@ -39,66 +46,51 @@ def path(turn_rad: float = 0.02, step_m: float = 0.5) -> FloatArray:
     return np.array(poses)
 
 
-def drive() -> list[Entry]:
+def messages() -> list[Message[Record]]:
     """Odometry that is 2 % too long and turns too much; scans of four objects, each off by its own centimetres."""
     odometry, truth = path(0.021, 0.51), path()
-    entries = [
-        Entry("/tf_static", START_NS, Transform(START_NS, "base_link", "lidar", T_BODY_SENSOR)),
-        Entry("/ground_truth/objects", START_NS, _objects()),
+    found: list[Message[Record]] = [
+        Message("/tf_static", START_NS, Transform(START_NS, "base_link", "lidar", T_BODY_SENSOR)),
+        Message("/ground_truth/objects", START_NS, _objects()),
     ]
     for i, stamp_ns in enumerate(STAMPS_NS.tolist()):
         seen = apply(invert(truth[i] @ T_BODY_SENSOR), OBJECTS) + 0.01 * (np.arange(12).reshape(4, 3) - 5.0)
         covariances = np.tile(COVARIANCE, (4, 1, 1))
         scan = ObjectDetections(stamp_ns, "lidar", seen, LABELS, np.ones(4), covariances, np.ones((4, 3)))
-        entries += [
-            Entry("/odom", stamp_ns, Odometry(stamp_ns, odometry[i], covariance=np.eye(6))),
-            Entry("/detections", stamp_ns, scan),
-            Entry("/ground_truth/detections", stamp_ns, DetectionTruth(stamp_ns, IDS)),
-            Entry("/ground_truth", stamp_ns, GroundTruthPose(stamp_ns, truth[i])),
+        found += [
+            Message("/odom", stamp_ns, Odometry(stamp_ns, odometry[i], covariance=np.eye(6))),
+            Message("/detections", stamp_ns, scan),
+            Message("/ground_truth/detections", stamp_ns, DetectionTruth(stamp_ns, IDS)),
+            Message("/ground_truth", stamp_ns, GroundTruthPose(stamp_ns, truth[i])),
         ]
-    return entries
+    return found
 
 
-def faulty(*names: str, seed: int = 0) -> list[Entry]:
+def drive(*, without: str = "") -> Recording:
+    """The drive, without a topic."""
+    return make_recording(message for message in messages() if message.topic != without)
+
+
+def faulty(*names: str, seed: int = 0) -> Recording:
     """The drive with faults."""
     return apply_faults(drive(), parse_faults(names), seed=seed)
 
 
-def records(stream: Sequence[Entry], kind: type[_Kind]) -> list[_Kind]:
-    return [entry.content for entry in stream if isinstance(entry.content, kind)]
+def records(log: Recording, kind: type[_Kind]) -> list[_Kind]:
+    return [message.record for message in log.messages if isinstance(message.record, kind)]
 
 
-def stamps(stream: Sequence[Entry], kind: type) -> IntArray:
-    return np.array([record.stamp_ns for record in records(stream, kind)], dtype=np.int64)
+def stamps(log: Recording, kind: type) -> IntArray:
+    return np.array([record.stamp_ns for record in records(log, kind)], dtype=np.int64)
 
 
-def poses(stream: Sequence[Entry]) -> FloatArray:
-    return np.array([record.T_odom_body for record in records(stream, Odometry)])
+def positions(log: Recording) -> FloatArray:
+    """Of recordings with four objects in each scan: (S, 4, 3)."""
+    return np.array([scan.detections.positions for scan in log.scans])
 
 
-def steps(stream: Sequence[Entry]) -> FloatArray:
-    """T_previous_next of the odometry."""
-    T = poses(stream)
-    return invert(T[:-1]) @ T[1:]
-
-
-def positions(stream: Sequence[Entry]) -> FloatArray:
-    """Of streams with four objects in each scan: (S, 4, 3)."""
-    return np.array([record.positions for record in records(stream, ObjectDetections)])
-
-
-def labels(stream: Sequence[Entry]) -> list[tuple[str, ...]]:
-    return [record.labels for record in records(stream, ObjectDetections)]
-
-
-def changed_topics(before: Sequence[Entry], after: Sequence[Entry]) -> set[str]:
-    """Topics whose messages are not the very same objects as before."""
-    found = set()
-    for topic in {entry.topic for entry in [*before, *after]}:
-        old, new = ([(e.log_time_ns, e.content) for e in s if e.topic == topic] for s in (before, after))
-        same = len(old) == len(new) and all(a[0] == b[0] and a[1] is b[1] for a, b in zip(old, new, strict=True))
-        found |= set() if same else {topic}
-    return found
+def labels(log: Recording) -> list[tuple[str, ...]]:
+    return [scan.detections.labels for scan in log.scans]
 
 
 def raw_messages(path: Path, *topics: str) -> list[tuple[str, int, bytes]]:

@@ -27,7 +27,6 @@ from tests.slam.simulation.faults.streams import (
     faulty,
     labels,
     path,
-    poses,
     positions,
     records,
     stamps,
@@ -53,7 +52,7 @@ STAMPS: dict[str, tuple[tuple[type, ...], IntArray]] = {
     "frame_rate=1": (BOTH, STAMPS_NS[::10]),
     "frame_rate=10": (BOTH, STAMPS_NS),
     "log_gap=2": (BOTH, STAMPS_NS[~IN_GAP]),
-    "messages_twice": ((ObjectDetections, Odometry), np.repeat(STAMPS_NS, 2)),
+    "messages_twice": (BOTH, np.repeat(STAMPS_NS, 2)),
     "detections_stop=0.25": (SCANS, STAMPS_NS[:25]),
 }
 """Kinds whose stamps a fault changes, and what they become."""
@@ -65,8 +64,8 @@ def test_fault_changes_these_stamps(fault: str) -> None:
     changed = faulty(fault)
     for kind in BOTH:
         assert np.array_equal(stamps(changed, kind), expected if kind in kinds else STAMPS_NS), kind
-    if len(changed) == len(drive()):
-        assert [e.log_time_ns for e in changed] == [e.log_time_ns for e in drive()]
+    if len(changed.messages) == len(drive().messages):
+        assert [e.log_time_ns for e in changed.messages] == [e.log_time_ns for e in drive().messages]
 
 
 # Positions.
@@ -84,15 +83,15 @@ POSITIONS: dict[str, Callable[[FloatArray], FloatArray]] = {
     "claimed_sigma=0.001": lambda before: before,
     "objects_few=2": lambda before: before[:, :2],
     "odometry_frame": lambda before: np.array(
-        [apply(T @ T_BODY_SENSOR, at) for T, at in zip(poses(drive()), before, strict=True)]
+        [apply(T @ T_BODY_SENSOR, at) for T, at in zip(drive().poses, before, strict=True)]
     ),
 }
 COVARIANCES = {
     "sensor_yaw=90": np.diag([0.04, 0.01, 0.09]),
     "claimed_sigma=0.001": 1e-6 * np.eye(3),
-    "odometry_frame": (poses(drive())[0] @ T_BODY_SENSOR)[:3, :3]
+    "odometry_frame": (drive().poses[0] @ T_BODY_SENSOR)[:3, :3]
     @ COVARIANCE
-    @ (poses(drive())[0] @ T_BODY_SENSOR)[:3, :3].T,
+    @ (drive().poses[0] @ T_BODY_SENSOR)[:3, :3].T,
     "ranges_scaled=1.1": COVARIANCE,
 }
 """Of the first detection after a fault."""
@@ -124,8 +123,8 @@ def test_errors_against_the_truth_are_multiplied(factor: float) -> None:
 
 def test_lengths_are_scaled_and_angles_are_not() -> None:
     changed = faulty("lengths_scaled=20")
-    assert poses(changed)[:, :3, 3] == pytest.approx(20.0 * poses(drive())[:, :3, 3])
-    assert np.array_equal(poses(changed)[:, :3, :3], poses(drive())[:, :3, :3])
+    assert changed.poses[:, :3, 3] == pytest.approx(20.0 * drive().poses[:, :3, 3])
+    assert np.array_equal(changed.poses[:, :3, :3], drive().poses[:, :3, :3])
     assert positions(changed) == pytest.approx(20.0 * positions(drive()))
     scan = records(changed, ObjectDetections)[0]
     assert scan.covariances[0] == pytest.approx(400.0 * COVARIANCE)
@@ -168,14 +167,14 @@ def test_many_more_objects_stand_around_for_a_while() -> None:
     assert [len(scan.labels) == 104 for scan in scans] == IN_GAP.tolist()
     assert all(len(scan.labels) == len(scan.positions) == len(scan.scores) for scan in scans)
     assert truths[HALF].object_ids == IDS + ("",) * 100
-    standing = [apply(poses(drive())[i] @ T_BODY_SENSOR, scans[i].positions[4:]) for i in (HALF, HALF + 19)]
+    standing = [apply(drive().poses[i] @ T_BODY_SENSOR, scans[i].positions[4:]) for i in (HALF, HALF + 19)]
     assert standing[0] == pytest.approx(standing[1])
     assert np.array_equal(scans[HALF].positions[:4], positions(drive())[HALF])
 
 
 def test_share_of_the_objects_moves_straight_on_over_the_ground() -> None:
     moved = []
-    T_odom_sensor = poses(drive()) @ T_BODY_SENSOR
+    T_odom_sensor = drive().poses @ T_BODY_SENSOR
     for seed in range(20):
         shift = positions(faulty("objects_moving=0.5:2", seed=seed)) - positions(drive())
         over_ground = np.einsum("sij,skj->ski", T_odom_sensor[:, :3, :3], shift)
@@ -197,6 +196,6 @@ def test_share_of_the_objects_moves_straight_on_over_the_ground() -> None:
     ],
 )
 def test_fault_that_needs_a_truth_is_refused_without(fault: str, missing: str) -> None:
-    without = [entry for entry in drive() if entry.topic != missing]
+    without = drive(without=missing)
     with pytest.raises(SimulationError, match=missing):
         apply_faults(without, parse_faults([fault]), seed=0)

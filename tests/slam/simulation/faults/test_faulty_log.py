@@ -11,7 +11,7 @@ from logs.writer import LogWriter
 from slam.common.errors import SimulationError
 from slam.simulation.faults.faulty_log import write_faulty
 from slam.simulation.faults.registry import parse_faults
-from tests.slam.simulation.faults.streams import START_NS, T_BODY_SENSOR, drive, raw_messages
+from tests.slam.simulation.faults.streams import START_NS, T_BODY_SENSOR, drive, messages, raw_messages
 
 
 @pytest.fixture(scope="module")
@@ -19,9 +19,8 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("log") / "log.mcap"
     with LogWriter(path) as writer:
         writer.add_metadata("source", {"dataset": "made up"})
-        for entry in drive():
-            assert not hasattr(entry.content, "channel")
-            writer.write(entry.topic, entry.content, entry.log_time_ns + 5)  # type: ignore[arg-type]
+        for message in messages():
+            writer.write(message.topic, message.record, message.log_time_ns + 5)
     return path
 
 
@@ -80,8 +79,7 @@ def test_a_topic_that_plays_two_parts_is_refused(log: Path, tmp_path: Path) -> N
     with LogWriter(frames) as writer:
         for i in range(3):
             writer.write("/tf", Transform(START_NS + i, "odom", "base_link", T_BODY_SENSOR))
-        for entry in drive():
-            if entry.topic == "/detections":
-                writer.write(entry.topic, entry.content)  # type: ignore[arg-type]
+        for scan in drive().scans:
+            writer.write("/detections", scan.detections)
     with pytest.raises(SimulationError, match="cannot be rewritten"):
         write_faulty(frames, tmp_path / "out.mcap", parse_faults(["gyro_bias"]), seed=0, topics={"odometry": "/tf"})

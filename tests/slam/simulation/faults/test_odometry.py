@@ -21,10 +21,8 @@ from tests.slam.simulation.faults.streams import (
     drive,
     faulty,
     path,
-    poses,
     records,
     stamps,
-    steps,
 )
 
 HALF, WHILE, ALL = 50, slice(50, 70), slice(None)
@@ -64,13 +62,13 @@ STEPS: dict[str, tuple[slice, Callable[[FloatArray], FloatArray]]] = {
 @pytest.mark.parametrize("fault", STEPS)
 def test_fault_changes_these_steps(fault: str) -> None:
     rows, change = STEPS[fault]
-    expected = steps(drive())
+    expected = drive().steps
     expected[rows] = change(expected[rows])
-    np.testing.assert_allclose(steps(faulty(fault)), expected, atol=1e-9)
+    np.testing.assert_allclose(faulty(fault).steps, expected, atol=1e-9)
 
 
 def test_pitch_jumps_once() -> None:
-    errors = invert(steps(drive())) @ steps(faulty("pitch_jump=20"))
+    errors = invert(drive().steps) @ faulty("pitch_jump=20").steps
     angles_rad = rotation_angle_rad(errors)
     assert np.flatnonzero(angles_rad > 1e-6).tolist() == [HALF - 1]
     assert angles_rad[HALF - 1] == pytest.approx(np.deg2rad(20.0))
@@ -78,23 +76,23 @@ def test_pitch_jumps_once() -> None:
 
 
 def test_position_jumps_as_often_and_as_far_as_given() -> None:
-    errors = invert(steps(drive())) @ steps(faulty("odometry_jumps=4:1.5"))
+    errors = invert(drive().steps) @ faulty("odometry_jumps=4:1.5").steps
     far_m = np.linalg.norm(errors[:, :3, 3], axis=1)
     assert far_m[far_m > 1e-6] == pytest.approx(np.full(4, 1.5))
     assert not errors[:, 2, 3].any()
 
 
 def test_one_message_is_wild() -> None:
-    moved_m = np.linalg.norm(poses(faulty("odometry_wild=1000"))[:, :3, 3] - poses(drive())[:, :3, 3], axis=1)
+    moved_m = np.linalg.norm(faulty("odometry_wild=1000").poses[:, :3, 3] - drive().poses[:, :3, 3], axis=1)
     assert np.flatnonzero(moved_m).tolist() == [HALF]
     assert moved_m[HALF] == pytest.approx(1000.0)
 
 
 def test_odometry_restarts_at_the_origin() -> None:
-    changed = poses(faulty("odometry_restart"))
+    changed = faulty("odometry_restart").poses
     assert changed[HALF] == pytest.approx(np.eye(4))
-    assert np.array_equal(changed[:HALF], poses(drive())[:HALF])
-    np.testing.assert_allclose(steps(faulty("odometry_restart"))[HALF:], steps(drive())[HALF:], atol=1e-9)
+    assert np.array_equal(changed[:HALF], drive().poses[:HALF])
+    np.testing.assert_allclose(faulty("odometry_restart").steps[HALF:], drive().steps[HALF:], atol=1e-9)
 
 
 def test_odometry_pauses() -> None:
@@ -110,36 +108,36 @@ def test_stamps_run_backwards_for_a_while() -> None:
 
 @pytest.mark.parametrize("fault", ["odometry_translation_noise", "odometry_yaw_noise"])
 def test_odometry_noise_grows_with_the_root_of_the_travel(fault: str) -> None:
-    root_m = np.sqrt(np.linalg.norm(steps(drive())[:, :3, 3], axis=1))
+    root_m = np.sqrt(np.linalg.norm(drive().steps[:, :3, 3], axis=1))
     found = []
     for seed in range(10):
-        errors = invert(steps(drive())) @ steps(faulty(f"{fault}=0.02", seed=seed))
+        errors = invert(drive().steps) @ faulty(f"{fault}=0.02", seed=seed).steps
         size = yaw_rad(errors) if fault == "odometry_yaw_noise" else errors[:, 1, 3]
         found.append(size / root_m)
     assert np.std(found) == pytest.approx(0.02, rel=4.0 / np.sqrt(2.0 * 10 * (COUNT - 1)))
 
 
 def test_second_odometry_is_between_the_messages() -> None:
-    changed, before = faulty("odometry_interleaved=1"), poses(drive())
-    assert [e.log_time_ns for e in changed] == sorted(e.log_time_ns for e in changed)
+    changed, before = faulty("odometry_interleaved=1"), drive().poses
+    assert [e.log_time_ns for e in changed.odometry] == sorted(e.log_time_ns for e in changed.odometry)
     assert len(records(changed, Odometry)) == 2 * COUNT - 1
-    assert np.array_equal(poses(changed)[::2], before)
+    assert np.array_equal(changed.poses[::2], before)
     assert np.all(np.diff(stamps(changed, Odometry)) == PERIOD_NS // 2)
     middles = 0.5 * (before[:-1, :3, 3] + before[1:, :3, 3]) + [0.0, 1.0, 0.0]
-    assert poses(changed)[1::2, :3, 3] == pytest.approx(middles)
+    assert changed.poses[1::2, :3, 3] == pytest.approx(middles)
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.3, 3.0])
 def test_errors_against_the_truth_are_multiplied(factor: float) -> None:
     truth = path()
     true_steps = invert(truth[:-1]) @ truth[1:]
-    errors = invert(true_steps) @ steps(faulty(f"odometry_noise={factor}"))
-    before = invert(true_steps) @ steps(drive())
+    errors = invert(true_steps) @ faulty(f"odometry_noise={factor}").steps
+    before = invert(true_steps) @ drive().steps
     assert yaw_rad(errors) == pytest.approx(factor * yaw_rad(before), abs=1e-9)
     assert errors[:, :3, 3] == pytest.approx(factor * before[:, :3, 3], abs=1e-9)
 
 
 def test_errors_cannot_be_multiplied_without_the_truth() -> None:
-    without = [entry for entry in drive() if entry.topic != "/ground_truth"]
+    without = drive(without="/ground_truth")
     with pytest.raises(SimulationError, match="odometry_noise=3: the log holds no true poses"):
         apply_faults(without, parse_faults(["odometry_noise"]), seed=0)

@@ -10,8 +10,8 @@ from slam.common.arrays import FloatArray
 from slam.common.errors import SimulationError
 from slam.common.geometry import transform_from_xyz_yaw
 from slam.simulation.faults.faulty_log import apply_faults
+from slam.simulation.faults.recording import Message, Recording, make_recording
 from slam.simulation.faults.registry import parse_faults
-from slam.simulation.faults.stream import Entry
 from tests.slam.simulation.faults.streams import (
     COUNT,
     COVARIANCE,
@@ -23,6 +23,7 @@ from tests.slam.simulation.faults.streams import (
     drive,
     faulty,
     labels,
+    messages,
     positions,
     records,
     stamps,
@@ -31,8 +32,8 @@ from tests.slam.simulation.faults.streams import (
 TOTAL = 4 * COUNT
 
 
-def object_ids(stream: list[Entry]) -> list[tuple[str, ...]]:
-    return [record.object_ids for record in records(stream, DetectionTruth)]
+def object_ids(log: Recording) -> list[tuple[str, ...]]:
+    return [record.object_ids for record in records(log, DetectionTruth)]
 
 
 def from_sensor() -> FloatArray:
@@ -55,17 +56,12 @@ def test_dropout_loses_detections_with_their_true_ids() -> None:
 
 
 def test_position_noise_is_added_to_known_covariances() -> None:
-    unknown = [e.having(_without_covariance(e.content)) if _is_scan(e) else e for e in drive()]
-    changed = apply_faults(unknown, parse_faults(["position_noise=0.3"]), seed=0)
+    changed = apply_faults(drive().with_detections(_without_covariance), parse_faults(["position_noise=0.3"]), seed=0)
     noise = positions(changed) - positions(drive())
     assert noise.std(axis=(0, 1)) == pytest.approx(np.full(3, 0.3), rel=4 / np.sqrt(2 * TOTAL))
     covariances = records(changed, ObjectDetections)[0].covariances
     assert covariances[1:] == pytest.approx(np.tile(COVARIANCE + 0.09 * np.eye(3), (3, 1, 1)))
     assert not covariances[0].any()
-
-
-def _is_scan(entry: Entry) -> bool:
-    return isinstance(entry.content, ObjectDetections)
 
 
 def _without_covariance(scan: ObjectDetections) -> ObjectDetections:
@@ -119,9 +115,9 @@ def test_false_positives_lie_where_detections_do() -> None:
 
 def test_reversed_drive_mirrors_stamps_of_all_that_moves() -> None:
     T_moving = transform_from_xyz_yaw(np.array([1.0, 0.0, 0.0]), 0.0)
-    moving = [Entry("/tf", int(s), Transform(int(s), "mount", "camera", T)) for s, T in
+    moving = [Message("/tf", int(s), Transform(int(s), "mount", "camera", T)) for s, T in
               zip(STAMPS_NS[:2], (T_moving, np.eye(4)), strict=True)]  # fmt: skip
-    changed = apply_faults([*moving, *drive()], parse_faults(["reversed"]), seed=0)
+    changed = apply_faults(make_recording([*moving, *messages()]), parse_faults(["reversed"]), seed=0)
     for kind in (Odometry, ObjectDetections, DetectionTruth, GroundTruthPose):
         assert np.array_equal(stamps(changed, kind), STAMPS_NS)
         key = {Odometry: "T_odom_body", GroundTruthPose: "T_world_body"}.get(kind, "stamp_ns")
@@ -148,11 +144,11 @@ def test_noise_of_a_detection_does_not_depend_on_what_is_lost_later() -> None:
 
 
 def test_true_ids_of_other_detections_are_left_out() -> None:
-    stream = [
-        e.having(DetectionTruth(e.content.stamp_ns, IDS[1:])) if isinstance(e.content, DetectionTruth) else e
-        for e in drive()
-    ]
-    assert records(apply_faults(stream, parse_faults(["dropout=0.5"]), seed=0), DetectionTruth) == []
+    log = make_recording(
+        message.with_fields(object_ids=IDS[1:]) if isinstance(message.record, DetectionTruth) else message
+        for message in messages()
+    )
+    assert records(apply_faults(log, parse_faults(["dropout=0.5"]), seed=0), DetectionTruth) == []
 
 
 @pytest.mark.parametrize(
@@ -180,6 +176,6 @@ def test_false_positives_need_a_detection() -> None:
 @pytest.mark.parametrize("fault", ["max_range=9", "field_of_view=90", "false_positives=1"])
 def test_bearings_in_the_frame_of_the_odometry_are_refused(fault: str) -> None:
     scan = ObjectDetections(int(STAMPS_NS[0]), "odom", np.ones((1, 3)), ("tree",), np.ones(1))
-    stream = [e.having(scan) if _is_scan(e) else e for e in drive()]
+    log = drive().with_detections(lambda _: scan)
     with pytest.raises(SimulationError, match="frame of the odometry"):
-        apply_faults(stream, parse_faults([fault]), seed=0)
+        apply_faults(log, parse_faults([fault]), seed=0)
