@@ -19,9 +19,7 @@ def parse(text: str) -> str:
 
 
 def test_several_faults_make_one_degradation() -> None:
-    found = cases_of(
-        parse("gyro_bias,field-of-view=90, keep_label=tree:lamp,reversed,dropout=.3,time_offset=-0.1")
-    )
+    found = cases_of(parse("gyro_bias,field-of-view=90, keep_label=tree:lamp,reversed,dropout=.3,time_offset=-0.1"))
     assert [case.name for case in found] == [
         "gyro_bias=3:10", "field_of_view=90", "keep_label=tree:lamp", "reversed", "dropout=0.3", "time_offset=-0.1",
     ]  # fmt: skip
