@@ -31,6 +31,9 @@ _READ = (
     RecordKind.OBJECT_TRUTH,
 )
 
+_InOrder = Iterator[tuple[int, int, Message[Record] | RawMessage]]
+"""Messages with their log times and their numbers in the log."""
+
 
 @dataclass(frozen=True, slots=True)
 class FaultSummary:
@@ -75,7 +78,7 @@ def write_faulty(
     *,
     seed: int,
     topics: Mapping[str, str] | None = None,
-    progress: Callable[[float], None] = lambda done: None,
+    progress: Callable[[float], None] | None = None,
 ) -> FaultSummary:
     """Write the log ``source`` with faults as the log ``output``, with the metadata "faults".
 
@@ -101,26 +104,25 @@ def write_faulty(
         before = make_recording(_read(reader, selection))
         left_out = Counter(reader.counters)
         after = apply_faults(before, cases, seed=seed)
-        progress(0.5)
         rewritten = _changed_topics(before, after, selection)
         others = {info.topic for info in reader.topics()} - rewritten
         if not after.keeps_others:
             dropped = others - {message.topic for message in after.messages}
             left_out["irreversible_messages"] += sum(i.message_count for i in reader.topics() if i.topic in dropped)
             others -= dropped
-        changed = ((m.log_time_ns, m.number, m) for m in after.messages if m.topic in rewritten)
-        copied = ((raw.log_time_ns, i, raw) for i, raw in enumerate(reader.messages()) if raw.topic in others)
-        written: Counter[str] = Counter()
+        changed: _InOrder = ((m.log_time_ns, m.number, m) for m in after.messages if m.topic in rewritten)
+        copied: _InOrder = ((raw.log_time_ns, i, raw) for i, raw in enumerate(reader.messages()) if raw.topic in others)
+        written, total = Counter[str](), max(sum(info.message_count for info in reader.topics()), 1)
         with LogWriter(output, refusals=(LogError, SlamError)) as writer:
             _write_metadata(reader, writer, cases, seed)
-            message: Message[Record] | RawMessage
             for _, _, message in heapq.merge(changed, copied, key=lambda each: each[:2]):
                 if isinstance(message, RawMessage):
                     writer.write_raw(message)
                 else:
                     writer.write(message.topic, message.record, message.log_time_ns)
                 written[message.topic] += 1
-    progress(1.0)
+                if progress is not None:
+                    progress(min(written.total() / total, 1.0))
     return FaultSummary(
         dict(sorted(written.items())),
         _detection_count(before),

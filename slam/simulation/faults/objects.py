@@ -119,13 +119,13 @@ def lengths_scaled(log: Recording, factor: _LengthFactor = 0.05) -> Recording:
         fields = {name: getattr(message.record, name, None) for name in powers}
         return message.with_fields(**{k: powers[k] * value for k, value in fields.items() if value is not None})
 
-    return replace(
-        log,
-        scans=tuple(replace(scan, message=scaled(scan.message)) for scan in log.scans),
-        **{
-            kind: tuple(map(scaled, getattr(log, kind)))
-            for kind in ("odometry", "transforms", "true_poses", "true_objects")
-        },
+    return Recording(
+        tuple(map(scaled, log.odometry)),
+        tuple(replace(scan, message=scaled(scan.message)) for scan in log.scans),
+        tuple(map(scaled, log.transforms)),
+        tuple(map(scaled, log.true_poses)),
+        tuple(map(scaled, log.true_objects)),
+        keeps_others=log.keeps_others,
     )
 
 

@@ -268,8 +268,10 @@ def make_recording(messages: Iterable[Message[Record]]) -> Recording:
         truth = waiting.popleft() if waiting else None
         fits = truth is not None and len(truth.record.object_ids) == len(message.record.labels)
         scans.append(Scan(message, truth if fits else None))
-    kinds = (by_kind[kind] for kind in (Transform, GroundTruthPose, ObjectMapRecord))
-    return Recording(tuple(by_kind[Odometry]), tuple(scans), *map(tuple, kinds))
+    transforms, true_poses, true_objects = (
+        tuple(by_kind[kind]) for kind in (Transform, GroundTruthPose, ObjectMapRecord)
+    )
+    return Recording(tuple(by_kind[Odometry]), tuple(scans), transforms, true_poses, true_objects)
 
 
 def by_log_time(messages: Iterable[Message[RecordT]]) -> tuple[Message[RecordT], ...]:
@@ -296,7 +298,7 @@ def _interpolate(stamps_ns: IntArray, T_a_b: FloatArray, at_ns: Sequence[int] | 
 
 def take_detections(detections: ObjectDetections, rows: IntArray) -> ObjectDetections:
     """The detections ``rows`` (M,)."""
-    taken = {
+    taken: dict[str, Any] = {
         name: None if (values := getattr(detections, name)) is None else values[rows]
         for name in ("positions", "scores", "covariances", "sizes")
     }
