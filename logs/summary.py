@@ -30,8 +30,6 @@ MAX_FRAMES = 100
 """Names of frames that are kept for a topic."""
 MAX_CLOSURES = 100_000
 """Later records of loop closures are not kept."""
-MAX_PERIODS = 1_000_000
-"""The median period is taken over at most that many, evenly."""
 
 _FRAMES = ("frame_id", "child_frame_id", "parent_frame_id")
 _NUMBER = re.compile(r"(?:(?<!\w)-)?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
@@ -262,5 +260,5 @@ def _gaps(times_ns: NDArray[np.int64]) -> tuple[int, float, int]:
     periods_ns = periods_ns[periods_ns > 0] if duplicates else periods_ns
     if len(periods_ns) == 0:
         return 0, 0.0, duplicates
-    usual_ns = np.median(periods_ns[:: 1 + len(periods_ns) // MAX_PERIODS])
+    usual_ns = np.median(periods_ns)
     return int((periods_ns > GAP_FACTOR * usual_ns).sum()), float(periods_ns.max() * 1e-9), duplicates

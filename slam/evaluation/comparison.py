@@ -67,9 +67,9 @@ class Group:
         return str(parse_json(configuration)["loop_closure"]["descriptor"]) if configuration else ""
 
     @property
-    def closure_keys(self) -> list[str]:
-        """Figures of closures that are defined."""
-        return [key for key, spread in self.spreads.items() if key.startswith("closures.") and spread.mean is not None]
+    def closure_means(self) -> dict[str, float]:
+        """Means of the figures of closures that are defined."""
+        return {key: each.mean for key, each in self.spreads.items() if "closures." in key and each.mean is not None}
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,13 +101,15 @@ class Comparison:
         A mark says whether a group is better or worse than the first by more than the spread.
         """
         defined = [f for f in HEADLINE_FIGURES if any(group.spreads[f.key].mean is not None for group in self.groups)]
-        columns: dict[str, list[str]] = {}
         is_one_group = len(self.groups) == 1
         runs = self.groups[0].runs if is_one_group else ()
-        stems = [Path(run.name).stem for run in runs]
-        for run, stem in zip(runs, stems, strict=True):
-            values = [Spread.over([figure.of(run.results)]).text(figure.digits) for figure in defined]
-            columns[stem if len(set(stems)) == len(stems) else run.name] = values
+        is_stem_unique = len({Path(run.name).stem for run in runs}) == len(runs)
+        columns = {
+            Path(run.name).stem if is_stem_unique else run.name: [
+                Spread.over([figure.of(run.results)]).text(figure.digits) for figure in defined
+            ]
+            for run in runs
+        }
         for number, group in enumerate(self.groups):
             name = "mean ± deviation" if is_one_group else f"{group.label} ({len(group.runs)} runs)"
             columns[name] = [group.spreads[f.key].text(f.digits) + self._mark(f, number) for f in defined]
@@ -116,14 +118,14 @@ class Comparison:
     @property
     def descriptor_verdict(self) -> str:
         """Which groups have the closures of the first with another descriptor; "" where none has."""
-        first = self.groups[0]
+        first, *others = self.groups
+        means = first.closure_means
         alike = [
             group.label
-            for group in self.groups[1:]
-            if group.descriptor != first.descriptor
-            and all(group.spreads[key].mean == first.spreads[key].mean for key in first.closure_keys)
+            for group in others
+            if group.descriptor != first.descriptor and means.items() <= group.closure_means.items()
         ]
-        if not alike or not first.closure_keys:
+        if not alike or not means:
             return ""
         return f"The descriptor decided nothing: {first.label} and {', '.join(alike)} have the same closures."
 

@@ -9,9 +9,6 @@ import pandas as pd
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 
-CURVE_POINTS = 500
-"""A curve with more points is thinned to about that many."""
-
 
 def sweep_scores(
     query_ids: IntArray, scores: FloatArray, is_true: BoolArray, *, revisit_ids: IntArray
@@ -48,7 +45,7 @@ def sweep_scores(
 
 
 def describe_sweep(sweep: pd.DataFrame | None) -> dict[str, Any]:
-    """Figures of a sweep by the keys of the JSON, None without a sweep or a candidate; and the curve, thinned.
+    """Figures of a sweep by the keys of the JSON, None without a sweep or a candidate; and the curve.
 
     * ``average_precision``: sum of ``(R_n - R_(n-1)) P_n``, as scikit-learn defines it, but with recall over all
       revisits, so that one without a true best candidate is missed at every threshold.
@@ -75,13 +72,4 @@ def describe_sweep(sweep: pd.DataFrame | None) -> dict[str, Any]:
         at_full_precision,
         0.5 * (float(precision[0]) + at_full_precision),
     )
-    thinned = _thin(sweep, np.append(full, np.argmax(f1)))
-    return {**dict(zip(names, figures, strict=True)), "precision_recall_curve": thinned.to_dict("list")}
-
-
-def _thin(sweep: pd.DataFrame, kept: IntArray) -> pd.DataFrame:
-    """At most :data:`CURVE_POINTS` points, evenly by their order, both ends among them, and the rows ``kept``."""
-    if len(sweep) <= CURVE_POINTS:
-        return sweep
-    evenly = np.round(np.linspace(0, len(sweep) - 1, CURVE_POINTS)).astype(np.int64)
-    return sweep.iloc[np.union1d(evenly, kept)]
+    return {**dict(zip(names, figures, strict=True)), "precision_recall_curve": sweep.to_dict("list")}

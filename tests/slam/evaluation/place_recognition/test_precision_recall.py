@@ -91,19 +91,3 @@ def test_curve_and_average_precision_agree_with_scikit_learn(answers: list[tuple
     assert describe_sweep(found)["average_precision"] == pytest.approx(
         average_precision_score(labels, scores), abs=1e-12
     )
-
-
-def test_a_long_curve_is_thinned_but_not_at_its_ends() -> None:
-    rng = np.random.default_rng(3)
-    scores = rng.permutation(5000).astype(np.float64)
-    full = sweep(
-        [(k, score, bool(score > 4700 or rng.random() < 0.3)) for k, score in enumerate(scores)], [*range(5000)]
-    )
-    told = describe_sweep(full)
-    thin = pd.DataFrame(told["precision_recall_curve"])
-    assert 490 <= len(thin) <= 502
-    pd.testing.assert_frame_equal(thin.iloc[[0, -1]], full.iloc[[0, -1]].set_index(thin.index[[0, -1]]))
-    assert thin["thresholds"].isin(full["thresholds"]).all()
-    again = describe_sweep(thin)
-    assert (again["f1_max"], again["extended_precision"]) == (told["f1_max"], told["extended_precision"])
-    assert again["average_precision"] == pytest.approx(told["average_precision"], rel=0.02)
