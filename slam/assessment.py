@@ -9,6 +9,9 @@ import numpy as np
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.backend.edge_kind import EdgeKind
 from slam.common.arrays import FloatArray
+from slam.common.calibration import Calibration
+from slam.trajectory_check.judgement import TrajectoryCheck
+from slam.trajectory_check.reasons import explain
 
 MIN_LANDMARKS = 2
 """Landmarks that fix the position and the heading of a keyframe in the plane."""
@@ -16,12 +19,27 @@ UNOBSERVED_SHARE = 0.1
 MOVING_SHARE = 0.25
 
 
-def assess(graph: FactorGraphRecord, object_map: ObjectMapRecord, *, sensor_range_m: float) -> tuple[str, ...]:
+def assess(
+    graph: FactorGraphRecord,
+    object_map: ObjectMapRecord,
+    calibration: Calibration,
+    counters: Mapping[str, int],
+    check: TrajectoryCheck,
+) -> tuple[str, ...]:
     """Reasons to doubt the map; none for a usual one.
 
-    ``sensor_range_m``: over a longer way without landmarks, none that was seen before it is still in view.
+    Args:
+        graph: at the end of the drive.
+        object_map: at the end of the drive.
+        calibration: over a longer way than its sensor range without landmarks, none seen before is still in view.
+        counters: those of the drive, with ``odometry_corrected`` and ``closures_inserted``.
+        check: whether the final trajectory is the best.
     """
-    return (*_unobserved(graph, sensor_range_m), *_moving(object_map))
+    return (
+        *_unobserved(graph, calibration.detection.sensor_range_m),
+        *_moving(object_map),
+        *explain(check, moving_share(object_map), counters, calibration),
+    )
 
 
 def diagnose_uncorrected(graph: FactorGraphRecord, counters: Mapping[str, int]) -> str:
@@ -65,9 +83,14 @@ def _travel_m(graph: FactorGraphRecord) -> FloatArray:
     return np.cumsum(steps_m)
 
 
-def _moving(object_map: ObjectMapRecord) -> list[str]:
+def moving_share(object_map: ObjectMapRecord) -> float:
+    """Share of the objects that existed which seem to have moved."""
     moving = object_map.reasons.count("moving")
-    share = moving / max(moving + object_map.states.count("confirmed"), 1)
+    return moving / max(moving + object_map.states.count("confirmed"), 1)
+
+
+def _moving(object_map: ObjectMapRecord) -> list[str]:
+    share = moving_share(object_map)
     if share < MOVING_SHARE:
         return []
     return [f"{100.0 * share:.0f} % of the objects seem to move: landmarks may be wrong; check classes and stamps"]

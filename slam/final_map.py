@@ -28,6 +28,7 @@ from slam.object_map.landmarks import LandmarkState, ObjectMap
 from slam.odometry.interpolation import interpolate_between_keyframes
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.path import OdometryPath
+from slam.trajectory_check.judgement import TrajectoryCheck
 
 logger = logging.getLogger(__name__)
 
@@ -43,6 +44,7 @@ class FinalMap:
     markers: SceneMarkers
     snapshot: MapSnapshot
     status: StatusRecord
+    trajectory_check: TrajectoryCheck
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,7 @@ from slam.prepared_log import PreparedLog, prepare_log
 from slam.provenance import provenance_of
 from slam.self_calibration.calibration import CalibratedLog
 from slam.system import Slam
+from slam.trajectory_check.judgement import TrajectoryCheck
 
 DEFAULTS = Config()
 
@@ -52,7 +54,8 @@ class ReplaySummary:
     ``loop_closure_median_s``: time of loop closing at a keyframe. ``relocalization_times_s``,
     ``relocalization_distances_m``: time and travel of each relocalization since the start. ``keyframes_not_saved``:
     those that only a discontinuity connects to the saved map, which are left out of it. ``tracked_ratio``: share of the
-    odometry messages with a pose in the map when they came.
+    odometry messages with a pose in the map when they came. ``trajectory_check``: whether the final trajectory is the
+    best of the drive.
     """
 
     counters: dict[str, int]
@@ -67,6 +70,7 @@ class ReplaySummary:
     relocalization_distances_m: tuple[float, ...] = ()
     keyframes_not_saved: int = 0
     tracked_ratio: float = 0.0
+    trajectory_check: TrajectoryCheck = field(default_factory=TrajectoryCheck)
 
 
 def replay(
@@ -123,6 +127,7 @@ def replay(
             drive = _Drive(slam, prepared, clocks, OutputLog(writer, display, None, georeference))
             final = drive.map(reader, writer, progress)
             provenance = provenance_of(reader, config, prepared, drive.calibration, prior_map, extend=extend)
+            provenance["trajectory_check"] = json.dumps(asdict(final.trajectory_check))
             writer.add_metadata("dslam", provenance)
             if prior_map is None:
                 georeference = find_georeference(final.trajectory, drive.fixes)
@@ -217,6 +222,7 @@ def _summarize(
         relocalization_distances_m=tuple(fix.travel_m for fix in slam.fixes),
         keyframes_not_saved=keyframes_not_saved,
         tracked_ratio=drive.log.tracked / max(final.status.counters.get("odometry_used", 0), 1),
+        trajectory_check=final.trajectory_check,
     )
 
 

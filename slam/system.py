@@ -51,6 +51,7 @@ from slam.odometry.track import OdometryTrack
 from slam.place_recognition.imported_map import ImportedMap
 from slam.place_recognition.imported_places import SEGMENT
 from slam.place_recognition.initial_pose import InitialPose
+from slam.trajectory_check.drive_check import DriveCheck
 
 
 class Slam:
@@ -94,6 +95,7 @@ class Slam:
         self._localization = LocalizationState(has_prior_map=prior_map is not None)
         self._odometry = CalibratedOdometry(config.calibration.odometry)
         self._path, self._output = OdometryPath(), PoseOutput()
+        self._check = DriveCheck(config.calibration)
         self._schedule = SnapshotSchedule(self._first_keyframe, UPDATE_KEYFRAMES)
         self.closing_seconds: list[float] = []
         """Time that looking for loops took, keyframe by keyframe."""
@@ -195,17 +197,20 @@ class Slam:
         self.counters["closures_removed"] += len(removed)
         self.counters["closures_rejected_by_odometry"] = self._closer.rejected_by_odometry_count
         graph, object_map = records.graph(), records.object_map()
-        doubts = assess(graph, object_map, sensor_range_m=self._config.sensor_range_m)
+        trajectory = records.trajectory()
+        check = self._check.judge(trajectory)
+        doubts = assess(graph, object_map, self._config.calibration, self.counters, check)
         uncorrected = diagnose_uncorrected(graph, self.counters)
         outcome = judge_outcome(optimization, warning, self.counters, doubts, uncorrected=uncorrected)
         return FinalMap(
-            trajectory=records.trajectory(),
+            trajectory=trajectory,
             object_map=object_map,
             graph=graph,
             closures=tuple(removed),
             markers=records.markers(),
             snapshot=self._snapshot(),
             status=self._status(self.state, outcome.message, level=outcome.level),
+            trajectory_check=check,
         )
 
     def _follow(self, odometry: Odometry) -> list[Record]:
@@ -222,21 +227,12 @@ class Slam:
         return [record for placed in self._frontend.advance() for record in self._take(placed)]
 
     def _take(self, placed: OdometryPose | DetectionAssociations) -> list[Record]:
-        return (
-            self._step(placed) if isinstance(placed, OdometryPose) else [placed, self._localization_at(placed.stamp_ns)]
-        )
-
-    def _localization_at(self, stamp_ns: int) -> LocalizationRecord:
-        """How well the robot knows its pose at a scan."""
-        ratios = self._mapper.innovation_ratios
-        return LocalizationRecord(
-            stamp_ns,
-            self.state.value,
-            1.0 if self.state == State.LOST else self._closer.kidnapping_probability,
-            tuple(ratios),
-            np.array(list(ratios.values())),
-            self._mapper.pose_covariance,
-        )
+        if isinstance(placed, OdometryPose):
+            return self._step(placed)
+        if self._frontend.placed is not None:
+            tracked, pose = self._frontend.placed
+            self._check.add(tracked, pose, self._output.in_map(pose))
+        return [placed, _localization(placed.stamp_ns, self.state, self._mapper, self._closer)]
 
     def _step(self, pose: OdometryPose) -> list[Record]:
         breaks = self._path.latest is not None and self._path.latest.segment != pose.segment
@@ -303,3 +299,16 @@ class Slam:
             f"landmarks_{state.name.lower()}": len(self._object_map.in_state(state)) for state in LandmarkState
         }
         return StatusRecord(self._frontend.latest_ns, state.value, level, message, counters)
+
+
+def _localization(stamp_ns: int, state: State, mapper: Mapper, closer: LoopCloser) -> LocalizationRecord:
+    """How well the robot knows its pose at a scan."""
+    ratios = mapper.innovation_ratios
+    return LocalizationRecord(
+        stamp_ns,
+        state.value,
+        1.0 if state == State.LOST else closer.kidnapping_probability,
+        tuple(ratios),
+        np.array(list(ratios.values())),
+        mapper.pose_covariance,
+    )

@@ -121,6 +121,7 @@ def _show(written: list[str], summary: ReplaySummary) -> None:
         **({"found": _fixes(summary)} if summary.relocalization_times_s else {}),
         "warnings": ", ".join(noted_counters(counters)) or "none",
         **({"of the log": "; ".join(summary.notes)} if summary.notes else {}),
+        "trajectory": str(summary.trajectory_check),
         "final status": summary.final_status,
         "written": ", ".join(written),
     }

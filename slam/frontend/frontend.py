@@ -47,6 +47,8 @@ class Frontend:
         self._placed_ns = 0
         self._untold: list[tuple[Scan, int]] = []
         self._is_broken = False
+        self.placed: tuple[Tracked, OdometryPose] | None = None
+        """The last scan that was mapped, and where the odometry had the body before that scan corrected it."""
 
     @property
     def latest_ns(self) -> int:
@@ -150,6 +152,7 @@ class Frontend:
         self, tracked: Tracked, pose: OdometryPose, segment: int
     ) -> Iterator[OdometryPose | DetectionAssociations]:
         """Map a placed scan, with the odometry corrected by it, which is right up to a ``segment``."""
+        self.placed = tracked, pose
         if tracked.correction is not None:
             self._track.correct(self._placed_ns, pose.stamp_ns, tracked.correction, segment=segment)
             pose = self._mapper.tracked_pose(pose)

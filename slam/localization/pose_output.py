@@ -27,13 +27,17 @@ class PoseOutput:
         """From now on the odometry is placed so that the body is at ``T_map_body`` (4, 4) at ``pose``."""
         self._T_map_odom = T_map_body @ invert(pose.T_odom_body)
 
+    def in_map(self, pose: OdometryPose) -> FloatArray:
+        """``T_map_body`` (4, 4) at a pose of the track."""
+        return np.asarray(self._T_map_odom @ pose.T_odom_body)
+
     def at(self, pose: OdometryPose, *, is_localized: bool) -> list[Record]:
         """The pose in the odometry frame and, where the robot knows it, in the map."""
         T_odom_body = invert(pose.T_odom_reported) @ pose.T_odom_body
         records: list[Record] = [Transform(pose.stamp_ns, self._odom_frame, self._body_frame, T_odom_body)]
         if is_localized:
             T_map_reported = self._T_map_odom @ pose.T_odom_reported
-            records.append(SlamPose(pose.stamp_ns, self._T_map_odom @ pose.T_odom_body, T_map_reported))
+            records.append(SlamPose(pose.stamp_ns, self.in_map(pose), T_map_reported))
         return records
 
     def map_to_odom(self, pose: OdometryPose) -> Transform:

@@ -11,8 +11,12 @@ import pytest
 from logs.messages import FactorGraphRecord, ObjectMapRecord
 from slam.assessment import assess, diagnose_uncorrected
 from slam.backend.edge_kind import EdgeKind
+from slam.common.calibration import Calibration
+from slam.trajectory_check.judgement import TrajectoryCheck
 
 KEYFRAMES = 101
+CALIBRATION = Calibration().with_values({"detection.sensor_range_m": 20.0})
+UNDECIDED = TrajectoryCheck()
 
 
 def drive(*, seen: range, landmarks: int = 2, step_m: float = 1.0) -> FactorGraphRecord:
@@ -45,12 +49,19 @@ def landmarks(*, confirmed: int = 10, moving: int = 0) -> ObjectMapRecord:
     return replace(record, states=states, reasons=("",) * confirmed + ("moving",) * moving)
 
 
-def doubts(graph: FactorGraphRecord, object_map: ObjectMapRecord | None = None) -> str:
-    return "; ".join(assess(graph, object_map or landmarks(), sensor_range_m=20.0))
+def doubts(
+    graph: FactorGraphRecord, object_map: ObjectMapRecord | None = None, check: TrajectoryCheck = UNDECIDED
+) -> str:
+    return "; ".join(assess(graph, object_map or landmarks(), CALIBRATION, {}, check))
 
 
 def test_a_map_as_it_should_be_raises_no_doubt() -> None:
     assert doubts(drive(seen=range(KEYFRAMES))) == ""
+
+
+def test_better_odometry_raises_doubt() -> None:
+    check = TrajectoryCheck({"odometry": 1.0, "online": 0.0, "final": 0.0}, "odometry", 100)
+    assert "odometry alone is better" in doubts(drive(seen=range(KEYFRAMES)), check=check)
 
 
 def test_gaps_within_the_sensor_range_raise_no_doubt() -> None:

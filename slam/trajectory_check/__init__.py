@@ -1,0 +1,1 @@
+"""Whether the final trajectory is the best of a drive, told without the truth."""

@@ -1,0 +1,91 @@
+"""Which of the trajectories of a drive is the best, judged by how they predict detections from those of other visits.
+
+The final trajectory was fitted to all detections, so the judgement favours it: where another one predicts better, the
+data association or the closures of the final one have failed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.special import stdtrit
+
+from slam.common.arrays import FloatArray, IntArray
+from slam.trajectory_check.prediction import VisitPredictor
+from slam.trajectory_check.sampled_scans import SampledScan
+
+ODOMETRY, ONLINE, FINAL = "odometry", "online", "final"
+MAX_QUERIES = 256
+"""Scans that are predicted, spread evenly over the drive."""
+CONFIDENCE = 0.999
+"""Probability that a difference of two trajectories is not by chance."""
+MIN_ADVANTAGE = 0.1
+"""Least difference that is told, in nats per detection: a density that is a tenth higher."""
+MIN_BLOCKS = 4
+"""Parts of the way, each as long as the sensor range, whose scatter tells what chance makes."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrajectoryCheck:
+    """What detections on several visits to the same places tell of the trajectories of a drive.
+
+    ``gains``: by trajectory, mean logarithm of the density that it predicts for a detection beside the density in the
+    field of view, in nats; above 0 it predicts better than chance. Empty where it cannot be told: none predicts better,
+    as where the drive comes nowhere twice. ``better``: the trajectory that predicts significantly better than the final
+    one, the best if several do; None where none does. ``detections``: how many were predicted.
+    """
+
+    gains: Mapping[str, float] = field(default_factory=dict)
+    better: str | None = None
+    detections: int = 0
+
+    def __str__(self) -> str:
+        if not self.gains:
+            return "cannot tell which trajectory is the best: no place was recognisably seen on two visits"
+        gains = ", ".join(f"{name} {gain:.2f}" for name, gain in self.gains.items())
+        better = (
+            f"the {self.better} is better than the final one" if self.better else "none is better than the final one"
+        )
+        return f"{better}; nats by which each predicts a detection on another visit: {gains}"
+
+
+def check_trajectories(
+    scans: tuple[SampledScan, ...], trajectories: Mapping[str, FloatArray], *, sensor_range_m: float, sigma_m: float
+) -> TrajectoryCheck:
+    """Judge the trajectories (N, 4, 4), each of all N ``scans``; one of them is ``FINAL``.
+
+    ``sigma_m``: by how much the position of an object differs between two visits.
+    """
+    queries = np.unique(np.linspace(0, len(scans) - 1, min(MAX_QUERIES, len(scans))).astype(np.int64))
+    predictor = VisitPredictor(scans, sensor_range_m=sensor_range_m, sigma_m=sigma_m)
+    predictions = {name: predictor.predict(T, queries) for name, T in trajectories.items()}
+    told = np.any([prediction.has_sources for prediction in predictions.values()], axis=0)
+    counts = np.where(told, predictor.count(queries), 0)
+    blocks = np.unique([int(scans[query].travel_m / sensor_range_m) for query in queries], return_inverse=True)[1]
+    if not told.any() or len(np.unique(blocks[told])) < MIN_BLOCKS:
+        return TrajectoryCheck()
+    gains = {name: float(prediction.gains.sum() / counts.sum()) for name, prediction in predictions.items()}
+    if max(gains.values()) <= 0.0:
+        return TrajectoryCheck()
+    better = [
+        name
+        for name, prediction in predictions.items()
+        if gains[name] > 0.0 and _is_better(prediction.gains - predictions[FINAL].gains, counts, blocks)
+    ]
+    return TrajectoryCheck(gains, max(better, key=gains.__getitem__, default=None), int(counts.sum()))
+
+
+def _is_better(differences: FloatArray, counts: IntArray, blocks: IntArray) -> bool:
+    """Whether the mean of the differences (Q,) by the counts (Q,) of detections is more than chance makes.
+
+    Scans of one block (Q,) err together, so the scatter of the blocks tells what chance makes: a one-sided t-test.
+    """
+    of_block = np.bincount(blocks, counts)
+    informative = of_block > 0
+    advantage = float(differences.sum() / counts.sum())
+    residuals = (np.bincount(blocks, differences) - advantage * of_block)[informative]
+    degrees = len(residuals) - 1
+    sigma = np.sqrt((residuals**2).sum() * (degrees + 1) / degrees) / counts.sum()
+    return bool(advantage > max(MIN_ADVANTAGE, float(stdtrit(degrees, CONFIDENCE)) * sigma))

@@ -1,0 +1,124 @@
+"""How well a trajectory predicts the detections of a scan from those made on other visits to the same place.
+
+A trajectory that drifts places what was seen on two visits apart. No association and no landmark takes part: each
+trajectory makes its own map of the detections as they are, and all are asked the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.trajectory_check.sampled_scans import SampledScan
+
+VISIT_RANGES = 2.0
+"""Travel in sensor ranges between two visits: what was in view before it need not be in view any more."""
+CLUTTER = 0.1
+"""Share of the detections that the map need not explain. It bounds what one of them can say against a trajectory."""
+MAX_SOURCES, MAX_DETECTIONS = 1000, 64
+"""Detections around a scan that predict it, and detections of it that are predicted: more would tell the same again."""
+RINGS, SECTORS = 8, 24
+"""Cells of the field of view: rings of equal width, by sectors."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """What a trajectory says of Q scans.
+
+    ``gains`` (Q,): logarithm of the density of their detections beside that in the field of view of any scan, summed;
+    ``has_sources`` (Q,): whether it places detections of another visit there.
+    """
+
+    gains: FloatArray
+    has_sources: BoolArray
+
+
+class VisitPredictor:
+    """Asks trajectories to predict scans; ``sigma_m``: by how much an object's position differs between two visits."""
+
+    def __init__(self, scans: tuple[SampledScan, ...], *, sensor_range_m: float, sigma_m: float) -> None:
+        self._range_m = sensor_range_m
+        self._sigma_m = sigma_m
+        self._travel_m = np.array([scan.travel_m for scan in scans])
+        positions = np.concatenate([np.zeros((0, 3)), *(scan.positions for scan in scans)])
+        in_range = np.linalg.norm(positions, axis=1) < sensor_range_m
+        self._positions = positions[in_range]
+        self._labels = np.concatenate([np.zeros(0, dtype=np.int64), *(scan.labels for scan in scans)])[in_range]
+        self._scan_of = np.repeat(np.arange(len(scans)), [len(scan.positions) for scan in scans])[in_range]
+        self._starts = np.searchsorted(self._scan_of, np.arange(len(scans) + 1))
+        self._shares = np.bincount(self._labels) / max(len(self._labels), 1)
+        self._view = _FieldOfView(self._positions, sensor_range_m)
+
+    def predict(self, T_world_body: FloatArray, queries: IntArray) -> Prediction:
+        """Predict the scans ``queries`` (Q,) by the trajectory ``T_world_body`` (N, 4, 4) of all N scans."""
+        R, t = T_world_body[:, :3, :3], T_world_body[:, :3, 3]
+        points = np.einsum("nij,nj->ni", R[self._scan_of], self._positions) + t[self._scan_of]
+        tree = KDTree(points)
+        gains, has_sources = np.zeros(len(queries)), np.zeros(len(queries), dtype=np.bool_)
+        for place, query in enumerate(queries.tolist()):
+            near = np.array(tree.query_ball_point(t[query], self._range_m, return_sorted=True), dtype=np.int64)
+            visit_m = np.abs(self._travel_m[self._scan_of[near]] - self._travel_m[query])
+            sources = _thinned(near[visit_m > VISIT_RANGES * self._range_m], MAX_SOURCES)
+            seen = (points[sources] - t[query]) @ R[query]
+            gains[place], has_sources[place] = self._gain(query, seen, self._labels[sources])
+        return Prediction(gains, has_sources)
+
+    def count(self, queries: IntArray) -> IntArray:
+        """(Q,) how many detections of each scan are predicted."""
+        return np.minimum(np.diff(self._starts)[queries], MAX_DETECTIONS)
+
+    def _gain(self, query: int, seen: FloatArray, labels: IntArray) -> tuple[float, bool]:
+        """Gain by sources ``seen`` (M, 3) m in the frame of the body, of the classes ``labels`` (M,).
+
+        Each source is expected in view as often as detections are there. The kernel has the same weight for all orders
+        of magnitude between the noise and the sensor range, so that a smaller error always predicts better.
+        """
+        expected = self._view.density(seen)
+        if not expected.sum() > 0.0:
+            return 0.0, False
+        chosen = _thinned(np.arange(self._starts[query], self._starts[query + 1]), MAX_DETECTIONS)
+        positions = self._positions[chosen]
+        offsets = self._view.project(positions)[:, None] - self._view.project(seen)
+        squares = np.einsum("dmi,dmi->dm", offsets, offsets)
+        span = np.pi * np.log1p((self._range_m / self._sigma_m) ** 2)
+        kernels = np.where(squares < self._range_m**2, 1.0 / (span * (squares + self._sigma_m**2)), 0.0)
+        kernels = np.where(self._labels[chosen][:, None] == labels, kernels, 0.0)
+        chance = self._view.density(positions) * self._shares[self._labels[chosen]]
+        ratios = kernels @ expected / (expected.sum() * np.maximum(chance, np.finfo(np.float64).tiny))
+        return float(np.log(CLUTTER + (1.0 - CLUTTER) * ratios).sum()), True
+
+
+class _FieldOfView:
+    """Where the body's sensors detect objects, in the plane in which these are spread most."""
+
+    def __init__(self, positions: FloatArray, range_m: float) -> None:
+        """``positions`` (N, 3) m, body frame, within the range."""
+        offsets = positions - positions.sum(axis=0) / max(len(positions), 1)
+        self._axes = np.linalg.eigh(offsets.T @ offsets)[1][:, 1:]
+        self._range_m = range_m
+        counts = np.zeros((RINGS, SECTORS))
+        np.add.at(counts, self._cells(positions), 1.0)
+        widths = np.diff(np.linspace(0.0, range_m, RINGS + 1) ** 2)
+        self._densities = counts / (np.pi / SECTORS * widths[:, None] * max(len(positions), 1))
+
+    def project(self, positions: FloatArray) -> FloatArray:
+        """Positions (N, 3) m in that plane, (N, 2) m."""
+        return np.asarray(positions @ self._axes)
+
+    def density(self, positions: FloatArray) -> FloatArray:
+        """Share of the detections per area [1/m^2] at positions (N, 3) m, body frame, within the range."""
+        return np.asarray(self._densities[self._cells(positions)])
+
+    def _cells(self, positions: FloatArray) -> tuple[IntArray, IntArray]:
+        x, y = self.project(positions).T
+        rings = (np.hypot(x, y) / self._range_m * RINGS).astype(np.int64)
+        sectors = ((np.arctan2(y, x) / (2.0 * np.pi) + 0.5) * SECTORS).astype(np.int64)
+        return np.minimum(rings, RINGS - 1), np.minimum(sectors, SECTORS - 1)
+
+
+def _thinned(indices: IntArray, most: int) -> IntArray:
+    """At most so many of some indices, evenly spread."""
+    return indices[:: max(-(-len(indices) // most), 1)]

@@ -1,0 +1,44 @@
+"""Drives through a field of objects, with the true poses and worse ones."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.common.arrays import FloatArray
+from slam.common.geometry import apply, invert, transform_from_xyz_yaw
+from slam.trajectory_check.sampled_scans import SampledScan
+
+RANGE_M = 20.0
+SIGMA_M = 0.2
+SCANS = 240
+
+
+def circle(*, rounds: float = 2.0) -> FloatArray:
+    """True poses (SCANS, 4, 4) on a circle that is much larger than the sensor range."""
+    angles = np.linspace(0.0, 2.0 * np.pi * rounds, SCANS)
+    xyz = 100.0 * np.stack([np.cos(angles), np.sin(angles), np.zeros(SCANS)], axis=1)
+    return transform_from_xyz_yaw(xyz, angles + 0.5 * np.pi)
+
+
+def drifting(T_true: FloatArray, drift_m: float) -> FloatArray:
+    """The same poses, moved steadily up to ``drift_m`` at the end."""
+    T = T_true.copy()
+    T[:, 0, 3] += np.linspace(0.0, drift_m, len(T))
+    return T
+
+
+def scans_of(T_true: FloatArray, *, T_body_sensor: FloatArray | None = None) -> tuple[SampledScan, ...]:
+    """What a body sees of objects at random, with noise, in axes that ``T_body_sensor`` (4, 4) turns."""
+    rng = np.random.default_rng(5)
+    objects = np.column_stack([rng.uniform(-130.0, 130.0, (800, 2)), rng.uniform(0.0, 0.5, 800)])
+    labels = rng.integers(0, 3, len(objects))
+    travel_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(T_true[:, :3, 3], axis=0), axis=1))])
+    scans = []
+    for k, T in enumerate(T_true):
+        seen = apply(invert(T), objects)
+        near = np.linalg.norm(seen, axis=1) < RANGE_M
+        positions = seen[near] + rng.normal(0.0, SIGMA_M, (int(near.sum()), 3))
+        if T_body_sensor is not None:
+            positions = apply(invert(T_body_sensor), positions)
+        scans.append(SampledScan(k, positions, labels[near], float(travel_m[k]), T, T))
+    return tuple(scans)

@@ -1,0 +1,52 @@
+"""The trajectories of a drive, collected scan by scan."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from logs.messages import TrajectoryRecord
+from slam.common.arrays import FloatArray
+from slam.common.calibration import Calibration
+from slam.common.geometry import transform_from_xyz_yaw
+from slam.frontend.tracker import Tracked
+from slam.odometry.pose import OdometryPose
+from slam.trajectory_check.drive_check import DriveCheck
+from slam.trajectory_check.judgement import TrajectoryCheck
+from tests.slam.trajectory_check.drives import RANGE_M, SIGMA_M, circle, drifting, scans_of
+
+CALIBRATION = Calibration().with_values({"detection.sensor_range_m": RANGE_M, "objects.landmark_sigma_m": SIGMA_M})
+
+
+def judged(T_true: FloatArray, T_online: FloatArray, T_final: FloatArray, *, scans: int) -> TrajectoryCheck:
+    """A drive whose track was moved as a whole by a correction: ``T_odom_reported`` leads back to what was reported."""
+    check = DriveCheck(CALIBRATION)
+    moved = transform_from_xyz_yaw(np.array([3.0, -4.0, 0.0]), 0.7)
+    for scan, T_map_body in zip(scans_of(T_true)[:scans], T_online, strict=False):
+        tracked = SimpleNamespace(scan=SimpleNamespace(positions=scan.positions), labels=scan.labels)
+        corrected = moved if scan.stamp_ns > len(T_true) // 2 else np.eye(4)
+        pose = OdometryPose(scan.stamp_ns, corrected @ T_true[scan.stamp_ns], scan.travel_m, 0, 1.0, corrected)
+        check.add(cast(Tracked, tracked), pose, T_map_body)
+    return check.judge(TrajectoryRecord(0, "map", np.arange(len(T_final)), T_final))
+
+
+def test_odometry_is_judged_as_reported() -> None:
+    T = circle()
+    result = judged(T, drifting(T, 3.0), drifting(T, 6.0), scans=len(T))
+    assert result.better == "odometry"
+    assert result.gains["odometry"] > result.gains["online"] > result.gains["final"]
+
+
+@pytest.mark.parametrize("scans", [0, 1])
+def test_drive_with_hardly_any_scan_cannot_be_judged(scans: int) -> None:
+    T = circle()
+    assert judged(T, T, T, scans=scans) == TrajectoryCheck()
+
+
+def test_scans_beyond_final_trajectory_are_left_out() -> None:
+    T = circle()
+    whole, cut = (judged(T, T, T[:count], scans=len(T)) for count in (len(T), len(T) - 40))
+    assert 0 < cut.detections < whole.detections

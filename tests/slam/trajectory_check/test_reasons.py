@@ -1,0 +1,56 @@
+"""The likely reason why another trajectory is better."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from slam.common.calibration import Calibration
+from slam.trajectory_check.judgement import TrajectoryCheck
+from slam.trajectory_check.reasons import explain
+
+CHECK = TrajectoryCheck({"odometry": 0.5, "online": -0.6, "final": -0.8}, "odometry", 1000)
+
+
+def reason(
+    check: TrajectoryCheck = CHECK,
+    *,
+    moving_share: float = 0.0,
+    spacing_m: float = 8.0,
+    counters: dict[str, int] | None = None,
+) -> str:
+    calibration = Calibration().with_values({"objects.spacing_m": spacing_m})
+    return "; ".join(explain(check, moving_share, counters or {}, calibration))
+
+
+@pytest.mark.parametrize("check", [TrajectoryCheck(), replace(CHECK, better=None)])
+def test_final_trajectory_that_is_not_worse_needs_no_reason(check: TrajectoryCheck) -> None:
+    assert reason(check, moving_share=0.5) == ""
+
+
+def test_warning_names_better_trajectory_and_advantage() -> None:
+    assert reason().startswith("the odometry alone is better than the final trajectory")
+    assert "1.3 nats" in reason()
+    assert reason(replace(CHECK, better="online")).startswith("the online estimate is better")
+
+
+def test_objects_closer_than_noise_are_a_reason() -> None:
+    assert "objects of a class are 1.5 m apart, and detections at the sensor range err by 0.5 m" in reason(
+        spacing_m=1.5
+    )
+    assert "apart" not in reason()
+
+
+def test_objects_that_seem_to_move_are_a_reason() -> None:
+    assert "50 % of the objects seem to move" in reason(moving_share=0.5)
+    assert "seem to move" not in reason(moving_share=0.05)
+
+
+def test_corrections_of_odometry_are_a_reason() -> None:
+    assert "wrong landmarks: they corrected the odometry 44 times" in reason(counters={"odometry_corrected": 44})
+
+
+def test_closures_are_the_reason_where_detections_are_not_confused() -> None:
+    assert "some of the 7 closures in the graph are probably false" in reason(counters={"closures_inserted": 7})
+    assert "no closure corrects it" in reason()
