@@ -62,9 +62,11 @@ class Group:
 
     @property
     def descriptor(self) -> str:
-        """That of the configuration; "" where the log did not record it."""
-        configuration = self.runs[0].configuration
-        return str(parse_json(configuration)["loop_closure"]["descriptor"]) if configuration else ""
+        """That of the configuration; "" where the log does not tell."""
+        try:
+            return str(parse_json(self.runs[0].configuration)["loop_closure"]["descriptor"])
+        except (ValueError, KeyError, TypeError):
+            return ""
 
     @property
     def closure_means(self) -> dict[str, float]:
