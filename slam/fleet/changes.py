@@ -14,9 +14,9 @@ from scipy.spatial import cKDTree
 from logs.storage.placement import write_text
 from slam.common.arrays import IntArray
 from slam.common.georeference import Georeference
-from slam.fleet.parts import Part
 from slam.fleet.passes import find_passes
 from slam.fleet.presence import Presence, estimate_presence, seen_probabilities
+from slam.map_joining.part import Part
 
 REPORTED = 0.5
 """Changes of at least that probability are reported."""

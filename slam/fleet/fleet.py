@@ -20,12 +20,13 @@ from slam.common.errors import FleetError, SavedMapError
 from slam.common.georeference import Georeference
 from slam.fleet.changes import REPORTED, Change, LivingMap, detect_changes, write_changes
 from slam.fleet.logs import FleetLog
-from slam.fleet.parts import Part, are_saved, fold_part, join_parts, load_parts, save_parts, saved_parts, session_part
 from slam.fleet.sessions import MAP_NAME, Session, SessionTask, map_session, read_session, remove_scratch
 from slam.fleet.tasks import Compute
 from slam.map_joining.acceptance import MapPair, judge_pairs
 from slam.map_joining.condensed_map import stretch_length_m
 from slam.map_joining.joins import Join, find_joins
+from slam.map_joining.joint_map import join_parts
+from slam.map_joining.part import Part, are_saved, fold_part, load_parts, save_parts, saved_parts, session_part
 from slam.map_joining.place_index import PlaceIndex, make_place_index, opened_place_index
 from slam.map_joining.session_config import common_config, session_config
 from slam.object_map.map_io import SavedMap, load_map, of_rows

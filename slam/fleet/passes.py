@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from slam.common.arrays import BoolArray, FloatArray
-from slam.fleet.parts import Part
+from slam.map_joining.part import Part
 
 REACH_QUANTILE = 0.99
 """Share of the sightings that are nearer to the path than what is taken to be the reach of the sensors."""

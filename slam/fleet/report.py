@@ -143,7 +143,7 @@ def _of_part(fleet: Fleet, rank: int) -> dict[str, Any]:
         "landmarks_of_logs": sum(map(len, part.seen.values())),
         "present": int(np.count_nonzero(living.presence.present >= REPORTED)),
         "median_sigma_m": round(float(np.median(sigmas_m)), 3),
-        "joins_rejected": part.rejected,
+        "joins_rejected": len(part.rejected),
         "hazard_per_day": living.presence.hazard_per_day,
         "changes": len(living.changes),
     }

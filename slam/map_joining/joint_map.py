@@ -2,31 +2,30 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from logs.messages import FactorGraphRecord, ObjectMapRecord
+from logs.messages import ObjectMapRecord
 from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind, Observation
 from slam.backend.graph_record import edges_of, observations_of
 from slam.backend.pose_graph.pose_graph import PoseGraph
 from slam.backend.pose_graph.pose_graph_optimization import optimize_pose_graph
 from slam.backend.solver_options import FactorGraphConfig
-from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.common.arrays import BoolArray, FloatArray
 from slam.common.config import Config
 from slam.common.geometry import invert
 from slam.common.union_find import UnionFind, find_components
 from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
 from slam.map_joining.acceptance import MapPair
 from slam.map_joining.joins import Join
+from slam.map_joining.part import Part
+from slam.map_joining.session_config import common_metadata
 from slam.object_map.landmarks import ObjectMap
 from slam.object_map.map_io import SavedMap, confirmed, observing
-
-logger = logging.getLogger(__name__)
 
 TIE_SIGMA_RAD, TIE_SIGMA_PITCHES = 10.0, 10.0
 """Of the edges that place one map beside another before any join is weighed, in radians and extents of the maps."""
@@ -34,71 +33,48 @@ FUSIONS = 3
 """Rounds of fusing landmarks and optimising: better positions show more duplicates."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
-    """Landmark ``landmark`` of the joint map is ``name`` in the map ``map_number``."""
-
-    map_number: int
-    name: str
-    landmark: str
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class JointMap:
-    """``objects`` and ``graph`` of all maps that are joined, whose numbers are ``members``.
-
-    ``place_maps`` (K,): the map of each place (keyframe) of the graph; ``sightings``: the landmarks that those of
-    the maps became; ``rejected``: joins that contradict the others.
-    """
-
-    members: tuple[int, ...]
-    objects: ObjectMapRecord
-    graph: FactorGraphRecord
-    place_maps: IntArray
-    sightings: tuple[Sighting, ...]
-    rejected: tuple[Join, ...]
-
-
-def join_maps(maps: Mapping[int, SavedMap], pairs: Sequence[MapPair], config: Config) -> list[JointMap]:
-    """The joint maps, that of most maps first; each map is in one of them, by itself if nothing joins it.
+def join_parts(parts: Sequence[Part], pairs: Sequence[MapPair], config: Config) -> list[Part]:
+    """The parts that are left when those of accepted pairs are joined; that of most sessions first.
 
     Args:
-        maps: condensed, by their numbers.
-        pairs: verdicts; those that were not accepted join nothing.
+        parts: numbered in their order.
+        pairs: verdicts on pairs of them; those that were not accepted join nothing.
         config: of the optimisation and the fusion.
 
     Raises:
         FactorGraphError: GTSAM cannot solve it.
     """
     accepted = sorted((pair for pair in pairs if pair.accepted), key=lambda pair: (pair.first, pair.second))
-    joined = [_join(group, maps, _within(accepted, group), config) for group in _groups(sorted(maps), accepted)]
-    return sorted((each for group in joined for each in group), key=lambda each: (-len(each.members), each.members))
+    groups = _connected(list(range(len(parts))), [(pair.first, pair.second) for pair in accepted])
+    joined = [
+        part for group in groups for part in _join(group, parts, [p for p in accepted if p.first in group], config)
+    ]
+    return sorted(joined, key=lambda part: (-len(part.paths), part.sessions))
 
 
-def _join(group: list[int], maps: Mapping[int, SavedMap], pairs: list[MapPair], config: Config) -> list[JointMap]:
+def _join(group: list[int], parts: Sequence[Part], pairs: list[MapPair], config: Config) -> list[Part]:
+    maps = [part.saved for part in parts]
     first = _first_places(group, maps)
     joins = [join for pair in pairs for join in pair.joins]
     if not joins:
-        return [_solved(group, maps, [], [], np.zeros((0, 4, 4)), config) for group in ([each] for each in group)]
+        return [_solved([each], parts, [], [], maps[each].graph.T_map_body, config) for each in group]
     T_map_place, kept = _placed(group, maps, pairs, joins, first)
     held = [join for join, is_kept in zip(joins, kept, strict=True) if is_kept]
     rejected = [join for join, is_kept in zip(joins, kept, strict=True) if not is_kept]
-    parts = _connected(group, [(join.query_map, join.reference_map) for join in held])
+    members = _connected(group, [(join.query_map, join.reference_map) for join in held])
     return [
         _solved(
-            part,
-            maps,
-            [join for join in held if join.query_map in part],
-            [join for join in rejected if join.query_map in part],
-            np.concatenate([T_map_place[_rows(number, maps, first)] for number in part]),
+            each,
+            parts,
+            [join for join in held if join.query_map in each],
+            [join for join in rejected if join.query_map in each],
+            np.concatenate([T_map_place[_rows(number, maps, first)] for number in each])
+            if len(each) > 1
+            else maps[each[0]].graph.T_map_body,
             config,
         )
-        for part in parts
+        for each in members
     ]
-
-
-def _groups(numbers: list[int], pairs: Sequence[MapPair]) -> list[list[int]]:
-    return _connected(numbers, [(pair.first, pair.second) for pair in pairs])
 
 
 def _connected(numbers: list[int], ties: Sequence[tuple[int, int]]) -> list[list[int]]:
@@ -108,22 +84,18 @@ def _connected(numbers: list[int], ties: Sequence[tuple[int, int]]) -> list[list
     return [[numbers[row] for row in np.flatnonzero(component == each)] for each in np.unique(component)]
 
 
-def _within(pairs: Sequence[MapPair], group: list[int]) -> list[MapPair]:
-    return [pair for pair in pairs if pair.first in group]
-
-
-def _first_places(group: Sequence[int], maps: Mapping[int, SavedMap]) -> dict[int, int]:
+def _first_places(group: Sequence[int], maps: Sequence[SavedMap]) -> dict[int, int]:
     """Number of the first place of each map, when those of all maps are numbered in their order."""
     counts = [len(maps[number].graph.keyframe_ids) for number in group]
     return dict(zip(group, np.cumsum([0, *counts[:-1]]).tolist(), strict=True))
 
 
-def _rows(number: int, maps: Mapping[int, SavedMap], first: Mapping[int, int]) -> slice:
+def _rows(number: int, maps: Sequence[SavedMap], first: Mapping[int, int]) -> slice:
     return slice(first[number], first[number] + len(maps[number].graph.keyframe_ids))
 
 
 def _placed(
-    group: list[int], maps: Mapping[int, SavedMap], pairs: list[MapPair], joins: list[Join], first: Mapping[int, int]
+    group: list[int], maps: Sequence[SavedMap], pairs: list[MapPair], joins: list[Join], first: Mapping[int, int]
 ) -> tuple[FloatArray, BoolArray]:
     """Poses (K, 4, 4) of all places in the frame of the first map, and which joins (J,) agree with them."""
     T_joint_map = _chained(group, maps, pairs)
@@ -146,7 +118,7 @@ def _placed(
     return solved.graph.T_world_vertex, solved.solution.kept
 
 
-def _chained(group: list[int], maps: Mapping[int, SavedMap], pairs: list[MapPair]) -> dict[int, FloatArray]:
+def _chained(group: list[int], maps: Sequence[SavedMap], pairs: list[MapPair]) -> dict[int, FloatArray]:
     """``T_joint_map`` (4, 4) of each map, along the pairs with the highest log odds that relate all maps."""
     T_joint_map, related = {group[0]: np.eye(4)}, UnionFind()
     tree = [pair for pair in sorted(pairs, key=lambda pair: -pair.log_odds) if related.merge(pair.first, pair.second)]
@@ -161,7 +133,7 @@ def _chained(group: list[int], maps: Mapping[int, SavedMap], pairs: list[MapPair
     return T_joint_map
 
 
-def _closure(join: Join, maps: Mapping[int, SavedMap], first: Mapping[int, int]) -> Edge:
+def _closure(join: Join, maps: Sequence[SavedMap], first: Mapping[int, int]) -> Edge:
     """From the nearest place of the reference map to the recognised place."""
     T_reference = maps[join.reference_map].graph.T_map_body
     offsets = T_reference[:, :2, 3] - join.T_reference_place[:2, 3]
@@ -171,12 +143,12 @@ def _closure(join: Join, maps: Mapping[int, SavedMap], first: Mapping[int, int])
     return Edge(*ends, T_from_to, join.covariance, EdgeKind.LOOP_CLOSURE)
 
 
-def _places(number: int, maps: Mapping[int, SavedMap], first: Mapping[int, int]) -> dict[int, int]:
+def _places(number: int, maps: Sequence[SavedMap], first: Mapping[int, int]) -> dict[int, int]:
     """The joint number of each place of a map."""
     return {place: first[number] + row for row, place in enumerate(maps[number].graph.keyframe_ids.tolist())}
 
 
-def carry_along(saved: SavedMap, T_joint_place: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _carry_along(saved: SavedMap, T_joint_place: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Points (N, 3) m of a map as they move along with its nearest places, which are at (K, 4, 4) now.
 
     Returns:
@@ -190,7 +162,7 @@ def carry_along(saved: SavedMap, T_joint_place: FloatArray, points: FloatArray) 
 
 def _moved(saved: SavedMap, T_joint_place: FloatArray) -> ObjectMapRecord:
     """The landmarks of a map as they move along with its nearest places, which are at (K, 4, 4) now."""
-    positions, R = carry_along(saved, T_joint_place, saved.objects.positions)
+    positions, R = _carry_along(saved, T_joint_place, saved.objects.positions)
     return replace(saved.objects, positions=positions, covariances=R @ saved.objects.covariances @ np.swapaxes(R, 1, 2))
 
 
@@ -208,16 +180,15 @@ def _merge_matched(object_map: ObjectMap, joins: Sequence[Join], rows_of: Mappin
 
 def _solved(
     members: list[int],
-    maps: Mapping[int, SavedMap],
+    parts: Sequence[Part],
     joins: list[Join],
     rejected: list[Join],
     T_map_place: FloatArray,
     config: Config,
-) -> JointMap:
-    """All places and landmarks of maps that are placed already, estimated together."""
+) -> Part:
+    """All places and landmarks of parts whose places are at ``T_map_place`` already, estimated together."""
+    maps = [part.saved for part in parts]
     first = _first_places(members, maps)
-    if not joins:
-        T_map_place = maps[members[0]].graph.T_map_body
     place_maps = np.repeat(members, [len(maps[number].graph.keyframe_ids) for number in members])
     object_map = ObjectMap(config.calibration.objects)
     graph = FactorGraph(FactorGraphConfig(), sensor_range_m=config.sensor_range_m)
@@ -252,19 +223,21 @@ def _solved(
         covariance_map=graph.landmark_covariances(in_graph),
     )
     objects = confirmed(object_map.to_record(stamp_ns))
-    known = set(objects.ids)
-    record = graph.to_record(stamp_ns, stamps_ns)
-    sightings = [
-        Sighting(number, name, landmark)
+    seen = dict[str, set[int]]((name, set()) for name in objects.ids)
+    for number in members:
+        for name, row in rows_of[number].items():
+            seen.get(str(object_map.canonical_id(row)), set()).update(parts[number].seen[name])
+    graph_record = observing(graph.to_record(stamp_ns, stamps_ns), objects, np.ones(len(stamps_ns), dtype=np.bool_))
+    paths = {
+        session: _carried(maps[number], graph_record.T_map_body[place_maps == number], steps)
         for number in members
-        for name, row in rows_of[number].items()
-        if (landmark := str(object_map.canonical_id(row))) in known
-    ]
-    return JointMap(
-        members=tuple(members),
-        objects=objects,
-        graph=observing(record, objects, np.ones(len(stamps_ns), dtype=np.bool_)),
-        place_maps=place_maps,
-        sightings=tuple(sightings),
-        rejected=tuple(rejected),
-    )
+        for session, steps in parts[number].paths.items()
+    }
+    metadata = common_metadata(maps[number].metadata for number in members)
+    sessions = {name: tuple(sorted(each)) for name, each in seen.items()}
+    return Part(SavedMap(objects, graph_record, metadata, ()), paths, sessions, tuple(rejected))
+
+
+def _carried(saved: SavedMap, T_joint_place: FloatArray, steps: FloatArray) -> FloatArray:
+    """Steps (S, 2, 3) m of a path as they move along with the places of its map."""
+    return _carry_along(saved, T_joint_place, steps.reshape(-1, 3))[0].reshape(steps.shape)

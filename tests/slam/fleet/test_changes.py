@@ -11,10 +11,11 @@ from slam.common.config import Config
 from slam.common.geometry import apply, invert
 from slam.common.georeference import Georeference
 from slam.fleet.changes import Change, detect_changes, write_changes
-from slam.fleet.parts import join_parts, session_part
 from slam.map_joining.acceptance import judge_pairs
 from slam.map_joining.condensed_map import condense_map
 from slam.map_joining.joins import find_joins
+from slam.map_joining.joint_map import join_parts
+from slam.map_joining.part import session_part
 from slam.map_joining.place_index import make_place_index
 from slam.simulation.world import World
 from tests.helpers.driven_maps import drive_poses, driven_map, town, without

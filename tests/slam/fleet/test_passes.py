@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from slam.common.arrays import FloatArray
-from slam.fleet.parts import Part, session_part
 from slam.fleet.passes import find_passes
 from slam.map_joining.condensed_map import condense_map
+from slam.map_joining.part import Part, session_part
 from tests.helpers.driven_maps import drive_poses, driven_map, town
 
 FROM_M, TO_M = 0.0, 110.0

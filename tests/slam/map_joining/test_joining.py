@@ -4,13 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from slam.common.config import Config
 from slam.common.geometry import apply, invert
 from slam.map_joining.acceptance import MapPair, judge_pairs
 from slam.map_joining.condensed_map import condense_map
 from slam.map_joining.joins import Join, find_joins
-from slam.map_joining.joint_map import JointMap, join_maps
+from slam.map_joining.joint_map import join_parts
+from slam.map_joining.part import Part, session_part
 from slam.map_joining.place_index import make_place_index
 from slam.object_map.map_io import SavedMap
 from tests.helpers.driven_maps import drive_poses, driven_map, town
@@ -49,8 +51,8 @@ def pairs(maps: list[SavedMap], joins: list[Join]) -> list[MapPair]:
 
 
 @pytest.fixture(scope="module")
-def joint(maps: list[SavedMap], pairs: list[MapPair]) -> list[JointMap]:
-    return join_maps(dict(enumerate(maps)), pairs, CONFIG)
+def joint(maps: list[SavedMap], pairs: list[MapPair]) -> list[Part]:
+    return join_parts([session_part(*each) for each in enumerate(maps)], pairs, CONFIG)
 
 
 def truth(reference: int, query: int) -> np.ndarray:
@@ -68,27 +70,23 @@ def test_places_are_found_where_they_are(maps: list[SavedMap], pairs: list[MapPa
             assert np.linalg.norm(join.T_reference_place[:2, 3] - expected[:2, 3]) < 0.5
 
 
-def test_maps_of_one_town_become_one_and_the_other_town_stays_alone(joint: list[JointMap]) -> None:
-    assert [part.members for part in joint] == [(0, 1, 2), (3,)]
+def test_maps_of_one_town_become_one_and_the_other_town_stays_alone(joint: list[Part]) -> None:
+    assert [part.sessions for part in joint] == [(0, 1, 2), (3,)]
 
 
-def test_landmarks_are_fused_and_nearer_to_the_truth(joint: list[JointMap], maps: list[SavedMap]) -> None:
-    world = town()
-    names = {(s.map_number, s.name): s.landmark for s in joint[0].sightings}
-    objects_of: dict[str, set[str]] = {}
-    for (_, name), landmark in names.items():
-        objects_of.setdefault(landmark, set()).add(name)
-    assert all(len(names) == 1 for names in objects_of.values())
-    distinct = {name for _, name in names}
-    assert len(joint[0].objects.ids) <= 1.01 * len(distinct)
+def test_landmarks_are_fused_and_nearer_to_the_truth(joint: list[Part], maps: list[SavedMap]) -> None:
+    world, part = town(), joint[0]
+    distinct = {name for each in maps[:3] for name in each.objects.ids}
+    assert 0.99 * len(distinct) <= len(part.objects.ids) <= 1.01 * len(distinct)
     T_first_world = invert(drive_poses(world, *DRIVES[0])[0])
-    place_of = dict(zip(joint[0].objects.ids, joint[0].objects.positions, strict=True))
     true_of = dict(zip(world.object_ids, apply(T_first_world, world.positions), strict=True))
-    errors = [
-        np.linalg.norm(place_of[landmark][:2] - true_of[next(iter(names))][:2])
-        for landmark, names in objects_of.items()
-    ]
+    true = np.array([true_of[name] for name in sorted(distinct)])
+    errors, nearest = cKDTree(true[:, :2]).query(part.objects.positions[:, :2])
     assert np.median(errors) < 0.3
+    seen_in = [{number for number in range(3) if name in maps[number].objects.ids} for name in sorted(distinct)]
+    rows = zip(part.objects.ids, nearest, strict=True)
+    matched = [seen_in[row] == set(part.seen[name]) for name, row in rows]
+    assert np.mean(matched) > 0.98
 
 
 def test_a_false_pair_is_rejected_by_the_others(maps: list[SavedMap], pairs: list[MapPair]) -> None:
@@ -98,6 +96,6 @@ def test_a_false_pair_is_rejected_by_the_others(maps: list[SavedMap], pairs: lis
     T[:2, 3] = [400.0, 300.0]
     false = replace(template, query_map=0, reference_map=2, T_reference_place=T, llr=30.0)
     lie = MapPair(0, 2, (false,), 25.0, True, "")
-    parts = join_maps(dict(enumerate(maps)), [*pairs, lie], CONFIG)
-    assert parts[0].members == (0, 1, 2)
+    parts = join_parts([session_part(*each) for each in enumerate(maps)], [*pairs, lie], CONFIG)
+    assert parts[0].sessions == (0, 1, 2)
     assert parts[0].rejected == (false,)

@@ -14,7 +14,7 @@ from slam.common.geometry import apply
 from slam.evaluation.metrics.alignment import align_yaw_translation
 from slam.fleet.changes import Change
 from slam.fleet.fleet import Fleet
-from slam.fleet.parts import Part
+from slam.map_joining.part import Part
 from slam.object_map.map_io import SavedMap
 from tools.lab.fleets.simulated_fleet import Event, SimulatedFleet, TrueDrive
 

@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 
 from slam.common.config import Config
-from slam.fleet.parts import Part, are_saved, fold_part, join_parts, load_parts, save_parts, saved_parts, session_part
 from slam.map_joining.acceptance import judge_pairs
 from slam.map_joining.condensed_map import condense_map
 from slam.map_joining.joins import find_joins
+from slam.map_joining.joint_map import join_parts
+from slam.map_joining.part import Part, are_saved, fold_part, load_parts, save_parts, saved_parts, session_part
 from slam.map_joining.place_index import make_place_index
 from tests.helpers.driven_maps import driven_map, town
 

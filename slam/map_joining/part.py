@@ -8,7 +8,6 @@ grows with the area of the city and not with the number of nights.
 from __future__ import annotations
 
 import json
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,11 +19,8 @@ from logs.messages import ObjectMapRecord
 from logs.storage.placement import write_text
 from slam.backend.factors import EdgeKind
 from slam.common.arrays import FloatArray
-from slam.common.config import Config
-from slam.map_joining.acceptance import MapPair
 from slam.map_joining.condensed_map import condense_area
-from slam.map_joining.joint_map import JointMap, carry_along, join_maps
-from slam.map_joining.session_config import common_metadata
+from slam.map_joining.joins import Join
 from slam.object_map.map_io import SavedMap, are_of_kind, load_map, write_map
 
 _LEDGER_NAME = "parts.json"
@@ -41,7 +37,7 @@ class Part:
     saved: SavedMap
     paths: Mapping[int, FloatArray]
     seen: Mapping[str, tuple[int, ...]]
-    rejected: int = 0
+    rejected: tuple[Join, ...] = ()
 
     @property
     def sessions(self) -> tuple[int, ...]:
@@ -64,24 +60,9 @@ def session_part(number: int, saved: SavedMap) -> Part:
     return Part(saved, {number: path}, dict.fromkeys(saved.objects.ids, (number,)))
 
 
-def join_parts(parts: Sequence[Part], pairs: Sequence[MapPair], config: Config) -> list[Part]:
-    """The parts that are left when those of accepted pairs are joined; that of most sessions first.
-
-    Args:
-        parts: numbered in their order.
-        pairs: verdicts on pairs of them.
-        config: of the optimisation and the fusion.
-
-    Raises:
-        FactorGraphError: GTSAM cannot solve it.
-    """
-    joined = join_maps({number: part.saved for number, part in enumerate(parts)}, pairs, config)
-    return sorted((_joined(each, parts) for each in joined), key=lambda part: (-len(part.paths), part.sessions))
-
-
 def fold_part(part: Part, *, stretch_m: float) -> Part:
     """The part with one place for each cell of ``stretch_m``."""
-    return replace(part, saved=condense_area(part.saved, stretch_m=stretch_m), rejected=0)
+    return replace(part, saved=condense_area(part.saved, stretch_m=stretch_m), rejected=())
 
 
 def save_parts(folder: Path, parts: Sequence[Part]) -> None:
@@ -130,17 +111,3 @@ def saved_parts(folder: Path) -> list[Path]:
 
 def _files(folder: Path, count: int) -> list[Path]:
     return [folder / f"part_{rank}.mcap" for rank in range(1, count + 1)]
-
-
-def _joined(joint: JointMap, parts: Sequence[Part]) -> Part:
-    paths, seen = dict[int, FloatArray](), defaultdict[str, set[int]](set)
-    for number in joint.members:
-        T_joint_place = joint.graph.T_map_body[joint.place_maps == number]
-        for session, steps in parts[number].paths.items():
-            points = steps.reshape(-1, 3)
-            paths[session] = carry_along(parts[number].saved, T_joint_place, points)[0].reshape(steps.shape)
-    for sighting in joint.sightings:
-        seen[sighting.landmark].update(parts[sighting.map_number].seen[sighting.name])
-    metadata = common_metadata(parts[number].saved.metadata for number in joint.members)
-    saved = SavedMap(joint.objects, joint.graph, metadata, ())
-    return Part(saved, paths, {name: tuple(sorted(each)) for name, each in seen.items()}, len(joint.rejected))
