@@ -50,8 +50,12 @@ class SimulationSummary:
     duration_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class _Streams:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Course:
+    """Where a drive leads, and the random numbers of all its errors."""
+
+    plan: DrivePlan
+    drives: list[Drive]
     odometry: np.random.Generator
     traffic: np.random.Generator
     sensor: SensorStreams
@@ -68,9 +72,7 @@ def simulate(world: World, config: SimulationConfig, *, seed: int) -> Iterator[t
     Raises:
         SimulationError: a negative seed, a kidnapping outside the tour, or a tour too short; raised at the call.
     """
-    streams = _streams(seed)
-    plan = plan_drive(world.tour, config.drive)
-    return _records(world, config, plan, _drives(plan, config), streams)
+    return _records(world, config, _course(world, config, seed))
 
 
 def write_simulation(path: Path, world: World, config: SimulationConfig, *, seed: int) -> SimulationSummary:
@@ -80,9 +82,7 @@ def write_simulation(path: Path, world: World, config: SimulationConfig, *, seed
         SimulationError: as ``simulate``; nothing is written then.
         UnwritableLogError: the log cannot be written.
     """
-    streams = _streams(seed)
-    plan = plan_drive(world.tour, config.drive)
-    drives = _drives(plan, config)
+    course = _course(world, config, seed)
     counts: Counter[str] = Counter()
     detection_count = 0
     with LogWriter(path, refusals=(LogError, SlamError)) as writer:
@@ -96,24 +96,27 @@ def write_simulation(path: Path, world: World, config: SimulationConfig, *, seed
                 CHANGED_SETTINGS: changed_settings(config),
             },
         )
-        for topic, stamp_ns, record in _records(world, config, plan, drives, streams):
+        for topic, stamp_ns, record in _records(world, config, course):
             writer.write(topic, record, stamp_ns)
             counts[topic] += 1
             if isinstance(record, ObjectDetections):
                 detection_count += len(record.labels)
+    drives = course.drives
     driven_m = sum(float(drive.tour_m[-1] - drive.tour_m[0]) for drive in drives)
     duration_s = float(drives[-1].stamps_ns[-1] - drives[0].stamps_ns[0]) * 1e-9
     return SimulationSummary(dict(counts), detection_count, driven_m, duration_s)
 
 
-def _streams(seed: int) -> _Streams:
+def _course(world: World, config: SimulationConfig, seed: int) -> _Course:
     if seed < 0:
         raise SimulationError(f"seed {seed} is negative; give 0 or more")
     # The order is part of what a seed means: new causes go to the end.
     odometry, position, dropout, label, score, false_positive, vehicles = (
         np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(7)
     )
-    return _Streams(odometry, vehicles, SensorStreams(position, dropout, label, score, false_positive))
+    plan = plan_drive(world.tour, config.drive)
+    sensor = SensorStreams(position, dropout, label, score, false_positive)
+    return _Course(plan, _drives(plan, config), odometry, vehicles, sensor)
 
 
 def _drives(plan: DrivePlan, config: SimulationConfig) -> list[Drive]:
@@ -140,14 +143,11 @@ def _start_ns(config: SimulationConfig) -> int:
     return START_NS + config.drive.start_day * DAY_NS
 
 
-def _records(
-    world: World, config: SimulationConfig, plan: DrivePlan, drives: list[Drive], streams: _Streams
-) -> Iterator[tuple[str, int, SimulatedRecord]]:
+def _records(world: World, config: SimulationConfig, course: _Course) -> Iterator[tuple[str, int, SimulatedRecord]]:
     moving_count = config.traffic.vehicles
-    vocabulary = tuple(sorted({*world.labels, *([traffic.LABEL] if moving_count else [])}))
+    object_ids = (*world.object_ids, *(f"moving-{k}" for k in range(moving_count)))
     labels = world.labels + (traffic.LABEL,) * moving_count
-    index = {label: i for i, label in enumerate(vocabulary)}
-    class_indices = np.array([index[label] for label in labels], dtype=np.int64)
+    vocabulary, class_indices = np.unique(labels, return_inverse=True)
     radii_m = np.full(len(labels), config.sensor.occluder_radius_m)
     radii_m[len(world.labels) :] = config.traffic.radius_m
 
@@ -160,30 +160,33 @@ def _records(
             world.object_ids, world.positions, known, world.vocabulary, stamp_ns=start_ns, frame_id="world"
         ),
     )
-    stamps_ns = np.concatenate([drive.stamps_ns for drive in drives])
-    vehicles = traffic.drive_traffic(plan, (stamps_ns - start_ns) * 1e-9, config.traffic, rng=streams.traffic)
-    object_ids = world.object_ids + vehicles.ids
+    stamps_ns = np.concatenate([drive.stamps_ns for drive in course.drives])
+    vehicles = traffic.drive_traffic(course.plan, (stamps_ns - start_ns) * 1e-9, config.traffic, rng=course.traffic)
     row = 0
     T_odom_first = np.eye(4)
-    for drive in drives:
-        T_odom_body = T_odom_first @ drifting_odometry(drive.T_world_body, config.odometry, rng=streams.odometry)
+    for drive in course.drives:
+        T_odom_body = T_odom_first @ drifting_odometry(drive.T_world_body, config.odometry, rng=course.odometry)
         if config.kidnap is not None and config.kidnap.silent:
             T_odom_first = T_odom_body[-1] @ invert(T_odom_body[-2]) @ T_odom_body[-1]
         T_body_world = invert(drive.T_world_body)
         for i, stamp_ns in enumerate(drive.stamps_ns.tolist()):
             rows, positions_body = _nearby(
                 world.positions,
-                vehicles.positions[row],
+                vehicles[row],
                 drive.T_world_body[i],
                 T_body_world[i],
                 config.sensor.max_range_m,
             )
             scan = scan_objects(
-                positions_body, class_indices[rows], radii_m[rows], len(vocabulary), config.sensor, streams.sensor
+                positions_body, class_indices[rows], radii_m[rows], len(vocabulary), config.sensor, course.sensor
             )
             true_ids = tuple("" if source < 0 else object_ids[rows[source]] for source in scan.sources.tolist())
             yield ODOMETRY_TOPIC, stamp_ns, Odometry(stamp_ns, T_odom_body[i])
-            yield DETECTIONS_TOPIC, stamp_ns, _detections(stamp_ns, scan, vocabulary, config.sensor.covariances)
+            yield (
+                DETECTIONS_TOPIC,
+                stamp_ns,
+                _detections(stamp_ns, scan, vocabulary.tolist(), config.sensor.covariances),
+            )
             yield GROUND_TRUTH_TOPIC, stamp_ns, GroundTruthPose(stamp_ns, drive.T_world_body[i])
             yield DETECTION_TRUTH_TOPIC, stamp_ns, DetectionTruth(stamp_ns, true_ids)
             row += 1
@@ -199,7 +202,7 @@ def _nearby(
     return rows, offset[rows] @ T_body_world[:3, :3].T
 
 
-def _detections(stamp_ns: int, scan: Scan, vocabulary: tuple[str, ...], with_covariances: bool) -> ObjectDetections:
+def _detections(stamp_ns: int, scan: Scan, vocabulary: list[str], with_covariances: bool) -> ObjectDetections:
     labels = tuple(vocabulary[k] for k in scan.class_indices.tolist())
     covariances = scan.sigmas_m[:, None, None] ** 2 * np.eye(3) if with_covariances else None
     return ObjectDetections(stamp_ns, "base_link", scan.positions, labels, scan.scores, covariances)

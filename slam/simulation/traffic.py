@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from slam.common.arrays import FloatArray
@@ -13,21 +11,12 @@ from slam.simulation.drive import DrivePlan
 LABEL = "vehicle"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Traffic:
-    """Where the vehicles are at each time of a drive: ids (V,), positions (K, V, 3) m, world frame, z = 0."""
-
-    ids: tuple[str, ...]
-    positions: FloatArray
-
-
-def drive_traffic(plan: DrivePlan, at_s: FloatArray, config: TrafficConfig, *, rng: np.random.Generator) -> Traffic:
-    """Vehicles "moving-0", "moving-1", ... at the times ``at_s`` (K,) seconds since the start of the simulation.
+def drive_traffic(plan: DrivePlan, at_s: FloatArray, config: TrafficConfig, *, rng: np.random.Generator) -> FloatArray:
+    """Positions (K, V, 3) m of vehicles, world frame, z = 0, ``at_s`` (K,) seconds after the start.
 
     Each starts anywhere on the tour in either direction with its own steady speed, keeps to the right of its own
     direction by ``lane_offset_m``, and turns round at the ends of the tour.
     """
-    ids = tuple(f"moving-{k}" for k in range(config.vehicles))
     slowest, fastest = sorted((config.min_speed_mps, config.max_speed_mps))
     speed_mps = rng.uniform(slowest, fastest, config.vehicles)
     # A round, there and back, is twice the tour: the first half of the phase goes with it, the second against.
@@ -39,4 +28,4 @@ def drive_traffic(plan: DrivePlan, at_s: FloatArray, config: TrafficConfig, *, r
     positions = np.zeros((*tour_m.shape, 3))
     positions[..., 0] = np.interp(tour_m, plan.tour_m, plan.xy[:, 0]) + config.lane_offset_m * np.sin(heading)
     positions[..., 1] = np.interp(tour_m, plan.tour_m, plan.xy[:, 1]) - config.lane_offset_m * np.cos(heading)
-    return Traffic(ids, positions)
+    return positions
