@@ -18,10 +18,6 @@ if TYPE_CHECKING:
 
     from slam.evaluation.requirements import Requirement
 
-NOT_MAPPED = 1
-"""Exit code if a log could not be mapped."""
-
-
 app = typer.Typer(help="Build one map of a city from many logs.", no_args_is_help=True)
 
 Folder = Annotated[Path, typer.Argument(metavar="CITY", help="Folder of a fleet.", show_default=False)]
@@ -98,7 +94,7 @@ def _finish(city: Path, results: dict[str, Any], requirements: Sequence[Requirem
     findings = Findings(results, _compose(city, results), {"": results})
     report(findings, requirements, as_json=json, with_rules=False, json_file=None)
     if any(log["status"] == "not mapped" for log in results["logs"]):
-        raise typer.Exit(NOT_MAPPED)
+        raise typer.Exit(1)
 
 
 def _print_progress(_done: float, doing: str) -> None:

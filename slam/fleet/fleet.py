@@ -35,7 +35,6 @@ from slam.sweeps.workers import Death
 
 logger = logging.getLogger(__name__)
 
-_KEY_DIGITS = 16
 BLOCK = 16
 """Sessions that are folded together, by date; as many of the latest sessions are not, at least."""
 
@@ -289,4 +288,5 @@ def _save(
 
 
 def _key(*parts: str) -> str:
-    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:_KEY_DIGITS]
+    # 64 bits tell any number of logs apart.
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]

@@ -5,19 +5,17 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from logs.container.json_text import parse_json
 from logs.errors import LogError
-from logs.messages import SceneMarkers
 from logs.storage.placement import write_text
 from slam.common.config import Config
 from slam.common.errors import SlamError
 from slam.map_joining.condensed_map import condense_map, stretch_length_m
 from slam.map_joining.session_config import session_config
-from slam.object_map.map_io import SavedMap, load_map, save_map
+from slam.object_map.map_io import load_map, write_map
 from slam.object_map.map_summary import summarize_map
 from slam.replay import replay
 
@@ -92,8 +90,7 @@ def _mapped(task: SessionTask, scratch: Path) -> Session:
     summary = replay(task.path, scratch / "replay.mcap", task.config, map_path=whole)
     saved = load_map(whole)
     config = session_config(saved.metadata)
-    condensed = condense_map(saved, stretch_m=stretch_length_m(config))
-    _save(task.folder / MAP_NAME, condensed, dict(saved.metadata))
+    write_map(task.folder / MAP_NAME, condense_map(saved, stretch_m=stretch_length_m(config)))
     stamps_ns = saved.graph.keyframe_stamps_ns
     return Session(
         sha256=task.sha256,
@@ -105,10 +102,3 @@ def _mapped(task: SessionTask, scratch: Path) -> Session:
         last_ns=int(stamps_ns.max()),
         notes=summary.notes,
     )
-
-
-def _save(path: Path, condensed: SavedMap, metadata: Mapping[str, str]) -> None:
-    objects = condensed.objects
-    markers = SceneMarkers(objects.stamp_ns, "map", objects.positions, objects.labels, objects.ids)
-    provenance = {key: value for key, value in metadata.items() if key not in ("format_version", "gravity", "drives")}
-    save_map(path, objects, condensed.graph, markers, provenance)

@@ -37,13 +37,9 @@ class _Stretches:
     steps: Mapping[int, int]
 
 
-STRETCHES_A_SUBMAP = 2.0
-"""Places on the travel of a submap."""
-
-
 def stretch_length_m(config: Config) -> float:
-    """Travel [m] between two places."""
-    return SUBMAP_RANGES * config.sensor_range_m / STRETCHES_A_SUBMAP
+    """Travel [m] between two places: half of that of a submap."""
+    return 0.5 * SUBMAP_RANGES * config.sensor_range_m
 
 
 def condense_map(saved: SavedMap, *, stretch_m: float) -> SavedMap:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from logs.reader import LogReader
+from slam.simulation.faults.registry import FAULTS
 from tests.tools.runs import SAMPLE, Run, assert_refused, write_log
 
 DETECTIONS = 3313
@@ -30,6 +31,7 @@ def test_faults_are_applied_in_their_order_and_recorded(dslam: Run, tmp_path: Pa
     assert report["seed"] == 3
     assert 0 < report["detections"] < report["detections_before"] == DETECTIONS
     assert metadata_of(output)["faults"]["faults"] == " ".join(faults)
+    assert metadata_of(output)["faults"]["seed"] == "3"
     assert metadata_of(output)["simulation"] == metadata_of(SAMPLE)["simulation"]
 
 
@@ -37,6 +39,7 @@ def test_a_summary_for_people(dslam: Run, tmp_path: Path) -> None:
     result = dslam("degrade", SAMPLE, "-o", tmp_path / "out.mcap", "--fault", "drop_label=tree")
     assert result.code == 0
     assert f"{DETECTIONS - TREES} after, {DETECTIONS} before" in result.out
+    assert f"drop_label=tree: {FAULTS['drop_label'].meaning}" in result.out
     assert [path.name for path in tmp_path.iterdir()] == ["out.mcap"]
 
 
@@ -51,6 +54,13 @@ def test_what_comes_out_can_be_mapped_and_evaluated(dslam: Run, tmp_path: Path, 
     assert dslam("evaluate", mapped, "--require", "trajectory.ate_m<=1.0").code == 0
 
 
+def test_list_has_every_fault_with_its_meaning(dslam: Run) -> None:
+    result = dslam("degrade", "--list-faults")
+    assert (result.code, result.err) == (0, "")
+    told = " ".join(result.out.split())
+    assert all(f"{fault.usage} {fault.meaning}" in told for fault in FAULTS.values())
+
+
 def test_refusals(dslam: Run, tmp_path: Path) -> None:
     output = tmp_path / "out.mcap"
     degrade = ("degrade", SAMPLE, "-o", output)
@@ -61,6 +71,9 @@ def test_refusals(dslam: Run, tmp_path: Path) -> None:
     assert_refused(dslam(*degrade, "--fault", "field_of_view=wide"), "field_of_view")
     assert_refused(dslam(*degrade, "--fault", "dropout=0.1", "--seed", -1), "negative")
     assert_refused(dslam(*degrade, "--fault", "keep_label=car"), "'car'", "tree", "utility_pole")
+    assert_refused(dslam(*degrade, "--fault", "heading_jmp"), "heading_jmp", "did you mean heading_jump")
+    assert_refused(dslam(*degrade, "--fault", "heading_jump=much"), "'much'", "a valid number")
+    assert_refused(dslam(*degrade, "--fault", "labels_unique=3"), "takes no value")
     assert_refused(dslam("degrade", tmp_path / "none.mcap", "-o", output, "--fault", "dropout=0.1"), "No such file")
     assert_refused(
         dslam("degrade", SAMPLE, "-o", tmp_path / "none" / "out.mcap", "--fault", "dropout=0.1"), "no folder"
