@@ -17,12 +17,13 @@ from slam.backend.factor_graph import FactorGraph
 from slam.backend.factors import Edge, EdgeKind
 from slam.backend.solver_options import UPDATE_KEYFRAMES
 from slam.common.arrays import FloatArray, IntArray
+from slam.common.calibration import DetectionCalibration
 from slam.common.config import Config
 from slam.common.geometry import relative
 from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.data_association import AMBIGUOUS, NEW
 from slam.frontend.existence import which_exist
-from slam.frontend.input.scan import Scan
+from slam.frontend.input.scan import Scan, with_expected_noise
 from slam.frontend.pending_observations import PendingObservations
 from slam.frontend.tracker import Tracked, Tracker
 from slam.object_map.landmarks import LandmarkState, ObjectMap, RetirementReason
@@ -129,6 +130,7 @@ class Mapper:
         T_local_odom = self._active.T_local_odom
         labels = self._map.label_indices(scan.labels)
         tracked = self._tracker.track(scan, labels, pose)
+        tracked = _with_expected_noise(tracked, self._active, self._config.calibration.detection)
         self._update(tracked)
         if tracked.correction is None and self._active.is_odometry_doubtful:
             T_odom = self._active.correct_odometry(T_local_odom)
@@ -291,6 +293,15 @@ class Mapper:
         for row in rows.tolist():
             self._pending.drop(row)
         self._graph.remove_landmarks(ended)
+
+
+def _with_expected_noise(tracked: Tracked, active: ActiveLandmarks, config: DetectionCalibration) -> Tracked:
+    """The scan with the noise of detections by the ranges of their landmarks."""
+    T, landmarks = active.T_local_body, tracked.assignment.landmark_rows
+    ranges, known = np.linalg.norm(tracked.scan.positions, axis=1), landmarks >= 0
+    ranges[known] = np.linalg.norm(active.predict().positions[landmarks[known]] - T[:3, 3], axis=1)
+    scan = with_expected_noise(tracked.scan, ranges, config)
+    return replace(tracked, scan=scan, seen=scan.seen_from(T))
 
 
 def _odometry_edge(previous: Keyframe, keyframe: Keyframe, config: Config) -> Edge:

@@ -2,7 +2,8 @@
 
 A detection continues the track of its class that ended nearest to it, in the odometry frame, if each is the other's
 nearest and they are much nearer to one another than other objects of the class are. Nothing here knows a length or a
-noise: the spacing of the objects is the yardstick.
+noise: the spacing of the objects is the yardstick. Cameras err along the ray far more than across it, radars the other
+way round: distances in the direction of the larger noise are divided by the ratio of the two, which the log tells.
 """
 
 from __future__ import annotations
@@ -27,6 +28,10 @@ MISSED_SCANS = 2
 LOST_PROBABILITY, MOST_MISSED, SAMPLED_SCANS = 0.1, 20, 600
 """... more, where the detector misses so many that a track would end too soon with that probability; at most so many.
 Then a neighbour would be taken for the object. The first scans tell how many.
+"""
+RATIO_ROUNDS, LEAST_STEPS, MAX_RATIO = 2, 100, 1e3
+"""Rounds in which the ratio of the noise along the ray and across it is found, the least steps of tracks that tell it,
+and how large it may be.
 """
 LEAST_SHARE = 1e-12
 """Squared distances that are a smaller share of the squared room are rounding."""
@@ -54,7 +59,8 @@ class ObjectTracks:
     ``track`` and ``scan`` (S,): ids; ``offsets`` (S, 2) m of the object from the body, smoothed along the track so that
     they have little of the noise of the detections, and ``points`` (S, 2) m where they were detected, both in the axes
     of the odometry frame; ``labels`` (S,); ``claimed`` (S,) m^2; ``heights`` (S,) m in the odometry frame; ``rooms``
-    (S,) m: the distance from where the track ended within which a detection continued it.
+    (S,) m: the distance from where the track ended within which a detection continued it, and ``steps`` (S,) m: its
+    distance from there, both by the ratio of the noise; 0 where a track begins.
     """
 
     track: IntArray
@@ -65,6 +71,7 @@ class ObjectTracks:
     claimed: FloatArray
     heights: FloatArray
     rooms: FloatArray
+    steps: FloatArray
 
     def of(self, chosen: NDArray[np.bool_] | IntArray) -> ObjectTracks:
         """Some of the detections, by mask or rows."""
@@ -83,9 +90,25 @@ def follow_objects(scans: Sequence[SurveyScan], headings_rad: FloatArray, *, by_
     """
     if not scans:
         none, nowhere = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
-        return ObjectTracks(none, none, nowhere, nowhere, none, np.zeros(0), np.zeros(0), np.zeros(0))
-    missed = _missed_scans(scans[:SAMPLED_SCANS], headings_rad, by_class=by_class)
-    return _follow(scans, headings_rad, missed, by_class=by_class)
+        return ObjectTracks(none, none, nowhere, nowhere, none, *np.zeros((4, 0)))
+    ratio = 1.0
+    for _ in range(RATIO_ROUNDS):
+        tracks = objects_among(_follow(scans[:SAMPLED_SCANS], headings_rad, MOST_MISSED, ratio, by_class=by_class))
+        ratio = _noise_ratio(tracks)
+    missed = _missed_scans(detectability_of(tracks))
+    return _follow(scans, headings_rad, missed, ratio, by_class=by_class)
+
+
+def _noise_ratio(tracks: ObjectTracks) -> float:
+    """The noise along the ray by that across it, from the medians of the steps of tracks; 1 where there are few."""
+    row = tracks.followed(1) + 1
+    if len(row) < LEAST_STEPS:
+        return 1.0
+    steps, offsets = tracks.points[row] - tracks.points[row - 1], tracks.offsets[row]
+    along = np.median(np.abs(np.einsum("ni,ni->n", steps, offsets)))
+    across = np.median(np.abs(steps[:, 1] * offsets[:, 0] - steps[:, 0] * offsets[:, 1]))
+    is_exact = max(along, across) < LEAST_SHARE * float(np.mean(offsets**2))
+    return 1.0 if is_exact else float(np.clip(along / max(across, along / MAX_RATIO), 1.0 / MAX_RATIO, MAX_RATIO))
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,8 +134,7 @@ def objects_among(tracks: ObjectTracks) -> ObjectTracks:
 def _existence(tracks: ObjectTracks) -> FloatArray:
     """Probability (S,), for each detection, that its track is of an object."""
     _, first, row = np.unique(tracks.track, return_index=True, return_inverse=True)
-    steps = tracks.points - tracks.points[np.maximum(np.arange(len(row)) - 1, 0)]
-    shares = np.maximum(np.einsum("ni,ni->n", steps, steps), LEAST_SHARE * tracks.rooms**2)
+    shares = np.maximum(tracks.steps**2, LEAST_SHARE * tracks.rooms**2)
     with np.errstate(divide="ignore", invalid="ignore"):
         closeness = np.nan_to_num(np.log(tracks.rooms**2 / shares))
     closeness[first] = 0.0  # a track begins there
@@ -141,9 +163,8 @@ def detectability_of(tracks: ObjectTracks) -> Detectability:
     return Detectability(period, float(counts[period] / len(gaps)))
 
 
-def _missed_scans(scans: Sequence[SurveyScan], headings_rad: FloatArray, *, by_class: bool) -> int:
+def _missed_scans(found: Detectability) -> int:
     """In how many scans in a row an object may be missed."""
-    found = detectability_of(objects_among(_follow(scans, headings_rad, MOST_MISSED, by_class=by_class)))
     if not np.isfinite(found.probability):
         return MISSED_SCANS
     detected = np.clip(found.probability, 1e-3, 1.0 - 1e-3)
@@ -152,18 +173,19 @@ def _missed_scans(scans: Sequence[SurveyScan], headings_rad: FloatArray, *, by_c
 
 
 def _follow(
-    scans: Sequence[SurveyScan], headings_rad: FloatArray, missed_scans: int, *, by_class: bool
+    scans: Sequence[SurveyScan], headings_rad: FloatArray, missed_scans: int, ratio: float, *, by_class: bool
 ) -> ObjectTracks:
-    tracks, numbers, points, rooms = [], [], [], []
-    ends = _OpenTracks(missed_scans)
+    tracks, numbers, points, rooms, steps = [], [], [], [], []
+    ends = _OpenTracks(missed_scans, ratio)
     for number, (scan, heading) in enumerate(zip(scans, headings_rad, strict=False)):
         c, s = np.cos(heading), np.sin(heading)
         offsets = scan.positions[:, :2] @ np.array([[c, s], [-s, c]])
         points.append(offsets + scan.T_odom_body[:2, 3])
         labels = scan.labels if by_class else np.zeros_like(scan.labels)
-        found, room = ends.extend(number, points[-1], np.hypot(offsets[:, 0], offsets[:, 1]), labels)
+        found, room, step = ends.extend(number, points[-1], offsets, labels)
         tracks.append(found)
         rooms.append(room)
+        steps.append(step)
         numbers.append(np.full(len(offsets), number))
     track, scan_of = np.concatenate(tracks), np.concatenate(numbers)
     order = np.lexsort((scan_of, track))
@@ -179,6 +201,7 @@ def _follow(
         np.concatenate([scan.variances for scan in scans])[order],
         np.concatenate(heights)[order],
         np.concatenate(rooms)[order],
+        np.concatenate(steps)[order],
     )
 
 
@@ -194,8 +217,9 @@ def _smoothed(points: FloatArray, track: IntArray) -> FloatArray:
 class _OpenTracks:
     """The last detection of each track that may go on."""
 
-    def __init__(self, missed_scans: int) -> None:
+    def __init__(self, missed_scans: int, ratio: float) -> None:
         self._missed_scans = missed_scans
+        self._units = max(ratio, 1.0), max(1.0 / ratio, 1.0)
         self._count = 0
         self._points = np.zeros((0, 2))
         self._labels = np.zeros(0, dtype=np.int64)
@@ -203,12 +227,18 @@ class _OpenTracks:
         self._scans = np.zeros(0, dtype=np.int64)
 
     def extend(
-        self, scan: int, points: FloatArray, ranges: FloatArray, labels: IntArray
-    ) -> tuple[IntArray, FloatArray]:
-        """Tracks (N,) of the detections of a scan, those that continue none begin one; and the room (N,) of each."""
+        self, scan: int, points: FloatArray, offsets: FloatArray, labels: IntArray
+    ) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Tracks (N,) of the detections of a scan, at ``points`` (N, 2) and ``offsets`` (N, 2) m from the body, those
+        that continue none begin one; the room (N,) of each, and its step (N,).
+        """
         tracks = np.full(len(points), -1, dtype=np.int64)
         goes_on = np.zeros(len(self._tracks), dtype=np.bool_)
-        nearest = _nearest(points, labels, self._points, self._labels)
+        ranges = np.hypot(offsets[:, 0], offsets[:, 1])
+        rays = offsets / np.maximum(ranges, 1e-300)[:, None]
+        along, across = self._units
+        axes = np.stack([rays / along, rays[:, ::-1] * [-1.0, 1.0] / across], axis=1)
+        nearest = _nearest(points, labels, self._points, self._labels, axes)
         rooms = np.minimum(AMBIGUITY * nearest.next_m, RANGE_SHARE * ranges)
         if len(points) and len(self._points):
             mutual = nearest.back[nearest.index] == np.arange(len(points))
@@ -223,7 +253,7 @@ class _OpenTracks:
         self._labels = np.concatenate([self._labels[kept], labels])
         self._tracks = np.concatenate([self._tracks[kept], tracks])
         self._scans = np.concatenate([self._scans[kept], np.full(len(points), scan)])
-        return tracks, rooms
+        return tracks, rooms, np.where(fresh, 0.0, nearest.distance_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,14 +269,16 @@ class _Nearest:
     back: IntArray
 
 
-def _nearest(points: FloatArray, labels: IntArray, tracks: FloatArray, track_labels: IntArray) -> _Nearest:
-    """Between points (N, 2) and the ends (M, 2) m of tracks, of equal labels."""
+def _nearest(
+    points: FloatArray, labels: IntArray, tracks: FloatArray, track_labels: IntArray, axes: FloatArray
+) -> _Nearest:
+    """Between points (N, 2) and the ends (M, 2) m of tracks, of equal labels, along ``axes`` (N, 2, 2)."""
     count = len(points)
     index, back = np.zeros(count, dtype=np.int64), np.zeros(len(tracks), dtype=np.int64)
     nearest, following, least = np.full(count, np.inf), np.full(count, np.inf), np.full(len(tracks), np.inf)
     all_points, all_labels = np.concatenate([points, tracks]), np.concatenate([labels, track_labels])
     for part in _parts(count, len(all_points)):
-        apart = _squares(points[part], labels[part], all_points, all_labels)
+        apart = _squares(points[part], labels[part], all_points, all_labels, axes[part])
         rows = np.arange(len(apart))
         apart[rows, part.start + rows] = np.inf
         if len(tracks):
@@ -268,12 +300,18 @@ def _parts(count: int, others: int) -> list[slice]:
     return [slice(start, start + size) for start in range(0, count if others else 0, size)]
 
 
-def _squares(points: FloatArray, labels: IntArray, others: FloatArray, other_labels: IntArray) -> FloatArray:
-    """(N, M) m^2: squared distances of points (N, D) from others (M, D), inf where labels differ."""
+def _squares(
+    points: FloatArray, labels: IntArray, others: FloatArray, other_labels: IntArray, axes: FloatArray | None = None
+) -> FloatArray:
+    """(N, M) m^2: squared distances of points (N, D) from others (M, D), inf where labels differ.
+
+    ``axes`` (N, 2, 2): of each point, by rows, whose lengths scale the distances along them.
+    """
+    offsets = [np.subtract.outer(points[:, axis], others[:, axis]) for axis in range(points.shape[1])]
+    if axes is not None:
+        offsets = [axes[:, row, 0, None] * offsets[0] + axes[:, row, 1, None] * offsets[1] for row in range(2)]
     squares = np.zeros((len(points), len(others)))
-    for axis in range(points.shape[1]):
-        offsets = np.subtract.outer(points[:, axis], others[:, axis])
-        offsets *= offsets
-        squares += offsets
+    for each in offsets:
+        squares += each * each
     squares[labels[:, None] != other_labels] = np.inf
     return squares

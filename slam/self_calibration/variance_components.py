@@ -6,10 +6,11 @@ the error xi of the odometry between them in common, a turn about each axis and 
     d_k = A_k xi + e_k,    xi ~ N(0, Q / w_g),    e_k ~ N(0, D_k / w_k),
 
 with A_k by the offset of the object from the body, half-way between the scans. The diagonal matrices D_k, along the
-ray, across it and in height, and Q are linear in the variances (:class:`NoiseComponents`) by ranges, change of the
-view B (:func:`view_change`), travel L, turn A and time T:
+ray, across it and in height, and Q are linear in the variances (:class:`NoiseComponents`) by ranges, the angle b
+between the two rays, change of the view B (:func:`view_change`), travel L, turn A and time T. With the noise of a
+detection at range r along its ray, R = v_r + u_r r^2, and across it, S = v_t + u_t r^2:
 
-    D:  2 v_r + u_r (r1^2 + r2^2) + w B;   2 v_t + u_t (r1^2 + r2^2) + w B;   the latter's first two + 2 h + w_z B
+    D:  R1 cos^2 b + S1 sin^2 b + R2 + w B;   S1 cos^2 b + R1 sin^2 b + S2 + w B;   S1 + S2 + 2 h + w_z B
     Q:  2 j_t + a_t L + b_t T for a shift along the ground, 2 j_z + a_z L for one in height;
         2 j_y + a_y L + c_y A + b_y T for the heading, 2 j_x + a_x L for roll and pitch.
 
@@ -180,12 +181,12 @@ def _well_apart(tracks: ObjectTracks) -> ObjectTracks:
     Where there are few of them, the quarter of the detections with the most room stands for them.
     """
     same = tracks.track[1:] == tracks.track[:-1]
-    steps = (tracks.points[1:] - tracks.points[:-1])[same]
+    steps = tracks.steps[1:][same]
     if not len(steps):
         return tracks
     _, start, row = np.unique(tracks.track, return_index=True, return_inverse=True)
     room = np.minimum.reduceat(tracks.rooms, start)[row]
-    sigma = 1.4826 * float(np.median(np.abs(steps)))
+    sigma = float(np.median(steps)) / 1.1774
     kept = room >= min(ROOM_SIGMAS * sigma, float(np.quantile(room, 1.0 - LEAST_SHARE, method="lower")))
     return tracks.of(kept)
 
@@ -370,12 +371,16 @@ def _own_parts(pairs: _Displacements) -> FloatArray:
     travel, turn, _ = pairs.moved[pairs.group].T
     # Noise changes the view, too; the body has not come farther than its travel.
     view = np.minimum(view_change(pairs.x_turned, pairs.x), travel / np.sqrt(lengths) + turn)
-    two, zero, ranges = np.full_like(view, 2.0), np.zeros_like(view), squares[0] + squares[1]
+    two, zero = np.full_like(view, 2.0), np.zeros_like(view)
+    flat, flat_before = pairs.x[:, :2], pairs.x_before[:, :2]
+    products = np.maximum(np.linalg.norm(flat, axis=1) * np.linalg.norm(flat_before, axis=1), 1e-300)
+    cos2 = np.minimum((np.einsum("ni,ni->n", flat, flat_before) / products) ** 2, 1.0)
+    after, along, across = squares[0], squares[1] * cos2, squares[1] * (1.0 - cos2)
     parts = [
-        [two, zero, zero],
-        [ranges, zero, zero],
-        [zero, two, two],
-        [zero, ranges, ranges],
+        [1.0 + cos2, 1.0 - cos2, zero],
+        [after + along, across, zero],
+        [1.0 - cos2, 1.0 + cos2, two],
+        [across, after + along, after + squares[1]],
         [zero, zero, two],
         [view, view, zero],
         [zero, zero, view],

@@ -117,8 +117,8 @@ class SurveyedDrive:
         offsets = self.scale * np.stack([c * x - s * y, s * x + c * y], axis=1)
         points = offsets + self.scale * self.positions[scan]
         labels: IntArray = np.zeros(len(scan), dtype=np.int64)
-        claimed, heights, rooms = np.full(len(scan), np.nan), np.zeros(len(scan)), np.full(len(scan), np.inf)
-        return ObjectTracks(np.cumsum(begins) - 1, scan, offsets, points, labels, claimed, heights, rooms)
+        claimed, none, rooms = np.full(len(scan), np.nan), np.zeros(len(scan)), np.full(len(scan), np.inf)
+        return ObjectTracks(np.cumsum(begins) - 1, scan, offsets, points, labels, claimed, none, rooms, none)
 
     @property
     def scans(self) -> list[SurveyScan]:

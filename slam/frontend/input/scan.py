@@ -130,9 +130,22 @@ def make_scan(
     )
 
 
+def with_expected_noise(scan: Scan, ranges: FloatArray, config: DetectionCalibration) -> Scan:
+    """The scan, in the frame of the body, with the noise by the ``ranges`` (N,) m at which its objects are expected.
+
+    By its own range what was measured too short would seem more precise than what was measured too long, and the map
+    would shrink.
+    """
+    measured = np.linalg.norm(scan.positions, axis=1)
+    change = _covariances_by_range(scan.positions, ranges, config)
+    change -= _covariances_by_range(scan.positions, measured, config)
+    change[scan.has_own_covariance] = 0.0
+    return replace(scan, covariances=scan.covariances + change)
+
+
 def _covariances_by_range(positions: FloatArray, ranges: FloatArray, config: DetectionCalibration) -> FloatArray:
-    """(N, 3, 3) m^2 of detections at (N, 3) m whose message gives none."""
+    """(N, 3, 3) m^2 of detections in the directions of (N, 3) m, at ``ranges`` (N,) m, whose message gives none."""
     sigmas = config.base_sigma_m + config.sigma_per_m * ranges
-    sights = positions / np.maximum(ranges, 1e-12)[:, None]
+    sights = positions / np.maximum(np.linalg.norm(positions, axis=1), 1e-12)[:, None]
     along = (config.range_sigma_ratio**2 - 1.0) * sights[:, :, None] * sights[:, None, :]
     return np.asarray(sigmas[:, None, None] ** 2 * (np.eye(3) + along))

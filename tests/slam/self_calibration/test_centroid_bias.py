@@ -29,7 +29,7 @@ def passed(bias_m: FloatArray, *, seed: int = 0) -> tuple[ObjectTracks, FloatArr
         parts.append((number * same, scans, offsets, points, label * same, np.tile(place, (len(scans), 1))))
     track, scan, offsets, points, labels, true = (np.concatenate(column) for column in zip(*parts, strict=True))
     none = np.zeros(len(track))
-    return ObjectTracks(track, scan, offsets, points, labels, none, none, none), true
+    return ObjectTracks(track, scan, offsets, points, labels, none, none, none, none), true
 
 
 @pytest.mark.parametrize("seed", range(3))

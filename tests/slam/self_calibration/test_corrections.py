@@ -38,7 +38,7 @@ def tracks(motion: BodyMotion, *, delay_s: float = 0.0, noise_m: float = 0.02, s
     offsets = offsets - delay_s * moved
     zeros = np.zeros(len(scans))
     points = motion.positions[scans, :2] + offsets
-    return ObjectTracks(track, scans, offsets, points, np.zeros(len(scans), dtype=np.int64), zeros, zeros, zeros)
+    return ObjectTracks(track, scans, offsets, points, np.zeros(len(scans), dtype=np.int64), zeros, zeros, zeros, zeros)
 
 
 def earned(tracks: ObjectTracks, motion: BodyMotion) -> dict[str, float]:
@@ -105,6 +105,6 @@ def test_a_few_wild_points_do_not_matter():
     wild: FloatArray = made.points.copy()
     wild[::50] += 30.0
     spoilt = ObjectTracks(
-        made.track, made.scan, made.offsets, wild, made.labels, made.claimed, made.heights, made.rooms
+        made.track, made.scan, made.offsets, wild, made.labels, made.claimed, made.heights, made.rooms, made.steps
     )
     assert earned(spoilt, motion)["delay_s"] == pytest.approx(0.3, abs=0.02)

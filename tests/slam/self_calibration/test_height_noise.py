@@ -40,7 +40,7 @@ def test_a_wrong_match_counts_little():
 def test_too_few_objects_tell_nothing():
     few = np.zeros(20, dtype=np.int64)
     none = np.zeros(20)
-    alone = ObjectTracks(few, np.arange(20), np.ones((20, 2)), np.ones((20, 2)), few, none, none, none)
+    alone = ObjectTracks(few, np.arange(20), np.ones((20, 2)), np.ones((20, 2)), few, none, none, none, none)
     assert estimate_height_noise(alone) == HeightNoise()
 
 
@@ -56,6 +56,6 @@ def test_objects_have_nothing_in_common_with_themselves():
     track = np.repeat([0, 1], 2000)
     heights = np.random.default_rng(3).normal(0.0, 0.5, 4000)
     places, none = np.ones((4000, 2)), np.zeros(4000)
-    found = estimate_height_noise(ObjectTracks(track, scans, places, places, track, none, heights, none))
+    found = estimate_height_noise(ObjectTracks(track, scans, places, places, track, none, heights, none, none))
     assert np.sqrt(found.own) == pytest.approx(0.5, rel=0.1)
     assert np.sqrt(found.common) < 0.2

@@ -158,6 +158,7 @@ def test_too_few_detections_tell_nothing(count):
         np.full(count, np.nan),
         np.zeros(count),
         np.full(count, np.inf),
+        np.zeros(count),
     )
     times = np.arange(float(count))
     assert estimate_components(tracks, Motion(times, times, times)) is None
@@ -171,7 +172,7 @@ def test_a_log_without_any_noise_has_none() -> None:
     points = np.array([[10.0, 5.0], [-20.0, 8.0], [60.0, -4.0]])[track]
     offsets = points - np.stack([0.3 * scan, np.zeros(len(scan))], axis=1)
     none = np.zeros(len(track))
-    tracks = ObjectTracks(track, scan, offsets, points, np.zeros(len(track), np.int64), none, none, none + np.inf)
+    tracks = ObjectTracks(track, scan, offsets, points, np.zeros(len(track), np.int64), none, none, none + np.inf, none)
     motion = Motion(np.arange(count) * 0.3, np.zeros(count), np.arange(count) * 0.1)
     found = estimate_components(tracks, motion)
     assert found is not None
@@ -186,6 +187,26 @@ def test_noise_of_half_the_spacing_is_no_bias_of_the_view() -> None:
     for each in variances:
         assert 0.5 / 1.5 < np.sqrt(0.5 * (each.radial + each.tangential)) < 0.5 * 1.5
     assert np.median(np.sqrt([each.view for each in variances])) < 0.25
+
+
+@pytest.mark.parametrize(
+    ("noise", "along_m", "across_m"),
+    [
+        ({"radial_by_range": 0.2, "tangential_by_range": 0.005}, 2.0, 0.05),
+        ({"radial": 0.05, "tangential_by_range": 0.05}, 0.05, 0.5),
+    ],
+    ids=["camera", "radar"],
+)
+def test_noise_along_the_ray_is_told_from_that_across_it(noise: dict[str, float], along_m: float, across_m: float):
+    """At 10 m, where objects are followed by the survey, and rays to an object turn while it is followed."""
+    drive = SurveyedDrive(0, noise, objects=60)
+    estimate = estimate_components(follow_objects(drive.scans, drive.headings), drive.motion)
+    assert estimate is not None
+    found = estimate.variances
+    along = np.sqrt(found.radial + 10.0**2 * found.radial_by_range)
+    across = np.sqrt(found.tangential + 10.0**2 * found.tangential_by_range)
+    np.testing.assert_allclose([along, across], [along_m, across_m], rtol=0.3)
+    assert np.sqrt(found.view) < 0.5 * max(along_m, across_m)
 
 
 @pytest.mark.parametrize("scale", [1e154, 1e200, 1e300])

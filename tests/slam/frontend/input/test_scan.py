@@ -8,7 +8,7 @@ import pytest
 from logs.messages import ObjectDetections
 from slam.common.calibration import DetectionCalibration
 from slam.common.geometry import apply, make_transform
-from slam.frontend.input.scan import in_metres, make_scan
+from slam.frontend.input.scan import in_metres, make_scan, with_expected_noise
 from tests.logs.examples import random_detections, random_transform
 
 
@@ -112,3 +112,21 @@ def test_the_scale_of_ranges_applies_to_positions_and_their_covariances():
     np.testing.assert_allclose(scaled.positions, [[2.0, 0.0, 1.0]])
     np.testing.assert_allclose(scaled.covariances, 0.25 * np.eye(3)[None])
     assert in_metres(seen, DetectionCalibration()) is seen
+
+
+def test_noise_by_the_expected_range_is_the_same_for_short_and_long_measurements() -> None:
+    config = DetectionCalibration(sigma_per_m=0.02, range_sigma_ratio=3.0, height_sigma_m=0.5)
+    scan = make_scan(detections([[8, 0, 0], [12, 0, 0], [10, 0, 0]]), np.eye(4), config)
+    expected = with_expected_noise(scan, np.full(3, 10.0), config)
+    for covariance in expected.covariances:
+        np.testing.assert_allclose(covariance, scan.covariances[2], atol=1e-12)
+    np.testing.assert_array_equal(expected.positions, scan.positions)
+
+
+def test_noise_that_the_message_gives_does_not_change_with_the_expected_range() -> None:
+    own = np.array([0.04 * np.eye(3), np.zeros((3, 3))])
+    config = DetectionCalibration(sigma_per_m=0.02)
+    scan = make_scan(detections([[10, 0, 0], [10, 0, 0]], covariances=own), np.eye(4), config)
+    changed = with_expected_noise(scan, np.full(2, 15.0), config).covariances - scan.covariances
+    assert not changed[0].any()
+    assert changed[1].any()
