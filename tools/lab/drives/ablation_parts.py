@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 
+from slam.backend.editable_graph import EditableGraph
 from slam.sweeps.cells import Cell, CellResult, compute_cell
 
 DEFAULT = "nothing"
@@ -32,6 +33,16 @@ def _uniform_clutter(query: Any, reference: Any, offsets: Any, distances: Any, *
     return (0.5 + np.sum(reference.labels[:, None] == query.labels[None, :], axis=0)) / area_m2
 
 
+WEIGHTLESS = 1e6
+"""Factor on the covariance of an observation that leaves it no weight against the odometry."""
+_ADD_OBSERVATIONS = EditableGraph.add_observations
+
+
+def _add_weightless(self: Any, observations: Any) -> None:
+    """``EditableGraph.add_observations`` of observations without weight."""
+    _ADD_OBSERVATIONS(self, [replace(each, covariance_inflation=WEIGHTLESS) for each in observations])
+
+
 PARTS: dict[str, Part] = {
     DEFAULT: Part(),
     "descriptor: random vectors": Part(("loop_closure.descriptor=random",)),
@@ -39,7 +50,9 @@ PARTS: dict[str, Part] = {
     "hypotheses": Part(("localization.max_hypotheses=0",)),
     "posterior: first candidate": Part(("localization.error_probability=0.999999",)),
     "loop closures": Part(("loop_closure.enabled=false",)),
-    "weight of landmarks": Part(("calibration.detection.covariance_inflation=1000000",)),
+    "weight of landmarks": Part(
+        replaced={"slam.backend.editable_graph.EditableGraph.add_observations": _add_weightless}
+    ),
     "labels": Part(("calibration.objects.max_classes=1",)),
     "calibration": Part(("calibrate=false",)),
     "mode search in tracking": Part(
