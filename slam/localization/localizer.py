@@ -31,12 +31,14 @@ from slam.common.geometry import invert
 class PoseEvidence:
     """What one keyframe says of one pose: ``T_local_query`` (4, 4) of its gravity frame in the frame of a ``segment``.
 
-    ``log_prior``: log pi_k; ``rows`` (N,): landmarks of the query; ``log_likelihood_ratios`` (N,): LLR_ki of each.
+    ``log_prior``: log pi_k; ``log_uniform``: the same where the robot can be anywhere; ``rows`` (N,): landmarks of the
+    query; ``log_likelihood_ratios`` (N,): LLR_ki of each.
     """
 
     T_local_query: FloatArray
     segment: int
     log_prior: float
+    log_uniform: float
     rows: IntArray
     log_likelihood_ratios: FloatArray
 
@@ -52,6 +54,7 @@ class Hypothesis:
     T_local_odom: FloatArray
     segment: int
     log_prior: float
+    log_uniform: float
     evidence: Mapping[int, float]
     left_behind: Mapping[int, float]
     measured_m: float
@@ -148,7 +151,7 @@ class Localizer:
                 same[i, j] = same[j, i] = are_consistent(i, j)
         together = np.logaddexp.reduce(np.where(same, log_odds, -np.inf), axis=1)
         others = np.logaddexp.reduce(np.where(same, -np.inf, log_odds), axis=1)
-        return Posterior(log_odds, together - np.logaddexp(others, 0.0))
+        return Posterior(log_odds, together - np.logaddexp(others, _log_somewhere_new(joined, same)))
 
     def _agreements(
         self, known: Sequence[Hypothesis], measured: Sequence[PoseEvidence], T_odom_query: FloatArray
@@ -163,6 +166,21 @@ class Localizer:
         )
 
 
+def _log_somewhere_new(poses: Sequence[Hypothesis], same: BoolArray) -> FloatArray:
+    """Log-likelihood ratio (K,) of "somewhere new" to clutter, against each of the poses (K,).
+
+    A new place looks like clutter, or like another place where the landmarks fit. The latter counts by the probability
+    that it is no chance: by chance a pose somewhere in the area reaches an LLR with a probability below
+    exp(-LLR - ``log_uniform``), as exp(LLR) is 1 in the mean over clutter (Markov's inequality). ``same`` (K, K): poses
+    that can be true together.
+    """
+    ratios = np.array([each.log_likelihood_ratio for each in poses])
+    by_chance = np.minimum(0.0, [-each.log_uniform for each in poses] - ratios)
+    shares = np.where(same, 0.0, -np.expm1(by_chance))
+    alike = np.logaddexp.reduce(np.where(shares > 0.0, np.log(np.maximum(shares, 1e-300)) + ratios, -np.inf), axis=1)
+    return np.asarray(np.logaddexp(alike, 0.0) - np.log1p(shares.sum(axis=1)))
+
+
 def _joined(
     measured: PoseEvidence, before: Sequence[Hypothesis], T_odom_query: FloatArray, travel_m: float
 ) -> Hypothesis:
@@ -175,6 +193,7 @@ def _joined(
         measured.T_local_query @ invert(T_odom_query),
         measured.segment,
         measured.log_prior,
+        measured.log_uniform,
         evidence,
         {row: llr for row, llr in earlier.items() if row not in evidence},
         travel_m,

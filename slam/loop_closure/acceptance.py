@@ -135,6 +135,7 @@ class Acceptance:
             candidate.T_local_query,
             self._keyframes[candidate.reference].odometry.segment,
             -candidate.odometry_penalty,
+            -candidate.unpredicted_penalty,
             candidate.rows,
             candidate.log_likelihood_ratios,
         )

@@ -19,8 +19,15 @@ def pose(x_m: float = 0.0, y_m: float = 0.0, yaw_rad: float = 0.0) -> FloatArray
     return transform_from_xyz_yaw(np.array([x_m, y_m, 0.0]), yaw_rad)
 
 
-def evidence(T: FloatArray, llrs: dict[int, float], *, segment: int = 0, log_prior: float = PRIOR) -> PoseEvidence:
-    return PoseEvidence(T, segment, log_prior, np.array(list(llrs)), np.array(list(llrs.values())))
+def evidence(
+    T: FloatArray,
+    llrs: dict[int, float],
+    *,
+    segment: int = 0,
+    log_prior: float = PRIOR,
+    log_uniform: float = -100.0,
+) -> PoseEvidence:
+    return PoseEvidence(T, segment, log_prior, log_uniform, np.array(list(llrs)), np.array(list(llrs.values())))
 
 
 class Robot:
@@ -70,6 +77,21 @@ def test_posterior_odds_are_against_the_rivals_and_somewhere_new():
     against_first = np.logaddexp(38.0 + PRIOR, 0.0)
     assert posterior.posterior_log_odds[0] == pytest.approx(40.0 + PRIOR - against_first)
     assert posterior.log_odds == pytest.approx([40.0 + PRIOR, 38.0 + PRIOR])
+
+
+def test_a_place_unlike_all_others_may_be_new_where_others_are_alike():
+    other = {"log_prior": -30.0, "log_uniform": -25.0}  # by chance a pose in the area reaches an LLR of 25
+    best = evidence(pose(), {1: 48.0}, log_uniform=-25.0)
+    (alone,) = Robot().measure(best).posterior_log_odds
+    by_chance, _ = Robot().measure(best, evidence(pose(80.0), {1: 25.0}, **other)).posterior_log_odds
+    alike, _ = Robot().measure(best, evidence(pose(80.0), {1: 40.0}, **other)).posterior_log_odds
+    assert alone == pytest.approx(48.0 + PRIOR)
+    assert by_chance == pytest.approx(alone, abs=0.01)
+    # Half of what is new is like the other place, half is clutter.
+    assert alike == pytest.approx(48.0 + PRIOR - np.logaddexp(40.0 - np.log(2.0), 10.0), abs=1e-3)
+    assert Robot().measure(
+        best, evidence(pose(80.0), {1: 40.0}, **other), together=True
+    ).posterior_log_odds[0] == pytest.approx(np.logaddexp(48.0 + PRIOR, 10.0))
 
 
 def test_the_likeliest_is_the_best(robot):

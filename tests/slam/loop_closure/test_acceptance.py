@@ -20,9 +20,10 @@ SURE_LLR = PENALTY - log_odds_of(LocalizationConfig().error_probability) + 0.5
 
 
 def candidate(x_m: float, llr: float, *, row: int = 0, reference: int = 3) -> Candidate:
-    return make_candidate(
+    made = make_candidate(
         T_local_query=at(x_m), llrs={row: llr}, odometry_penalty=PENALTY, reference=reference, T_reference_query=at(0.0)
     )
+    return replace(made, unpredicted_penalty=PENALTY + 10.0)
 
 
 def query(travel_m: float = 300.0) -> Query:
@@ -55,6 +56,14 @@ def test_a_rival_that_fits_as_well_leaves_it_open(acceptance, patterns):
     acceptance.reset()
     patterns.passed_twice = True
     assert acceptance.decide(query(), both).accepted is not None
+
+
+def test_a_place_that_the_odometry_rules_out_shows_that_places_are_alike(acceptance):
+    elsewhere = replace(candidate(200.0, SURE_LLR + 9.0), odometry_penalty=PENALTY + 20.0)
+    assert acceptance.decide(query(), [candidate(0.0, SURE_LLR + 10.0), elsewhere]).accepted is None
+    acceptance.reset()
+    by_chance = replace(elsewhere, unpredicted_penalty=SURE_LLR + 9.0)
+    assert acceptance.decide(query(), [candidate(0.0, SURE_LLR + 10.0), by_chance]).accepted is not None
 
 
 @pytest.mark.parametrize("are_proposed", [True, False])
