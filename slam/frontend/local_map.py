@@ -158,6 +158,9 @@ class LocalMap:
         rows = self._P[:, flat].T.reshape(len(slots), 3, -1) - self._P[:, 3:POSE].T
         self._P[:, flat] -= (gains @ rows).reshape(len(flat), -1).T
         self._P[columns[:, :, None], columns[:, None, :]] += gains @ covariances @ gains.swapaxes(1, 2)
+        # What rounding makes asymmetric grows from update to update.
+        symmetric = 0.5 * (self._P[flat] + self._P[:, flat].T)
+        self._P[flat], self._P[:, flat] = symmetric, symmetric.T
         self._positions = self._positions.copy()
         self._positions[slots] += np.einsum("kij,kj->ki", gains, innovations)
 

@@ -237,6 +237,14 @@ def test_update_of_landmarks_alone_changes_nothing_else() -> None:
     np.testing.assert_array_equal(local._P[np.ix_(kept, kept)], P[np.ix_(kept, kept)])
 
 
+def test_update_of_landmarks_alone_leaves_no_asymmetry_that_would_grow() -> None:
+    local = Drive(3).filtered(P_start=np.diag(np.repeat([0.04, 400.0], 3)))
+    slots = local.slots(ALL)
+    offsets = local.positions[slots] - local.T_local_body[:3, 3]
+    local.update_landmarks(slots, offsets, np.tile(R_BODY, (len(ALL), 1, 1)))
+    np.testing.assert_array_equal(local._P[POSE:], local._P[:, POSE:].T)
+
+
 def test_shift_moves_the_body_and_makes_its_pose_less_certain() -> None:
     local = Drive(3).filtered(UPSIDE_DOWN)
     T, positions = local.T_local_body, local.positions
