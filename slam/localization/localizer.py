@@ -5,11 +5,12 @@ new; see :mod:`slam.loop_closure.likelihood_ratio`) and a prior (:mod:`slam.loca
 keyframe its pose is carried along by the odometry, and it is measured again there. The posterior odds of hypothesis k
 against "somewhere new" are
 
-    log o_k = log pi_k + sum_i LLR_ki + min(0, sum_j LLR_kj),        p_k = o_k / (1 + sum_k o_k),
+    log o_k = log pi_k + sum_i LLR_ki + min(0, sum_j LLR_kj),        p_k = o_k / (n_k + sum_k o_k),
 
-where i are the landmarks of the submap, which all count at one pose, and j those that the robot has left behind, as
-they were last measured at that hypothesis. They can only speak against it: each keyframe is registered anew, so what
-fitted somewhat different poses before is no evidence for the pose of today.
+where n_k is the likelihood ratio of "somewhere new" to clutter, above 1 where places look alike
+(:func:`_log_somewhere_new`), i are the landmarks of the submap, which all count at one pose, and j those that the robot
+has left behind, as they were last measured at that hypothesis. They can only speak against it: each keyframe is
+registered anew, so what fitted somewhat different poses before is no evidence for the pose of today.
 
 All decisions are reads of the posterior; this class changes nothing but itself.
 """
