@@ -158,10 +158,16 @@ class _Solver:
 def _could_be_lower(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, parameters: gtsam.LevenbergMarquardtParams
 ) -> bool:
-    """Whether a full step promises more than the tolerances: the damping also runs away at the very minimum."""
+    """Whether a full step promises more than the tolerances: the damping also runs away at the very minimum.
+
+    Where the system is too badly conditioned for a full step, it may be.
+    """
     linear = graph.linearize(values)
     error = graph.error(values)
-    promised = error - linear.error(linear.optimize())
+    try:
+        promised = error - linear.error(linear.optimize())
+    except RuntimeError:  # GTSAM: indeterminate linear system
+        return True
     return bool(promised > parameters.getAbsoluteErrorTol() + parameters.getRelativeErrorTol() * error)
 
 
