@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -37,7 +36,8 @@ def add(
         list[str] | None, typer.Argument(metavar="[LOG]...", help="Logs to add.", show_default=False)
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Tasks at a time. \\[default: one per core]", show_default=False)
+        int | None,
+        typer.Option(min=1, help="Logs mapped at a time. \\[default: one per core]", show_default=False),
     ] = None,
     only: Annotated[bool, typer.Option("--only", help="Remove the logs of earlier runs that are not named.")] = False,
     origin: Annotated[
@@ -62,7 +62,6 @@ def add(
     from slam.fleet.fleet import map_fleet
     from slam.fleet.logs import add_logs, find_logs
     from slam.fleet.report import fleet_report, write_report
-    from slam.fleet.tasks import compute_in_processes
 
     requirements = [parse_requirement(text) for text in require or ()]
     if city.suffix and not city.is_dir():
@@ -71,8 +70,8 @@ def add(
     georeference = None if origin is None else parse_origin(origin)
     city.mkdir(parents=True, exist_ok=True)
     members = add_logs(city, find_logs(logs or []), only=only)
-    compute = partial(compute_in_processes, workers=workers or os.cpu_count() or 1)
-    result = map_fleet(members, city, config, compute, georeference=georeference, progress=_print_progress)
+    jobs = workers or os.cpu_count() or 1
+    result = map_fleet(members, city, config, workers=jobs, georeference=georeference, progress=_print_progress)
     write_report(city, result)
     _finish(city, fleet_report(result), requirements, json=json)
 

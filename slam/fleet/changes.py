@@ -10,16 +10,14 @@ from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
+from logs.messages import ObjectMapRecord
 from logs.storage.placement import write_text
-from slam.common.arrays import IntArray
+from slam.common.arrays import FloatArray
 from slam.common.georeference import Georeference
-from slam.fleet.passes import find_passes
-from slam.fleet.presence import Presence, estimate_presence, seen_probabilities
-from slam.map_joining.part import Part
-
-REPORTED = 0.5
-"""Changes of at least that probability are reported."""
+from slam.fleet.part import Part
+from slam.fleet.presence import REPORTED, Presence
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,25 +38,69 @@ class Change:
     from_position: tuple[float, float, float] | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LivingMap:
-    """``presence`` of the landmarks of a part, and the ``changes`` that this shows."""
+def find_changes(part: Part, presence: Presence, stamps_ns: Sequence[int]) -> tuple[Change, ...]:
+    """What changed in a part of the map, by the presence of its landmarks in the sessions with these stamps."""
+    if len(stamps_ns) < 2:
+        return ()
+    dates = [datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC).isoformat() for stamp_ns in stamps_ns]
+    appeared, gone = (
+        {
+            row: _change(part.objects, row, kind, float(probability[row]), presence.changed[row, :, column], dates)
+            for row in np.flatnonzero(probability >= REPORTED).tolist()
+        }
+        for column, (kind, probability) in enumerate((("appeared", presence.appeared), ("gone", presence.gone)))
+    )
+    for new, old, probability in _moves(part.objects, presence, list(appeared), list(gone)):
+        earlier = gone.pop(old)
+        appeared[new] = replace(
+            appeared[new],
+            kind="moved",
+            probability=round(probability, 4),
+            after=earlier.after,
+            from_landmark=earlier.landmark,
+            from_position=earlier.position,
+        )
+    changes = [*appeared.values(), *gone.values()]
+    return tuple(sorted(changes, key=lambda change: (change.before, change.kind, int(change.landmark))))
 
-    presence: Presence
-    changes: tuple[Change, ...]
+
+def _change(
+    objects: ObjectMapRecord, row: int, kind: str, probability: float, likely: FloatArray, dates: Sequence[str]
+) -> Change:
+    """A change of one landmark, which lies between two sessions with the probabilities ``likely`` (M - 1,)."""
+    # All sessions among which the change may lie: those that did not pass leave it open.
+    span = np.flatnonzero(likely > 0.05 * likely.max())
+    x, y, z = objects.positions[row].tolist()
+    after, before = dates[span[0]], dates[span[-1] + 1]
+    return Change(kind, objects.ids[row], objects.labels[row], round(probability, 4), after, before, (x, y, z))
 
 
-def detect_changes(part: Part, stamps_ns: Sequence[int]) -> LivingMap:
-    """What changed in a part of the map.
+def _moves(
+    objects: ObjectMapRecord, presence: Presence, appeared: list[int], gone: list[int]
+) -> list[tuple[int, int, float]]:
+    """Rows of what appeared and of what went that are one object, with the probability.
 
-    Args:
-        part: with sessions numbered in the order of their dates.
-        stamps_ns: when each of its sessions drove.
+    Another object of the class appears by chance within the distance d with probability 1 - exp(-density pi d^2); the
+    two have to be the nearest of each other.
     """
-    passes = find_passes(part)
-    when = np.array(stamps_ns, dtype=np.int64)
-    presence = estimate_presence(passes.seen, seen_probabilities(passes.seen, passes.in_view_m), when)
-    return LivingMap(presence, _changes(part, presence, when, area_m2=_area_m2(part)))
+    if not appeared or not gone:
+        return []
+    new, old, labels = np.array(appeared), np.array(gone), np.array(objects.labels)
+    apart_m = cdist(objects.positions[new, :2], objects.positions[old, :2])
+    apart_m[labels[new][:, None] != labels[old]] = np.inf
+    nearest = apart_m.argmin(axis=1)
+    is_mutual = apart_m.argmin(axis=0)[nearest] == np.arange(len(new))
+    density = (labels[new][:, None] == labels[new]).sum(axis=1) / _area_m2(objects.positions[:, :2])
+    alone = np.exp(-density * np.pi * apart_m.min(axis=1) ** 2)
+    probability = presence.appeared[new] * presence.gone[old[nearest]] * alone
+    is_move = is_mutual & (probability >= REPORTED)
+    return list(zip(new[is_move].tolist(), old[nearest[is_move]].tolist(), probability[is_move].tolist(), strict=True))
+
+
+def _area_m2(positions: FloatArray) -> float:
+    """Area that positions (N, 2) cover, N >= 2: points at random are half a mean spacing from the nearest other."""
+    nearest_m = np.asarray(cKDTree(positions).query(positions, k=2)[0])[:, 1]
+    return len(positions) * (2.0 * float(np.median(nearest_m)) + 1e-3) ** 2
 
 
 def write_changes(path: Path, changes: Sequence[Change], georeference: Georeference | None) -> None:
@@ -67,112 +109,23 @@ def write_changes(path: Path, changes: Sequence[Change], georeference: Georefere
     Raises:
         UnwritableLogError: the file cannot be written.
     """
-    features = [
-        {
-            "type": "Feature",
-            "geometry": {"type": "Point", "coordinates": _coordinates(change.position, georeference)},
-            "properties": {
-                **{key: value for key, value in asdict(change).items() if key not in ("position", "from_position")},
-                "from": None if change.from_position is None else _coordinates(change.from_position, georeference),
-            },
-        }
-        for change in changes
-    ]
+    features = []
+    for change in changes:
+        properties = asdict(change)
+        place, origin = (_coordinates(properties.pop(key), georeference) for key in ("position", "from_position"))
+        properties["from"] = origin
+        geometry = {"type": "Point", "coordinates": place}
+        features.append({"type": "Feature", "geometry": geometry, "properties": properties})
     collection: dict[str, object] = {"type": "FeatureCollection", "features": features}
     if georeference is None:
         collection["coordinates"] = "metres in the frame of the map"
     write_text(path, json.dumps(collection, indent=1) + "\n")
 
 
-def _coordinates(position: tuple[float, float, float], georeference: Georeference | None) -> list[float]:
+def _coordinates(position: tuple[float, float, float] | None, georeference: Georeference | None) -> list[float] | None:
+    if position is None:
+        return None
     if georeference is None:
         return [round(value, 3) for value in position]
     latitude, longitude, altitude_m = georeference.to_geodetic(np.array([position]))[0].tolist()
     return [round(longitude, 9), round(latitude, 9), round(altitude_m, 3)]
-
-
-def _area_m2(part: Part) -> float:
-    """Area of the map, as its landmarks cover it: points at random are half a mean spacing from the nearest other."""
-    positions = part.objects.positions[:, :2]
-    if len(positions) < 2:
-        return 1.0
-    nearest_m = np.asarray(cKDTree(positions).query(positions, k=2)[0])[:, 1]
-    return len(positions) * (2.0 * float(np.median(nearest_m)) + 1e-3) ** 2
-
-
-def _changes(part: Part, presence: Presence, when: IntArray, *, area_m2: float) -> tuple[Change, ...]:
-    if len(when) < 2:
-        return ()
-    appeared = np.flatnonzero(presence.appeared >= REPORTED).tolist()
-    gone = np.flatnonzero(presence.gone >= REPORTED).tolist()
-    moves = _moves(part, presence, appeared, gone, area_m2)
-    came, went = {new for new, _, _ in moves}, {old for _, old, _ in moves}
-    changes = [
-        *(_moved(part, presence, when, *move) for move in moves),
-        *(_change(part, presence, when, row, "appeared") for row in appeared if row not in came),
-        *(_change(part, presence, when, row, "gone") for row in gone if row not in went),
-    ]
-    return tuple(sorted(changes, key=lambda change: (change.before, change.kind, int(change.landmark))))
-
-
-def _moves(
-    part: Part, presence: Presence, appeared: list[int], gone: list[int], area_m2: float
-) -> list[tuple[int, int, float]]:
-    """Rows of what appeared and of what went that are one object, with the probability.
-
-    Another object of the class appears by chance within the distance d with probability 1 - exp(-density pi d^2); the
-    two have to be the nearest of each other.
-    """
-    labels = np.array(part.objects.labels)
-    positions = part.objects.positions[:, :2]
-    moves = []
-    for label in sorted({*labels[appeared].tolist()} & {*labels[gone].tolist()}):
-        new, old = [row for row in appeared if labels[row] == label], [row for row in gone if labels[row] == label]
-        apart_m = np.hypot(*(positions[new][:, None] - positions[old][None]).transpose(2, 0, 1))
-        for i, row in enumerate(new):
-            j = int(apart_m[i].argmin())
-            if int(apart_m[:, j].argmin()) != i:
-                continue
-            alone = np.exp(-len(new) / area_m2 * np.pi * apart_m[i, j] ** 2)
-            probability = float(presence.appeared[row] * presence.gone[old[j]] * alone)
-            if probability >= REPORTED:
-                moves.append((row, old[j], probability))
-    return moves
-
-
-def _moved(part: Part, presence: Presence, when: IntArray, new: int, old: int, probability: float) -> Change:
-    return replace(
-        _change(part, presence, when, new, "appeared"),
-        kind="moved",
-        probability=round(probability, 4),
-        after=_change(part, presence, when, old, "gone").after,
-        from_landmark=part.objects.ids[old],
-        from_position=_position(part, old),
-    )
-
-
-def _change(part: Part, presence: Presence, when: IntArray, row: int, kind: str) -> Change:
-    """A change of one landmark, between the sessions around the likeliest time."""
-    column = ("appeared", "gone").index(kind)
-    probability = float((presence.appeared, presence.gone)[column][row])
-    likely = presence.changed[row, :, column]
-    # All sessions among which the change may lie: those that did not pass leave it open.
-    span = np.flatnonzero(likely > 0.05 * likely.max())
-    return Change(
-        kind,
-        part.objects.ids[row],
-        part.objects.labels[row],
-        round(probability, 4),
-        _date(int(when[span[0]])),
-        _date(int(when[span[-1] + 1])),
-        _position(part, row),
-    )
-
-
-def _position(part: Part, row: int) -> tuple[float, float, float]:
-    x, y, z = part.objects.positions[row].tolist()
-    return x, y, z
-
-
-def _date(stamp_ns: int) -> str:
-    return datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC).isoformat()

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from logs.container.json_text import parse_json
+from pydantic import TypeAdapter
+
 from logs.digest import file_sha256
 from logs.storage.placement import write_text
 from slam.common.errors import FleetError
@@ -18,11 +17,14 @@ MEMBERS_NAME = "logs.json"
 
 @dataclass(frozen=True, slots=True)
 class FleetLog:
-    """A log by the name that people know, and where it is; ``sha256``: of its content, empty until it is computed."""
+    """A log by the name that people know, where it is or was, and the ``sha256`` of its content."""
 
     name: str
     path: Path
-    sha256: str = ""
+    sha256: str
+
+
+_MEMBERS = TypeAdapter(list[FleetLog])
 
 
 def find_logs(sources: Sequence[str]) -> list[FleetLog]:
@@ -30,12 +32,13 @@ def find_logs(sources: Sequence[str]) -> list[FleetLog]:
 
     Raises:
         FleetError: a log that is not there.
+        LogError: one that cannot be read.
     """
-    logs = [FleetLog(name, Path(name)) for name in dict.fromkeys(sources)]
-    for log in logs:
-        if not log.path.exists():
-            raise FleetError(f"there is no log {log.path}; check the path")
-    return logs
+    paths = {name: Path(name) for name in sources}
+    for path in paths.values():
+        if not path.exists():
+            raise FleetError(f"there is no log {path}; check the path")
+    return [FleetLog(name, path.absolute(), file_sha256(path)) for name, path in paths.items()]
 
 
 def add_logs(folder: Path, named: Sequence[FleetLog], *, only: bool = False) -> list[FleetLog]:
@@ -53,20 +56,17 @@ def add_logs(folder: Path, named: Sequence[FleetLog], *, only: bool = False) -> 
         FleetError: no log at all, or a list that cannot be read.
         LogError: the list cannot be written.
     """
-    named = [replace(log, sha256=file_sha256(log.path)) for log in named]
-    earlier = read_members(folder)
     contents = {log.sha256 for log in named}
-    members = [log for log in earlier if log.sha256 in contents or not only]
+    members = {(log.name, log.sha256): log for log in read_members(folder) if log.sha256 in contents or not only}
     for log in named:
-        if (log.name, log.sha256) not in {(each.name, each.sha256) for each in members}:
-            is_taken = any(each.name == log.name for each in members)
-            members.append(replace(log, name=f"{log.name}@{log.sha256[:8]}") if is_taken else log)
-    members = list({(each.name, each.sha256): each for each in members}.values())
+        if (log.name, log.sha256) not in members:
+            is_taken = any(log.name == name for name, _ in members)
+            added = replace(log, name=f"{log.name}@{log.sha256[:8]}") if is_taken else log
+            members[added.name, added.sha256] = added
     if not members:
         raise FleetError("no log was given; give at least one")
-    entries = [{"name": log.name, "path": os.fspath(log.path.absolute()), "sha256": log.sha256} for log in members]
-    write_text(folder / MEMBERS_NAME, json.dumps(entries, indent=1) + "\n")
-    return members
+    write_text(folder / MEMBERS_NAME, _MEMBERS.dump_json(list(members.values()), indent=1).decode() + "\n")
+    return list(members.values())
 
 
 def read_members(folder: Path) -> list[FleetLog]:
@@ -76,10 +76,8 @@ def read_members(folder: Path) -> list[FleetLog]:
         FleetError: the list of them cannot be read.
     """
     path = folder / MEMBERS_NAME
-    if not path.exists():
-        return []
     try:
-        entries = parse_json(path.read_text(encoding="utf-8"))
-        return [FleetLog(str(each["name"]), Path(each["path"]), str(each["sha256"])) for each in entries]
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise FleetError(f"the list of logs {path} cannot be read ({error}); remove it and name all logs") from error
+        return _MEMBERS.validate_json(path.read_bytes()) if path.exists() else []
+    except (OSError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise FleetError(f"the list of logs {path} cannot be read ({reason}); remove it and name all logs") from error

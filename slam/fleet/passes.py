@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from slam.common.arrays import BoolArray, FloatArray
-from slam.map_joining.part import Part
+from slam.fleet.part import Part
 
 REACH_QUANTILE = 0.99
 """Share of the sightings that are nearer to the path than what is taken to be the reach of the sensors."""
@@ -26,44 +26,39 @@ class Passes:
     in_view_m: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Path:
-    """Points (P, 2) m in the map, each for a piece of the path of length (P,) m."""
-
-    points: FloatArray
-    lengths_m: FloatArray
-
-
 def find_passes(part: Part) -> Passes:
     """The passes of all sessions of a part, in their order."""
-    column_of = {number: column for column, number in enumerate(part.sessions)}
-    seen = np.zeros((len(part.objects.ids), len(column_of)), dtype=np.bool_)
-    for row, name in enumerate(part.objects.ids):
-        seen[row, [column_of[number] for number in part.seen.get(name, ())]] = True
     landmarks = part.objects.positions[:, :2]
-    paths = [_path(part.paths[number][:, :, :2]) for number in part.sessions]
-    nearest_m = np.column_stack([cdist(landmarks, path.points).min(axis=1) for path in paths])
+    seen = np.zeros((len(landmarks), len(part.visits)), dtype=np.bool_)
+    paths = []
+    for column, number in enumerate(part.sessions):
+        seen[part.visits[number].landmarks, column] = True
+        paths.append(_path(part.visits[number].steps[:, :, :2]))
+    nearest_m = np.column_stack([cdist(landmarks, points).min(axis=1) for points, _ in paths])
     reach_m = float(np.quantile(nearest_m[seen], REACH_QUANTILE)) if seen.any() else 0.0
-    in_view_m = [(cdist(landmarks, path.points) <= reach_m) @ path.lengths_m for path in paths]
+    in_view_m = [(cdist(landmarks, points) <= reach_m) @ lengths_m for points, lengths_m in paths]
     return Passes(seen, np.column_stack(in_view_m))
 
 
-def _path(steps: FloatArray) -> _Path:
+def _path(steps: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The path of a session through its places by steps (S, 2, 2) m, and on to where it began and ended.
 
     A place is the middle of a stretch of the drive, and all stretches but the last are equally long: the drive began
     half a stretch before the first place, and ended beyond the last one by half of what that step lacks of a stretch.
+
+    Returns:
+        Points (P, 2) m of the path, and the length (P,) m of the piece that each stands for.
     """
-    starts, ends = steps[:, 0], steps[:, 1]
-    lengths_m = np.linalg.norm(ends - starts, axis=1)
+    lengths_m = np.linalg.norm(steps[:, 1] - steps[:, 0], axis=1)
     half_m = 0.5 * float(np.median(lengths_m))
-    begin = _beyond(ends[0], starts[0], half_m)
-    end = _beyond(starts[-1], ends[-1], max(float(lengths_m[-1]) - half_m, 0.0))
-    starts, ends = np.vstack([begin, starts, ends[-1]]), np.vstack([starts[0], ends, end])
+    begin = _beyond(steps[0, 1], steps[0, 0], half_m)
+    end = _beyond(steps[-1, 0], steps[-1, 1], max(float(lengths_m[-1]) - half_m, 0.0))
+    steps = np.concatenate([[[begin, steps[0, 0]]], steps, [[steps[-1, 1], end]]])
     shares = (np.arange(SAMPLES_A_STEP) + 0.5) / SAMPLES_A_STEP
-    points = starts[:, None] + shares[:, None] * (ends - starts)[:, None]  # (steps, SAMPLES_A_STEP, 2)
-    pieces_m = np.linalg.norm(ends - starts, axis=1) / SAMPLES_A_STEP
-    return _Path(points.reshape(-1, 2), np.repeat(pieces_m, SAMPLES_A_STEP))
+    directions = steps[:, 1] - steps[:, 0]
+    points = steps[:, :1] + shares[:, None] * directions[:, None]  # (steps, SAMPLES_A_STEP, 2)
+    pieces_m = np.linalg.norm(directions, axis=1) / SAMPLES_A_STEP
+    return points.reshape(-1, 2), np.repeat(pieces_m, SAMPLES_A_STEP)
 
 
 def _beyond(start: FloatArray, end: FloatArray, length_m: float) -> FloatArray:

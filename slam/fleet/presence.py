@@ -14,13 +14,17 @@ by expectation maximisation, so that a fleet in which nothing changes reports no
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.fleet.passes import Passes
 
 NOT_YET, PRESENT, GONE = 0, 1, 2
+REPORTED = 0.5
+"""States and changes of at least that probability are reported."""
 FALSE_SIGHTING = 1e-3
 """Probability that a session has a landmark where none stands any more."""
 CELLS = 12
@@ -41,14 +45,17 @@ class Presence:
     """Of L landmarks over M sessions, in the order of their dates.
 
     ``states`` (L, M, 3): probability that it is not there yet, there, and gone, when the session passed;
-    ``changed`` (L, M - 1, 2): that it appeared, and that it went, between one session and the next;
     ``detectability`` (L,): expected; ``hazard_per_day``: of either change.
     """
 
     states: FloatArray
-    changed: FloatArray
     detectability: FloatArray
     hazard_per_day: float
+
+    @property
+    def changed(self) -> FloatArray:
+        """Probability (L, M - 1, 2) that it appeared, and that it went, between one session and the next."""
+        return _changed(self.states)
 
     @property
     def appeared(self) -> FloatArray:
@@ -71,22 +78,20 @@ class Presence:
         return np.asarray(self.present * self.detectability)
 
 
-def seen_probabilities(seen: BoolArray, in_view_m: FloatArray) -> FloatArray:
+def seen_probabilities(passes: Passes) -> FloatArray:
     """Probability (L, M) that a session sees a landmark that is there; 0 where it did not pass.
 
-    Learned from landmarks that an earlier and a later session saw, so that they certainly stood there.
-
-    Args:
-        seen: (L, M), sessions in the order of their dates.
-        in_view_m: (L, M) length of the path of the session from which the landmark was in view, 0 where it was not.
+    Learned from landmarks that an earlier and a later session saw, so that they certainly stood there; the sessions are
+    in the order of their dates.
     """
+    seen, in_view_m = passes.seen, passes.in_view_m
     passed = in_view_m > 0.0
     if not (seen & passed).any():
         return np.where(seen, PRIOR_SEEN / PRIOR_PASSED, 0.0)
     limits_m = np.quantile(in_view_m[seen & passed], np.arange(1, CELLS) / CELLS)
     cells = np.searchsorted(limits_m, in_view_m)
-    before = np.cumsum(seen, axis=1) - seen > 0
-    after = np.cumsum(seen[:, ::-1], axis=1)[:, ::-1] - seen > 0
+    before = np.cumsum(seen, axis=1) > seen
+    after = np.cumsum(seen[:, ::-1], axis=1)[:, ::-1] > seen
     certain = before & after & passed
     opportunities = np.bincount(cells[certain], minlength=CELLS) + PRIOR_PASSED
     met = np.bincount(cells[certain & seen], minlength=CELLS) + PRIOR_SEEN
@@ -95,7 +100,7 @@ def seen_probabilities(seen: BoolArray, in_view_m: FloatArray) -> FloatArray:
     return np.where(seen, np.maximum(probabilities, PRIOR_SEEN / PRIOR_PASSED), probabilities)
 
 
-def estimate_presence(seen: BoolArray, probabilities: FloatArray, stamps_ns: IntArray) -> Presence:
+def estimate_presence(seen: BoolArray, probabilities: FloatArray, stamps_ns: Sequence[int] | IntArray) -> Presence:
     """The states of all landmarks.
 
     Args:
@@ -103,23 +108,29 @@ def estimate_presence(seen: BoolArray, probabilities: FloatArray, stamps_ns: Int
         probabilities: (L, M) that it would have been seen, if it was there and as well detectable as most.
         stamps_ns: (M,) of the sessions, ascending.
     """
-    days = np.diff(stamps_ns) / 86_400e9
+    days = np.diff(np.array(stamps_ns)).astype(np.float64) / 86_400e9
     span = max(float(days.sum()), MIN_DAYS)
     hazard = FIRST_CHANGES / span
     weights = np.full(len(DETECTABILITIES), 1.0 / len(DETECTABILITIES))
     for _ in range(ITERATIONS):
-        states, changed, shares = _average(seen, probabilities, days, hazard, weights)
+        states, shares = _average(seen, probabilities, days, hazard, weights)
         there_days = states[:, :-1, PRESENT] @ days
-        hazard = (0.5 * float(changed.sum()) + FIRST_CHANGES) / (float(there_days.sum()) + span)
+        hazard = (0.5 * float(_changed(states).sum()) + FIRST_CHANGES) / (float(there_days.sum()) + span)
         weights = (shares.sum(axis=0) + 1.0 / len(weights)) / (len(shares) + 1.0)
-    states, changed, shares = _average(seen, probabilities, days, hazard, weights)
-    return Presence(states, changed, shares @ DETECTABILITIES, hazard)
+    states, shares = _average(seen, probabilities, days, hazard, weights)
+    return Presence(states, shares @ DETECTABILITIES, hazard)
+
+
+def _changed(states: FloatArray) -> FloatArray:
+    """As :attr:`Presence.changed`: each landmark appears once and goes once, so these are differences of ``states``."""
+    steps = np.diff(states, axis=1)
+    return np.stack([-steps[..., NOT_YET], steps[..., GONE]], axis=-1)
 
 
 def _average(
     seen: BoolArray, probabilities: FloatArray, days: FloatArray, hazard: float, weights: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Posterior of the states (L, M, 3), of the changes (L, M - 1, 2) and of the detectabilities (L, D).
+) -> tuple[FloatArray, FloatArray]:
+    """Posterior of the states (L, M, 3) and of the detectabilities (L, D).
 
     Args:
         seen, probabilities: as for :func:`estimate_presence`.
@@ -127,25 +138,21 @@ def _average(
         hazard: of either change, a day.
         weights: (D,) prior of the detectabilities.
     """
-    count, sessions = seen.shape
-    states, changed = np.zeros((count, sessions, 3)), np.zeros((count, sessions - 1, 2))
+    states = np.zeros((*seen.shape, 3))
     absent = np.where(seen, FALSE_SIGHTING, 1.0)
-    log_shares, total = np.zeros((count, len(weights))), np.full(count, -np.inf)
+    log_shares, total = np.zeros((len(seen), len(weights))), np.full(len(seen), -np.inf)
     # A running average, as all posteriors at once would take much memory.
     for k, (detectability, weight) in enumerate(zip(DETECTABILITIES.tolist(), weights.tolist(), strict=True)):
         there = np.where(seen, detectability * probabilities, 1.0 - detectability * probabilities)
-        each_states, each_changed, log_evidence = _smooth(np.stack([absent, there, absent], axis=2), days, hazard)
+        given, log_evidence = _smooth(np.stack([absent, there, absent], axis=2), days, hazard)
         log_shares[:, k] = log_evidence + np.log(weight)
         total = np.logaddexp(total, log_shares[:, k])
-        share = np.exp(log_shares[:, k] - total)[:, None, None]
-        states += share * (each_states - states)
-        changed += share * (each_changed - changed)
-    return states, changed, np.exp(log_shares - total[:, None])
+        states += np.exp(log_shares[:, k] - total)[:, None, None] * (given - states)
+    return states, np.exp(log_shares - total[:, None])
 
 
-def _smooth(likelihoods: FloatArray, days: FloatArray, hazard: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Posterior of the states (L, M, 3), of the changes between two sessions (L, M - 1, 2), and log evidence (L,)."""
-    count, sessions, _ = likelihoods.shape
+def _smooth(likelihoods: FloatArray, days: FloatArray, hazard: float) -> tuple[FloatArray, FloatArray]:
+    """Posterior (L, M, 3) of the states by their likelihoods (L, M, 3), and log evidence (L,)."""
     # A landmark that appears does so at any time: by the last session each has been present once.
     left = np.cumsum(days[::-1])[::-1]
     steps = [
@@ -153,25 +160,19 @@ def _smooth(likelihoods: FloatArray, days: FloatArray, hazard: float) -> tuple[F
         for each, rest in zip(days.tolist(), left.tolist(), strict=True)
     ]
     begins = -np.expm1(-hazard * float(days.sum()))
-    forward, log_evidence = np.zeros((count, sessions, 3)), np.zeros(count)
-    first = np.array([begins, 1.0 - begins, 0.0])
-    for k in range(sessions):
-        forward[:, k] = (forward[:, k - 1] @ steps[k - 1] if k else first) * likelihoods[:, k]
+    forward, log_evidence = np.zeros_like(likelihoods), np.zeros(len(likelihoods))
+    predicted = np.array([begins, 1.0 - begins, 0.0])
+    for k in range(likelihoods.shape[1]):
+        forward[:, k] = (forward[:, k - 1] @ steps[k - 1] if k else predicted) * likelihoods[:, k]
         norms = forward[:, k].sum(axis=1)
         forward[:, k] /= norms[:, None]
         log_evidence += np.log(norms)
-    backward = np.ones((count, sessions, 3))
-    changed = np.zeros((count, sessions - 1, 2))
-    for k in range(sessions - 2, -1, -1):
-        ahead = likelihoods[:, k + 1] * backward[:, k + 1]
-        joint = forward[:, k, :, None] * steps[k] * ahead[:, None, :]
-        joint /= joint.sum(axis=(1, 2), keepdims=True)
-        changed[:, k, 0] = joint[:, NOT_YET, PRESENT] + joint[:, NOT_YET, GONE]
-        changed[:, k, 1] = joint[:, PRESENT, GONE] + joint[:, NOT_YET, GONE]
-        backward[:, k] = ahead @ steps[k].T
-        backward[:, k] /= backward[:, k].sum(axis=1, keepdims=True)
-    states = forward * backward
-    return states / states.sum(axis=2, keepdims=True), changed, log_evidence
+    states, backward = forward, np.ones((len(likelihoods), 3))
+    for k in range(len(steps) - 1, -1, -1):
+        backward = (likelihoods[:, k + 1] * backward) @ steps[k].T
+        backward /= backward.sum(axis=1, keepdims=True)
+        states[:, k] *= backward
+    return states / states.sum(axis=2, keepdims=True), log_evidence
 
 
 def _transition(appears: float, goes: float) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -11,47 +12,35 @@ import numpy as np
 from logs.container.json_text import parse_json
 from logs.storage.placement import write_text
 from slam.common.errors import FleetError
-from slam.fleet.changes import REPORTED
-from slam.fleet.fleet import Fleet
+from slam.fleet.fleet import CityMap, Fleet
 from slam.fleet.logs import read_members
+from slam.fleet.presence import REPORTED
 
 REPORT_NAME = "report.json"
+STATES = ("joined", "alone", "not mapped", "repeated")
 
 
 def fleet_report(fleet: Fleet) -> dict[str, Any]:
     """The report as JSON: of the logs, of the parts of the map, and of the pairs that did not join; and in figures."""
-    names = _names(fleet)
-    part_of = {number: rank for rank, part in enumerate(fleet.parts) for number in part.sessions}
-    first: dict[str, str] = {}
-    logs = []
-    for name, digest in fleet.logs.items():
-        entry: dict[str, Any] = {"log": name, "sha256": digest}
-        session = fleet.sessions[digest]
-        if digest in first:
-            entry |= {"status": "repeated", "reason": f"the same log as {first[digest]}"}
-        elif not session.is_mapped:
-            entry |= {"status": "not mapped", "reason": session.reason}
-        else:
-            entry |= _of_session(fleet, fleet.order.index(digest), part_of, names)
-        first.setdefault(digest, name)
-        logs.append(entry)
-    parts = [_of_part(fleet, rank) for rank, name in enumerate(fleet.maps) if name]
-    states = [log["status"] for log in logs]
+    logs = [{"log": log.name, "sha256": log.sha256, **_of_log(fleet, row)} for row, log in enumerate(fleet.logs)]
+    parts = [_of_map(each) for each in fleet.maps if each.file]
+    states = Counter(log["status"] for log in logs)
+    of_map = {f"map_{key}": value for key, value in parts[0].items() if key != "map"} if parts else {}
     return {
         "logs": logs,
         "figures": {
-            **{state.replace(" ", "_"): states.count(state) for state in ("joined", "alone", "not mapped", "repeated")},
+            **{state.replace(" ", "_"): states[state] for state in STATES},
             "parts": len(parts),
             "warnings": sum(len(log.get("notes", ())) for log in logs),
-            **({f"map_{key}": value for key, value in parts[0].items() if key != "map"} if parts else {}),
+            **of_map,
         },
         "parts": parts,
         "refused": [
-            {"logs": [_name(fleet, block, names) for block in (pair.first, pair.second)], "reason": pair.reason}
+            {"logs": [_name(fleet, pair.first), _name(fleet, pair.second)], "reason": pair.reason}
             for pair in fleet.pairs
             if not pair.accepted
         ],
-        "changes": len(fleet.changes),
+        "changes": len(fleet.maps[0].changes) if fleet.maps else 0,
     }
 
 
@@ -87,71 +76,68 @@ def read_report(folder: Path) -> dict[str, Any]:
     return report
 
 
-def _of_session(fleet: Fleet, number: int, part_of: dict[int, int], names: list[str]) -> dict[str, Any]:
-    session = fleet.sessions[fleet.order[number]]
-    rank = part_of[number]
-    block = next(block for block, sessions in enumerate(fleet.blocks) if number in sessions)
-    joined = [
-        {
-            "log": _name(fleet, pair.second if pair.first == block else pair.first, names),
-            "places": len(pair.joins),
-            "log_odds": round(pair.log_odds, 1),
-        }
-        for pair in fleet.pairs
-        if pair.accepted
-        and block in (pair.first, pair.second)
-        and part_of[fleet.blocks[pair.first][0]] == part_of[fleet.blocks[pair.second][0]]
-    ]
-    is_alone = len(fleet.parts[rank].sessions) == 1
-    entry: dict[str, Any] = {
+def _of_log(fleet: Fleet, row: int) -> dict[str, Any]:
+    digest = fleet.logs[row].sha256
+    first = _log_name(fleet, digest)
+    session = fleet.sessions[digest]
+    if any(log.sha256 == digest for log in fleet.logs[:row]):
+        return {"status": "repeated", "reason": f"the same log as {first}"}
+    if not session.is_mapped:
+        return {"status": "not mapped", "reason": session.reason}
+    number = fleet.order.index(digest)
+    own = next(rank for rank, numbers in enumerate(fleet.inputs) if number in numbers)
+    city_map = next(each for each in fleet.maps if number in each.part.visits)
+    is_alone = len(city_map.part.visits) == 1
+    return {
         "status": "alone" if is_alone else "joined",
-        "reason": _why_alone(fleet, block, names) if is_alone else "",
-        "map": fleet.maps[rank],
+        "reason": _why_alone(fleet, own) if is_alone else "",
+        "map": city_map.file,
         "travel_m": session.travel_m,
         "landmarks": session.landmarks,
-        "joined": joined,
+        "joined": [
+            {"log": _name(fleet, other), "places": len(pair.joins), "log_odds": round(pair.log_odds, 1)}
+            for pair in fleet.pairs
+            for other in {pair.first, pair.second} - {own}
+            if pair.accepted and own in (pair.first, pair.second) and fleet.inputs[other][0] in city_map.part.visits
+        ],
         "notes": list(session.notes),
     }
-    return entry
 
 
-def _name(fleet: Fleet, block: int, names: list[str]) -> str:
-    """What a map that was joined is called: by its log, or by how many were folded to it."""
-    first, *others = fleet.blocks[block]
-    return f"the map of {len(others) + 1} earlier logs" if others else names[first]
-
-
-def _why_alone(fleet: Fleet, block: int, names: list[str]) -> str:
-    """Why a session joined no other."""
-    pairs = [pair for pair in fleet.pairs if block in (pair.first, pair.second)]
+def _why_alone(fleet: Fleet, own: int) -> str:
+    """Why a map that was joined last, by its rank, is alone."""
+    pairs = [pair for pair in fleet.pairs if own in (pair.first, pair.second)]
     if not pairs:
         return "none of its places was recognised in another log"
     best = max(pairs, key=lambda pair: pair.log_odds)
-    other = _name(fleet, best.second if best.first == block else best.first, names)
+    other = _name(fleet, best.first + best.second - own)
     if best.accepted:
         return f"its joins contradict those of other logs; the best was with {other}"
     return f"the best was with {other}: {best.reason}"
 
 
-def _of_part(fleet: Fleet, rank: int) -> dict[str, Any]:
-    part, living = fleet.parts[rank], fleet.living[rank]
+def _name(fleet: Fleet, rank: int) -> str:
+    """What a map that was joined last is called: by its log, or by how many were folded to it."""
+    first, *others = fleet.inputs[rank]
+    return f"the map of {len(others) + 1} earlier logs" if others else _log_name(fleet, fleet.order[first])
+
+
+def _log_name(fleet: Fleet, digest: str) -> str:
+    """The name of the first log with that content."""
+    return next(log.name for log in fleet.logs if log.sha256 == digest)
+
+
+def _of_map(city_map: CityMap) -> dict[str, Any]:
+    part = city_map.part
     sigmas_m = np.sqrt(np.trace(part.objects.covariances[:, :2, :2], axis1=1, axis2=2) / 2.0)
     return {
-        "map": fleet.maps[rank],
-        "logs": len(part.sessions),
+        "map": city_map.file,
+        "logs": len(part.visits),
         "landmarks": len(part.objects.ids),
-        "landmarks_of_logs": sum(map(len, part.seen.values())),
-        "present": int(np.count_nonzero(living.presence.present >= REPORTED)),
+        "landmarks_of_logs": sum(len(visit.landmarks) for visit in part.visits.values()),
+        "present": int(np.count_nonzero(city_map.presence.present >= REPORTED)),
         "median_sigma_m": round(float(np.median(sigmas_m)), 3),
         "joins_rejected": len(part.rejected),
-        "hazard_per_day": living.presence.hazard_per_day,
-        "changes": len(living.changes),
+        "hazard_per_day": city_map.presence.hazard_per_day,
+        "changes": len(city_map.changes),
     }
-
-
-def _names(fleet: Fleet) -> list[str]:
-    """A name for each session number: that of the first log with its content."""
-    name_of: dict[str, str] = {}
-    for name, digest in fleet.logs.items():
-        name_of.setdefault(digest, name)
-    return [name_of[digest] for digest in fleet.order]

@@ -1,50 +1,52 @@
-"""One log, mapped by itself: the first task of a fleet, a function of the log and the settings."""
+"""Logs, each mapped by itself in a process of its own: a session is a function of its log and the settings."""
 
 from __future__ import annotations
 
+import hashlib
 import json
+import logging
 import shutil
-import tempfile
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 
-from logs.container.json_text import parse_json
+from pydantic import TypeAdapter
+
 from logs.errors import LogError
 from logs.storage.placement import write_text
 from slam.common.config import Config
-from slam.common.errors import SlamError
-from slam.map_joining.condensed_map import condense_map, stretch_length_m
-from slam.map_joining.session_config import session_config
+from slam.common.errors import FleetError, SlamError
+from slam.fleet.condensed_map import condense_map, stretch_length_m
+from slam.fleet.logs import FleetLog
+from slam.fleet.session_config import session_config
 from slam.object_map.map_io import load_map, write_map
 from slam.object_map.map_summary import summarize_map
 from slam.replay import replay
+from slam.sweeps.workers import Death, compute_all
 
-MAP_NAME, LEDGER_NAME, SCRATCH = "map.mcap", "session.json", "mapping-"
+logger = logging.getLogger(__name__)
 
+MAP_NAME, LEDGER_NAME = "map.mcap", "session.json"
+TRIES = 4
+"""A log whose process dies is mapped so often."""
 
-@dataclass(frozen=True, slots=True)
-class SessionTask:
-    """A log at ``path`` that is to be mapped with ``config`` into the folder ``folder``."""
-
-    path: Path
-    sha256: str
-    config: Config
-    folder: Path
+Progress = Callable[[float, str], None]
+"""Takes the fraction of a task that is done, and what was done."""
 
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """The result of mapping a log. ``reason``: why it has no map; ``first_ns``, ``last_ns``: stamps of its keyframes;
-    ``notes``: what a replay would warn of. Nothing in it depends on when or where it was mapped.
+    """The result of mapping a log. ``reason``: why it has no map; ``first_ns``: stamp of its first keyframe; ``notes``:
+    what a replay would warn of. Nothing in it depends on when or where it was mapped.
     """
 
     sha256: str
     reason: str
-    keyframes: int = 0
     landmarks: int = 0
     travel_m: float = 0.0
     first_ns: int = 0
-    last_ns: int = 0
     notes: tuple[str, ...] = ()
 
     @property
@@ -53,52 +55,103 @@ class Session:
         return not self.reason
 
 
-def map_session(task: SessionTask) -> Session:
-    """Map a log into ``folder``: its condensed map and its ledger, which is written last."""
-    task.folder.mkdir(parents=True, exist_ok=True)
-    scratch = Path(tempfile.mkdtemp(prefix=SCRATCH, dir=task.folder))
+_LEDGER = TypeAdapter(Session)
+
+
+def map_sessions(
+    logs: Sequence[FleetLog], folder: Path, config: Config, *, workers: int, progress: Progress
+) -> dict[str, Session]:
+    """The sessions of logs by the digests of their content; each is mapped unless the folder of the fleet has it.
+
+    Raises:
+        FleetError: a log that has to be mapped is gone.
+        LogError: a result cannot be written.
+    """
+    sessions, waiting = dict[str, Session](), dict[str, FleetLog]()
+    for log in logs:
+        done = _read_session(session_folder(folder, log.sha256, config))
+        if done is not None:
+            sessions[log.sha256] = done
+        elif not log.path.exists():
+            raise FleetError(
+                f"{log.name} has to be mapped, and does not exist at {log.path} any more; remove it with --only"
+            )
+        else:
+            waiting.setdefault(log.sha256, log)
+    compute = partial(map_session, folder=folder, config=config)
+    for finished, (log, outcome) in enumerate(_computed(compute, list(waiting.values()), workers), start=1):
+        if isinstance(outcome, Death):
+            outcome = Session(log.sha256, "the process that mapped it died each time, perhaps for lack of memory")
+        sessions[log.sha256] = outcome
+        result = f"{len(outcome.notes)} warnings" if outcome.is_mapped else f"not mapped: {outcome.reason}"
+        progress(finished / len(waiting), f"{finished}/{len(waiting)} {log.path.name}: {result}")
+    return sessions
+
+
+def session_folder(folder: Path, sha256: str, config: Config) -> Path:
+    """Where the session of a log with this digest is, in the folder of a fleet."""
+    return folder / "sessions" / content_key(sha256, config.model_dump_json(), version("descriptellation-slam"))
+
+
+def content_key(*parts: str) -> str:
+    """A name for what is made from these parts; 64 bits tell any number of logs apart."""
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
+
+
+def map_session(log: FleetLog, folder: Path, config: Config) -> Session:
+    """Map a log into its folder of a fleet: its condensed map and its ledger, which is written last."""
+    target = session_folder(folder, log.sha256, config)
+    scratch = target / "mapping"
+    # A process that was killed leaves it behind.
+    shutil.rmtree(scratch, ignore_errors=True)
+    scratch.mkdir(parents=True)
     try:
-        session = _mapped(task, scratch)
+        session = _mapped(log, scratch, config)
+        (scratch / MAP_NAME).replace(target / MAP_NAME)
     except (LogError, SlamError) as error:
-        # The name of the scratch folder is another each time.
         reason = " ".join([str(error), *getattr(error, "__notes__", ())]).replace(f"{scratch}/", "")
-        session = Session(task.sha256, reason)
+        session = Session(log.sha256, reason)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
-    write_text(task.folder / LEDGER_NAME, json.dumps(asdict(session), indent=1) + "\n")
+    write_text(target / LEDGER_NAME, _LEDGER.dump_json(session, indent=1).decode() + "\n")
     return session
 
 
-def remove_scratch(folder: Path) -> None:
-    """Remove what a process that was killed left in the folder of its session."""
-    for scratch in folder.glob(f"{SCRATCH}*"):
-        shutil.rmtree(scratch, ignore_errors=True)
+def _mapped(log: FleetLog, scratch: Path, config: Config) -> Session:
+    """Map a log; the condensed map is in the scratch folder."""
+    summary = replay(log.path, scratch / "replay.mcap", config, map_path=scratch / MAP_NAME)
+    saved = load_map(scratch / MAP_NAME)
+    condensed = condense_map(saved, stretch_m=stretch_length_m(session_config(saved.metadata)))
+    write_map(scratch / MAP_NAME, condensed)
+    return Session(
+        sha256=log.sha256,
+        reason="",
+        landmarks=len(saved.objects.ids),
+        travel_m=round(summarize_map(saved)["path_m"], 3),
+        first_ns=int(saved.graph.keyframe_stamps_ns.min()),
+        notes=summary.notes,
+    )
 
 
-def read_session(folder: Path) -> Session | None:
+def _read_session(folder: Path) -> Session | None:
     """What a finished task left in its folder; None if there is nothing, or nothing that can be used."""
     try:
-        values = parse_json((folder / LEDGER_NAME).read_text(encoding="utf-8"))
-        session = Session(**{**values, "notes": tuple(values["notes"])})
-    except (OSError, ValueError, TypeError, KeyError):
+        session = _LEDGER.validate_json((folder / LEDGER_NAME).read_bytes())
+    except (OSError, ValueError):
         return None
     return session if session.reason or (folder / MAP_NAME).exists() else None
 
 
-def _mapped(task: SessionTask, scratch: Path) -> Session:
-    whole = scratch / MAP_NAME
-    summary = replay(task.path, scratch / "replay.mcap", task.config, map_path=whole)
-    saved = load_map(whole)
-    config = session_config(saved.metadata)
-    write_map(task.folder / MAP_NAME, condense_map(saved, stretch_m=stretch_length_m(config)))
-    stamps_ns = saved.graph.keyframe_stamps_ns
-    return Session(
-        sha256=task.sha256,
-        reason="",
-        keyframes=len(saved.graph.keyframe_ids),
-        landmarks=len(saved.objects.ids),
-        travel_m=round(summarize_map(saved)["path_m"], 3),
-        first_ns=int(stamps_ns.min()),
-        last_ns=int(stamps_ns.max()),
-        notes=summary.notes,
-    )
+def _computed(
+    compute: Callable[[FleetLog], Session], logs: Sequence[FleetLog], workers: int
+) -> Iterator[tuple[FleetLog, Session | Death]]:
+    """Each log with its session, as they finish; with ``Death`` where its process died ``TRIES`` times."""
+    for attempt in range(1, TRIES + 1):
+        died = []
+        for log, outcome in compute_all(compute, logs, jobs=workers, fresh=True):
+            if isinstance(outcome, Death) and attempt < TRIES:
+                logger.info("a process died (exit code %s); its log is mapped again", outcome.exit_code)
+                died.append(log)
+            else:
+                yield log, outcome
+        logs = died

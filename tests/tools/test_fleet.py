@@ -20,9 +20,8 @@ def test_fleet_exits_with_1_if_a_log_was_not_mapped(
 ) -> None:
     def map_nothing(logs: list[Any], *_: object, progress: Any, **__: object) -> Fleet:
         progress(0.5, f"1/1 {logs[0].name}: not mapped")
-        sessions = {log.sha256: Session(log.sha256, reason) for log in logs if reason}
-        names = {log.name: log.sha256 for log in logs if reason}
-        return Fleet(names, sessions, (), (), (), (), (), ())
+        sessions = {log.sha256: Session(log.sha256, reason) for log in logs}
+        return Fleet(tuple(logs if reason else ()), sessions, (), (), (), ())
 
     monkeypatch.setattr("slam.fleet.fleet.map_fleet", map_nothing)
     (tmp_path / "a.mcap").write_bytes(b"a")

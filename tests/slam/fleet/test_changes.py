@@ -1,106 +1,59 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from slam.common.config import Config
-from slam.common.geometry import apply, invert
 from slam.common.georeference import Georeference
-from slam.fleet.changes import Change, detect_changes, write_changes
-from slam.map_joining.acceptance import judge_pairs
-from slam.map_joining.condensed_map import condense_map
-from slam.map_joining.joins import find_joins
-from slam.map_joining.joint_map import join_parts
-from slam.map_joining.part import session_part
-from slam.map_joining.place_index import make_place_index
-from slam.simulation.world import World
-from tests.helpers.driven_maps import drive_poses, driven_map, town, without
+from slam.fleet.changes import Change, find_changes, write_changes
+from slam.fleet.passes import find_passes
+from slam.fleet.presence import estimate_presence, seen_probabilities
+from tests.slam.fleet.parts import street_part
 
 MONTH_NS = 30 * 86_400 * 10**9
-CONFIG = Config()
-FROM_M, TO_M = 0.0, 150.0
 MONTHS = 6
-CHANGE_MONTH = 3
+STAYS, GOES, COMES, MOVES, MOVED = range(30), 30, 31, 32, 33
 
 
-def objects_beside(world: World) -> list[int]:
-    """Rows of objects near the middle of the drive, none of its class near another, nearest first."""
-    path = drive_poses(world, FROM_M, TO_M)[20:-20, :2, 3]
-    distances_m = np.hypot(*(world.positions[:, None, :2] - path[None]).transpose(2, 0, 1)).min(axis=1)
-    labels = np.array(world.labels)
-    alone = []
-    for row in np.argsort(distances_m).tolist():
-        alike = np.flatnonzero(labels == labels[row])
-        apart_m = np.hypot(*(world.positions[alike, :2] - world.positions[row, :2]).T)
-        if np.sort(apart_m)[1:2].min(initial=np.inf) > 8.0:
-            alone.append(row)
-    return alone
+def positions() -> np.ndarray:
+    """Lamps along both kerbs; a tree goes, another one comes far from there, and a bench moves by 4 m."""
+    lamps = [[3.0 * row, 5.0 * (-1.0) ** row, 0.0] for row in STAYS]
+    return np.array([*lamps, [10.0, 7.0, 0.0], [80.0, 7.0, 0.0], [40.0, 8.0, 0.0], [44.0, 8.0, 0.0]])
 
 
 @pytest.fixture(scope="module")
-def story() -> tuple[World, World, int, int, int]:
-    """The town before and after: one object goes, one comes, one moves by 4 m."""
-    before = town()
-    gone, comes, moves = objects_beside(before)[:3]
-    names = before.object_ids
-    after = without(before, {names[gone]})
-    positions = after.positions.copy()
-    positions[after.object_ids.index(names[moves]), 0] += 4.0
-    after = replace(after, positions=positions)
-    return without(before, {names[comes]}), after, gone, comes, moves
+def changes() -> tuple[Change, ...]:
+    seen = np.ones((34, MONTHS), dtype=bool)
+    seen[[GOES, MOVES], 3:] = False
+    seen[[COMES, MOVED], :3] = False
+    part = street_part(positions(), [*["lamp"] * 30, "tree", "tree", "bench", "bench"], seen)
+    stamps_ns = [month * MONTH_NS for month in range(MONTHS)]
+    passes = find_passes(part)
+    presence = estimate_presence(passes.seen, seen_probabilities(passes), stamps_ns)
+    return find_changes(part, presence, stamps_ns)
 
 
-@pytest.fixture(scope="module")
-def changes(story: tuple[World, World, int, int, int]) -> tuple[Change, ...]:
-    before, after, *_ = story
-    maps = [
-        condense_map(
-            driven_map(before if month < CHANGE_MONTH else after, FROM_M, TO_M, seed=month, stamp_ns=month * MONTH_NS),
-            stretch_m=25.0,
-        )
-        for month in range(MONTHS)
-    ]
-    index = make_place_index(maps, sigma_m=CONFIG.calibration.objects.landmark_sigma_m)
-    joins = [join for number, each in enumerate(maps) for join in find_joins(each, number, index, CONFIG)]
-    sessions = [session_part(month, saved) for month, saved in enumerate(maps)]
-    (part,) = join_parts(sessions, judge_pairs(maps, joins, CONFIG, penalty=6.0), CONFIG)
-    return detect_changes(part, [month * MONTH_NS for month in range(MONTHS)]).changes
-
-
-@pytest.mark.slow
-def test_what_went_came_and_moved_is_told_with_place_and_dates(
-    story: tuple[World, World, int, int, int], changes: tuple[Change, ...]
-) -> None:
-    world = town()
-    _, _, gone, comes, moves = story
-    T_map_world = invert(drive_poses(world, FROM_M, TO_M)[0])
-    place = apply(T_map_world, world.positions)
-    assert sorted(change.kind for change in changes) == ["appeared", "gone", "moved"]
-    by_kind = {change.kind: change for change in changes}
-    for kind, row in (("gone", gone), ("appeared", comes)):
-        assert by_kind[kind].label == world.labels[row]
-        assert np.hypot(*(np.array(by_kind[kind].position) - place[row])[:2]) < 0.5
-    moved = by_kind["moved"]
-    assert moved.from_position is not None
-    assert np.hypot(*(np.array(moved.from_position) - place[moves])[:2]) < 0.5
-    assert abs(np.hypot(*(np.array(moved.position) - np.array(moved.from_position))[:2]) - 4.0) < 0.5
-    for change in changes:
+def test_what_went_came_and_moved_is_told_with_place_and_dates(changes: tuple[Change, ...]) -> None:
+    found = {change.kind: change for change in changes}
+    assert len(changes) == len(found) == 3
+    for kind, label, row in (("gone", "tree", GOES), ("appeared", "tree", COMES), ("moved", "bench", MOVED)):
+        change = found[kind]
+        assert (change.landmark, change.label, change.position) == (str(row), label, tuple(positions()[row]))
         assert change.probability > 0.9
-        # Days 60 and 90 after 1970-01-01.
-        assert change.after <= "1970-03-02T00:00:00+00:00"
-        assert change.before >= "1970-04-01T00:00:00+00:00"
+        assert change.after == "1970-03-02T00:00:00+00:00"
+        assert change.before == "1970-04-01T00:00:00+00:00"
+    assert found["moved"].from_landmark == str(MOVES)
+    assert found["moved"].from_position == tuple(positions()[MOVES])
 
 
 def test_changes_are_points_on_earth_where_the_origin_is_known(changes: tuple[Change, ...], tmp_path: Path) -> None:
     write_changes(tmp_path / "changes.geojson", changes, Georeference(60.0, 25.0))
     features = json.loads((tmp_path / "changes.geojson").read_text())["features"]
     assert len(features) == len(changes)
-    assert all(abs(f["geometry"]["coordinates"][0] - 25.0) < 0.02 for f in features)
-    assert all(abs(f["geometry"]["coordinates"][1] - 60.0) < 0.02 for f in features)
+    coordinates = [feature["geometry"]["coordinates"][:2] for feature in features]
+    np.testing.assert_allclose(coordinates, [[25.0, 60.0]] * 3, atol=0.02)
 
 
 def test_without_an_origin_they_are_metres_of_the_map_and_say_so(changes: tuple[Change, ...], tmp_path: Path) -> None:

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +12,10 @@ import numpy as np
 import pytest
 
 from slam.common.config import Config
-from slam.common.errors import FleetError, SavedMapError
+from slam.common.errors import FleetError
 from slam.fleet.fleet import Fleet, map_fleet
-from slam.fleet.logs import FleetLog
+from slam.fleet.logs import FleetLog, find_logs
 from slam.fleet.report import fleet_report, write_report
-from slam.fleet.sessions import SessionTask, map_session
-from slam.fleet.tasks import compute_in_processes
 from slam.library import read_map
 from slam.place_recognition.imported_map import load_imported_map
 from slam.simulation.config import SimulationConfig
@@ -33,10 +25,9 @@ from tests.helpers.driven_maps import drive_poses, town
 pytestmark = pytest.mark.slow
 
 OUTPUTS = ("map.mcap", "changes.geojson", "report.json")
-SLOW = {"OMP_NUM_THREADS": "1"}
 
 
-def compute_inline(function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
+def compute_inline(function: Callable[[Any], Any], tasks: Sequence[Any], **_: Any) -> Iterator[tuple[Any, Any]]:
     """In this process, the last task first."""
     yield from ((task, function(task)) for task in reversed(tasks))
 
@@ -55,12 +46,17 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[FleetLog]:
     write_drive(folder / "other.mcap", 0.0, 130.0, 2, town_seed=7)
     (folder / "again.mcap").write_bytes((folder / "a.mcap").read_bytes())
     (folder / "broken.mcap").write_bytes((folder / "a.mcap").read_bytes()[:5000])
-    return [FleetLog(name, folder / f"{name}.mcap") for name in ("a", "b", "other", "again", "broken")]
+    found = find_logs([str(folder / f"{name}.mcap") for name in ("a", "b", "other", "again", "broken")])
+    return [replace(log, name=log.path.stem) for log in found]
 
 
-def run(logs: list[FleetLog], folder: Path, compute: Any) -> Fleet:
+def run(logs: list[FleetLog], folder: Path, *, workers: int = 0) -> Fleet:
+    """A fleet that is mapped in this process, or by so many workers."""
     folder.mkdir(exist_ok=True)
-    fleet = map_fleet(logs, folder, Config(), compute)
+    with pytest.MonkeyPatch.context() as patch:
+        if not workers:
+            patch.setattr("slam.fleet.sessions.compute_all", compute_inline)
+        fleet = map_fleet(logs, folder, Config(), workers=workers)
     write_report(folder, fleet)
     return fleet
 
@@ -68,7 +64,7 @@ def run(logs: list[FleetLog], folder: Path, compute: Any) -> Fleet:
 @pytest.fixture(scope="module")
 def mapped(logs: list[FleetLog], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Fleet]:
     folder = tmp_path_factory.mktemp("fleet")
-    return folder, run(logs, folder, compute_inline)
+    return folder, run(logs, folder)
 
 
 def same_bytes(folder: Path, other: Path) -> bool:
@@ -92,7 +88,7 @@ def test_every_log_is_accounted_for(mapped: tuple[Path, Fleet]) -> None:
 def test_the_map_has_tiles_and_opens_as_any_other(mapped: tuple[Path, Fleet]) -> None:
     folder, fleet = mapped
     tiles = load_imported_map(folder / "map.mcap")
-    assert len(tiles) == np.count_nonzero(fleet.living[0].presence.present >= 0.5)
+    assert len(tiles) == np.count_nonzero(fleet.maps[0].presence.present >= 0.5)
     objects = read_map(folder / "map.mcap")
     assert set(objects.ids) == set(tiles.objects.ids)
     assert objects.observation_counts.min() > 0
@@ -101,46 +97,23 @@ def test_the_map_has_tiles_and_opens_as_any_other(mapped: tuple[Path, Fleet]) ->
 def test_one_or_two_workers_give_the_same_bytes(
     logs: list[FleetLog], mapped: tuple[Path, Fleet], tmp_path: Path
 ) -> None:
-    run(logs, tmp_path / "two", partial(compute_in_processes, workers=2))
+    run(logs, tmp_path / "two", workers=2)
     assert same_bytes(mapped[0], tmp_path / "two")
 
 
-def test_what_is_done_is_not_done_again(logs: list[FleetLog], mapped: tuple[Path, Fleet]) -> None:
+def test_what_is_done_is_not_done_again(
+    logs: list[FleetLog], mapped: tuple[Path, Fleet], monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder, _ = mapped
     before = {name: (folder / name).read_bytes() for name in OUTPUTS}
 
-    def compute_nothing(function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
-        assert not tasks
-        return iter(())
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("it was done before")
 
-    run(logs, folder, compute_nothing)
+    monkeypatch.setattr("slam.fleet.sessions.map_session", refuse)
+    monkeypatch.setattr("slam.fleet.fleet.PlaceIndex", refuse)
+    run(logs, folder)
     assert before == {name: (folder / name).read_bytes() for name in OUTPUTS}
-
-
-def test_a_killed_driver_goes_on_where_it_was(logs: list[FleetLog], mapped: tuple[Path, Fleet], tmp_path: Path) -> None:
-    code = (
-        "from pathlib import Path; from functools import partial; from slam.common.config import Config;"
-        "from slam.fleet.fleet import map_fleet; from slam.fleet.logs import FleetLog;"
-        "from slam.fleet.tasks import compute_in_processes\n"
-        "if __name__ == '__main__':\n"
-        f"    logs = [FleetLog(n, Path(p)) for n, p in {[(log.name, str(log.path)) for log in logs]!r}]\n"
-        f"    map_fleet(logs, Path({str(tmp_path)!r}), Config(), partial(compute_in_processes, workers=1))\n"
-    )
-    script = tmp_path / "drive.py"
-    script.write_text(code)
-    driver = subprocess.Popen([sys.executable, str(script)], env={**os.environ, **SLOW})
-    try:
-        while not list(tmp_path.glob("sessions/*/session.json")) and driver.poll() is None:
-            time.sleep(0.05)
-    finally:
-        driver.send_signal(signal.SIGKILL)
-        driver.wait()
-    assert not (tmp_path / "map.mcap").exists()
-    finished = {path: path.stat().st_mtime_ns for path in tmp_path.glob("sessions/*/session.json")}
-    run(logs, tmp_path, compute_inline)
-    assert same_bytes(mapped[0], tmp_path)
-    assert not list(tmp_path.glob("sessions/*/mapping-*"))
-    assert finished == {path: path.stat().st_mtime_ns for path in finished}
 
 
 def test_folded_sessions_give_the_same_map_night_by_night_and_at_once(
@@ -150,30 +123,18 @@ def test_folded_sessions_give_the_same_map_night_by_night_and_at_once(
     for folder in ("nights", "once"):
         shutil.copytree(mapped[0] / "sessions", tmp_path / folder / "sessions")
     for night in range(1, len(logs) + 1):
-        run(logs[:night], tmp_path / "nights", compute_inline)
-    fleet = run(logs, tmp_path / "once", compute_inline)
+        run(logs[:night], tmp_path / "nights")
+    fleet = run(logs, tmp_path / "once")
     assert same_bytes(tmp_path / "nights", tmp_path / "once")
-    assert fleet.parts[0].sessions == mapped[1].parts[0].sessions
-    assert len(fleet.parts[0].objects.ids) == len(mapped[1].parts[0].objects.ids)
+    assert fleet.maps[0].part.sessions == mapped[1].maps[0].part.sessions
+    assert len(fleet.maps[0].part.objects.ids) == len(mapped[1].maps[0].part.objects.ids)
     np.testing.assert_allclose(
-        np.sort(fleet.parts[0].objects.positions, axis=0),
-        np.sort(mapped[1].parts[0].objects.positions, axis=0),
+        np.sort(fleet.maps[0].part.objects.positions, axis=0),
+        np.sort(mapped[1].maps[0].part.objects.positions, axis=0),
         atol=0.05,
     )
 
 
 def test_a_fleet_in_which_nothing_can_be_mapped_is_refused(logs: list[FleetLog], tmp_path: Path) -> None:
     with pytest.raises(FleetError, match="none of 1 logs"):
-        map_fleet([log for log in logs if log.name == "broken"], tmp_path, Config(), compute_inline)
-
-
-def test_why_a_log_has_no_map_is_told_by_the_same_bytes_each_time(
-    logs: list[FleetLog], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(log: Path, output: Path, config: Config, *, map_path: Path) -> None:
-        raise SavedMapError(f"{map_path} was not written")
-
-    monkeypatch.setattr("slam.fleet.sessions.replay", refuse)
-    told = [map_session(SessionTask(logs[0].path, "0", Config(), tmp_path / name)) for name in ("a", "b")]
-    assert told[0].reason == "map.mcap was not written"
-    assert told[0] == told[1]
+        run([log for log in logs if log.name == "broken"], tmp_path)

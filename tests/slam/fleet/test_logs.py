@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from slam.fleet.logs import MEMBERS_NAME, FleetLog, add_logs, find_logs
 def make_logs(folder: Path, **contents: str) -> list[FleetLog]:
     for name, content in contents.items():
         (folder / name).write_text(content)
-    return [FleetLog(name, folder / name) for name in contents]
+    return [replace(log, name=log.path.name) for log in find_logs([str(folder / name) for name in contents])]
 
 
 def test_a_missing_log_and_none_at_all_are_refused(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from slam.fleet.passes import Passes
 from slam.fleet.presence import estimate_presence, seen_probabilities
 
 DAY_NS = 86_400 * 10**9
@@ -84,7 +85,7 @@ def test_probabilities_are_learned_by_the_length_in_view_from_what_certainly_sto
     seen[:, [0, -1]] = True
     in_view_m[:, 1] = 0.0
     seen[:, 1] = False
-    probabilities = seen_probabilities(seen, in_view_m)
+    probabilities = seen_probabilities(Passes(seen, in_view_m))
     middle = slice(2, 7)
     missed = ~seen[:, middle]
     length_m = in_view_m[:, middle]

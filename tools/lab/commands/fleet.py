@@ -21,7 +21,8 @@ def fleet(
     length: Annotated[float, typer.Option(min=50.0, help="Length of a drive.")] = 250.0,
     months: Annotated[int, typer.Option(min=1, help="Months over which the drives are spread.")] = 4,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Tasks at a time. \\[default: one per core]", show_default=False)
+        int | None,
+        typer.Option(min=1, help="Logs mapped at a time. \\[default: one per core]", show_default=False),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the simulation.")] = 0,
     json: Json = False,
@@ -34,18 +35,16 @@ def fleet(
     Example: dslam benchmark fleet -o out/fleet --drives 8 --city helsinki --city hamburg
     """
     from dataclasses import asdict
-    from functools import partial
 
-    from slam.fleet.tasks import compute_in_processes
     from tools import console
     from tools.lab.fleets.run import benchmark_fleet
     from tools.lab.fleets.simulated_fleet import FleetPlan
 
     plan = FleetPlan(drives=drives, length_m=length, area_m=1.4 * length, months=months)
-    compute = partial(compute_in_processes, workers=workers or os.cpu_count() or 1)
+    jobs = workers or os.cpu_count() or 1
     with console.progress_line("fleet") as progress:
         score, cost = benchmark_fleet(
-            folder, city or [], plan, compute, seed=seed, **({"progress": progress} if progress else {})
+            folder, city or [], plan, workers=jobs, seed=seed, **({"progress": progress} if progress else {})
         )
     if json:
         console.show_json({**asdict(score), **asdict(cost)})

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import resource
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from slam.common.config import Config
-from slam.fleet.fleet import map_fleet, session_maps
+from slam.fleet.fleet import map_fleet
 from slam.fleet.report import write_report
-from slam.fleet.tasks import Compute
+from slam.fleet.sessions import MAP_NAME, Progress, session_folder
 from slam.object_map.map_io import load_map
 from slam.simulation.street_grid import generate_street_grid
 from slam.simulation.world import load_world
@@ -34,10 +34,10 @@ def benchmark_fleet(
     folder: Path,
     cities: Sequence[Path],
     plan: FleetPlan,
-    compute: Compute,
     *,
+    workers: int,
     seed: int = 0,
-    progress: Callable[[float, str], None] = lambda done, doing: None,
+    progress: Progress = lambda done, doing: None,
 ) -> tuple[FleetScore, FleetCost]:
     """Simulate a fleet in the generated town and in cities, map it, and compare it with the truth.
 
@@ -45,7 +45,7 @@ def benchmark_fleet(
         folder: takes the logs and what a fleet leaves.
         cities: folders with objects.csv and trajectory.csv.
         plan: how many drives, and what changes.
-        compute: computes tasks.
+        workers: logs that are mapped at a time.
         seed: of the simulation.
         progress: called with the fraction done and what is being done.
 
@@ -57,10 +57,10 @@ def benchmark_fleet(
     (folder / "logs").mkdir(parents=True, exist_ok=True)
     truth = simulate_fleet(folder / "logs", worlds, plan, seed=seed)
     started, used_s = time.perf_counter(), _processor_s()
-    fleet = map_fleet(truth.logs, folder, Config(), compute, progress=progress)
+    fleet = map_fleet(truth.logs, folder, Config(), workers=workers, progress=progress)
     wall_s, processor_s = time.perf_counter() - started, _processor_s() - used_s
     write_report(folder, fleet)
-    maps = [load_map(path) for path in session_maps(fleet, folder, Config())]
+    maps = [load_map(session_folder(folder, digest, Config()) / MAP_NAME) for digest in fleet.order]
     files = [path for path in (folder / "sessions").rglob("*") if path.is_file()]
     session_mb = sum(path.stat().st_size for path in files) / 1e6 / max(len(maps), 1)
     return score_fleet(truth, fleet, maps), FleetCost(wall_s, processor_s, session_mb)

@@ -6,17 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from logs.messages import ObjectMapRecord
-from slam.common.arrays import FloatArray
+from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import apply
 from slam.evaluation.metrics.alignment import align_yaw_translation
+from slam.evaluation.metrics.landmarks import match_by_position
 from slam.fleet.changes import Change
 from slam.fleet.fleet import Fleet
-from slam.map_joining.part import Part
+from slam.fleet.part import Part
 from slam.object_map.map_io import SavedMap
-from tools.lab.fleets.simulated_fleet import Event, SimulatedFleet, TrueDrive
+from tools.lab.fleets.simulated_fleet import XYZ, SimulatedFleet, TrueDrive
 
 MATCH_M = 1.0
 """A landmark and an object of its class within that distance are one."""
@@ -54,6 +57,8 @@ class FleetScore:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
+    """Errors (N,) m of the landmarks that have an object, how many objects have several, and the alignment (4, 4)."""
+
     errors_m: FloatArray
     duplicates: int
     T_world_map: FloatArray
@@ -67,30 +72,23 @@ def score_fleet(truth: SimulatedFleet, fleet: Fleet, maps: Sequence[SavedMap]) -
         fleet: what became of it.
         maps: of the sessions, by their numbers.
     """
-    name_of = {digest: name for name, digest in reversed(list(fleet.logs.items()))}
-    drives = [truth.drives[name_of[digest]] for digest in fleet.order]
-    joint = [(part, living) for part, living in zip(fleet.parts, fleet.living, strict=True) if len(part.sessions) > 1]
-    errors, duplicates, landmarks, false_joins = list[FloatArray](), 0, 0, 0
-    reported = right = counted = found = 0
-    best: dict[int, int] = {}
-    for part, living in joint:
-        city = drives[part.sessions[0]].city
+    drives = [truth.drives[digest] for digest in fleet.order]
+    joint = [each for each in fleet.maps if len(each.part.visits) > 1]
+    best, false_joins, fits, changes = dict[int, int](), 0, [], [np.zeros(4, dtype=np.int64)]
+    for each in joint:
+        members = [drives[number] for number in each.part.sessions]
+        city = members[0].city
+        fits.append(_fit(each.part.objects, members[0], truth))
+        false_joins += _false_joins(each.part, members, fits[-1].T_world_map)
         if city >= 0:
-            best[city] = max(best.get(city, 0), len(part.sessions))
-        fit = _fit(part.objects, drives[part.sessions[0]], _everything(truth, city))
-        errors.append(fit.errors_m)
-        duplicates += fit.duplicates
-        landmarks += len(part.objects.ids)
-        false_joins += _false_joins(part, drives, fit.T_world_map)
-        members = [drives[number] for number in part.sessions]
-        a, b, c, d = _score_changes(living.changes, truth.events[city], members, fit.T_world_map)
-        reported, right, counted, found = reported + a, right + b, counted + c, found + d
-    single = [
-        _fit(saved.objects, drive, _everything(truth, drive.city)).errors_m
-        for saved, drive in zip(maps, drives, strict=True)
-        if drive.city >= 0
-    ]
+            best[city] = max(best.get(city, 0), len(members))
+            changes.append(_score_changes(each.changes, truth.objects[city], members, fits[-1].T_world_map))
+    single = [_fit(saved.objects, drive, truth) for saved, drive in zip(maps, drives, strict=True) if drive.city >= 0]
     usable = sum(drive.city >= 0 for drive in truth.drives.values())
+    landmarks = sum(len(each.part.objects.ids) for each in joint)
+    reported, right, shown, found = np.sum(changes, axis=0).tolist()
+    rmse_m, median_m = _errors(fits)
+    single_rmse_m, single_median_m = _errors(single)
     return FleetScore(
         logs=len(truth.logs),
         unusable=len(truth.logs) - usable,
@@ -99,111 +97,77 @@ def score_fleet(truth: SimulatedFleet, fleet: Fleet, maps: Sequence[SavedMap]) -
         unjoined=usable - sum(best.values()),
         false_joins=false_joins,
         landmarks=landmarks,
-        rmse_m=_rmse(errors),
-        median_m=float(np.median(np.concatenate(errors))) if errors else float("nan"),
-        single_rmse_m=_rmse(single),
-        single_median_m=float(np.median(np.concatenate(single))),
-        duplicates=duplicates / max(landmarks, 1),
-        changes_true=counted,
+        rmse_m=rmse_m,
+        median_m=median_m,
+        single_rmse_m=single_rmse_m,
+        single_median_m=single_median_m,
+        duplicates=sum(fit.duplicates for fit in fits) / max(landmarks, 1),
+        changes_true=shown,
         changes_reported=reported,
         change_precision=right / max(reported, 1),
-        change_recall=found / max(counted, 1),
+        change_recall=found / max(shown, 1),
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Objects:
-    ids: tuple[str, ...]
-    labels: tuple[str, ...]
-    positions: FloatArray
+def _errors(fits: Sequence[_Fit]) -> tuple[float, float]:
+    """RMSE and median [m]."""
+    if not fits:
+        return float("nan"), float("nan")
+    errors_m = np.concatenate([fit.errors_m for fit in fits])
+    return float(np.sqrt(np.mean(errors_m**2))), float(np.median(errors_m))
 
 
-def _everything(truth: SimulatedFleet, city: int) -> _Objects:
-    """All objects that ever stood in a city; none for no city."""
-    known: dict[str, tuple[str, FloatArray]] = {}
-    for world in truth.worlds[city] if city >= 0 else ():
-        known |= {
-            name: (label, position)
-            for name, label, position in zip(world.object_ids, world.labels, world.positions, strict=True)
-        }
-    positions = np.array([position for _, position in known.values()]).reshape(-1, 3)
-    return _Objects(tuple(known), tuple(label for label, _ in known.values()), positions)
-
-
-def _fit(objects: ObjectMapRecord, first: TrueDrive, world: _Objects) -> _Fit:
-    """Align a map with the world by the landmarks that have an object, which begins at the true pose of its frame."""
+def _fit(objects: ObjectMapRecord, first: TrueDrive, truth: SimulatedFleet) -> _Fit:
+    """Align a map with all that ever stood in its city, beginning at the true pose of its frame."""
     T = first.T_world_first
-    if not len(world.positions):
-        return _Fit(np.zeros(0), 0, T)
-    landmarks, matched = np.zeros(0, np.int64), np.zeros(0, np.int64)
+    nothing = _Fit(np.zeros(0), 0, T)
+    if first.city < 0:
+        return nothing
+    table = truth.objects[first.city]
+    vocabulary, classes = np.unique(table["label"].tolist(), return_inverse=True)
+    world = ObjectMapRecord.of_objects(table.index.tolist(), table[XYZ].to_numpy(), classes, tuple(vocabulary.tolist()))
+    rows = matched = np.zeros(0, dtype=np.int64)
     for _ in range(ALIGNMENTS):
-        landmarks, matched = _matches(apply(T, objects.positions), objects.labels, world)
-        if len(landmarks) < 3:
-            return _Fit(np.zeros(0), 0, T)
-        T = align_yaw_translation(objects.positions[landmarks], world.positions[matched]).T_world_map
-    offsets = apply(T, objects.positions[landmarks]) - world.positions[matched]
+        matches = match_by_position(objects, world, T, max_distance_m=MATCH_M)
+        is_matched = matches.object_rows >= 0
+        rows, matched = matches.landmark_rows[is_matched], matches.object_rows[is_matched]
+        if len(rows) < 3:
+            return nothing
+        T = align_yaw_translation(objects.positions[rows], world.positions[matched]).T_world_map
+    offsets = apply(T, objects.positions[rows]) - world.positions[matched]
     return _Fit(np.hypot(offsets[:, 0], offsets[:, 1]), len(matched) - len(np.unique(matched)), T)
 
 
-def _matches(positions: FloatArray, labels: Sequence[str], world: _Objects) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of landmarks and of the nearest object of their class, where that is near."""
-    landmarks, matched = [], []
-    names, classes = np.array(labels), np.array(world.labels)
-    for label in sorted(set(labels) & set(world.labels)):
-        mine, theirs = np.flatnonzero(names == label), np.flatnonzero(classes == label)
-        distances_m, nearest = cKDTree(world.positions[theirs, :2]).query(positions[mine, :2])
-        near = np.asarray(distances_m) < MATCH_M
-        landmarks.append(mine[near])
-        matched.append(theirs[np.asarray(nearest)[near]])
-    empty = [np.zeros(0, np.int64)]
-    return np.concatenate(landmarks or empty), np.concatenate(matched or empty)
-
-
-def _false_joins(part: Part, drives: Sequence[TrueDrive], T_world_map: FloatArray) -> int:
+def _false_joins(part: Part, members: Sequence[TrueDrive], T_world_map: FloatArray) -> int:
     """Members of another city than the first, or whose places are not on their path."""
     wrong = 0
-    for number, steps in part.paths.items():
-        places = steps.reshape(-1, 3)
-        drive = drives[number]
-        away_m = np.asarray(cKDTree(drive.path).query(apply(T_world_map, places)[:, :2])[0])
-        wrong += drive.city != drives[part.sessions[0]].city or bool(np.median(away_m) > FALSE_JOIN_M)
+    for number, drive in zip(part.sessions, members, strict=True):
+        places = apply(T_world_map, part.visits[number].steps.reshape(-1, 3))
+        away_m = np.asarray(cKDTree(drive.path).query(places[:, :2])[0])
+        wrong += drive.city != members[0].city or bool(np.median(away_m) > FALSE_JOIN_M)
     return wrong
 
 
 def _score_changes(
-    changes: Sequence[Change], events: Sequence[Event], members: Sequence[TrueDrive], T_world_map: FloatArray
-) -> tuple[int, int, int, int]:
+    changes: Sequence[Change], objects: pd.DataFrame, members: Sequence[TrueDrive], T_world_map: FloatArray
+) -> IntArray:
     """Changes that are reported, those of them that are right, those that the drives could show, and of these found."""
     reported = [
-        (kind, change.label, apply(T_world_map, np.array([position]))[0])
+        (kind, change.label, *apply(T_world_map, np.array([position]))[0, :2])
         for change in changes
-        for kind, position in _events_of(change)
+        for kind, position in (
+            ("gone" if change.kind == "gone" else "appeared", change.position),
+            ("gone", change.from_position),
+        )
+        if position is not None
     ]
-    right = sum(any(_is_same(each, event) for event in events) for each in reported)
-    shown = [event for event in events if _can_show(event, members)]
-    found = sum(any(_is_same(each, event) for each in reported) for event in shown)
-    return len(reported), right, len(shown), found
-
-
-def _events_of(change: Change) -> list[tuple[str, tuple[float, float, float]]]:
-    if change.kind == "moved" and change.from_position is not None:
-        return [("appeared", change.position), ("gone", change.from_position)]
-    return [(change.kind, change.position)]
-
-
-def _is_same(change: tuple[str, str, FloatArray], event: Event) -> bool:
-    kind, label, position = change
-    return kind == event.kind and label == event.label and float(np.hypot(*(position - event.position)[:2])) < MATCH_M
-
-
-def _can_show(event: Event, members: Sequence[TrueDrive]) -> bool:
-    passed = [
-        drive.month >= event.month
-        for drive in members
-        if np.hypot(*(drive.path - event.position[:2]).T).min() < PASSED_M
-    ]
-    return passed.count(False) >= PASSES and passed.count(True) >= PASSES
-
-
-def _rmse(errors: Sequence[FloatArray]) -> float:
-    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) if errors else float("nan")
+    told = pd.DataFrame(reported, columns=["kind", "label", "x", "y"])
+    came, went = objects[objects["came"] > 0], objects[objects["went"].notna()]
+    true = pd.concat([came.assign(kind="appeared", month=came["came"]), went.assign(kind="gone", month=went["went"])])
+    apart_m = cdist(told[["x", "y"]].to_numpy(dtype=float), true[["x", "y"]])
+    is_alike = np.equal(told[["kind", "label"]].to_numpy()[:, None], true[["kind", "label"]].to_numpy())
+    is_same = (apart_m < MATCH_M) & np.all(is_alike, axis=-1)
+    passed = np.array([cdist(true[["x", "y"]], drive.path).min(axis=1) < PASSED_M for drive in members])
+    is_after = np.array([drive.month for drive in members])[:, None] >= true["month"].to_numpy()
+    shown = np.minimum((passed & is_after).sum(axis=0), (passed & ~is_after).sum(axis=0)) >= PASSES
+    return np.array([len(told), is_same.any(axis=1).sum(), shown.sum(), is_same.any(axis=0)[shown].sum()])

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from slam.common.arrays import FloatArray
-from slam.fleet.logs import FleetLog
+from slam.fleet.logs import FleetLog, find_logs
 from slam.simulation.config import DriveConfig, OdometryConfig, SensorConfig, SimulationConfig
 from slam.simulation.drive import plan_drive
 from slam.simulation.simulation import write_simulation
@@ -21,6 +22,7 @@ ROBOTS = 10
 MOVED_M = (3.0, 12.0)
 STREET_M = 15.0
 """New objects stand so far from the tour at most."""
+XYZ = ["x", "y", "z"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,17 +40,6 @@ class FleetPlan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Event:
-    """An object that comes (``kind`` "appeared") or goes ("gone") at the begin of ``month``."""
-
-    kind: str
-    month: int
-    object_id: str
-    label: str
-    position: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class TrueDrive:
     """``city`` by its number, -1 where the log is of no use; ``T_world_first`` (4, 4); ``path`` (N, 2) m."""
 
@@ -60,12 +51,13 @@ class TrueDrive:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedFleet:
-    """``logs`` and the truth of each by name; ``worlds`` by city and month; ``events`` by city."""
+    """``logs``, and the true drive of each by its digest; ``objects`` of each city, by their ids: ``label``, ``x``,
+    ``y``, ``z`` [m], and the months in whose beginning they ``came`` (0: before) and ``went`` (NaN: never).
+    """
 
     logs: tuple[FleetLog, ...]
     drives: dict[str, TrueDrive]
-    worlds: tuple[tuple[World, ...], ...]
-    events: tuple[tuple[Event, ...], ...]
+    objects: tuple[pd.DataFrame, ...]
 
 
 def simulate_fleet(folder: Path, cities: Sequence[World], plan: FleetPlan, *, seed: int) -> SimulatedFleet:
@@ -78,30 +70,27 @@ def simulate_fleet(folder: Path, cities: Sequence[World], plan: FleetPlan, *, se
     rng = np.random.default_rng(seed)
     robots = [_robot(rng) for _ in range(ROBOTS)]
     strange = generate_street_grid(rng=np.random.default_rng(seed + 1000), name="another town")
-    logs, drives, worlds, events = list[FleetLog](), dict[str, TrueDrive](), [], []
+    logs, drives, objects = list[FleetLog](), dict[str, TrueDrive](), []
     for city, world in enumerate(cities):
         driven = world.shortened(plan.area_m)
-        versions, of_city = _evolve(driven, plan, rng)
-        worlds.append(versions)
-        events.append(of_city)
+        objects.append(_changing_objects(driven, plan, rng))
         for number in range(plan.drives):
             month = number * plan.months // plan.drives
             is_bad = int(plan.bad * (len(logs) + 1)) > int(plan.bad * len(logs))
             is_strange = is_bad and number % 2 == 1
-            name = f"{world.name}_{number:03d}"
-            path = folder / f"{name}.mcap"
-            source = strange.shortened(plan.area_m) if is_strange else versions[month]
+            source = strange.shortened(plan.area_m) if is_strange else _in_month(driven, objects[city], month)
             part = replace(source, tour=_part(source.tour, plan.length_m, rng))
-            robot = robots[int(rng.integers(ROBOTS))]
-            config = robot.model_copy(update={"drive": DriveConfig(start_day=month * MONTH_DAYS + number)})
+            drive = DriveConfig(start_day=month * MONTH_DAYS + number)
+            config = robots[int(rng.integers(ROBOTS))].model_copy(update={"drive": drive})
+            path = folder / f"{world.name}_{number:03d}.mcap"
             write_simulation(path, part, config, seed=int(rng.integers(2**31)))
             if is_bad and not is_strange:
                 path.write_bytes(path.read_bytes()[: path.stat().st_size // 50])
-            logs.append(FleetLog(name, path))
-            sampled = plan_drive(part.tour, config.drive)
-            first = sampled.sample(0.0, sampled.length_m).T_world_body
-            drives[name] = TrueDrive(-1 if is_bad else city, month, first[0], first[:, :2, 3])
-    return SimulatedFleet(tuple(logs), drives, tuple(worlds), tuple(events))
+            logs += find_logs([str(path)])
+            planned = plan_drive(part.tour, drive)
+            T_world_body = planned.sample(0.0, planned.length_m).T_world_body
+            drives[logs[-1].sha256] = TrueDrive(-1 if is_bad else city, month, T_world_body[0], T_world_body[:, :2, 3])
+    return SimulatedFleet(tuple(logs), drives, tuple(objects))
 
 
 def _robot(rng: np.random.Generator) -> SimulationConfig:
@@ -128,34 +117,26 @@ def _part(tour: FloatArray, length_m: float, rng: np.random.Generator) -> FloatA
     return part[::-1] if rng.random() < 0.5 else part
 
 
-def _evolve(world: World, plan: FleetPlan, rng: np.random.Generator) -> tuple[tuple[World, ...], tuple[Event, ...]]:
-    """The world month by month: of what changes a third goes, a third comes, and a third moves."""
-    versions, events = [world], list[Event]()
+def _changing_objects(world: World, plan: FleetPlan, rng: np.random.Generator) -> pd.DataFrame:
+    """All objects that ever stand in a world: of what changes in a month a third goes, a third comes, a third moves."""
+    objects = pd.DataFrame(world.positions, columns=XYZ, index=world.object_ids)
+    objects = objects.assign(label=world.labels, came=0, went=np.nan)
     for month in range(1, plan.months):
-        now = versions[-1]
-        count = round(plan.changed * len(now.object_ids) / 3.0)
-        chosen = rng.choice(len(now.object_ids), 2 * count, replace=False)
-        moves = chosen[count:]
-        like = rng.choice(len(now.object_ids), count)
-        place = now.tour[rng.integers(len(now.tour), size=count)] + rng.uniform(-STREET_M, STREET_M, (count, 2))
+        present = objects.index[objects["went"].isna()]
+        count = round(plan.changed * len(present) / 3.0)
+        leaving = rng.choice(present, 2 * count, replace=False)
+        new = objects.loc[rng.choice(present, count)]
+        beside = world.tour[rng.integers(len(world.tour), size=count)] + rng.uniform(-STREET_M, STREET_M, (count, 2))
+        new = new.assign(x=beside[:, 0], y=beside[:, 1])
+        moved = objects.loc[leaving[count:]]
         angle, far_m = rng.uniform(-np.pi, np.pi, count), rng.uniform(*MOVED_M, count)
-        moved = now.positions[moves, :2] + far_m[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-        gone = set(chosen.tolist())
-        kept = [row for row in range(len(now.object_ids)) if row not in gone]
-        labels = [now.labels[row] for row in (*like.tolist(), *moves.tolist())]
-        ids = [f"new-{month}-{number}" for number in range(len(labels))]
-        heights = now.positions[np.concatenate([like, moves]), 2]
-        positions = np.column_stack([np.vstack([place, moved]), heights])
-        events += [
-            Event("gone", month, now.object_ids[row], now.labels[row], now.positions[row]) for row in chosen.tolist()
-        ]
-        events += [Event("appeared", month, *each) for each in zip(ids, labels, positions, strict=True)]
-        versions.append(
-            replace(
-                now,
-                object_ids=(*(now.object_ids[row] for row in kept), *ids),
-                positions=np.vstack([now.positions[kept], positions]),
-                labels=(*(now.labels[row] for row in kept), *labels),
-            )
-        )
-    return tuple(versions), tuple(events)
+        moved = moved.assign(x=moved["x"] + far_m * np.cos(angle), y=moved["y"] + far_m * np.sin(angle))
+        coming = pd.concat([new, moved]).assign(came=month)
+        objects.loc[leaving, "went"] = month
+        objects = pd.concat([objects, coming.set_axis([f"new-{month}-{number}" for number in range(2 * count)])])
+    return objects
+
+
+def _in_month(world: World, objects: pd.DataFrame, month: int) -> World:
+    now = objects[(objects["came"] <= month) & ~(objects["went"] <= month)]
+    return replace(world, object_ids=tuple(now.index), positions=now[XYZ].to_numpy(), labels=tuple(now["label"]))

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from logs.messages import ObjectMapRecord
 from logs.reader import LogReader
+from logs.selection import Selection
+from logs.topics import RecordKind
 from tests.helpers.driven_maps import town
 from tools.lab.fleets.simulated_fleet import FleetPlan, SimulatedFleet, simulate_fleet
 
@@ -27,19 +29,23 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> SimulatedFleet:
 
 
 def test_a_tenth_of_the_objects_changes_each_month(fleet: SimulatedFleet) -> None:
-    for earlier, later in zip(fleet.worlds[0][:-1], fleet.worlds[0][1:], strict=True):
-        went = set(earlier.object_ids) - set(later.object_ids)
-        assert len(later.object_ids) == len(earlier.object_ids)
-        # A third of what changes goes, a third moves, which ends the old object, and a third comes.
-        assert len(went) == 2 * round(PLAN.changed * len(earlier.object_ids) / 3.0) > 0
-
-
-def test_events_are_what_makes_one_month_of_the_other(fleet: SimulatedFleet) -> None:
+    (objects,) = fleet.objects
     for month in range(1, PLAN.months):
-        earlier, later = (set(world.object_ids) for world in fleet.worlds[0][month - 1 : month + 1])
-        events = [event for event in fleet.events[0] if event.month == month]
-        assert {event.object_id for event in events if event.kind == "gone"} == earlier - later
-        assert {event.object_id for event in events if event.kind == "appeared"} == later - earlier
+        # A third of what changes goes, a third moves, which ends the old object, and a third comes.
+        count = 2 * round(PLAN.changed * (objects["came"] == 0).sum() / 3.0)
+        assert (objects["went"] == month).sum() == (objects["came"] == month).sum() == count > 0
+
+
+def test_drives_see_the_objects_of_their_month(fleet: SimulatedFleet) -> None:
+    (objects,) = fleet.objects
+    for log in fleet.logs:
+        drive = fleet.drives[log.sha256]
+        if drive.city == 0:
+            with LogReader(log.path) as reader:
+                (entry,) = reader.records(Selection({"/ground_truth/objects": (RecordKind.OBJECT_MAP,)}))
+            assert isinstance(entry.record, ObjectMapRecord)
+            is_there = (objects["came"] <= drive.month) & ~(objects["went"] <= drive.month)
+            assert set(entry.record.ids) == set(objects.index[is_there])
 
 
 def test_logs_begin_in_their_month_and_bad_ones_are_known(fleet: SimulatedFleet) -> None:
@@ -48,7 +54,7 @@ def test_logs_begin_in_their_month_and_bad_ones_are_known(fleet: SimulatedFleet)
     first, last = (log for log in (fleet.logs[0], fleet.logs[-1]))
     days = []
     for log in (first, last):
-        with LogReader(Path(log.path)) as reader:
+        with LogReader(log.path) as reader:
             stamps = [info.first_log_time_ns for info in reader.topics() if info.first_log_time_ns is not None]
         if stamps:
             days.append(min(stamps) // (86_400 * 10**9))

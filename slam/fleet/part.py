@@ -18,31 +18,39 @@ from logs.container.json_text import parse_json
 from logs.messages import ObjectMapRecord
 from logs.storage.placement import write_text
 from slam.backend.factors import EdgeKind
-from slam.common.arrays import FloatArray
-from slam.map_joining.condensed_map import condense_area
-from slam.map_joining.joins import Join
+from slam.common.arrays import FloatArray, IntArray
+from slam.fleet.condensed_map import condense_area
+from slam.fleet.joins import Join
 from slam.object_map.map_io import SavedMap, are_of_kind, load_map, write_map
 
-_LEDGER_NAME = "parts.json"
+LEDGER_NAME = "visits.json"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Visit:
+    """What a session did in a map: the ``steps`` (S, 2, 3) m between its places, and the ``landmarks`` (N,) that it
+    observed, by their rows.
+    """
+
+    steps: FloatArray
+    landmarks: IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """A condensed map of some sessions, which have numbers in the order of their dates.
+    """A condensed map of some sessions.
 
-    ``paths``: the steps (S, 2, 3) m between places of each session, in the map; ``seen``: the sessions that have a
-    landmark, by its id; ``rejected``: joins that contradict the others.
+    ``visits`` by the numbers of the sessions, in the order of their dates; ``rejected``: joins that contradict others.
     """
 
     saved: SavedMap
-    paths: Mapping[int, FloatArray]
-    seen: Mapping[str, tuple[int, ...]]
+    visits: Mapping[int, Visit]
     rejected: tuple[Join, ...] = ()
 
     @property
     def sessions(self) -> tuple[int, ...]:
         """Numbers of its sessions, ascending."""
-        return tuple(sorted(self.paths))
+        return tuple(sorted(self.visits))
 
     @property
     def objects(self) -> ObjectMapRecord:
@@ -56,8 +64,7 @@ def session_part(number: int, saved: SavedMap) -> Part:
     steps = graph.edge_keyframe_ids[are_of_kind(graph, EdgeKind.ODOMETRY)]
     if not len(steps):
         steps = np.zeros((1, 2), dtype=np.int64)
-    path = graph.T_map_body[steps, :3, 3]
-    return Part(saved, {number: path}, dict.fromkeys(saved.objects.ids, (number,)))
+    return Part(saved, {number: Visit(graph.T_map_body[steps, :3, 3], np.arange(len(saved.objects.ids)))})
 
 
 def fold_part(part: Part, *, stretch_m: float) -> Part:
@@ -66,48 +73,37 @@ def fold_part(part: Part, *, stretch_m: float) -> Part:
 
 
 def save_parts(folder: Path, parts: Sequence[Part]) -> None:
-    """Write parts into a folder; complete once :func:`are_saved`.
+    """Write parts into a folder.
 
     Raises:
         LogError, SavedMapError: one cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    for path, part in zip(_files(folder, len(parts)), parts, strict=True):
-        write_map(path, part.saved)
-    ledger = [
-        {"paths": {number: path.tolist() for number, path in part.paths.items()}, "seen": dict(part.seen)}
-        for part in parts
-    ]
-    write_text(folder / _LEDGER_NAME, json.dumps(ledger) + "\n")
+    ledger = []
+    for rank, part in enumerate(parts, start=1):
+        write_map(_file(folder, rank), part.saved)
+        ledger.append({number: (each.steps.tolist(), each.landmarks.tolist()) for number, each in part.visits.items()})
+    # Written last: with it the folder is complete.
+    write_text(folder / LEDGER_NAME, json.dumps(ledger) + "\n")
 
 
-def are_saved(folder: Path) -> bool:
-    """Whether a folder holds parts, all of them."""
-    return (folder / _LEDGER_NAME).exists()
-
-
-def load_parts(folder: Path) -> list[Part]:
-    """The parts in a folder.
+def load_parts(folder: Path) -> list[Part] | None:
+    """The parts in a folder; None if they are not all there.
 
     Raises:
         LogError, SavedMapError: one cannot be read.
     """
-    ledger = parse_json((folder / _LEDGER_NAME).read_text(encoding="utf-8"))
+    if not (folder / LEDGER_NAME).exists():
+        return None
+    ledger = parse_json((folder / LEDGER_NAME).read_text(encoding="utf-8"))
     return [
         Part(
-            load_map(path),
-            {int(number): np.array(steps) for number, steps in values["paths"].items()},
-            {name: tuple(numbers) for name, numbers in values["seen"].items()},
+            load_map(_file(folder, rank)),
+            {int(number): Visit(*map(np.array, visit)) for number, visit in visits.items()},
         )
-        for path, values in zip(_files(folder, len(ledger)), ledger, strict=True)
+        for rank, visits in enumerate(ledger, start=1)
     ]
 
 
-def saved_parts(folder: Path) -> list[Path]:
-    """The files of the parts in a folder, which are all saved."""
-    ledger = parse_json((folder / _LEDGER_NAME).read_text(encoding="utf-8"))
-    return _files(folder, len(ledger))
-
-
-def _files(folder: Path, count: int) -> list[Path]:
-    return [folder / f"part_{rank}.mcap" for rank in range(1, count + 1)]
+def _file(folder: Path, rank: int) -> Path:
+    return folder / f"part_{rank}.mcap"

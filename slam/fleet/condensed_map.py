@@ -7,10 +7,11 @@ and the steps of the odometry between two places one edge.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
+import pandas as pd
 
 from logs.messages import FactorGraphRecord
 from slam.backend.factors import Edge, EdgeKind, Observation
@@ -18,7 +19,7 @@ from slam.backend.graph_record import make_graph_record
 from slam.backend.observation_sums import sum_observations
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
-from slam.common.geometry import adjoint, apply, covariance_in_axes, invert
+from slam.common.geometry import adjoint, covariance_in_axes, invert
 from slam.object_map.map_io import SavedMap, are_of_kind
 from slam.object_map.submap import SUBMAP_RANGES, gravity_frame
 
@@ -28,13 +29,13 @@ MIN_DISTANCE_SHARE = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stretches:
-    """``of`` (K,): stretch of each keyframe, ascending; ``middles`` (S,): row of the keyframe in the middle of each;
-    ``steps``: edge from a row to the next one of its drive.
+    """``of`` (K,): stretch of each keyframe; ``middles`` (S,): row of the keyframe in the middle of each; ``steps``
+    (K,): edge of the odometry to each keyframe from the one before it, -1 where there is none.
     """
 
     of: IntArray
     middles: IntArray
-    steps: Mapping[int, int]
+    steps: IntArray
 
 
 def stretch_length_m(config: Config) -> float:
@@ -48,7 +49,19 @@ def condense_map(saved: SavedMap, *, stretch_m: float) -> SavedMap:
     The keyframes of the result are these places, upright, numbered from 0 along the drive; edges of kind odometry lead
     from each to the next one, those of kind closure are loop closures between stretches.
     """
-    return _condense(saved, _stretches(saved.graph, stretch_m), stretch_m)
+    graph = saved.graph
+    rows = _rows(graph.keyframe_ids, graph.edge_keyframe_ids.ravel()).reshape(-1, 2)
+    is_step = are_of_kind(graph, EdgeKind.ODOMETRY) & (rows[:, 1] == rows[:, 0] + 1)
+    steps = np.full(len(graph.keyframe_ids), -1, dtype=np.int64)
+    steps[rows[is_step, 1]] = np.flatnonzero(is_step)
+    travel_m = np.zeros(len(steps))
+    travel_m[steps >= 0] = np.linalg.norm(graph.edge_transforms[steps[steps >= 0], :3, 3], axis=1)
+    travel_m = np.cumsum(travel_m)
+    begins = np.flatnonzero(steps < 0)
+    drive = np.cumsum(steps < 0) - 1
+    travel_m -= travel_m[begins][drive]
+    stretch = np.unique(np.column_stack([drive, travel_m // stretch_m]), axis=0, return_inverse=True)[1].ravel()
+    return _condense(saved, _Stretches(stretch, _middles(stretch, travel_m[:, None]), steps), stretch_m)
 
 
 def condense_area(saved: SavedMap, *, stretch_m: float) -> SavedMap:
@@ -56,7 +69,26 @@ def condense_area(saved: SavedMap, *, stretch_m: float) -> SavedMap:
 
     However many drives there are, the graph is as large as their area; its edges are all of kind closure.
     """
-    return _condense(saved, _cells(saved.graph, stretch_m), stretch_m)
+    positions = saved.graph.T_map_body[:, :3, 3]
+    cell = np.unique(np.floor(positions / stretch_m), axis=0, return_inverse=True)[1].ravel()
+    no_steps = np.full(len(cell), -1, dtype=np.int64)
+    return _condense(saved, _Stretches(cell, _middles(cell, positions), no_steps), stretch_m)
+
+
+def _rows(values: object, wanted: object) -> IntArray:
+    """The rows of the ``wanted`` ones among values, all different."""
+    return np.asarray(pd.Index(values).get_indexer(pd.Index(wanted)), dtype=np.int64)
+
+
+def _middles(stretch: IntArray, coordinates: FloatArray) -> IntArray:
+    """Row of the keyframe (S,) in the middle of each stretch, by the coordinates (K, D) of the keyframes."""
+    middles = []
+    for number in range(int(stretch.max()) + 1):
+        rows = np.flatnonzero(stretch == number)
+        at = coordinates[rows]
+        offsets = at - 0.5 * (at.min(axis=0) + at.max(axis=0))
+        middles.append(rows[np.linalg.norm(offsets, axis=1).argmin()])
+    return np.array(middles, dtype=np.int64)
 
 
 def _condense(saved: SavedMap, stretches: _Stretches, stretch_m: float) -> SavedMap:
@@ -74,64 +106,25 @@ def _condense(saved: SavedMap, stretches: _Stretches, stretch_m: float) -> Saved
     return replace(saved, graph=condensed)
 
 
-def _stretches(graph: FactorGraphRecord, stretch_m: float) -> _Stretches:
-    count = len(graph.keyframe_ids)
-    row_of = {keyframe: row for row, keyframe in enumerate(graph.keyframe_ids.tolist())}
-    steps: dict[int, int] = {}
-    for edge in np.flatnonzero(are_of_kind(graph, EdgeKind.ODOMETRY)).tolist():
-        first, second = (row_of[keyframe] for keyframe in graph.edge_keyframe_ids[edge].tolist())
-        if second == first + 1:
-            steps[first] = edge
-    of, travel_m = np.zeros(count, dtype=np.int64), np.zeros(count)
-    for row in range(1, count):
-        if row - 1 not in steps:
-            of[row] = of[row - 1] + 1
-            continue
-        travel_m[row] = travel_m[row - 1] + np.linalg.norm(graph.edge_transforms[steps[row - 1], :3, 3])
-        is_next = travel_m[row] // stretch_m > travel_m[row - 1] // stretch_m
-        of[row] = of[row - 1] + is_next
-    firsts = np.flatnonzero(np.diff(of, prepend=-1))
-    lasts = np.append(firsts[1:], count) - 1
-    wanted_m = 0.5 * (travel_m[firsts] + travel_m[lasts])
-    middles = [
-        first + int(np.abs(travel_m[first : last + 1] - at_m).argmin())
-        for first, last, at_m in zip(firsts.tolist(), lasts.tolist(), wanted_m.tolist(), strict=True)
-    ]
-    return _Stretches(of, np.array(middles, dtype=np.int64), steps)
-
-
-def _cells(graph: FactorGraphRecord, side_m: float) -> _Stretches:
-    """The keyframes in a cell, of whichever drive, in place of those in a stretch; no steps relate their middles."""
-    positions = graph.T_map_body[:, :3, 3]
-    of = np.unique(np.floor(positions / side_m), axis=0, return_inverse=True)[1].ravel()
-    middles = []
-    for cell in range(int(of.max()) + 1):
-        rows = np.flatnonzero(of == cell)
-        offsets = positions[rows] - positions[rows].mean(axis=0)
-        middles.append(int(rows[np.linalg.norm(offsets, axis=1).argmin()]))
-    return _Stretches(of, np.array(middles, dtype=np.int64), {})
-
-
 def _edges(graph: FactorGraphRecord, stretches: _Stretches, T_map_place: FloatArray) -> list[Edge]:
     """Edges between places, numbered from 0: those of the odometry, and one for each two that other edges relate."""
     found: dict[tuple[int, int], tuple[FloatArray, EdgeKind]] = {}
-    for place, (first, last) in enumerate(zip(stretches.middles[:-1], stretches.middles[1:], strict=True)):
-        steps = [stretches.steps.get(row, -1) for row in range(first, last)]
-        if min(steps, default=-1) >= 0:
+    for place, (first, last) in enumerate(pairwise(stretches.middles.tolist())):
+        steps = stretches.steps[first + 1 : last + 1]
+        if len(steps) and steps.min() >= 0:
             found[place, place + 1] = _composed(graph, steps, last), EdgeKind.ODOMETRY
-    place_of = dict(zip(graph.keyframe_ids.tolist(), stretches.of.tolist(), strict=True))
     is_between = are_of_kind(graph, EdgeKind.ODOMETRY) | are_of_kind(graph, EdgeKind.LOOP_CLOSURE)
-    for edge in np.flatnonzero(is_between).tolist():
-        first, second = (place_of[keyframe] for keyframe in graph.edge_keyframe_ids[edge].tolist())
-        if first != second:
-            found.setdefault((first, second), (graph.edge_covariances[edge], EdgeKind.LOOP_CLOSURE))
+    ends = stretches.of[_rows(graph.keyframe_ids, graph.edge_keyframe_ids.ravel())].reshape(-1, 2)
+    for edge in np.flatnonzero(is_between & (ends[:, 0] != ends[:, 1])).tolist():
+        first, second = ends[edge].tolist()
+        found.setdefault((first, second), (graph.edge_covariances[edge], EdgeKind.LOOP_CLOSURE))
     return [
         Edge(first, second, invert(T_map_place[first]) @ T_map_place[second], covariance, kind)
         for (first, second), (covariance, kind) in found.items()
     ]
 
 
-def _composed(graph: FactorGraphRecord, steps: list[int], last: int) -> FloatArray:
+def _composed(graph: FactorGraphRecord, steps: IntArray, last: int) -> FloatArray:
     """Covariance (6, 6) of a chain of edges, in the upright frame of its last keyframe, row ``last``."""
     P = np.zeros((6, 6))
     for step in steps:
@@ -146,21 +139,16 @@ def _observations(
 ) -> list[Observation]:
     """One observation of each landmark from each place of which a keyframe saw it; landmarks by their rows."""
     graph, objects = saved.graph, saved.objects
-    row_of = {keyframe: row for row, keyframe in enumerate(graph.keyframe_ids.tolist())}
-    landmark_of = {name: row for row, name in enumerate(objects.ids)}
-    rows = np.array([row_of[keyframe] for keyframe in graph.observation_keyframe_ids.tolist()], dtype=np.int64)
-    landmarks = np.array([landmark_of[name] for name in graph.observation_landmark_ids], dtype=np.int64)
-    places = stretches.of[rows]
+    keyframes = _rows(graph.keyframe_ids, graph.observation_keyframe_ids)
+    landmarks = _rows(objects.ids, graph.observation_landmark_ids)
+    places = stretches.of[keyframes]
     T_place_map = invert(T_map_place[places])
-    R_place_body = T_place_map[:, :3, :3] @ graph.T_map_body[rows, :3, :3]
+    R_place_body = T_place_map[:, :3, :3] @ graph.T_map_body[keyframes, :3, :3]
     positions = np.einsum("nij,nj->ni", T_place_map[:, :3, :3], objects.positions[landmarks]) + T_place_map[:, :3, 3]
     is_far = np.linalg.norm(positions, axis=1) > MIN_DISTANCE_SHARE * stretch_m
+    covariances = R_place_body @ graph.observation_covariances @ np.swapaxes(R_place_body, 1, 2)
     summed = sum_observations(
-        places[is_far],
-        landmarks[is_far],
-        positions[is_far],
-        (R_place_body @ graph.observation_covariances @ np.swapaxes(R_place_body, 1, 2))[is_far],
-        np.ones(np.count_nonzero(is_far)),
+        places[is_far], landmarks[is_far], positions[is_far], covariances[is_far], np.ones(np.count_nonzero(is_far))
     )
     # Between two drives the kernel is as wide as that of one observation.
     return [
@@ -169,18 +157,11 @@ def _observations(
     ]
 
 
-def place_submap_rows(condensed: SavedMap, place: int) -> IntArray:
+def place_landmarks(condensed: SavedMap, place: int) -> IntArray:
     """Rows (N,) of the landmarks that were observed from a place and those before and after it on its drive."""
     graph = condensed.graph
     is_driven = are_of_kind(graph, EdgeKind.ODOMETRY)
     beside = graph.edge_keyframe_ids[is_driven & (graph.edge_keyframe_ids == place).any(axis=1)]
-    around = np.unique(np.append(beside, place))
-    row_of = {name: row for row, name in enumerate(condensed.objects.ids)}
-    names = np.array(graph.observation_landmark_ids, dtype=object)
-    seen = names[np.isin(graph.observation_keyframe_ids, around)]
-    return np.unique(np.array([row_of[name] for name in seen.tolist()], dtype=np.int64))
-
-
-def positions_from(condensed: SavedMap, place: int, rows: IntArray) -> FloatArray:
-    """Positions (N, 3) m of landmarks in the frame of a place."""
-    return apply(invert(condensed.graph.T_map_body[place]), condensed.objects.positions[rows])
+    is_seen = np.isin(graph.observation_keyframe_ids, np.append(beside, place))
+    seen = np.array(graph.observation_landmark_ids, dtype=object)[is_seen]
+    return np.unique(_rows(condensed.objects.ids, seen))

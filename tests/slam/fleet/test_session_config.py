@@ -6,7 +6,7 @@ import pytest
 
 from slam.common.config import Config
 from slam.common.errors import SavedMapError
-from slam.map_joining.session_config import common_config, session_config
+from slam.fleet.session_config import common_config, session_config
 
 
 def metadata(sigma_m: float) -> dict[str, str]:

@@ -1,0 +1,208 @@
+"""One map of several: a robust pose graph of their places, landmarks fused, and all of it optimised together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
+from scipy.spatial import cKDTree
+
+from logs.messages import ObjectMapRecord
+from slam.backend.factor_graph import FactorGraph
+from slam.backend.factors import Edge, EdgeKind
+from slam.backend.graph_record import edges_of, observations_of
+from slam.backend.pose_graph.pose_graph import PoseGraph
+from slam.backend.pose_graph.pose_graph_optimization import optimize_pose_graph
+from slam.backend.solver_options import FactorGraphConfig
+from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.common.config import Config
+from slam.common.geometry import invert
+from slam.common.union_find import find_components
+from slam.fleet.acceptance import MapPair
+from slam.fleet.joins import Join
+from slam.fleet.part import Part, Visit
+from slam.fleet.session_config import common_metadata
+from slam.loop_closure.landmark_fusion import fuse_duplicate_landmarks
+from slam.object_map.landmarks import ObjectMap
+from slam.object_map.map_io import SavedMap, confirmed, observing
+
+TIE_SIGMA_RAD, TIE_SIGMA_PITCHES = 10.0, 10.0
+"""Of the edges that place one map beside another before any join is weighed, in radians and extents of the maps."""
+FUSIONS = 3
+"""Rounds of fusing landmarks and optimising: better positions show more duplicates."""
+
+
+class _Group:
+    """Parts by their numbers. Their places are numbered in the order of the parts: ``numbers`` (K,), part of each."""
+
+    def __init__(self, parts: Mapping[int, Part]) -> None:
+        self.parts = parts
+        self.numbers = np.repeat(list(parts), [len(part.saved.graph.keyframe_ids) for part in parts.values()])
+
+    def rows(self, number: int) -> IntArray:
+        """Numbers (P,) of the places of a part."""
+        return np.flatnonzero(self.numbers == number)
+
+    def places(self, number: int) -> dict[int, int]:
+        """The number of each place of a part, by its id there."""
+        ids = self.parts[number].saved.graph.keyframe_ids
+        return dict(zip(ids.tolist(), self.rows(number).tolist(), strict=True))
+
+    def edges(self, joins: Iterable[Join]) -> list[Edge]:
+        """Edges within the parts, then those of joins between them."""
+        graphs = {number: part.saved.graph for number, part in self.parts.items()}
+        within = [edge for number, graph in graphs.items() for edge in edges_of(graph, self.places(number))]
+        return [*within, *map(self._edge, joins)]
+
+    def _edge(self, join: Join) -> Edge:
+        """From the nearest place of the reference map to the recognised place."""
+        T_reference = self.parts[join.reference_map].saved.graph.T_map_body
+        offsets = T_reference[:, :2, 3] - join.T_reference_place[:2, 3]
+        nearest = int(np.linalg.norm(offsets, axis=1).argmin())
+        T_from_to = invert(T_reference[nearest]) @ join.T_reference_place
+        ends = self.rows(join.reference_map)[nearest], self.rows(join.query_map)[join.place]
+        return Edge(int(ends[0]), int(ends[1]), T_from_to, join.covariance, EdgeKind.LOOP_CLOSURE)
+
+
+def join_parts(parts: Sequence[Part], pairs: Sequence[MapPair], config: Config) -> list[Part]:
+    """The parts that are left when those of accepted pairs are joined; that of most sessions first.
+
+    Args:
+        parts: numbered in their order.
+        pairs: decisions on pairs of them; those that were not accepted join nothing.
+        config: of the optimisation and the fusion.
+
+    Raises:
+        FactorGraphError: GTSAM cannot solve it.
+    """
+    accepted = [pair for pair in pairs if pair.accepted]
+    joins = [join for pair in accepted for join in pair.joins]
+    everything = _Group(dict(enumerate(parts)))
+    T_map_place, is_kept = _placed(everything, accepted, joins)
+    ends = np.array([(join.reference_map, join.query_map) for join in joins], dtype=np.int64).reshape(-1, 2)
+    component = find_components(len(parts), ends[is_kept])
+    joined = []
+    for each in np.unique(component).tolist():
+        members = np.flatnonzero(component == each).tolist()
+        kept, rejected = (
+            [joins[row] for row in np.flatnonzero(which & (component[ends[:, 1]] == each)).tolist()]
+            for which in (is_kept, ~is_kept)
+        )
+        part = parts[members[0]]
+        if len(members) > 1:
+            T = T_map_place[np.isin(everything.numbers, members)]
+            part = _solved(_Group({number: parts[number] for number in members}), kept, T, config)
+        joined.append(replace(part, rejected=tuple(rejected)))
+    return sorted(joined, key=lambda part: (-len(part.visits), part.sessions))
+
+
+def _placed(group: _Group, pairs: Sequence[MapPair], joins: Sequence[Join]) -> tuple[FloatArray, BoolArray]:
+    """Poses (K, 4, 4) of all places, those of maps that joins connect in one frame, and which joins (J,) agree."""
+    T_joint_map = _chained(len(group.parts), pairs)
+    poses = np.concatenate([T_joint_map[number] @ part.saved.graph.T_map_body for number, part in group.parts.items()])
+    if not joins:
+        return poses, np.zeros(0, dtype=np.bool_)
+    extent_m = float(np.ptp(poses[:, :2, 3], axis=0).max()) + 1.0
+    loose = np.diag(np.repeat([TIE_SIGMA_RAD, TIE_SIGMA_PITCHES * extent_m], 3) ** 2.0)
+    starts = np.flatnonzero(np.diff(group.numbers)) + 1
+    ties = [Edge(0, end, invert(poses[0]) @ poses[end], loose, EdgeKind.LOOP_CLOSURE) for end in starts.tolist()]
+    edges = [*ties, *group.edges(joins)]
+    pose_graph = PoseGraph(
+        T_world_vertex=poses,
+        edges=np.array([(edge.from_keyframe, edge.to_keyframe) for edge in edges], dtype=np.int64),
+        T_from_to=np.array([edge.T_from_to for edge in edges]),
+        covariances=np.array([edge.covariance for edge in edges]),
+    )
+    solved = optimize_pose_graph(pose_graph, np.arange(len(edges)) >= len(edges) - len(joins))
+    return solved.graph.T_world_vertex, solved.solution.kept
+
+
+def _chained(count: int, pairs: Sequence[MapPair]) -> FloatArray:
+    """``T_joint_map`` (M, 4, 4) of maps along the pairs with the highest log odds that relate them."""
+    costs = np.zeros((count, count))
+    costs[0, 1:] = 1.0  # so that maps that no pair relates are in the tree, where they are
+    T_between: dict[tuple[int, int], FloatArray] = {}
+    for pair in pairs:
+        costs[pair.first, pair.second] = -pair.log_odds
+        T_between[pair.first, pair.second] = pair.T_first_second
+        T_between[pair.second, pair.first] = invert(pair.T_first_second)
+    order, previous = breadth_first_order(minimum_spanning_tree(costs), 0, directed=False)
+    T_joint_map = np.tile(np.eye(4), (count, 1, 1))
+    for row in order[1:].tolist():
+        T_joint_map[row] = T_joint_map[previous[row]] @ T_between.get((previous[row], row), np.eye(4))
+    return T_joint_map
+
+
+def _solved(group: _Group, joins: Sequence[Join], T_map_place: FloatArray, config: Config) -> Part:
+    """All places and landmarks of parts whose places are at ``T_map_place`` already, estimated together."""
+    object_map = ObjectMap(config.calibration.objects)
+    graph = FactorGraph(FactorGraphConfig(), sensor_range_m=config.sensor_range_m)
+    rows_of, observations = dict[int, IntArray](), []
+    for number, part in group.parts.items():
+        rows_of[number] = object_map.restore(_carried(part.saved, T_map_place[group.rows(number)]), travel_m=0.0)
+        landmark_of = dict(zip(part.objects.ids, rows_of[number].tolist(), strict=True))
+        observations += observations_of(part.saved.graph, group.places(number), landmark_of)
+    graph.restore(T_map_place, group.edges(joins), observations)
+    _merge_matched(object_map, joins, rows_of)
+    graph.alias_landmarks(object_map.aliases)
+    _optimize(graph, object_map, group, radius_m=2.0 * config.calibration.objects.landmark_sigma_m)
+    stamps_ns = np.concatenate([part.saved.graph.keyframe_stamps_ns for part in group.parts.values()])
+    objects = confirmed(object_map.to_record(int(stamps_ns.max())))
+    record = observing(graph.to_record(objects.stamp_ns, stamps_ns), objects, np.ones(len(stamps_ns), dtype=np.bool_))
+    joint = SavedMap(objects, record, common_metadata(part.saved.metadata for part in group.parts.values()))
+    row_of = {int(name): row for row, name in enumerate(objects.ids)}
+    visits = {}
+    for number, part in group.parts.items():
+        for session, visit in part.visits.items():
+            points, _ = _moved(part.saved, record.T_map_body[group.rows(number)], visit.steps.reshape(-1, 3))
+            rows = [row_of[object_map.canonical_id(row)] for row in rows_of[number][visit.landmarks].tolist()]
+            visits[session] = Visit(points.reshape(visit.steps.shape), np.unique(np.array(rows, dtype=np.int64)))
+    return Part(joint, visits)
+
+
+def _carried(saved: SavedMap, T_joint_place: FloatArray) -> ObjectMapRecord:
+    """The landmarks of a map as they move along with its places, which are at (K, 4, 4) now."""
+    positions, R = _moved(saved, T_joint_place, saved.objects.positions)
+    return replace(saved.objects, positions=positions, covariances=R @ saved.objects.covariances @ np.swapaxes(R, 1, 2))
+
+
+def _moved(saved: SavedMap, T_joint_place: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points (N, 3) m of a map as they move along with its nearest places, which are at (K, 4, 4) now.
+
+    Returns:
+        The points in the joint map, and the rotations (N, 3, 3) that they took part in.
+    """
+    nearest = cKDTree(saved.graph.T_map_body[:, :3, 3]).query(points)[1]
+    T = (T_joint_place @ invert(saved.graph.T_map_body))[nearest]
+    return np.einsum("nij,nj->ni", T[:, :3, :3], points) + T[:, :3, 3], T[:, :3, :3]
+
+
+def _merge_matched(object_map: ObjectMap, joins: Sequence[Join], rows_of: Mapping[int, IntArray]) -> None:
+    """Merge the landmarks that joins matched, the surest first; two landmarks of one map are two objects."""
+    maps_of = {row: {number} for number, rows in rows_of.items() for row in rows.tolist()}
+    for join in sorted(joins, key=lambda join: -join.llr):
+        queries, references = join.pairs.T
+        for ends in zip(rows_of[join.query_map][queries], rows_of[join.reference_map][references], strict=True):
+            kept, dropped = sorted(object_map.canonical_id(int(end)) for end in ends)
+            if maps_of[kept].isdisjoint(maps_of[dropped]):
+                object_map.merge(kept, dropped)
+                maps_of[kept] |= maps_of[dropped]
+
+
+def _optimize(graph: FactorGraph, object_map: ObjectMap, group: _Group, *, radius_m: float) -> None:
+    """Optimise a graph and fuse its duplicate landmarks, until there are none; the object map takes the estimates."""
+    places = range(len(group.numbers))
+    for _ in range(FUSIONS):
+        graph.optimize()
+        if not fuse_duplicate_landmarks(object_map, graph, places, radius_m=radius_m, drives=group.numbers):
+            break
+    else:
+        graph.optimize()
+    landmarks = graph.landmarks
+    object_map.assign(
+        landmarks,
+        position_map=graph.landmark_positions(landmarks),
+        covariance_map=graph.landmark_covariances(landmarks),
+    )

@@ -1,1 +1,0 @@
-"""Maps of several drives found in one another, and joined to one."""

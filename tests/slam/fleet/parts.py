@@ -1,0 +1,53 @@
+"""Parts of a fleet without files: made of maps of drives, joined, or with landmarks that a test places."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from logs.messages import ObjectMapRecord
+from slam.common.arrays import BoolArray, FloatArray
+from slam.common.config import Config
+from slam.fleet.acceptance import MapPair, judge_pairs
+from slam.fleet.condensed_map import condense_map
+from slam.fleet.joins import Join, PlaceIndex
+from slam.fleet.joint_map import join_parts
+from slam.fleet.part import Part, Visit, session_part
+from slam.object_map.map_io import SavedMap
+from tests.helpers.driven_maps import driven_map, town
+
+CONFIG = Config()
+STRETCH_M = 25.0
+
+
+def session_parts(maps: Iterable[SavedMap]) -> list[Part]:
+    return [session_part(*each) for each in enumerate(condense_map(saved, stretch_m=STRETCH_M) for saved in maps)]
+
+
+def find_joins(maps: Sequence[SavedMap]) -> list[Join]:
+    sigma_m = CONFIG.calibration.objects.landmark_sigma_m
+    counts = range(1, len(maps))
+    return [join for count in counts for join in PlaceIndex(maps[:count], sigma_m=sigma_m).find_joins(maps[count])]
+
+
+def find_pairs(parts: Sequence[Part]) -> list[MapPair]:
+    maps = [part.saved for part in parts]
+    return judge_pairs(maps, find_joins(maps), CONFIG)
+
+
+def joined(parts: Sequence[Part]) -> list[Part]:
+    return join_parts(parts, find_pairs(parts), CONFIG)
+
+
+def street_part(positions: FloatArray, labels: Sequence[str], seen: BoolArray) -> Part:
+    """Landmarks at (L, 3) m, as ``seen`` (L, M) by sessions that drove 95 m along x from 0, with places every 25 m."""
+    saved = driven_map(town(), 0.0, 10.0)
+    vocabulary, classes = np.unique(labels, return_inverse=True)
+    ids = [str(row) for row in range(len(positions))]
+    objects = ObjectMapRecord.of_objects(ids, positions, classes, tuple(vocabulary.tolist()))
+    steps = np.zeros((4, 2, 3))
+    steps[:, :, 0] = [[0.0, 25.0], [25.0, 50.0], [50.0, 75.0], [75.0, 95.0]]
+    visits = {number: Visit(steps, np.flatnonzero(column)) for number, column in enumerate(seen.T)}
+    return Part(replace(saved, objects=objects), visits)

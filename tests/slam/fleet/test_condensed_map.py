@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slam.common.geometry import apply, invert
+from slam.fleet.condensed_map import condense_area, condense_map, place_landmarks
+from slam.object_map.map_io import SavedMap
+from slam.object_map.map_validation import find_fault
+from tests.helpers.driven_maps import driven_map, town
+
+STRETCH_M = 25.0
+
+
+@pytest.fixture(scope="module")
+def whole() -> SavedMap:
+    return driven_map(town(), 0.0, 100.0)
+
+
+@pytest.fixture(scope="module")
+def condensed(whole: SavedMap) -> SavedMap:
+    return condense_map(whole, stretch_m=STRETCH_M)
+
+
+def test_a_condensed_map_keeps_its_landmarks_and_shape(whole: SavedMap, condensed: SavedMap) -> None:
+    graph, objects = condensed.graph, condensed.objects
+    assert objects.ids == whole.objects.ids
+    assert len(graph.keyframe_ids) == 4
+    assert find_fault(objects, graph) == ""
+    rows = [objects.ids.index(name) for name in graph.observation_landmark_ids]
+    T_map_place = graph.T_map_body[graph.observation_keyframe_ids]
+    seen_at = [apply(T, each[None])[0] for T, each in zip(T_map_place, graph.observation_positions, strict=True)]
+    np.testing.assert_allclose(seen_at, objects.positions[rows], atol=1e-9)
+
+
+def test_a_second_drive_along_a_street_adds_no_places_but_its_observations(whole: SavedMap) -> None:
+    graph, count = whole.graph, len(whole.graph.keyframe_ids)
+    twice = {
+        name: np.concatenate([getattr(graph, name)] * 2)
+        for name in ("keyframe_stamps_ns", "T_map_body", "observation_positions", "observation_covariances")
+    }
+    again = replace(
+        graph,
+        **twice,
+        keyframe_ids=np.arange(2 * count),
+        edge_keyframe_ids=np.array([[0, count]]),
+        edge_transforms=np.eye(4)[None],
+        edge_covariances=np.eye(6)[None],
+        edge_kinds=("closure",),
+        observation_keyframe_ids=np.append(graph.observation_keyframe_ids, graph.observation_keyframe_ids + count),
+        observation_landmark_ids=graph.observation_landmark_ids * 2,
+    )
+    single, double = (condense_area(replace(whole, graph=each), stretch_m=STRETCH_M) for each in (graph, again))
+    assert double.objects.ids == single.objects.ids
+    np.testing.assert_array_equal(double.graph.T_map_body, single.graph.T_map_body)
+    np.testing.assert_allclose(double.graph.observation_covariances, 0.5 * single.graph.observation_covariances)
+
+
+def test_a_folded_map_has_edges_between_its_cells(whole: SavedMap) -> None:
+    folded = condense_area(whole, stretch_m=STRETCH_M)
+    assert find_fault(folded.objects, folded.graph) == ""
+    assert set(folded.graph.edge_kinds) == {"closure"}
+
+
+def test_observations_of_a_stretch_add_up(whole: SavedMap) -> None:
+    graph = condense_map(whole, stretch_m=200.0).graph
+    counts = [whole.graph.observation_landmark_ids.count(name) for name in graph.observation_landmark_ids]
+    expected = 0.1**2 / np.array(counts)[:, None, None] * np.eye(3)
+    np.testing.assert_allclose(graph.observation_covariances, expected, atol=1e-12)
+
+
+def test_edges_between_places_are_as_uncertain_as_the_steps_between_them(condensed: SavedMap) -> None:
+    graph = condensed.graph
+    np.testing.assert_allclose(graph.edge_covariances[:, 2, 2], 1e-5 * STRETCH_M / 2.0, rtol=0.2)
+    # The heading moves what lies ahead sideways: more than the steps alone.
+    assert (graph.edge_covariances[:, 4, 4] > 1.05 * 1e-3 * 12).any()
+    first, second = graph.T_map_body[graph.edge_keyframe_ids.T]
+    np.testing.assert_allclose(graph.edge_transforms, invert(first) @ second, atol=1e-9)
+
+
+def test_a_break_of_the_odometry_ends_a_stretch(whole: SavedMap) -> None:
+    kinds = list(whole.graph.edge_kinds)
+    kinds[20] = "closure"  # what ties the two parts together is no odometry
+    broken = replace(whole, graph=replace(whole.graph, edge_kinds=tuple(kinds)))
+    condensed = condense_map(broken, stretch_m=200.0)
+    assert len(condensed.graph.keyframe_ids) == 2
+    assert condensed.graph.edge_kinds == ("closure",)
+
+
+def test_place_landmarks_are_those_of_the_places_beside_it_too(condensed: SavedMap) -> None:
+    graph = condensed.graph
+    names = np.array(graph.observation_landmark_ids)[np.isin(graph.observation_keyframe_ids, (0, 1, 2))]
+    assert {condensed.objects.ids[row] for row in place_landmarks(condensed, 1)} == set(names.tolist())
+    assert len(place_landmarks(condensed, 1)) < len(condensed.objects.ids)

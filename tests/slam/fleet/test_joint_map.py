@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from slam.common.geometry import apply, invert
+from slam.fleet.acceptance import MapPair
+from slam.fleet.joint_map import join_parts
+from slam.fleet.part import Part
+from tests.helpers.driven_maps import drive_poses, driven_map, town
+from tests.slam.fleet.parts import CONFIG, find_pairs, session_parts
+
+pytestmark = pytest.mark.slow
+
+DRIVES = ((0.0, 250.0), (350.0, 100.0), (300.0, 500.0))
+
+
+@pytest.fixture(scope="module")
+def parts() -> list[Part]:
+    maps = [driven_map(town(), *drive, seed=seed) for seed, drive in enumerate(DRIVES)]
+    return session_parts([*maps, driven_map(town(7), 0.0, 200.0, seed=9)])  # the last one of another town
+
+
+@pytest.fixture(scope="module")
+def pairs(parts: list[Part]) -> list[MapPair]:
+    return find_pairs(parts)
+
+
+@pytest.fixture(scope="module")
+def joint(parts: list[Part], pairs: list[MapPair]) -> list[Part]:
+    return join_parts(parts, pairs, CONFIG)
+
+
+def test_places_are_found_where_they_are(pairs: list[MapPair]) -> None:
+    accepted = [pair for pair in pairs if pair.accepted]
+    assert {(pair.first, pair.second) for pair in accepted} == {(0, 1), (1, 2)}
+    first = [drive_poses(town(), *drive)[0] for drive in DRIVES]
+    for pair in accepted:
+        for join in pair.joins:
+            expected = invert(first[join.reference_map]) @ first[join.query_map] @ join.T_query_place
+            assert np.linalg.norm(join.T_reference_place[:2, 3] - expected[:2, 3]) < 0.5
+
+
+def test_maps_of_one_town_become_one_and_the_other_town_stays_alone(joint: list[Part]) -> None:
+    assert [part.sessions for part in joint] == [(0, 1, 2), (3,)]
+
+
+def test_landmarks_are_fused_and_nearer_to_the_truth(joint: list[Part], parts: list[Part]) -> None:
+    world, part = town(), joint[0]
+    names = [set(each.objects.ids) for each in parts[:3]]
+    distinct = sorted(set().union(*names))
+    assert 0.99 * len(distinct) <= len(part.objects.ids) <= 1.01 * len(distinct)
+    T_first_world = invert(drive_poses(world, *DRIVES[0])[0])
+    true_of = dict(zip(world.object_ids, apply(T_first_world, world.positions), strict=True))
+    errors, nearest = cKDTree([true_of[name][:2] for name in distinct]).query(part.objects.positions[:, :2])
+    assert np.median(errors) < 0.3
+    is_seen = [np.isin(np.arange(len(nearest)), part.visits[number].landmarks) for number in range(3)]
+    is_true = [[distinct[row] in each for row in nearest.tolist()] for each in names]
+    assert np.equal(is_seen, is_true).all(axis=0).mean() > 0.98
+
+
+def test_a_false_pair_is_rejected_by_the_others(parts: list[Part], pairs: list[MapPair]) -> None:
+    """Maps 0 and 2 joined far from where the chain over 1 puts them."""
+    template = next(pair for pair in pairs if (pair.first, pair.second) == (0, 1)).joins[0]
+    T = np.eye(4)
+    T[:2, 3] = [400.0, 300.0]
+    false = replace(template, reference_map=0, query_map=2, T_reference_place=T, llr=30.0)
+    parts = join_parts(parts, [*pairs, MapPair(0, 2, (false,), 25.0, True, "")], CONFIG)
+    assert parts[0].sessions == (0, 1, 2)
+    assert parts[0].rejected == (false,)
+
+
+def test_a_map_that_joins_no_other_stays_as_it_is(parts: list[Part], joint: list[Part]) -> None:
+    assert joint[1].saved is parts[3].saved

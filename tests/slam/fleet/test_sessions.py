@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from slam.common.config import Config
+from slam.common.errors import FleetError, SavedMapError
+from slam.fleet.logs import FleetLog
+from slam.fleet.sessions import Session, map_session, map_sessions, session_folder
+
+LOG = FleetLog("a", Path("a.mcap"), "0")
+
+
+def test_why_a_log_has_no_map_is_told_by_the_same_bytes_each_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(log: Path, output: Path, config: Config, *, map_path: Path) -> None:
+        raise SavedMapError(f"{map_path} was not written")
+
+    monkeypatch.setattr("slam.fleet.sessions.replay", refuse)
+    left_behind = session_folder(tmp_path / "a", LOG.sha256, Config()) / "mapping" / "map.mcap.part"
+    left_behind.parent.mkdir(parents=True)
+    left_behind.touch()
+    sessions = [map_session(LOG, tmp_path / name, Config()) for name in ("a", "b")]
+    assert sessions[0].reason == "map.mcap was not written"
+    assert sessions[0] == sessions[1]
+    assert not left_behind.exists()
+
+
+def test_map_sessions_refuses_log_that_is_gone_before_it_was_mapped(tmp_path: Path) -> None:
+    with pytest.raises(FleetError, match="remove it with --only"):
+        map_sessions([LOG], tmp_path, Config(), workers=1, progress=lambda done, doing: None)
+
+
+def die_once(log: FleetLog, folder: Path, config: Config) -> Session:
+    """The first process at a log is killed."""
+    begun = session_folder(folder, log.sha256, config)
+    if begun.exists():
+        return Session(log.sha256, "")
+    begun.mkdir(parents=True)
+    return die_always(log, folder, config)
+
+
+def die_always(log: FleetLog, folder: Path, config: Config) -> Session:
+    os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(60.0)
+    raise AssertionError("it was killed")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("compute", "reason"), [(die_once, ""), (die_always, "died each time")])
+def test_log_is_mapped_again_after_its_process_died(
+    compute: object, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slam.fleet.sessions.map_session", compute)
+    (tmp_path / "a.mcap").write_bytes(b"a")
+    logs = [FleetLog(name, tmp_path / "a.mcap", name) for name in ("a", "b")]
+    sessions = map_sessions(logs, tmp_path, Config(), workers=2, progress=lambda done, doing: None)
+    assert set(sessions) == {"a", "b"}
+    assert all(reason in session.reason and session.is_mapped == (not reason) for session in sessions.values())
