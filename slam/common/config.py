@@ -81,7 +81,6 @@ class LoopClosureConfig(Branch):
 class RegistrationSettings(Branch):
     """Registration of one constellation of objects with another."""
 
-    six_dof: bool = Field(default=False, description="also estimate roll and pitch, instead of assuming level frames")
     estimate_scale: bool = Field(
         default=False, description="also estimate a scale of the query, for ranges that are too long or too short"
     )

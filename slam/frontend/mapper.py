@@ -98,9 +98,10 @@ class Mapper:
 
     def add_odometry(self, pose: OdometryPose) -> Keyframe | None:
         """Follow the track to its newest pose; returns the keyframe if one was made there."""
-        if self.keyframes and not is_keyframe_due(
-            self.keyframes[-1].odometry,
-            pose,
+        if pose.segment == self.segment and not is_keyframe_due(
+            self.keyframes[-1],
+            pose.stamp_ns,
+            self._active.T_local_odom @ pose.T_odom_body,
             self._config.keyframe_distance_m,
             sensor_range_m=self._config.sensor_range_m,
         ):

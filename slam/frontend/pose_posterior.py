@@ -28,7 +28,16 @@ from scipy.special import chdtri, logsumexp
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import ObjectCalibration
-from slam.common.geometry import apply, make_transform, rotation_of, skew, transform_from_xyz_yaw
+from slam.common.geometry import (
+    apply,
+    invert,
+    make_transform,
+    rotation_angle_rad,
+    rotation_of,
+    skew,
+    transform_from_xyz_yaw,
+)
+from slam.common.somewhere_new import log_somewhere_new
 from slam.frontend.data_association import (
     EXCLUDED_RATIO,
     GATE_PROBABILITY,
@@ -52,6 +61,8 @@ REFINED_SEEDS = 6
 """Proposed modes that are refined, those with the highest scores."""
 NEGLIGIBLE_NATS = 20.0
 """Proposed modes whose scores are that far below the best one are not refined."""
+SAME_POSE_GATE = 16.8
+"""Chi-squared with 6 degrees of freedom at 99 %."""
 REFINEMENTS = 3
 """Assignments and Gauss-Newton steps in turn."""
 
@@ -86,7 +97,8 @@ class PriorComponent:
 class Mode:
     """A pose: the motion (4, 4) to it from the predicted one, local frame, and the covariance (6, 6) of its error.
 
-    ``component``: of the prior; ``log_weight``: of the posterior, up to a constant; ``assignment``: of the detections.
+    ``component``: of the prior; ``log_weight``: of the posterior, up to a constant; ``assignment``: of the detections;
+    ``log_likelihood_ratio``: of its pairs, against objects of no landmark.
     """
 
     T_motion: FloatArray
@@ -94,6 +106,7 @@ class Mode:
     component: PriorComponent
     log_weight: float
     assignment: Assignment
+    log_likelihood_ratio: float = 0.0
 
 
 class ModeSearch:
@@ -121,19 +134,23 @@ class ModeSearch:
     def modes(self, components: Sequence[PriorComponent]) -> list[Mode]:
         """All modes, the likeliest first; of several with the same assignment the best is kept.
 
-        One of them is a place where nothing is known, by any component.
+        One of them is a place where nothing is known, by any component; where a wide one finds places that look alike,
+        that may look like them (:func:`slam.common.somewhere_new.log_somewhere_new`).
         """
         best = dict[bytes, Mode]()
         count = len(self._seen.positions)
         none = Assignment(np.full(count, NEW, dtype=np.int64), np.zeros(count))
-        log_weight = float(np.log(sum(component.weight for component in components)))
-        nowhere = Mode(components[0].T_motion, self._common, components[0], log_weight, none)
-        best[none.landmark_rows.tobytes()] = nowhere
+        log_weight = -np.inf
         for component in components:
-            for mode in self._modes_of(component):
+            found = self._modes_of(component)
+            elsewhere = _log_elsewhere(found) if component.is_anywhere else 0.0
+            log_weight = float(np.logaddexp(log_weight, np.log(component.weight) + elsewhere))
+            for mode in found:
                 key = mode.assignment.landmark_rows.tobytes()
                 if key not in best or best[key].log_weight < mode.log_weight:
                     best[key] = mode
+        nowhere = Mode(components[0].T_motion, self._common, components[0], log_weight, none)
+        best[none.landmark_rows.tobytes()] = nowhere
         return sorted(best.values(), key=lambda mode: -mode.log_weight)
 
     def _modes_of(self, component: PriorComponent) -> list[Mode]:
@@ -261,13 +278,33 @@ class ModeSearch:
         llr = float(self._pair_llrs(r - A[k] @ xi, S, seen.labels[k], j).sum())
         occam = 0.5 * float(np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(prior)[1])
         log_weight = float(np.log(component.weight)) + llr - 0.5 * float(_mahalanobis(xi[None], prior)[0]) + occam
-        return Mode(_motion_of(xi, origin) @ T_motion, covariance, component, log_weight, found)
+        return Mode(_motion_of(xi, origin) @ T_motion, covariance, component, log_weight, found, llr)
 
 
 def probabilities(modes: Sequence[Mode]) -> FloatArray:
     """Posterior probabilities of modes."""
     log_weights = np.array([mode.log_weight for mode in modes])
     return np.asarray(np.exp(log_weights - logsumexp(log_weights)))
+
+
+def _log_elsewhere(modes: Sequence[Mode]) -> float:
+    """Log-likelihood ratio to clutter of a place outside the area of the landmarks around, against the likeliest of
+    ``modes`` in it.
+    """
+    best = max(modes, key=lambda mode: mode.log_weight, default=None)
+    others = [mode for mode in modes if best is not None and not is_same_pose(best, mode)]
+    ratios = np.array([mode.log_likelihood_ratio for mode in others])
+    log_odds = np.array([mode.log_weight - np.log(mode.component.weight) for mode in others])
+    return log_somewhere_new(ratios, log_odds - ratios)
+
+
+def is_same_pose(a: Mode, b: Mode) -> bool:
+    """Whether two modes do not differ by more than their noise."""
+    T = a.T_motion @ invert(b.T_motion)
+    turn, shift = float(rotation_angle_rad(T)), T[:3, 3]
+    covariance = a.covariance + b.covariance
+    turned, shifted = np.trace(covariance[:3, :3]) / 3.0, np.trace(covariance[3:, 3:]) / 3.0
+    return bool(shift @ shift / shifted + turn**2 / turned < SAME_POSE_GATE)
 
 
 def common_error(offsets: FloatArray, joint: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slam.common.arrays import BoolArray, FloatArray, IntArray
+from slam.common.arrays import FloatArray, IntArray
 from slam.common.calibration import DetectionCalibration, ObjectCalibration
 from slam.common.geometry import apply, blend, invert, relative, rigid, rotation_angle_rad
 from slam.frontend.active_landmarks import ActiveLandmarks
 from slam.frontend.data_association import AMBIGUOUS, NEW, Assignment, Objects, associate
 from slam.frontend.input.scan import Scan
-from slam.frontend.pose_posterior import Mode, ModeSearch, PriorComponent, probabilities
+from slam.frontend.pose_posterior import Mode, ModeSearch, PriorComponent, is_same_pose, probabilities
 from slam.object_map.landmarks import ObjectMap
 from slam.odometry.pose import OdometryPose
 from slam.odometry.track import Correction
@@ -30,8 +30,6 @@ PRIOR_SCANS = 100
 """Before any is seen, one step of the odometry in so many is taken to err by as much as the body moves."""
 JUMP_PROBABILITY = 1e-4
 """... and one in so many to err by any distance."""
-SAME_POSE_GATE = 16.8
-"""Chi-squared with 6 degrees of freedom at 99 %."""
 WAITED_SCANS = 2
 """While so many scans in a row do not fit, nothing new is mapped: the pose may be wrong. By then it has been searched
 for everywhere around.
@@ -254,7 +252,8 @@ class Tracker:
     def _sure_mode(self, tracked: Tracked, modes: list[Mode]) -> Mode | None:
         """The likeliest mode, if its pose is sure and most detections or landmarks in view are matched at it."""
         best = modes[0]
-        if not best.assignment.matched.any() or probabilities(modes)[_same_pose(modes)].sum() < DECIDED:
+        same = np.array([bool(mode.assignment.matched.any()) and is_same_pose(mode, best) for mode in modes])
+        if not best.assignment.matched.any() or probabilities(modes)[same].sum() < DECIDED:
             return None
         if np.linalg.eigvalsh(best.covariance[:3, :3])[-1] > MAX_TURN_RAD**2:
             return None
@@ -285,18 +284,3 @@ class Tracker:
             motion = np.array([float(rotation_angle_rad(step)), float(np.linalg.norm(step[:3, 3]))])
             self._speeds.append(motion / seconds)
         self._stamp_ns, self._T_local_body, self._T_odom_body = stamp_ns, T, self._active.T_odom_body
-
-
-def _same_pose(modes: list[Mode]) -> BoolArray:
-    """Which modes have landmarks and do not differ from the first one by more than their noise."""
-    first = modes[0]
-    same = []
-    for mode in modes:
-        T = mode.T_motion @ invert(first.T_motion)
-        turn = float(rotation_angle_rad(T))
-        moved = T[:3, 3]
-        variance = np.trace(first.covariance[3:, 3:] + mode.covariance[3:, 3:]) / 3.0
-        turned = np.trace(first.covariance[:3, :3] + mode.covariance[:3, :3]) / 3.0
-        is_near = moved @ moved / variance + turn**2 / turned < SAME_POSE_GATE
-        same.append(bool(is_near and mode.assignment.matched.any()))
-    return np.array(same)

@@ -8,9 +8,10 @@ against "somewhere new" are
     log o_k = log pi_k + sum_i LLR_ki + min(0, sum_j LLR_kj),        p_k = o_k / (n_k + sum_k o_k),
 
 where n_k is the likelihood ratio of "somewhere new" to clutter, above 1 where places look alike
-(:func:`_log_somewhere_new`), i are the landmarks of the submap, which all count at one pose, and j those that the robot
-has left behind, as they were last measured at that hypothesis. They can only speak against it: each keyframe is
-registered anew, so what fitted somewhat different poses before is no evidence for the pose of today.
+(:func:`slam.common.somewhere_new.log_somewhere_new`), i are the landmarks of the submap, which all count at one pose,
+and j those that the robot has left behind, as they were last measured at that hypothesis. They can only speak against
+it: each keyframe is registered anew, so what fitted somewhat different poses before is no evidence for the pose of
+today.
 
 All decisions are reads of the posterior; this class changes nothing but itself.
 """
@@ -26,20 +27,23 @@ from scipy.special import expit
 from slam.common.arrays import BoolArray, FloatArray, IntArray
 from slam.common.config import LocalizationConfig
 from slam.common.geometry import invert
+from slam.common.somewhere_new import log_somewhere_new
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseEvidence:
     """What one keyframe says of one pose: ``T_local_query`` (4, 4) of its gravity frame in the frame of a ``segment``.
 
-    ``log_prior``: log pi_k; ``log_uniform``: the same where the robot can be anywhere; ``rows`` (N,): landmarks of the
-    query; ``log_likelihood_ratios`` (N,): LLR_ki of each.
+    ``log_prior``: log pi_k; ``log_uniform``: the same where the robot can be anywhere; ``log_aligned``: the same where
+    it is anywhere within one place; ``rows`` (N,): landmarks of the query; ``log_likelihood_ratios`` (N,): LLR_ki of
+    each.
     """
 
     T_local_query: FloatArray
     segment: int
     log_prior: float
     log_uniform: float
+    log_aligned: float
     rows: IntArray
     log_likelihood_ratios: FloatArray
 
@@ -56,6 +60,7 @@ class Hypothesis:
     segment: int
     log_prior: float
     log_uniform: float
+    log_aligned: float
     evidence: Mapping[int, float]
     left_behind: Mapping[int, float]
     measured_m: float
@@ -170,16 +175,11 @@ class Localizer:
 def _log_somewhere_new(poses: Sequence[Hypothesis], same: BoolArray) -> FloatArray:
     """Log-likelihood ratio (K,) of "somewhere new" to clutter, against each of the poses (K,).
 
-    A new place looks like clutter, or like another place where the landmarks fit. The latter counts by the probability
-    that it is no chance: by chance a pose somewhere in the area reaches an LLR with a probability below
-    exp(-LLR - ``log_uniform``), as exp(LLR) is 1 in the mean over clutter (Markov's inequality). ``same`` (K, K): poses
-    that can be true together.
+    ``same`` (K, K): poses that can be true together.
     """
     ratios = np.array([each.log_likelihood_ratio for each in poses])
-    by_chance = np.minimum(0.0, [-each.log_uniform for each in poses] - ratios)
-    shares = np.where(same, 0.0, -np.expm1(by_chance))
-    alike = np.logaddexp.reduce(np.where(shares > 0.0, np.log(np.maximum(shares, 1e-300)) + ratios, -np.inf), axis=1)
-    return np.asarray(np.logaddexp(alike, 0.0) - np.log1p(shares.sum(axis=1)))
+    uniform, aligned = np.array([(each.log_uniform, each.log_aligned) for each in poses]).T
+    return np.array([log_somewhere_new(ratios[~row], uniform[~row], aligned[~row]) for row in same])
 
 
 def _joined(
@@ -195,6 +195,7 @@ def _joined(
         measured.segment,
         measured.log_prior,
         measured.log_uniform,
+        measured.log_aligned,
         evidence,
         {row: llr for row, llr in earlier.items() if row not in evidence},
         travel_m,

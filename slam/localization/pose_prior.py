@@ -50,14 +50,14 @@ class PosePrior:
         log_normal = -0.5 * float(
             residual @ np.linalg.solve(spread, residual) + np.linalg.slogdet(2.0 * np.pi * spread)[1]
         )
-        followed = np.log1p(-self.failure_probability) + log_normal + _log_volume(covariance)
+        followed = np.log1p(-self.failure_probability) + log_normal + log_volume(covariance)
         return min(float(np.logaddexp(followed, np.log(self.failure_probability) + log_uniform)), 0.0)
 
     def log_uniform(self, covariance: FloatArray) -> float:
         """The same where the robot can be anywhere in the area."""
-        return float(_log_volume(covariance) - np.log(2.0 * np.pi * self.area_m2))
+        return float(log_volume(covariance) - np.log(2.0 * np.pi * self.area_m2))
 
 
-def _log_volume(covariance: FloatArray) -> float:
+def log_volume(covariance: FloatArray) -> float:
     """Logarithm of the integral of exp(-d^2 / 2) over x, y and heading [log m^2 rad]."""
     return 0.5 * float(np.linalg.slogdet(2.0 * np.pi * covariance[np.ix_(_PLANAR, _PLANAR)])[1])

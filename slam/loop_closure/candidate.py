@@ -33,12 +33,13 @@ class Candidate:
     """``T_reference_query`` (4, 4) between the bodies, covariance (6, 6) rotation first; ``T_local_query`` (4, 4) of
     the query's gravity frame in the local frame of the reference's traversal.
 
-    ``rows`` (N,): landmarks of the query, and -1 - row of those of the reference that the robot passed;
-    ``log_likelihood_ratios`` (N,): their LLR_i, of which ``log_likelihood_ratio`` is the sum; ``pairs`` (K, 2):
-    inliers, as confirmed landmarks of the query and of the reference.
-    ``odometry_penalty`` is -log pi of the pose's prior, ``unpredicted_penalty`` the same if the odometry told nothing;
-    see :mod:`slam.localization.pose_prior`. ``seed_closure``: the keyframe whose closure predicted this one, -1 if
-    retrieval found it; ``rank`` and ``proposer``: as in :class:`slam.place_recognition.place.Place`.
+    ``rows`` (N,): landmarks of the query; ``log_likelihood_ratios`` (N,): their LLR_i, of which
+    ``log_likelihood_ratio`` is the sum; ``pairs`` (K, 2): inliers, as confirmed landmarks of the query and of the
+    reference.
+    ``odometry_penalty`` is -log pi of the pose's prior, ``unpredicted_penalty`` the same if the odometry told nothing,
+    ``alignment_penalty`` if it told the place but not where in it; see :mod:`slam.localization.pose_prior`.
+    ``seed_closure``: the keyframe whose closure predicted this one, -1 if retrieval found it; ``rank`` and
+    ``proposer``: as in :class:`slam.place_recognition.place.Place`.
     ``posterior_log_odds`` and ``best_rival_llr``: as in :class:`logs.messages.LoopClosureRecord`, None until they are
     computed. ``is_tracked``: most inliers are one landmark on both sides, which data association never lost.
     """
@@ -57,6 +58,7 @@ class Candidate:
     matched_fraction: float
     odometry_penalty: float
     unpredicted_penalty: float
+    alignment_penalty: float
     retrieval_distance: float
     seed_closure: int = -1
     rank: int = 0
@@ -74,11 +76,6 @@ class Candidate:
     def score(self) -> float:
         """Log-likelihood ratio minus odometry penalty: the log posterior odds if there was no other candidate."""
         return self.log_likelihood_ratio - self.odometry_penalty
-
-    @property
-    def passed_rows(self) -> IntArray:
-        """Rows of the reference landmarks that the robot passed (P,), matched or not."""
-        return -1 - self.rows[self.rows < 0]
 
     def edge(self) -> Edge:
         """The between-factor of this closure."""

@@ -114,35 +114,6 @@ def changed_log_likelihood_ratio(per_object: FloatArray, detection_probability: 
     return float(logsumexp(log_prior + log_likelihoods) - logsumexp(log_prior))
 
 
-def expected_log_likelihood_ratios(
-    reference: Submap, T_reference_query: FloatArray, pairs: IntArray, path: FloatArray, *, radius_m: float, seen: float
-) -> tuple[IntArray, FloatArray]:
-    """What the landmarks that the robot passed say of a pose, if it was there: negative information.
-
-    Of objects that stand as densely as those of the reference, the robot would have seen P_D of each landmark's worth;
-    of the landmark itself it has seen one or none. So each landmark contributes P_D if it is matched and
-    P_D + log(1 - P_D) if it is not (the likelihood ratio of a Poisson process of clutter and one of landmarks: Mahler,
-    Statistical Multisource-Multitarget Information Fusion, 2007).
-
-    Args:
-        reference: landmarks around the pose.
-        T_reference_query: (4, 4), the pose.
-        pairs: (K, 2) inliers, as rows of query and reference.
-        path: (P, 3) m, positions in the frame of the query from which all around them has been seen.
-        radius_m: how far around them.
-        seen: P_D.
-
-    Returns:
-        Indices (M,) of the landmarks within the radius of the path, and the contribution (M,) of each.
-    """
-    placed = apply(T_reference_query, path)[:, None, :2]
-    offsets = reference.positions[:, :2] - placed
-    passed = np.flatnonzero((np.einsum("pni,pni->pn", offsets, offsets) < radius_m**2).any(axis=0))
-    is_matched = np.zeros(len(reference), dtype=np.bool_)
-    is_matched[pairs[:, 1]] = True
-    return passed, np.where(is_matched[passed], seen, seen + np.log1p(-seen))
-
-
 def _clutter_densities(
     query: Submap,
     reference: Submap,

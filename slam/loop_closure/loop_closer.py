@@ -64,7 +64,7 @@ class LoopCloser:
         self._verifier = Verifier(config, self._retriever, self._track, graph, keyframes, mapped)
         self.closures = AcceptedClosures(config, object_map, graph, keyframes)
         self._stretches = Stretches(0.5 * SUBMAP_RANGES * config.sensor_range_m)
-        self._missing = MissingLandmarks()
+        self._missing = MissingLandmarks(object_map, keyframes, config.sensor_range_m)
         self._continuity = ContinuityMonitor(config.localization, self._sensor_range_m)
         # Only a prior map is trusted more than the robot's pose; a map in the making may itself be wrong.
         self._has_prior_map = any(keyframe.is_prior for keyframe in keyframes)
@@ -88,7 +88,7 @@ class LoopCloser:
         return self._continuity.kidnapping_probability
 
     def missing_landmarks(self) -> IntArray:
-        """Rows (K,) of landmarks that the robot passed and never saw."""
+        """Rows (K,) of landmarks of a prior map that the robot passed and never saw."""
         return self._missing.rows()
 
     def close(self, keyframe: Keyframe) -> list[LoopClosureRecord]:
@@ -255,5 +255,6 @@ class LoopCloser:
     def _accept(self, candidate: Candidate, reason: str) -> LoopClosureRecord:
         """Accept a closure, which predicts the next ones."""
         self._propagation.seed = candidate
-        self._missing.add(candidate.passed_rows, candidate.pairs[:, 1])
+        if self._keyframes[candidate.reference].is_prior:
+            self._missing.add(self._keyframes[candidate.query], candidate.T_local_query, candidate.pairs[:, 1])
         return self.closures.add(candidate, reason)

@@ -88,7 +88,7 @@ class Propagation:
         if predicted is None:
             return False
         if isinstance(predicted.verified, Candidate):
-            ratios = predicted.verified.log_likelihood_ratios[: len(query.submap)]
+            ratios = predicted.verified.log_likelihood_ratios
         else:
             ratios = self._verifier.unregistered(query, predicted.place)
         landmarks = self._map.rows[query.submap.rows]

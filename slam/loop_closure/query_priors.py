@@ -1,4 +1,4 @@
-"""What is known of a query before it is registered: where the robot came from, and how far it may be from there."""
+"""What is known of the pose of a query before it is registered."""
 
 from __future__ import annotations
 
@@ -9,23 +9,20 @@ import numpy as np
 from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray
 from slam.common.config import Config
-from slam.common.geometry import apply, invert
+from slam.common.geometry import invert
 from slam.localization.map_area import MapArea
 from slam.localization.pose_prior import PosePrior, failure_probability
 from slam.loop_closure.candidate import NOWHERE, Query
 from slam.loop_closure.consistency import CLOSURE_SIGMA_RAD
-from slam.object_map.submap import SUBMAP_RANGES, gravity_frame
+from slam.object_map.submap import gravity_frame
 from slam.odometry.drift import KeyframeTrack
 from slam.odometry.keyframe import Keyframe
 from slam.odometry.noise import SLIP_INFLATION
 from slam.place_recognition.place import Place
 
-PASSED_RANGES = 0.5
-"""All objects so near to the path of the robot, in sensor ranges, have been seen when it has driven on for as long."""
-
 
 class QueryPriors:
-    """Paths and priors of the poses of queries.
+    """Priors of the poses of queries.
 
     ``mapped`` (N, 2) m are the objects of a map without keyframes, ``cell_m`` is the resolution of the area that is
     mapped.
@@ -42,25 +39,11 @@ class QueryPriors:
         cell_m: float,
     ) -> None:
         self._config = config
-        self._sensor_range_m = config.sensor_range_m
         self._track = track
         self._graph = graph
         self._keyframes = keyframes
         self._area = MapArea(cell_m=cell_m)
         self._area.cover_positions(mapped)
-
-    def path(self, query: Query) -> FloatArray:
-        """Where the robot was (P, 3), in the frame of the query, so long ago that all around is mapped by now."""
-        latest_m = query.travel_m - PASSED_RANGES * self._sensor_range_m
-        earliest_m = query.travel_m - SUBMAP_RANGES * self._sensor_range_m
-        positions = list[FloatArray]()
-        for keyframe in reversed(self._keyframes[: query.keyframe.id]):
-            pose = keyframe.odometry
-            if pose.segment != query.keyframe.odometry.segment or pose.travel_m < earliest_m:
-                break
-            if pose.travel_m <= latest_m:
-                positions.append(keyframe.T_local_body[:3, 3])
-        return apply(invert(query.T_local_gravity), np.array(positions).reshape(-1, 3))
 
     def prior(self, query: Query, place: Place, reference: Keyframe, seed_closure: int) -> PosePrior:
         """The prior of the query's pose: by the odometry since the seed closure, or else since the reference."""

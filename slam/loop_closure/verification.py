@@ -13,15 +13,11 @@ from slam.backend.factor_graph import FactorGraph
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.config import Config
 from slam.common.geometry import apply, covariance_in_axes, invert
+from slam.localization.pose_prior import log_volume
 from slam.loop_closure.candidate import NOWHERE, Candidate, Query, Stage
-from slam.loop_closure.consistency import odometry_penalty, poses_agree, shared_covariance
-from slam.loop_closure.likelihood_ratio import (
-    DETECTION_PROBABILITY,
-    LikelihoodRatio,
-    compute_log_likelihood_ratio,
-    expected_log_likelihood_ratios,
-)
-from slam.loop_closure.query_priors import PASSED_RANGES, QueryPriors
+from slam.loop_closure.consistency import log_volume_of_agreement, odometry_penalty, poses_agree, shared_covariance
+from slam.loop_closure.likelihood_ratio import LikelihoodRatio, compute_log_likelihood_ratio
+from slam.loop_closure.query_priors import QueryPriors
 from slam.loop_closure.shifted_poses import shifted_along_track
 from slam.object_map.submap import TRAVERSAL_EXTENT, Submap, gravity_frame
 from slam.odometry.drift import KeyframeTrack
@@ -112,7 +108,7 @@ class Verifier:
         if self._nearest(place, query, within_m=self._sensor_range_m + self.reach_m) is None:
             return self._out_of_reach(query, place)
         reference_submap = self._retriever.reference_submap(place, before_m=self.latest_m(query))
-        registration = _register(query.submap, reference_submap, place.T_local_query, self._registration)
+        registration = register(query.submap, reference_submap, place.T_local_query, self._registration)
         if registration.T_reference_query is None:
             reference = self._nearest(place, query, within_m=self._sensor_range_m)
             return query.refusal(Stage.REGISTRATION, registration.reason, reference, place=place)
@@ -140,7 +136,7 @@ class Verifier:
         """
         if not query.before or candidate.log_likelihood_ratio <= 0.0:
             return candidate
-        chain, sigmas = [candidate], [_sigmas_of_rows(query, candidate)]
+        chain, sigmas = [candidate], [query.submap.sigmas]
         for stretch in query.before:
             if len(stretch.submap) < self._registration.min_inliers:
                 continue
@@ -151,7 +147,7 @@ class Verifier:
             if not self.agree(before.T_local_query, place.T_local_query):
                 break
             chain.append(before)
-            sigmas.append(_sigmas_of_rows(stretch, before))
+            sigmas.append(stretch.submap.sigmas)
         nearest = np.argsort(np.concatenate(sigmas), kind="stable")
         rows, first = np.unique(np.concatenate([each.rows for each in chain])[nearest], return_index=True)
         ratios = np.concatenate([each.log_likelihood_ratios for each in chain])[nearest]
@@ -201,14 +197,6 @@ class Verifier:
         assert T_local_gravity is not None
         assert covariance is not None
         ratio = self._ratio(query, reference_submap, T_local_gravity, registration.pairs)
-        passed, of_passed = expected_log_likelihood_ratios(
-            reference_submap,
-            T_local_gravity,
-            registration.pairs,
-            self._priors.path(query),
-            radius_m=PASSED_RANGES * self._sensor_range_m,
-            seen=DETECTION_PROBABILITY,
-        )
         prior = self._priors.prior(query, place, reference, seed_closure)
         exists = np.broadcast_to(query.submap.existence, len(query.submap)) == 1.0
         confirmed = registration.pairs[exists[registration.pairs[:, 0]]]
@@ -227,13 +215,13 @@ class Verifier:
             covariance=covariance_in_axes(
                 covariance + shared_covariance(self._config.calibration.objects), T_gravity_body[:3, :3]
             ),
-            # Landmarks of the map are told from those of the query by their sign.
-            rows=np.concatenate([query.submap.rows, -1 - reference_submap.rows[passed]]),
-            log_likelihood_ratios=np.concatenate([ratio.per_object, of_passed]),
+            rows=query.submap.rows,
+            log_likelihood_ratios=ratio.per_object,
             pairs=np.column_stack([query.submap.rows[confirmed[:, 0]], reference_submap.rows[confirmed[:, 1]]]),
             matched_fraction=ratio.matched_fraction,
             odometry_penalty=-prior.log_mass(T_local_gravity, covariance),
             unpredicted_penalty=-prior.log_uniform(covariance),
+            alignment_penalty=max(log_volume_of_agreement(self._sensor_range_m) - log_volume(covariance), 0.0),
             retrieval_distance=place.retrieval_distance,
             seed_closure=seed_closure,
             rank=place.rank,
@@ -280,13 +268,7 @@ class Verifier:
         return reference if reference.is_map_frame or found[1] <= within_m else None
 
 
-def _sigmas_of_rows(query: Query, candidate: Candidate) -> FloatArray:
-    """Standard deviations (N,) m of the landmarks of a candidate; infinite for those of the map."""
-    of_map = np.full(len(candidate.rows) - len(query.submap), np.inf)
-    return np.concatenate([query.submap.sigmas, of_map])
-
-
-def _register(
+def register(
     query: Submap, reference: Submap, T_reference_query: FloatArray, config: RegistrationConfig
 ) -> Registration:
     """The query registered with a reference submap from an approximate pose (4, 4)."""

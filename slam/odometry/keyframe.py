@@ -35,16 +35,20 @@ class Keyframe:
     is_map_frame: bool = False
 
 
-def is_keyframe_due(last: OdometryPose, pose: OdometryPose, distance_m: float, *, sensor_range_m: float) -> bool:
-    """Whether the body has come so far since the last keyframe, or moved so long ago, that a next one is due.
+def is_keyframe_due(
+    last: Keyframe, stamp_ns: int, T_local_body: FloatArray, distance_m: float, *, sensor_range_m: float
+) -> bool:
+    """Whether the body came so far since the last keyframe of its segment, or moved so long ago, that one is due.
 
-    ``distance_m``: travel from one keyframe to the next.
+    Args:
+        last: the last keyframe.
+        stamp_ns: the time now.
+        T_local_body: (4, 4), where landmarks and odometry have the body now.
+        distance_m: from one keyframe to the next.
+        sensor_range_m: of the detector.
     """
-    turn_rad = float(rotation_angle_rad(relative(last.T_odom_body, pose.T_odom_body)))
-    has_moved = pose.travel_m - last.travel_m >= MOVED_RANGES * sensor_range_m or turn_rad >= MOVED_RAD
-    return bool(
-        pose.segment != last.segment
-        or pose.travel_m - last.travel_m >= distance_m
-        or turn_rad >= TURN_RAD
-        or (pose.stamp_ns - last.stamp_ns >= INTERVAL_S * 1e9 and has_moved)
-    )
+    T_step = relative(last.T_local_body, T_local_body)
+    turn_rad, moved_m = float(rotation_angle_rad(T_step)), float(np.linalg.norm(T_step[:3, 3]))
+    has_moved = moved_m >= MOVED_RANGES * sensor_range_m or turn_rad >= MOVED_RAD
+    is_late = stamp_ns - last.odometry.stamp_ns >= INTERVAL_S * 1e9
+    return bool(moved_m >= distance_m or turn_rad >= TURN_RAD or (is_late and has_moved))

@@ -6,19 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
-from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray, IntArray
 from slam.common.geometry import make_transform
 from slam.registration.parameters import RegistrationConfig
 from slam.registration.refinement import Columns, least_squares, squared_residuals
 
-MAX_ROTATION_SIGMA_RAD = 0.2
-"""A rotation known less well than this is not determined: the linearisation that says so no longer holds."""
-SIX_DOF_STEPS = 3
-"""Gauss-Newton steps from the level pose; the tilt is small."""
-
-_TILT, _TRANSLATION = slice(0, 2), slice(3, 6)
+MAX_HEADING_SIGMA_RAD = 0.2
+"""A heading known less well than this is not determined: the linearisation that says so no longer holds."""
+_TILT, _HEADING, _TRANSLATION = slice(0, 2), 2, slice(3, 6)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,20 +47,6 @@ def not_found(reason: str) -> Registration:
     return Registration(None, None, np.zeros(0, np.int64), np.zeros((0, 2), np.int64), 0.0, reason)
 
 
-@dataclass(frozen=True, slots=True)
-class _Motion:
-    """``reference = R (scale query) + t`` between points about the centres of their columns."""
-
-    R: FloatArray
-    t: FloatArray
-    scale: float
-
-    def residuals(self, columns: Columns, chosen: IntArray) -> FloatArray:
-        """(K, 3) m, reference minus moved query, in the query's axes."""
-        moved = self.scale * columns.query[chosen] @ self.R.T + self.t
-        return np.asarray((columns.reference[chosen] - moved) @ self.R)
-
-
 def estimate(pose: FloatArray, columns: Columns, config: RegistrationConfig) -> Registration:
     """The answer at a refined ``pose`` (6,): optimal one-to-one inliers, a last fit to them, and its covariance."""
     gate_squared = config.gate_sigma**2
@@ -74,25 +56,21 @@ def estimate(pose: FloatArray, columns: Columns, config: RegistrationConfig) -> 
         return not_found(_too_few(len(chosen), config))
     weights = np.zeros((1, len(columns)))
     weights[0, chosen] = 1.0 - ratio[chosen] ** 2
-    pose = least_squares(pose[None], weights, columns, config)[0]
-    a, b, x, y, z, scale = pose.tolist()
-    motion = _Motion(np.array([[a, -b, 0.0], [b, a, 0.0], [0.0, 0.0, scale]]) / scale, np.array([x, y, z]), scale)
-    if config.six_dof:
-        motion = _tilted(motion, columns, chosen, weights[0, chosen], config)
-    ratio = np.square(motion.residuals(columns, chosen) / _sigma(columns, chosen, config)).sum(axis=1)
-    ratio /= gate_squared
-    chosen, ratio = chosen[ratio < 1.0], ratio[ratio < 1.0]
+    fitted = least_squares(pose[None], weights, columns, config)
+    ratio = squared_residuals(fitted, columns)[0] / gate_squared
+    chosen = chosen[ratio[chosen] < 1.0]
     if len(chosen) < config.min_inliers:
         return not_found(_too_few(len(chosen), config))
-    information = _information(motion, columns, chosen, 1.0 - ratio**2, config)
-    reason = _undetermined(information, len(chosen), config)
-    if reason:
-        return not_found(reason)
-    origin = motion.scale * motion.R @ columns.query_centre
-    T = make_transform(motion.R, columns.reference_centre + motion.t - origin)
-    covariance = _covariance(information, motion.scale * columns.query_centre, columns.query_centre, config)
-    support = float((1.0 - ratio).sum())
-    return Registration(T, covariance, columns.given[chosen], columns.pairs[chosen], support, "", motion.scale)
+    a, b, x, y, z, scale = fitted[0].tolist()
+    information = _information(scale, columns, chosen, 1.0 - ratio[chosen] ** 2, config)
+    if _heading_information(information) < MAX_HEADING_SIGMA_RAD**-2:
+        return not_found(f"the {len(chosen)} objects that agree are too near one another for a heading")
+    R = np.array([[a, -b, 0.0], [b, a, 0.0], [0.0, 0.0, scale]]) / scale
+    origin = scale * R @ columns.query_centre
+    T = make_transform(R, columns.reference_centre + np.array([x, y, z]) - origin)
+    covariance = _covariance(information, scale * columns.query_centre, columns.query_centre, config)
+    support = float((1.0 - ratio[chosen]).sum())
+    return Registration(T, covariance, columns.given[chosen], columns.pairs[chosen], support, "", scale)
 
 
 def _too_few(count: int, config: RegistrationConfig) -> str:
@@ -116,75 +94,31 @@ def _assign(ratio: FloatArray, columns: Columns) -> IntArray:
     return np.sort(chosen[chosen >= 0])
 
 
-def _sigma(columns: Columns, chosen: IntArray, config: RegistrationConfig) -> FloatArray:
-    """(K, 3) m along x, y, z; a tilt that is estimated is no noise."""
-    sigma = columns.noise if config.six_dof else columns.sigma
-    return np.asarray(sigma[chosen][:, [0, 0, 1]])
-
-
-def _jacobian(motion: _Motion, points: FloatArray) -> FloatArray:
-    """(K, 3, 7) of the moved points, in the query's axes, by rotation, translation and scale."""
-    x, y, z = (motion.scale * points).T
+def _information(
+    scale: float, columns: Columns, chosen: IntArray, weights: FloatArray, config: RegistrationConfig
+) -> FloatArray:
+    """(7, 7) of rotation, translation and scale about the centre of the query, in its axes."""
+    points = columns.query[chosen]
+    x, y, z = (scale * points).T
     J = np.zeros((len(points), 3, 7))
     J[:, 0, 1], J[:, 0, 2] = z, -y
     J[:, 1, 0], J[:, 1, 2] = -z, x
     J[:, 2, 0], J[:, 2, 1] = y, -x
     J[:, 0, 3] = J[:, 1, 4] = J[:, 2, 5] = 1.0
     J[:, :, 6] = points
-    return J
-
-
-def _information(
-    motion: _Motion, columns: Columns, chosen: IntArray, weights: FloatArray, config: RegistrationConfig
-) -> FloatArray:
-    """(7, 7) of rotation, translation and scale about the centre of the query."""
-    J = _jacobian(motion, columns.query[chosen])
-    J *= (np.sqrt(weights)[:, None] / _sigma(columns, chosen, config))[:, :, None]
-    J = J.reshape(-1, 7)
-    information = J.T @ J
+    J *= (np.sqrt(weights)[:, None] / columns.sigma[chosen][:, [0, 0, 1]])[:, :, None]
+    rows = J.reshape(-1, 7)
+    information = rows.T @ rows
     information[6, 6] += config.scale_sigma**-2
     return np.asarray(information)
 
 
-def _free(config: RegistrationConfig) -> slice:
-    return slice(0 if config.six_dof else 2, 7 if config.estimate_scale else 6)
-
-
-def _tilted(
-    motion: _Motion, columns: Columns, chosen: IntArray, weights: FloatArray, config: RegistrationConfig
-) -> _Motion:
-    """The motion with roll and pitch, by Gauss-Newton; unchanged where the objects do not determine it."""
-    free = _free(config)
-    for _ in range(SIX_DOF_STEPS):
-        information = _information(motion, columns, chosen, weights, config)
-        if _undetermined(information, len(chosen), config):
-            return motion
-        precision = weights[:, None] / _sigma(columns, chosen, config) ** 2
-        J = _jacobian(motion, columns.query[chosen])
-        gradient = np.einsum("kaj,ka->j", J, precision * motion.residuals(columns, chosen))
-        gradient[6] -= (motion.scale - 1.0) / config.scale_sigma**2
-        step = np.zeros(7)
-        step[free] = np.linalg.solve(information[free, free], gradient[free])
-        R = motion.R @ Rotation.from_rotvec(step[:3]).as_matrix()
-        motion = _Motion(R, motion.t + motion.R @ step[3:6], motion.scale + float(step[6]))
-    return motion
-
-
-def _undetermined(information: FloatArray, count: int, config: RegistrationConfig) -> str:
-    """Why the rotation is not determined, or "". What the inverse would hold is tested before it is taken."""
-    rotation = slice(0 if config.six_dof else 2, 3)
-    cross = information[rotation, _TRANSLATION]
-    marginal = information[rotation, rotation] - cross @ np.linalg.solve(
-        information[_TRANSLATION, _TRANSLATION], cross.T
+def _heading_information(information: FloatArray) -> float:
+    """That of the heading alone, the translation marginalised. What its inverse would hold is tested before."""
+    cross = information[_HEADING, _TRANSLATION]
+    return float(
+        information[_HEADING, _HEADING] - cross @ np.linalg.solve(information[_TRANSLATION, _TRANSLATION], cross)
     )
-    weakest = float(np.linalg.eigvalsh(marginal)[0]) if config.six_dof else float(marginal[0, 0])
-    if weakest >= MAX_ROTATION_SIGMA_RAD**-2:
-        return ""
-    if config.six_dof:
-        return (
-            f"the {count} objects that agree are (nearly) collinear, so the rotation about their line is undetermined"
-        )
-    return f"the {count} objects that agree are too near one another for a heading"
 
 
 def _covariance(
@@ -192,20 +126,18 @@ def _covariance(
 ) -> FloatArray:
     """(6, 6) at the query's origin from the information (7, 7) about its centre.
 
-    Roll and pitch, where they are not estimated, are nuisance parameters: their uncertainty moves the estimate of the
+    Roll and pitch, which are not estimated, are nuisance parameters: their uncertainty moves the estimate of the
     others by -G times the tilt, with G from the normal equations.
     """
-    free = _free(config)
-    P = np.zeros((7, 7))
+    free = slice(_HEADING, 7 if config.estimate_scale else 6)
+    variance = config.tilt_sigma_rad**2
     inverse = np.linalg.inv(information[free, free])
-    P[free, free] = inverse
-    if not config.six_dof:
-        variance = config.tilt_sigma_rad**2
-        G = inverse @ information[free, _TILT]
-        P[free, free] += variance * G @ G.T
-        P[free, _TILT] = -variance * G
-        P[_TILT, free] = -variance * G.T
-        P[0, 0] = P[1, 1] = variance
+    G = inverse @ information[free, _TILT]
+    P = np.zeros((7, 7))
+    P[free, free] = inverse + variance * G @ G.T
+    P[free, _TILT] = -variance * G
+    P[_TILT, free] = -variance * G.T
+    P[0, 0] = P[1, 1] = variance
     # The adjoint of the translation to the centre; a larger scale moves the origin against the centre.
     x, y, z = centre_scaled.tolist()
     A = np.zeros((6, 7))

@@ -39,7 +39,6 @@ class RegistrationConfig(Branch):
         default=2.0, gt=0, description="poses nearer than this to a better one, at the centre of the objects [m] ..."
     )
     distinct_deg: float = Field(default=10.0, gt=0, le=180, description="... and in heading are the same pose [deg]")
-    six_dof: bool = Field(default=False, description="also estimate roll and pitch, instead of assuming level frames")
     estimate_scale: bool = Field(
         default=False, description="also estimate a scale of the query, for ranges that are too long or too short"
     )

@@ -47,7 +47,7 @@ def vote_for_pairs(columns: Columns, config: RegistrationConfig, *, count: int) 
     They are between points about the centres of ``columns``.
     """
     pairs = _compatible_pairs(columns, config)
-    tolerance_m = PAIR_TOLERANCE_SIGMAS * float(np.median(columns.noise[:, 0]))
+    tolerance_m = PAIR_TOLERANCE_SIGMAS * float(np.median(columns.sigma[:, 0]))
     return vote_for_poses(columns.query, columns.reference, Matches(pairs, pairs), tolerance_m=tolerance_m, count=count)
 
 

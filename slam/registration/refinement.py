@@ -1,7 +1,7 @@
 """From an approximate pose to the best one nearby: gated one-to-one association and weighted least squares.
 
 All poses are refined at once: a pair of a query and a reference object is a column, a pose is a row. The motion is
-yaw and translation, because both frames have z up; three more degrees of freedom are a last step, where configured.
+yaw and translation, because both frames have z up.
 """
 
 from __future__ import annotations
@@ -36,10 +36,8 @@ class Columns:
     """(P, 3) m, about ``query_centre``."""
     reference: FloatArray
     """(P, 3) m, about ``reference_centre``."""
-    noise: FloatArray
-    """(P, 2) m: horizontal and vertical noise of the difference of the two."""
     sigma: FloatArray
-    """(P, 2) m: the same, if the query stands upright but for an unknown tilt."""
+    """(P, 2) m: horizontal and vertical noise of the difference of the two, with an unknown tilt of the query."""
     query_centre: FloatArray
     reference_centre: FloatArray
     residual_matrix: FloatArray
@@ -63,7 +61,6 @@ class Columns:
             self.given[keep],
             self.query[keep],
             self.reference[keep],
-            self.noise[keep],
             self.sigma[keep],
             self.query_centre,
             self.reference_centre,
@@ -86,14 +83,10 @@ def make_columns(
     reference_centre = np.add.reduce(reference, axis=0) / len(reference)
     variance = query_sigmas[q] ** 2 + reference_sigmas[r] ** 2
     points = query[q] - query_centre
-    vertical = variance + config.height_sigma_m**2
     # A tilt that neither frame knows of shows as a height that grows with the distance.
     tilt_variance = config.tilt_sigma_rad**2 * (points[:, 0] ** 2 + points[:, 1] ** 2)
-    noise = np.sqrt(np.stack([variance, vertical], axis=1))
-    sigma = np.sqrt(np.stack([variance, vertical + tilt_variance], axis=1))
-    return _columns(
-        ordered, order, points, reference[r] - reference_centre, noise, sigma, query_centre, reference_centre
-    )
+    sigma = np.sqrt(np.stack([variance, variance + config.height_sigma_m**2 + tilt_variance], axis=1))
+    return _columns(ordered, order, points, reference[r] - reference_centre, sigma, query_centre, reference_centre)
 
 
 def _columns(
@@ -101,7 +94,6 @@ def _columns(
     given: IntArray,
     query: FloatArray,
     reference: FloatArray,
-    noise: FloatArray,
     sigma: FloatArray,
     query_centre: FloatArray,
     reference_centre: FloatArray,
@@ -128,7 +120,7 @@ def _columns(
     reference_slot = np.empty_like(slot)
     reference_slot[reference_order] = slot
     return Columns(
-        pairs, given, query, reference, noise, sigma, query_centre, reference_centre,
+        pairs, given, query, reference, sigma, query_centre, reference_centre,
         F.reshape(6, 3 * count), target, np.ascontiguousarray(moments),
         query_starts, query_slot, reference_order, reference_starts, reference_slot,
     )  # fmt: skip

@@ -11,13 +11,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from slam.common.arrays import ComplexArray, FloatArray, IntArray
-from slam.common.errors import GeometryError
 from slam.registration.estimate import Registration, estimate, not_found
 from slam.registration.parameters import RegistrationConfig
 from slam.registration.pose_voting import vote_for_pairs
 from slam.registration.refinement import Columns, make_columns, refine_poses, squared_residuals, support
 
-__all__ = ["Registration", "refine", "refine_many", "register"]
+__all__ = ["Registration", "refine", "register"]
 
 VOTED_PER_RESULT = 16
 """Poses with most votes that are scored for each result."""
@@ -57,16 +56,12 @@ def register(
 
     Returns:
         One to ``count`` poses, best first, no two of them near each other; or one answer "no" with its reason.
-
-    Raises:
-        GeometryError: arrays that do not fit together, indices out of range, or values that are not finite.
     """
-    pairs = np.asarray(correspondences, dtype=np.int64).reshape(-1, 2)
-    _check("query", query_positions, query_sigmas, pairs[:, 0])
-    _check("reference", reference_positions, reference_sigmas, pairs[:, 1])
-    if len(pairs) == 0:
+    if not len(correspondences):
         return [not_found("there are no correspondences")]
-    columns = make_columns(query_positions, reference_positions, pairs, query_sigmas, reference_sigmas, config)
+    columns = make_columns(
+        query_positions, reference_positions, correspondences, query_sigmas, reference_sigmas, config
+    )
     reason = _degenerate(columns, config)
     if reason:
         return [not_found(reason)]
@@ -93,31 +88,7 @@ def refine(
     query_sigmas: FloatArray,
     reference_sigmas: FloatArray,
 ) -> Registration:
-    """:func:`refine_many` from the one pose ``T_initial`` (4, 4)."""
-    return refine_many(
-        query_positions,
-        query_labels,
-        reference_positions,
-        reference_labels,
-        T_initial[None],
-        config,
-        query_sigmas=query_sigmas,
-        reference_sigmas=reference_sigmas,
-    )[0]
-
-
-def refine_many(
-    query_positions: FloatArray,
-    query_labels: IntArray,
-    reference_positions: FloatArray,
-    reference_labels: IntArray,
-    T_initial: FloatArray,
-    config: RegistrationConfig,
-    *,
-    query_sigmas: FloatArray,
-    reference_sigmas: FloatArray,
-) -> list[Registration]:
-    """The pose near each approximate one at which objects of equal label meet, and which do.
+    """The pose near an approximate one at which objects of equal label meet, and which do.
 
     Each object pairs with the nearest one of its label, if that is mutual and inside a gate, which shrinks from
     ``config.search_radius_m`` to the noise; weighted least squares; and again, until nothing changes.
@@ -127,85 +98,37 @@ def refine_many(
         query_labels: (N,) int64.
         reference_positions: (M, 3) m, z up.
         reference_labels: (M,) int64.
-        T_initial: (H, 4, 4) of the query in the reference; of its rotation only the yaw is used.
+        T_initial: (4, 4) of the query in the reference; of its rotation only the yaw is used.
         config: gates and limits.
         query_sigmas: (N,) m, noise of a position along any axis.
         reference_sigmas: (M,) m.
-
-    Returns:
-        One answer for each initial pose, in its order.
-
-    Raises:
-        GeometryError: arrays that do not fit together or values that are not finite.
     """
-    T_initial = np.asarray(T_initial, dtype=np.float64)
-    if T_initial.ndim != 3 or T_initial.shape[1:] != (4, 4) or not np.isfinite(T_initial).all():
-        raise GeometryError(f"initial poses of shape {T_initial.shape} are not (H, 4, 4), or not finite")
-    _check("query", query_positions, query_sigmas, np.zeros(0, np.int64), len(query_labels))
-    _check("reference", reference_positions, reference_sigmas, np.zeros(0, np.int64), len(reference_labels))
-    if len(T_initial) == 0:
-        return []
-    pairs = _near_pairs(
-        query_positions,
-        reference_positions,
-        T_initial,
-        config,
-        query_sigmas=query_sigmas,
-        reference_sigmas=reference_sigmas,
-    )
-    pairs = pairs[np.asarray(query_labels)[pairs[:, 0]] == np.asarray(reference_labels)[pairs[:, 1]]]
-    if len(pairs) == 0:
-        return [not_found("no object of the query is near one of its label in the reference")] * len(T_initial)
+    pairs = np.zeros((0, 2), dtype=np.int64)
+    if len(query_positions) and len(reference_positions):
+        sigma_m = float(np.hypot(query_sigmas.max(), reference_sigmas.max()))
+        reach_m = REACH_RADII * max(config.search_radius_m, config.gate_sigma * sigma_m)
+        pairs = _pairs_within(query_positions, reference_positions, T_initial, reach_m)
+        pairs = pairs[query_labels[pairs[:, 0]] == reference_labels[pairs[:, 1]]]
+    if not len(pairs):
+        return not_found("no object of the query is near one of its label in the reference")
     columns = make_columns(query_positions, reference_positions, pairs, query_sigmas, reference_sigmas, config)
-    poses = _pose_rows(T_initial, columns)
+    place = T_initial[:3, :3] @ columns.query_centre + T_initial[:3, 3] - columns.reference_centre
+    poses = _rows(T_initial[None], place[None])
     poses, near = refine_poses(poses, columns, config, radius_m=config.search_radius_m)
-    results = [estimate(pose, near, config) for pose in poses]
-    return [
-        Registration(r.T_reference_query, r.covariance, np.arange(len(r.pairs)), r.pairs, r.score, r.reason, r.scale)
-        for r in results
-    ]
+    return estimate(poses[0], near, config)
 
 
-def _near_pairs(
-    query_positions: FloatArray,
-    reference_positions: FloatArray,
-    T_initial: FloatArray,
-    config: RegistrationConfig,
-    *,
-    query_sigmas: FloatArray,
-    reference_sigmas: FloatArray,
+def _pairs_within(
+    query_positions: FloatArray, reference_positions: FloatArray, T_initial: FloatArray, reach_m: float
 ) -> IntArray:
-    """Pairs (P, 2) that are so near at one of the poses (H, 4, 4) that its refinement can come to use them."""
-    if len(query_positions) == 0 or len(reference_positions) == 0:
-        return np.zeros((0, 2), dtype=np.int64)
-    sigma_m = float(np.hypot(query_sigmas.max(), reference_sigmas.max()))
-    reach_m = REACH_RADII * max(config.search_radius_m, config.gate_sigma * sigma_m)
+    """Pairs (P, 2) that are so near at a pose (4, 4), upright about the centre of the query."""
     centre = query_positions.mean(axis=0)
-    middles = T_initial[:, :3, :3] @ centre + T_initial[:, :3, 3]
-    offsets = query_positions - centre
-    moved = np.multiply.outer(_headings(T_initial), offsets[:, 0] + 1j * offsets[:, 1])
-    moved += (middles[:, 0] + 1j * middles[:, 1])[:, None]
-    points = np.column_stack([moved.real.ravel(), moved.imag.ravel()])
-    near = cKDTree(reference_positions[:, :2]).query_ball_point(points, reach_m)
-    query = np.repeat(np.tile(np.arange(len(offsets)), len(T_initial)), [len(objects) for objects in near])
-    reference = np.fromiter(chain.from_iterable(near), dtype=np.int64, count=len(query))
-    keys = np.unique(query * len(reference_positions) + reference)
-    return np.stack(np.divmod(keys, len(reference_positions)), axis=1)
-
-
-def _check(name: str, positions: FloatArray, sigmas: FloatArray, indices: IntArray, labels: int | None = None) -> None:
-    count = len(positions)
-    if positions.ndim != 2 or positions.shape[1] != 3 or sigmas.shape != (count,) or labels not in (None, count):
-        raise GeometryError(
-            f"{name}: positions {positions.shape}, sigmas {sigmas.shape} and {labels} labels do not fit; "
-            "give (N, 3), (N,) and N"
-        )
-    if not np.isfinite(positions).all():
-        raise GeometryError(f"{name}: a position is not finite")
-    if not (np.isfinite(sigmas).all() and (sigmas > 0.0).all()):
-        raise GeometryError(f"{name}: a sigma is not finite and positive")
-    if len(indices) and (indices.min() < 0 or indices.max() >= count):
-        raise GeometryError(f"{name}: correspondences name {indices.min()} to {indices.max()} of {count} objects")
+    middle = T_initial[:3, :3] @ centre + T_initial[:3, 3]
+    offsets = (query_positions - centre)[:, :2] @ np.array([1.0, 1.0j])
+    moved = complex(*middle[:2]) + _headings(T_initial[None])[0] * offsets
+    near = cKDTree(reference_positions[:, :2]).query_ball_point(np.column_stack([moved.real, moved.imag]), reach_m)
+    query = np.repeat(np.arange(len(near)), [len(objects) for objects in near])
+    return np.column_stack([query, np.fromiter(chain.from_iterable(near), dtype=np.int64, count=len(query))])
 
 
 def _degenerate(columns: Columns, config: RegistrationConfig) -> str:
@@ -225,11 +148,6 @@ def _degenerate(columns: Columns, config: RegistrationConfig) -> str:
             )
     fewer = min(len(columns.query_starts), len(columns.reference_starts))
     return "" if fewer >= config.min_inliers else f"only {fewer} objects have correspondences"
-
-
-def _pose_rows(T: FloatArray, columns: Columns) -> FloatArray:
-    """Rows (H, 6) of level poses that carry the query's centre where the transforms (H, 4, 4) do."""
-    return _rows(T, T[:, :3, :3] @ columns.query_centre + T[:, :3, 3] - columns.reference_centre)
 
 
 def _rows(T: FloatArray, places: FloatArray) -> FloatArray:

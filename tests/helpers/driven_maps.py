@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from logs.messages import FactorGraphRecord, ObjectMapRecord
@@ -18,16 +16,6 @@ STEP_M, RANGE_M, NOISE_M = 2.0, 30.0, 0.05
 
 def town(seed: int = 1) -> World:
     return generate_street_grid(rng=np.random.default_rng(seed))
-
-
-def without(world: World, ids: set[str]) -> World:
-    kept = [row for row, name in enumerate(world.object_ids) if name not in ids]
-    return replace(
-        world,
-        object_ids=tuple(world.object_ids[row] for row in kept),
-        positions=world.positions[kept],
-        labels=tuple(world.labels[row] for row in kept),
-    )
 
 
 def drive_poses(world: World, from_m: float, to_m: float) -> FloatArray:

@@ -17,7 +17,7 @@ _IMPORTED = ("slam.replay", "slam.evaluation.evaluate", "slam.evaluation.page.pa
              "descriptors.training.contrast", "slam.simulation.faults.registry",
              "slam.simulation.faults.faulty_log", "logs.importers.text_log", "logs.importers.detection_tables",
              "osmium",
-             "logs.importers.maps.osm", "slam.map_joining.joint_map", "slam.evaluation.comparison",
+             "logs.importers.maps.osm", "slam.fleet.joint_map", "slam.evaluation.comparison",
              "slam.sweeps.sweep", "slam.evaluation.report.tables",
              "tools.evaluation.evaluate", "tools.evaluation.compare", "logs.clouds.map_of_cloud",
              "logs.clouds.semantic_kitti", "multiprocessing.pool", "encodings.idna", "_strptime")  # fmt: skip

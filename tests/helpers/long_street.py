@@ -6,6 +6,7 @@ import numpy as np
 
 from slam.common.arrays import FloatArray
 from slam.simulation.world import World
+from tools.lab.retrieval.labelled_map import LabelledMap, labelled_map
 
 LENGTH_M = 1150.0
 OBJECTS = 795
@@ -43,6 +44,14 @@ def generate_street(*, rng: np.random.Generator, name: str = "street") -> World:
     z = np.array([heights[label] for label in labels]) + rng.normal(0.0, 0.1, OBJECTS)
     ids = tuple(f"object-{number}" for number in range(OBJECTS))
     return World(name, ids, np.column_stack([positions, z]), tuple(labels), tour)
+
+
+def start_of_street(length_m: int) -> tuple[LabelledMap, FloatArray]:
+    """The objects within 30 m of the first part of the street, and its tour."""
+    world = generate_street(rng=np.random.default_rng(0))
+    objects, tour = labelled_map(world), world.tour[:length_m]
+    near = np.flatnonzero(np.min([np.hypot(*(objects.positions[:, :2] - p).T) for p in tour], axis=0) < 30.0)
+    return LabelledMap(objects.positions[near], objects.labels[near], objects.vocabulary), tour
 
 
 def _centre_line(rng: np.random.Generator) -> FloatArray:

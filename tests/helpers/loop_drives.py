@@ -65,6 +65,7 @@ def replay_drive(
     folder: Path,
     world: World,
     *,
+    seed: int = 1,
     kidnap: KidnapConfig | None = None,
     calibrated: bool = True,
     branches: dict[str, dict[str, float]] | None = None,
@@ -74,7 +75,7 @@ def replay_drive(
     simulation = SimulationConfig(drive=DriveConfig(rate_hz=5.0), kidnap=kidnap)
     path = folder / "out.mcap"
     config = Config.model_validate({"calibrate": calibrated, "loop_closure": loop_closure, **(branches or {})})
-    return Outcome(path, run(drive(simulation, world=world), path, config))
+    return Outcome(path, run(drive(simulation, seed=seed, world=world), path, config))
 
 
 def two_blocks() -> World:

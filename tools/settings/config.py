@@ -46,7 +46,7 @@ def config(
 
 def _recorded(path: Path) -> Config:
     from logs.reader import LogReader
-    from slam.map_joining.session_config import session_config
+    from slam.fleet.session_config import session_config
     from slam.object_map.map_io import METADATA
 
     with LogReader(path) as reader:

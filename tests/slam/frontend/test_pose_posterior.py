@@ -156,6 +156,20 @@ def test_wide_component_finds_nothing_where_all_objects_are_new() -> None:
     assert modes[0].assignment.matched.sum() <= 2
 
 
+def test_wide_component_is_not_sure_where_two_places_look_alike() -> None:
+    """A row of objects is seen that stands at two places, one object of it at one of them only."""
+    row = np.array([[x, 0.0, 0.0] for x in (0.0, 3.0, 5.0, 9.0, 10.0, 14.0, 16.0)])
+    landmarks = np.concatenate([row - [8.0, 15.0, 0.0], row[:6] - [8.0, -15.0, 0.0]])
+    scene, T_off = Scene(landmarks, shift_m=0.1), about_body(0.0, -8.0, 0.5)
+    anywhere = PriorComponent(1e-4, np.diag([1e-3, 1e-3, np.pi, 30.0, 30.0, 1.0]) ** 2, is_anywhere=True)
+    components = [PriorComponent(1.0 - 1e-4, np.zeros((6, 6))), anywhere]
+    modes = scene.search(scene.seen(np.arange(7), T_off)).modes(components)
+    found = [mode for mode in modes if mode.assignment.matched.any()]
+    assert [mode.assignment.matched.sum() for mode in found[:2]] == [7, 6]
+    assert found[0].log_weight - found[1].log_weight > np.log(99.0)
+    assert probabilities(modes)[modes.index(found[0])] < 0.99
+
+
 def test_mean_of_a_component_is_where_its_modes_are() -> None:
     scene, which, T_off = Scene(scattered(), shift_m=0.1), np.arange(6), about_body(12.0, 2.0, 1.0)
     there = PriorComponent(0.5, np.zeros((6, 6)), T_off)

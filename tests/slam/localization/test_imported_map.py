@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from logs.messages import GeodeticFix, GroundTruthPose, ObjectDetections, Odometry, SlamPose, Transform
+from logs.messages import GroundTruthPose, ObjectDetections, Odometry, SlamPose, Transform
 from slam.common.config import Config
-from slam.common.georeference import Georeference
 from slam.final_map import FinalMap
 from slam.localization.prior_map import PriorMap
-from slam.localization.unrecognised_map import MIRRORED, why_doubtful, why_not_recognised
+from slam.localization.unrecognised_map import MIRRORED
 from slam.loop_closure.stretches import STRETCHES
 from slam.place_recognition.imported_map import make_imported_map
 from slam.place_recognition.initial_pose import InitialPose
@@ -122,32 +120,6 @@ def test_where_little_is_seen_at_once_all_that_was_passed_tells_the_place(monkey
                 slam.process(record)
         found_m.append(slam.fixes[0].travel_m if slam.fixes else np.inf)
     assert found_m[0] < found_m[1]
-
-
-@pytest.mark.slow
-def test_why_a_map_is_not_recognised_is_told(town: World) -> None:
-    swapped = replace(town, positions=town.positions[:, [1, 0, 2]])
-    other = generate_street_grid(rng=np.random.default_rng(99))
-    foreign = replace(town, labels=tuple(f"Objekt {label}" for label in town.labels))
-    _, final, slam = drive(town, city_map(other), extend=False)
-    assert not slam.fixes
-
-    def reason(world: World, fixes: Sequence[GeodeticFix] = ()) -> str:
-        known = replace(city_map(world), georeference=Georeference(60.0, 25.0, 0.0, 0.0))
-        return why_not_recognised(known, final.object_map, final.trajectory, 0.35, fixes)
-
-    def doubt(world: World) -> str:
-        return why_doubtful(city_map(world), final.object_map, final.trajectory, 0.35)
-
-    assert "x and y exchanged" in reason(swapped)
-    assert doubt(swapped) == MIRRORED
-    assert doubt(town) == doubt(other) == doubt(foreign) == ""
-    assert "another place" in reason(other)
-    assert "drive farther" in reason(town)  # where it would be recognised
-    assert "no class in common: the map has Objekt" in reason(foreign)
-    assert "km from the nearest object" in reason(town, [GeodeticFix(0, "gps", 10.0, 25.0, 0.0)])
-    short = replace(final.trajectory, stamps_ns=final.trajectory.stamps_ns + 10**12)  # nothing was seen since it began
-    assert "0 landmarks" in why_not_recognised(city_map(town), final.object_map, short, 0.35)
 
 
 @pytest.mark.slow

@@ -17,7 +17,6 @@ from slam.loop_closure.likelihood_ratio import (
     LEAST_COUNT,
     changed_log_likelihood_ratio,
     compute_log_likelihood_ratio,
-    expected_log_likelihood_ratios,
 )
 from slam.object_map.submap import Submap
 
@@ -257,22 +256,6 @@ def test_where_others_of_the_class_stand_around_its_share_in_the_map_does_not_ma
     alone = compute_log_likelihood_ratio(query, reference, np.eye(4), each_with_its_own(1), RANGE_M)
     rare = compute_log_likelihood_ratio(query, reference, np.eye(4), each_with_its_own(1), RANGE_M, np.array([0.001]))
     assert rare.total == alone.total
-
-
-def test_landmarks_that_were_passed_speak_for_the_pose_if_they_are_matched_and_against_it_if_not():
-    reference = Submap(
-        np.array([[100.0, 5.0, 0.0], [110.0, -5.0, 0.0], [150.0, 0.0, 0.0]]), np.ones(3), np.zeros(3, int), np.arange(3)
-    )
-    T_reference_query = transform_from_xyz_yaw(np.array([120.0, 0.0, 0.0]), np.pi)
-    path = np.array([[20.0, 0.0, 0.0], [8.0, 0.0, 0.0]])
-    pairs = np.array([[0, 1]])
-    passed, ratios = expected_log_likelihood_ratios(reference, T_reference_query, pairs, path, radius_m=15.0, seen=0.7)
-    assert passed.tolist() == [0, 1]
-    assert ratios == pytest.approx([0.7 + np.log(0.3), 0.7])
-    none, _ = expected_log_likelihood_ratios(
-        reference, T_reference_query, pairs, np.zeros((0, 3)), radius_m=15.0, seen=0.7
-    )
-    assert none.tolist() == []
 
 
 def test_a_landmark_that_may_not_exist_says_less_either_way():

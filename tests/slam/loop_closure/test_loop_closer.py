@@ -13,7 +13,7 @@ import pytest
 from logs.closures import STAGES
 from slam.common.config import Config, LocalizationConfig
 from slam.localization.localizer import log_odds_of
-from slam.loop_closure import likelihood_ratio, propagation, verification
+from slam.loop_closure import likelihood_ratio, propagation
 from slam.replay import replay
 from slam.simulation.config import KidnapConfig
 from tests.helpers.loop_drives import (
@@ -56,12 +56,6 @@ def straying(tmp_path_factory) -> Outcome:
     return replay_drive(tmp_path_factory.mktemp("straying"), winding_street())
 
 
-@pytest.fixture(scope="module")
-def sparse_lamps(tmp_path_factory) -> Outcome:
-    """Two streets that only the odometry can tell apart."""
-    return replay_drive(tmp_path_factory.mktemp("lamps"), rows_of_lamps(20.0))
-
-
 # What it finds
 
 
@@ -73,13 +67,8 @@ def test_loops_are_closed_in_both_directions_and_all_of_them_are_right(looped):
         recall = looped.closures[f"recall_{direction}"]
         assert recall is not None
         assert recall >= 0.9
-
-
-def test_closures_are_exact(looped):
-    errors = looped.closures
-    assert errors is not None
-    assert errors["median_translation_error_m"] < 0.5
-    assert errors["median_rotation_error_deg"] < 1.0
+    assert looped.closures["median_translation_error_m"] < 0.5
+    assert looped.closures["median_rotation_error_deg"] < 1.0
 
 
 def test_twin_a_descriptor_that_tells_nothing_recalls_little(tmp_path):
@@ -121,8 +110,13 @@ def test_the_log_says_what_each_candidate_was_decided_from(looped):
 # What it makes better
 
 
-def test_closures_make_the_trajectory_better(looped, open_ended):
-    assert looped.ate_m < 0.5 * open_ended.ate_m
+def test_closures_make_the_trajectory_better(looped, open_ended, tmp_path):
+    """Mean of three drives, because the odometry of one drifts little by chance."""
+    closed_m, open_m = looped.ate_m, open_ended.ate_m
+    for seed in (2, 3):
+        closed_m += replay_drive(tmp_path, two_blocks(), seed=seed).ate_m
+        open_m += replay_drive(tmp_path, two_blocks(), seed=seed, enabled=False).ate_m
+    assert closed_m < 0.4 * open_m
 
 
 def test_closures_make_one_landmark_of_each_object(looped, open_ended):
@@ -138,7 +132,7 @@ def test_closures_make_one_landmark_of_each_object(looped, open_ended):
 
 def count_no_misses(monkeypatch):
     """Objects without a match say nothing against a place."""
-    for module in (likelihood_ratio, verification, propagation):
+    for module in (likelihood_ratio, propagation):
         monkeypatch.setattr(module, "DETECTION_PROBABILITY", 1e-6)
 
 
@@ -162,21 +156,11 @@ def test_two_streets_of_lamps_in_dense_rows_are_not_taken_for_one(tmp_path):
     assert outcome.closures["accepted_count"] == 0
 
 
-def test_twin_without_a_verdict_two_streets_of_lamps_are_taken_for_one(tmp_path, monkeypatch):
-    count_no_misses(monkeypatch)
-    outcome = replay_drive(tmp_path, rows_of_lamps(8.0), branches=ACCEPT_EVERYTHING)
-    assert outcome.accepted_count > 20
-    assert outcome.closures["true_count"] == 0
-
-
-def test_no_closure_between_two_streets_of_lamps_in_sparse_rows_stays_in_the_graph(sparse_lamps):
-    assert sparse_lamps.closures["revisit_count"] == 0
-    assert sparse_lamps.closures["inserted_count"] == 0
-    assert "closure" not in sparse_lamps.graph.edge_kinds
-
-
-def test_two_streets_of_lamps_in_sparse_rows_are_not_taken_for_one(sparse_lamps):
-    assert sparse_lamps.accepted_count == 0
+def test_two_streets_of_lamps_in_sparse_rows_are_not_taken_for_one(tmp_path):
+    """Only the odometry can tell them apart."""
+    outcome = replay_drive(tmp_path, rows_of_lamps(20.0))
+    assert outcome.closures["revisit_count"] == outcome.accepted_count == 0
+    assert "closure" not in outcome.graph.edge_kinds
 
 
 # What it says

@@ -8,13 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs.messages import LoopClosureRecord
-from slam.common.config import Config, LoopClosureConfig
+from slam.common.config import Config
 from slam.common.errors import SavedMapError
 from slam.final_map import FinalMap
 from slam.object_map.landmarks import RetirementReason
 from slam.object_map.map_io import SavedMap, confirmed, load_map, save_map
-from slam.place_recognition.retrieval import PlaceRetriever
 from slam.replay import replay
 from slam.simulation.config import SimulationConfig
 from slam.system import Slam
@@ -202,33 +200,3 @@ def test_a_discontinuity_is_known_by_its_kind_and_not_by_its_covariance(
     covariances[row] *= scale
     graph = replace(graph, edge_kinds=kinds, edge_covariances=covariances)
     assert save_map(tmp_path / "m.mcap", first.object_map, graph, first.markers, PROVENANCE) == left_out
-
-
-def candidate_scores(entries: list[Entry], prior_map: SavedMap) -> list[float]:
-    slam = Slam(Config(), prior_map)
-    updates = [update for _, _, record in entries for update in slam.process(record)]
-    return [
-        each.score for each in updates if isinstance(each, LoopClosureRecord) and each.T_reference_query is not None
-    ]
-
-
-def test_in_a_given_map_it_counts_how_common_a_class_is(known: SavedMap, monkeypatch: pytest.MonkeyPatch) -> None:
-    entries = keep_until(drive(SimulationConfig(), seed=2), 6.0)
-    with_shares = candidate_scores(entries, known)
-    monkeypatch.setattr(PlaceRetriever, "class_shares", lambda _: None)
-    assert with_shares[0] > candidate_scores(entries, known)[0] + 1.0
-
-
-def test_only_that_part_of_a_given_map_is_well_placed_which_was_recognised(known: SavedMap) -> None:
-    follow_m = 8.0
-    slam = Slam(Config(loop_closure=LoopClosureConfig(propagation_distance_m=follow_m)), known)
-    for _, _, record in keep_until(drive(SimulationConfig(), seed=2), 6.0):
-        slam.process(record)
-    closures = slam._closer.closures
-    places = known.graph.T_map_body[:, :2, 3]
-    recognised = np.unique([reference for _, reference in closures.keyframes.tolist() if reference < len(places)])
-    assert len(recognised)
-    apart_m = np.linalg.norm(places[:, None] - places[recognised], axis=2).min(axis=1)
-    near = np.flatnonzero(apart_m <= follow_m).tolist()
-    assert 0 < len(near) < len(places)
-    assert sorted(row for row in closures.keyframes_nearby() if row < len(places)) == near

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -11,16 +10,14 @@ from scipy.optimize import least_squares as scipy_least_squares
 from scipy.spatial.transform import Rotation
 
 from slam.common.arrays import FloatArray, IntArray
-from slam.common.errors import GeometryError
 from slam.common.geometry import apply, invert, make_transform, transform_from_xyz_yaw
 from slam.registration.parameters import RegistrationConfig
 from slam.registration.refinement import least_squares, make_columns
-from slam.registration.registration import Registration, refine, refine_many, register
+from slam.registration.registration import Registration, refine, register
 from tests.helpers.registration_problems import Problem, draw_problem, street_objects
 
 SIGMA_M = 0.2
 CONFIG = RegistrationConfig(height_sigma_m=0.05)
-SIX_DOF = RegistrationConfig(height_sigma_m=0.05, six_dof=True)
 
 
 def found_by(
@@ -132,44 +129,23 @@ def test_least_squares_against_a_general_optimiser(estimate_scale: bool) -> None
         assert solved[4] == pytest.approx(np.average(rise, weights=per_axis[:, 2] ** 2))
 
 
-def test_six_degrees_of_freedom_against_a_general_optimiser() -> None:
-    rng = np.random.default_rng(3)
-    query = np.concatenate([street_objects(30, rng=rng)[:, :2] % 60.0, rng.uniform(0.0, 8.0, (30, 1))], axis=1)
-    T_gt = make_transform(Rotation.from_euler("zyx", [1.0, 0.01, -0.008]).as_matrix(), np.array([3.0, -40.0, 2.0]))
-    # So little noise against the sigma that every robust weight is one.
-    reference = apply(T_gt, query) + rng.normal(0.0, 1e-3, (30, 3))
-    registration = found_by(query, reference, one_to_one(30), SIX_DOF)[0]
-    assert registration.T_reference_query is not None
-    columns = make_columns(query, reference, one_to_one(30), np.full(30, SIGMA_M), np.full(30, 0.05), SIX_DOF)
-
-    def residuals(x: FloatArray) -> FloatArray:
-        T = T_gt @ make_transform(Rotation.from_rotvec(x[:3]).as_matrix(), x[3:])
-        return np.asarray(((reference - apply(T, query)) / columns.noise[:, [0, 0, 1]]).ravel())
-
-    solved = scipy_least_squares(residuals, np.zeros(6), xtol=1e-15, ftol=1e-15)
-    np.testing.assert_allclose(logarithm(invert(T_gt) @ registration.T_reference_query), solved.x, atol=2e-5)
-    expected = np.linalg.inv(solved.jac.T @ solved.jac)
-    np.testing.assert_allclose(registration.covariance, expected, rtol=0.05, atol=0.01 * np.abs(expected).max())
-
-
 @pytest.mark.parametrize(
-    ("config", "tilted", "scaled"),
+    "config",
     [
-        (RegistrationConfig(height_sigma_m=0.3), True, False),
-        (RegistrationConfig(height_sigma_m=0.3, six_dof=True), True, False),
-        (RegistrationConfig(height_sigma_m=0.3, estimate_scale=True, scale_sigma=0.02), True, True),
+        RegistrationConfig(height_sigma_m=0.3),
+        RegistrationConfig(height_sigma_m=0.3, estimate_scale=True, scale_sigma=0.02),
     ],
 )
-def test_covariance_against_monte_carlo(config: RegistrationConfig, tilted: bool, scaled: bool) -> None:
+def test_covariance_against_monte_carlo(config: RegistrationConfig) -> None:
     rng = np.random.default_rng(0)
     query_gt = street_objects(25, rng=rng) + np.array([40.0, -30.0, 1.0])
     query_sigmas, reference_sigmas = rng.uniform(0.1, 0.5, 25), rng.uniform(0.05, 0.2, 25)
     errors, covariances = [], []
     for _ in range(300):
-        tilt = Rotation.from_rotvec([*rng.normal(0.0, config.tilt_sigma_rad, 2), 0.0]).as_matrix() * tilted
+        tilt = Rotation.from_rotvec([*rng.normal(0.0, config.tilt_sigma_rad, 2), 0.0]).as_matrix()
         T_gt = transform_from_xyz_yaw(rng.normal(0.0, 20.0, 3), rng.uniform(-3.0, 3.0))
         T_gt = T_gt @ make_transform(tilt, np.zeros(3))
-        scale = rng.normal(1.0, config.scale_sigma) if scaled else 1.0
+        scale = rng.normal(1.0, config.scale_sigma) if config.estimate_scale else 1.0
         reference = apply(T_gt, scale * query_gt) + reference_sigmas[:, None] * rng.normal(size=(25, 3))
         query = query_gt + query_sigmas[:, None] * rng.normal(size=(25, 3))
         reference[:, 2] += rng.normal(0.0, config.height_sigma_m, 25)
@@ -276,16 +252,13 @@ def test_many_inliers_leave_room_for_another_place() -> None:
 LINE = np.column_stack([np.linspace(0.0, 60.0, 8) ** 1.05, np.zeros(8), np.zeros(8)])
 
 
-def test_objects_in_a_row_determine_yaw_but_not_roll() -> None:
+def test_objects_in_a_row_determine_yaw() -> None:
     T_gt = transform_from_xyz_yaw(np.array([3.0, -8.0, 0.5]), 2.5)
     level = found_by(LINE, apply(T_gt, LINE), one_to_one(8))[0]
     np.testing.assert_allclose(level.T_reference_query, T_gt, atol=1e-6)
     sigma_yaw, sigma_tilt = np.sqrt(level.covariance[2, 2]), np.sqrt(level.covariance[0, 0])
     assert sigma_yaw < 0.01
     assert sigma_tilt == pytest.approx(CONFIG.tilt_sigma_rad)
-    six_dof = found_by(LINE, apply(T_gt, LINE), one_to_one(8), SIX_DOF)[0]
-    assert six_dof.T_reference_query is None
-    assert "collinear" in six_dof.reason
 
 
 def test_a_short_row_knows_its_heading_less_well() -> None:
@@ -352,42 +325,20 @@ def test_what_determines_nothing_has_a_reason(
     assert len(registration.inliers) == len(registration.pairs) == 0
 
 
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        lambda q, s, p: q.__setitem__((1, 2), np.nan),
-        lambda q, s, p: q.__setitem__((0, 0), np.inf),
-        lambda q, s, p: s.__setitem__(2, np.nan),
-        lambda q, s, p: s.__setitem__(2, 0.0),
-        lambda q, s, p: p.__setitem__((0, 0), 4),
-        lambda q, s, p: p.__setitem__((0, 1), -1),
-    ],
-)
-def test_broken_input_is_refused(spoil: Callable[[FloatArray, FloatArray, IntArray], None]) -> None:
-    query, sigmas, pairs = SQUARE.copy(), np.full(4, 0.1), one_to_one(4)
-    spoil(query, sigmas, pairs)
-    with pytest.raises(GeometryError):
-        register(
-            query, SQUARE, pairs, CONFIG,
-            query_sigmas=sigmas, reference_sigmas=np.full(4, 0.1),
-        )  # fmt: skip
-
-
 coordinates = st.sampled_from([0.0, 1.0, 4.0, 7.5, 30.0])
 points = st.lists(st.tuples(coordinates, coordinates, coordinates), min_size=0, max_size=6)
 
 
 @settings(max_examples=150, deadline=None)
-@given(points, points, st.booleans(), st.booleans(), st.sampled_from([2, 3]), st.sampled_from([0.1, 0.5, 8.0]))
+@given(points, points, st.booleans(), st.sampled_from([2, 3]), st.sampled_from([0.1, 0.5, 8.0]))
 def test_small_constellations_never_fail(
     query: list[tuple[float, ...]],
     reference: list[tuple[float, ...]],
-    six_dof: bool,
     estimate_scale: bool,
     least: int,
     sigma_m: float,
 ) -> None:
-    config = RegistrationConfig(six_dof=six_dof, estimate_scale=estimate_scale, min_inliers=least)
+    config = RegistrationConfig(estimate_scale=estimate_scale, min_inliers=least)
     q, r = np.reshape(query, (-1, 3)).astype(float), np.reshape(reference, (-1, 3)).astype(float)
     with np.errstate(divide="raise", invalid="raise", over="raise"):
         results = found_by(q, r, everything(len(q), len(r)), config, count=3, sigma_m=sigma_m)
@@ -426,8 +377,8 @@ def near_place(seed: int) -> tuple[FloatArray, IntArray, FloatArray, IntArray, F
 
 def from_near(
     query: FloatArray, query_labels: IntArray, reference: FloatArray, labels: IntArray, T_initial: FloatArray
-) -> list[Registration]:
-    return refine_many(
+) -> Registration:
+    return refine(
         query, query_labels, reference, labels, T_initial, CONFIG,
         query_sigmas=np.full(len(query), SIGMA_M), reference_sigmas=np.full(len(reference), 0.05),
     )  # fmt: skip
@@ -445,45 +396,34 @@ def test_refinement_from_an_approximate_pose() -> None:
     for seed in range(10):
         query, query_labels, reference, labels, T_gt = near_place(seed)
         rng = np.random.default_rng(100 + seed)
-        starts = [nudged(T_gt, query, rng.normal(0.0, 0.7, 3), rng.normal(0.0, 0.02)) for _ in range(5)]
-        together = from_near(query, query_labels, reference, labels, np.array(starts))
-        for start, registration in zip(starts, together, strict=True):
+        for _ in range(5):
+            start = nudged(T_gt, query, rng.normal(0.0, 0.7, 3), rng.normal(0.0, 0.02))
+            registration = from_near(query, query_labels, reference, labels, start)
             assert registration.T_reference_query is not None
             assert len(registration.pairs) >= 22
             assert is_one_to_one(registration)
             assert (query_labels[registration.pairs[:, 0]] == labels[registration.pairs[:, 1]]).all()
             error = logarithm(invert(registration.T_reference_query) @ T_gt)
             assert error @ np.linalg.solve(registration.covariance, error) < 30.0
-            alone = refine(
-                query, query_labels, reference, labels, start, CONFIG,
-                query_sigmas=np.full(30, SIGMA_M), reference_sigmas=np.full(60, 0.05),
-            )  # fmt: skip
-            np.testing.assert_allclose(alone.T_reference_query, registration.T_reference_query, atol=0.05)
 
 
 def test_refinement_of_the_wrong_place_finds_little() -> None:
     query, query_labels, reference, labels, T_gt = near_place(0)
     elsewhere = nudged(T_gt, query, np.array([14.0, 9.0, 0.0]), 0.0)
     nowhere = nudged(T_gt, query, np.array([4000.0, 0.0, 0.0]), 0.0)
-    wrong_labels = from_near(query, np.roll(query_labels, 1), reference, labels, T_gt[None])[0]
-    first, second = from_near(query, query_labels, reference, labels, np.array([elsewhere, nowhere]))
+    wrong_labels = from_near(query, np.roll(query_labels, 1), reference, labels, T_gt)
+    first = from_near(query, query_labels, reference, labels, elsewhere)
+    second = from_near(query, query_labels, reference, labels, nowhere)
     assert len(first.pairs) < 12
     assert len(wrong_labels.pairs) < 14
     assert second.T_reference_query is None
-    assert "agree" in second.reason
+    assert "near one of its label" in second.reason
 
 
 def test_refinement_of_nothing() -> None:
-    empty, none = np.zeros((0, 3)), np.zeros(0, np.int64)
-    assert "label" in from_near(empty, none, SQUARE, np.zeros(4, np.int64), np.eye(4)[None])[0].reason
-    assert "label" in from_near(SQUARE, np.ones(4, np.int64), SQUARE, np.zeros(4, np.int64), np.eye(4)[None])[0].reason
-    same = np.zeros(4, np.int64)
-    assert from_near(SQUARE, same, SQUARE, same, np.zeros((0, 4, 4))) == []
-    single = from_near(SQUARE[:1], same[:1], SQUARE, same, np.eye(4)[None])[0]
-    assert "1 pairs" in single.reason
-    stack = from_near(SQUARE[[0, 0, 0]], np.arange(3), SQUARE[[0, 0, 0]], np.arange(3), np.eye(4)[None])[0]
+    empty, none, same = np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(4, np.int64)
+    assert "label" in from_near(empty, none, SQUARE, same, np.eye(4)).reason
+    assert "label" in from_near(SQUARE, np.ones(4, np.int64), SQUARE, same, np.eye(4)).reason
+    assert "1 pairs" in from_near(SQUARE[:1], same[:1], SQUARE, same, np.eye(4)).reason
+    stack = from_near(SQUARE[[0, 0, 0]], np.arange(3), SQUARE[[0, 0, 0]], np.arange(3), np.eye(4))
     assert "heading" in stack.reason
-    with pytest.raises(GeometryError):
-        from_near(SQUARE, same, SQUARE, same, np.full((1, 4, 4), np.nan))
-    with pytest.raises(GeometryError):
-        from_near(SQUARE * np.nan, same, SQUARE, same, np.eye(4)[None])

@@ -76,14 +76,6 @@ PARTS: dict[str, Part] = {
     "clutter around each object": Part(
         replaced={"slam.loop_closure.likelihood_ratio._clutter_densities": _uniform_clutter}
     ),
-    "landmarks that were missed": Part(
-        replaced={
-            "slam.loop_closure.verification.expected_log_likelihood_ratios": lambda *each, **named: (
-                np.zeros(0, dtype=np.int64),
-                np.zeros(0),
-            )
-        }
-    ),
     "robust back end": Part(
         replaced={
             "slam.backend.factors.CLOSURE_KERNEL_WIDTH": 1e6,
